@@ -1,0 +1,5 @@
+//! `pointsd`: condition monitoring of railway point machines.
+
+fn main() -> std::process::ExitCode {
+    pointsd::cli::pointsd()
+}

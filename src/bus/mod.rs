@@ -1,0 +1,1 @@
+//! Zenoh sessions, publishers, subscribers and queries.

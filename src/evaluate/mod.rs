@@ -1,0 +1,1 @@
+//! Scores the diagnosis on simulated fleets.

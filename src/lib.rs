@@ -1,0 +1,28 @@
+//! Condition monitoring of railway point machines: which part is wearing out, from the physics of every throw.
+//!
+//! The crate has a pure core and a thin shell. The core takes values and returns values or decisions; it names no
+//! runtime, network, database, clock or random source. The shell does the I/O and calls the core.
+//!
+//! | room | what it holds | may use |
+//! |---|---|---|
+//! | [`throw`] | one movement of the points and its recorded trace | |
+//! | [`estimate`] | SRIV: from a trace to b0, a1, a0 with their covariance | `throw` |
+//! | [`diagnose`] | from the history of estimates to one named cause | `estimate`, `throw` |
+//! | [`simulate`] | the simulated point machine and fleets of them | `throw` |
+//! | [`evaluate`] | scores the diagnosis on simulated fleets | all of the core |
+//! | [`wire`] | keys and payloads on zenoh | the core |
+//! | [`store`] | the SQLite database | core, `wire` |
+//! | [`bus`] | zenoh sessions, publishers, subscribers, queries | core, `wire` |
+//! | [`daemon`] | the running monitor: pipeline, supervision, configuration | everything above |
+//! | [`cli`] | the commands of `pointsd` and `pointsim` | everything above |
+
+pub mod bus;
+pub mod cli;
+pub mod daemon;
+pub mod diagnose;
+pub mod estimate;
+pub mod evaluate;
+pub mod simulate;
+pub mod store;
+pub mod throw;
+pub mod wire;

@@ -1,0 +1,1 @@
+//! The SQLite database: raw throws, estimates, alarms, the outbox.

@@ -1,0 +1,109 @@
+//! The two sampled channels of a throw.
+
+/// Longest trace, in samples of each channel: 50 s at 20 kHz. Bounds the memory that one message can claim.
+pub const MAX_SAMPLES: usize = 1_000_000;
+/// Lowest sampling rate that is a trace at all \[Hz\].
+pub const MIN_SAMPLE_RATE_HZ: f64 = 1.0;
+/// Highest sampling rate \[Hz\].
+pub const MAX_SAMPLE_RATE_HZ: f64 = 1_000_000.0;
+
+/// Motor current and toe position, sampled together at a constant rate.
+///
+/// The channels are equally long and hold 1 to [`MAX_SAMPLES`] samples. Values may be NaN or infinite: a broken
+/// sensor is a fact about the machine, to be stored and reported, so it is no error here.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trace {
+    sample_rate_hz: f64,
+    current_a: Vec<f64>,
+    position_mm: Vec<f64>,
+}
+
+/// Why two channels are no trace.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum InvalidTrace {
+    /// The sampling rate is not finite or out of range.
+    #[error("sample_rate_hz is {rate_hz}, must be {MIN_SAMPLE_RATE_HZ} to {MAX_SAMPLE_RATE_HZ}")]
+    SampleRate {
+        /// The rate given \[Hz\].
+        rate_hz: f64,
+    },
+    /// The channels differ in length.
+    #[error("current_a has {current} samples and position_mm {position}: they must be equally long")]
+    UnequalLengths {
+        /// Samples of current.
+        current: usize,
+        /// Samples of position.
+        position: usize,
+    },
+    /// No sample, or more than [`MAX_SAMPLES`].
+    #[error("{samples} samples a channel, must be 1 to {MAX_SAMPLES}")]
+    SampleCount {
+        /// Samples of each channel.
+        samples: usize,
+    },
+}
+
+impl Trace {
+    /// A trace of `current_a` \[A\] and `position_mm` \[mm\] at `sample_rate_hz` \[Hz\].
+    ///
+    /// # Errors
+    /// When the rate is out of range, the channels differ in length, or their length is 0 or above [`MAX_SAMPLES`].
+    pub fn new(sample_rate_hz: f64, current_a: Vec<f64>, position_mm: Vec<f64>) -> Result<Self, InvalidTrace> {
+        if !(MIN_SAMPLE_RATE_HZ..=MAX_SAMPLE_RATE_HZ).contains(&sample_rate_hz) {
+            return Err(InvalidTrace::SampleRate { rate_hz: sample_rate_hz });
+        }
+        if current_a.len() != position_mm.len() {
+            return Err(InvalidTrace::UnequalLengths { current: current_a.len(), position: position_mm.len() });
+        }
+        if !(1..=MAX_SAMPLES).contains(&current_a.len()) {
+            return Err(InvalidTrace::SampleCount { samples: current_a.len() });
+        }
+        Ok(Self { sample_rate_hz, current_a, position_mm })
+    }
+
+    /// Sampling rate \[Hz\].
+    #[must_use]
+    pub fn sample_rate_hz(&self) -> f64 {
+        self.sample_rate_hz
+    }
+
+    /// Motor current \[A\], one value a sample.
+    #[must_use]
+    pub fn current_a(&self) -> &[f64] {
+        &self.current_a
+    }
+
+    /// Toe position \[mm\], one value a sample; 0 at normal, the stroke at reverse.
+    #[must_use]
+    pub fn position_mm(&self) -> &[f64] {
+        &self.position_mm
+    }
+
+    /// Samples of each channel, at least 1.
+    #[must_use]
+    #[expect(clippy::len_without_is_empty, reason = "a trace is never empty")]
+    pub fn len(&self) -> usize {
+        self.current_a.len()
+    }
+
+    /// The two channels, current \[A\] first, position \[mm\] second.
+    #[must_use]
+    pub fn into_channels(self) -> (Vec<f64>, Vec<f64>) {
+        (self.current_a, self.position_mm)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trace_is_bounded_and_its_channels_are_equally_long() {
+        assert!(Trace::new(1000.0, vec![0.0], vec![f64::NAN]).is_ok());
+        for rate in [f64::NAN, f64::INFINITY, 0.0, -1.0, 2e6] {
+            assert!(matches!(Trace::new(rate, vec![0.0], vec![0.0]), Err(InvalidTrace::SampleRate { .. })));
+        }
+        assert!(matches!(Trace::new(1e3, vec![0.0], vec![]), Err(InvalidTrace::UnequalLengths { .. })));
+        assert!(matches!(Trace::new(1e3, vec![], vec![]), Err(InvalidTrace::SampleCount { samples: 0 })));
+    }
+}

@@ -1,0 +1,1 @@
+//! The diagnosis: causes, alarms, restarts, the scored table.

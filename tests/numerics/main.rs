@@ -1,0 +1,1 @@
+//! The estimator and the simulated machine against known answers.

@@ -1,0 +1,1 @@
+//! The database: migrations, views, failures of disk and power.
