@@ -1,1 +1,18 @@
-//! Keys and payloads on zenoh.
+//! Keys and payloads on zenoh: pure functions between bytes and values.
+//!
+//! Whatever the bytes are, decoding returns a value or a reason. It never panics, never recurses deeper than a fixed
+//! bound and never allocates more than a small multiple of the payload.
+
+mod alarm;
+mod command;
+mod health;
+mod key;
+mod query;
+mod throw;
+
+pub use alarm::{Alarm, alarm_id};
+pub use command::{InvalidCommand, Reply, decode_command};
+pub use health::{GOOD, Health};
+pub use key::{InvalidKey, InvalidScope, Kind, Scope, machine_key, monitor_alive_key, parse_key};
+pub use query::{HistoryQuery, InvalidQuery, MAX_HISTORY};
+pub use throw::{Encoding, InvalidThrow, MAX_BOOT_ID_BYTES, decode_throw, encode_throw};

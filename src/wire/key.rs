@@ -1,0 +1,192 @@
+//! Key expressions: `points/v1/{site}/{machine}/{kind}`. The key is the authority on who is speaking.
+
+use std::fmt;
+
+use crate::throw::{InvalidName, MachineId, Name};
+
+/// The chunks that every key begins with.
+const PREFIX: &str = "points/v1/";
+
+/// What a key carries.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Kind {
+    /// Throws, from the logger.
+    Throw,
+    /// Estimates, from the monitor.
+    Health,
+    /// Alarm events, from the monitor.
+    Alarm,
+    /// Operators' commands.
+    Command,
+    /// The logger's liveliness token.
+    Alive,
+}
+
+impl Kind {
+    /// Every kind.
+    pub const ALL: [Self; 5] = [Self::Throw, Self::Health, Self::Alarm, Self::Command, Self::Alive];
+
+    /// The last chunk of the key.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Throw => "throw",
+            Self::Health => "health",
+            Self::Alarm => "alarm",
+            Self::Command => "command",
+            Self::Alive => "alive",
+        }
+    }
+}
+
+/// Why a key names no machine.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum InvalidKey {
+    /// It is not of the form `points/v1/{site}/{machine}/{kind}`.
+    #[error("the key is not points/v1/{{site}}/{{machine}}/{{throw|health|alarm|command|alive}}")]
+    Shape,
+    /// The site or the machine is no name.
+    #[error(transparent)]
+    Name(#[from] InvalidName),
+}
+
+/// The key of one machine's throws, health, alarms, commands or liveliness.
+#[must_use]
+pub fn machine_key(machine: &MachineId, kind: Kind) -> String {
+    format!("{PREFIX}{}/{}/{}", machine.site, machine.machine, kind.as_str())
+}
+
+/// The key of a monitor's liveliness token: `points/v1/{site}/monitor/{id}/alive`.
+#[must_use]
+pub fn monitor_alive_key(site: &Name, id: &Name) -> String {
+    format!("{PREFIX}{site}/monitor/{id}/alive")
+}
+
+/// The machine and the kind that a key names.
+///
+/// # Errors
+/// When the key has another shape, or a name in it is none.
+pub fn parse_key(key: &str) -> Result<(MachineId, Kind), InvalidKey> {
+    let mut chunks = key.strip_prefix(PREFIX).ok_or(InvalidKey::Shape)?.split('/');
+    let (Some(site), Some(machine), Some(kind), None) = (chunks.next(), chunks.next(), chunks.next(), chunks.next())
+    else {
+        return Err(InvalidKey::Shape);
+    };
+    let kind = Kind::ALL.into_iter().find(|known| known.as_str() == kind).ok_or(InvalidKey::Shape)?;
+    Ok((MachineId::new(site, machine)?, kind))
+}
+
+/// The part of the fleet that one daemon serves: `points/v1/**`, `points/v1/{site}/**` or
+/// `points/v1/{site}/{machine}/**`, where a name may be `*` or hold `$*`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Scope {
+    site: String,
+    machine: String,
+}
+
+/// Why a text is no scope.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{text:?} is no scope: write points/v1/**, points/v1/{{site}}/** or points/v1/{{site}}/{{machine}}/**, \
+     a name may be * or hold $*"
+)]
+pub struct InvalidScope {
+    text: String,
+}
+
+impl Scope {
+    /// The scope in a text.
+    ///
+    /// # Errors
+    /// When it is none of the three forms.
+    pub fn parse(text: &str) -> Result<Self, InvalidScope> {
+        let invalid = || InvalidScope { text: text.chars().take(200).collect() };
+        let rest = text.strip_prefix(PREFIX).and_then(|rest| rest.strip_suffix("**")).ok_or_else(invalid)?;
+        let chunks: Vec<&str> = rest.split_terminator('/').collect();
+        let (site, machine) = match chunks.as_slice() {
+            [] => ("*", "*"),
+            [site] => (*site, "*"),
+            [site, machine] => (*site, *machine),
+            _ => return Err(invalid()),
+        };
+        let well_formed = rest.is_empty() || rest.ends_with('/');
+        if well_formed && is_name_pattern(site) && is_name_pattern(machine) {
+            Ok(Self { site: site.to_owned(), machine: machine.to_owned() })
+        } else {
+            Err(invalid())
+        }
+    }
+
+    /// The key expression of all keys of one kind in the scope.
+    #[must_use]
+    pub fn key_expression(&self, kind: Kind) -> String {
+        format!("{PREFIX}{}/{}/{}", self.site, self.machine, kind.as_str())
+    }
+}
+
+impl fmt::Display for Scope {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.site.as_str(), self.machine.as_str()) {
+            ("*", "*") => write!(f, "{PREFIX}**"),
+            (site, "*") => write!(f, "{PREFIX}{site}/**"),
+            (site, machine) => write!(f, "{PREFIX}{site}/{machine}/**"),
+        }
+    }
+}
+
+/// `*`, a name, or a name with `$*` in it (the wildcards of zenoh within one chunk).
+fn is_name_pattern(chunk: &str) -> bool {
+    chunk == "*" || chunk.replace("$*", "x").parse::<Name>().is_ok() && !chunk.contains("$*$*") && chunk != "$*"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_those_of_the_contract_and_parse_back() {
+        let machine = MachineId::new("north", "21B").unwrap();
+        assert_eq!(machine_key(&machine, Kind::Throw), "points/v1/north/21B/throw");
+        for kind in Kind::ALL {
+            assert_eq!(parse_key(&machine_key(&machine, kind)).unwrap(), (machine.clone(), kind));
+        }
+        let (site, id) = ("north".parse().unwrap(), "cabinet-7".parse().unwrap());
+        assert_eq!(monitor_alive_key(&site, &id), "points/v1/north/monitor/cabinet-7/alive");
+    }
+
+    #[test]
+    fn keys_of_another_shape_are_refused() {
+        for key in [
+            "",
+            "points/v1/north/21B",
+            "points/v2/north/21B/throw",
+            "points/v1/north/21B/throw/x",
+            "points/v1/north/21B/voltage",
+            "points/v1//21B/throw",
+            "points/v1/no rth/21B/throw",
+            "points/v1/north/monitor/cabinet-7/alive",
+        ] {
+            assert!(parse_key(key).is_err(), "{key:?} was taken");
+        }
+    }
+
+    #[test]
+    fn scopes_become_key_expressions() {
+        for (scope, throws) in [
+            ("points/v1/**", "points/v1/*/*/throw"),
+            ("points/v1/north/**", "points/v1/north/*/throw"),
+            ("points/v1/north/21B/**", "points/v1/north/21B/throw"),
+            ("points/v1/north-$*/**", "points/v1/north-$*/*/throw"),
+            ("points/v1/*/21B/**", "points/v1/*/21B/throw"),
+        ] {
+            let parsed = Scope::parse(scope).unwrap();
+            assert_eq!(parsed.key_expression(Kind::Throw), throws);
+            assert_eq!(parsed.to_string(), scope);
+        }
+        for bad in
+            ["", "**", "points/v1/", "points/v1/north", "points/v1/north**", "points/v1/a/b/c/**", "points/v1/a b/**"]
+        {
+            assert!(Scope::parse(bad).is_err(), "{bad:?} was taken");
+        }
+    }
+}

@@ -1,0 +1,308 @@
+//! Throws in CBOR (RFC 8949), channels as plain arrays or as typed arrays of RFC 8746.
+
+use std::convert::Infallible;
+
+use minicbor::{
+    Decoder, Encoder,
+    data::{Tag, Type},
+    decode::Error as DecodeError,
+    encode::Error as EncodeError,
+};
+
+use super::{
+    InvalidThrow,
+    fields::{Fields, SCHEMA, UNKNOWN_DIRECTION},
+};
+use crate::throw::{Direction, MAX_SAMPLES, Throw};
+
+/// "Self-described CBOR" (RFC 8949, 3.4.6), which some writers put in front.
+const SELF_DESCRIBED: Tag = Tag::new(55799);
+/// Typed array of little-endian float32 (RFC 8746, table 4).
+const F32_LITTLE_ENDIAN: Tag = Tag::new(85);
+/// Typed array of little-endian float64.
+const F64_LITTLE_ENDIAN: Tag = Tag::new(86);
+/// Deepest nesting in fields that are ignored.
+const MAX_DEPTH: usize = 16;
+/// Longest text that any field may hold, in bytes; a longer one is wrong whatever it says.
+const MAX_TEXT_BYTES: usize = 4096;
+
+pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
+    let mut decoder = Decoder::new(payload);
+    let fields = fields(&mut decoder).map_err(|failure| failure.at(decoder.position()))?;
+    if decoder.position() < payload.len() {
+        let problem = format!("{} bytes follow the message", payload.len() - decoder.position());
+        return Err(InvalidThrow::Cbor { at: decoder.position(), problem });
+    }
+    Ok(fields)
+}
+
+/// What stops decoding: bytes that are no CBOR, or a field that cannot be used.
+enum Failure {
+    Bytes(String),
+    Field(InvalidThrow),
+}
+
+impl Failure {
+    fn at(self, position: usize) -> InvalidThrow {
+        match self {
+            Self::Bytes(problem) => InvalidThrow::Cbor { at: position, problem },
+            Self::Field(error) => error,
+        }
+    }
+}
+
+impl From<DecodeError> for Failure {
+    fn from(error: DecodeError) -> Self {
+        Self::Bytes(error.to_string())
+    }
+}
+
+type Decoded<T> = Result<T, Failure>;
+
+fn wrong(field: &'static str, problem: impl Into<String>) -> Failure {
+    Failure::Field(InvalidThrow::Field { field, problem: problem.into() })
+}
+
+fn fields(decoder: &mut Decoder<'_>) -> Decoded<Fields> {
+    if decoder.datatype()? == Type::Tag && decoder.tag()? != SELF_DESCRIBED {
+        return Err(Failure::Bytes("a tag where the map of a throw should begin".into()));
+    }
+    let mut left = decoder.map()?;
+    let mut fields = Fields::default();
+    while next_item(decoder, &mut left)? {
+        match key(decoder)?.as_deref() {
+            Some("schema") => text(decoder, "schema", &mut fields.schema)?,
+            Some("boot_id") => text(decoder, "boot_id", &mut fields.boot_id)?,
+            Some("throw_no") => count(decoder, "throw_no", &mut fields.throw_no)?,
+            Some("started_at") => text(decoder, "started_at", &mut fields.started_at)?,
+            Some("direction") => text(decoder, "direction", &mut fields.direction)?,
+            Some("sample_rate_hz") => number(decoder, "sample_rate_hz", &mut fields.sample_rate_hz)?,
+            Some("current_a") => channel(decoder, "current_a", &mut fields.current_a)?,
+            Some("position_mm") => channel(decoder, "position_mm", &mut fields.position_mm)?,
+            Some("temperature_c") => number(decoder, "temperature_c", &mut fields.temperature_c)?,
+            Some("supply_v") => number(decoder, "supply_v", &mut fields.supply_v)?,
+            Some("anti_alias_hz") => number(decoder, "anti_alias_hz", &mut fields.anti_alias_hz)?,
+            _ => skip(decoder, MAX_DEPTH)?,
+        }
+    }
+    Ok(fields)
+}
+
+/// Whether another item follows in an array or map of known (`Some`) or indefinite length; steps over the break.
+fn next_item(decoder: &mut Decoder<'_>, left: &mut Option<u64>) -> Decoded<bool> {
+    match left {
+        Some(0) => Ok(false),
+        Some(count) => {
+            *count -= 1;
+            Ok(true)
+        }
+        None if decoder.datatype()? == Type::Break => {
+            decoder.set_position(decoder.position() + 1);
+            Ok(false)
+        }
+        None => Ok(true),
+    }
+}
+
+/// A key of the message's map; `None` for one that is no short text, so that its value is ignored.
+fn key(decoder: &mut Decoder<'_>) -> Decoded<Option<String>> {
+    match decoder.datatype()? {
+        Type::String | Type::StringIndef => Ok(Some(joined_text(decoder)?)),
+        _ => {
+            skip(decoder, MAX_DEPTH)?;
+            Ok(None)
+        }
+    }
+}
+
+/// A text of definite or indefinite length, cut to what any field may hold.
+fn joined_text(decoder: &mut Decoder<'_>) -> Decoded<String> {
+    let mut text = String::new();
+    for part in decoder.str_iter()? {
+        let part = part?;
+        if text.len() + part.len() > MAX_TEXT_BYTES {
+            return Err(Failure::Bytes(format!("a text is longer than {MAX_TEXT_BYTES} bytes")));
+        }
+        text.push_str(part);
+    }
+    Ok(text)
+}
+
+fn once<T>(field: &'static str, slot: &Option<T>) -> Decoded<()> {
+    if slot.is_some() { Err(wrong(field, "given twice")) } else { Ok(()) }
+}
+
+fn text(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<String>) -> Decoded<()> {
+    once(field, slot)?;
+    match decoder.datatype()? {
+        Type::String | Type::StringIndef => *slot = Some(joined_text(decoder)?),
+        Type::Null | Type::Undefined => skip(decoder, 1)?,
+        other => return Err(wrong(field, format!("{other}, must be a text"))),
+    }
+    Ok(())
+}
+
+fn count(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<u64>) -> Decoded<()> {
+    once(field, slot)?;
+    match decoder.datatype()? {
+        Type::U8 | Type::U16 | Type::U32 | Type::U64 => *slot = Some(decoder.u64()?),
+        Type::Null | Type::Undefined => skip(decoder, 1)?,
+        other => return Err(wrong(field, format!("{other}, must be a whole number from 0"))),
+    }
+    Ok(())
+}
+
+fn number(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<f64>) -> Decoded<()> {
+    once(field, slot)?;
+    *slot = match float(decoder, field)? {
+        value if value.is_nan() => None,
+        value => Some(value),
+    };
+    Ok(())
+}
+
+/// A number of any type; null and undefined are NaN.
+fn float(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<f64> {
+    match decoder.datatype()? {
+        Type::F16 | Type::F32 | Type::F64 => Ok(decoder.f64()?),
+        Type::U8 | Type::U16 | Type::U32 | Type::U64 | Type::I8 | Type::I16 | Type::I32 | Type::I64 | Type::Int => {
+            Ok(i128::from(decoder.int()?) as f64)
+        }
+        Type::Null | Type::Undefined => {
+            skip(decoder, 1)?;
+            Ok(f64::NAN)
+        }
+        other => Err(wrong(field, format!("{other}, must be a number"))),
+    }
+}
+
+fn channel(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<Vec<f64>>) -> Decoded<()> {
+    once(field, slot)?;
+    *slot = Some(match decoder.datatype()? {
+        Type::Tag => typed_array(decoder, field)?,
+        Type::Array | Type::ArrayIndef => plain_array(decoder, field)?,
+        other => return Err(wrong(field, format!("{other}, must be an array or a typed array"))),
+    });
+    Ok(())
+}
+
+fn plain_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f64>> {
+    let mut left = decoder.array()?;
+    if left.is_some_and(|length| length > MAX_SAMPLES as u64) {
+        return Err(too_many(field));
+    }
+    // A length may be a lie: every sample takes at least one byte, so no more than the bytes left are reserved.
+    let bytes_left = decoder.input().len() - decoder.position();
+    let declared = left.and_then(|length| usize::try_from(length).ok()).unwrap_or(0);
+    let mut samples = Vec::with_capacity(declared.min(bytes_left));
+    while next_item(decoder, &mut left)? {
+        if samples.len() == MAX_SAMPLES {
+            return Err(too_many(field));
+        }
+        samples.push(float(decoder, field)?);
+    }
+    Ok(samples)
+}
+
+fn typed_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f64>> {
+    let tag = decoder.tag()?;
+    if decoder.datatype()? != Type::Bytes {
+        return Err(wrong(field, "a typed array must be one byte string of definite length"));
+    }
+    let bytes = decoder.bytes()?;
+    let width = match tag {
+        F32_LITTLE_ENDIAN => 4,
+        F64_LITTLE_ENDIAN => 8,
+        other => {
+            let problem = format!("typed array with tag {}, must be 85 (float32) or 86 (float64)", other.as_u64());
+            return Err(wrong(field, problem));
+        }
+    };
+    if bytes.len() % width != 0 {
+        return Err(wrong(field, format!("{} bytes are no whole number of {width}-byte samples", bytes.len())));
+    }
+    if bytes.len() / width > MAX_SAMPLES {
+        return Err(too_many(field));
+    }
+    Ok(if width == 4 {
+        bytes.as_chunks::<4>().0.iter().map(|sample| f64::from(f32::from_le_bytes(*sample))).collect()
+    } else {
+        bytes.as_chunks::<8>().0.iter().map(|sample| f64::from_le_bytes(*sample)).collect()
+    })
+}
+
+fn too_many(field: &'static str) -> Failure {
+    wrong(field, format!("more than {MAX_SAMPLES} samples"))
+}
+
+/// Steps over one item of any kind, to a bounded depth.
+fn skip(decoder: &mut Decoder<'_>, depth: usize) -> Decoded<()> {
+    if depth == 0 {
+        return Err(Failure::Bytes(format!("nested deeper than {MAX_DEPTH}")));
+    }
+    match decoder.datatype()? {
+        Type::Array | Type::ArrayIndef => {
+            let mut left = decoder.array()?;
+            while next_item(decoder, &mut left)? {
+                skip(decoder, depth - 1)?;
+            }
+        }
+        Type::Map | Type::MapIndef => {
+            let mut left = decoder.map()?;
+            while next_item(decoder, &mut left)? {
+                skip(decoder, depth - 1)?;
+                skip(decoder, depth - 1)?;
+            }
+        }
+        Type::Tag => {
+            decoder.tag()?;
+            skip(decoder, depth - 1)?;
+        }
+        Type::Bytes | Type::BytesIndef => decoder.bytes_iter()?.try_for_each(|part| part.map(drop))?,
+        Type::String | Type::StringIndef => decoder.str_iter()?.try_for_each(|part| part.map(drop))?,
+        Type::Break => return Err(Failure::Bytes("a break where a value should be".into())),
+        Type::Unknown(byte) => return Err(Failure::Bytes(format!("byte {byte:#04x} begins no value"))),
+        // Numbers, booleans, null and simple values: one token.
+        _ => decoder.skip()?,
+    }
+    Ok(())
+}
+
+pub(super) fn encode(throw: &Throw) -> Vec<u8> {
+    let mut encoder = Encoder::new(Vec::with_capacity(256 + 8 * throw.trace.len()));
+    match write(&mut encoder, throw) {
+        Ok(()) => encoder.into_writer(),
+        Err(error) => match error.into_write() {
+            Some(never) => match never {},
+            None => Vec::new(),
+        },
+    }
+}
+
+fn write(encoder: &mut Encoder<Vec<u8>>, throw: &Throw) -> Result<(), EncodeError<Infallible>> {
+    let optional =
+        [("temperature_c", throw.temperature_c), ("supply_v", throw.supply_v), ("anti_alias_hz", throw.anti_alias_hz)];
+    let present = optional.iter().filter(|(_, value)| value.is_some()).count() as u64;
+    encoder.map(8 + present)?;
+    encoder.str("schema")?.str(SCHEMA)?;
+    encoder.str("boot_id")?.str(&throw.id.boot_id)?;
+    encoder.str("throw_no")?.u64(throw.id.throw_no)?;
+    encoder.str("started_at")?.str(&throw.started_at.to_string())?;
+    encoder.str("direction")?.str(throw.direction.map_or(UNKNOWN_DIRECTION, Direction::as_str))?;
+    encoder.str("sample_rate_hz")?.f64(throw.trace.sample_rate_hz())?;
+    for (field, samples) in [("current_a", throw.trace.current_a()), ("position_mm", throw.trace.position_mm())] {
+        encoder.str(field)?.tag(F32_LITTLE_ENDIAN)?.bytes(&f32_bytes(samples))?;
+    }
+    for (field, value) in optional {
+        if let Some(value) = value {
+            encoder.str(field)?.f64(value)?;
+        }
+    }
+    Ok(())
+}
+
+/// Sensors resolve 12 to 16 bits; float32 keeps 24.
+#[expect(clippy::cast_possible_truncation, reason = "the message's resolution is float32")]
+fn f32_bytes(samples: &[f64]) -> Vec<u8> {
+    samples.iter().flat_map(|sample| (*sample as f32).to_le_bytes()).collect()
+}

@@ -1,0 +1,108 @@
+//! The fields of a throw message before they are checked, as both encodings fill them in.
+
+use jiff::Timestamp;
+
+use super::{InvalidThrow, MAX_BOOT_ID_BYTES};
+use crate::throw::{Direction, Throw, ThrowRef, Trace};
+
+/// The only version of the message there is.
+pub(super) const SCHEMA: &str = "points.throw/1";
+/// What a logger says when it does not know the direction.
+pub(super) const UNKNOWN_DIRECTION: &str = "unknown";
+/// Highest `throw_no`: the database keeps it in a signed 64-bit integer.
+const MAX_THROW_NO: u64 = i64::MAX as u64;
+
+#[derive(Debug, Default)]
+pub(super) struct Fields {
+    pub(super) schema: Option<String>,
+    pub(super) boot_id: Option<String>,
+    pub(super) throw_no: Option<u64>,
+    pub(super) started_at: Option<String>,
+    pub(super) direction: Option<String>,
+    pub(super) sample_rate_hz: Option<f64>,
+    pub(super) current_a: Option<Vec<f64>>,
+    pub(super) position_mm: Option<Vec<f64>>,
+    pub(super) temperature_c: Option<f64>,
+    pub(super) supply_v: Option<f64>,
+    pub(super) anti_alias_hz: Option<f64>,
+}
+
+impl Fields {
+    pub(super) fn into_throw(self) -> Result<Throw, InvalidThrow> {
+        let schema = required("schema", self.schema)?;
+        if schema != SCHEMA {
+            return Err(wrong("schema", format!("{}, must be \"{SCHEMA}\"", quote(&schema))));
+        }
+        let id = ThrowRef {
+            boot_id: boot_id(required("boot_id", self.boot_id)?)?,
+            throw_no: throw_no(required("throw_no", self.throw_no)?)?,
+        };
+        let trace = Trace::new(
+            required("sample_rate_hz", self.sample_rate_hz)?,
+            required("current_a", self.current_a)?,
+            required("position_mm", self.position_mm)?,
+        )?;
+        Ok(Throw {
+            id,
+            started_at: started_at(&required("started_at", self.started_at)?)?,
+            direction: direction(self.direction.as_deref())?,
+            trace,
+            temperature_c: self.temperature_c.filter(|value| value.is_finite()),
+            supply_v: self.supply_v.filter(|value| value.is_finite()),
+            anti_alias_hz: self.anti_alias_hz.filter(|value| value.is_finite() && *value > 0.0),
+        })
+    }
+}
+
+fn required<T>(field: &'static str, value: Option<T>) -> Result<T, InvalidThrow> {
+    value.ok_or(InvalidThrow::Missing { field })
+}
+
+fn wrong(field: &'static str, problem: String) -> InvalidThrow {
+    InvalidThrow::Field { field, problem }
+}
+
+/// A text from outside, safe and short enough for a message to a person.
+fn quote(text: &str) -> String {
+    let short: String = text.chars().take(40).collect();
+    format!("{short:?}")
+}
+
+fn boot_id(text: String) -> Result<String, InvalidThrow> {
+    if text.is_empty() || text.len() > MAX_BOOT_ID_BYTES || text.chars().any(char::is_control) {
+        let problem = format!("{}, must be 1 to {MAX_BOOT_ID_BYTES} bytes without control characters", quote(&text));
+        return Err(wrong("boot_id", problem));
+    }
+    Ok(text)
+}
+
+fn throw_no(value: u64) -> Result<u64, InvalidThrow> {
+    if value > MAX_THROW_NO {
+        return Err(wrong("throw_no", format!("{value}, must be at most {MAX_THROW_NO}")));
+    }
+    Ok(value)
+}
+
+fn started_at(text: &str) -> Result<Timestamp, InvalidThrow> {
+    let parsed = text.parse::<Timestamp>().ok().filter(|time| {
+        // SQL's date functions and RFC 3339 itself know the years 0000 to 9999.
+        time.as_second() >= -62_167_219_200
+    });
+    parsed.ok_or_else(|| {
+        let problem = format!("{}, must be RFC 3339 with Z or an offset, as 2026-05-04T10:11:12.345Z", quote(text));
+        wrong("started_at", problem)
+    })
+}
+
+fn direction(word: Option<&str>) -> Result<Option<Direction>, InvalidThrow> {
+    match word {
+        None | Some(UNKNOWN_DIRECTION) => Ok(None),
+        Some(word) => match Direction::from_word(word) {
+            Some(direction) => Ok(Some(direction)),
+            None => {
+                let problem = format!("{}, must be normal_to_reverse, reverse_to_normal or unknown", quote(word));
+                Err(wrong("direction", problem))
+            }
+        },
+    }
+}

@@ -1,0 +1,147 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::throw::{Direction, ThrowRef, Trace};
+
+fn example() -> Throw {
+    Throw {
+        id: ThrowRef { boot_id: "b-1".into(), throw_no: 7 },
+        started_at: "2026-05-04T10:11:12.345678Z".parse().unwrap(),
+        direction: Some(Direction::ReverseToNormal),
+        trace: Trace::new(1000.0, vec![0.0, 1.5, -2.25], vec![115.0, 114.5, 114.0]).unwrap(),
+        temperature_c: Some(-3.5),
+        supply_v: None,
+        anti_alias_hz: Some(400.0),
+    }
+}
+
+const JSON: &str = r#"{"schema": "points.throw/1", "boot_id": "b", "throw_no": 1, "started_at": "2026-05-04T12:00:00+02:00",
+    "sample_rate_hz": 100, "current_a": [0, 1, null], "position_mm": [0.5, 1, 2], "extra": {"deep": [1, {"x": []}]}}"#;
+
+fn json(from: &str, to: &str) -> Result<Throw, InvalidThrow> {
+    assert!(JSON.contains(from), "{from} is not in the example");
+    decode_throw(Encoding::Json, JSON.replace(from, to).as_bytes())
+}
+
+#[test]
+fn both_encodings_carry_a_throw_unchanged() {
+    for encoding in [Encoding::Cbor, Encoding::Json] {
+        let bytes = encode_throw(encoding, &example());
+        assert_eq!(Encoding::of("", &bytes), encoding);
+        assert_eq!(decode_throw(encoding, &bytes).unwrap(), example());
+    }
+}
+
+#[test]
+fn json_from_other_languages_is_taken() {
+    let throw = json("", "").unwrap();
+    assert_eq!(throw.started_at, "2026-05-04T10:00:00Z".parse().unwrap());
+    assert_eq!((throw.direction, throw.temperature_c), (None, None));
+    assert_eq!(throw.trace.position_mm(), [0.5, 1.0, 2.0]);
+    assert!(throw.trace.current_a()[2].is_nan());
+    assert_eq!(json("\"throw_no\": 1", "\"throw_no\": 12.0").unwrap().id.throw_no, 12);
+    assert_eq!(json("\"boot_id\"", "\"temperature_c\": null, \"boot_id\"").unwrap().temperature_c, None);
+}
+
+#[test]
+fn json_that_cannot_be_used_says_why() {
+    for (from, to, says) in [
+        ("points.throw/1", "points.throw/9", "schema"),
+        ("\"boot_id\": \"b\",", "", "boot_id is missing"),
+        ("\"boot_id\": \"b\"", "\"boot_id\": \"\"", "boot_id"),
+        ("\"throw_no\": 1", "\"throw_no\": -1", "whole number"),
+        ("\"throw_no\": 1", "\"throw_no\": 1.5", "whole number"),
+        ("\"throw_no\": 1", "\"throw_no\": 9223372036854775808", "throw_no"),
+        ("2026-05-04T12:00:00+02:00", "2026-05-04T12:00:00", "started_at"),
+        ("2026-05-04T12:00:00+02:00", "yesterday", "started_at"),
+        ("\"sample_rate_hz\": 100", "\"sample_rate_hz\": 0", "sample_rate_hz"),
+        ("\"sample_rate_hz\": 100", "\"sample_rate_hz\": \"100\"", "f64"),
+        ("[0, 1, null]", "[0, 1]", "equally long"),
+        ("[0, 1, null]", "[0, \"x\", 1]", "string"),
+        ("[0, 1, null]", "7", "array"),
+        ("\"boot_id\"", "\"direction\": \"left\", \"boot_id\"", "direction"),
+        ("\"boot_id\"", "\"throw_no\": 3, \"boot_id\"", "duplicate"),
+    ] {
+        let error = json(from, to).unwrap_err().to_string();
+        assert!(error.contains(says), "{to}: {error}");
+    }
+    for bytes in [&b""[..], b"{", b"[]", b"{} {}", b"nan", &b"[".repeat(100_000)] {
+        assert!(decode_throw(Encoding::Json, bytes).is_err());
+    }
+}
+
+/// A message in CBOR with one channel written as `write` does.
+fn cbor(write: impl FnOnce(&mut minicbor::Encoder<Vec<u8>>)) -> Result<Throw, InvalidThrow> {
+    let mut encoder = minicbor::Encoder::new(Vec::new());
+    encoder.begin_map().unwrap();
+    encoder.str("schema").unwrap().str("points.throw/1").unwrap();
+    encoder.u8(9).unwrap().begin_array().unwrap().bool(true).unwrap().end().unwrap();
+    encoder.str("boot_id").unwrap().begin_str().unwrap().str("b").unwrap().str("oot").unwrap().end().unwrap();
+    encoder.str("throw_no").unwrap().u64(3).unwrap();
+    encoder.str("started_at").unwrap().str("2026-05-04T10:00:00Z").unwrap();
+    encoder.str("sample_rate_hz").unwrap().u16(1000).unwrap();
+    encoder.str("position_mm").unwrap().array(2).unwrap().u8(1).unwrap().f32(2.5).unwrap();
+    encoder.str("current_a").unwrap();
+    write(&mut encoder);
+    encoder.end().unwrap();
+    decode_throw(Encoding::Cbor, &encoder.into_writer())
+}
+
+#[test]
+fn cbor_channels_may_be_plain_or_typed_arrays() {
+    let little_endian = |values: [f64; 2]| values.map(f64::to_le_bytes).concat();
+    let typed =
+        cbor(|e| drop(e.tag(minicbor::data::Tag::new(86)).unwrap().bytes(&little_endian([0.1, -7.0])).unwrap()));
+    assert_eq!(typed.unwrap().trace.current_a(), [0.1, -7.0]);
+    let plain = cbor(|e| drop(e.begin_array().unwrap().f64(0.1).unwrap().i8(-7).unwrap().end().unwrap())).unwrap();
+    assert_eq!(plain.trace.current_a(), [0.1, -7.0]);
+    assert_eq!(plain.id.boot_id, "boot");
+    assert_eq!(plain.trace.position_mm(), [1.0, 2.5]);
+}
+
+#[test]
+fn cbor_that_cannot_be_used_says_why() {
+    let tag = minicbor::data::Tag::new;
+    for (result, says) in [
+        (cbor(|e| drop(e.tag(tag(85)).unwrap().bytes(&[0; 7]).unwrap())), "whole number"),
+        (cbor(|e| drop(e.tag(tag(81)).unwrap().bytes(&[0; 8]).unwrap())), "tag 81"),
+        (cbor(|e| drop(e.tag(tag(85)).unwrap().u8(1).unwrap())), "byte string"),
+        (cbor(|e| drop(e.str("1 2 3").unwrap())), "must be an array"),
+        (cbor(|e| drop(e.array(1 << 60).unwrap())), "samples"),
+        (cbor(|e| drop(e.array(900_000).unwrap())), "must be a number"),
+        (cbor(|e| drop(e.array(1).unwrap().str("x").unwrap())), "must be a number"),
+        (cbor(|e| drop(e.array(1).unwrap().u8(1).unwrap())), "equally long"),
+    ] {
+        let error = result.unwrap_err().to_string();
+        assert!(error.contains(says), "{says}: {error}");
+    }
+    let mut trailing = encode_throw(Encoding::Cbor, &example());
+    trailing.push(0);
+    assert!(decode_throw(Encoding::Cbor, &trailing).unwrap_err().to_string().contains("1 bytes follow"));
+    for deep in [0x9f, 0x81, 0xbf, 0xd8] {
+        let mut message = vec![0xbf, 0x01];
+        message.extend(std::iter::repeat_n(deep, 1_000_000));
+        assert!(decode_throw(Encoding::Cbor, &message).is_err());
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_bytes_make_decoding_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+        for encoding in [Encoding::Cbor, Encoding::Json] {
+            drop(decode_throw(encoding, &bytes));
+        }
+    }
+
+    #[test]
+    fn no_change_of_a_good_message_makes_decoding_panic(at in 0usize..400, byte in any::<u8>(), cut in 0usize..400) {
+        for encoding in [Encoding::Cbor, Encoding::Json] {
+            let mut bytes = encode_throw(encoding, &example());
+            let at = at % bytes.len();
+            bytes[at] = byte;
+            drop(decode_throw(encoding, &bytes));
+            bytes.truncate(cut);
+            drop(decode_throw(encoding, &bytes));
+        }
+    }
+}
