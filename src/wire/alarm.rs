@@ -95,5 +95,5 @@ impl Alarm {
 pub fn alarm_id(machine: &MachineId, cause: Cause, raised_at: Timestamp) -> String {
     let cause = serde_json::to_value(cause).ok();
     let word = cause.as_ref().and_then(serde_json::Value::as_str).unwrap_or_default();
-    format!("{machine}/{word}/{}", raised_at.as_microsecond())
+    format!("{}.{}.{word}.{}", machine.site, machine.machine, raised_at.as_microsecond())
 }
