@@ -1,1 +1,33 @@
 //! The simulated point machine and fleets of them. Shares only the throw type with the monitor.
+//!
+//! | file | what it holds |
+//! |---|---|
+//! | `machine` | the parameters, and the coefficients that follow from them |
+//! | `rails` | the switch rails: finite elements, reduced to modes |
+//! | `dynamics` | everything linear, discretised exactly |
+//! | `friction` | dry friction with true sticking |
+//! | `supply`, `motion` | the voltage; one throw, step by step |
+//! | `filter`, `sensors` | from the true motion to the recorded trace |
+//! | `fault`, `fleet` | wear, weather, and many machines |
+
+mod dynamics;
+mod fault;
+mod filter;
+mod fleet;
+mod friction;
+mod machine;
+mod motion;
+mod rails;
+mod sensors;
+mod supply;
+
+pub use fault::{Condition, Fault, Part, Shape};
+pub use fleet::{
+    Climate, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Scatter, SimulatedMachine, SimulatedThrow,
+    Spread,
+};
+pub use machine::{Coefficients, InvalidParameter, MotorKind, Parameters};
+pub use motion::{Conditions, Motion, STEP_S};
+pub use rails::{MAX_MODES, RailModel, Rails};
+pub use sensors::{Channel, Sensors, Stuck, Which};
+pub use supply::Waveform;

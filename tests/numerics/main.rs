@@ -1,1 +1,3 @@
 //! The estimator and the simulated machine against known answers.
+
+mod machine;

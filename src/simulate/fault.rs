@@ -1,0 +1,173 @@
+//! What wears out: which part, how much, and how it develops over the throws.
+//!
+//! A size is what an engineer expects at the coefficient: a torque loss of 10 % lowers b0 by 10 %, friction of +25 %
+//! raises a1 by 25 %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
+
+use serde::{Deserialize, Serialize};
+
+use super::machine::{InvalidParameter, Parameters};
+use super::rails::Modes;
+
+/// The part that a fault changes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// Torque per ampere of the motor, as in the study: the back-EMF constant stays, so the speed stays and only b0 moves.
+    Kt,
+    /// Dry friction on the slide chairs (mu); a decrease scales every friction of the machine.
+    Friction,
+    /// Restoring stiffness of the drive on the screw angle (`K_bs`).
+    Stiffness,
+    /// Bending stiffness of the rails.
+    RailStiffness,
+    /// Inertia on the motor shaft (`J_L`).
+    Inertia,
+}
+
+impl Part {
+    /// The cause that an alarm should name, as in messages: "kt", "friction", "stiffness" or "inertia".
+    #[must_use]
+    pub const fn cause(self) -> &'static str {
+        match self {
+            Self::Kt => "kt",
+            Self::Friction => "friction",
+            Self::Stiffness | Self::RailStiffness => "stiffness",
+            Self::Inertia => "inertia",
+        }
+    }
+}
+
+/// How a fault develops.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Shape {
+    /// All at once.
+    Step,
+    /// In a straight line to full size, where it stays.
+    Ramp {
+        /// Throws until full size.
+        throws: u64,
+    },
+    /// A random walk without a preferred direction.
+    RandomWalk {
+        /// Throws after which its standard deviation is the size.
+        throws: u64,
+    },
+}
+
+/// A part that changes from some throw on.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Fault {
+    /// The part.
+    pub part: Part,
+    /// How it develops.
+    pub shape: Shape,
+    /// Its full size, as a change of the coefficient \[%\]; negative for a loss.
+    pub size_pct: f64,
+    /// The first throw that shows it, counted from 0 over both directions.
+    pub from_throw: u64,
+}
+
+impl Fault {
+    /// Size at this throw \[%\]; a random walk's is where `walk`, a sum of standard normal steps, has come to.
+    #[must_use]
+    pub fn size_at(&self, throw_index: u64, walk: f64) -> f64 {
+        let Some(since) = throw_index.checked_sub(self.from_throw) else { return 0.0 };
+        match self.shape {
+            Shape::Step => self.size_pct,
+            Shape::Ramp { throws } => self.size_pct * ((since + 1) as f64 / throws.max(1) as f64).min(1.0),
+            Shape::RandomWalk { throws } => (self.size_pct * walk / (throws.max(1) as f64).sqrt()).max(-90.0),
+        }
+    }
+}
+
+/// The state of the parts relative to new: 1 for as new.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Condition {
+    /// Torque per ampere, as a ratio at b0.
+    pub kt: f64,
+    /// Friction, as a ratio at a1.
+    pub friction: f64,
+    /// Stiffness of the drive, as a ratio at a0.
+    pub stiffness: f64,
+    /// Stiffness of the rails, as a ratio at a0.
+    pub rail_stiffness: f64,
+    /// All inertia seen at the screw, as a ratio.
+    pub inertia: f64,
+}
+
+impl Default for Condition {
+    fn default() -> Self {
+        Self { kt: 1.0, friction: 1.0, stiffness: 1.0, rail_stiffness: 1.0, inertia: 1.0 }
+    }
+}
+
+impl Condition {
+    /// Adds a fault of this size \[%\].
+    pub fn worsen(&mut self, part: Part, size_pct: f64) {
+        let ratio = (1.0 + size_pct / 100.0).max(0.05);
+        match part {
+            Part::Kt => self.kt *= ratio,
+            Part::Friction => self.friction *= ratio,
+            Part::Stiffness => self.stiffness *= ratio,
+            Part::RailStiffness => self.rail_stiffness *= ratio,
+            Part::Inertia => self.inertia *= ratio,
+        }
+    }
+}
+
+impl Parameters {
+    /// These parameters with the parts in this condition.
+    ///
+    /// Dry friction on the chairs is sized by the torque that it takes at running speed, see
+    /// [`Parameters::coefficients`].
+    ///
+    /// # Errors
+    /// When a parameter is out of its range.
+    pub fn in_condition(&self, condition: &Condition) -> Result<Self, InvalidParameter> {
+        self.check()?;
+        let modes = self.rails.modes();
+        let loads = self.loads(&modes);
+        let mut worn = self.clone();
+        worn.add_friction(condition.friction, &modes);
+        worn.torque_constant *= condition.kt;
+        let n2 = self.gear_ratio.powi(2);
+        worn.load_inertia_kg_m2 += (condition.inertia - 1.0) * loads.inertia / n2;
+        // Less inertia than the couplings have is taken from the rotor.
+        if worn.load_inertia_kg_m2 < 0.0 {
+            worn.rotor_inertia_kg_m2 += worn.load_inertia_kg_m2;
+            worn.load_inertia_kg_m2 = 0.0;
+        }
+        worn.screw_stiffness_nm += (condition.stiffness - 1.0) * loads.stiffness;
+        let rails = loads.stiffness - self.screw_stiffness_nm;
+        worn.rails.bending_stiffness_n_m2 *= 1.0 + (condition.rail_stiffness - 1.0) * loads.stiffness / rails;
+        worn.check()?;
+        Ok(worn)
+    }
+
+    fn add_friction(&mut self, ratio: f64, modes: &Modes) {
+        let loads = self.loads(modes);
+        if ratio < 1.0 {
+            self.scale_friction(ratio);
+        } else if ratio > 1.0 {
+            let chairs = loads.chair_dry_per_mu * self.rails.slide_friction;
+            let spring = self.mean_spring_torque(&loads);
+            let speed = self.running_speed(loads.viscous, loads.drive_dry + chairs + spring);
+            let drag = ratio * (loads.viscous + (loads.drive_dry + chairs) / speed);
+            // More friction slows the machine, so the same torque counts more: solved for the slower speed.
+            let slower = self.running_speed(drag, spring);
+            let dry = (drag - loads.viscous) * slower;
+            self.rails.slide_friction = (dry - loads.drive_dry) / loads.chair_dry_per_mu;
+        }
+    }
+
+    /// Scales every friction of the machine, viscous and dry.
+    pub(super) fn scale_friction(&mut self, ratio: f64) {
+        self.motor_viscous_nms *= ratio;
+        self.screw_viscous_nms *= ratio;
+        self.motor_dry_nm *= ratio;
+        self.screw_dry_nm *= ratio;
+        self.rails.slide_friction *= ratio;
+    }
+}

@@ -1,0 +1,423 @@
+//! A fleet of point machines: natural spread between them, weather and wear from throw to throw. One seed reproduces
+//! everything, and a machine's life does not depend on how many others the fleet has.
+
+use std::f64::consts::{PI, TAU};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha12Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::throw::{Direction, Trace};
+
+use super::fault::{Condition, Fault, Part, Shape};
+use super::machine::{Coefficients, InvalidParameter, Parameters, require};
+use super::motion::Conditions;
+use super::sensors::{Sensors, Stuck, normal};
+
+/// What a fleet is made of.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FleetSettings {
+    /// Number of machines.
+    pub machines: usize,
+    /// The machine that they are all built to.
+    pub machine: Parameters,
+    /// Their sensors and loggers.
+    pub sensors: Sensors,
+    /// Differences between machines.
+    pub spread: Spread,
+    /// Differences between throws of one machine.
+    pub scatter: Scatter,
+    /// Temperature over the throws.
+    pub climate: Climate,
+    /// Parts that wear out, each on one machine; several on the same machine add up.
+    pub faults: Vec<FleetFault>,
+    /// Throws that something happens to, each on one machine.
+    pub incidents: Vec<Incident>,
+}
+
+impl Default for FleetSettings {
+    fn default() -> Self {
+        Self {
+            machines: 5,
+            machine: Parameters::default(),
+            sensors: Sensors::default(),
+            spread: Spread::default(),
+            scatter: Scatter::default(),
+            climate: Climate::default(),
+            faults: Vec::new(),
+            incidents: Vec::new(),
+        }
+    }
+}
+
+/// Natural spread between machines of one type: standard deviations of each coefficient \[%\].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Spread {
+    /// Of KT (and KV with it: magnets and windings differ).
+    pub kt_pct: f64,
+    /// Of all friction.
+    pub friction_pct: f64,
+    /// Of the rails' stiffness.
+    pub stiffness_pct: f64,
+    /// Of the inertia.
+    pub inertia_pct: f64,
+}
+
+impl Default for Spread {
+    fn default() -> Self {
+        Self { kt_pct: 3.0, friction_pct: 10.0, stiffness_pct: 5.0, inertia_pct: 2.0 }
+    }
+}
+
+/// Natural scatter from throw to throw: standard deviations \[%\] of first-order autoregressive processes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Scatter {
+    /// Of the torque per ampere.
+    pub kt_pct: f64,
+    /// Of all friction: moisture, dirt, grease.
+    pub friction_pct: f64,
+    /// Of the rails' stiffness.
+    pub stiffness_pct: f64,
+    /// Of the supply voltage.
+    pub supply_pct: f64,
+    /// Correlation of one throw with the next, 0 to below 1.
+    pub correlation: f64,
+}
+
+impl Default for Scatter {
+    fn default() -> Self {
+        Self { kt_pct: 0.5, friction_pct: 3.0, stiffness_pct: 1.0, supply_pct: 1.0, correlation: 0.5 }
+    }
+}
+
+/// Temperature over the throws of a machine.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Climate {
+    /// Mean \[°C\].
+    pub mean_c: f64,
+    /// Half the difference between day and night \[K\].
+    pub daily_swing_k: f64,
+    /// Half the difference between summer and winter \[K\].
+    pub yearly_swing_k: f64,
+    /// Throws a day.
+    pub throws_per_day: f64,
+}
+
+impl Default for Climate {
+    fn default() -> Self {
+        Self { mean_c: 20.0, daily_swing_k: 0.0, yearly_swing_k: 0.0, throws_per_day: 40.0 }
+    }
+}
+
+impl Climate {
+    /// Temperature at a throw \[°C\]; the record begins on a spring morning.
+    #[must_use]
+    pub fn at(&self, throw_index: u64) -> f64 {
+        let days = throw_index as f64 / self.throws_per_day;
+        self.mean_c + self.daily_swing_k * (TAU * days).sin() + self.yearly_swing_k * (TAU * days / 365.25).sin()
+    }
+}
+
+/// A fault on one machine of a fleet.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FleetFault {
+    /// Which machine, counted from 0.
+    pub machine: usize,
+    /// What wears out.
+    pub fault: Fault,
+}
+
+/// Something that happens to some throws of one machine.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Incident {
+    /// Which machine, counted from 0.
+    pub machine: usize,
+    /// What happens.
+    pub kind: IncidentKind,
+    /// The first throw it happens to, counted from 0.
+    pub from_throw: u64,
+    /// Number of throws it happens to.
+    pub throws: u64,
+}
+
+/// What can happen to a throw.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum IncidentKind {
+    /// An obstacle between rail and stock rail.
+    Obstruction {
+        /// How far from normal \[mm\].
+        at_mm: f64,
+    },
+    /// The supply sags.
+    WeakSupply {
+        /// Voltage lost \[%\].
+        loss_pct: f64,
+    },
+    /// A channel stands still.
+    StuckSensor(Stuck),
+}
+
+/// One simulated throw and the truth behind it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SimulatedThrow {
+    /// Count from 0 over both directions.
+    pub throw_index: u64,
+    /// The way it moved.
+    pub direction: Direction,
+    /// What the logger recorded.
+    pub trace: Trace,
+    /// Temperature of the machine \[°C\].
+    pub temperature_c: f64,
+    /// Mean supply voltage \[V\].
+    pub supply_v: f64,
+    /// Cut-off of the anti-alias filter \[Hz\].
+    pub anti_alias_hz: Option<f64>,
+    /// What has worn, relative to new.
+    pub condition: Condition,
+    /// What the physics says of this throw.
+    pub coefficients: Coefficients,
+}
+
+/// A first-order autoregressive process of unit variance.
+#[derive(Debug, Clone, Copy)]
+struct Wander {
+    correlation: f64,
+    value: f64,
+}
+
+impl Wander {
+    fn new(correlation: f64, rng: &mut ChaCha12Rng) -> Self {
+        Self { correlation, value: normal(rng) }
+    }
+
+    fn next(&mut self, rng: &mut ChaCha12Rng) -> f64 {
+        let value = self.value;
+        self.value = self.correlation * value + (1.0 - self.correlation.powi(2)).sqrt() * normal(rng);
+        value
+    }
+}
+
+/// A machine of a fleet, with its own random numbers.
+#[derive(Debug, Clone)]
+pub struct SimulatedMachine {
+    number: usize,
+    parameters: Parameters,
+    sensors: Sensors,
+    climate: Climate,
+    scatter: Scatter,
+    faults: Vec<(Fault, f64)>,
+    incidents: Vec<Incident>,
+    wander: [Wander; 4],
+    throw_index: u64,
+    rng: ChaCha12Rng,
+}
+
+impl SimulatedMachine {
+    /// Position in the fleet, from 0.
+    #[must_use]
+    pub fn number(&self) -> usize {
+        self.number
+    }
+
+    /// The machine as it was built, before any wear.
+    #[must_use]
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
+    }
+
+    /// The parts that wear out on this machine.
+    pub fn faults(&self) -> impl Iterator<Item = &Fault> {
+        self.faults.iter().map(|(fault, _)| fault)
+    }
+
+    /// Adds a fault from here on.
+    pub fn add_fault(&mut self, fault: Fault) {
+        self.faults.push((fault, 0.0));
+    }
+
+    /// Puts the worn parts right: the faults so far are gone.
+    pub fn repair(&mut self) {
+        self.faults.clear();
+    }
+
+    /// The next throw; directions alternate, from normal first.
+    ///
+    /// # Errors
+    /// When wear and scatter have taken a parameter out of its range.
+    pub fn next_throw(&mut self) -> Result<SimulatedThrow, InvalidParameter> {
+        let throw_index = self.throw_index;
+        self.throw_index += 1;
+        let direction = if throw_index % 2 == 0 { Direction::NormalToReverse } else { Direction::ReverseToNormal };
+        let condition = self.wear(throw_index);
+        let [kt, friction, stiffness, supply] = self.scatter();
+        let temperature_c = self.climate.at(throw_index);
+
+        let mut machine = self.parameters.in_condition(&condition)?;
+        machine.torque_constant *= kt;
+        machine.scale_friction(friction);
+        machine.rails.bending_stiffness_n_m2 *= stiffness;
+
+        let mut conditions = Conditions {
+            temperature_c,
+            supply_ratio: supply,
+            supply_phase_rad: self.rng.random::<f64>() * PI,
+            ..Conditions::default()
+        };
+        let mut sensors = self.sensors.clone();
+        for incident in self.incidents.iter().filter(|incident| incident.includes(throw_index)) {
+            match incident.kind {
+                IncidentKind::Obstruction { at_mm } => conditions.obstruction_mm = Some(at_mm),
+                IncidentKind::WeakSupply { loss_pct } => conditions.supply_ratio *= 1.0 - loss_pct / 100.0,
+                IncidentKind::StuckSensor(stuck) => sensors.stuck = Some(stuck),
+            }
+        }
+        let motion = machine.simulate(direction, &conditions, sensors.step_s())?;
+        let trace = sensors.record(&motion, direction, &mut self.rng)?;
+        Ok(SimulatedThrow {
+            throw_index,
+            direction,
+            trace,
+            temperature_c,
+            supply_v: machine.supply_v * conditions.supply_ratio,
+            anti_alias_hz: sensors.anti_alias_hz,
+            condition,
+            coefficients: machine.at_temperature(temperature_c).coefficients()?,
+        })
+    }
+
+    fn wear(&mut self, throw_index: u64) -> Condition {
+        let mut condition = Condition::default();
+        for (fault, walk) in &mut self.faults {
+            if matches!(fault.shape, Shape::RandomWalk { .. }) && throw_index >= fault.from_throw {
+                *walk += normal(&mut self.rng);
+            }
+            condition.worsen(fault.part, fault.size_at(throw_index, *walk));
+        }
+        condition
+    }
+
+    fn scatter(&mut self) -> [f64; 4] {
+        let sizes =
+            [self.scatter.kt_pct, self.scatter.friction_pct, self.scatter.stiffness_pct, self.scatter.supply_pct];
+        std::array::from_fn(|at| (sizes[at] / 100.0 * self.wander[at].next(&mut self.rng)).exp())
+    }
+}
+
+impl Incident {
+    fn includes(&self, throw_index: u64) -> bool {
+        throw_index.checked_sub(self.from_throw).is_some_and(|since| since < self.throws)
+    }
+}
+
+/// A fleet of machines.
+#[derive(Debug, Clone)]
+pub struct Fleet {
+    machines: Vec<SimulatedMachine>,
+}
+
+impl Fleet {
+    /// Most machines in a fleet.
+    pub const MAX_MACHINES: usize = 10_000;
+
+    /// A fleet built to `settings`; the same seed gives the same fleet and the same throws.
+    ///
+    /// # Errors
+    /// When a setting is out of its range, or a fault or incident is on a machine that the fleet does not have.
+    pub fn new(settings: &FleetSettings, seed: u64) -> Result<Self, InvalidParameter> {
+        settings.check()?;
+        let machines = (0..settings.machines).map(|number| settings.build(number, seed)).collect::<Result<_, _>>()?;
+        Ok(Self { machines })
+    }
+
+    /// The machines, in order of their numbers.
+    pub fn machines(&mut self) -> &mut [SimulatedMachine] {
+        &mut self.machines
+    }
+
+    /// The machines, to hand each to a task of its own.
+    #[must_use]
+    pub fn into_machines(self) -> Vec<SimulatedMachine> {
+        self.machines
+    }
+}
+
+impl FleetSettings {
+    /// Checks that every setting is in its range.
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub fn check(&self) -> Result<(), InvalidParameter> {
+        let most = Fleet::MAX_MACHINES as f64;
+        require(&[("machines", self.machines as f64)], "must be 1 to 10000", |n| (1.0..=most).contains(&n))?;
+        self.machine.check()?;
+        self.sensors.check()?;
+        let shares = [
+            ("spread.kt_pct", self.spread.kt_pct),
+            ("spread.friction_pct", self.spread.friction_pct),
+            ("spread.stiffness_pct", self.spread.stiffness_pct),
+            ("spread.inertia_pct", self.spread.inertia_pct),
+            ("scatter.kt_pct", self.scatter.kt_pct),
+            ("scatter.friction_pct", self.scatter.friction_pct),
+            ("scatter.stiffness_pct", self.scatter.stiffness_pct),
+            ("scatter.supply_pct", self.scatter.supply_pct),
+        ];
+        require(&shares, "must be 0 to 30", |pct| (0.0..=30.0).contains(&pct))?;
+        let correlation = [("scatter.correlation", self.scatter.correlation)];
+        require(&correlation, "must be 0 to 0.99", |phi| (0.0..=0.99).contains(&phi))?;
+        require(&[("climate.mean_c", self.climate.mean_c)], "must be -50 to 60", |c| (-50.0..=60.0).contains(&c))?;
+        let swings = [
+            ("climate.daily_swing_k", self.climate.daily_swing_k),
+            ("climate.yearly_swing_k", self.climate.yearly_swing_k),
+        ];
+        require(&swings, "must be 0 to 40", |k| (0.0..=40.0).contains(&k))?;
+        let rate = [("climate.throws_per_day", self.climate.throws_per_day)];
+        require(&rate, "must be above 0", |throws| throws > 0.0)?;
+        for FleetFault { machine, fault } in &self.faults {
+            self.check_machine("faults.machine", *machine)?;
+            let size = [("faults.fault.size_pct", fault.size_pct)];
+            require(&size, "must be -90 to 2000", |pct| (-90.0..=2000.0).contains(&pct))?;
+        }
+        self.incidents.iter().try_for_each(|incident| self.check_machine("incidents.machine", incident.machine))
+    }
+
+    fn check_machine(&self, name: &'static str, machine: usize) -> Result<(), InvalidParameter> {
+        require(&[(name, machine as f64)], "must be the number of a machine, counted from 0", |number| {
+            number < self.machines as f64
+        })
+    }
+
+    fn build(&self, number: usize, seed: u64) -> Result<SimulatedMachine, InvalidParameter> {
+        let mut rng = ChaCha12Rng::seed_from_u64(seed);
+        rng.set_stream(number as u64);
+        let mut ratio = |pct: f64| (pct / 100.0 * normal(&mut rng)).exp();
+        let (kt, friction) = (ratio(self.spread.kt_pct), ratio(self.spread.friction_pct));
+        let (stiffness, inertia) = (ratio(self.spread.stiffness_pct), ratio(self.spread.inertia_pct));
+        let mut as_built = Condition::default();
+        as_built.worsen(Part::Inertia, (inertia - 1.0) * 100.0);
+        let mut parameters = self.machine.in_condition(&as_built)?;
+        parameters.torque_constant *= kt;
+        parameters.back_emf_constant *= kt;
+        parameters.scale_friction(friction);
+        parameters.rails.bending_stiffness_n_m2 *= stiffness;
+        let wander = std::array::from_fn(|_| Wander::new(self.scatter.correlation, &mut rng));
+        Ok(SimulatedMachine {
+            number,
+            parameters,
+            sensors: self.sensors.clone(),
+            climate: self.climate,
+            scatter: self.scatter,
+            faults: self.faults.iter().filter(|on| on.machine == number).map(|on| (on.fault, 0.0)).collect(),
+            incidents: self.incidents.iter().filter(|on| on.machine == number).copied().collect(),
+            wander,
+            throw_index: 0,
+            rng,
+        })
+    }
+}

@@ -1,0 +1,202 @@
+//! Dry friction at the motor, the screw and every slide chair, with true sticking.
+//!
+//! Each contact's force f is constant over a step and obeys Coulomb's law at its end: |f| <= limit, and where the
+//! contact slides f = -limit sign(v). Velocities at the end of the step are v = v_free + D f with the step's own response
+//! D, so that the law is a small complementarity problem, solved by projected Gauss-Seidel from the forces of the step
+//! before. While everything slides, which is nearly always, those already satisfy it and nothing is solved.
+
+use super::dynamics::{MODE_SPEED, MOTOR_SPEED, SCREW_SPEED, STATES, State, Step, add_scaled};
+use super::machine::Parameters;
+use super::rails::{MAX_MODES, Modes};
+
+/// Most sweeps of Gauss-Seidel in a step: sticking contacts settle in a few, as they start from the step before.
+const MAX_SWEEPS: usize = 60;
+
+/// What moves at a contact.
+#[derive(Debug, Clone, Copy)]
+enum Site {
+    Motor,
+    Screw,
+    Chair([f64; MAX_MODES]),
+}
+
+impl Site {
+    fn velocity(&self, state: &State) -> f64 {
+        match self {
+            Self::Motor => state[MOTOR_SPEED],
+            Self::Screw => state[SCREW_SPEED],
+            Self::Chair(shape) => shape.iter().zip(&state[MODE_SPEED..]).map(|(shape, q)| shape * q).sum(),
+        }
+    }
+
+    fn effect(&self, step: &Step) -> State {
+        match self {
+            Self::Motor => step.motor,
+            Self::Screw => step.screw,
+            Self::Chair(shape) => step.shaped(shape),
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Contact {
+    site: Site,
+    /// Sliding friction \[N m or N\].
+    sliding: f64,
+    /// Greatest force now: sliding friction, or more near standstill.
+    limit: f64,
+    force: f64,
+}
+
+/// Response of every contact to every contact, for one kind of step.
+#[derive(Debug, Clone)]
+pub(super) struct Response {
+    /// Effect on the state of a unit force at each contact.
+    effect: Vec<State>,
+    /// D, row by row: velocity at a contact per force at another.
+    velocity: Vec<Vec<f64>>,
+}
+
+/// All dry friction of a machine, and its forces in the last step.
+#[derive(Debug, Clone)]
+pub(super) struct Friction {
+    contacts: Vec<Contact>,
+    stribeck: Option<Stribeck>,
+    /// Effect of the present forces on the state, kept until they change.
+    effect: State,
+    brake: f64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Stribeck {
+    excess: f64,
+    toe_speed_m_s: f64,
+    metres_per_radian: f64,
+}
+
+impl Friction {
+    pub(super) fn new(parameters: &Parameters, modes: &Modes) -> Self {
+        let contact = |site, sliding| Contact { site, sliding, limit: sliding, force: 0.0 };
+        let mut contacts = vec![
+            contact(Site::Motor, parameters.motor_dry_nm * parameters.gear_ratio),
+            contact(Site::Screw, parameters.screw_dry_nm),
+        ];
+        if parameters.rails.slide_friction > 0.0 {
+            let slide = |chair: &super::rails::Chair| {
+                contact(Site::Chair(chair.shape), parameters.rails.slide_friction * chair.normal_n)
+            };
+            contacts.extend(modes.chairs.iter().map(slide));
+        }
+        let stribeck = (parameters.breakaway_ratio > 1.0).then(|| Stribeck {
+            excess: parameters.breakaway_ratio - 1.0,
+            toe_speed_m_s: parameters.stribeck_speed_m_s,
+            metres_per_radian: parameters.metres_per_radian(),
+        });
+        let brake = parameters.brake_nm * parameters.gear_ratio;
+        Self { contacts, stribeck, effect: [0.0; STATES], brake }
+    }
+
+    pub(super) fn response(&self, step: &Step) -> Response {
+        let effect: Vec<State> = self.contacts.iter().map(|contact| contact.site.effect(step)).collect();
+        let row = |at: &Contact| effect.iter().map(|effect| at.site.velocity(effect)).collect();
+        let velocity = self.contacts.iter().map(row).collect();
+        Response { effect, velocity }
+    }
+
+    /// The brake grips or lets go.
+    pub(super) fn set_brake(&mut self, on: bool) {
+        let motor = &mut self.contacts[0];
+        motor.limit = motor.sliding + if on { self.brake } else { 0.0 };
+        // The forces kept from the step before may be out of the new limit: Gauss-Seidel starts from within.
+        motor.force = motor.force.clamp(-motor.limit, motor.limit);
+        self.effect = [f64::NAN; STATES];
+    }
+
+    /// Adds this step's friction to `next`, the state that the step would reach without friction.
+    ///
+    /// `state` is where the step starts; only break-away friction looks at it. The brake does not fade with speed.
+    pub(super) fn apply(&mut self, state: &State, next: &mut State, response: &Response, motor_on: bool) {
+        if let Some(stribeck) = self.stribeck {
+            self.update_limits(state, stribeck, motor_on);
+        }
+        if self.effect[0].is_nan() {
+            self.refresh(response);
+        }
+        let mut reached = *next;
+        add_scaled(&mut reached, &self.effect, 1.0);
+        if self.contacts.iter().any(|contact| !contact.holds(&reached)) {
+            self.solve(next, response);
+            self.refresh(response);
+            reached = *next;
+            add_scaled(&mut reached, &self.effect, 1.0);
+        }
+        *next = reached;
+    }
+
+    /// The response changed: the kept effect is of the old one.
+    pub(super) fn forget_effect(&mut self) {
+        self.effect = [f64::NAN; STATES];
+    }
+
+    fn refresh(&mut self, response: &Response) {
+        self.effect = [0.0; STATES];
+        for (contact, effect) in self.contacts.iter().zip(&response.effect) {
+            add_scaled(&mut self.effect, effect, contact.force);
+        }
+    }
+
+    fn update_limits(&mut self, state: &State, stribeck: Stribeck, motor_on: bool) {
+        let brake = if motor_on { 0.0 } else { self.brake };
+        for (at, contact) in self.contacts.iter_mut().enumerate() {
+            let speed = contact.site.velocity(state).abs();
+            let toe_speed =
+                if matches!(contact.site, Site::Chair(_)) { speed } else { speed * stribeck.metres_per_radian };
+            let excess = stribeck.excess * (-(toe_speed / stribeck.toe_speed_m_s).powi(2)).exp();
+            let limit = contact.sliding * (1.0 + excess) + if at == 0 { brake } else { 0.0 };
+            if limit.to_bits() != contact.limit.to_bits() {
+                let slides = contact.force.abs() >= contact.limit;
+                contact.limit = limit;
+                contact.force = if slides { limit.copysign(contact.force) } else { contact.force.clamp(-limit, limit) };
+                self.effect = [f64::NAN; STATES];
+            }
+        }
+    }
+
+    fn solve(&mut self, free: &State, response: &Response) {
+        let mut velocity: Vec<f64> = self.contacts.iter().map(|contact| contact.site.velocity(free)).collect();
+        for (row, v) in response.velocity.iter().zip(&mut velocity) {
+            *v += row.iter().zip(&self.contacts).map(|(d, contact)| d * contact.force).sum::<f64>();
+        }
+        for _ in 0..MAX_SWEEPS {
+            let mut moved = 0.0_f64;
+            for at in 0..self.contacts.len() {
+                let own = response.velocity[at][at];
+                let contact = &mut self.contacts[at];
+                let force = (contact.force - velocity[at] / own).clamp(-contact.limit, contact.limit);
+                let change = force - contact.force;
+                if change.abs() > 1e-9 * contact.limit {
+                    contact.force = force;
+                    moved = moved.max(change.abs() / contact.limit);
+                    for (row, v) in response.velocity.iter().zip(&mut velocity) {
+                        *v += row[at] * change;
+                    }
+                }
+            }
+            if moved < 1e-6 {
+                break;
+            }
+        }
+    }
+}
+
+impl Contact {
+    /// Whether the force obeys Coulomb's law in the state that it leads to.
+    #[inline]
+    fn holds(&self, reached: &State) -> bool {
+        if self.limit == 0.0 {
+            return true;
+        }
+        let velocity = self.site.velocity(reached);
+        self.force.abs() >= self.limit && self.force * velocity <= 0.0 && velocity != 0.0
+    }
+}

@@ -1,0 +1,343 @@
+//! The physical parameters of one point machine, and what they say about its coefficients.
+
+use std::f64::consts::{PI, TAU};
+
+use serde::{Deserialize, Serialize};
+
+use super::rails::{Modes, Rails};
+use super::supply::Waveform;
+
+/// Acceleration of free fall \[m s⁻²\].
+pub(super) const GRAVITY: f64 = 9.81;
+
+/// How the motor turns current into torque.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MotorKind {
+    /// Torque KT I, back-EMF KV w (equations (1) and (2)).
+    #[default]
+    PermanentMagnet,
+    /// Field and armature in series: torque k I |I|, back-EMF k I w.
+    Series,
+}
+
+/// One point machine: motor, gearbox, ball screw, toe drive and switch rails. SI units on the shaft each part turns with.
+///
+/// The default is a credible machine: 4.3 s a throw, 13 A of inrush, about 1 A running.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Parameters {
+    /// Kind of motor.
+    pub motor: MotorKind,
+    /// Mean supply voltage \[V\].
+    pub supply_v: f64,
+    /// Shape of the supply voltage over time.
+    pub supply: Waveform,
+    /// Armature resistance R at 20 °C, with the leads \[ohm\].
+    pub resistance_ohm: f64,
+    /// Armature inductance L \[H\].
+    pub inductance_h: f64,
+    /// Torque constant KT \[N m/A\]; of a series motor k \[N m/A²\].
+    pub torque_constant: f64,
+    /// Back-EMF constant KV \[V s/rad\]; of a series motor k \[V s/(rad A)\].
+    pub back_emf_constant: f64,
+    /// Rotor inertia `J_M` \[kg m²\].
+    pub rotor_inertia_kg_m2: f64,
+    /// Inertia of coupling and gears `J_L`, on the motor shaft \[kg m²\].
+    pub load_inertia_kg_m2: f64,
+    /// Viscous friction of the motor `B_M` \[N m s\].
+    pub motor_viscous_nms: f64,
+    /// Dry friction of the motor \[N m\].
+    pub motor_dry_nm: f64,
+    /// Dry friction that the holding brake adds while the motor is off \[N m on the motor shaft\].
+    pub brake_nm: f64,
+    /// Gear ratio n, motor turns per screw turn.
+    pub gear_ratio: f64,
+    /// Torsional stiffness of the gearhead `K_gh` \[N m/rad on the screw\].
+    pub gear_stiffness_nm: f64,
+    /// Torsional damping of the gearhead `C_gh` \[N m s on the screw\].
+    pub gear_damping_nms: f64,
+    /// Inertia of the ball screw `J_bs` \[kg m²\].
+    pub screw_inertia_kg_m2: f64,
+    /// Viscous friction of the ball screw `B_bs` \[N m s\].
+    pub screw_viscous_nms: f64,
+    /// Restoring stiffness on the screw angle `K_bs` \[N m/rad\].
+    pub screw_stiffness_nm: f64,
+    /// Dry friction of the ball screw \[N m\].
+    pub screw_dry_nm: f64,
+    /// Lead of the ball screw l \[mm per revolution\].
+    pub lead_mm: f64,
+    /// Stiffness of the drive between nut and toe `K_fs` \[N/m\].
+    pub drive_stiffness_n_m: f64,
+    /// Damping of the drive between nut and toe `C_fs` \[N s/m\].
+    pub drive_damping_ns_m: f64,
+    /// Travel of the toe between the stock rails \[mm\].
+    pub stroke_mm: f64,
+    /// Toe position at which rails and screw spring are unstressed \[mm from normal\].
+    pub neutral_mm: f64,
+    /// Distance before the end of the stroke at which the motor is cut off \[mm\].
+    pub cut_off_mm: f64,
+    /// Longest time the controller leaves the motor on \[s\].
+    pub timeout_s: f64,
+    /// The switch rails.
+    pub rails: Rails,
+    /// Break-away friction over sliding friction (Stribeck), 1 for none.
+    pub breakaway_ratio: f64,
+    /// Toe speed at which the break-away friction has fallen to 1/e of its excess \[m/s\].
+    pub stribeck_speed_m_s: f64,
+    /// Change of KT and KV with temperature \[%/K\].
+    pub magnet_pct_per_k: f64,
+    /// Change of viscous friction with temperature \[%/K\].
+    pub viscous_pct_per_k: f64,
+    /// Change of the rails' stiffness with temperature \[%/K\]: thermal thrust softens them.
+    pub rail_pct_per_k: f64,
+}
+
+impl Default for Parameters {
+    fn default() -> Self {
+        Self {
+            motor: MotorKind::PermanentMagnet,
+            supply_v: 110.0,
+            supply: Waveform::Constant,
+            resistance_ohm: 4.0,
+            inductance_h: 0.02,
+            torque_constant: 0.7983,
+            back_emf_constant: 0.7983,
+            rotor_inertia_kg_m2: 4e-4,
+            load_inertia_kg_m2: 0.8e-4,
+            motor_viscous_nms: 2e-3,
+            motor_dry_nm: 0.05,
+            brake_nm: 2.0,
+            gear_ratio: 8.0,
+            gear_stiffness_nm: 4000.0,
+            gear_damping_nms: 2.0,
+            screw_inertia_kg_m2: 2e-4,
+            screw_viscous_nms: 0.02,
+            screw_stiffness_nm: 1e-4,
+            screw_dry_nm: 0.2,
+            lead_mm: 10.0,
+            drive_stiffness_n_m: 1e8,
+            drive_damping_ns_m: 1e5,
+            stroke_mm: 115.0,
+            neutral_mm: 0.0,
+            cut_off_mm: 0.5,
+            timeout_s: 12.0,
+            rails: Rails::default(),
+            breakaway_ratio: 1.0,
+            stribeck_speed_m_s: 1e-3,
+            magnet_pct_per_k: -0.15,
+            viscous_pct_per_k: -1.0,
+            rail_pct_per_k: -0.1,
+        }
+    }
+}
+
+/// A parameter that no machine can have.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{name} is {value}: {must}")]
+pub struct InvalidParameter {
+    /// The parameter's name.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// What it must be.
+    pub must: &'static str,
+}
+
+/// What the physics says that identification should find; equation (13), everything on the screw.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Coefficients {
+    /// KT n / `J_tot` \[rad s⁻² A⁻¹\]; of a series motor k n / `J_tot` \[rad s⁻² A⁻²\].
+    pub b0: f64,
+    /// (viscous friction + dry friction / running speed) / `J_tot` \[s⁻¹\].
+    pub a1: f64,
+    /// Restoring stiffness / `J_tot` \[s⁻²\].
+    pub a0: f64,
+    /// The part of `a1` that is viscous \[s⁻¹\].
+    pub a1_viscous: f64,
+    /// All inertia seen at the screw `J_tot` \[kg m²\].
+    pub inertia_kg_m2: f64,
+    /// Screw speed at which the motor's torque balances friction and the mean spring load \[rad/s\].
+    pub running_speed_rad_s: f64,
+}
+
+/// Torques at the screw, gathered from all parts.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Loads {
+    pub inertia: f64,
+    pub viscous: f64,
+    pub stiffness: f64,
+    /// Dry friction of motor and screw \[N m\].
+    pub drive_dry: f64,
+    /// Dry friction at the chairs for a friction coefficient of 1 \[N m\].
+    pub chair_dry_per_mu: f64,
+}
+
+impl Parameters {
+    /// Toe travel per screw angle \[m/rad\].
+    pub(super) fn metres_per_radian(&self) -> f64 {
+        self.lead_mm / 1000.0 / TAU
+    }
+
+    pub(super) fn loads(&self, modes: &Modes) -> Loads {
+        let n2 = self.gear_ratio.powi(2);
+        let p = self.metres_per_radian();
+        let toe = modes.quasi_static(self.rails.damping_ratio);
+        Loads {
+            inertia: (self.rotor_inertia_kg_m2 + self.load_inertia_kg_m2) * n2
+                + self.screw_inertia_kg_m2
+                + toe.mass_kg * p * p,
+            viscous: self.motor_viscous_nms * n2 + self.screw_viscous_nms + toe.damping_ns_m * p * p,
+            stiffness: self.screw_stiffness_nm + toe.stiffness_n_m * p * p,
+            drive_dry: self.gear_ratio * self.motor_dry_nm + self.screw_dry_nm,
+            chair_dry_per_mu: toe.normal_n * p,
+        }
+    }
+
+    /// Running speed \[rad/s on the screw\] under `viscous` \[N m s\] and `constant` \[N m\] load: the armature in
+    /// steady state against the load.
+    pub(super) fn running_speed(&self, viscous: f64, constant: f64) -> f64 {
+        let (kt, kv) = (self.torque_constant * self.gear_ratio, self.back_emf_constant * self.gear_ratio);
+        let r = self.resistance_ohm;
+        match self.motor {
+            MotorKind::PermanentMagnet => (kt * self.supply_v / r - constant) / (viscous + kt * kv / r),
+            MotorKind::Series => {
+                // k I² n = load(w), I = V / (R + k n w): monotone in w, so bisection.
+                let surplus = |w: f64| kt * (self.supply_v / (r + kv * w)).powi(2) - viscous * w - constant;
+                let (mut low, mut high) = (0.0, 1e4);
+                for _ in 0..80 {
+                    let mid = 0.5 * (low + high);
+                    if surplus(mid) > 0.0 { low = mid } else { high = mid }
+                }
+                0.5 * (low + high)
+            }
+        }
+    }
+
+    /// The coefficients that follow from these parameters at 20 °C.
+    ///
+    /// Rails count with the mass, damping and stiffness of their quasi-static bending line. Dry friction is no part of
+    /// equation (10): it counts as the viscous friction that takes the same torque at running speed, which is what an
+    /// estimate from one throw shows.
+    ///
+    /// # Errors
+    /// When a parameter is out of its range.
+    pub fn coefficients(&self) -> Result<Coefficients, InvalidParameter> {
+        self.check()?;
+        let modes = self.rails.modes();
+        let loads = self.loads(&modes);
+        let dry = loads.drive_dry + loads.chair_dry_per_mu * self.rails.slide_friction;
+        let speed = self.running_speed(loads.viscous, dry + self.mean_spring_torque(&loads));
+        let a1_viscous = loads.viscous / loads.inertia;
+        Ok(Coefficients {
+            b0: self.torque_constant * self.gear_ratio / loads.inertia,
+            a1: a1_viscous + dry / speed / loads.inertia,
+            a0: loads.stiffness / loads.inertia,
+            a1_viscous,
+            inertia_kg_m2: loads.inertia,
+            running_speed_rad_s: speed,
+        })
+    }
+
+    /// Mean restoring torque over a throw from normal to reverse \[N m\].
+    pub(super) fn mean_spring_torque(&self, loads: &Loads) -> f64 {
+        let from_neutral_mm = self.stroke_mm / 2.0 - self.neutral_mm;
+        loads.stiffness * from_neutral_mm / 1000.0 / self.metres_per_radian()
+    }
+
+    /// Checks that every parameter is finite and in its range.
+    ///
+    /// # Errors
+    /// The first parameter that is not.
+    pub fn check(&self) -> Result<(), InvalidParameter> {
+        let positive = [
+            ("supply_v", self.supply_v),
+            ("resistance_ohm", self.resistance_ohm),
+            ("inductance_h", self.inductance_h),
+            ("torque_constant", self.torque_constant),
+            ("back_emf_constant", self.back_emf_constant),
+            ("rotor_inertia_kg_m2", self.rotor_inertia_kg_m2),
+            ("gear_ratio", self.gear_ratio),
+            ("gear_stiffness_nm", self.gear_stiffness_nm),
+            ("screw_inertia_kg_m2", self.screw_inertia_kg_m2),
+            ("lead_mm", self.lead_mm),
+            ("drive_stiffness_n_m", self.drive_stiffness_n_m),
+            ("stroke_mm", self.stroke_mm),
+            ("cut_off_mm", self.cut_off_mm),
+            ("stribeck_speed_m_s", self.stribeck_speed_m_s),
+        ];
+        let not_negative = [
+            ("load_inertia_kg_m2", self.load_inertia_kg_m2),
+            ("motor_viscous_nms", self.motor_viscous_nms),
+            ("motor_dry_nm", self.motor_dry_nm),
+            ("brake_nm", self.brake_nm),
+            ("gear_damping_nms", self.gear_damping_nms),
+            ("screw_viscous_nms", self.screw_viscous_nms),
+            ("screw_dry_nm", self.screw_dry_nm),
+            ("drive_damping_ns_m", self.drive_damping_ns_m),
+            ("breakaway_ratio - 1", self.breakaway_ratio - 1.0),
+        ];
+        let finite = [
+            ("screw_stiffness_nm", self.screw_stiffness_nm),
+            ("neutral_mm", self.neutral_mm),
+            ("magnet_pct_per_k", self.magnet_pct_per_k),
+            ("viscous_pct_per_k", self.viscous_pct_per_k),
+            ("rail_pct_per_k", self.rail_pct_per_k),
+        ];
+        require(&positive, "must be above 0", |value| value > 0.0)?;
+        require(&not_negative, "must be 0 or more", |value| value >= 0.0)?;
+        require(&finite, "must be a finite number", |_| true)?;
+        require(&[("timeout_s", self.timeout_s)], "must be above 0 and at most 40", |s| s > 0.0 && s <= 40.0)?;
+        require(&[("cut_off_mm", self.cut_off_mm)], "must be less than the stroke", |mm| mm < self.stroke_mm)?;
+        self.supply.check()?;
+        self.rails.check()
+    }
+
+    /// These parameters at `temperature_c`: magnets and back-EMF, copper, grease and thermal thrust in the rails.
+    #[must_use]
+    pub fn at_temperature(&self, temperature_c: f64) -> Self {
+        const COPPER_PCT_PER_K: f64 = 0.39;
+        let kelvin = temperature_c - 20.0;
+        let linear = |pct: f64| (1.0 + pct / 100.0 * kelvin).max(0.05);
+        let magnet = if self.motor == MotorKind::PermanentMagnet { linear(self.magnet_pct_per_k) } else { 1.0 };
+        // Viscosity falls by a constant share per kelvin, so it is exponential over a winter.
+        let viscous = (self.viscous_pct_per_k / 100.0 * kelvin).exp();
+        let mut warm = self.clone();
+        warm.torque_constant *= magnet;
+        warm.back_emf_constant *= magnet;
+        warm.resistance_ohm *= linear(COPPER_PCT_PER_K);
+        warm.motor_viscous_nms *= viscous;
+        warm.screw_viscous_nms *= viscous;
+        warm.rails.bending_stiffness_n_m2 *= linear(self.rail_pct_per_k);
+        warm
+    }
+
+    /// A machine with a series-wound motor that throws in about 4 s.
+    #[must_use]
+    pub fn series() -> Self {
+        Self {
+            motor: MotorKind::Series,
+            torque_constant: 0.1,
+            back_emf_constant: 0.1,
+            gear_ratio: 20.0,
+            motor_viscous_nms: 8e-4,
+            ..Self::default()
+        }
+    }
+}
+
+pub(super) fn require(
+    values: &[(&'static str, f64)],
+    must: &'static str,
+    good: impl Fn(f64) -> bool,
+) -> Result<(), InvalidParameter> {
+    match values.iter().find(|(_, value)| !value.is_finite() || !good(*value)) {
+        Some(&(name, value)) => Err(InvalidParameter { name, value, must }),
+        None => Ok(()),
+    }
+}
+
+/// Radians per second from hertz.
+pub(super) fn angular(hz: f64) -> f64 {
+    2.0 * PI * hz
+}

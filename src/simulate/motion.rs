@@ -1,0 +1,267 @@
+//! One throw of the machine: armature, contactor, stops and friction, step by step.
+//!
+//! The armature (1) is integrated exactly over a step with the speed at the middle of the step, its mean torque drives
+//! the mechanics, which are exact under constant forces; see [`super::dynamics`]. The scheme is of second order in the
+//! step while nothing sticks or touches.
+
+use crate::throw::Direction;
+
+use super::dynamics::{MOTOR_SPEED, State, Step, Toe, add_scaled, at_rest};
+use super::friction::{Friction, Response};
+use super::machine::{InvalidParameter, MotorKind, Parameters};
+use super::rails::Modes;
+
+/// Step of the simulation in normal use \[s\].
+pub const STEP_S: f64 = 2e-4;
+/// Time constant of the current when the contactor opens: the arc ends it \[s\].
+const ARC_TIME_S: f64 = 1e-3;
+/// How long the motor stays cut off in the motion before it ends \[s\].
+const SETTLE_S: f64 = 0.4;
+
+/// What happens around one throw.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Conditions {
+    /// Temperature of the machine \[°C\].
+    pub temperature_c: f64,
+    /// Supply voltage over the nominal one.
+    pub supply_ratio: f64,
+    /// An obstacle between rail and stock rail, this far from normal \[mm\].
+    pub obstruction_mm: Option<f64>,
+    /// The controller cuts the motor off after this time although the stroke is not over \[s\].
+    pub cut_off_after_s: Option<f64>,
+    /// Phase of a rectified supply when the motor is switched on \[rad\].
+    pub supply_phase_rad: f64,
+}
+
+impl Default for Conditions {
+    fn default() -> Self {
+        Self {
+            temperature_c: 20.0,
+            supply_ratio: 1.0,
+            obstruction_mm: None,
+            cut_off_after_s: None,
+            supply_phase_rad: 0.0,
+        }
+    }
+}
+
+/// What one throw really did, on the simulation's own grid from the moment the motor is switched on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Motion {
+    /// Grid step \[s\].
+    pub step_s: f64,
+    /// Armature current \[A\], positive when it drives the throw.
+    pub current_a: Vec<f64>,
+    /// Toe position \[mm from normal\].
+    pub toe_mm: Vec<f64>,
+    /// Grid index at which the motor was cut off.
+    pub cut_off: usize,
+    /// Whether the stroke was completed.
+    pub completed: bool,
+}
+
+impl Parameters {
+    /// Simulates one throw in steps of `step_s` ([`STEP_S`] is a good one), from the motor's start until it has been off
+    /// for 0.4 s.
+    ///
+    /// # Errors
+    /// When a parameter is out of its range.
+    pub fn simulate(
+        &self,
+        direction: Direction,
+        conditions: &Conditions,
+        step_s: f64,
+    ) -> Result<Motion, InvalidParameter> {
+        self.check()?;
+        let modes = self.rails.modes();
+        Ok(Machine::new(&self.at_temperature(conditions.temperature_c), &modes, direction, conditions, step_s).run())
+    }
+}
+
+/// The step without and with contact at a stop, and friction's response in each.
+struct Kind {
+    step: Step,
+    response: Response,
+    toe_force: State,
+}
+
+impl Kind {
+    fn new(parameters: &Parameters, modes: &Modes, friction: &Friction, h: f64, in_contact: bool) -> Self {
+        let step = Step::new(parameters, modes, h, in_contact);
+        let response = friction.response(&step);
+        let toe_force = step.shaped(&modes.toe);
+        Self { step, response, toe_force }
+    }
+}
+
+struct Machine<'a> {
+    parameters: &'a Parameters,
+    conditions: &'a Conditions,
+    direction: Direction,
+    h: f64,
+    free: Kind,
+    leaning: Kind,
+    toe: Toe,
+    friction: Friction,
+    state: State,
+    current: f64,
+    /// Motor speed one step ago, for the speed at the middle of the next.
+    last_speed: f64,
+    /// The stop that the toe leans on \[m from neutral\].
+    contact: Option<f64>,
+}
+
+impl<'a> Machine<'a> {
+    fn new(
+        parameters: &'a Parameters,
+        modes: &Modes,
+        direction: Direction,
+        conditions: &'a Conditions,
+        h: f64,
+    ) -> Self {
+        let friction = Friction::new(parameters, modes);
+        let start_mm = match direction {
+            Direction::NormalToReverse => 0.0,
+            Direction::ReverseToNormal => parameters.stroke_mm,
+        };
+        let state = at_rest(parameters, modes, (start_mm - parameters.neutral_mm) / 1000.0);
+        Self {
+            parameters,
+            conditions,
+            direction,
+            h,
+            free: Kind::new(parameters, modes, &friction, h, false),
+            leaning: Kind::new(parameters, modes, &friction, h, true),
+            toe: Toe::new(modes),
+            friction,
+            state,
+            current: 0.0,
+            last_speed: 0.0,
+            contact: None,
+        }
+    }
+
+    fn run(mut self) -> Motion {
+        let p = self.parameters;
+        let limit_s = self.conditions.cut_off_after_s.unwrap_or(p.timeout_s).min(p.timeout_s);
+        let steps_on = steps(limit_s, self.h);
+        let settle = steps(SETTLE_S, self.h);
+        let end_mm = match self.direction {
+            Direction::NormalToReverse => p.stroke_mm - p.cut_off_mm,
+            Direction::ReverseToNormal => p.cut_off_mm,
+        };
+        let mut motion = Motion {
+            step_s: self.h,
+            current_a: vec![0.0],
+            toe_mm: vec![self.toe_mm()],
+            cut_off: steps_on,
+            completed: false,
+        };
+        let mut off_at = None;
+        for at in 0..steps_on + settle {
+            let on = off_at.is_none();
+            self.step(at, on);
+            motion.current_a.push(self.current * self.direction.sign());
+            let toe_mm = self.toe_mm();
+            motion.toe_mm.push(toe_mm);
+            let arrived = (toe_mm - end_mm) * self.direction.sign() >= 0.0;
+            if on && (arrived || at + 1 >= steps_on) {
+                off_at = Some(at + 1);
+                motion.completed = arrived;
+                motion.cut_off = at + 1;
+                self.friction.set_brake(true);
+            }
+            if off_at.is_some_and(|off| at >= off + settle) {
+                break;
+            }
+        }
+        motion
+    }
+
+    fn toe_mm(&self) -> f64 {
+        self.toe.position(&self.state) * 1000.0 + self.parameters.neutral_mm
+    }
+
+    fn step(&mut self, at: usize, on: bool) {
+        let torque = self.armature(at, on) * self.parameters.gear_ratio;
+        let kind = if self.contact.is_some() { &self.leaning } else { &self.free };
+        let mut next = kind.step.advance(&self.state);
+        add_scaled(&mut next, &kind.step.motor, torque);
+        if let Some(stop) = self.contact {
+            add_scaled(&mut next, &kind.toe_force, Toe::stop_offset_force(stop));
+        }
+        self.friction.apply(&self.state, &mut next, &kind.response, on);
+        self.last_speed = self.state[MOTOR_SPEED];
+        self.state = next;
+        self.update_contact();
+    }
+
+    /// Takes the current over one step; returns the motor's mean torque \[N m\].
+    fn armature(&mut self, at: usize, on: bool) -> f64 {
+        let p = self.parameters;
+        let speed = self.state[MOTOR_SPEED];
+        let mid_speed = (speed + 0.5 * (speed - self.last_speed)) * p.gear_ratio;
+        // R i + L i' = V - back-EMF; a series motor's back-EMF acts as a resistance that grows with speed.
+        let (resistance, volts) = if on {
+            let phase = self.conditions.supply_phase_rad;
+            let supply = p.supply_v * self.conditions.supply_ratio * p.supply.mean(at, self.h, phase);
+            let driving = supply * self.direction.sign();
+            match p.motor {
+                MotorKind::PermanentMagnet => (p.resistance_ohm, driving - p.back_emf_constant * mid_speed),
+                MotorKind::Series => {
+                    (p.resistance_ohm + p.back_emf_constant * mid_speed * self.direction.sign(), driving)
+                }
+            }
+        } else {
+            (p.inductance_h / ARC_TIME_S, 0.0)
+        };
+        let decay = resistance * self.h / p.inductance_h;
+        let settled = volts / resistance;
+        let excess = self.current - settled;
+        let mean_of_decay = -(-decay).exp_m1() / decay;
+        let mean = settled + excess * mean_of_decay;
+        let mean_square = || {
+            let mean_of_square_decay = -(-2.0 * decay).exp_m1() / (2.0 * decay);
+            settled * settled + 2.0 * settled * excess * mean_of_decay + excess * excess * mean_of_square_decay
+        };
+        self.current = settled + excess * (-decay).exp();
+        if p.supply.is_rectified() && self.current * self.direction.sign() < 0.0 {
+            self.current = 0.0;
+        }
+        match p.motor {
+            MotorKind::PermanentMagnet => p.torque_constant * mean,
+            MotorKind::Series => p.torque_constant * mean_square() * self.direction.sign(),
+        }
+    }
+
+    fn update_contact(&mut self) {
+        let p = self.parameters;
+        let from_neutral = |mm: f64| (mm - p.neutral_mm) / 1000.0;
+        let was = self.contact;
+        if let Some(stop) = was {
+            // A stop pushes back and never pulls.
+            if self.toe.stop_force(&self.state, stop) * self.direction.sign() > 0.0 {
+                self.contact = None;
+            }
+        } else {
+            let toe_mm = self.toe_mm();
+            let beyond = |mm: f64| (toe_mm - mm) * self.direction.sign() > 0.0;
+            let far_end = match self.direction {
+                Direction::NormalToReverse => p.stroke_mm,
+                Direction::ReverseToNormal => 0.0,
+            };
+            let stop =
+                self.conditions.obstruction_mm.filter(|&mm| beyond(mm)).or(Some(far_end).filter(|&mm| beyond(mm)));
+            self.contact = stop.map(from_neutral);
+        }
+        if was.is_some() != self.contact.is_some() {
+            self.friction.forget_effect();
+        }
+    }
+}
+
+/// Steps of `h` in `duration_s`, at least one.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked parameters: a few million steps")]
+fn steps(duration_s: f64, h: f64) -> usize {
+    (duration_s / h).ceil().max(1.0) as usize
+}

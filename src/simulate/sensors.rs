@@ -1,0 +1,248 @@
+//! From the true motion to the recorded trace: what sensors and logger make of it.
+//!
+//! In this order, as in a real channel: gain and offset of the sensor, anti-alias filter, sampling (with jitter), noise,
+//! clipping, quantisation, stuck channels, dropped samples.
+
+use rand::{Rng, RngExt};
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+use crate::throw::{Direction, Trace};
+
+use super::filter::Butterworth;
+use super::machine::{InvalidParameter, require};
+use super::motion::{Motion, STEP_S};
+
+/// One measured channel, in its own unit (A or mm).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Channel {
+    /// Standard deviation of white noise.
+    pub noise: f64,
+    /// Constant error.
+    pub offset: f64,
+    /// Error of the gain \[%\].
+    pub gain_pct: f64,
+    /// Largest magnitude the channel can show; `None` for no limit.
+    pub full_scale: Option<f64>,
+    /// Resolution of the converter over plus and minus full scale \[bits\]; needs `full_scale`.
+    pub bits: Option<u32>,
+}
+
+impl Default for Channel {
+    fn default() -> Self {
+        Self { noise: 0.02, offset: 0.0, gain_pct: 0.0, full_scale: None, bits: None }
+    }
+}
+
+/// A channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Which {
+    /// Motor current.
+    Current,
+    /// Toe position.
+    Position,
+}
+
+/// Sensors and logger of one machine. The defaults are a good instrument: 1 kHz, 20 mA and 20 um of noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Sensors {
+    /// Sampling rate \[Hz\], 25 to 20,000.
+    pub sample_rate_hz: f64,
+    /// Recording before the motor starts \[s\].
+    pub before_s: f64,
+    /// Recording after the motor is cut off \[s\].
+    pub after_s: f64,
+    /// Motor current \[A\].
+    pub current: Channel,
+    /// Toe position \[mm\].
+    pub position: Channel,
+    /// The current has the sign of the motor's polarity, negative from reverse to normal.
+    pub signed_current: bool,
+    /// Standard deviation of the sampling instants \[s\].
+    pub jitter_s: f64,
+    /// Share of samples that the logger lost and left out \[%\].
+    pub dropped_pct: f64,
+    /// Cut-off of the 4th-order Butterworth filter in both channels \[Hz\]; `None` for no filter.
+    pub anti_alias_hz: Option<f64>,
+    /// A channel that stands still from some time after the motor's start on.
+    pub stuck: Option<Stuck>,
+}
+
+/// A channel that stands still.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stuck {
+    /// Which channel.
+    pub channel: Which,
+    /// From this time after the motor's start on \[s\].
+    pub from_s: f64,
+}
+
+impl Default for Sensors {
+    fn default() -> Self {
+        Self {
+            sample_rate_hz: 1000.0,
+            before_s: 0.2,
+            after_s: 0.2,
+            current: Channel::default(),
+            position: Channel::default(),
+            signed_current: false,
+            jitter_s: 0.0,
+            dropped_pct: 0.0,
+            anti_alias_hz: None,
+            stuck: None,
+        }
+    }
+}
+
+impl Sensors {
+    /// Sensors that show the truth, sampled at `sample_rate_hz`.
+    #[must_use]
+    pub fn perfect(sample_rate_hz: f64) -> Self {
+        let channel = Channel { noise: 0.0, ..Channel::default() };
+        Self { sample_rate_hz, current: channel, position: channel, ..Self::default() }
+    }
+
+    /// Checks that everything is finite and in its range.
+    ///
+    /// # Errors
+    /// The first value that is not.
+    pub fn check(&self) -> Result<(), InvalidParameter> {
+        let rate = [("sample_rate_hz", self.sample_rate_hz)];
+        require(&rate, "must be 25 to 20000", |hz| (25.0..=20_000.0).contains(&hz))?;
+        let times = [("before_s", self.before_s), ("after_s", self.after_s)];
+        require(&times, "must be 0 to 5", |s| (0.0..=5.0).contains(&s))?;
+        let rest = [
+            ("current.noise", self.current.noise),
+            ("position.noise", self.position.noise),
+            ("jitter_s", self.jitter_s),
+        ];
+        require(&rest, "must be 0 or more", |value| value >= 0.0)?;
+        require(&[("dropped_pct", self.dropped_pct)], "must be 0 to 50", |pct| (0.0..=50.0).contains(&pct))?;
+        let scales = [self.current.full_scale, self.position.full_scale];
+        for scale in scales.into_iter().flatten() {
+            require(&[("full_scale", scale)], "must be above 0", |value| value > 0.0)?;
+        }
+        for bits in [self.current.bits, self.position.bits].into_iter().flatten() {
+            require(&[("bits", f64::from(bits))], "must be 4 to 24", |bits| (4.0..=24.0).contains(&bits))?;
+        }
+        match self.anti_alias_hz {
+            Some(hz) => require(&[("anti_alias_hz", hz)], "must be above 0 and below half the sampling rate", |hz| {
+                hz > 0.0 && hz < self.sample_rate_hz / 2.0
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// The simulation step that suits these sensors: a whole fraction of the sampling period, at most [`STEP_S`], and a
+    /// quarter of the period at most when a filter has to be run on that grid.
+    #[must_use]
+    pub fn step_s(&self) -> f64 {
+        let oversampling = if self.anti_alias_hz.is_some() { 4.0 } else { 1.0 };
+        let steps = (1.0 / (STEP_S * self.sample_rate_hz)).ceil().max(oversampling);
+        1.0 / (self.sample_rate_hz * steps)
+    }
+
+    /// Records `motion`.
+    ///
+    /// # Errors
+    /// When a value is out of its range.
+    pub fn record<R: Rng>(
+        &self,
+        motion: &Motion,
+        direction: Direction,
+        rng: &mut R,
+    ) -> Result<Trace, InvalidParameter> {
+        self.check()?;
+        let sign = if self.signed_current { direction.sign() } else { 1.0 };
+        let current = self.filtered(motion, &motion.current_a, sign * (1.0 + self.current.gain_pct / 100.0));
+        let position = self.filtered(motion, &motion.toe_mm, 1.0 + self.position.gain_pct / 100.0);
+        let period = 1.0 / self.sample_rate_hz;
+        let off_s = motion.cut_off as f64 * motion.step_s;
+        let count = whole((self.before_s + off_s + self.after_s) * self.sample_rate_hz) + 1;
+        let lead = self.before_s;
+        let (mut current_a, mut position_mm) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        let mut stuck_at: Option<f64> = None;
+        for at in 0..count {
+            let nominal_s = at as f64 * period - lead;
+            let time_s = if self.jitter_s > 0.0 { nominal_s + self.jitter_s * normal(rng) } else { nominal_s };
+            let mut a = self.current.reading(interpolate(&current, time_s / motion.step_s), rng);
+            let mut mm = self.position.reading(interpolate(&position, time_s / motion.step_s), rng);
+            if let Some(stuck) = self.stuck.filter(|stuck| nominal_s >= stuck.from_s) {
+                let value = match stuck.channel {
+                    Which::Current => &mut a,
+                    Which::Position => &mut mm,
+                };
+                *value = *stuck_at.get_or_insert(*value);
+            }
+            if self.dropped_pct > 0.0 && rng.random::<f64>() * 100.0 < self.dropped_pct {
+                continue;
+            }
+            current_a.push(a);
+            position_mm.push(mm);
+        }
+        Ok(trace(self.sample_rate_hz, current_a, position_mm))
+    }
+
+    /// The channel on the simulation's grid, after gain and anti-alias filter.
+    fn filtered(&self, motion: &Motion, truth: &[f64], gain: f64) -> Vec<f64> {
+        let mut channel: Vec<f64> = truth.iter().map(|value| value * gain).collect();
+        if let Some(cut_off_hz) = self.anti_alias_hz {
+            Butterworth::new(cut_off_hz, 1.0 / motion.step_s).run(&mut channel);
+        }
+        channel
+    }
+}
+
+impl Channel {
+    fn reading<R: Rng>(&self, truth: f64, rng: &mut R) -> f64 {
+        let mut value = truth + self.offset;
+        if self.noise > 0.0 {
+            value += self.noise * normal(rng);
+        }
+        let Some(scale) = self.full_scale else { return value };
+        value = value.clamp(-scale, scale);
+        match self.bits {
+            Some(bits) => {
+                let step = 2.0 * scale / 2.0_f64.powi(bits.cast_signed());
+                (value / step).round() * step
+            }
+            None => value,
+        }
+    }
+}
+
+#[expect(clippy::expect_used, reason = "checked rate; at least one and at most 20,000 Hz x 51 s samples, near enough")]
+fn trace(sample_rate_hz: f64, mut current_a: Vec<f64>, mut position_mm: Vec<f64>) -> Trace {
+    current_a.truncate(crate::throw::MAX_SAMPLES);
+    position_mm.truncate(crate::throw::MAX_SAMPLES);
+    Trace::new(sample_rate_hz, current_a, position_mm).expect("a recorded trace")
+}
+
+/// The value at a fractional grid index, held beyond both ends.
+fn interpolate(grid: &[f64], index: f64) -> f64 {
+    let last = grid.len() - 1;
+    if index <= 0.0 {
+        return grid[0];
+    }
+    let low = whole(index);
+    if low >= last {
+        return grid[last];
+    }
+    let part = index - low as f64;
+    grid[low] + part * (grid[low + 1] - grid[low])
+}
+
+/// The whole part of a number that is not negative.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "not negative, and bounded by the checks")]
+fn whole(value: f64) -> usize {
+    value as usize
+}
+
+/// A standard normal number.
+pub(super) fn normal<R: Rng>(rng: &mut R) -> f64 {
+    rng.sample(StandardNormal)
+}

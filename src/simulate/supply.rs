@@ -1,0 +1,51 @@
+//! The supply voltage over time.
+
+use std::f64::consts::PI;
+
+use serde::{Deserialize, Serialize};
+
+use super::machine::{InvalidParameter, angular, require};
+
+/// Shape of the supply voltage; its mean is `Parameters::supply_v`.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Waveform {
+    /// A battery.
+    #[default]
+    Constant,
+    /// Full-wave rectified mains, |sin|: the current ripples at twice the mains frequency and cannot reverse.
+    RectifiedMains {
+        /// Mains frequency \[Hz\].
+        mains_hz: f64,
+    },
+}
+
+impl Waveform {
+    /// Mean over step `at` of `h` seconds, relative to the mean over a period; `phase_rad` is the mains' phase at time 0.
+    pub(super) fn mean(self, at: usize, h: f64, phase_rad: f64) -> f64 {
+        match self {
+            Self::Constant => 1.0,
+            Self::RectifiedMains { mains_hz } => {
+                let w = angular(mains_hz);
+                // The integral of |sin x| from 0 to x: 2 for each half wave that is over, 1 - cos within the last.
+                let integral = |x: f64| 2.0 * (x / PI).floor() + 1.0 - (x.rem_euclid(PI)).cos();
+                let from = w * h * at as f64 + phase_rad;
+                (integral(from + w * h) - integral(from)) / (w * h) * (PI / 2.0)
+            }
+        }
+    }
+
+    /// Whether a rectifier keeps the current from reversing.
+    pub(super) fn is_rectified(self) -> bool {
+        matches!(self, Self::RectifiedMains { .. })
+    }
+
+    pub(super) fn check(self) -> Result<(), InvalidParameter> {
+        match self {
+            Self::Constant => Ok(()),
+            Self::RectifiedMains { mains_hz } => {
+                require(&[("mains_hz", mains_hz)], "must be 10 to 100", |hz| (10.0..=100.0).contains(&hz))
+            }
+        }
+    }
+}
