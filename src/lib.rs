@@ -10,6 +10,7 @@
 //! | [`diagnose`] | from the history of estimates to one named cause | `estimate`, `throw` |
 //! | [`simulate`] | the simulated point machine and fleets of them | `throw` |
 //! | [`evaluate`] | scores the diagnosis on simulated fleets | all of the core |
+//! | [`report`] | pictures as SVG | |
 //! | [`wire`] | keys and payloads on zenoh | the core |
 //! | [`store`] | the SQLite database | core, `wire` |
 //! | [`bus`] | zenoh sessions, publishers, subscribers, queries | core, `wire` |
@@ -22,6 +23,7 @@ pub mod daemon;
 pub mod diagnose;
 pub mod estimate;
 pub mod evaluate;
+pub mod report;
 pub mod simulate;
 pub mod store;
 pub mod throw;

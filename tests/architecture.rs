@@ -8,12 +8,13 @@ const CORE: &[(&str, &[&str])] = &[
     ("estimate", &["throw"]),
     ("diagnose", &["estimate", "throw"]),
     ("simulate", &["throw"]),
-    ("evaluate", &["diagnose", "estimate", "simulate", "throw"]),
+    ("evaluate", &["diagnose", "estimate", "report", "simulate", "throw"]),
+    ("report", &[]),
     ("wire", &["diagnose", "estimate", "throw"]),
 ];
 
 const ROOMS: &[&str] =
-    &["bus", "cli", "daemon", "diagnose", "estimate", "evaluate", "simulate", "store", "throw", "wire"];
+    &["bus", "cli", "daemon", "diagnose", "estimate", "evaluate", "report", "simulate", "store", "throw", "wire"];
 
 /// Words that only the shell may use.
 const SHELL_WORDS: &[&str] = &[

@@ -1,0 +1,108 @@
+//! Axes: the range shown, round ticks, and where a value lands.
+
+/// One axis with its range, linear or logarithmic.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Axis {
+    low: f64,
+    high: f64,
+    log: bool,
+}
+
+impl Axis {
+    /// An axis that shows all the finite `values`; a logarithmic one shows the positive ones. With `from_zero` a linear
+    /// axis includes 0.
+    pub(super) fn over(values: impl Iterator<Item = f64>, log: bool, from_zero: bool) -> Self {
+        let shown = values.filter(|value| value.is_finite() && (!log || *value > 0.0));
+        let (mut low, mut high) = shown.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+        if low > high {
+            (low, high) = if log { (1.0, 10.0) } else { (0.0, 1.0) };
+        }
+        if log {
+            low = 10.0_f64.powf(low.log10().floor());
+            high = 10.0_f64.powf(high.log10().ceil()).max(low * 10.0);
+            return Self { low, high, log };
+        }
+        if from_zero {
+            (low, high) = (low.min(0.0), high.max(0.0));
+        }
+        if high - low < 1e-12 * high.abs().max(1e-3) {
+            (low, high) = (low - 0.5, high + 0.5);
+        }
+        let step = round_step((high - low) / 6.0);
+        Self { low: (low / step + 1e-9).floor() * step, high: (high / step - 1e-9).ceil() * step, log }
+    }
+
+    /// The range shown is narrowed to where the values end, for an axis of time.
+    pub(super) fn tight(values: impl Iterator<Item = f64> + Clone) -> Self {
+        let rounded = Self::over(values.clone(), false, false);
+        let finite = || values.clone().filter(|value| value.is_finite());
+        let (low, high) = (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max));
+        if high > low { Self { low, high, log: false } } else { rounded }
+    }
+
+    /// Where a value lies, 0 at the low end to 1 at the high end; `None` when it cannot be shown.
+    pub(super) fn place(&self, value: f64) -> Option<f64> {
+        let place = if self.log {
+            (value / self.low).log10() / (self.high / self.low).log10()
+        } else {
+            (value - self.low) / (self.high - self.low)
+        };
+        place.is_finite().then_some(place)
+    }
+
+    /// Values that get a line and a label.
+    pub(super) fn ticks(&self) -> Vec<f64> {
+        if self.log {
+            let decades = (self.high / self.low).log10().round();
+            return (0..=30)
+                .map(f64::from)
+                .take_while(|d| *d <= decades)
+                .map(|d| self.low * 10.0_f64.powf(d))
+                .collect();
+        }
+        let step = round_step((self.high - self.low) / 6.0);
+        let first = (self.low / step - 1e-9).ceil();
+        let tick = |at: i32| (first + f64::from(at)) * step;
+        (0..40).map(tick).take_while(|value| *value <= self.high + step * 1e-9).collect()
+    }
+
+    /// A tick's label, with as many decimals as its neighbours need.
+    pub(super) fn label(&self, tick: f64) -> String {
+        if self.log {
+            return format!("{tick}");
+        }
+        let step = round_step((self.high - self.low) / 6.0);
+        let decimals: usize = [1.0, 0.1, 0.01, 0.001, 1e-4].iter().take_while(|unit| step < **unit * 0.999).count();
+        let tick = if tick.abs() < step * 1e-9 { 0.0 } else { tick };
+        format!("{tick:.decimals$}")
+    }
+}
+
+/// The next number of 1, 2, 5 times a power of ten that is not below `rough`.
+fn round_step(rough: f64) -> f64 {
+    let power = 10.0_f64.powf(rough.log10().floor());
+    [1.0, 2.0, 5.0]
+        .into_iter()
+        .map(|digit| digit * power)
+        .find(|step| *step >= rough * 0.999_999)
+        .unwrap_or(10.0 * power)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round_and_inside() {
+        let axis = Axis::over([0.3, 97.0].into_iter(), false, true);
+        assert_eq!(axis.ticks(), [0.0, 20.0, 40.0, 60.0, 80.0, 100.0]);
+        assert_eq!(axis.label(20.0), "20");
+        assert_eq!(axis.place(50.0), Some(0.5));
+        let log = Axis::over([3.0, 800.0, 0.0, f64::NAN].into_iter(), true, false);
+        assert_eq!(log.ticks(), [1.0, 10.0, 100.0, 1000.0]);
+        assert_eq!(log.place(0.0), None);
+        assert_eq!(Axis::over(std::iter::empty(), false, false).ticks().len(), 6);
+        let fine = Axis::over([0.97, 1.03].into_iter(), false, false);
+        assert_eq!(fine.label(0.98), "0.98");
+    }
+}

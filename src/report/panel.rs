@@ -1,0 +1,235 @@
+//! One chart: curves over an x axis, or bars in groups.
+
+use super::axis::Axis;
+use super::svg::{Anchor, Canvas};
+
+/// Colours that people with colour blindness can tell apart (Okabe and Ito, 2008).
+const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555"];
+const GRID: &str = "#dddddd";
+const FRAME: &str = "#444444";
+
+#[derive(Debug, Clone)]
+enum Content {
+    Curves { x_label: String, curves: Vec<Curve> },
+    Bars { categories: Vec<String>, groups: Vec<(String, Vec<f64>)> },
+}
+
+#[derive(Debug, Clone)]
+struct Curve {
+    name: String,
+    points: Vec<(f64, f64)>,
+    dots: bool,
+}
+
+/// One chart with its title, axes and legend.
+#[derive(Debug, Clone)]
+pub struct Panel {
+    title: String,
+    y_label: String,
+    log_y: bool,
+    /// Dashed horizontal lines: value and label.
+    levels: Vec<(f64, String)>,
+    content: Content,
+}
+
+/// The rectangle inside the axes, and its axes.
+struct Frame {
+    left: f64,
+    top: f64,
+    width: f64,
+    height: f64,
+    y: Axis,
+}
+
+impl Frame {
+    fn y_of(&self, value: f64) -> Option<f64> {
+        self.y.place(value).map(|place| self.top + self.height * (1.0 - place))
+    }
+}
+
+impl Panel {
+    /// An empty chart of curves.
+    #[must_use]
+    pub fn curves(title: impl Into<String>, x_label: impl Into<String>, y_label: impl Into<String>) -> Self {
+        Self::with(title, y_label, Content::Curves { x_label: x_label.into(), curves: Vec::new() })
+    }
+
+    /// An empty chart of bars; each group of bars has one bar for each of the `categories`, which are the colours.
+    #[must_use]
+    pub fn bars<S: Into<String>>(
+        title: impl Into<String>,
+        y_label: impl Into<String>,
+        categories: impl IntoIterator<Item = S>,
+    ) -> Self {
+        let categories = categories.into_iter().map(Into::into).collect();
+        Self::with(title, y_label, Content::Bars { categories, groups: Vec::new() })
+    }
+
+    fn with(title: impl Into<String>, y_label: impl Into<String>, content: Content) -> Self {
+        Self { title: title.into(), y_label: y_label.into(), log_y: false, levels: Vec::new(), content }
+    }
+
+    /// Adds a curve; a value that is not finite interrupts it. Ignored by a chart of bars.
+    #[must_use]
+    pub fn line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.curve(name, points, false)
+    }
+
+    /// Adds a curve with a dot at every point. Ignored by a chart of bars.
+    #[must_use]
+    pub fn dotted_line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        self.curve(name, points, true)
+    }
+
+    fn curve(mut self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>, dots: bool) -> Self {
+        if let Content::Curves { curves, .. } = &mut self.content {
+            curves.push(Curve { name: name.into(), points: points.into_iter().collect(), dots });
+        }
+        self
+    }
+
+    /// Adds a group of bars, one value for each category. Ignored by a chart of curves.
+    #[must_use]
+    pub fn group(mut self, name: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
+        if let Content::Bars { groups, .. } = &mut self.content {
+            groups.push((name.into(), values.into_iter().collect()));
+        }
+        self
+    }
+
+    /// Adds a dashed horizontal line with a label.
+    #[must_use]
+    pub fn level(mut self, value: f64, label: impl Into<String>) -> Self {
+        self.levels.push((value, label.into()));
+        self
+    }
+
+    /// Makes the y axis logarithmic; values of 0 and below are not shown.
+    #[must_use]
+    pub fn log_y(mut self) -> Self {
+        self.log_y = true;
+        self
+    }
+
+    pub(super) fn draw(&self, canvas: &mut Canvas, left: f64, top: f64, width: f64, height: f64) {
+        let frame = Frame {
+            left: left + 72.0,
+            top: top + 56.0,
+            width: width - 72.0 - 24.0,
+            height: height - 56.0 - 54.0,
+            y: self.y_axis(),
+        };
+        canvas.text(left + width / 2.0, top + 20.0, 15.0, Anchor::Middle, &self.title);
+        canvas.upright_text(left + 20.0, frame.top + frame.height / 2.0, 13.0, &self.y_label);
+        for tick in frame.y.ticks() {
+            let Some(y) = frame.y_of(tick) else { continue };
+            canvas.line((frame.left, y), (frame.left + frame.width, y), GRID, 1.0, false);
+            canvas.text(frame.left - 8.0, y + 4.0, 12.0, Anchor::End, &frame.y.label(tick));
+        }
+        match &self.content {
+            Content::Curves { x_label, curves } => draw_curves(canvas, &frame, x_label, curves),
+            Content::Bars { categories, groups } => draw_bars(canvas, &frame, categories, groups, self.log_y),
+        }
+        let (right, bottom) = (frame.left + frame.width, frame.top + frame.height);
+        for (value, label) in &self.levels {
+            let Some(y) = frame.y_of(*value) else { continue };
+            canvas.line((frame.left, y), (right, y), FRAME, 1.2, true);
+            canvas.text(right - 4.0, y - 5.0, 12.0, Anchor::End, label);
+        }
+        canvas.line((frame.left, frame.top), (frame.left, bottom), FRAME, 1.2, false);
+        canvas.line((frame.left, bottom), (right, bottom), FRAME, 1.2, false);
+        self.legend(canvas, &frame);
+    }
+
+    fn y_axis(&self) -> Axis {
+        let levels = self.levels.iter().map(|(value, _)| *value);
+        match &self.content {
+            Content::Curves { curves, .. } => {
+                let values = curves.iter().flat_map(|curve| &curve.points).map(|point| point.1);
+                Axis::over(values.chain(levels), self.log_y, false)
+            }
+            Content::Bars { groups, .. } => {
+                let values = groups.iter().flat_map(|(_, values)| values).copied();
+                Axis::over(values.chain(levels), self.log_y, true)
+            }
+        }
+    }
+
+    fn legend(&self, canvas: &mut Canvas, frame: &Frame) {
+        let names: Vec<&str> = match &self.content {
+            Content::Curves { curves, .. } => curves.iter().map(|curve| curve.name.as_str()).collect(),
+            Content::Bars { categories, .. } => categories.iter().map(String::as_str).collect(),
+        };
+        let mut x = frame.left;
+        for (name, colour) in names.iter().zip(COLOURS.iter().cycle()).filter(|(name, _)| !name.is_empty()) {
+            canvas.rectangle(x, frame.top - 22.0, 14.0, 10.0, colour);
+            canvas.text(x + 19.0, frame.top - 13.0, 12.0, Anchor::Start, name);
+            // A typical width of a character at this size: SVG text has no measure before it is drawn.
+            x += 36.0 + 6.4 * name.chars().count() as f64;
+        }
+    }
+}
+
+fn draw_curves(canvas: &mut Canvas, frame: &Frame, x_label: &str, curves: &[Curve]) {
+    let x = Axis::tight(curves.iter().flat_map(|curve| &curve.points).map(|point| point.0));
+    let x_of = |value: f64| x.place(value).map(|place| frame.left + frame.width * place);
+    let bottom = frame.top + frame.height;
+    for tick in x.ticks() {
+        let Some(at) = x_of(tick) else { continue };
+        canvas.line((at, frame.top), (at, bottom), GRID, 1.0, false);
+        canvas.text(at, bottom + 18.0, 12.0, Anchor::Middle, &x.label(tick));
+    }
+    canvas.text(frame.left + frame.width / 2.0, bottom + 40.0, 13.0, Anchor::Middle, x_label);
+    for (curve, colour) in curves.iter().zip(COLOURS.iter().cycle()) {
+        let places: Vec<Option<(f64, f64)>> =
+            curve.points.iter().map(|point| x_of(point.0).zip(frame.y_of(point.1))).collect();
+        for run in places.split(Option::is_none) {
+            let run: Vec<(f64, f64)> = run.iter().flatten().copied().collect();
+            if run.len() > 1 {
+                canvas.polyline(&run, colour);
+            }
+            for (x, y) in run.iter().filter(|_| curve.dots) {
+                canvas.circle(*x, *y, 3.2, colour);
+            }
+        }
+    }
+}
+
+fn draw_bars(canvas: &mut Canvas, frame: &Frame, categories: &[String], groups: &[(String, Vec<f64>)], log: bool) {
+    let pitch = frame.width / groups.len().max(1) as f64;
+    let bar = 0.8 * pitch / categories.len().max(1) as f64;
+    let bottom = frame.top + frame.height;
+    let ground = if log { bottom } else { frame.y_of(0.0).unwrap_or(bottom) };
+    for (at, (name, values)) in groups.iter().enumerate() {
+        let left = frame.left + pitch * (at as f64 + 0.1);
+        canvas.text(left + 0.4 * pitch, bottom + 18.0, 12.0, Anchor::Middle, name);
+        for (slot, (value, colour)) in values.iter().zip(COLOURS.iter().cycle()).enumerate() {
+            if let Some(y) = frame.y_of(*value) {
+                canvas.rectangle(left + bar * slot as f64, y.min(ground), bar * 0.94, (y - ground).abs(), colour);
+            }
+        }
+    }
+    canvas.line((frame.left, ground), (frame.left + frame.width, ground), FRAME, 1.0, false);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Sheet;
+    use super::*;
+
+    #[test]
+    fn every_curve_and_bar_is_drawn_and_text_is_escaped() {
+        let curves = Panel::curves("a < b & c", "x", "y")
+            .line("one", [(0.0, 1.0), (1.0, f64::NAN), (2.0, 3.0), (3.0, 4.0)])
+            .dotted_line("two", [(0.0, 2.0), (3.0, 2.5)]);
+        let bars = Panel::bars("bars", "y", ["p", "q"]).group("g", [1.0, -2.0]).level(0.8, "limit");
+        let svg = Sheet::new("sheet").columns(2).panel(curves).panel(bars).to_svg();
+        // The NaN leaves a lone point before it and a line after it.
+        assert_eq!(svg.matches("<polyline").count(), 2);
+        assert_eq!(svg.matches("<circle").count(), 2);
+        assert!(svg.contains("a &lt; b &amp; c"));
+        assert!(svg.contains("limit"));
+        assert!(!svg.contains("NaN"));
+        assert_eq!(svg.matches('<').count(), svg.matches('>').count());
+    }
+}

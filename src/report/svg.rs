@@ -1,0 +1,96 @@
+//! The few SVG elements that charts are made of.
+
+use std::fmt::Write;
+
+/// Where a text is held.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Anchor {
+    Start,
+    Middle,
+    End,
+}
+
+impl Anchor {
+    const fn word(self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::Middle => "middle",
+            Self::End => "end",
+        }
+    }
+}
+
+/// An SVG document being written; coordinates are pixels from the upper left.
+#[derive(Debug)]
+pub(super) struct Canvas {
+    text: String,
+}
+
+impl Canvas {
+    pub(super) fn new(width: f64, height: f64) -> Self {
+        let text = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\" \
+             font-family=\"Helvetica, Arial, sans-serif\" fill=\"#222\">\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
+        );
+        Self { text }
+    }
+
+    pub(super) fn text(&mut self, x: f64, y: f64, size: f64, anchor: Anchor, content: &str) {
+        let (anchor, content) = (anchor.word(), escape(content));
+        self.push(format_args!(
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{size}\" text-anchor=\"{anchor}\">{content}</text>"
+        ));
+    }
+
+    /// A text that reads upwards, centred at this place.
+    pub(super) fn upright_text(&mut self, x: f64, y: f64, size: f64, content: &str) {
+        let content = escape(content);
+        self.push(format_args!(
+            "<text transform=\"translate({x:.1} {y:.1}) rotate(-90)\" font-size=\"{size}\" text-anchor=\"middle\">{content}</text>"
+        ));
+    }
+
+    pub(super) fn line(&mut self, from: (f64, f64), to: (f64, f64), colour: &str, width: f64, dashed: bool) {
+        let dash = if dashed { " stroke-dasharray=\"6 4\"" } else { "" };
+        self.push(format_args!(
+            "<line x1=\"{:.1}\" y1=\"{:.1}\" x2=\"{:.1}\" y2=\"{:.1}\" stroke=\"{colour}\" stroke-width=\"{width}\"{dash}/>",
+            from.0, from.1, to.0, to.1
+        ));
+    }
+
+    pub(super) fn rectangle(&mut self, x: f64, y: f64, width: f64, height: f64, fill: &str) {
+        self.push(format_args!(
+            "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" fill=\"{fill}\"/>"
+        ));
+    }
+
+    pub(super) fn circle(&mut self, x: f64, y: f64, radius: f64, fill: &str) {
+        self.push(format_args!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{fill}\"/>"));
+    }
+
+    pub(super) fn polyline(&mut self, points: &[(f64, f64)], colour: &str) {
+        let mut list = String::with_capacity(points.len() * 14);
+        for (x, y) in points {
+            // Writing to a string cannot fail.
+            let _ = write!(list, "{x:.1},{y:.1} ");
+        }
+        let list = list.trim_end();
+        self.push(format_args!(
+            "<polyline points=\"{list}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.8\" stroke-linejoin=\"round\"/>"
+        ));
+    }
+
+    pub(super) fn finish(mut self) -> String {
+        self.text.push_str("</svg>\n");
+        self.text
+    }
+
+    fn push(&mut self, element: std::fmt::Arguments<'_>) {
+        // Writing to a string cannot fail.
+        let _ = writeln!(self.text, "{element}");
+    }
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
