@@ -1,1 +1,208 @@
 //! The SQLite database: raw throws, estimates, alarms, the outbox.
+//!
+//! [`Store`] writes through one task with one connection; [`Reader`] reads beside it. What `Ok` was answered for is on
+//! the disk, power cut or not. Every write may be repeated: a repetition changes nothing.
+
+mod codec;
+mod disk;
+mod error;
+mod judge;
+mod open;
+mod quarantine;
+mod reader;
+mod settings;
+mod spool;
+pub mod statements;
+mod statistics;
+mod writer;
+
+use std::{path::Path, sync::Arc};
+
+use jiff::Timestamp;
+
+pub use codec::UnreadableTrace;
+pub use disk::DiskLevel;
+pub use error::StoreError;
+pub use judge::{AlarmRecord, BaselineRecord, GOOD, Judgement, Message, Outcome, alarm_id};
+pub use open::{Found, Report};
+pub use quarantine::QUARANTINED_BYTES;
+pub use reader::{AlarmRow, Gap, HealthRow, OutboxRow, Quarantined, Reader, Selector, StoredThrow};
+pub use settings::{OutOfRange, Settings, Synchronous};
+pub use spool::{GapKind, Spooled, ThrowRow};
+pub use statistics::Statistics;
+
+use crate::throw::{MachineId, Throw};
+use disk::Disk;
+use writer::Writer;
+
+/// The database of a running daemon. Cheap to clone.
+#[derive(Clone)]
+pub struct Store {
+    writer: Writer,
+    reader: Reader,
+    disk: Arc<Disk>,
+    settings: Arc<Settings>,
+}
+
+/// An opened store, and how it was found.
+pub struct Opened {
+    /// The store.
+    pub store: Store,
+    /// What opening found and did.
+    pub report: Report,
+}
+
+impl Store {
+    /// Opens the database, creating it, repairing its place or bringing its schema up to date as needed. `now` names
+    /// what has to be set aside.
+    ///
+    /// # Errors
+    /// When the folder is missing or cannot be written to, or the disk is full even without the ballast.
+    pub async fn open(settings: &Settings, now: Timestamp) -> Result<Opened, StoreError> {
+        let disk = Arc::new(Disk::new(&settings.path, settings.ballast_mib, settings.low_disk_mib));
+        let (connection, report) = open::open(settings, &disk, now).await?;
+        let reader = Reader::open(&settings.path).await?;
+        let writer = Writer::start(open::writing(settings), connection, Arc::clone(&disk));
+        if let Err(error) = disk.restore_ballast() {
+            tracing::warn!(%error, "no ballast: a full disk will be harder to clear");
+        }
+        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()) };
+        Ok(Opened { store, report })
+    }
+
+    /// The reading side.
+    #[must_use]
+    pub fn reader(&self) -> &Reader {
+        &self.reader
+    }
+
+    /// The database file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.settings.path
+    }
+
+    /// Stores a throw that arrived. On `Ok` it is on the disk.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
+    pub async fn spool(
+        &self,
+        machine: &MachineId,
+        throw: &Throw,
+        received_at: Timestamp,
+    ) -> Result<Spooled, StoreError> {
+        let write = spool::Spool::new(machine, throw, received_at)?;
+        let spooled = self.writer.write(write).await?;
+        if spooled == (Spooled::Duplicate { differs: true }) {
+            self.note_contradiction(machine, throw, received_at).await?;
+        }
+        Ok(spooled)
+    }
+
+    /// Stores several throws in as few commits as possible; the answers are in their order.
+    pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
+        let mut waiting = Vec::with_capacity(throws.len());
+        for (machine, throw, received_at) in throws {
+            waiting.push(match spool::Spool::new(machine, throw, *received_at) {
+                Ok(write) => self.writer.submit(write).await,
+                Err(error) => Err(error),
+            });
+        }
+        let mut answers = Vec::with_capacity(throws.len());
+        for (answer, (machine, throw, received_at)) in waiting.into_iter().zip(throws) {
+            let spooled = match answer {
+                Ok(answer) => answer.await.unwrap_or(Err(StoreError::Closed)),
+                Err(error) => Err(error),
+            };
+            answers.push(match spooled {
+                Ok(Spooled::Duplicate { differs: true }) => self
+                    .note_contradiction(machine, throw, *received_at)
+                    .await
+                    .map(|()| Spooled::Duplicate { differs: true }),
+                spooled => spooled,
+            });
+        }
+        answers
+    }
+
+    async fn note_contradiction(&self, machine: &MachineId, throw: &Throw, at: Timestamp) -> Result<(), StoreError> {
+        let reason = format!(
+            "throw_no {} of boot {:?} was stored before with another content; this one is not kept",
+            throw.id.throw_no, throw.id.boot_id
+        );
+        self.quarantine(&machine.to_string(), &[], &reason, at).await
+    }
+
+    /// Stores a judgement: estimate, monitor, baselines, alarms and messages, all or nothing. Returns false when the
+    /// throw was judged before; then nothing was written.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
+    pub async fn judge(&self, judgement: Judgement) -> Result<bool, StoreError> {
+        self.writer.write(judgement).await
+    }
+
+    /// Stores what follows from an operator's command, or from time passing: all or nothing.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
+    pub async fn record(&self, machine: &MachineId, at: Timestamp, outcome: Outcome) -> Result<(), StoreError> {
+        self.writer.write(judge::Record { machine: machine.clone(), at_us: at.as_microsecond(), outcome }).await
+    }
+
+    /// Records that throws `first_no` to `last_no` are missing. Numbers that are stored, or known to be missing,
+    /// change nothing.
+    ///
+    /// # Errors
+    /// When it could not be stored, or a number is out of range.
+    pub async fn record_gap(
+        &self,
+        machine: &MachineId,
+        boot_id: &str,
+        (first_no, last_no): (u64, u64),
+        kind: GapKind,
+        at: Timestamp,
+    ) -> Result<(), StoreError> {
+        let number = |no: u64| i64::try_from(no).map_err(|_| StoreError::ThrowNumber(no));
+        let gap = spool::RecordGap {
+            machine: machine.clone(),
+            boot_id: boot_id.to_owned(),
+            first_no: number(first_no)?,
+            last_no: number(last_no)?,
+            kind,
+            at_us: at.as_microsecond(),
+        };
+        self.writer.write(gap).await
+    }
+
+    /// Forgets messages that zenoh took.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
+    pub async fn outbox_sent(&self, rows: &[i64]) -> Result<(), StoreError> {
+        self.writer.write(quarantine::Sent(rows.to_vec())).await
+    }
+
+    /// Keeps the beginning of a message that could not be taken, with the reason.
+    ///
+    /// # Errors
+    /// When it could not be stored.
+    pub async fn quarantine(&self, key: &str, payload: &[u8], reason: &str, at: Timestamp) -> Result<(), StoreError> {
+        self.writer.write(quarantine::Quarantine::new(key, payload, reason, at, self.settings.max_quarantined)).await
+    }
+
+    /// Resolves when the writer is gone: after [`close`](Self::close), or because it died.
+    pub async fn stopped(&self) {
+        self.writer.stopped().await;
+    }
+
+    /// Writes what waits, marks a clean stop, and closes the files.
+    ///
+    /// # Errors
+    /// When the mark could not be written: the next start will check the database.
+    pub async fn close(&self) -> Result<(), StoreError> {
+        self.reader.close().await;
+        self.writer.close().await
+    }
+}

@@ -1,1 +1,6 @@
 //! The database: migrations, views, failures of disk and power.
+
+mod given;
+mod judging;
+mod spooling;
+mod statements;

@@ -1,0 +1,134 @@
+//! The disk below the database: how much is free, and the ballast that is given up when nothing is.
+
+use std::{
+    ffi::OsString,
+    fs::{File, OpenOptions},
+    io,
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
+};
+
+use super::{error::StoreError, settings::MIB};
+
+/// How the store stands with its disk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum DiskLevel {
+    /// Enough space, everything is kept.
+    Ample,
+    /// Below the watermark: the traces of judged throws are dropped.
+    Low,
+    /// The disk was full, and the ballast is spent: nothing may be left for the next write.
+    Full,
+    /// The last write failed for another reason than space.
+    Failing,
+}
+
+/// Watches the free space and owns the ballast file.
+#[derive(Debug)]
+pub(super) struct Disk {
+    database: PathBuf,
+    ballast: PathBuf,
+    ballast_bytes: u64,
+    low_bytes: u64,
+    full: AtomicBool,
+    failing: AtomicBool,
+    failures: AtomicU64,
+}
+
+impl Disk {
+    pub(super) fn new(database: &Path, ballast_mib: u64, low_disk_mib: u64) -> Self {
+        Self {
+            database: database.to_owned(),
+            ballast: beside(database, "-ballast"),
+            ballast_bytes: ballast_mib * MIB,
+            low_bytes: low_disk_mib * MIB,
+            full: AtomicBool::new(false),
+            failing: AtomicBool::new(false),
+            failures: AtomicU64::new(0),
+        }
+    }
+
+    /// Free space for an unprivileged process \[bytes\]; `None` when the system does not say.
+    pub(super) fn free_bytes(&self) -> Option<u64> {
+        let folder = self.database.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let space = rustix::fs::statvfs(folder).ok()?;
+        Some(space.f_bavail.saturating_mul(space.f_frsize))
+    }
+
+    pub(super) fn note_success(&self) {
+        self.failing.store(false, Ordering::Relaxed);
+        self.full.store(false, Ordering::Relaxed);
+    }
+
+    /// A write failed; when for want of space, the ballast goes.
+    pub(super) fn note_failure(&self, full: bool) {
+        self.failures.fetch_add(1, Ordering::Relaxed);
+        if full {
+            self.full.store(true, Ordering::Relaxed);
+            self.release_ballast();
+        } else {
+            self.failing.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Write transactions that failed since the start.
+    pub(super) fn failures(&self) -> u64 {
+        self.failures.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn level(&self) -> DiskLevel {
+        if self.full.load(Ordering::Relaxed) {
+            DiskLevel::Full
+        } else if self.failing.load(Ordering::Relaxed) {
+            DiskLevel::Failing
+        } else if self.free_bytes().is_some_and(|free| free < self.low_bytes) {
+            DiskLevel::Low
+        } else {
+            DiskLevel::Ample
+        }
+    }
+
+    /// Gives the ballast's space back to the disk.
+    pub(super) fn release_ballast(&self) {
+        match std::fs::remove_file(&self.ballast) {
+            Ok(()) => tracing::error!(ballast = %self.ballast.display(), "the disk is full: the ballast is given up"),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(error) => tracing::error!(%error, ballast = %self.ballast.display(), "the ballast cannot be removed"),
+        }
+    }
+
+    /// Puts the ballast (back) in place when there is plenty of space for it. Returns whether it is there.
+    pub(super) fn restore_ballast(&self) -> Result<bool, StoreError> {
+        if self.ballast_bytes == 0 {
+            return Ok(false);
+        }
+        if std::fs::metadata(&self.ballast).is_ok_and(|file| file.len() == self.ballast_bytes) {
+            return Ok(true);
+        }
+        let plenty = self.free_bytes().is_some_and(|free| free > self.low_bytes + 2 * self.ballast_bytes);
+        if !plenty {
+            return Ok(false);
+        }
+        let file = |action, source| StoreError::File { action, path: self.ballast.clone(), source };
+        self.allocate().map(|()| true).map_err(|source| file("preallocate", source))
+    }
+
+    fn allocate(&self) -> io::Result<()> {
+        let file: File = OpenOptions::new().create(true).truncate(true).write(true).open(&self.ballast)?;
+        match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, self.ballast_bytes) {
+            Ok(()) => file.sync_all(),
+            Err(error) => {
+                drop(file);
+                std::fs::remove_file(&self.ballast)?;
+                Err(error.into())
+            }
+        }
+    }
+}
+
+/// The path with `suffix` added to its file name.
+pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = OsString::from(path);
+    name.push(suffix);
+    PathBuf::from(name)
+}

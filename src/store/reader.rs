@@ -1,0 +1,482 @@
+//! The reading side: short queries on two read-only connections.
+
+use std::{future::Future, path::Path, time::Duration};
+
+use jiff::Timestamp;
+use sqlx::{SqlitePool, sqlite::SqlitePoolOptions};
+
+use super::{
+    codec::{self, Channel, UnreadableTrace},
+    error::StoreError,
+    open,
+    spool::{GapKind, ThrowRow},
+    statements as sql,
+};
+use crate::throw::{Direction, MachineId, Name, Throw, ThrowRef, Trace};
+
+/// Connections for reading. They never wait for the writer, nor it for them.
+const CONNECTIONS: u32 = 2;
+
+/// Which machines a query is about; `None` means all.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Selector {
+    /// Only this site.
+    pub site: Option<Name>,
+    /// Only machines of this name.
+    pub machine: Option<Name>,
+}
+
+impl Selector {
+    fn site(&self) -> Option<&str> {
+        self.site.as_ref().map(Name::as_str)
+    }
+
+    fn machine(&self) -> Option<&str> {
+        self.machine.as_ref().map(Name::as_str)
+    }
+}
+
+/// A throw as it was spooled.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredThrow {
+    /// Its row.
+    pub row: ThrowRow,
+    /// Who made it.
+    pub machine: MachineId,
+    /// Its identity within the machine.
+    pub id: ThrowRef,
+    /// Wall time of its first sample, as the logger said.
+    pub started_at: Timestamp,
+    /// When it arrived.
+    pub received_at: Timestamp,
+    /// The throw; or why its trace cannot be read.
+    pub throw: Result<Throw, UnreadableTrace>,
+}
+
+/// One row of the health history.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HealthRow {
+    /// Which machine.
+    pub machine: MachineId,
+    /// Which throw.
+    pub throw: ThrowRef,
+    /// Wall time of its first sample.
+    pub started_at: Timestamp,
+    /// Its direction, where known.
+    pub direction: Option<Direction>,
+    /// [`GOOD`](super::GOOD), or the code of why it was not evaluated.
+    pub quality: String,
+    /// The same as a sentence.
+    pub detail: Option<String>,
+    /// b0 \[rad s⁻² A⁻¹\], a1 \[s⁻¹\], a0 \[s⁻²\].
+    pub coefficients: Option<[f64; 3]>,
+    /// Their standard deviations.
+    pub sd: Option<[f64; 3]>,
+    /// Their change from the baseline \[%\].
+    pub change_pct: Option<[f64; 3]>,
+    /// R²_T \[%\].
+    pub fit_pct: Option<f64>,
+    /// Duration \[s\].
+    pub duration_s: Option<f64>,
+    /// Peak current \[A\].
+    pub peak_current_a: Option<f64>,
+    /// Mean current \[A\].
+    pub mean_current_a: Option<f64>,
+    /// Throws in this direction's baseline so far, of how many.
+    pub baseline: Option<(u64, u64)>,
+    /// Good throws of this direction since its baseline was complete.
+    pub throws_since_baseline: u64,
+}
+
+/// One alarm event as it was published.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct AlarmRow {
+    /// Which machine.
+    pub machine: MachineId,
+    /// The alarm's identity.
+    pub alarm_id: String,
+    /// The event's number within the alarm.
+    pub event_no: u32,
+    /// The message, JSON.
+    pub payload: String,
+}
+
+/// Throws that are missing, from the first to the last number, both included.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Gap {
+    /// Which machine.
+    pub machine: MachineId,
+    /// Which start of its logger.
+    pub boot_id: String,
+    /// First missing number.
+    pub first_no: u64,
+    /// Last missing number.
+    pub last_no: u64,
+    /// Why.
+    pub kind: GapKind,
+    /// When it was noticed.
+    pub detected_at: Timestamp,
+}
+
+/// A message that waits to be published.
+#[derive(Debug, Clone, PartialEq, Eq, sqlx::FromRow)]
+pub struct OutboxRow {
+    /// Its number, in the order of publication.
+    #[sqlx(rename = "outbox_row")]
+    pub row: i64,
+    /// Where it goes.
+    pub key: String,
+    /// What it says.
+    pub payload: Vec<u8>,
+}
+
+/// A message that could not be taken.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Quarantined {
+    /// When it arrived.
+    pub received_at: Timestamp,
+    /// On which key.
+    pub key: String,
+    /// What is wrong with it.
+    pub reason: String,
+    /// Its whole length \[bytes\].
+    pub payload_bytes: u64,
+    /// Its beginning.
+    pub payload_start: Vec<u8>,
+}
+
+/// Reads the database. Cheap to clone; every query has a time limit, so that none keeps an old state alive.
+#[derive(Debug, Clone)]
+pub struct Reader {
+    pool: SqlitePool,
+}
+
+impl Reader {
+    /// Longest time of one query. An old state that is being read cannot be overwritten: the log grows meanwhile.
+    pub const TIME_LIMIT: Duration = Duration::from_secs(10);
+
+    /// Reads a database that another process may be writing.
+    ///
+    /// # Errors
+    /// When there is no database, or it cannot be read.
+    pub async fn open(path: &Path) -> Result<Self, StoreError> {
+        let pool = SqlitePoolOptions::new()
+            .max_connections(CONNECTIONS)
+            .max_lifetime(None)
+            .idle_timeout(None)
+            .connect_with(open::reading(path))
+            .await
+            .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
+        Ok(Self { pool })
+    }
+
+    pub(super) async fn close(&self) {
+        self.pool.close().await;
+    }
+
+    pub(super) async fn limited<T>(&self, query: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
+        tokio::time::timeout(Self::TIME_LIMIT, query)
+            .await
+            .map_err(|_| StoreError::ReadTimeout)?
+            .map_err(StoreError::read)
+    }
+
+    pub(super) const fn pool(&self) -> &SqlitePool {
+        &self.pool
+    }
+
+    /// Up to `limit` throws after `after` that wait to be judged, in the order of arrival.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn pending(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
+        let rows = sqlx::query_as::<_, ThrowColumns>(sql::WAITING).bind(after.0).bind(limit).fetch_all(&self.pool);
+        self.limited(async { rows.await?.into_iter().map(ThrowColumns::read).collect() }).await
+    }
+
+    /// Up to `limit` throws after `after`, judged or not, in the order of arrival.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn throws(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
+        let rows = sqlx::query_as::<_, ThrowColumns>(sql::THROWS).bind(after.0).bind(limit).fetch_all(&self.pool);
+        self.limited(async { rows.await?.into_iter().map(ThrowColumns::read).collect() }).await
+    }
+
+    /// The monitor of every machine that has one, as JSON.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn monitors(&self) -> Result<Vec<(MachineId, String)>, StoreError> {
+        let rows = sqlx::query_as::<_, (String, String, String)>(sql::MONITORS).fetch_all(&self.pool);
+        self.limited(async {
+            rows.await?.into_iter().map(|(site, machine, json)| Ok((machine_id(&site, &machine)?, json))).collect()
+        })
+        .await
+    }
+
+    /// Every machine that was ever heard.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
+        let rows = sqlx::query_as::<_, (String, String)>(sql::MACHINES).fetch_all(&self.pool);
+        self.limited(async { rows.await?.iter().map(|(site, machine)| machine_id(site, machine)).collect() }).await
+    }
+
+    /// The latest health of each selected machine and direction.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn latest_health(&self, which: &Selector) -> Result<Vec<HealthRow>, StoreError> {
+        let rows = sqlx::query_as::<_, HealthColumns>(sql::LATEST_HEALTH)
+            .bind(which.site())
+            .bind(which.machine())
+            .fetch_all(&self.pool);
+        self.limited(async { rows.await?.into_iter().map(HealthColumns::read).collect() }).await
+    }
+
+    /// The newest `limit` rows of the health history that started at `since` or later, oldest first.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn health_history(
+        &self,
+        which: &Selector,
+        since: Timestamp,
+        limit: u32,
+    ) -> Result<Vec<HealthRow>, StoreError> {
+        let rows = sqlx::query_as::<_, HealthColumns>(sql::HEALTH_HISTORY)
+            .bind(which.site())
+            .bind(which.machine())
+            .bind(since.as_microsecond())
+            .bind(limit)
+            .fetch_all(&self.pool);
+        self.limited(async { rows.await?.into_iter().rev().map(HealthColumns::read).collect() }).await
+    }
+
+    /// The last event of every open alarm of the selected machines, oldest alarm first.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<AlarmRow>, StoreError> {
+        let rows = sqlx::query_as::<_, AlarmColumns>(sql::OPEN_ALARMS)
+            .bind(which.site())
+            .bind(which.machine())
+            .fetch_all(&self.pool);
+        self.limited(async { rows.await?.into_iter().map(AlarmColumns::read).collect() }).await
+    }
+
+    /// The newest `limit` alarm events at `since` or later, oldest first.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn alarm_history(
+        &self,
+        which: &Selector,
+        since: Timestamp,
+        limit: u32,
+    ) -> Result<Vec<AlarmRow>, StoreError> {
+        let rows = sqlx::query_as::<_, AlarmColumns>(sql::ALARM_HISTORY)
+            .bind(which.site())
+            .bind(which.machine())
+            .bind(since.as_microsecond())
+            .bind(limit)
+            .fetch_all(&self.pool);
+        self.limited(async { rows.await?.into_iter().rev().map(AlarmColumns::read).collect() }).await
+    }
+
+    /// Up to `limit` messages to publish after the message `after` (0: from the first), in order.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn outbox_pending(&self, after: i64, limit: u32) -> Result<Vec<OutboxRow>, StoreError> {
+        let rows = sqlx::query_as(sql::MESSAGES).bind(after).bind(limit).fetch_all(&self.pool);
+        self.limited(rows).await
+    }
+
+    /// Up to `limit` open gaps.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn open_gaps(&self, limit: u32) -> Result<Vec<Gap>, StoreError> {
+        let rows = sqlx::query_as::<_, GapColumns>(sql::GAPS).bind(0).bind(limit).fetch_all(&self.pool);
+        self.limited(async { rows.await?.into_iter().map(GapColumns::read).collect() }).await
+    }
+
+    /// The newest `limit` messages in quarantine, newest first.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn quarantined(&self, limit: u32) -> Result<Vec<Quarantined>, StoreError> {
+        let rows =
+            sqlx::query_as::<_, (i64, String, String, i64, Vec<u8>)>(sql::QUARANTINE).bind(limit).fetch_all(&self.pool);
+        self.limited(async {
+            let read = |(at_us, key, reason, bytes, payload_start): (i64, String, String, i64, Vec<u8>)| {
+                let payload_bytes = bytes.cast_unsigned();
+                Ok(Quarantined { received_at: timestamp(at_us)?, key, reason, payload_bytes, payload_start })
+            };
+            rows.await?.into_iter().map(read).collect()
+        })
+        .await
+    }
+}
+
+fn decode_error(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::Error {
+    sqlx::Error::Decode(Box::new(error))
+}
+
+fn machine_id(site: &str, machine: &str) -> sqlx::Result<MachineId> {
+    MachineId::new(site, machine).map_err(decode_error)
+}
+
+fn timestamp(at_us: i64) -> sqlx::Result<Timestamp> {
+    Timestamp::from_microsecond(at_us).map_err(decode_error)
+}
+
+fn three(values: [Option<f64>; 3]) -> Option<[f64; 3]> {
+    let [first, second, third] = values;
+    Some([first?, second?, third?])
+}
+
+#[derive(sqlx::FromRow)]
+struct ThrowColumns {
+    throw_row: i64,
+    site: String,
+    machine: String,
+    boot_id: String,
+    throw_no: i64,
+    started_at_us: i64,
+    received_at_us: i64,
+    direction: Option<String>,
+    sample_rate_hz: f64,
+    samples: i64,
+    temperature_c: Option<f64>,
+    supply_v: Option<f64>,
+    anti_alias_hz: Option<f64>,
+    current_codec: Option<String>,
+    current_data: Option<Vec<u8>>,
+    position_codec: Option<String>,
+    position_data: Option<Vec<u8>>,
+    crc32: Option<u32>,
+}
+
+impl ThrowColumns {
+    fn trace(&mut self) -> Result<Trace, UnreadableTrace> {
+        let channel = |codec: &mut Option<String>, data: &mut Option<Vec<u8>>| {
+            Some(Channel { codec: codec.take()?, data: data.take()? })
+        };
+        let current = channel(&mut self.current_codec, &mut self.current_data).ok_or(UnreadableTrace::Dropped)?;
+        let position = channel(&mut self.position_codec, &mut self.position_data).ok_or(UnreadableTrace::Dropped)?;
+        let samples = usize::try_from(self.samples).map_err(|error| UnreadableTrace::Damaged(error.to_string()))?;
+        codec::trace(self.sample_rate_hz, samples, &current, &position, self.crc32.unwrap_or_default())
+    }
+
+    fn read(mut self) -> sqlx::Result<StoredThrow> {
+        let machine = machine_id(&self.site, &self.machine)?;
+        let started_at = timestamp(self.started_at_us)?;
+        let received_at = timestamp(self.received_at_us)?;
+        let id = ThrowRef { boot_id: std::mem::take(&mut self.boot_id), throw_no: self.throw_no.cast_unsigned() };
+        let throw = self.trace().map(|trace| Throw {
+            id: id.clone(),
+            started_at,
+            direction: self.direction.as_deref().and_then(Direction::from_word),
+            trace,
+            temperature_c: self.temperature_c,
+            supply_v: self.supply_v,
+            anti_alias_hz: self.anti_alias_hz,
+        });
+        Ok(StoredThrow { row: ThrowRow(self.throw_row), machine, id, started_at, received_at, throw })
+    }
+}
+
+#[derive(sqlx::FromRow)]
+struct HealthColumns {
+    site: String,
+    machine: String,
+    boot_id: String,
+    throw_no: i64,
+    started_at_us: i64,
+    direction: Option<String>,
+    quality: String,
+    detail: Option<String>,
+    b0: Option<f64>,
+    a1: Option<f64>,
+    a0: Option<f64>,
+    b0_sd: Option<f64>,
+    a1_sd: Option<f64>,
+    a0_sd: Option<f64>,
+    b0_pct: Option<f64>,
+    a1_pct: Option<f64>,
+    a0_pct: Option<f64>,
+    fit_pct: Option<f64>,
+    duration_s: Option<f64>,
+    peak_current_a: Option<f64>,
+    mean_current_a: Option<f64>,
+    baseline_throws: Option<i64>,
+    baseline_needed: Option<i64>,
+    throws_since_baseline: i64,
+}
+
+impl HealthColumns {
+    fn read(self) -> sqlx::Result<HealthRow> {
+        let baseline = self.baseline_throws.zip(self.baseline_needed);
+        Ok(HealthRow {
+            machine: machine_id(&self.site, &self.machine)?,
+            throw: ThrowRef { boot_id: self.boot_id, throw_no: self.throw_no.cast_unsigned() },
+            started_at: timestamp(self.started_at_us)?,
+            direction: self.direction.as_deref().and_then(Direction::from_word),
+            quality: self.quality,
+            detail: self.detail,
+            coefficients: three([self.b0, self.a1, self.a0]),
+            sd: three([self.b0_sd, self.a1_sd, self.a0_sd]),
+            change_pct: three([self.b0_pct, self.a1_pct, self.a0_pct]),
+            fit_pct: self.fit_pct,
+            duration_s: self.duration_s,
+            peak_current_a: self.peak_current_a,
+            mean_current_a: self.mean_current_a,
+            baseline: baseline.map(|(so_far, needed)| (so_far.cast_unsigned(), needed.cast_unsigned())),
+            throws_since_baseline: self.throws_since_baseline.cast_unsigned(),
+        })
+    }
+}
+
+#[derive(sqlx::FromRow)]
+struct AlarmColumns {
+    site: String,
+    machine: String,
+    alarm_id: String,
+    event_no: u32,
+    payload: String,
+}
+
+impl AlarmColumns {
+    fn read(self) -> sqlx::Result<AlarmRow> {
+        let machine = machine_id(&self.site, &self.machine)?;
+        Ok(AlarmRow { machine, alarm_id: self.alarm_id, event_no: self.event_no, payload: self.payload })
+    }
+}
+
+#[derive(sqlx::FromRow)]
+struct GapColumns {
+    site: String,
+    machine: String,
+    boot_id: String,
+    first_no: i64,
+    last_no: i64,
+    kind: String,
+    detected_at_us: i64,
+}
+
+impl GapColumns {
+    fn read(self) -> sqlx::Result<Gap> {
+        Ok(Gap {
+            machine: machine_id(&self.site, &self.machine)?,
+            boot_id: self.boot_id,
+            first_no: self.first_no.cast_unsigned(),
+            last_no: self.last_no.cast_unsigned(),
+            kind: GapKind::ALL.into_iter().find(|kind| kind.as_str() == self.kind).unwrap_or(GapKind::Missed),
+            detected_at: timestamp(self.detected_at_us)?,
+        })
+    }
+}

@@ -1,0 +1,90 @@
+//! Figures for `status` and the metrics.
+
+use std::collections::BTreeMap;
+
+use super::{
+    Store,
+    disk::{DiskLevel, beside},
+    error::StoreError,
+    statements as sql,
+};
+
+/// How the database stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Statistics {
+    /// Throws that are kept.
+    pub throws: u64,
+    /// Throws whose traces are kept.
+    pub traces: u64,
+    /// Throws that wait to be judged.
+    pub pending: u64,
+    /// Messages that wait to be published.
+    pub outbox: u64,
+    /// Open alarms.
+    pub open_alarms: u64,
+    /// Throws that were made and never came.
+    pub missing_throws: u64,
+    /// Messages in quarantine.
+    pub quarantined: u64,
+    /// Data in the database \[bytes\].
+    pub data_bytes: u64,
+    /// Pages of the database that are free for use \[bytes\].
+    pub free_bytes: u64,
+    /// The write-ahead log \[bytes\].
+    pub wal_bytes: u64,
+    /// Free space on its disk \[bytes\]; `None` when the system does not say.
+    pub free_disk_bytes: Option<u64>,
+    /// How the store stands with its disk.
+    pub disk: DiskLevel,
+    /// Write transactions that failed since the start.
+    pub failed_writes: u64,
+    /// Totals since the database began, by name.
+    pub counters: BTreeMap<String, u64>,
+}
+
+impl Store {
+    /// Reads the figures. Counts rows: not for every second.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn statistics(&self) -> Result<Statistics, StoreError> {
+        let counters: Vec<(String, i64)> =
+            self.reader.limited(sqlx::query_as(sql::COUNTERS).fetch_all(self.reader.pool())).await?;
+        let page_size = self.figure("PRAGMA page_size").await?;
+        let pages = self.figure("PRAGMA page_count").await?;
+        let free_pages = self.figure("PRAGMA freelist_count").await?;
+        Ok(Statistics {
+            throws: self.figure(sql::THROW_SPAN).await?,
+            traces: self.figure(sql::TRACE_SPAN).await?,
+            pending: self.figure(sql::WAITING_COUNT).await?,
+            outbox: self.figure(sql::OUTBOX_COUNT).await?,
+            open_alarms: self.figure(sql::OPEN_ALARM_COUNT).await?,
+            missing_throws: self.figure(sql::OPEN_GAP_COUNT).await?,
+            quarantined: self.figure(sql::QUARANTINE_COUNT).await?,
+            data_bytes: pages.saturating_sub(free_pages) * page_size,
+            free_bytes: free_pages * page_size,
+            wal_bytes: self.wal_bytes(),
+            free_disk_bytes: self.disk.free_bytes(),
+            disk: self.disk.level(),
+            failed_writes: self.disk.failures(),
+            counters: counters.into_iter().map(|(name, value)| (name, value.cast_unsigned())).collect(),
+        })
+    }
+
+    /// How the store stands with its disk. Cheap: for every second.
+    #[must_use]
+    pub fn disk_level(&self) -> DiskLevel {
+        self.disk.level()
+    }
+
+    /// Size of the write-ahead log \[bytes\].
+    #[must_use]
+    pub fn wal_bytes(&self) -> u64 {
+        std::fs::metadata(beside(&self.settings.path, "-wal")).map_or(0, |file| file.len())
+    }
+
+    async fn figure(&self, query: &'static str) -> Result<u64, StoreError> {
+        let figure: i64 = self.reader.limited(sqlx::query_scalar(query).fetch_one(self.reader.pool())).await?;
+        Ok(figure.cast_unsigned())
+    }
+}

@@ -1,0 +1,127 @@
+//! What the tests start from: real stores in their own folders, throws, estimates, alarm events.
+
+use std::path::Path;
+
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::Matrix3;
+use pointsd::{
+    diagnose::{AlarmEvent, AlarmState, Cause, Severity},
+    estimate::{Estimate, Features, Identification},
+    store::{AlarmRecord, GOOD, Judgement, Message, Opened, Outcome, Settings, Spooled, Store, ThrowRow},
+    throw::{Direction, MachineId, Throw, ThrowRef, Trace},
+};
+
+pub(crate) fn settings(folder: &Path) -> Settings {
+    Settings { path: folder.join("points.db"), ballast_mib: 1, low_disk_mib: 0, ..Settings::default() }
+}
+
+pub(crate) async fn open(folder: &Path) -> Opened {
+    Store::open(&settings(folder), at(0)).await.unwrap()
+}
+
+pub(crate) fn machine(name: &str) -> MachineId {
+    MachineId::new("north", name).unwrap()
+}
+
+/// So many seconds into the tests' time.
+pub(crate) fn at(seconds: i64) -> Timestamp {
+    "2026-03-01T06:00:00.25Z".parse::<Timestamp>().unwrap() + SignedDuration::from_secs(seconds)
+}
+
+/// A throw whose samples depend on its number, so that no two are alike.
+pub(crate) fn throw(boot_id: &str, throw_no: u64) -> Throw {
+    let wave = |scale: f64| (0..400).map(|sample| (f64::from(sample) * scale).sin() + throw_no as f64).collect();
+    Throw {
+        id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
+        started_at: at(60 * i64::try_from(throw_no).unwrap()),
+        direction: Some(Direction::NormalToReverse),
+        trace: Trace::new(1000.0, wave(0.01), wave(0.003)).unwrap(),
+        temperature_c: Some(12.5),
+        supply_v: None,
+        anti_alias_hz: None,
+    }
+}
+
+pub(crate) async fn spooled(store: &Store, name: &str, boot_id: &str, throw_no: u64) -> ThrowRow {
+    match store.spool(&machine(name), &throw(boot_id, throw_no), at(0)).await.unwrap() {
+        Spooled::New(row) => row,
+        Spooled::Duplicate { .. } => panic!("throw {throw_no} was there before"),
+    }
+}
+
+pub(crate) fn estimate() -> Estimate {
+    Estimate {
+        b0: 203.0,
+        a1: 5.9,
+        a0: 1.56,
+        covariance: Matrix3::new(4.0, 0.1, 0.02, 0.1, 0.25, 0.01, 0.02, 0.01, 0.0625),
+        fit_pct: 99.7,
+        iterations: 4,
+        start_s: 0.1,
+        end_s: 4.2,
+    }
+}
+
+pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
+    Judgement {
+        row,
+        machine: machine(name),
+        judged_at: at(1),
+        identification: Some(Identification {
+            direction: Some(Direction::NormalToReverse),
+            direction_contradicted: false,
+            features: Features { duration_s: Some(4.3), peak_current_a: Some(13.0), ..Features::default() },
+            outcome: Ok(estimate()),
+        }),
+        quality: GOOD.to_owned(),
+        detail: None,
+        change_pct: Some([0.5, -1.0, 2.0]),
+        baseline: Some((50, 50)),
+        baselines: Vec::new(),
+        outcome: Outcome::default(),
+    }
+}
+
+pub(crate) fn event(event_no: u32, state: AlarmState) -> AlarmEvent {
+    AlarmEvent {
+        cause: Cause::Friction,
+        raised_at: at(10),
+        event_no,
+        severity: Severity::Warning,
+        state,
+        event_at: at(10 * i64::from(event_no)),
+        change_pct: Some(18.0),
+        change_pct_sd: Some(2.0),
+        direction: Some(Direction::NormalToReverse),
+        runner_up: None,
+        correlation: None,
+        first_throw: Some(ThrowRef { boot_id: "b1".to_owned(), throw_no: 40 }),
+        last_throw: Some(ThrowRef { boot_id: "b1".to_owned(), throw_no: 80 }),
+        text: "friction up 18 %".to_owned(),
+        limit_in_throws: None,
+        by: (state == AlarmState::ActiveAcknowledged).then(|| "mia".to_owned()),
+        why: None,
+    }
+}
+
+pub(crate) fn alarm(event_no: u32, state: AlarmState) -> Outcome {
+    let payload = format!("{{\"event_no\":{event_no}}}");
+    Outcome {
+        snapshot: Some(format!("{{\"events\":{event_no}}}")),
+        alarms: vec![AlarmRecord { event: event(event_no, state), payload: payload.clone() }],
+        outbox: vec![Message { key: "points/v1/north/21B/alarm".to_owned(), payload: payload.into_bytes() }],
+    }
+}
+
+/// Reads a view as an outsider does: another connection, read-only.
+pub(crate) async fn query<T>(store: &Store, sql: &'static str) -> Vec<T>
+where
+    T: for<'r> sqlx::FromRow<'r, sqlx::sqlite::SqliteRow> + Send + Unpin,
+{
+    use sqlx::Connection;
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path()).read_only(true);
+    let mut outsider = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+    let rows = sqlx::query_as(sql).fetch_all(&mut outsider).await.unwrap();
+    outsider.close().await.unwrap();
+    rows
+}

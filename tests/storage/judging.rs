@@ -1,0 +1,107 @@
+//! Judgements, alarms and messages: together or not at all, and once.
+
+use pointsd::{
+    diagnose::AlarmState,
+    store::{Found, GOOD, Judgement, Selector, ThrowRow, alarm_id},
+};
+
+use crate::given::{alarm, at, event, judgement, machine, open, query, spooled};
+
+#[tokio::test]
+async fn a_judgement_is_written_once_and_the_views_show_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let row = spooled(&store, "21B", "b1", 1).await;
+    let judged = Judgement { outcome: alarm(1, AlarmState::ActiveUnacknowledged), ..judgement(row, "21B") };
+    assert!(store.judge(judged.clone()).await.unwrap());
+    assert!(!store.judge(judged).await.unwrap(), "written twice");
+    assert!(store.reader().pending(ThrowRow::START, 10).await.unwrap().is_empty());
+    assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap().len(), 1);
+
+    let health: Vec<(String, String, f64, f64, f64, i64, f64)> = query(
+        &store,
+        "SELECT started_at, direction, b0, b0_sd, a0_pct, CAST(strftime('%s', started_at) AS INTEGER), \
+         (julianday(started_at) - 2440587.5) * 86400 FROM health_history",
+    )
+    .await;
+    let (started_at, direction, b0, b0_sd, a0_pct, seconds, days) = &health[0];
+    assert_eq!((started_at.as_str(), direction.as_str()), ("2026-03-01T06:01:00.250000Z", "normal_to_reverse"));
+    assert_eq!((*b0, *b0_sd, *a0_pct), (203.0, 2.0, 2.0));
+    assert_eq!(*seconds, at(60).as_second());
+    assert!((days - at(60).as_microsecond() as f64 * 1e-6).abs() < 1e-3);
+
+    let machines: Vec<(String, String, i64)> =
+        query(&store, "SELECT direction, state, throws_since_baseline FROM machine_health").await;
+    assert_eq!(machines, [("normal_to_reverse".to_owned(), "warning".to_owned(), 1)]);
+}
+
+#[tokio::test]
+async fn a_throw_that_was_not_evaluated_shows_with_its_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let row = spooled(&store, "21B", "b1", 1).await;
+    let refused = Judgement {
+        identification: None,
+        quality: "no_movement".to_owned(),
+        detail: Some("the toe did not move".to_owned()),
+        change_pct: None,
+        ..judgement(row, "21B")
+    };
+    store.judge(refused).await.unwrap();
+    let seen: Vec<(String, String)> = query(&store, "SELECT quality, detail FROM throws_not_evaluated").await;
+    assert_eq!(seen, [("no_movement".to_owned(), "the toe did not move".to_owned())]);
+    let [health] = &store.reader().latest_health(&Selector::default()).await.unwrap()[..] else { panic!() };
+    assert_eq!((health.quality.as_str(), health.coefficients), ("no_movement", None));
+}
+
+#[tokio::test]
+async fn an_alarm_lives_through_its_events_and_each_is_published_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let id = machine("21B");
+    let everything = Selector::default();
+    store.record(&id, at(10), alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
+    store.record(&id, at(20), alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
+    // A repetition after an unknown commit.
+    store.record(&id, at(20), alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
+
+    let [open_alarm] = &store.reader().open_alarms(&everything).await.unwrap()[..] else { panic!() };
+    assert_eq!(open_alarm.alarm_id, alarm_id(&id, &event(1, AlarmState::Normal)));
+    assert_eq!(open_alarm.alarm_id, format!("north.21B.friction.{}", at(10).as_microsecond()));
+    assert_eq!(open_alarm.payload, "{\"event_no\":2}");
+    let acknowledged: Vec<(String, String)> =
+        query(&store, "SELECT acknowledged_by, acknowledged_at FROM active_alarms").await;
+    assert_eq!(acknowledged, [("mia".to_owned(), "2026-03-01T06:00:20.250000Z".to_owned())]);
+
+    store.record(&id, at(30), alarm(3, AlarmState::Normal)).await.unwrap();
+    assert!(store.reader().open_alarms(&everything).await.unwrap().is_empty());
+    let history = store.reader().alarm_history(&everything, at(15), 10).await.unwrap();
+    assert_eq!(history.iter().map(|row| row.event_no).collect::<Vec<_>>(), [2, 3]);
+
+    let messages = store.reader().outbox_pending(0, 10).await.unwrap();
+    let payloads: Vec<_> = messages.iter().map(|message| String::from_utf8_lossy(&message.payload)).collect();
+    assert_eq!(payloads, ["{\"event_no\":1}", "{\"event_no\":2}", "{\"event_no\":3}"]);
+    store.outbox_sent(&[messages[0].row, messages[1].row]).await.unwrap();
+    assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap()[..], messages[2..]);
+}
+
+#[tokio::test]
+async fn a_restart_finds_snapshots_and_what_waits() {
+    let folder = tempfile::tempdir().unwrap();
+    let opened = open(folder.path()).await;
+    assert_eq!(opened.report.found, Found::Fresh);
+    let first = spooled(&opened.store, "21B", "b1", 1).await;
+    let second = spooled(&opened.store, "21B", "b1", 2).await;
+    let outcome = alarm(1, AlarmState::ActiveUnacknowledged);
+    opened.store.judge(Judgement { outcome, ..judgement(first, "21B") }).await.unwrap();
+    opened.store.close().await.unwrap();
+
+    let opened = open(folder.path()).await;
+    assert_eq!((opened.report.found, opened.report.upgraded_by), (Found::Clean, 0));
+    let reader = opened.store.reader();
+    assert_eq!(reader.monitors().await.unwrap(), [(machine("21B"), "{\"events\":1}".to_owned())]);
+    let pending = reader.pending(ThrowRow::START, 10).await.unwrap();
+    assert_eq!(pending.iter().map(|throw| throw.row).collect::<Vec<_>>(), [second]);
+    assert!(reader.pending(second, 10).await.unwrap().is_empty());
+    assert_eq!(reader.health_history(&Selector::default(), at(0), 5).await.unwrap()[0].quality, GOOD);
+}
