@@ -1,0 +1,303 @@
+//! Who may publish, read and command in a cabinet. Each test first or also sees the permitted case, so that silence
+//! means refusal.
+
+use std::{collections::BTreeSet, sync::atomic::Ordering, time::Duration};
+
+use tokio::{
+    io::copy_bidirectional,
+    net::{TcpListener, TcpStream},
+};
+use zenoh::Wait;
+
+use super::site::*;
+
+const ALARM: &str = "points/v1/north/21A/alarm";
+const HEALTH: &str = "points/v1/north/21A/health";
+const COMMAND: &str = "points/v1/north/21A/command";
+const ALIVE_A: &str = "points/v1/north/21A/alive";
+const ALIVE_B: &str = "points/v1/north/21B/alive";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_logger_speaks_for_its_own_machine_only() {
+    let (cabinet, endpoint) = cabinet().await;
+    let throws = throw_subscriber(&cabinet).await;
+    let logger = client("logger.north.21A", &endpoint).await;
+    let (own, foreign) = (throw_publisher(&logger, THROW_A).await, throw_publisher(&logger, THROW_B).await);
+    until_heard(&own).await;
+    until_heard(&foreign).await;
+
+    // One link keeps the order: when the second has come, the first is not coming any more.
+    foreign.put("forged").await.unwrap();
+    own.put("true").await.unwrap();
+    assert_eq!(next(&throws).await, (THROW_A.to_owned(), b"true".to_vec()));
+
+    let other = client("logger.north.21B", &endpoint).await;
+    let publisher = throw_publisher(&other, THROW_B).await;
+    until_heard(&publisher).await;
+    publisher.put("also true").await.unwrap();
+    assert_eq!(next(&throws).await, (THROW_B.to_owned(), b"also true".to_vec()));
+    assert!(tokio::time::timeout(SILENCE, throws.recv_async()).await.is_err(), "the forged throw came late");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_logger_cannot_answer_or_be_alive_for_another() {
+    let (cabinet, endpoint) = cabinet().await;
+    let logger = client("logger.north.21A", &endpoint).await;
+    let _forged = answer(&logger, "points/v1/north/21B/throw/@adv/**", THROW_B).await;
+    let smuggled = answer(&logger, "points/v1/north/21A/throw/@adv/pub/smuggled", THROW_B).await;
+    let honest = answer(&logger, "points/v1/north/21A/throw/@adv/pub/honest", THROW_A).await;
+    let _not_mine = logger.liveliness().declare_token(ALIVE_B).await.unwrap();
+    let _mine = logger.liveliness().declare_token(ALIVE_A).await.unwrap();
+
+    let answered = async {
+        while ask(&cabinet, "points/v1/*/*/throw/@adv/pub/honest?_anyke", None).await != [THROW_A] {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, answered).await.expect("a logger may answer for its own machine");
+    assert!(honest.load(Ordering::SeqCst) > 0);
+
+    assert!(ask(&cabinet, "points/v1/*/*/throw/@adv/pub/smuggled?_anyke", None).await.is_empty());
+    assert!(
+        smuggled.load(Ordering::SeqCst) > 0,
+        "the question came to it, the answer in another's name did not come back"
+    );
+    assert!(ask(&cabinet, "points/v1/north/21B/throw/@adv/**?_anyke", None).await.is_empty());
+    assert_eq!(alive(&cabinet, "points/v1/**/alive").await, [ALIVE_A]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_shows_no_certificate_of_our_authority_gets_no_link() {
+    let (_cabinet, endpoint) = cabinet().await;
+    let good = client_config(&railway().folder("logger.north.21A"), &endpoint);
+    assert!(gets_a_link(good.clone()).await);
+
+    // A stranger's certificate in a known name, with our authority to check us by.
+    let mut forged = good.clone();
+    for (key, file) in [("connect_certificate", "cert.pem"), ("connect_private_key", "key.pem")] {
+        let path = stranger().folder("logger.north.21A").join(file);
+        forged.insert_json5(&format!("transport/link/tls/{key}"), &format!("{path:?}")).unwrap();
+    }
+    assert!(!gets_a_link(forged).await, "a foreign certificate opened a link");
+
+    let mut anonymous = good;
+    anonymous.insert_json5("transport/link/tls/enable_mtls", "false").unwrap();
+    anonymous.insert_json5("transport/link/tls/connect_certificate", "null").unwrap();
+    anonymous.insert_json5("transport/link/tls/connect_private_key", "null").unwrap();
+    assert!(!gets_a_link(anonymous).await, "a client without a certificate opened a link");
+
+    let mut plain = zenoh::Config::default();
+    plain.insert_json5("mode", "\"client\"").unwrap();
+    plain.insert_json5("scouting/multicast/enabled", "false").unwrap();
+    plain.insert_json5("connect/endpoints", &format!("[\"{}\"]", endpoint.replace("tls/", "tcp/"))).unwrap();
+    assert!(!gets_a_link(plain).await, "a client without TLS opened a link");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_logger_does_not_talk_to_a_false_cabinet() {
+    let mut config = zenoh_table(&cabinet_toml("tls/127.0.0.1:0", None));
+    for (key, file) in
+        [("listen_certificate", "cert.pem"), ("listen_private_key", "key.pem"), ("root_ca_certificate", "ca.pem")]
+    {
+        let path = stranger().folder("cabinet.north").join(file);
+        config.insert_json5(&format!("transport/link/tls/{key}"), &format!("{path:?}")).unwrap();
+    }
+    let (_false_cabinet, endpoint) = open_and_locate(config).await;
+    assert!(!gets_a_link(client_config(&railway().folder("logger.north.21A"), &endpoint)).await);
+    assert!(gets_a_link(client_config(&stranger().folder("logger.north.21A"), &endpoint)).await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_certificate_in_an_unlisted_name_gets_nothing() {
+    let (cabinet, endpoint) = cabinet().await;
+    let throws = throw_subscriber(&cabinet).await;
+    let health = answer(&cabinet, "points/v1/*/*/health", HEALTH).await;
+    let commands = answer(&cabinet, "points/v1/*/*/command", COMMAND).await;
+    let _alive = cabinet.liveliness().declare_token("points/v1/north/monitor/cabinet/alive").await.unwrap();
+    let guest = client("guest", &endpoint).await;
+    // A session hears what it says itself: another one of the same guest speaks.
+    let speaker = client("guest", &endpoint).await;
+    let viewer = client("viewer", &endpoint).await;
+    let (hears, sees) = (guest.declare_subscriber("**").await.unwrap(), viewer_of(&viewer).await);
+    let alarms = guest.declare_subscriber("points/v1/**/alarm").await.unwrap();
+
+    speaker.put(THROW_A, "forged").await.unwrap();
+    speaker.put(ALARM, "forged").await.unwrap();
+    publish_until(&cabinet, ALARM, &sees).await;
+    assert!(tokio::time::timeout(SILENCE, alarms.recv_async()).await.is_err(), "it read an alarm");
+    assert!(hears.try_recv().unwrap().is_none(), "it read something");
+    assert!(throws.try_recv().unwrap().is_none(), "its throw was taken");
+
+    assert!(ask(&guest, "points/v1/*/*/health", None).await.is_empty());
+    assert!(ask(&guest, COMMAND, Some("{}")).await.is_empty());
+    assert!(alive(&guest, "points/v1/**/alive").await.is_empty());
+    assert_eq!((health.load(Ordering::SeqCst), commands.load(Ordering::SeqCst)), (0, 0));
+    assert_eq!(ask(&viewer, "points/v1/*/*/health", None).await, [HEALTH]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_viewer_reads_and_an_operator_commands() {
+    let (cabinet, endpoint) = cabinet().await;
+    let throws = throw_subscriber(&cabinet).await;
+    let alarms_of_cabinet = cabinet.declare_subscriber("points/v1/*/*/alarm").await.unwrap();
+    let _health = answer(&cabinet, "points/v1/*/*/health", HEALTH).await;
+    let _alarm = answer(&cabinet, "points/v1/*/*/alarm", ALARM).await;
+    let commands = answer(&cabinet, "points/v1/*/*/command", COMMAND).await;
+    let _alive = cabinet.liveliness().declare_token("points/v1/north/monitor/cabinet/alive").await.unwrap();
+    let viewer = client("viewer", &endpoint).await;
+    let operator = client("operator", &endpoint).await;
+
+    for reader in [&viewer, &operator] {
+        let alarms = viewer_of(reader).await;
+        publish_until(&cabinet, ALARM, &alarms).await;
+        assert_eq!(ask(reader, "points/v1/**/health?limit=1", None).await, [HEALTH]);
+        assert_eq!(ask(reader, "points/v1/north/*/alarm", None).await, [ALARM]);
+        assert_eq!(alive(reader, "points/v1/**/alive").await, ["points/v1/north/monitor/cabinet/alive"]);
+    }
+    while alarms_of_cabinet.try_recv().unwrap().is_some() {}
+
+    for key in [COMMAND, "points/v1/*/*/command", "points/v1/**", "points/v1/*/*/*", "**"] {
+        assert!(ask(&viewer, key, Some("{}")).await.is_empty(), "{key} was answered");
+    }
+    assert_eq!(commands.load(Ordering::SeqCst), 0, "a viewer commanded");
+    assert_eq!(ask(&operator, COMMAND, Some("{}")).await, [COMMAND]);
+    assert_eq!(commands.load(Ordering::SeqCst), 1);
+
+    for reader in [&viewer, &operator] {
+        reader.put(ALARM, "forged").await.unwrap();
+        reader.put(THROW_A, "forged").await.unwrap();
+        // A later question on the same link was answered: what was put before it has been decided.
+        assert_eq!(ask(reader, "points/v1/**/health", None).await, [HEALTH]);
+        assert!(throws.try_recv().unwrap().is_none());
+        assert!(alarms_of_cabinet.try_recv().unwrap().is_none());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_logger_neither_reads_alarms_nor_commands() {
+    let (cabinet, endpoint) = cabinet().await;
+    let health = answer(&cabinet, "points/v1/*/*/health", HEALTH).await;
+    let commands = answer(&cabinet, "points/v1/*/*/command", COMMAND).await;
+    let logger = client("logger.north.21A", &endpoint).await;
+    let viewer = client("viewer", &endpoint).await;
+    let (hears, sees) = (viewer_of(&logger).await, viewer_of(&viewer).await);
+    publish_until(&cabinet, ALARM, &sees).await;
+    assert!(tokio::time::timeout(SILENCE, hears.recv_async()).await.is_err());
+    assert!(ask(&logger, HEALTH, None).await.is_empty());
+    assert!(ask(&logger, COMMAND, Some("{}")).await.is_empty());
+    assert_eq!((health.load(Ordering::SeqCst), commands.load(Ordering::SeqCst)), (0, 0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_message_above_the_limit_is_refused_and_the_next_good_one_is_taken() {
+    const LIMIT: usize = 2 * 1024 * 1024;
+    let (cabinet, endpoint) = cabinet().await;
+    let throws = throw_subscriber(&cabinet).await;
+    let logger = client("logger.north.21A", &endpoint).await;
+    // Without a cache: a refused message must not be fetched again.
+    let publisher =
+        logger.declare_publisher(THROW_A).congestion_control(zenoh::qos::CongestionControl::Block).await.unwrap();
+    let matching = publisher.matching_listener().await.unwrap();
+    while !publisher.matching_status().await.unwrap().matching() {
+        tokio::time::timeout(PATIENCE, matching.recv_async()).await.expect("the subscription arrives").unwrap();
+    }
+    // At the limit; above it; above what may be put together from pieces.
+    for (size, taken) in [(LIMIT, true), (LIMIT + 1, false), (64, true), (3 * LIMIT, false), (65, true)] {
+        publisher.put(vec![7_u8; size]).await.unwrap();
+        if taken {
+            assert_eq!(next(&throws).await.1.len(), size);
+        }
+    }
+    let commands = answer(&cabinet, "points/v1/*/*/command", COMMAND).await;
+    let operator = client("operator", &endpoint).await;
+    assert!(ask(&operator, COMMAND, Some(&"x".repeat(16 * 1024 + 1))).await.is_empty());
+    assert_eq!(commands.load(Ordering::SeqCst), 0);
+    assert_eq!(ask(&operator, COMMAND, Some("{}")).await, [COMMAND]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn throws_made_while_the_link_was_down_are_recovered_through_the_rules() {
+    let (cabinet, endpoint) = cabinet().await;
+    let throws = throw_subscriber(&cabinet).await;
+    let wire = Wire::to(endpoint.trim_start_matches("tls/").to_owned()).await;
+    let mut config = client_config(&railway().folder("logger.north.21A"), &wire.endpoint);
+    config.insert_json5("connect/retry", "{ period_init_ms: 100, period_max_ms: 200 }").unwrap();
+    let logger = zenoh::open(config).await.unwrap();
+    let publisher = throw_publisher(&logger, THROW_A).await;
+    until_heard(&publisher).await;
+    let mut arrived = BTreeSet::new();
+    let mut expected = BTreeSet::new();
+    for outage in 0..2_u8 {
+        for throw_no in 0..5 {
+            publisher.put(vec![outage, throw_no]).await.unwrap();
+            expected.insert(vec![outage, throw_no]);
+        }
+        wire.cut();
+        for throw_no in 5..25 {
+            publisher.put(vec![outage, throw_no]).await.unwrap();
+            expected.insert(vec![outage, throw_no]);
+        }
+        wire.mend();
+        while arrived != expected {
+            arrived.insert(next(&throws).await.1);
+            assert!(arrived.is_subset(&expected));
+        }
+    }
+}
+
+/// A subscriber to alarms.
+async fn viewer_of(session: &zenoh::Session) -> Alarms {
+    session.declare_subscriber("points/v1/**/alarm").await.unwrap()
+}
+
+type Alarms = zenoh::pubsub::Subscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>;
+
+/// Publishes until `reader` has it: a subscription takes its time to be known.
+async fn publish_until(session: &zenoh::Session, key: &'static str, reader: &Alarms) {
+    let publish = async {
+        loop {
+            session.put(key, "{}").wait().unwrap();
+            if tokio::time::timeout(Duration::from_millis(50), reader.recv_async()).await.is_ok() {
+                break;
+            }
+        }
+    };
+    tokio::time::timeout(PATIENCE, publish).await.expect("a reader gets the alarm");
+}
+
+/// A cable that can be cut: passes TCP on, or drops every link and takes no new one.
+struct Wire {
+    endpoint: String,
+    whole: tokio::sync::watch::Sender<bool>,
+}
+
+impl Wire {
+    async fn to(address: String) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let endpoint = format!("tls/{}", listener.local_addr().unwrap());
+        let (whole, state) = tokio::sync::watch::channel(true);
+        tokio::spawn(async move {
+            while let Ok((mut near, _)) = listener.accept().await {
+                let (mut state, address) = (state.clone(), address.clone());
+                tokio::spawn(async move {
+                    if *state.borrow_and_update() {
+                        let mut far = TcpStream::connect(address).await.unwrap();
+                        tokio::select! {
+                            _ = copy_bidirectional(&mut near, &mut far) => {}
+                            _ = state.changed() => {}
+                        }
+                    }
+                });
+            }
+        });
+        Self { endpoint, whole }
+    }
+
+    fn cut(&self) {
+        self.whole.send_replace(false);
+    }
+
+    fn mend(&self) {
+        self.whole.send_replace(true);
+    }
+}

@@ -1,0 +1,49 @@
+//! A cabinet joined to the central router: what passes, and for whom.
+
+use std::sync::atomic::Ordering;
+
+use super::site::*;
+
+const NORTH: &str = "points/v1/north/21A/alarm";
+const SOUTH: &str = "points/v1/south/21A/alarm";
+const COMMAND: &str = "points/v1/north/21A/command";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn alarms_and_commands_pass_the_central_router_and_throws_stay_in_the_cabinet() {
+    let folder = railway().folder("router");
+    let text = replaced(&read("zenoh/router.json5"), "/etc/zenohd/tls/", &format!("{}/", folder.display()));
+    let text = replaced(&text, "tls/[::]:7447", "tls/127.0.0.1:0");
+    let (_router, endpoint) = open_and_locate(zenoh::Config::from_json5(&text).unwrap()).await;
+    let (cabinet, loggers) = open_and_locate(zenoh_table(&cabinet_toml("tls/127.0.0.1:0", Some(&endpoint)))).await;
+
+    let throws = throw_subscriber(&cabinet).await;
+    let commands = answer(&cabinet, "points/v1/north/*/command", COMMAND).await;
+    let _north = answer(&cabinet, "points/v1/north/*/alarm", NORTH).await;
+    let _south = answer(&cabinet, "points/v1/south/*/alarm", SOUTH).await;
+    let viewer = client("viewer", &endpoint).await;
+    let operator = client("operator", &endpoint).await;
+    let curious = viewer.declare_subscriber("points/v1/**/throw").await.unwrap();
+
+    let joined = async {
+        while ask(&viewer, "points/v1/**/alarm", None).await.is_empty() {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, joined).await.expect("the cabinet joins the router");
+    assert_eq!(ask(&viewer, "points/v1/**/alarm", None).await, [NORTH], "a cabinet speaks for its own site only");
+
+    assert!(ask(&viewer, COMMAND, Some("{}")).await.is_empty());
+    assert_eq!(commands.load(Ordering::SeqCst), 0);
+    assert_eq!(ask(&operator, COMMAND, Some("{}")).await, [COMMAND]);
+    assert_eq!(commands.load(Ordering::SeqCst), 1);
+
+    let logger = client("logger.north.21A", &loggers).await;
+    let publisher = throw_publisher(&logger, THROW_A).await;
+    until_heard(&publisher).await;
+    publisher.put("a throw").await.unwrap();
+    assert_eq!(next(&throws).await.0, THROW_A);
+    assert!(tokio::time::timeout(SILENCE, curious.recv_async()).await.is_err(), "a throw left the cabinet");
+    // The central router's own certificate gives nobody behind it a voice in the cabinet.
+    operator.put(THROW_A, "forged").await.unwrap();
+    assert!(tokio::time::timeout(SILENCE, throws.recv_async()).await.is_err(), "a throw came from the router");
+}
