@@ -3,6 +3,7 @@
 mod exit;
 mod pointsd;
 mod pointsim;
+mod throw;
 
 pub use exit::{Exit, Failure, Outcome, ResultExt};
 

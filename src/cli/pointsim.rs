@@ -13,12 +13,17 @@ struct Arguments {
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {}
+enum Command {
+    /// Simulates one throw and writes its trace as CSV.
+    Throw(super::throw::Arguments),
+}
 
 pub(super) fn main() -> Outcome {
     let arguments = match exit::parse::<Arguments>() {
         Ok(arguments) => arguments,
         Err(exit) => return Ok(exit),
     };
-    match arguments.command {}
+    match arguments.command {
+        Command::Throw(arguments) => super::throw::main(&arguments),
+    }
 }

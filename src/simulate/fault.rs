@@ -152,11 +152,10 @@ impl Parameters {
             self.scale_friction(ratio);
         } else if ratio > 1.0 {
             let chairs = loads.chair_dry_per_mu * self.rails.slide_friction;
-            let spring = self.mean_spring_torque(&loads);
-            let speed = self.running_speed(loads.viscous, loads.drive_dry + chairs + spring);
+            let speed = self.running_speed(loads.viscous, loads.drive_dry + chairs);
             let drag = ratio * (loads.viscous + (loads.drive_dry + chairs) / speed);
             // More friction slows the machine, so the same torque counts more: solved for the slower speed.
-            let slower = self.running_speed(drag, spring);
+            let slower = self.running_speed(drag, 0.0);
             let dry = (drag - loads.viscous) * slower;
             self.rails.slide_friction = (dry - loads.drive_dry) / loads.chair_dry_per_mu;
         }

@@ -279,7 +279,7 @@ impl SimulatedMachine {
             }
         }
         let motion = machine.simulate(direction, &conditions, sensors.step_s())?;
-        let trace = sensors.record(&motion, direction, &mut self.rng)?;
+        let trace = sensors.record(&motion, direction, &mut self.rng)?.trace;
         Ok(SimulatedThrow {
             throw_index,
             direction,

@@ -157,7 +157,7 @@ pub struct Coefficients {
     pub a1_viscous: f64,
     /// All inertia seen at the screw `J_tot` \[kg m²\].
     pub inertia_kg_m2: f64,
-    /// Screw speed at which the motor's torque balances friction and the mean spring load \[rad/s\].
+    /// Screw speed at which the motor's torque balances friction \[rad/s\]; over both directions the springs cancel.
     pub running_speed_rad_s: f64,
 }
 
@@ -227,7 +227,7 @@ impl Parameters {
         let modes = self.rails.modes();
         let loads = self.loads(&modes);
         let dry = loads.drive_dry + loads.chair_dry_per_mu * self.rails.slide_friction;
-        let speed = self.running_speed(loads.viscous, dry + self.mean_spring_torque(&loads));
+        let speed = self.running_speed(loads.viscous, dry);
         let a1_viscous = loads.viscous / loads.inertia;
         Ok(Coefficients {
             b0: self.torque_constant * self.gear_ratio / loads.inertia,
@@ -237,12 +237,6 @@ impl Parameters {
             inertia_kg_m2: loads.inertia,
             running_speed_rad_s: speed,
         })
-    }
-
-    /// Mean restoring torque over a throw from normal to reverse \[N m\].
-    pub(super) fn mean_spring_torque(&self, loads: &Loads) -> f64 {
-        let from_neutral_mm = self.stroke_mm / 2.0 - self.neutral_mm;
-        loads.stiffness * from_neutral_mm / 1000.0 / self.metres_per_radian()
     }
 
     /// Checks that every parameter is finite and in its range.

@@ -29,5 +29,5 @@ pub use fleet::{
 pub use machine::{Coefficients, InvalidParameter, MotorKind, Parameters};
 pub use motion::{Conditions, Motion, STEP_S};
 pub use rails::{MAX_MODES, RailModel, Rails};
-pub use sensors::{Channel, Sensors, Stuck, Which};
+pub use sensors::{Channel, Recording, Sensors, Stuck, Which};
 pub use supply::Waveform;

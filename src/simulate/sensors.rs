@@ -81,6 +81,15 @@ pub struct Stuck {
     pub from_s: f64,
 }
 
+/// What the logger wrote down.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recording {
+    /// Time stamp of each sample, from the first \[s\]: nominal instants, with holes where samples were dropped.
+    pub time_s: Vec<f64>,
+    /// The samples.
+    pub trace: Trace,
+}
+
 impl Default for Sensors {
     fn default() -> Self {
         Self {
@@ -155,7 +164,7 @@ impl Sensors {
         motion: &Motion,
         direction: Direction,
         rng: &mut R,
-    ) -> Result<Trace, InvalidParameter> {
+    ) -> Result<Recording, InvalidParameter> {
         self.check()?;
         let sign = if self.signed_current { direction.sign() } else { 1.0 };
         let current = self.filtered(motion, &motion.current_a, sign * (1.0 + self.current.gain_pct / 100.0));
@@ -164,6 +173,7 @@ impl Sensors {
         let off_s = motion.cut_off as f64 * motion.step_s;
         let count = whole((self.before_s + off_s + self.after_s) * self.sample_rate_hz) + 1;
         let lead = self.before_s;
+        let mut time = Vec::with_capacity(count);
         let (mut current_a, mut position_mm) = (Vec::with_capacity(count), Vec::with_capacity(count));
         let mut stuck_at: Option<f64> = None;
         for at in 0..count {
@@ -178,13 +188,14 @@ impl Sensors {
                 };
                 *value = *stuck_at.get_or_insert(*value);
             }
-            if self.dropped_pct > 0.0 && rng.random::<f64>() * 100.0 < self.dropped_pct {
+            if at > 0 && self.dropped_pct > 0.0 && rng.random::<f64>() * 100.0 < self.dropped_pct {
                 continue;
             }
+            time.push(at as f64 * period);
             current_a.push(a);
             position_mm.push(mm);
         }
-        Ok(trace(self.sample_rate_hz, current_a, position_mm))
+        Ok(recording(self.sample_rate_hz, time, current_a, position_mm))
     }
 
     /// The channel on the simulation's grid, after gain and anti-alias filter.
@@ -215,11 +226,13 @@ impl Channel {
     }
 }
 
-#[expect(clippy::expect_used, reason = "checked rate; at least one and at most 20,000 Hz x 51 s samples, near enough")]
-fn trace(sample_rate_hz: f64, mut current_a: Vec<f64>, mut position_mm: Vec<f64>) -> Trace {
-    current_a.truncate(crate::throw::MAX_SAMPLES);
-    position_mm.truncate(crate::throw::MAX_SAMPLES);
-    Trace::new(sample_rate_hz, current_a, position_mm).expect("a recorded trace")
+#[expect(
+    clippy::expect_used,
+    reason = "the checks keep rate and length in range, and the first sample is never dropped"
+)]
+fn recording(sample_rate_hz: f64, time_s: Vec<f64>, current_a: Vec<f64>, position_mm: Vec<f64>) -> Recording {
+    let trace = Trace::new(sample_rate_hz, current_a, position_mm).expect("a recorded trace");
+    Recording { time_s, trace }
 }
 
 /// The value at a fractional grid index, held beyond both ends.

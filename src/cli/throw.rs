@@ -1,0 +1,223 @@
+//! `pointsim throw`: one simulated throw as a CSV file, and what the physics says of it.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow, bail};
+use clap::ValueEnum;
+use rand::SeedableRng;
+use rand_chacha::ChaCha12Rng;
+use serde::{Deserialize, Serialize};
+
+use super::{Exit, Outcome, ResultExt};
+use crate::simulate::{Coefficients, Condition, Conditions, Motion, Parameters, Part, Recording, Sensors};
+use crate::throw::Direction;
+
+/// The command line of `pointsim throw`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  pointsim throw --out throw.csv
+  pointsim throw --out worn.csv --direction reverse-to-normal --fault friction=25 --seed 7 --json
+  pointsim throw --out slow.csv --set sensors.sample_rate_hz=100 --set sensors.anti_alias_hz=40
+  pointsim throw --out other.csv --set machine.stroke_mm=150 --set machine.rails.slide_friction=0.1
+
+Exit codes: 0 written; 64 wrong command line; 66 the configuration file cannot be read; 73 the CSV file cannot be
+created; 78 a machine or sensor value is out of its range.")]
+pub(super) struct Arguments {
+    /// The CSV file to write: `time_s,current_a,position_mm`.
+    #[arg(long, value_name = "FILE.csv")]
+    out: PathBuf,
+    /// Which way the toe moves.
+    #[arg(long, value_enum, default_value_t = Way::NormalToReverse)]
+    direction: Way,
+    /// Random numbers of the sensors.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// TOML file with tables `[machine]` and `[sensors]`; what it leaves out has its default.
+    #[arg(long, value_name = "FILE.toml")]
+    config: Option<PathBuf>,
+    /// Changes one value of the configuration, for example `machine.lead_mm=8` (repeatable).
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    changes: Vec<String>,
+    /// Wears a part by this change of its coefficient in %: kt, friction, stiffness, rail_stiffness or inertia (repeatable).
+    #[arg(long = "fault", value_name = "PART=PCT", allow_hyphen_values = true)]
+    faults: Vec<String>,
+    /// Starts from a machine with a series-wound motor.
+    #[arg(long)]
+    series: bool,
+    /// Temperature of the machine [°C].
+    #[arg(long, default_value_t = 20.0, allow_hyphen_values = true)]
+    temperature_c: f64,
+    /// An obstacle in the way of the toe, this far from normal [mm].
+    #[arg(long)]
+    obstruction_mm: Option<f64>,
+    /// Prints what the physics says, as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Way {
+    NormalToReverse,
+    ReverseToNormal,
+}
+
+impl From<Way> for Direction {
+    fn from(way: Way) -> Self {
+        match way {
+            Way::NormalToReverse => Self::NormalToReverse,
+            Way::ReverseToNormal => Self::ReverseToNormal,
+        }
+    }
+}
+
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Settings {
+    machine: Parameters,
+    sensors: Sensors,
+}
+
+/// What is printed: the truth behind the trace.
+#[derive(Debug, Serialize)]
+struct Truth {
+    #[serde(flatten)]
+    coefficients: Coefficients,
+    direction: Direction,
+    completed: bool,
+    duration_s: f64,
+    peak_current_a: f64,
+    lead_mm: f64,
+    stroke_mm: f64,
+    neutral_mm: f64,
+    sample_rate_hz: f64,
+    samples: usize,
+    temperature_c: f64,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    let Settings { machine, sensors } = settings(arguments)?;
+    let condition = condition(&arguments.faults).or_exit(Exit::Usage)?;
+    let worn = machine.in_condition(&condition).or_exit(Exit::Config)?;
+    let direction = Direction::from(arguments.direction);
+    let conditions = Conditions {
+        temperature_c: arguments.temperature_c,
+        obstruction_mm: arguments.obstruction_mm,
+        ..Conditions::default()
+    };
+    sensors.check().or_exit(Exit::Config)?;
+    let motion = worn.simulate(direction, &conditions, sensors.step_s()).or_exit(Exit::Config)?;
+    let mut rng = ChaCha12Rng::seed_from_u64(arguments.seed);
+    let recording = sensors.record(&motion, direction, &mut rng).or_exit(Exit::Config)?;
+    write_csv(&arguments.out, &recording)
+        .with_context(|| format!("{} cannot be written", arguments.out.display()))
+        .or_exit(Exit::CannotCreate)?;
+    let coefficients = worn.at_temperature(arguments.temperature_c).coefficients().or_exit(Exit::Config)?;
+    let truth = Truth {
+        coefficients,
+        direction,
+        completed: motion.completed,
+        duration_s: motion.cut_off as f64 * motion.step_s,
+        peak_current_a: peak(&motion),
+        lead_mm: worn.lead_mm,
+        stroke_mm: worn.stroke_mm,
+        neutral_mm: worn.neutral_mm,
+        sample_rate_hz: sensors.sample_rate_hz,
+        samples: recording.trace.len(),
+        temperature_c: arguments.temperature_c,
+    };
+    report(&truth, arguments).or_exit(Exit::Io)
+}
+
+fn peak(motion: &Motion) -> f64 {
+    motion.current_a.iter().fold(0.0, |most, current| current.abs().max(most))
+}
+
+fn report(truth: &Truth, arguments: &Arguments) -> anyhow::Result<Exit> {
+    let mut out = std::io::stdout().lock();
+    if arguments.json {
+        serde_json::to_writer_pretty(&mut out, truth)?;
+        writeln!(out)?;
+        return Ok(Exit::Ok);
+    }
+    let Coefficients { b0, a1, a0, .. } = truth.coefficients;
+    writeln!(out, "{}: {} samples at {} Hz", arguments.out.display(), truth.samples, truth.sample_rate_hz)?;
+    let end = if truth.completed { "completed" } else { "not completed" };
+    let (duration, peak) = (truth.duration_s, truth.peak_current_a);
+    writeln!(out, "{}, {end} in {duration:.2} s, peak current {peak:.1} A", truth.direction)?;
+    writeln!(out, "the physics says b0 = {b0:.2}, a1 = {a1:.3}, a0 = {a0:.4}")?;
+    Ok(Exit::Ok)
+}
+
+fn settings(arguments: &Arguments) -> Result<Settings, super::Failure> {
+    let machine = if arguments.series { Parameters::series() } else { Parameters::default() };
+    let start = Settings { machine, sensors: Sensors::default() };
+    let mut table = toml::Table::try_from(start).or_exit(Exit::Software)?;
+    if let Some(path) = &arguments.config {
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("{} cannot be read", path.display()))
+            .or_exit(Exit::NoInput)?;
+        let file = text.parse().with_context(|| path.display().to_string()).or_exit(Exit::Config)?;
+        merge(&mut table, file);
+    }
+    for change in &arguments.changes {
+        apply(&mut table, change).or_exit(Exit::Usage)?;
+    }
+    table.try_into().context("the configuration is wrong").or_exit(Exit::Config)
+}
+
+fn merge(into: &mut toml::Table, from: toml::Table) {
+    for (key, value) in from {
+        match (into.get_mut(&key), value) {
+            (Some(toml::Value::Table(inner)), toml::Value::Table(changes)) => merge(inner, changes),
+            (_, value) => {
+                into.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Applies `a.b.c=value`; a value that is no TOML value is text.
+fn apply(table: &mut toml::Table, change: &str) -> anyhow::Result<()> {
+    let (key, text) = change.split_once('=').ok_or_else(|| anyhow!("--set {change}: write it as KEY=VALUE"))?;
+    let value = format!("v = {text}")
+        .parse::<toml::Table>()
+        .ok()
+        .and_then(|mut parsed| parsed.remove("v"))
+        .unwrap_or_else(|| toml::Value::String(text.to_owned()));
+    let nested = key.rsplit('.').fold(value, |inner, part| {
+        let mut outer = toml::Table::new();
+        outer.insert(part.to_owned(), inner);
+        toml::Value::Table(outer)
+    });
+    let toml::Value::Table(nested) = nested else { bail!("--set {change}: the key is empty") };
+    merge(table, nested);
+    Ok(())
+}
+
+fn condition(faults: &[String]) -> anyhow::Result<Condition> {
+    let mut condition = Condition::default();
+    for fault in faults {
+        let (part, size) = fault.split_once('=').ok_or_else(|| anyhow!("--fault {fault}: write it as PART=PCT"))?;
+        let name = serde::de::value::StrDeserializer::<serde::de::value::Error>::new(part);
+        let part = Part::deserialize(name).map_err(|error| anyhow!("--fault {fault}: {error}"))?;
+        let size_pct: f64 = size.parse().with_context(|| format!("--fault {fault}: {size} is no number"))?;
+        if !(-90.0..=2000.0).contains(&size_pct) {
+            bail!("--fault {fault}: the size must be -90 to 2000 %");
+        }
+        condition.worsen(part, size_pct);
+    }
+    Ok(condition)
+}
+
+fn write_csv(path: &Path, recording: &Recording) -> anyhow::Result<()> {
+    let mut writer = csv::Writer::from_path(path)?;
+    writer.write_record(["time_s", "current_a", "position_mm"])?;
+    let samples = recording.trace.current_a().iter().zip(recording.trace.position_mm());
+    for (time_s, (current_a, position_mm)) in recording.time_s.iter().zip(samples) {
+        let row = [format!("{time_s:.7}"), format!("{current_a:.6}"), format!("{position_mm:.6}")];
+        writer.write_record(&row)?;
+    }
+    writer.flush()?;
+    Ok(())
+}
