@@ -1,5 +1,6 @@
 //! The commands of `pointsd` and `pointsim`. One file a command; `pointsd.rs` and `pointsim.rs` hold the command lines.
 
+mod evaluate;
 mod exit;
 mod pointsd;
 mod pointsim;

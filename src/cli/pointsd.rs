@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use super::{Outcome, exit};
+use super::{Outcome, evaluate, exit};
 
 /// Condition monitoring of railway point machines: which part is wearing out, from the physics of every throw.
 #[derive(Debug, Parser)]
@@ -13,12 +13,16 @@ struct Arguments {
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {}
+enum Command {
+    Evaluate(evaluate::Arguments),
+}
 
 pub(super) fn main() -> Outcome {
     let arguments = match exit::parse::<Arguments>() {
         Ok(arguments) => arguments,
         Err(exit) => return Ok(exit),
     };
-    match arguments.command {}
+    match arguments.command {
+        Command::Evaluate(arguments) => evaluate::run(&arguments),
+    }
 }

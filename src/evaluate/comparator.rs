@@ -1,0 +1,77 @@
+//! What both comparators share: a baseline from the same throws as the monitor's, and the calls they make.
+
+use nalgebra::Vector3;
+
+use super::judge::Call;
+use crate::{
+    diagnose::{Cause, Observation},
+    throw::Direction,
+};
+
+/// Standard deviation that a coefficient has at least, so that a comparator never divides by nothing.
+const LEAST_SD: f64 = 1e-4;
+
+/// Mean and standard deviation of (ln b0, ln a1, ln a0) over a direction's first throws.
+#[derive(Debug, Clone)]
+pub(super) struct Baseline {
+    wanted: usize,
+    throws: Vec<Vector3<f64>>,
+    normal: Option<(Vector3<f64>, Vector3<f64>)>,
+}
+
+impl Baseline {
+    /// A baseline over the first `wanted` throws, at least 2.
+    pub(super) fn new(wanted: usize) -> Self {
+        Self { wanted: wanted.max(2), throws: Vec::new(), normal: None }
+    }
+
+    /// Takes in a throw: the mean and standard deviation once the baseline is full, without this throw in it.
+    pub(super) fn take(&mut self, log_theta: Vector3<f64>) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        if self.normal.is_none() {
+            self.throws.push(log_theta);
+            if self.throws.len() == self.wanted {
+                let mean = self.throws.iter().sum::<Vector3<f64>>() / self.wanted as f64;
+                let squares = self.throws.iter().map(|x| (x - mean).component_mul(&(x - mean)));
+                let variance = squares.sum::<Vector3<f64>>() / (self.wanted - 1) as f64;
+                self.normal = Some((mean, variance.map(|v| v.sqrt().max(LEAST_SD))));
+            }
+            return None;
+        }
+        self.normal
+    }
+
+    /// The throws of the baseline.
+    pub(super) fn throws(&self) -> &[Vector3<f64>] {
+        &self.throws
+    }
+}
+
+/// The direction's index and the logarithms of its coefficients, when the throw has both.
+pub(super) fn log_theta(observation: &Observation) -> Option<(usize, Vector3<f64>)> {
+    let (theta, _) = observation.estimate?;
+    let direction = match observation.direction? {
+        Direction::NormalToReverse => 0,
+        Direction::ReverseToNormal => 1,
+    };
+    theta.iter().all(|coefficient| *coefficient > 0.0).then(|| (direction, Vector3::from(theta).map(f64::ln)))
+}
+
+/// Turns what a rule thinks after each throw into calls: one whenever it starts to think something new.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Caller {
+    thinks: [Option<Cause>; 2],
+    /// All calls so far.
+    pub(super) calls: Vec<Call>,
+}
+
+impl Caller {
+    /// Notes what the rule thinks of `direction` after throw `at`.
+    pub(super) fn note(&mut self, direction: usize, at: usize, thinks: Option<Cause>) {
+        if let Some(cause) = thinks
+            && !self.thinks.contains(&thinks)
+        {
+            self.calls.push(Call { at, cause, critical: false });
+        }
+        self.thinks[direction] = thinks;
+    }
+}

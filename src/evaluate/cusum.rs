@@ -1,0 +1,163 @@
+//! The CUSUM comparator: one two-sided cumulative sum on each coefficient and direction (Page 1954).
+//!
+//! The reference value of a coefficient is half its cause's warning limit, the textbook choice for a shift of that size. Its
+//! decision limit is H standard deviations of the direction's baseline; the one H of a run is tuned on healthy machines
+//! of the same scatter until their alarms come at the rate of the false-alarm budget that the monitor is given.
+//!
+//! When a sum passes its limit the rule waits for [`CONFIRM_THROWS`] more throws of that direction, so that slower
+//! coefficients can follow, and then names: one coefficient alone, its cause; all three to the same side, inertia; anything
+//! else has no name. The sums then start again from zero.
+
+use nalgebra::Vector3;
+
+use super::{
+    comparator::{Baseline, Caller, log_theta},
+    judge::Call,
+    parameter::{ParameterMachine, SCATTER_PHI},
+    random::stream,
+    scenario::{Limits, Noise},
+};
+use crate::diagnose::{Cause, Observation};
+
+/// Throws of a direction between a sum passing its limit and the naming.
+const CONFIRM_THROWS: usize = 3;
+
+/// How sensitive the sums are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Design {
+    /// Reference values, in logarithms.
+    reference: Vector3<f64>,
+    /// H: decision limit in standard deviations of the baseline.
+    decision_sd: f64,
+}
+
+/// The sums of one direction.
+#[derive(Debug, Clone, Default)]
+struct Sums {
+    high: Vector3<f64>,
+    low: Vector3<f64>,
+    /// +1 or -1 for each coefficient whose sum passed its limit since the first did, and throws since then.
+    passed: Option<([i8; 3], usize)>,
+}
+
+impl Sums {
+    /// Adds a deviation; the cause or [`Cause::Unattributed`] when it is time to name.
+    fn add(&mut self, deviation: Vector3<f64>, sd: Vector3<f64>, design: &Design) -> Option<Cause> {
+        self.high = (self.high + deviation - design.reference).map(|s| s.max(0.0));
+        self.low = (self.low - deviation - design.reference).map(|s| s.max(0.0));
+        let limit = sd * design.decision_sd;
+        let side = |i: usize| i8::from(self.high[i] > limit[i]) - i8::from(self.low[i] > limit[i]);
+        let sides = [side(0), side(1), side(2)];
+        let (mut passed, throws) = match self.passed {
+            Some((passed, throws)) => (passed, throws + 1),
+            None if sides == [0; 3] => return None,
+            None => ([0; 3], 0),
+        };
+        for (latched, side) in passed.iter_mut().zip(sides) {
+            *latched = if *latched == 0 { side } else { *latched };
+        }
+        self.passed = Some((passed, throws));
+        if throws < CONFIRM_THROWS {
+            return None;
+        }
+        *self = Self::default();
+        Some(name(passed))
+    }
+}
+
+fn name(passed: [i8; 3]) -> Cause {
+    match passed {
+        [1, 1, 1] | [-1, -1, -1] => Cause::Inertia,
+        [_, 0, 0] => Cause::Kt,
+        [0, _, 0] => Cause::Friction,
+        [0, 0, _] => Cause::Stiffness,
+        _ => Cause::Unattributed,
+    }
+}
+
+/// The comparator on one machine.
+#[derive(Debug, Clone)]
+pub(super) struct Cusum {
+    design: Design,
+    baselines: [Baseline; 2],
+    sums: [Sums; 2],
+    caller: Caller,
+}
+
+impl Cusum {
+    /// A comparator with a baseline of `baseline` throws a direction.
+    pub(super) fn new(design: Design, baseline: usize) -> Self {
+        let baselines = [(); 2].map(|()| Baseline::new(baseline));
+        Self { design, baselines, sums: [Sums::default(), Sums::default()], caller: Caller::default() }
+    }
+
+    /// Takes in throw `at` of the machine.
+    pub(super) fn observe(&mut self, at: usize, observation: &Observation) {
+        let Some((direction, log_theta)) = log_theta(observation) else { return };
+        let Some((mean, sd)) = self.baselines[direction].take(log_theta) else { return };
+        if let Some(cause) = self.sums[direction].add(log_theta - mean, sd, &self.design) {
+            self.caller.note(direction, at, Some(cause));
+        } else if self.sums[direction].passed.is_none() {
+            self.caller.note(direction, at, None);
+        }
+    }
+
+    /// What it named.
+    pub(super) fn into_calls(self) -> Vec<Call> {
+        self.caller.calls
+    }
+}
+
+/// Machines, and throws a direction of each, on which H is tuned.
+const TUNING: (usize, usize) = (100, 2500);
+/// H lies in here \[standard deviations\], and the bisection halves it this often.
+const DECISION_SD: (f64, f64, usize) = (0.0, 100.0, 14);
+
+impl Design {
+    /// Tunes H until healthy machines alarm once in `throws_per_false_alarm` throws of a machine.
+    pub(super) fn tuned(seed: u64, noise: Noise, limits: Limits, baseline: usize, throws_per_false_alarm: f64) -> Self {
+        let reference = Vector3::new(limits[0], limits[1], limits[2]) / 2.0;
+        let lives = tuning_lives(seed, noise, baseline);
+        let watched = 2.0 * (TUNING.0 * TUNING.1) as f64;
+        let (mut low, mut high, halvings) = DECISION_SD;
+        for _ in 0..halvings {
+            let middle = f64::midpoint(low, high);
+            let design = Self { reference, decision_sd: middle };
+            let alarms: usize = lives.iter().map(|life| alarms(life, &design)).sum();
+            if alarms as f64 > watched / throws_per_false_alarm {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        Self { reference, decision_sd: high }
+    }
+}
+
+/// The deviations of one direction from its baseline, and the baseline's standard deviations.
+type TuningLife = (Vec<Vector3<f64>>, Vector3<f64>);
+
+fn tuning_lives(seed: u64, noise: Noise, baseline: usize) -> Vec<TuningLife> {
+    let mut lives = Vec::new();
+    for machine_no in 0..TUNING.0 {
+        let random = stream(seed, super::domain::TUNING, noise as usize, machine_no);
+        let mut machine = ParameterMachine::new(random, noise, SCATTER_PHI);
+        let mut directions = [(); 2].map(|()| (Baseline::new(baseline), Vec::new(), Vector3::zeros()));
+        for throw in 0..2 * (baseline + TUNING.1) {
+            let (theta, _) = machine.throw(throw % 2, Vector3::zeros());
+            let (reference, deviations, baseline_sd) = &mut directions[throw % 2];
+            let log_theta = Vector3::from(theta).map(f64::ln);
+            if let Some((mean, sd)) = reference.take(log_theta) {
+                deviations.push(log_theta - mean);
+                *baseline_sd = sd;
+            }
+        }
+        lives.extend(directions.map(|(_, deviations, sd)| (deviations, sd)));
+    }
+    lives
+}
+
+fn alarms((deviations, sd): &TuningLife, design: &Design) -> usize {
+    let mut sums = Sums::default();
+    deviations.iter().filter(|deviation| sums.add(**deviation, *sd, design).is_some()).count()
+}

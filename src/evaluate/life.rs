@@ -1,0 +1,105 @@
+//! One machine's life in front of the monitor and both comparators.
+
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::Matrix3;
+
+use super::{
+    cusum::{Cusum, Design},
+    judge::Call,
+    paper::PaperRule,
+    parameter::ParameterMachine,
+    scenario::Limits,
+    timeline::{THROWS_A_DAY, Timeline},
+    trace::TraceMachine,
+};
+use crate::{
+    diagnose::{MachineMonitor, Observation, Settings},
+    estimate::Features,
+    throw::{Direction, ThrowRef},
+};
+
+/// Where the throws of a life come from.
+#[derive(Debug)]
+pub(super) enum Source {
+    /// Coefficients drawn from the calibrated scatter.
+    Parameter(Box<ParameterMachine>),
+    /// Complete simulated throws through the estimator.
+    Trace(Box<TraceMachine>),
+}
+
+impl Source {
+    /// What the monitor gets to see of throw `at`.
+    pub(super) fn observe(&mut self, at: usize, life: &Timeline) -> Observation {
+        match self {
+            Self::Parameter(machine) => {
+                let estimate = machine.throw(at % 2, life.displacement(at));
+                observation(at, Some(estimate), life.temperature_c(at))
+            }
+            Self::Trace(machine) => machine.observe(at),
+        }
+    }
+}
+
+/// When throw `at` starts.
+pub(super) fn started_at(at: usize) -> Timestamp {
+    #[expect(clippy::cast_possible_wrap, reason = "a life has few throws")]
+    let seconds = (at * 86_400 / THROWS_A_DAY) as i64;
+    Timestamp::UNIX_EPOCH + SignedDuration::from_secs(seconds)
+}
+
+/// Throw `at` of a machine that is thrown to and fro, at equal times through the day.
+pub(super) fn observation(
+    at: usize,
+    estimate: Option<([f64; 3], Matrix3<f64>)>,
+    temperature_c: Option<f64>,
+) -> Observation {
+    Observation {
+        throw: ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 },
+        started_at: started_at(at),
+        direction: Some(if at.is_multiple_of(2) { Direction::NormalToReverse } else { Direction::ReverseToNormal }),
+        estimate,
+        incomplete: false,
+        features: Features::default(),
+        temperature_c,
+    }
+}
+
+/// What the rules need to know.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rules<'a> {
+    pub(super) settings: &'a Settings,
+    pub(super) limits: Limits,
+    /// Throws of a direction that the comparators take for their baseline.
+    pub(super) baseline: usize,
+    pub(super) cusum: Design,
+}
+
+/// What the three rules said over one life.
+#[derive(Debug)]
+pub(super) struct Heard {
+    /// Drift that the monitor named, or could not name.
+    pub(super) monitor: Vec<Call>,
+    /// Alarms of any kind that the monitor raised.
+    pub(super) raised: usize,
+    pub(super) paper: Vec<Call>,
+    pub(super) cusum: Vec<Call>,
+}
+
+/// Lives a life in front of the three rules.
+pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> Heard {
+    let mut monitor = MachineMonitor::new("evaluated");
+    let mut paper = PaperRule::new(rules.limits, rules.baseline);
+    let mut cusum = Cusum::new(rules.cusum, rules.baseline);
+    let mut heard = Heard { monitor: Vec::new(), raised: 0, paper: Vec::new(), cusum: Vec::new() };
+    for at in 0..life.throws {
+        let observation = source.observe(at, life);
+        let events = monitor.observe(&observation, rules.settings).events;
+        heard.raised += events.iter().filter(|event| event.event_no == 1).count();
+        heard.monitor.extend(events.iter().filter_map(|event| Call::of(event, at)));
+        paper.observe(at, &observation);
+        cusum.observe(at, &observation);
+    }
+    heard.paper = paper.into_calls();
+    heard.cusum = cusum.into_calls();
+    heard
+}

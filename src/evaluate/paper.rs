@@ -1,0 +1,88 @@
+//! The paper's bare rule, in service: after every throw, the last six of a direction against its baseline.
+//!
+//! The paper looks at six tests. A coefficient moved when the mean of the last six throws is past the warning limit of its
+//! cause (b0: motor, a1: friction, a0: stiffness). Any movement is judged: when the three inertia estimates of the last
+//! six throws and of the last six of the baseline are correlated pairwise by at least 0.8 the cause is inertia (the
+//! inertia's own limit counts for b0); else, when one coefficient moved alone, it is that coefficient's; else the rule
+//! has no name for it. Both sixes are in the correlation because six throws after a step differ by noise alone, and
+//! equal halves show a step best.
+
+use nalgebra::Vector3;
+
+use super::{
+    comparator::{Baseline, Caller, log_theta},
+    judge::Call,
+    scenario::{Limits, PARTS},
+};
+use crate::diagnose::{Cause, Observation};
+
+/// Tests that the paper judges together.
+const TESTS: usize = 6;
+/// Least pairwise correlation of the three inertia estimates that means inertia.
+const CORRELATED: f64 = 0.8;
+
+/// The rule on one machine.
+#[derive(Debug, Clone)]
+pub(super) struct PaperRule {
+    limits: Limits,
+    baselines: [Baseline; 2],
+    recent: [Vec<Vector3<f64>>; 2],
+    caller: Caller,
+}
+
+impl PaperRule {
+    /// A rule with a baseline of `baseline` throws a direction.
+    pub(super) fn new(limits: Limits, baseline: usize) -> Self {
+        let baselines = [(); 2].map(|()| Baseline::new(baseline));
+        Self { limits, baselines, recent: [Vec::new(), Vec::new()], caller: Caller::default() }
+    }
+
+    /// Takes in throw `at` of the machine.
+    pub(super) fn observe(&mut self, at: usize, observation: &Observation) {
+        let Some((direction, log_theta)) = log_theta(observation) else { return };
+        let Some((mean, _)) = self.baselines[direction].take(log_theta) else { return };
+        let recent = &mut self.recent[direction];
+        recent.push(log_theta);
+        if recent.len() > TESTS {
+            recent.remove(0);
+        }
+        if recent.len() == TESTS {
+            let before = self.baselines[direction].throws();
+            let tests: Vec<_> = before[before.len().saturating_sub(TESTS)..].iter().chain(&*recent).copied().collect();
+            let change = recent.iter().sum::<Vector3<f64>>() / TESTS as f64 - mean;
+            self.caller.note(direction, at, verdict(change, &tests, self.limits));
+        }
+    }
+
+    /// What it named.
+    pub(super) fn into_calls(self) -> Vec<Call> {
+        self.caller.calls
+    }
+}
+
+/// The rule itself, on the change of (ln b0, ln a1, ln a0) and the logarithms of the tests to correlate.
+fn verdict(change: Vector3<f64>, tests: &[Vector3<f64>], limits: Limits) -> Option<Cause> {
+    let size = change.map(|x| x.exp_m1().abs());
+    let [kt, friction, stiffness, inertia] = limits;
+    let alone: Vec<Cause> = (0..3).filter(|&i| size[i] >= [kt, friction, stiffness][i]).map(|i| PARTS[i]).collect();
+    if alone.is_empty() && size[0] < inertia {
+        None
+    } else if correlated(tests) {
+        Some(Cause::Inertia)
+    } else if let [cause] = alone[..] {
+        Some(cause)
+    } else {
+        Some(Cause::Unattributed)
+    }
+}
+
+/// Whether J = nominal / estimate of the three coefficients is correlated by at least 0.8 in each pair. The nominal value
+/// scales a series and leaves its correlations alone.
+fn correlated(tests: &[Vector3<f64>]) -> bool {
+    let inertia = || tests.iter().map(|log_theta| log_theta.map(|x| (-x).exp()));
+    let mean = inertia().sum::<Vector3<f64>>() / tests.len() as f64;
+    let covariance = inertia().map(|j| j.component_div(&mean).add_scalar(-1.0)).map(|d| d * d.transpose());
+    let covariance = covariance.sum::<nalgebra::Matrix3<f64>>();
+    let correlation = |i, j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
+    correlation(0, 1) >= CORRELATED && correlation(0, 2) >= CORRELATED && correlation(1, 2) >= CORRELATED
+}

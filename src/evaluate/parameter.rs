@@ -1,0 +1,109 @@
+//! A machine at parameter depth: its coefficients drawn from a calibrated scatter, without simulating a movement.
+//!
+//! The logarithms of (b0, a1, a0) of a throw are the sum of
+//! - the machine's nominal values, slightly different in the two directions,
+//! - the drift that the life prescribes,
+//! - natural scatter (weather, lubrication): a first-order autoregression over the machine's successive throws, shared
+//!   by both directions because both see the same weather; standard deviations 0.5, 3 and 1 %,
+//! - the estimator's error, with the covariance measured on simulated throws: standard deviations 0.53, 0.60 and 0.52 %
+//!   at the default sensor noise of 0.02 A, correlations 0.97, 0.91 and 0.79. Each observation carries it.
+
+use nalgebra::{Matrix3, Vector3};
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use super::scenario::Noise;
+
+/// Standard deviation of the natural scatter of ln b0, ln a1, ln a0.
+const SCATTER_SD: [f64; 3] = [0.005, 0.03, 0.01];
+/// Serial correlation of the natural scatter between successive throws of a machine, unless a run sets another.
+pub(super) const SCATTER_PHI: f64 = 0.5;
+/// Nominal b0 \[rad s⁻² A⁻¹\], a1 \[s⁻¹\], a0 \[s⁻²\] of the simulated machine.
+const NOMINAL: [f64; 3] = [203.0, 5.9, 1.56];
+/// Standard deviation between machines, and between the directions of one machine, of each coefficient's logarithm.
+const SPREAD_SD: [f64; 2] = [0.05, 0.02];
+
+/// Standard deviations of the estimator's errors of ln b0, ln a1, ln a0: measured at 0.005, 0.02 and 0.05 A.
+const fn estimator_sd(noise: Noise) -> [f64; 3] {
+    match noise {
+        Noise::Low => [0.0013, 0.0015, 0.0013],
+        Noise::Default => [0.0053, 0.0060, 0.0052],
+        Noise::High => [0.0132, 0.0151, 0.0129],
+    }
+}
+
+/// Correlations of the estimator's errors.
+const ESTIMATOR_CORRELATION: [[f64; 3]; 3] = [[1.0, 0.97, 0.91], [0.97, 1.0, 0.79], [0.91, 0.79, 1.0]];
+
+/// One machine and its weather.
+#[derive(Debug, Clone)]
+pub(super) struct ParameterMachine {
+    random: ChaCha8Rng,
+    /// ln of the nominal coefficients, in each direction.
+    nominal: [Vector3<f64>; 2],
+    weather: Vector3<f64>,
+    phi: f64,
+    estimator_covariance: Matrix3<f64>,
+    estimator_factor: Matrix3<f64>,
+}
+
+impl ParameterMachine {
+    /// A machine of the fleet, drawn from `random`, with sensors of this `noise` and weather correlated by `phi`.
+    pub(super) fn new(mut random: ChaCha8Rng, noise: Noise, phi: f64) -> Self {
+        let between_machines = draw(&mut random).map(|x| x * SPREAD_SD[0]);
+        let nominal = [(); 2].map(|()| {
+            let between_directions = draw(&mut random).map(|x| x * SPREAD_SD[1]);
+            Vector3::from(NOMINAL).map(f64::ln) + between_machines + between_directions
+        });
+        let weather = draw(&mut random).component_mul(&Vector3::from(SCATTER_SD));
+        let sd = estimator_sd(noise);
+        let estimator_covariance = Matrix3::from_fn(|i, j| sd[i] * sd[j] * ESTIMATOR_CORRELATION[i][j]);
+        // Positive definite by its constants (tested); zeros would show as a missing error.
+        let estimator_factor = estimator_covariance.cholesky().map_or_else(Matrix3::zeros, |factor| factor.l());
+        Self { random, nominal, weather, phi, estimator_covariance, estimator_factor }
+    }
+
+    /// The next throw's estimated (b0, a1, a0) and their covariance, when the true logarithms moved by `drift`.
+    pub(super) fn throw(&mut self, direction: usize, drift: Vector3<f64>) -> ([f64; 3], Matrix3<f64>) {
+        let innovation = (1.0 - self.phi * self.phi).sqrt();
+        let fresh = draw(&mut self.random).component_mul(&Vector3::from(SCATTER_SD));
+        self.weather = self.phi * self.weather + innovation * fresh;
+        let error = self.estimator_factor * draw(&mut self.random);
+        let theta = (self.nominal[direction] + drift + self.weather + error).map(f64::exp);
+        let scale = Matrix3::from_diagonal(&theta);
+        (theta.into(), scale * self.estimator_covariance * scale)
+    }
+}
+
+fn draw(random: &mut ChaCha8Rng) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| random.sample(StandardNormal))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::random::stream;
+
+    #[test]
+    fn throws_scatter_as_calibrated() {
+        let mut machine = ParameterMachine::new(stream(7, 0, 0, 0), Noise::Default, SCATTER_PHI);
+        let throws: Vec<Vector3<f64>> =
+            (0..40_000).map(|_| Vector3::from(machine.throw(0, Vector3::zeros()).0).map(f64::ln)).collect();
+        let mean = throws.iter().sum::<Vector3<f64>>() / throws.len() as f64;
+        let covariance = |lag: usize| {
+            let pairs = throws.iter().zip(&throws[lag..]);
+            pairs.map(|(x, y)| (x - mean) * (y - mean).transpose()).sum::<Matrix3<f64>>() / (throws.len() - lag) as f64
+        };
+        let (now, next) = (covariance(0), covariance(1));
+        let estimator = estimator_sd(Noise::Default);
+        for i in 0..3 {
+            let expected = SCATTER_SD[i].powi(2) + estimator[i].powi(2);
+            assert!((now[(i, i)] / expected - 1.0).abs() < 0.05, "variance {i}: {} of {expected}", now[(i, i)]);
+            let expected = SCATTER_PHI * SCATTER_SD[i].powi(2);
+            assert!((next[(i, i)] / expected - 1.0).abs() < 0.15, "lag 1 of {i}: {} of {expected}", next[(i, i)]);
+        }
+        let expected = 0.97 * estimator[0] * estimator[1];
+        assert!((now[(0, 1)] / expected - 1.0).abs() < 0.1, "{} of {expected}", now[(0, 1)]);
+    }
+}

@@ -1,0 +1,255 @@
+//! A run as a list of independent lives: any number of threads can live them in any order.
+
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    cusum::Design,
+    domain,
+    judge::{Judgement, judge},
+    life::{Rules, Source, live, observation},
+    parameter::{ParameterMachine, SCATTER_PHI},
+    random::stream,
+    report::{Budget, Healthy, Report, Row, Tally},
+    scenario::{Depth, Limits, Noise, PARTS, Scenario, Situation, catalogue},
+    timeline::Timeline,
+    trace::TraceMachine,
+};
+use crate::diagnose::{MachineMonitor, Settings};
+
+/// How much to run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Amount {
+    /// Lives of each row at parameter depth.
+    pub trials: usize,
+    /// Lives of each row of complete throws.
+    pub trace_trials: usize,
+    /// Healthy throws at parameter depth.
+    pub healthy_throws: usize,
+    /// Healthy complete throws.
+    pub trace_healthy_throws: usize,
+    /// Lives for each serial correlation of the budget's section.
+    pub budget_lives: usize,
+}
+
+impl Amount {
+    /// What the goals are stated for.
+    pub const FULL: Self = Self {
+        trials: 500,
+        trace_trials: 20,
+        healthy_throws: 1_000_000,
+        trace_healthy_throws: 5_000,
+        budget_lives: 400,
+    };
+    /// A first look, in seconds.
+    pub const QUICK: Self =
+        Self { trials: 50, trace_trials: 2, healthy_throws: 100_000, trace_healthy_throws: 500, budget_lives: 100 };
+}
+
+/// Monitored throws of one healthy life at each depth.
+const HEALTHY_LIFE: usize = 10_000;
+/// The same for complete throws, which cost more.
+const HEALTHY_TRACE_LIFE: usize = 500;
+
+/// Serial correlations of the budget's section.
+const BUDGET_PHI: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
+/// Throws of a machine for each false alarm that the budget's section allows.
+const BUDGET_THROWS: f64 = 5_000.0;
+/// Monitored throws of a life of the budget's section, unless an alarm ends it.
+const BUDGET_LIFE: usize = 5_000;
+/// A warning limit that no drift is below: the least that the settings allow \[%\].
+const NO_LIMIT_PCT: f64 = 0.001;
+
+/// One life to live.
+#[derive(Debug, Clone, Copy)]
+enum Task {
+    Healthy { depth: Depth, machine: usize, throws: usize },
+    Row { row: usize, trial: usize },
+    Budget { phi: usize, machine: usize },
+}
+
+/// What came of one life. [`Plan::report`] puts them together.
+#[derive(Debug, Clone, Copy)]
+pub struct Outcome(Kind);
+
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    /// Alarms of the monitor, the paper's rule and the CUSUM.
+    Healthy([usize; 3]),
+    /// The judgements of the same three.
+    Row([Judgement; 3]),
+    Budget {
+        throws: usize,
+        alarmed: bool,
+    },
+}
+
+/// A run that is ready to start.
+#[derive(Debug)]
+pub struct Plan {
+    seed: u64,
+    settings: Settings,
+    budget_settings: Settings,
+    scenarios: Vec<Scenario>,
+    limits: Limits,
+    baseline: usize,
+    designs: [Design; 3],
+    tasks: Vec<Task>,
+}
+
+impl Plan {
+    /// Plans a run over `amount` with this `seed`, and tunes the CUSUM for it.
+    #[must_use]
+    pub fn new(seed: u64, amount: Amount, settings: Settings) -> Self {
+        let limits = limits(&settings);
+        let baseline = settings.baseline_throws;
+        let throws = settings.false_alarms_per_throw().recip();
+        let scenarios = catalogue(limits);
+        let designs =
+            [Noise::Low, Noise::Default, Noise::High].map(|noise| Design::tuned(seed, noise, limits, baseline, throws));
+        let tasks = tasks(amount, &scenarios);
+        let budget_settings = budget_settings(&settings);
+        Self { seed, settings, budget_settings, scenarios, limits, baseline, designs, tasks }
+    }
+
+    /// How many lives there are to live.
+    #[must_use]
+    pub fn lives(&self) -> usize {
+        self.tasks.len()
+    }
+
+    /// Lives one life. The same number gives the same outcome, whoever asks and in whatever order.
+    ///
+    /// # Panics
+    /// When `life` is not below [`Plan::lives`].
+    #[must_use]
+    pub fn live(&self, life: usize) -> Outcome {
+        Outcome(match self.tasks[life] {
+            Task::Healthy { depth, machine, throws } => Kind::Healthy(self.healthy(depth, machine, throws)),
+            Task::Row { row, trial } => Kind::Row(self.row(row, trial)),
+            Task::Budget { phi, machine } => self.budget(phi, machine),
+        })
+    }
+
+    /// Puts the outcomes of all lives, in the order of their numbers, into the report.
+    #[must_use]
+    pub fn report(&self, outcomes: &[Outcome]) -> Report {
+        let mut healthy = Vec::new();
+        let mut judgements = vec![Vec::new(); self.scenarios.len()];
+        let mut budget = BUDGET_PHI.map(|phi| Budget::new(phi, BUDGET_THROWS));
+        for (task, outcome) in self.tasks.iter().zip(outcomes) {
+            match (*task, outcome.0) {
+                (Task::Healthy { depth, throws, .. }, Kind::Healthy(alarms)) => {
+                    add(&mut healthy, depth, throws, alarms);
+                }
+                (Task::Row { row, .. }, Kind::Row(three)) => judgements[row].push(three),
+                (Task::Budget { phi, .. }, Kind::Budget { throws, alarmed }) => budget[phi].add(throws, alarmed),
+                _ => {}
+            }
+        }
+        healthy.sort_by_key(|healthy: &Healthy| healthy.depth as u8);
+        let lived = self.scenarios.iter().zip(judgements).filter(|(_, judgements)| !judgements.is_empty());
+        let rows = lived.map(|(scenario, judgements)| {
+            let tally = |rule: usize| Tally::of(judgements.iter().map(|three| three[rule]));
+            Row::new(scenario, judgements.len(), [tally(0), tally(1), tally(2)])
+        });
+        Report { seed: self.seed, healthy, rows: rows.collect(), budget: budget.to_vec() }
+    }
+
+    fn healthy(&self, depth: Depth, machine: usize, throws: usize) -> [usize; 3] {
+        let life = Timeline::healthy(2 * self.baseline + throws);
+        let random = stream(self.seed, domain::HEALTHY, depth as usize, machine);
+        let mut source = source(depth, Situation::Plain, Noise::Default, random, &life);
+        let heard = live(&mut source, &life, self.rules(Situation::Plain, Noise::Default));
+        [heard.raised, heard.paper.len(), heard.cusum.len()]
+    }
+
+    fn row(&self, row: usize, trial: usize) -> [Judgement; 3] {
+        let scenario = &self.scenarios[row];
+        let mut random = stream(self.seed, domain::TIMELINE, row, trial);
+        let life = Timeline::of(scenario, trial, 2 * self.baseline, &mut random);
+        let random = stream(self.seed, domain::ROW, row, trial);
+        let mut source = source(scenario.depth, scenario.situation, scenario.noise, random, &life);
+        let heard = live(&mut source, &life, self.rules(scenario.situation, scenario.noise));
+        [&heard.monitor, &heard.paper, &heard.cusum].map(|calls| judge(calls, &life))
+    }
+
+    /// A healthy life under limits so small that only the drift rule's budget keeps alarms away, up to the first alarm.
+    fn budget(&self, phi: usize, machine: usize) -> Kind {
+        let random = stream(self.seed, domain::BUDGET, phi, machine);
+        let mut source = ParameterMachine::new(random, Noise::Default, BUDGET_PHI[phi]);
+        let mut monitor = MachineMonitor::new("evaluated");
+        let life = Timeline::healthy(2 * self.baseline + BUDGET_LIFE);
+        for at in 0..life.throws {
+            let estimate = source.throw(at % 2, life.displacement(at));
+            let observation = observation(at, Some(estimate), None);
+            let alarmed = !monitor.observe(&observation, &self.budget_settings).events.is_empty();
+            if alarmed {
+                let throws = (at + 1).saturating_sub(2 * self.baseline);
+                return Kind::Budget { throws, alarmed };
+            }
+        }
+        Kind::Budget { throws: BUDGET_LIFE, alarmed: false }
+    }
+
+    fn rules(&self, situation: Situation, noise: Noise) -> Rules<'_> {
+        let short = situation == Situation::ShortBaseline;
+        let baseline = if short { self.settings.baseline_usable_throws } else { self.baseline };
+        Rules { settings: &self.settings, limits: self.limits, baseline, cusum: self.designs[noise as usize] }
+    }
+}
+
+/// The machine that lives a life.
+fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, life: &Timeline) -> Source {
+    match depth {
+        Depth::Parameter => Source::Parameter(Box::new(ParameterMachine::new(random, noise, SCATTER_PHI))),
+        Depth::Trace => Source::Trace(Box::new(TraceMachine::new(random, situation, noise, life))),
+    }
+}
+
+/// All lives of a run: complete throws first, so that no thread is left with a long one at the end.
+fn tasks(amount: Amount, scenarios: &[Scenario]) -> Vec<Task> {
+    let healthy = |depth, total: usize, each: usize| {
+        let throws = move |machine| each.min(total - machine * each);
+        (0..total.div_ceil(each)).map(move |machine| Task::Healthy { depth, machine, throws: throws(machine) })
+    };
+    let rows = |wanted: Depth, trials: usize| {
+        let rows = scenarios.iter().enumerate().filter(move |(_, scenario)| scenario.depth == wanted);
+        rows.flat_map(move |(row, _)| (0..trials).map(move |trial| Task::Row { row, trial }))
+    };
+    let budget = (0..BUDGET_PHI.len()).flat_map(|phi| (0..amount.budget_lives).map(move |machine| (phi, machine)));
+    healthy(Depth::Trace, amount.trace_healthy_throws, HEALTHY_TRACE_LIFE)
+        .chain(rows(Depth::Trace, amount.trace_trials))
+        .chain(healthy(Depth::Parameter, amount.healthy_throws, HEALTHY_LIFE))
+        .chain(rows(Depth::Parameter, amount.trials))
+        .chain(budget.map(|(phi, machine)| Task::Budget { phi, machine }))
+        .collect()
+}
+
+fn add(healthy: &mut Vec<Healthy>, depth: Depth, throws: usize, [monitor, paper, cusum]: [usize; 3]) {
+    let at = healthy.iter().position(|healthy| healthy.depth == depth).unwrap_or_else(|| {
+        healthy.push(Healthy::none(depth));
+        healthy.len() - 1
+    });
+    healthy[at].throws += throws;
+    healthy[at].false_alarms += monitor;
+    healthy[at].paper_false_alarms += paper;
+    healthy[at].cusum_false_alarms += cusum;
+}
+
+/// The warning limits as fractions, in the order of [`PARTS`].
+fn limits(settings: &Settings) -> Limits {
+    PARTS.map(|part| settings.limit_pct(part).unwrap_or_default() / 100.0)
+}
+
+/// The settings of the budget's section: a budget that is spent within a run, and limits that stop nothing.
+fn budget_settings(settings: &Settings) -> Settings {
+    let days = BUDGET_THROWS / settings.throws_per_day;
+    Settings {
+        false_alarm_years: days / 365.25,
+        kt_limit_pct: NO_LIMIT_PCT,
+        friction_limit_pct: NO_LIMIT_PCT,
+        stiffness_limit_pct: NO_LIMIT_PCT,
+        inertia_limit_pct: NO_LIMIT_PCT,
+        ..settings.clone()
+    }
+}

@@ -1,0 +1,235 @@
+//! The rows of the table: which fault, how it develops, and under which conditions.
+
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use crate::diagnose::Cause;
+
+/// How deep a life is simulated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Depth {
+    /// Coefficients drawn from a calibrated scatter.
+    Parameter,
+    /// Complete simulated throws through the estimator.
+    Trace,
+}
+
+/// How a fault develops from its first throw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Shape {
+    /// All at once.
+    Step,
+    /// Linearly over [`RAMP_THROWS`] throws of the machine.
+    Ramp,
+}
+
+impl Depth {
+    /// The word in tables and JSON.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Parameter => "parameter",
+            Self::Trace => "trace",
+        }
+    }
+}
+
+impl Shape {
+    /// The word in tables and JSON.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Step => "step",
+            Self::Ramp => "ramp",
+        }
+    }
+}
+
+/// Noise of the current sensor; the position sensor has 20 µm throughout.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Noise {
+    /// 0.005 A.
+    Low,
+    /// 0.02 A.
+    Default,
+    /// 0.05 A.
+    High,
+}
+
+impl Noise {
+    /// The word in tables and JSON.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Low => "low",
+            Self::Default => "default",
+            Self::High => "high",
+        }
+    }
+}
+
+/// The conditions of a row.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) enum Situation {
+    /// A full baseline, steady weather.
+    Plain,
+    /// Two causes at once.
+    Pair,
+    /// The temperature swings by 12 K around its mean, with a day's 3 K on top; the throws carry it or do not.
+    Temperature {
+        /// Whether the throws carry the temperature.
+        measured: bool,
+    },
+    /// The fault comes after 15 throws in each direction.
+    ShortBaseline,
+    /// The fault is there from the first throw: the baseline takes it for normal.
+    FromFirstThrow,
+    /// A first fault is repaired, nobody takes a new baseline, then another part fails.
+    Repaired,
+    /// Complete throws with a toe drive of 5e6 N/m, which dry friction winds up.
+    SoftToe,
+    /// Complete throws sampled at 100 Hz behind an anti-alias filter.
+    Slow,
+}
+
+impl Situation {
+    /// What the table calls it.
+    pub(super) fn label(self) -> &'static str {
+        match self {
+            Self::Plain => "plain",
+            Self::Pair => "two causes at once",
+            Self::Temperature { measured: true } => "temperature swings, measured",
+            Self::Temperature { measured: false } => "temperature swings, not measured",
+            Self::ShortBaseline => "short baseline",
+            Self::FromFirstThrow => "fault from the first throw",
+            Self::Repaired => "second fault after a repair, no rebaseline",
+            Self::SoftToe => "soft toe drive, dry friction",
+            Self::Slow => "100 Hz, anti-aliased",
+        }
+    }
+}
+
+/// Throws of a machine (both directions) over which a ramp develops.
+pub(super) const RAMP_THROWS: usize = 100;
+
+/// The four parts that drift, in the order of the table.
+pub(super) const PARTS: [Cause; 4] = [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia];
+
+/// Sizes of the rows in multiples of the cause's warning limit.
+pub(super) const MULTIPLES: [f64; 4] = [1.5, 2.0, 3.0, 6.0];
+
+/// Least multiple of the warning limit from which a row is plain: closer to the limit the size itself is in doubt.
+const PLAIN_FROM: f64 = 2.0;
+
+/// Size of the friction fault of the row with a soft toe drive: what a slide-chair friction of 0.15 adds to a1.
+const SOFT_TOE_FRICTION: f64 = 0.99;
+
+/// One row of the table.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Scenario {
+    /// How deep its lives are simulated.
+    pub(super) depth: Depth,
+    /// Under which conditions.
+    pub(super) situation: Situation,
+    /// The part that drifts and its size as a fraction of nominal; two of them for a pair.
+    pub(super) faults: Vec<(Cause, f64)>,
+    /// How the fault develops.
+    pub(super) shape: Shape,
+    /// Noise of the current sensor.
+    pub(super) noise: Noise,
+    /// Not a plain row.
+    pub(super) hard: bool,
+}
+
+/// The warning limits that the sizes of the rows are multiples of, as fractions in the order of [`PARTS`].
+pub(super) type Limits = [f64; 4];
+
+/// All rows of the table, in its order. Their positions seed their lives, so a row repeats whatever else is run.
+pub(super) fn catalogue(limits: Limits) -> Vec<Scenario> {
+    let mut rows = parameter_rows(limits);
+    rows.extend(trace_rows(limits));
+    rows
+}
+
+fn parameter_rows(limits: Limits) -> Vec<Scenario> {
+    let row = |situation, faults, shape, noise, hard| Scenario {
+        depth: Depth::Parameter,
+        situation,
+        faults,
+        shape,
+        noise,
+        hard,
+    };
+    let parts = || PARTS.into_iter().zip(limits);
+    let mut rows = Vec::new();
+    for (part, limit) in parts() {
+        for shape in [Shape::Step, Shape::Ramp] {
+            for multiple in MULTIPLES {
+                let faults = vec![(part, multiple * limit)];
+                rows.push(row(Situation::Plain, faults, shape, Noise::Default, multiple < PLAIN_FROM));
+            }
+            for (noise, hard) in [(Noise::Low, false), (Noise::High, true)] {
+                rows.push(row(Situation::Plain, vec![(part, PLAIN_FROM * limit)], shape, noise, hard));
+            }
+        }
+    }
+    for first in 0..PARTS.len() {
+        for second in first + 1..PARTS.len() {
+            for multiple in [2.0, 6.0] {
+                let faults = [first, second].map(|part| (PARTS[part], multiple * limits[part])).to_vec();
+                rows.push(row(Situation::Pair, faults, Shape::Step, Noise::Default, true));
+            }
+        }
+    }
+    let alone = [
+        Situation::Temperature { measured: true },
+        Situation::Temperature { measured: false },
+        Situation::ShortBaseline,
+        Situation::FromFirstThrow,
+        Situation::Repaired,
+    ];
+    for situation in alone {
+        for (part, limit) in parts() {
+            rows.push(row(situation, vec![(part, PLAIN_FROM * limit)], Shape::Step, Noise::Default, true));
+        }
+    }
+    rows
+}
+
+fn trace_rows(limits: Limits) -> Vec<Scenario> {
+    let row = |situation, fault, shape| Scenario {
+        depth: Depth::Trace,
+        situation,
+        faults: vec![fault],
+        shape,
+        noise: Noise::Default,
+        hard: situation != Situation::Plain,
+    };
+    let mut rows = Vec::new();
+    for (part, limit) in PARTS.into_iter().zip(limits) {
+        for shape in [Shape::Step, Shape::Ramp] {
+            rows.push(row(Situation::Plain, (part, PLAIN_FROM * limit), shape));
+        }
+    }
+    for (part, limit) in PARTS.into_iter().zip(limits) {
+        rows.push(row(Situation::Slow, (part, PLAIN_FROM * limit), Shape::Step));
+    }
+    rows.push(row(Situation::SoftToe, (Cause::Friction, SOFT_TOE_FRICTION), Shape::Step));
+    rows
+}
+
+/// The displacement of (ln b0, ln a1, ln a0) when `part` changes by the fraction `size` of its nominal value: equation
+/// (13), in logarithms.
+pub(super) fn displacement(part: Cause, size: f64) -> Vector3<f64> {
+    let direction = match part {
+        Cause::Kt => Vector3::x(),
+        Cause::Friction => Vector3::y(),
+        Cause::Stiffness => Vector3::z(),
+        Cause::Inertia => Vector3::repeat(-1.0),
+        _ => Vector3::zeros(),
+    };
+    direction * size.ln_1p()
+}

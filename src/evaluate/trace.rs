@@ -1,0 +1,105 @@
+//! A machine at trace depth: complete simulated throws through the estimator, as the daemon would identify them.
+
+use rand::RngExt as _;
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    life::{observation, started_at},
+    scenario::{Noise, RAMP_THROWS, Shape, Situation},
+    timeline::{Fault, Timeline},
+};
+use crate::{
+    diagnose::{Cause, Observation},
+    estimate::{Identifier, Settings},
+    simulate::{self, Fleet, FleetFault, FleetSettings, Part, Sensors, SimulatedMachine, SimulatedThrow},
+    throw::{Throw, ThrowRef},
+};
+
+/// Stiffness of a soft toe drive \[N/m\]: dry friction winds it up and leaks into b0 and a0.
+const SOFT_TOE_N_M: f64 = 5e6;
+/// Sampling rate and cut-off of the rows with a slow logger \[Hz\].
+const SLOW_HZ: (f64, f64) = (100.0, 40.0);
+
+/// One simulated machine and the estimator that sees its throws.
+#[derive(Debug)]
+pub(super) struct TraceMachine {
+    /// Nothing when the simulator cannot build the machine: then every throw is without an estimate.
+    machine: Option<SimulatedMachine>,
+    identifier: Identifier,
+    settings: Settings,
+}
+
+impl TraceMachine {
+    /// The machine that lives `life` in this situation.
+    pub(super) fn new(mut random: ChaCha8Rng, situation: Situation, noise: Noise, life: &Timeline) -> Self {
+        let mut fleet = FleetSettings { machines: 1, sensors: sensors(situation, noise), ..FleetSettings::default() };
+        if situation == Situation::SoftToe {
+            fleet.machine.drive_stiffness_n_m = SOFT_TOE_N_M;
+        }
+        fleet.faults = life.faults.iter().map(|fault| FleetFault { machine: 0, fault: simulated(fault) }).collect();
+        let settings = Settings { lead_mm: fleet.machine.lead_mm, ..Settings::default() };
+        let machine = Fleet::new(&fleet, random.random()).ok().and_then(|fleet| fleet.into_machines().pop());
+        Self { machine, identifier: Identifier::default(), settings }
+    }
+
+    /// What the monitor gets to see of throw `at`; without an estimate when the simulator has no such throw.
+    pub(super) fn observe(&mut self, at: usize) -> Observation {
+        match self.machine.as_mut().map(SimulatedMachine::next_throw) {
+            Some(Ok(simulated)) => self.identify(at, simulated),
+            _ => observation(at, None, None),
+        }
+    }
+
+    fn identify(&mut self, at: usize, simulated: SimulatedThrow) -> Observation {
+        let throw = Throw {
+            id: ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 },
+            started_at: started_at(at),
+            direction: Some(simulated.direction),
+            trace: simulated.trace,
+            temperature_c: Some(simulated.temperature_c),
+            supply_v: Some(simulated.supply_v),
+            anti_alias_hz: simulated.anti_alias_hz,
+        };
+        let found = self.identifier.identify(&throw, &self.settings);
+        Observation {
+            throw: throw.id,
+            started_at: throw.started_at,
+            direction: found.direction,
+            incomplete: found.outcome.as_ref().is_err_and(crate::estimate::Rejection::is_incomplete),
+            estimate: found.outcome.ok().map(|e| ([e.b0, e.a1, e.a0], e.covariance)),
+            features: found.features,
+            temperature_c: throw.temperature_c,
+        }
+    }
+}
+
+fn sensors(situation: Situation, noise: Noise) -> Sensors {
+    let mut sensors = Sensors::default();
+    sensors.current.noise = match noise {
+        Noise::Low => 0.005,
+        Noise::Default => 0.02,
+        Noise::High => 0.05,
+    };
+    if situation == Situation::Slow {
+        sensors.sample_rate_hz = SLOW_HZ.0;
+        sensors.anti_alias_hz = Some(SLOW_HZ.1);
+    }
+    sensors
+}
+
+fn simulated(fault: &Fault) -> simulate::Fault {
+    let shape = match fault.shape {
+        Shape::Step => simulate::Shape::Step,
+        Shape::Ramp => simulate::Shape::Ramp { throws: RAMP_THROWS as u64 },
+    };
+    simulate::Fault { part: part(fault.part), shape, size_pct: 100.0 * fault.size, from_throw: fault.onset as u64 }
+}
+
+fn part(cause: Cause) -> Part {
+    match cause {
+        Cause::Kt => Part::Kt,
+        Cause::Stiffness => Part::Stiffness,
+        Cause::Inertia => Part::Inertia,
+        _ => Part::Friction,
+    }
+}
