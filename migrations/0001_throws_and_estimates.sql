@@ -93,7 +93,7 @@ CREATE INDEX estimate_refused ON estimate (throw_row) WHERE quality <> 'good';
 -- Throw numbers that never came. A late throw shrinks or splits its gap; a gap that was filled keeps its row.
 CREATE TABLE gap (
     gap_row        INTEGER PRIMARY KEY,
-    boot_row       INTEGER NOT NULL REFERENCES boot,
+    boot_row       INTEGER NOT NULL REFERENCES boot ON DELETE CASCADE,
     first_no       INTEGER NOT NULL,
     last_no        INTEGER NOT NULL,
     kind           TEXT    NOT NULL CHECK (kind IN ('missed', 'before_first_contact', 'not_stored')),

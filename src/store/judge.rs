@@ -5,7 +5,7 @@ use serde::Serialize;
 use sqlx::SqliteConnection;
 
 use super::{
-    spool::{ThrowRow, machine_row},
+    spool::{ThrowRow, count, machine_row},
     statements as sql,
     writer::Write,
 };
@@ -104,25 +104,51 @@ fn word<T: Serialize>(value: &T) -> String {
     }
 }
 
-impl Write for Judgement {
+/// A judgement to be written.
+pub(super) struct Judge {
+    pub(super) judgement: Judgement,
+    /// Space is short: the trace has done its work and goes.
+    pub(super) drop_trace: bool,
+}
+
+impl Write for Judge {
     /// False when the throw was judged before; then nothing was written.
     type Output = bool;
 
-    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<bool> {
-        let at_us = self.judged_at.as_microsecond();
+    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<bool> {
+        let Self { judgement, drop_trace } = self;
+        let at_us = judgement.judged_at.as_microsecond();
         let machine_row: Option<i64> =
-            sqlx::query_scalar(sql::JUDGED).bind(self.row.0).bind(at_us).fetch_optional(&mut *connection).await?;
-        let Some(machine_row) = machine_row else { return Ok(false) };
-        self.add_estimate(connection, machine_row).await?;
-        for baseline in &self.baselines {
+            sqlx::query_scalar(sql::JUDGED).bind(judgement.row.0).bind(at_us).fetch_optional(&mut *connection).await?;
+        let Some(machine_row) = machine_row else {
+            return judgement.was_written_at(connection, repeated, at_us).await;
+        };
+        judgement.add_estimate(connection, machine_row).await?;
+        for baseline in &judgement.baselines {
             add_baseline(connection, machine_row, baseline, at_us).await?;
         }
-        add_outcome(connection, machine_row, &self.machine, &self.outcome, at_us).await?;
+        add_outcome(connection, machine_row, &judgement.machine, &judgement.outcome, at_us).await?;
+        if *drop_trace {
+            sqlx::query(sql::DROP_TRACE).bind(judgement.row.0).execute(&mut *connection).await?;
+            count(connection, "dropped_traces", 1).await?;
+        }
         Ok(true)
     }
 }
 
 impl Judgement {
+    /// Whether the throw was judged by an earlier attempt of this very write.
+    async fn was_written_at(
+        &self,
+        connection: &mut SqliteConnection,
+        repeated: bool,
+        at_us: i64,
+    ) -> sqlx::Result<bool> {
+        let judged_at_us: Option<i64> =
+            sqlx::query_scalar(sql::JUDGED_AT).bind(self.row.0).fetch_optional(connection).await?.flatten();
+        Ok(repeated && judged_at_us == Some(at_us))
+    }
+
     async fn add_estimate(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
         let found = self.identification.as_ref();
         let direction = found.and_then(|found| found.direction).map(Direction::as_str);

@@ -6,8 +6,11 @@
 mod codec;
 mod disk;
 mod error;
+mod housekeeping;
 mod judge;
+mod link;
 mod open;
+mod place;
 mod quarantine;
 mod reader;
 mod settings;
@@ -23,6 +26,7 @@ use jiff::Timestamp;
 pub use codec::UnreadableTrace;
 pub use disk::DiskLevel;
 pub use error::StoreError;
+pub use housekeeping::Housekeeping;
 pub use judge::{AlarmRecord, BaselineRecord, GOOD, Judgement, Message, Outcome, alarm_id};
 pub use open::{Found, Report};
 pub use quarantine::QUARANTINED_BYTES;
@@ -33,6 +37,8 @@ pub use statistics::Statistics;
 
 use crate::throw::{MachineId, Throw};
 use disk::Disk;
+use link::Link;
+use place::Place;
 use writer::Writer;
 
 /// The database of a running daemon. Cheap to clone.
@@ -60,9 +66,17 @@ impl Store {
     /// When the folder is missing or cannot be written to, or the disk is full even without the ballast.
     pub async fn open(settings: &Settings, now: Timestamp) -> Result<Opened, StoreError> {
         let disk = Arc::new(Disk::new(&settings.path, settings.ballast_mib, settings.low_disk_mib));
-        let (connection, report) = open::open(settings, &disk, now).await?;
+        let place = Place::new(&settings.path);
+        let (connection, report) = open::open(settings, &disk, &place, now).await?;
         let reader = Reader::open(&settings.path).await?;
-        let writer = Writer::start(open::writing(settings), connection, Arc::clone(&disk));
+        let writer = Writer::start(Link {
+            options: open::writing(settings),
+            connection: Some(connection),
+            disk: Arc::clone(&disk),
+            place,
+            reader: reader.clone(),
+            log_bound: settings.max_wal_mib * settings::MIB,
+        });
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast: a full disk will be harder to clear");
         }
@@ -140,7 +154,8 @@ impl Store {
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
     pub async fn judge(&self, judgement: Judgement) -> Result<bool, StoreError> {
-        self.writer.write(judgement).await
+        let drop_trace = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
+        self.writer.write(judge::Judge { judgement, drop_trace }).await
     }
 
     /// Stores what follows from an operator's command, or from time passing: all or nothing.

@@ -16,8 +16,9 @@ use sqlx::{
 };
 
 use super::{
-    disk::{Disk, beside},
+    disk::Disk,
     error::{StoreError, is_corrupt, is_full},
+    place::Place,
     settings::{MIB, Settings, Synchronous},
     statements as sql,
 };
@@ -84,12 +85,13 @@ pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
 pub(super) async fn open(
     settings: &Settings,
     disk: &Disk,
+    place: &Place,
     now: Timestamp,
 ) -> Result<(SqliteConnection, Report), StoreError> {
-    let fresh = std::fs::metadata(&settings.path).map_or(true, |file| file.len() == 0);
-    match prepare(settings, disk, fresh).await {
+    place.clear_leftovers()?;
+    match prepare(settings, disk, place.is_fresh()).await {
         Err(Trouble::Broken(why)) => {
-            let to = set_aside(&settings.path, now)?;
+            let to = place.set_aside(now)?;
             tracing::error!(to = %to.display(), %why, "the database is broken and was set aside; a fresh one begins");
             let (connection, report) = prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
             Ok((connection, Report { found: Found::SetAside { to, why }, ..report }))
@@ -194,20 +196,4 @@ async fn stopped_cleanly(connection: &mut SqliteConnection) -> sqlx::Result<bool
 async fn check(connection: &mut SqliteConnection) -> Result<(), Trouble> {
     let findings: Vec<String> = sqlx::query_scalar("PRAGMA quick_check(5)").fetch_all(connection).await?;
     if findings == ["ok"] { Ok(()) } else { Err(Trouble::Broken(findings.join("; "))) }
-}
-
-/// Renames the database with its log, under a name that is not taken.
-fn set_aside(path: &Path, now: Timestamp) -> Result<PathBuf, StoreError> {
-    let stamp = now.strftime("%Y%m%dT%H%M%SZ");
-    let free = (0u32..).map(|n| beside(path, &format!("-broken-{stamp}-{n}"))).find(|to| !to.exists());
-    let to = free.unwrap_or_else(|| beside(path, "-broken"));
-    for suffix in ["-wal", "-shm", ""] {
-        let (from, to) = (beside(path, suffix), beside(&to, suffix));
-        match std::fs::rename(&from, &to) {
-            Ok(()) => {}
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
-            Err(source) => return Err(StoreError::File { action: "rename", path: from, source }),
-        }
-    }
-    Ok(to)
 }

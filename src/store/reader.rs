@@ -1,9 +1,18 @@
 //! The reading side: short queries on two read-only connections.
 
-use std::{future::Future, path::Path, time::Duration};
+use std::{
+    future::Future,
+    path::Path,
+    sync::{Arc, PoisonError, RwLock},
+    time::Duration,
+};
 
 use jiff::Timestamp;
-use sqlx::{SqlitePool, sqlite::SqlitePoolOptions};
+use sqlx::{
+    Sqlite, SqlitePool,
+    query::QueryAs,
+    sqlite::{SqliteArguments, SqlitePoolOptions, SqliteRow},
+};
 
 use super::{
     codec::{self, Channel, UnreadableTrace},
@@ -148,7 +157,8 @@ pub struct Quarantined {
 /// Reads the database. Cheap to clone; every query has a time limit, so that none keeps an old state alive.
 #[derive(Debug, Clone)]
 pub struct Reader {
-    pool: SqlitePool,
+    /// Replaced when the database moves to another file.
+    pool: Arc<RwLock<SqlitePool>>,
 }
 
 impl Reader {
@@ -160,18 +170,22 @@ impl Reader {
     /// # Errors
     /// When there is no database, or it cannot be read.
     pub async fn open(path: &Path) -> Result<Self, StoreError> {
-        let pool = SqlitePoolOptions::new()
-            .max_connections(CONNECTIONS)
-            .max_lifetime(None)
-            .idle_timeout(None)
-            .connect_with(open::reading(path))
+        let pool = connect(path)
             .await
             .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
-        Ok(Self { pool })
+        Ok(Self { pool: Arc::new(RwLock::new(pool)) })
     }
 
     pub(super) async fn close(&self) {
-        self.pool.close().await;
+        self.pool().close().await;
+    }
+
+    /// Reads the file that `path` leads to now; queries that run end on the old one.
+    pub(super) async fn reopen(&self, path: &Path) -> sqlx::Result<()> {
+        let pool = connect(path).await?;
+        let old = std::mem::replace(&mut *self.pool.write().unwrap_or_else(PoisonError::into_inner), pool);
+        tokio::spawn(async move { old.close().await });
+        Ok(())
     }
 
     pub(super) async fn limited<T>(&self, query: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
@@ -181,8 +195,20 @@ impl Reader {
             .map_err(StoreError::read)
     }
 
-    pub(super) const fn pool(&self) -> &SqlitePool {
-        &self.pool
+    pub(super) fn pool(&self) -> SqlitePool {
+        self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    async fn rows<'q, Row, T>(
+        &self,
+        query: QueryAs<'q, Sqlite, Row, SqliteArguments>,
+        read: impl Fn(Row) -> sqlx::Result<T>,
+    ) -> Result<Vec<T>, StoreError>
+    where
+        Row: Send + Unpin + for<'r> sqlx::FromRow<'r, SqliteRow>,
+    {
+        let rows = self.limited(query.fetch_all(&self.pool())).await?;
+        rows.into_iter().map(read).collect::<sqlx::Result<_>>().map_err(StoreError::read)
     }
 
     /// Up to `limit` throws after `after` that wait to be judged, in the order of arrival.
@@ -190,8 +216,7 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn pending(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
-        let rows = sqlx::query_as::<_, ThrowColumns>(sql::WAITING).bind(after.0).bind(limit).fetch_all(&self.pool);
-        self.limited(async { rows.await?.into_iter().map(ThrowColumns::read).collect() }).await
+        self.rows(sqlx::query_as(sql::WAITING).bind(after.0).bind(limit), ThrowColumns::read).await
     }
 
     /// Up to `limit` throws after `after`, judged or not, in the order of arrival.
@@ -199,8 +224,7 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn throws(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
-        let rows = sqlx::query_as::<_, ThrowColumns>(sql::THROWS).bind(after.0).bind(limit).fetch_all(&self.pool);
-        self.limited(async { rows.await?.into_iter().map(ThrowColumns::read).collect() }).await
+        self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit), ThrowColumns::read).await
     }
 
     /// The monitor of every machine that has one, as JSON.
@@ -208,11 +232,8 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn monitors(&self) -> Result<Vec<(MachineId, String)>, StoreError> {
-        let rows = sqlx::query_as::<_, (String, String, String)>(sql::MONITORS).fetch_all(&self.pool);
-        self.limited(async {
-            rows.await?.into_iter().map(|(site, machine, json)| Ok((machine_id(&site, &machine)?, json))).collect()
-        })
-        .await
+        let read = |(site, machine, json): (String, String, String)| Ok((machine_id(&site, &machine)?, json));
+        self.rows(sqlx::query_as(sql::MONITORS), read).await
     }
 
     /// Every machine that was ever heard.
@@ -220,8 +241,8 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
-        let rows = sqlx::query_as::<_, (String, String)>(sql::MACHINES).fetch_all(&self.pool);
-        self.limited(async { rows.await?.iter().map(|(site, machine)| machine_id(site, machine)).collect() }).await
+        let read = |(site, machine): (String, String)| machine_id(&site, &machine);
+        self.rows(sqlx::query_as(sql::MACHINES), read).await
     }
 
     /// The latest health of each selected machine and direction.
@@ -229,11 +250,8 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn latest_health(&self, which: &Selector) -> Result<Vec<HealthRow>, StoreError> {
-        let rows = sqlx::query_as::<_, HealthColumns>(sql::LATEST_HEALTH)
-            .bind(which.site())
-            .bind(which.machine())
-            .fetch_all(&self.pool);
-        self.limited(async { rows.await?.into_iter().map(HealthColumns::read).collect() }).await
+        let query = sqlx::query_as(sql::LATEST_HEALTH).bind(which.site()).bind(which.machine());
+        self.rows(query, HealthColumns::read).await
     }
 
     /// The newest `limit` rows of the health history that started at `since` or later, oldest first.
@@ -246,13 +264,10 @@ impl Reader {
         since: Timestamp,
         limit: u32,
     ) -> Result<Vec<HealthRow>, StoreError> {
-        let rows = sqlx::query_as::<_, HealthColumns>(sql::HEALTH_HISTORY)
-            .bind(which.site())
-            .bind(which.machine())
-            .bind(since.as_microsecond())
-            .bind(limit)
-            .fetch_all(&self.pool);
-        self.limited(async { rows.await?.into_iter().rev().map(HealthColumns::read).collect() }).await
+        let query = sqlx::query_as(sql::HEALTH_HISTORY).bind(which.site()).bind(which.machine());
+        let mut rows = self.rows(query.bind(since.as_microsecond()).bind(limit), HealthColumns::read).await?;
+        rows.reverse();
+        Ok(rows)
     }
 
     /// The last event of every open alarm of the selected machines, oldest alarm first.
@@ -260,11 +275,8 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<AlarmRow>, StoreError> {
-        let rows = sqlx::query_as::<_, AlarmColumns>(sql::OPEN_ALARMS)
-            .bind(which.site())
-            .bind(which.machine())
-            .fetch_all(&self.pool);
-        self.limited(async { rows.await?.into_iter().map(AlarmColumns::read).collect() }).await
+        let query = sqlx::query_as(sql::OPEN_ALARMS).bind(which.site()).bind(which.machine());
+        self.rows(query, AlarmColumns::read).await
     }
 
     /// The newest `limit` alarm events at `since` or later, oldest first.
@@ -277,13 +289,10 @@ impl Reader {
         since: Timestamp,
         limit: u32,
     ) -> Result<Vec<AlarmRow>, StoreError> {
-        let rows = sqlx::query_as::<_, AlarmColumns>(sql::ALARM_HISTORY)
-            .bind(which.site())
-            .bind(which.machine())
-            .bind(since.as_microsecond())
-            .bind(limit)
-            .fetch_all(&self.pool);
-        self.limited(async { rows.await?.into_iter().rev().map(AlarmColumns::read).collect() }).await
+        let query = sqlx::query_as(sql::ALARM_HISTORY).bind(which.site()).bind(which.machine());
+        let mut rows = self.rows(query.bind(since.as_microsecond()).bind(limit), AlarmColumns::read).await?;
+        rows.reverse();
+        Ok(rows)
     }
 
     /// Up to `limit` messages to publish after the message `after` (0: from the first), in order.
@@ -291,17 +300,15 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn outbox_pending(&self, after: i64, limit: u32) -> Result<Vec<OutboxRow>, StoreError> {
-        let rows = sqlx::query_as(sql::MESSAGES).bind(after).bind(limit).fetch_all(&self.pool);
-        self.limited(rows).await
+        self.rows(sqlx::query_as(sql::MESSAGES).bind(after).bind(limit), Ok).await
     }
 
-    /// Up to `limit` open gaps.
+    /// Up to `limit` open gaps, oldest first.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn open_gaps(&self, limit: u32) -> Result<Vec<Gap>, StoreError> {
-        let rows = sqlx::query_as::<_, GapColumns>(sql::GAPS).bind(0).bind(limit).fetch_all(&self.pool);
-        self.limited(async { rows.await?.into_iter().map(GapColumns::read).collect() }).await
+        self.rows(sqlx::query_as(sql::GAPS).bind(0).bind(limit), GapColumns::read).await
     }
 
     /// The newest `limit` messages in quarantine, newest first.
@@ -309,17 +316,17 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn quarantined(&self, limit: u32) -> Result<Vec<Quarantined>, StoreError> {
-        let rows =
-            sqlx::query_as::<_, (i64, String, String, i64, Vec<u8>)>(sql::QUARANTINE).bind(limit).fetch_all(&self.pool);
-        self.limited(async {
-            let read = |(at_us, key, reason, bytes, payload_start): (i64, String, String, i64, Vec<u8>)| {
-                let payload_bytes = bytes.cast_unsigned();
-                Ok(Quarantined { received_at: timestamp(at_us)?, key, reason, payload_bytes, payload_start })
-            };
-            rows.await?.into_iter().map(read).collect()
-        })
-        .await
+        let read = |(at_us, key, reason, bytes, payload_start): (i64, String, String, i64, Vec<u8>)| {
+            let payload_bytes = bytes.cast_unsigned();
+            Ok(Quarantined { received_at: timestamp(at_us)?, key, reason, payload_bytes, payload_start })
+        };
+        self.rows(sqlx::query_as(sql::QUARANTINE).bind(limit), read).await
     }
+}
+
+async fn connect(path: &Path) -> sqlx::Result<SqlitePool> {
+    let options = SqlitePoolOptions::new().max_connections(CONNECTIONS).max_lifetime(None).idle_timeout(None);
+    options.connect_with(open::reading(path)).await
 }
 
 fn decode_error(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::Error {

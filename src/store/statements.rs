@@ -21,7 +21,6 @@ statements! {
     ADD_MACHINE = "INSERT INTO machine (site, machine) VALUES (?1, ?2) RETURNING machine_row";
     BOOT = "SELECT boot_row, highest_no, pruned_to_no FROM boot WHERE machine_row = ?1 AND boot_id = ?2";
     ADD_BOOT = "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no) VALUES (?1, ?2, ?3, ?4) RETURNING boot_row";
-    BOOTS_OF_MACHINE = "SELECT count(*) FROM boot WHERE machine_row = ?1";
     COUNTS_FROM_ZERO = "SELECT EXISTS (SELECT 1 FROM boot JOIN throw USING (boot_row) WHERE boot.machine_row = ?1 AND throw_no = 0)";
     SET_HIGHEST = "UPDATE boot SET highest_no = ?2 WHERE boot_row = ?1 AND highest_no < ?2";
     STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
@@ -52,6 +51,7 @@ statements! {
         LEFT JOIN trace USING (throw_row) \
         WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2";
     JUDGED = "UPDATE throw SET judged_at_us = ?2 WHERE throw_row = ?1 AND judged_at_us IS NULL RETURNING machine_row";
+    JUDGED_AT = "SELECT judged_at_us FROM throw WHERE throw_row = ?1";
     SINCE_BASELINE = "SELECT throws_since_baseline FROM estimate \
         WHERE machine_row = ?1 AND direction = ?2 AND throw_row < ?3 ORDER BY throw_row DESC LIMIT 1";
     ADD_ESTIMATE = "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
@@ -123,12 +123,23 @@ statements! {
     OLDEST_THROWS = "SELECT throw_row FROM throw WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT ?1";
     MARK_PRUNED = "UPDATE boot SET pruned_to_no = max(pruned_to_no, (SELECT throw_no FROM throw WHERE throw_row = ?1)) \
         WHERE boot_row = (SELECT boot_row FROM throw WHERE throw_row = ?1)";
+    DROP_OLD_GAPS = "DELETE FROM gap WHERE boot_row = (SELECT boot_row FROM throw WHERE throw_row = ?1) \
+        AND last_no < (SELECT throw_no FROM throw WHERE throw_row = ?1)";
+    DROP_EMPTY_BOOTS = "DELETE FROM boot WHERE boot_row IN (SELECT boot_row FROM boot AS old ORDER BY boot_row LIMIT 1000) \
+        AND NOT EXISTS (SELECT 1 FROM throw WHERE throw.boot_row = boot.boot_row) \
+        AND boot_row < (SELECT max(boot_row) FROM boot AS newer WHERE newer.machine_row = boot.machine_row)";
+    OLDEST_TRACE_TIME = "SELECT received_at_us FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL \
+        ORDER BY throw_row LIMIT 1";
+    OLDEST_MESSAGES = "SELECT outbox_row FROM outbox ORDER BY outbox_row LIMIT ?1";
     DROP_THROW = "DELETE FROM throw WHERE throw_row = ?1";
     DROP_ALARM = "DELETE FROM alarm WHERE alarm_row = ?1";
     OLDEST_ALARMS = "SELECT alarm_row FROM alarm WHERE state = 'normal' ORDER BY raised_at_us LIMIT ?1";
     CLOSED_ALARMS = "SELECT count(*) FROM alarm WHERE state = 'normal'";
-    TRACE_SPAN = "SELECT count(*) FROM trace";
-    THROW_SPAN = "SELECT count(*) FROM throw";
+    // Rows are dense, so that the distance from the oldest that may go counts them without reading them.
+    TRACE_SPAN = "SELECT coalesce((SELECT max(throw_row) FROM trace) - (SELECT throw_row FROM trace JOIN throw USING (throw_row) \
+        WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT 1) + 1, 0)";
+    THROW_SPAN = "SELECT coalesce((SELECT max(throw_row) FROM throw) - (SELECT throw_row FROM throw \
+        WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT 1) + 1, 0)";
     WAITING_COUNT = "SELECT count(*) FROM throw WHERE judged_at_us IS NULL";
     OUTBOX_COUNT = "SELECT count(*) FROM outbox";
     QUARANTINE_COUNT = "SELECT count(*) FROM quarantine";

@@ -2,19 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use super::{
-    Store,
-    disk::{DiskLevel, beside},
-    error::StoreError,
-    statements as sql,
-};
+use super::{Store, disk::DiskLevel, error::StoreError, place::Place, statements as sql};
 
 /// How the database stands.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Statistics {
-    /// Throws that are kept.
+    /// Throws that are kept, from the oldest judged one on.
     pub throws: u64,
-    /// Throws whose traces are kept.
+    /// Throws from the oldest judged one on whose trace is kept.
     pub traces: u64,
     /// Throws that wait to be judged.
     pub pending: u64,
@@ -49,7 +44,7 @@ impl Store {
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
         let counters: Vec<(String, i64)> =
-            self.reader.limited(sqlx::query_as(sql::COUNTERS).fetch_all(self.reader.pool())).await?;
+            self.reader.limited(sqlx::query_as(sql::COUNTERS).fetch_all(&self.reader.pool())).await?;
         let page_size = self.figure("PRAGMA page_size").await?;
         let pages = self.figure("PRAGMA page_count").await?;
         let free_pages = self.figure("PRAGMA freelist_count").await?;
@@ -80,11 +75,11 @@ impl Store {
     /// Size of the write-ahead log \[bytes\].
     #[must_use]
     pub fn wal_bytes(&self) -> u64 {
-        std::fs::metadata(beside(&self.settings.path, "-wal")).map_or(0, |file| file.len())
+        Place::new(&self.settings.path).log_bytes()
     }
 
-    async fn figure(&self, query: &'static str) -> Result<u64, StoreError> {
-        let figure: i64 = self.reader.limited(sqlx::query_scalar(query).fetch_one(self.reader.pool())).await?;
+    pub(super) async fn figure(&self, query: &'static str) -> Result<u64, StoreError> {
+        let figure: i64 = self.reader.limited(sqlx::query_scalar(query).fetch_one(&self.reader.pool())).await?;
         Ok(figure.cast_unsigned())
     }
 }

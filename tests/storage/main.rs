@@ -2,5 +2,6 @@
 
 mod given;
 mod judging;
+mod keeping;
 mod spooling;
 mod statements;

@@ -1,0 +1,181 @@
+//! The only writing connection, replaced after every failure, and its write-ahead log, which stays bounded.
+//!
+//! When a write transaction fails for any reason its connection is closed and another one opened, because SQLite may
+//! have rolled back by itself and because a failed commit means "not known", not "not stored". The group is then
+//! written once more; every write may be repeated without harm.
+
+use std::sync::Arc;
+
+use sqlx::{AssertSqlSafe, Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+
+use super::{
+    disk::Disk,
+    error::{StoreError, is_full, is_refused},
+    place::Place,
+    reader::Reader,
+    statements as sql,
+    writer::Job,
+};
+
+/// Where in a transaction it failed.
+enum Failed {
+    /// Before or after the jobs: none of them is to blame.
+    Around(sqlx::Error),
+    /// In a job.
+    Within(sqlx::Error),
+}
+
+impl Failed {
+    const fn error(&self) -> &sqlx::Error {
+        match self {
+            Self::Around(error) | Self::Within(error) => error,
+        }
+    }
+}
+
+/// The writing connection.
+pub(super) struct Link {
+    pub(super) options: SqliteConnectOptions,
+    pub(super) connection: Option<SqliteConnection>,
+    pub(super) disk: Arc<Disk>,
+    pub(super) place: Place,
+    pub(super) reader: Reader,
+    /// At this size of the log something is done about it \[bytes\]. Raised when nothing could be done.
+    pub(super) log_bound: u64,
+}
+
+impl Link {
+    /// Commits the jobs together and answers each of them.
+    pub(super) async fn commit(&mut self, mut jobs: Vec<Box<dyn Job>>) {
+        if jobs.is_empty() {
+            return;
+        }
+        let Err(first) = self.transaction(&mut jobs, false).await else {
+            jobs.into_iter().for_each(|job| job.answer(Ok(())));
+            return self.bound_log().await;
+        };
+        self.recover(first.error()).await;
+        match self.transaction(&mut jobs, true).await {
+            Ok(()) => jobs.into_iter().for_each(|job| job.answer(Ok(()))),
+            Err(Failed::Within(error)) if is_refused(&error) && jobs.len() > 1 => self.commit_one_by_one(jobs).await,
+            Err(failed) => {
+                self.recover(failed.error()).await;
+                jobs.into_iter().for_each(|job| job.answer(Err(told(failed.error()))));
+            }
+        }
+    }
+
+    /// One of the jobs is refused by the database: it must not take the others with it.
+    async fn commit_one_by_one(&mut self, jobs: Vec<Box<dyn Job>>) {
+        for job in jobs {
+            let mut alone = [job];
+            let outcome = self.transaction(&mut alone, true).await;
+            if let Err(failed) = &outcome {
+                self.recover(failed.error()).await;
+            }
+            let [job] = alone;
+            job.answer(outcome.map_err(|failed| told(failed.error())));
+        }
+    }
+
+    async fn transaction(&mut self, jobs: &mut [Box<dyn Job>], repeated: bool) -> Result<(), Failed> {
+        let connection = self.connected().await.map_err(Failed::Around)?;
+        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await.map_err(Failed::Around)?;
+        for job in jobs {
+            job.run(connection, repeated).await.map_err(Failed::Within)?;
+        }
+        sqlx::query("COMMIT").execute(connection).await.map_err(Failed::Around)?;
+        self.disk.note_success();
+        Ok(())
+    }
+
+    async fn connected(&mut self) -> sqlx::Result<&mut SqliteConnection> {
+        let connection = match self.connection.take() {
+            Some(connection) => connection,
+            None => SqliteConnection::connect_with(&self.options).await?,
+        };
+        Ok(self.connection.insert(connection))
+    }
+
+    /// Gives up the connection, and the ballast if the disk is full.
+    async fn recover(&mut self, error: &sqlx::Error) {
+        tracing::warn!(%error, "a write transaction failed; its connection is replaced");
+        self.disconnect().await;
+        self.disk.note_failure(is_full(error));
+    }
+
+    async fn disconnect(&mut self) {
+        if let Some(connection) = self.connection.take() {
+            // Closing may fail for the same reason as the write; the files are let go either way.
+            let _ = connection.close().await;
+        }
+    }
+
+    /// Keeps the log from growing for ever behind a reader that does not let go of an old state.
+    async fn bound_log(&mut self) {
+        let log = self.place.log_bytes();
+        if log < self.log_bound {
+            return;
+        }
+        match self.checkpoint().await {
+            Ok(true) => return,
+            Ok(false) => {}
+            Err(error) => return self.recover(&error).await,
+        }
+        let (room, needed) = (self.disk.free_bytes().unwrap_or(u64::MAX), self.place.copy_bytes());
+        if room < needed {
+            tracing::error!(
+                log,
+                needed,
+                room,
+                "a program keeps reading an old state of the database, and there is no room to move it: end that program"
+            );
+            self.log_bound = log + log / 4;
+            return;
+        }
+        if let Err(error) = self.move_house().await {
+            tracing::error!(%error, log, "the database could not be moved away from a reader that does not let go");
+            self.disconnect().await;
+            self.log_bound = log + log / 4;
+        }
+    }
+
+    /// Copies the log into the database and starts it anew, unless a reader needs it for longer than a second.
+    async fn checkpoint(&mut self) -> sqlx::Result<bool> {
+        let connection = self.connected().await?;
+        sqlx::query("PRAGMA busy_timeout = 1000").execute(&mut *connection).await?;
+        let (busy, ..): (i64, i64, i64) =
+            sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)").fetch_one(&mut *connection).await?;
+        sqlx::query("PRAGMA busy_timeout = 5000").execute(connection).await?;
+        Ok(busy == 0)
+    }
+
+    async fn move_house(&mut self) -> Result<(), StoreError> {
+        let copy = self.place.next()?;
+        let target = copy.to_string_lossy().replace('\'', "''");
+        let connection = self.connected().await.map_err(|error| told(&error))?;
+        let vacuum = AssertSqlSafe(format!("VACUUM INTO '{target}'"));
+        sqlx::query(vacuum).execute(connection).await.map_err(|error| told(&error))?;
+        self.place.switch(&copy)?;
+        self.disconnect().await;
+        self.connected().await.map_err(|error| told(&error))?;
+        self.reader.reopen(self.place.path()).await.map_err(|error| told(&error))?;
+        tracing::warn!(to = %copy.display(), "the database moved to a new file: a program keeps reading an old state of it");
+        Ok(())
+    }
+
+    /// Marks a clean stop and closes the files.
+    pub(super) async fn close(&mut self) -> Result<(), StoreError> {
+        let connection = self.connected().await.map_err(|error| told(&error))?;
+        sqlx::query(sql::SET_CLEAN).bind(true).execute(connection).await.map_err(|error| told(&error))?;
+        // What a reader keeps from being copied now stays in the log, which is as durable.
+        let copied = self.checkpoint().await;
+        self.disconnect().await;
+        copied.map(drop).map_err(|error| told(&error))
+    }
+}
+
+/// The error as the caller sees it.
+fn told(error: &sqlx::Error) -> StoreError {
+    if is_full(error) { StoreError::Full } else { StoreError::Write(error.to_string()) }
+}

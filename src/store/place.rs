@@ -1,0 +1,148 @@
+//! Where the database is: the configured path, or the file that it leads to.
+//!
+//! A program that keeps reading one old state stops the write-ahead log from being reused, and nothing can take its
+//! lock away. So, at the log's bound, the database moves: a compact copy is written under the next number, and a
+//! symbolic link at the configured path is switched to it in one step. The reader keeps the old file, which has no
+//! name any more and vanishes when it is closed. The log has the name of its own file, so that neither a crash half
+//! way nor the reader's clearing up can bring a log and a database together that do not belong to each other.
+
+use std::{
+    fs::File,
+    io,
+    os::unix::fs::symlink,
+    path::{Path, PathBuf},
+};
+
+use jiff::Timestamp;
+
+use super::{disk::beside, error::StoreError};
+
+/// The files that SQLite keeps for one database, itself last.
+const SUFFIXES: [&str; 3] = ["-wal", "-shm", ""];
+
+/// The configured path of the database.
+#[derive(Debug, Clone)]
+pub(super) struct Place {
+    path: PathBuf,
+}
+
+impl Place {
+    pub(super) fn new(path: &Path) -> Self {
+        Self { path: path.to_owned() }
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The database file itself, links followed.
+    fn file(&self) -> PathBuf {
+        std::fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone())
+    }
+
+    /// The size of one of the database's files \[bytes\]; 0 when it is not there.
+    fn size(&self, suffix: &str) -> u64 {
+        std::fs::metadata(beside(&self.file(), suffix)).map_or(0, |file| file.len())
+    }
+
+    /// Nothing is there yet.
+    pub(super) fn is_fresh(&self) -> bool {
+        self.size("") == 0
+    }
+
+    /// The write-ahead log \[bytes\].
+    pub(super) fn log_bytes(&self) -> u64 {
+        self.size("-wal")
+    }
+
+    /// What a copy takes at most \[bytes\].
+    pub(super) fn copy_bytes(&self) -> u64 {
+        self.size("") + self.size("-wal")
+    }
+
+    fn number(&self, number: u32) -> PathBuf {
+        beside(&self.path, &format!("-{number}"))
+    }
+
+    /// The number of the file in use; 0 for the configured path itself.
+    fn current(&self) -> u32 {
+        let name = self.file();
+        (1..=2).find(|&number| std::fs::canonicalize(self.number(number)).is_ok_and(|file| file == name)).unwrap_or(0)
+    }
+
+    /// Where the next copy goes, with nothing there: the numbers 1 and 2 take turns.
+    pub(super) fn next(&self) -> Result<PathBuf, StoreError> {
+        let next = self.number(if self.current() == 1 { 2 } else { 1 });
+        remove(&next)?;
+        Ok(next)
+    }
+
+    /// Switches the configured path to a complete copy, and takes the old file's names away.
+    pub(super) fn switch(&self, copy: &Path) -> Result<(), StoreError> {
+        let old = self.file();
+        let old_had_own_name = self.path.is_symlink();
+        let error = |action: &'static str| {
+            let path = copy.to_owned();
+            move |source: io::Error| StoreError::File { action, path, source }
+        };
+        File::open(copy).and_then(|file| file.sync_all()).map_err(error("sync"))?;
+        let link = beside(&self.path, "-link");
+        remove_one(&link)?;
+        let target = copy.file_name().map_or_else(|| copy.to_owned(), PathBuf::from);
+        symlink(target, &link).map_err(error("link to"))?;
+        std::fs::rename(&link, &self.path).map_err(error("switch to"))?;
+        self.sync_folder().map_err(error("sync the folder of"))?;
+        // The first time the old file had the configured path's own name, which the link has now.
+        let names = if old_had_own_name { &SUFFIXES[..] } else { &SUFFIXES[..2] };
+        names.iter().try_for_each(|suffix| remove_one(&beside(&old, suffix)))
+    }
+
+    /// Removes copies that were not finished, or that were left when the path had been switched.
+    pub(super) fn clear_leftovers(&self) -> Result<(), StoreError> {
+        if !self.path.exists() {
+            return Ok(());
+        }
+        let current = self.current();
+        (1..=2).filter(|&number| number != current).try_for_each(|number| remove(&self.number(number)))
+    }
+
+    /// Renames the database with its log, under a name that is not taken.
+    pub(super) fn set_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
+        let file = self.file();
+        let stamp = now.strftime("%Y%m%dT%H%M%SZ");
+        let free = (0u32..).map(|n| beside(&self.path, &format!("-broken-{stamp}-{n}"))).find(|to| !to.exists());
+        let to = free.unwrap_or_else(|| beside(&self.path, "-broken"));
+        for suffix in SUFFIXES {
+            let (from, to) = (beside(&file, suffix), beside(&to, suffix));
+            match std::fs::rename(&from, &to) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    return Err(StoreError::File { action: "rename", path: from, source: error });
+                }
+                _ => {}
+            }
+        }
+        if self.path.is_symlink() {
+            remove_one(&self.path)?;
+        }
+        Ok(to)
+    }
+
+    fn sync_folder(&self) -> io::Result<()> {
+        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        File::open(folder)?.sync_all()
+    }
+}
+
+/// Removes a database with its log.
+fn remove(file: &Path) -> Result<(), StoreError> {
+    SUFFIXES.iter().try_for_each(|suffix| remove_one(&beside(file, suffix)))
+}
+
+fn remove_one(path: &Path) -> Result<(), StoreError> {
+    match std::fs::remove_file(path) {
+        Err(source) if source.kind() != io::ErrorKind::NotFound => {
+            Err(StoreError::File { action: "remove", path: path.to_owned(), source })
+        }
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,167 @@
+//! Years in a cabinet: bounds on rows, bytes, age and log; broken files; clocks that jump.
+
+use std::fs;
+
+use jiff::{SignedDuration, Timestamp};
+use pointsd::{
+    diagnose::AlarmState,
+    store::{Found, Settings, Spooled, Store, ThrowRow},
+};
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+
+use crate::given::{alarm, at, judgement, machine, open, query, settings, spooled, throw};
+
+/// Spools and judges throws `first` to `last`, received a minute apart.
+async fn judged(store: &Store, first: u64, last: u64) {
+    for throw_no in first..=last {
+        let received_at = at(60 * i64::try_from(throw_no).unwrap());
+        let answer = store.spool(&machine("21B"), &throw("b1", throw_no), received_at).await.unwrap();
+        let Spooled::New(row) = answer else { panic!("{throw_no}") };
+        store.judge(judgement(row, "21B")).await.unwrap();
+    }
+}
+
+#[tokio::test]
+async fn traces_go_before_throws_and_what_waits_never_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Settings { max_traces: 100, max_throws: 150, ..settings(folder.path()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let waits = spooled(&store, "22A", "c1", 1).await;
+    judged(&store, 1, 200).await;
+    let done = store.keep_house(at(0), true).await.unwrap();
+    assert_eq!((done.traces, done.throws), (100, 50));
+    let statistics = store.statistics().await.unwrap();
+    assert_eq!(statistics.pending, 1);
+    assert_eq!(store.reader().pending(ThrowRow::START, 9).await.unwrap()[0].row, waits);
+    assert_eq!((statistics.counters["dropped_traces"], statistics.counters["dropped_throws"]), (100, 50));
+    // A pruned throw that comes again is still a repetition, and no gap.
+    let again = store.spool(&machine("21B"), &throw("b1", 7), at(0)).await.unwrap();
+    assert_eq!(again, Spooled::Duplicate { differs: false });
+    assert_eq!(statistics.missing_throws, 0);
+}
+
+#[tokio::test]
+async fn bytes_are_bounded_and_alarms_outlive_throws() {
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Settings { max_size_mib: 1, ..settings(folder.path()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    store.record(&machine("21B"), at(10), alarm(1, AlarmState::Normal)).await.unwrap();
+    judged(&store, 1, 400).await;
+    assert!(store.statistics().await.unwrap().data_bytes > 1 << 20, "the test writes too little");
+    let done = store.keep_house(at(0), true).await.unwrap();
+    let statistics = store.statistics().await.unwrap();
+    assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
+    assert!(done.traces > 0 && done.traces < 400 && done.throws == 0, "{done:?}");
+    assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM alarm_history").await, [(1,)]);
+    assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(400,)]);
+}
+
+#[tokio::test]
+async fn age_counts_only_while_the_clock_is_trusted() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    judged(&store, 1, 20).await;
+    let in_eleven_years: Timestamp = at(0) + SignedDuration::from_hours(24 * 365 * 11);
+    assert_eq!(store.keep_house(in_eleven_years, false).await.unwrap().traces, 0);
+    assert_eq!(store.keep_house(at(0) - SignedDuration::from_hours(24), true).await.unwrap().traces, 0);
+    let done = store.keep_house(in_eleven_years, true).await.unwrap();
+    assert_eq!((done.traces, done.throws), (20, 0));
+}
+
+#[tokio::test]
+async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
+    for damage in ["no database at all, but a long text about something else entirely", ""] {
+        let folder = tempfile::tempdir().unwrap();
+        let opened = open(folder.path()).await;
+        judged(&opened.store, 1, 100).await;
+        opened.store.close().await.unwrap();
+        let path = folder.path().join("points.db");
+        let bytes = if damage.is_empty() {
+            // Pages in the middle are overwritten, and the clean stop is denied: a torn disk.
+            let outside = SqliteConnectOptions::new().filename(&path);
+            let mut outsider = SqliteConnection::connect_with(&outside).await.unwrap();
+            sqlx::query("UPDATE shutdown SET clean = 0").execute(&mut outsider).await.unwrap();
+            outsider.close().await.unwrap();
+            let mut bytes = fs::read(&path).unwrap();
+            bytes[8 * 4096..40 * 4096].fill(0x5a);
+            bytes
+        } else {
+            damage.as_bytes().repeat(200)
+        };
+        fs::write(&path, &bytes).unwrap();
+
+        let opened = open(folder.path()).await;
+        let Found::SetAside { to, why } = &opened.report.found else { panic!("{:?}", opened.report) };
+        assert!(!why.is_empty());
+        assert_eq!(fs::read(to).unwrap(), bytes, "the broken file is kept as it was");
+        spooled(&opened.store, "21B", "b1", 1).await;
+        opened.store.close().await.unwrap();
+        assert_eq!(open(folder.path()).await.report.found, Found::Clean);
+    }
+}
+
+#[tokio::test]
+async fn a_database_of_a_newer_version_opens_and_keeps_its_additions() {
+    let folder = tempfile::tempdir().unwrap();
+    let opened = open(folder.path()).await;
+    spooled(&opened.store, "21B", "b1", 1).await;
+    opened.store.close().await.unwrap();
+    let outside = SqliteConnectOptions::new().filename(folder.path().join("points.db"));
+    let mut newer = SqliteConnection::connect_with(&outside).await.unwrap();
+    sqlx::query("ALTER TABLE throw ADD COLUMN wind_m_s REAL").execute(&mut newer).await.unwrap();
+    sqlx::query(
+        "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
+         VALUES (9999, 'wind', 1, x'00', 1)",
+    )
+    .execute(&mut newer)
+    .await
+    .unwrap();
+    newer.close().await.unwrap();
+    let opened = open(folder.path()).await;
+    assert!(opened.report.newer_schema && opened.report.found == Found::Clean);
+    spooled(&opened.store, "21B", "b1", 2).await;
+}
+
+#[tokio::test]
+async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Settings { max_wal_mib: 1, ..settings(folder.path()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    judged(&store, 1, 5).await;
+    let outside = SqliteConnectOptions::new().filename(store.path()).read_only(true);
+    let mut holder = SqliteConnection::connect_with(&outside).await.unwrap();
+    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
+    let count = "SELECT count(*) FROM throw";
+    assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(&mut holder).await.unwrap(), 5);
+
+    let mut largest = 0;
+    for round in 0..30u64 {
+        judged(&store, 6 + 20 * round, 25 + 20 * round).await;
+        largest = largest.max(store.wal_bytes());
+    }
+    assert!(largest < 3 << 20, "the log grew to {largest} bytes");
+    // The reader has its old state to the end, everybody else the new one.
+    assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(&mut holder).await.unwrap(), 5);
+    assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(605,)]);
+    assert_eq!(store.reader().throws(ThrowRow::START, 1000).await.unwrap().len(), 605);
+    holder.close().await.unwrap();
+    store.close().await.unwrap();
+
+    let opened = Store::open(&bounds, at(0)).await.unwrap();
+    assert_eq!(opened.report.found, Found::Clean);
+    assert_eq!(opened.store.reader().throws(ThrowRow::START, 1000).await.unwrap().len(), 605);
+    let databases = fs::read_dir(folder.path()).unwrap().filter(|entry| {
+        let name = entry.as_ref().unwrap().file_name().into_string().unwrap();
+        !(name.ends_with("-wal") || name.ends_with("-shm") || name.ends_with("-ballast"))
+    });
+    assert_eq!(databases.count(), 2, "the link and the one file it leads to");
+}
+
+#[test]
+fn settings_are_checked_and_unknown_keys_refused() {
+    assert_eq!(Settings::default().validate(), Ok(()));
+    let wrong = Settings { max_size_mib: 1, ..Settings::default() };
+    assert_eq!(wrong.validate().unwrap_err().to_string(), "max_size_mib = 1 is out of range: 16 to 1048576 MiB");
+    let unknown = toml::from_str::<Settings>("max_sise_mib = 5").unwrap_err().to_string();
+    assert!(unknown.contains("max_sise_mib"), "{unknown}");
+}
