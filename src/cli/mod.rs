@@ -2,8 +2,10 @@
 
 mod evaluate;
 mod exit;
+mod identify;
 mod pointsd;
 mod pointsim;
+mod recording;
 mod throw;
 
 pub use exit::{Exit, Failure, Outcome, ResultExt};

@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use super::{Outcome, evaluate, exit};
+use super::{Outcome, evaluate, exit, identify};
 
 /// Condition monitoring of railway point machines: which part is wearing out, from the physics of every throw.
 #[derive(Debug, Parser)]
@@ -15,6 +15,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Evaluate(evaluate::Arguments),
+    Identify(identify::Arguments),
 }
 
 pub(super) fn main() -> Outcome {
@@ -24,5 +25,6 @@ pub(super) fn main() -> Outcome {
     };
     match arguments.command {
         Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Identify(arguments) => identify::run(&arguments),
     }
 }

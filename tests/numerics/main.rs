@@ -1,3 +1,4 @@
 //! The estimator and the simulated machine against known answers.
 
+mod identify;
 mod machine;

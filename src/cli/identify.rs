@@ -1,0 +1,189 @@
+//! `pointsd identify`: the estimator on one recorded trace.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use jiff::Timestamp;
+use serde_json::{Value, json};
+
+use super::{Exit, Outcome, ResultExt, recording};
+use crate::{
+    estimate::{Estimate, Identification, Identifier, Motor, Rejection, Settings},
+    throw::{Throw, ThrowRef},
+};
+
+/// Identify b0, a1 and a0 from one recorded throw.
+///
+/// FILE is CSV with the columns time_s, current_a and position_mm (any order, others are ignored). Uneven time stamps
+/// are resampled to an even grid; gaps are refused.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  pointsim throw --out throw.csv && pointsd identify throw.csv\n\n\
+    Exit codes: 0 accepted, 1 refused (the reason is printed), 65 the file is no recording, 66 it cannot be read.")]
+pub(super) struct Arguments {
+    /// The recorded trace.
+    #[arg(value_name = "FILE.csv")]
+    file: PathBuf,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+    /// Ball-screw lead [mm per revolution].
+    #[arg(long, default_value_t = Settings::default().lead_mm, value_name = "MM")]
+    lead_mm: f64,
+    /// Toe position at which the rails are unstressed [mm from normal].
+    #[arg(long, default_value_t = Settings::default().neutral_mm, value_name = "MM", allow_negative_numbers = true)]
+    neutral_mm: f64,
+    /// Nominal stroke [mm]; without it only the trace itself tells an incomplete throw.
+    #[arg(long, value_name = "MM")]
+    stroke_mm: Option<f64>,
+    /// Kind of motor.
+    #[arg(long, default_value = "permanent-magnet")]
+    motor: MotorArgument,
+    /// Cut-off of the anti-alias filter that both channels passed [Hz].
+    #[arg(long, value_name = "HZ")]
+    anti_alias_hz: Option<f64>,
+    /// Standard deviation of the current sensor's noise [A], for traces without quiet samples.
+    #[arg(long, default_value_t = Settings::default().current_noise_a, value_name = "A")]
+    current_noise_a: f64,
+    /// Standard deviation of the position sensor's noise [mm], for traces without quiet samples.
+    #[arg(long, default_value_t = Settings::default().position_noise_mm, value_name = "MM")]
+    position_noise_mm: f64,
+    /// Use the noise-matched prefilter.
+    #[arg(long)]
+    refined: bool,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum MotorArgument {
+    /// Torque proportional to the current.
+    #[value(alias = "permanent_magnet")]
+    PermanentMagnet,
+    /// Torque proportional to I |I|.
+    Series,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let settings = arguments.settings();
+    let recording = recording::read(&arguments.file)?;
+    let throw = Throw {
+        id: ThrowRef { boot_id: "recorded".to_owned(), throw_no: 0 },
+        started_at: Timestamp::UNIX_EPOCH,
+        direction: None,
+        trace: recording.trace,
+        temperature_c: None,
+        supply_v: None,
+        anti_alias_hz: arguments.anti_alias_hz,
+    };
+    let found = Identifier::default().identify(&throw, &settings);
+    let reason = found.outcome.as_ref().err().map(|rejection| reason(rejection, &recording.lines));
+    if arguments.json {
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&report(&found, reason.as_deref(), recording.resampled))
+                .or_exit(Exit::Software)?
+        );
+    } else if let Ok(estimate) = &found.outcome {
+        print!("{}", text(&found, estimate));
+    }
+    match reason {
+        None => Ok(Exit::Ok),
+        Some(reason) => {
+            if !arguments.json {
+                print!("{}", features_text(&found));
+            }
+            eprintln!("refused: {}: {reason}", arguments.file.display());
+            Ok(Exit::Negative)
+        }
+    }
+}
+
+impl Arguments {
+    fn settings(&self) -> Settings {
+        Settings {
+            lead_mm: self.lead_mm,
+            neutral_mm: self.neutral_mm,
+            stroke_mm: self.stroke_mm,
+            motor: match self.motor {
+                MotorArgument::PermanentMagnet => Motor::PermanentMagnet,
+                MotorArgument::Series => Motor::Series,
+            },
+            current_noise_a: self.current_noise_a,
+            position_noise_mm: self.position_noise_mm,
+            refined: self.refined,
+            ..Settings::default()
+        }
+    }
+}
+
+/// The rejection as a sentence, with the line of the file where one sample is to blame.
+fn reason(rejection: &Rejection, lines: &[u64]) -> String {
+    match rejection {
+        Rejection::NotFinite { sample, .. } => {
+            lines.get(*sample).map_or_else(|| rejection.to_string(), |line| format!("line {line}: {rejection}"))
+        }
+        _ => rejection.to_string(),
+    }
+}
+
+fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> Value {
+    let estimate = found.outcome.as_ref().ok();
+    let of = |value: fn(&Estimate) -> f64| estimate.map(value);
+    let covariance =
+        estimate.map(|e| (0..3).map(|i| (0..3).map(|j| e.covariance[(i, j)]).collect()).collect::<Vec<Vec<f64>>>());
+    json!({
+        "accepted": estimate.is_some(),
+        "reason": reason,
+        "quality": found.outcome.as_ref().map_or_else(Rejection::code, |_| "good"),
+        "b0": of(|e| e.b0),
+        "a1": of(|e| e.a1),
+        "a0": of(|e| e.a0),
+        "b0_sd": of(|e| e.covariance[(0, 0)].sqrt()),
+        "a1_sd": of(|e| e.covariance[(1, 1)].sqrt()),
+        "a0_sd": of(|e| e.covariance[(2, 2)].sqrt()),
+        "covariance": covariance,
+        "fit_pct": of(|e| e.fit_pct),
+        "iterations": estimate.map(|e| e.iterations),
+        "start_s": of(|e| e.start_s),
+        "end_s": of(|e| e.end_s),
+        "direction": found.direction.map(|direction| direction.as_str()),
+        "duration_s": found.features.duration_s,
+        "peak_current_a": found.features.peak_current_a,
+        "mean_current_a": found.features.mean_current_a,
+        "charge_as": found.features.charge_as,
+        "travel_mm": found.features.travel_mm,
+        "end_position_mm": found.features.end_position_mm,
+        "resampled": resampled,
+    })
+}
+
+fn text(found: &Identification, estimate: &Estimate) -> String {
+    let row = |name: &str, value: f64, at: usize, unit: &str| {
+        let sd = estimate.covariance[(at, at)].sqrt();
+        format!("{name}  {value:>10.4} ± {sd:.4} {unit}  ({:.2} %)\n", 100.0 * sd / value)
+    };
+    [
+        row("b0", estimate.b0, 0, "rad/s²/A"),
+        row("a1", estimate.a1, 1, "1/s"),
+        row("a0", estimate.a0, 2, "1/s²"),
+        format!(
+            "fit {:.4} % in {} iterations, from {:.3} s to {:.3} s\n",
+            estimate.fit_pct, estimate.iterations, estimate.start_s, estimate.end_s
+        ),
+        features_text(found),
+    ]
+    .concat()
+}
+
+fn features_text(found: &Identification) -> String {
+    let features = &found.features;
+    let value = |value: Option<f64>, unit: &str| {
+        value.map_or_else(|| "unknown".to_owned(), |value| format!("{value:.3} {unit}"))
+    };
+    format!(
+        "{}: duration {}, peak current {}, mean current {}, travel {}\n",
+        found.direction.map_or_else(|| "direction unknown".to_owned(), |direction| direction.to_string()),
+        value(features.duration_s, "s"),
+        value(features.peak_current_a, "A"),
+        value(features.mean_current_a, "A"),
+        value(features.travel_mm, "mm"),
+    )
+}

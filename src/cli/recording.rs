@@ -1,0 +1,147 @@
+//! Recorded throws as CSV: `time_s,current_a,position_mm`, one line a sample.
+//!
+//! The real time stamps count. Where they keep their beat within 2 % of an interval the samples are taken as they are;
+//! where they jitter or single samples are missing the channels are interpolated linearly to an even grid of the mean
+//! interval. A stretch of more than five intervals without a sample is a gap, which is reported and never bridged.
+
+use std::{fs, path::Path};
+
+use anyhow::{Context, anyhow, bail};
+
+use super::{Exit, Failure, ResultExt};
+use crate::throw::Trace;
+
+const TIME: &str = "time_s";
+const CURRENT: &str = "current_a";
+const POSITION: &str = "position_mm";
+/// Deviation from an even grid, in intervals, that needs no interpolation.
+const EVEN: f64 = 0.02;
+/// A longer stretch without samples, in intervals, is a gap.
+const LONGEST_STEP: f64 = 5.5;
+
+/// A recorded throw with what a message needs to point into its file.
+#[derive(Debug)]
+pub(super) struct Recording {
+    /// The two channels on an even grid.
+    pub(super) trace: Trace,
+    /// The channels were interpolated, because the time stamps jitter or samples are missing.
+    pub(super) resampled: bool,
+    /// Line of each sample in the file, counted from 1; empty when resampled.
+    pub(super) lines: Vec<u64>,
+}
+
+struct Columns {
+    time_s: Vec<f64>,
+    current_a: Vec<f64>,
+    position_mm: Vec<f64>,
+    lines: Vec<u64>,
+}
+
+/// Reads a recorded throw.
+///
+/// # Errors
+/// [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] when its content is no recording; the message says
+/// which line and column.
+pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
+    let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
+    parse(&bytes).and_then(Columns::evenly).with_context(|| path.display().to_string()).or_exit(Exit::Data)
+}
+
+fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
+    let text = std::str::from_utf8(bytes).map_err(|error| {
+        let line = 1 + bytes[..error.valid_up_to()].iter().filter(|byte| **byte == b'\n').count();
+        anyhow!("line {line}: not UTF-8 text: is this a CSV file?")
+    })?;
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).flexible(true).from_reader(text.as_bytes());
+    let header = reader.headers().context("line 1: no header")?.clone();
+    let at = |name: &str| header.iter().position(|column| column == name).ok_or_else(|| missing(name, &header));
+    let places = [(TIME, at(TIME)?), (CURRENT, at(CURRENT)?), (POSITION, at(POSITION)?)];
+    let mut columns = Columns { time_s: vec![], current_a: vec![], position_mm: vec![], lines: vec![] };
+    for record in reader.records() {
+        let record = record.context("not readable as CSV")?;
+        let line = record.position().map_or(0, csv::Position::line);
+        let [time_s, current_a, position_mm] = places.map(|(name, place)| number(record.get(place), line, name));
+        let time_s = time_s?;
+        if !time_s.is_finite() {
+            bail!("line {line}, column {TIME}: {time_s} is no time");
+        }
+        if columns.time_s.last().is_some_and(|before| *before >= time_s) {
+            bail!(
+                "line {line}, column {TIME}: time does not increase ({time_s} after {})",
+                columns.time_s[columns.time_s.len() - 1]
+            );
+        }
+        columns.time_s.push(time_s);
+        columns.current_a.push(current_a?);
+        columns.position_mm.push(position_mm?);
+        columns.lines.push(line);
+    }
+    Ok(columns)
+}
+
+fn missing(name: &str, header: &csv::StringRecord) -> anyhow::Error {
+    let found = header.iter().collect::<Vec<_>>().join(",");
+    let found: String = found.chars().take(100).collect();
+    let hint = if found.contains(';') { "; separate the columns by commas, not semicolons" } else { "" };
+    anyhow!("line 1: column {name} is missing: the header must name {TIME},{CURRENT},{POSITION} and is {found:?}{hint}")
+}
+
+fn number(cell: Option<&str>, line: u64, column: &str) -> anyhow::Result<f64> {
+    let cell = cell.filter(|cell| !cell.is_empty()).ok_or_else(|| anyhow!("line {line}, column {column}: no value"))?;
+    cell.parse().map_err(|_| {
+        let cell: String = cell.chars().take(40).collect();
+        anyhow!("line {line}, column {column}: {cell:?} is no number")
+    })
+}
+
+impl Columns {
+    fn evenly(self) -> anyhow::Result<Recording> {
+        let len = self.time_s.len();
+        if len < 2 {
+            bail!("the file holds {len} samples: too few to be a throw");
+        }
+        let interval_s = self.interval_s()?;
+        let start_s = self.time_s[0];
+        let uneven = |(k, time_s): (usize, &f64)| (time_s - start_s - k as f64 * interval_s).abs() > EVEN * interval_s;
+        let resampled = self.time_s.iter().enumerate().any(uneven);
+        let rate_hz = 1.0 / interval_s;
+        let (current_a, position_mm, lines) = if resampled {
+            (self.interpolated(&self.current_a, interval_s), self.interpolated(&self.position_mm, interval_s), vec![])
+        } else {
+            (self.current_a, self.position_mm, self.lines)
+        };
+        Ok(Recording { trace: Trace::new(rate_hz, current_a, position_mm)?, resampled, lines })
+    }
+
+    /// The mean interval, with missing samples counted as such.
+    fn interval_s(&self) -> anyhow::Result<f64> {
+        let mut steps: Vec<f64> = self.time_s.windows(2).map(|w| w[1] - w[0]).collect();
+        let middle = steps.len() / 2;
+        let median = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+        for (k, w) in self.time_s.windows(2).enumerate() {
+            if w[1] - w[0] > LONGEST_STEP * median {
+                bail!("line {}: no samples for {:.4} s before this line, a gap", self.lines[k + 1], w[1] - w[0]);
+            }
+        }
+        let steps: f64 = self.time_s.windows(2).map(|w| ((w[1] - w[0]) / median).round().max(1.0)).sum();
+        Ok((self.time_s[self.time_s.len() - 1] - self.time_s[0]) / steps)
+    }
+
+    fn interpolated(&self, values: &[f64], interval_s: f64) -> Vec<f64> {
+        let mut grid = Vec::with_capacity(values.len());
+        let mut at = 0;
+        let last = self.time_s.len() - 1;
+        loop {
+            let time_s = self.time_s[0] + grid.len() as f64 * interval_s;
+            if time_s > self.time_s[last] + 1e-9 * interval_s {
+                return grid;
+            }
+            while at + 2 <= last && self.time_s[at + 1] < time_s {
+                at += 1;
+            }
+            let share = (time_s - self.time_s[at]) / (self.time_s[at + 1] - self.time_s[at]);
+            grid.push(values[at] + share.min(1.0) * (values[at + 1] - values[at]));
+        }
+    }
+}

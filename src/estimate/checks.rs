@@ -1,0 +1,181 @@
+//! What makes a trace unfit for identification, found before any model is fitted.
+
+use super::{
+    Settings,
+    movement::{Movement, median},
+    rejection::{Channel, Rejection},
+};
+
+/// Beyond these no point machine's current \[A\] or toe position \[mm\] goes.
+const LARGEST_CURRENT_A: f64 = 1000.0;
+const LARGEST_POSITION_MM: f64 = 10_000.0;
+/// A movement below this is none \[mm\].
+const LEAST_TRAVEL_MM: f64 = 2.0;
+/// Share of the stroke that a complete throw covers, and that it cannot exceed.
+const COMPLETE_SHARE: f64 = 0.95;
+const TOO_LONG_SHARE: f64 = 1.15;
+/// The motor may stay on this long after the toe arrived \[s\].
+const LONGEST_STALL_S: f64 = 0.5;
+/// Measured noise beyond this many times the configured sensor's is a fault of the sensor or its wiring.
+const NOISE_FACTOR: f64 = 25.0;
+
+/// The first value that is no number, or that no machine gives.
+pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Result<(), Rejection> {
+    let channels = [(Channel::Current, current, LARGEST_CURRENT_A), (Channel::Position, position, LARGEST_POSITION_MM)];
+    for (channel, values, _) in channels {
+        if let Some(sample) = values.iter().position(|v| !v.is_finite()) {
+            return Err(Rejection::NotFinite { channel, sample, at_s: sample as f64 * interval_s });
+        }
+    }
+    for (channel, values, largest) in channels {
+        if let Some(at) = values.iter().position(|v| v.abs() > largest) {
+            return Err(Rejection::Implausible { channel, at_s: at as f64 * interval_s, value: values[at] });
+        }
+    }
+    Ok(())
+}
+
+/// A current that stands at the limit of its range: a plateau of equal extreme values with steep flanks.
+pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection> {
+    for sign in [1.0, -1.0] {
+        let limit = current.iter().fold(f64::NEG_INFINITY, |max, i| max.max(sign * i));
+        let Some(from) = current.iter().position(|i| sign * i == limit) else { continue };
+        let length = current[from..].iter().take_while(|i| sign * **i == limit).count();
+        if length < 3 || from == 0 {
+            continue;
+        }
+        let drop_at = |k: usize| current.get(k).map_or(0.0, |i| limit - sign * i);
+        let before = drop_at(from.saturating_sub(length));
+        let after = drop_at(from + 2 * length - 1);
+        // A smooth peak falls by nine of its own depths at this distance; the quantum is the least depth.
+        let quantum = quantum(current);
+        if before.min(after).max(drop_at(from - 1)) > 30.0 * quantum && before > 30.0 * quantum {
+            return Err(Rejection::Clipped {
+                channel: Channel::Current,
+                limit: sign * limit,
+                at_s: from as f64 * interval_s,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// The least difference between neighbours that differ: the step of the converter, if there is one to see.
+pub(super) fn quantum(values: &[f64]) -> f64 {
+    let least = values.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|d| *d > 0.0).fold(f64::INFINITY, f64::min);
+    if least.is_finite() { least } else { 0.0 }
+}
+
+/// Whether the trace shows one complete movement, driven by a current that the sensors resolve.
+pub(super) fn course(
+    movement: &Movement,
+    current: &[f64],
+    position: &[f64],
+    interval_s: f64,
+    settings: &Settings,
+    scratch: &mut Vec<f64>,
+) -> Result<(), Rejection> {
+    let at = |k: usize| k as f64 * interval_s;
+    let travel_mm = movement.travel_mm;
+    let furthest = position.iter().fold(0.0, |max: f64, x| max.max((x - position[0]).abs()));
+    let noise_mm = second_difference_noise(position, scratch);
+    let least =
+        settings.stroke_mm.map_or(LEAST_TRAVEL_MM, |stroke| LEAST_TRAVEL_MM.max(0.02 * stroke)).max(8.0 * noise_mm);
+    if travel_mm.max(furthest) < least {
+        return Err(Rejection::NoMovement);
+    }
+    if movement.motor_off.is_none() || movement.peak_a < 6.0 * first_difference_noise(current, scratch) {
+        return Err(Rejection::NoCurrent { travel_mm });
+    }
+    let start = movement.start();
+    let moved_mm = position[..=start].iter().fold(0.0, |max: f64, x| max.max((x - position[0]).abs()));
+    if moved_mm > 0.02 * travel_mm.max(furthest) + 10.0 * noise_mm {
+        return Err(Rejection::MovedBeforeCurrent { moved_mm });
+    }
+    jumps(movement, position, interval_s, noise_mm)?;
+    let (back_mm, _) = backwards(movement, position);
+    if back_mm > 0.02 * travel_mm + 10.0 * noise_mm {
+        return Err(Rejection::MovedBackwards { back_mm });
+    }
+    if let Some(stroke_mm) = settings.stroke_mm {
+        if travel_mm < COMPLETE_SHARE * stroke_mm {
+            return Err(Rejection::Incomplete { travel_mm, stroke_mm });
+        }
+        if travel_mm > TOO_LONG_SHARE * stroke_mm {
+            return Err(Rejection::TravelTooLong { travel_mm, stroke_mm });
+        }
+    } else if let Some(off) = movement.motor_off {
+        let stalled_s = at(off.saturating_sub(movement.arrived));
+        if stalled_s > LONGEST_STALL_S {
+            return Err(Rejection::Obstructed { position_mm: movement.end_mm, stalled_s });
+        }
+    }
+    let first_a = current[0] - movement.current.mean;
+    if movement.quiet <= 1 && first_a.abs() > 0.25 * movement.peak_a {
+        return Err(Rejection::StartMissing { current_a: first_a });
+    }
+    Ok(())
+}
+
+/// The sensors against their configuration.
+pub(super) fn noise(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
+    for (channel, level, expected) in [
+        (Channel::Current, movement.current, settings.current_noise_a),
+        (Channel::Position, movement.position, settings.position_noise_mm),
+    ] {
+        if level.samples >= super::movement::MIN_QUIET && level.sd > NOISE_FACTOR * expected {
+            return Err(Rejection::Noisy { channel, measured: level.sd, expected });
+        }
+    }
+    Ok(())
+}
+
+/// How many samples the current takes from its start to its first peak: the first crest of at least 90 % of the largest.
+pub(super) fn rise_samples(movement: &Movement, current: &[f64]) -> usize {
+    let start = movement.start();
+    let level = |k: usize| (current[k] - movement.current.mean).abs();
+    let crest =
+        |k: &usize| level(*k) >= 0.9 * movement.peak_a && (*k + 1 == current.len() || level(*k + 1) <= level(*k));
+    (start..current.len()).find(crest).map_or(0, |peak| peak - start)
+}
+
+/// A step between two samples that no speed of this machine explains.
+fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) -> Result<(), Rejection> {
+    let span = movement.arrived.saturating_sub(movement.start()).max(1);
+    let mean_step = movement.travel_mm / span as f64;
+    let allowed = 5.0 * mean_step + 10.0 * noise_mm + 3.0 * quantum(position).min(0.5);
+    let steps = position.windows(2).map(|w| (w[1] - w[0]).abs());
+    match steps.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) {
+        Some((at, jump_mm)) if jump_mm > allowed => {
+            Err(Rejection::PositionJump { jump_mm, at_s: at as f64 * interval_s })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The largest distance back from the furthest position so far, and where.
+fn backwards(movement: &Movement, position: &[f64]) -> (f64, usize) {
+    let (mut furthest, mut worst) = (f64::NEG_INFINITY, (0.0, 0));
+    let sign = if movement.sign == 0.0 { 1.0 } else { movement.sign };
+    for (k, x) in position.iter().enumerate() {
+        furthest = furthest.max(sign * x);
+        if furthest - sign * x > worst.0 {
+            worst = (furthest - sign * x, k);
+        }
+    }
+    worst
+}
+
+/// Standard deviation of white noise on a smooth signal, from the median of its second differences.
+pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).abs()));
+    1.4826 * median(scratch) / 6.0_f64.sqrt()
+}
+
+/// The same from first differences, for a signal that is mostly level.
+fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));
+    1.4826 * median(scratch) / 2.0_f64.sqrt()
+}

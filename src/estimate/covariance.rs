@@ -1,0 +1,138 @@
+//! The honest covariance: measured output, measured inputs.
+//!
+//! The textbook σ² (Z'Z)⁻¹ knows only noise in the output. Here the current is measured too, and its noise passes
+//! through the model. To first order the error of the estimate is
+//!
+//! ```text
+//! θ̂ - θ = M⁻¹ Σ_k z_k e_k,   M = Σ z φ',   e = n_y - Σ_s (B_s/A) n_s
+//! ```
+//!
+//! as the equation error, filtered by 1/A, is the output noise n_y itself less the input noise n_s through the model.
+//! With T the lower triangular matrix of the sampled response B/A, Σ z_k (T n)_k = (T' Z)' n, and T' Z is Z filtered
+//! backwards in time. So, for white noise of variances s_y² and s_s²,
+//!
+//! ```text
+//! P = M⁻¹ ( s_y² Z'Z + Σ_s s_s² W_s' W_s ) M⁻ᵀ,   W_s = Z filtered backwards in time by B_s/A
+//! ```
+//!
+//! The start position and the current's offset are means over n quiet samples: their errors, of variances s_y²/n and
+//! s_s²/n, are common to all samples and add s_y²/n (Σz)(Σz)' and s_s²/n (Σw)(Σw)' to the bracket.
+
+use super::{
+    filter::Discrete,
+    small::sandwich,
+    sriv::{Problem, Signal, Solution, Sriv, Workspace},
+};
+
+/// White noise on the samples of a problem.
+#[derive(Debug, Clone, Copy)]
+pub struct Noise<'a, const S: usize> {
+    /// Variance on the output.
+    pub output: f64,
+    /// Variance on each input; 0 for inputs that are not measured.
+    pub inputs: [f64; S],
+    /// Standard deviation of the noise on the first input, sample by sample, as a multiple of `inputs[0]`'s root:
+    /// for an input that is a nonlinear function of what the sensor measures.
+    pub scale: Option<&'a [f64]>,
+    /// How many quiet samples gave the offsets that were removed from the first input and from the output; 0 where
+    /// none was removed.
+    pub offset_samples: [usize; 2],
+}
+
+impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
+    /// Covariance of the parameters of `solution`, which must be the latest that used `workspace`.
+    #[must_use]
+    pub fn covariance(
+        &self,
+        problem: &Problem<S>,
+        solution: &Solution<N, S, P>,
+        noise: &Noise<S>,
+        workspace: &Workspace<P>,
+    ) -> [[f64; P]; P] {
+        let z = &workspace.instruments;
+        let mut middle = [[0.0; P]; P];
+        let mut sum = [0.0; P];
+        for z in z {
+            add_square(&mut middle, z, noise.output);
+            add(&mut sum, z, 1.0);
+        }
+        add_offset(&mut middle, &sum, noise.output, noise.offset_samples[1]);
+        for (s, variance) in noise.inputs.into_iter().enumerate().filter(|(_, variance)| *variance > 0.0) {
+            let Signal::Sampled(_, hold) = problem.inputs[s] else { continue };
+            let filter = Discrete::new(&solution.denominator, problem.interval_s, hold);
+            let numerator = self.numerator(&solution.parameters, s);
+            let scale = noise.scale.filter(|_| s == 0);
+            let mut sum = [0.0; P];
+            backwards(z, &filter, &numerator, |k, w| {
+                let scale = scale.map_or(1.0, |scale| scale[k]);
+                add_square(&mut middle, w, variance * scale * scale);
+                add(&mut sum, w, scale);
+            });
+            if s == 0 {
+                add_offset(&mut middle, &sum, variance, noise.offset_samples[0]);
+            }
+        }
+        for i in 0..P {
+            for j in 0..i {
+                middle[i][j] = middle[j][i];
+            }
+        }
+        sandwich(&solution.inverse, &middle)
+    }
+}
+
+/// Adds `weight` v v' to the upper triangle.
+#[inline]
+fn add_square<const P: usize>(sum: &mut [[f64; P]; P], v: &[f64; P], weight: f64) {
+    for i in 0..P {
+        for j in i..P {
+            sum[i][j] += weight * v[i] * v[j];
+        }
+    }
+}
+
+#[inline]
+fn add<const P: usize>(sum: &mut [f64; P], v: &[f64; P], weight: f64) {
+    for (sum, v) in sum.iter_mut().zip(v) {
+        *sum += weight * v;
+    }
+}
+
+/// An offset is the mean of a few noisy samples: its own error is common to all samples of the trace.
+fn add_offset<const P: usize>(middle: &mut [[f64; P]; P], sum: &[f64; P], variance: f64, samples: usize) {
+    if samples > 0 {
+        add_square(middle, sum, variance / samples as f64);
+    }
+}
+
+/// Filters the rows of `z` from the last to the first by B/A and hands each result, with its index, to `take`.
+fn backwards<const N: usize, const P: usize>(
+    z: &[[f64; P]],
+    filter: &Discrete<N>,
+    numerator: &[f64; N],
+    mut take: impl FnMut(usize, &[f64; P]),
+) {
+    // One state for each column of z, columns innermost so that they advance side by side.
+    let mut state = [[0.0; P]; N];
+    for (k, z) in z.iter().enumerate().rev() {
+        let mut w = [0.0; P];
+        for i in 0..N {
+            for j in 0..P {
+                w[j] += numerator[i] * (state[i][j] + filter.through[i] * z[j]);
+            }
+        }
+        take(k, &w);
+        let mut next = [[0.0; P]; N];
+        for i in 0..N {
+            for j in 0..P {
+                next[i][j] = filter.gamma[i] * z[j];
+            }
+            for l in 0..N {
+                for j in 0..P {
+                    next[i][j] += filter.phi[i][l] * state[l][j];
+                }
+            }
+        }
+        state = next;
+    }
+}

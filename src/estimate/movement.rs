@@ -1,0 +1,183 @@
+//! What happened in a throw, read from its two channels without any model: when the motor started and stopped, where
+//! the toe was before and after, and how noisy the sensors were while nothing happened.
+
+use super::Features;
+
+/// The motor's start is looked for at this share of the largest current, above sensor noise and below the first rise.
+const START_SHARE: f64 = 0.05;
+/// The motor counts as on above this share of the largest current: a throw that its spring helps needs very little.
+const ON_SHARE: f64 = 0.005;
+/// Fewer quiet samples than this tell neither noise nor offset.
+pub(super) const MIN_QUIET: usize = 8;
+
+/// Mean and standard deviation of a channel while nothing happens.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Level {
+    pub(super) mean: f64,
+    pub(super) sd: f64,
+    pub(super) samples: usize,
+}
+
+/// The course of a throw. Indices count samples of the channels given to [`Movement::of`].
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Movement {
+    /// Samples before the motor's start: the start itself is the last of them, or the first of the trace.
+    pub(super) quiet: usize,
+    /// Last sample at which the motor was on; `None` when it never was.
+    pub(super) motor_off: Option<usize>,
+    /// Current while nothing happens, before the start or else after the motor was off.
+    pub(super) current: Level,
+    /// Position before the start.
+    pub(super) position: Level,
+    /// +1 or -1: the way of the toe. 0 when it did not move.
+    pub(super) sign: f64,
+    /// Distance from start to end \[mm\].
+    pub(super) travel_mm: f64,
+    /// First sample at which 95 % of the travel is done.
+    pub(super) near_end: usize,
+    /// First sample at which the toe is within its noise of where it ends.
+    pub(super) arrived: usize,
+    /// Position at the end \[mm\].
+    pub(super) end_mm: f64,
+    /// Largest magnitude of the current, offset removed \[A\].
+    pub(super) peak_a: f64,
+    /// Mean magnitude of the current while the motor was on \[A\].
+    pub(super) mean_a: f64,
+}
+
+impl Movement {
+    /// Reads the course of a throw from finite channels of equal length, at least one sample.
+    pub(super) fn of(current: &[f64], position: &[f64], scratch: &mut Vec<f64>) -> Self {
+        let len = current.len();
+        let start = start_of_motor(current, scratch);
+        let quiet = start.map_or(len, |start| start + 1);
+        let before = if start == Some(0) { 0 } else { quiet };
+        let mut level = Level::of(&current[..before]);
+        let threshold = |level: &Level, peak: f64| (ON_SHARE * peak).max(5.0 * level.sd);
+        let mut peak_a = peak(current, level.mean);
+        let mut motor_off = start.and_then(|_| last_beyond(current, level.mean, threshold(&level, peak_a)));
+        if let Some(off) = motor_off.filter(|_| level.samples < MIN_QUIET) {
+            // The current needs a moment to die away after the switch.
+            let tail = (off + 1 + len / 100 + 2).min(len);
+            if len - tail >= MIN_QUIET {
+                level = Level::of(&current[tail..]);
+                peak_a = peak(current, level.mean);
+                motor_off = last_beyond(current, level.mean, threshold(&level, peak_a));
+            } else {
+                level = Level::default();
+            }
+        }
+        let mut position_level = Level::of(&position[..before]);
+        if before == 0 {
+            position_level.mean = position[0];
+        }
+        let end_mm = median_of(&position[len - (len / 50).clamp(1, 50)..], scratch);
+        let moved = end_mm - position_level.mean;
+        let sign = if moved == 0.0 { 0.0 } else { moved.signum() };
+        let progress = |k: usize| sign * (position[k] - position_level.mean);
+        let travel_mm = moved.abs();
+        let near_end = (0..len).find(|&k| progress(k) >= 0.95 * travel_mm).unwrap_or(len - 1);
+        let slack = (4.0 * position_level.sd).max(0.002 * travel_mm);
+        let arrived = (near_end..len).find(|&k| progress(k) >= travel_mm - slack).unwrap_or(len - 1);
+        let on = quiet.min(len - 1)..motor_off.map_or(0, |off| off + 1).max(quiet.min(len - 1));
+        let mean_a = mean(current[on].iter().map(|i| (i - level.mean).abs()));
+        Self {
+            quiet,
+            motor_off,
+            current: level,
+            position: position_level,
+            sign,
+            travel_mm,
+            near_end,
+            arrived,
+            end_mm,
+            peak_a,
+            mean_a,
+        }
+    }
+
+    /// Last sample before the motor's start, or the first of the trace.
+    pub(super) fn start(&self) -> usize {
+        self.quiet.saturating_sub(1)
+    }
+
+    /// Last sample of the window: 95 % of the travel, or the motor off when the toe slows down after that. (A spring that
+    /// drives the throw takes the current through zero while the motor is on.)
+    pub(super) fn end(&self, position: &[f64]) -> usize {
+        let Some(off) = self.motor_off.filter(|off| *off < self.near_end) else { return self.near_end };
+        let back = off.saturating_sub((off.saturating_sub(self.start()) / 10).max(1));
+        let speed = |from: usize, to: usize| (position[to] - position[from]) * self.sign / (to - from).max(1) as f64;
+        if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
+    }
+
+    /// The figures for maintainers, at this sampling interval \[s\].
+    pub(super) fn features(&self, interval_s: f64) -> Features {
+        let on = self.motor_off.map(|off| (off.saturating_sub(self.start())) as f64 * interval_s);
+        Features {
+            duration_s: self.motor_off.map(|_| self.arrived.saturating_sub(self.start()) as f64 * interval_s),
+            peak_current_a: Some(self.peak_a),
+            mean_current_a: self.motor_off.map(|_| self.mean_a),
+            charge_as: on.map(|on| on * self.mean_a),
+            travel_mm: Some(self.travel_mm),
+            end_position_mm: Some(self.end_mm),
+        }
+    }
+}
+
+impl Level {
+    fn of(values: &[f64]) -> Self {
+        if values.is_empty() {
+            return Self::default();
+        }
+        let mean = mean(values.iter().copied());
+        let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+        let sd = if values.len() > 1 { (squares / (values.len() - 1) as f64).sqrt() } else { 0.0 };
+        Self { mean, sd, samples: values.len() }
+    }
+}
+
+/// The last sample before the current leaves its noise; `None` when it never does.
+fn start_of_motor(current: &[f64], scratch: &mut Vec<f64>) -> Option<usize> {
+    let lead = median_of(&current[..current.len().min(5)], scratch);
+    let peak = peak(current, lead);
+    let crossing = |threshold: f64| {
+        let beyond = |k: usize| current.get(k).is_none_or(|i| (i - lead).abs() > threshold);
+        (0..current.len()).find(|&k| beyond(k) && beyond(k + 1))
+    };
+    let first = crossing(START_SHARE * peak)?;
+    let noise = Level::of(&current[..first.saturating_sub(2)]);
+    let first = if noise.samples >= MIN_QUIET { crossing((START_SHARE * peak).max(6.0 * noise.sd))? } else { first };
+    if peak == 0.0 || first == 0 {
+        return (peak > 0.0).then_some(0);
+    }
+    // Down the flank to the foot: the last sample within the noise.
+    let band = (3.0 * noise.sd).max(0.002 * peak);
+    let centre = if noise.samples >= MIN_QUIET { noise.mean } else { lead };
+    Some((0..first).rev().find(|&k| (current[k] - centre).abs() <= band).unwrap_or(0))
+}
+
+fn peak(values: &[f64], level: f64) -> f64 {
+    values.iter().fold(0.0, |peak: f64, v| peak.max((v - level).abs()))
+}
+
+fn last_beyond(values: &[f64], level: f64, threshold: f64) -> Option<usize> {
+    values.iter().rposition(|v| (v - level).abs() > threshold)
+}
+
+pub(super) fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(sum, count), v| (sum + v, count + 1.0));
+    if count > 0.0 { sum / count } else { 0.0 }
+}
+
+/// Median by selection in the scratch buffer; 0 for no values.
+pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend_from_slice(values);
+    median(scratch)
+}
+
+/// Median by selection, in place; 0 for no values.
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}

@@ -1,0 +1,265 @@
+//! Why a throw is not evaluated.
+
+use std::fmt;
+
+/// One of the two channels of a trace.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Channel {
+    /// Motor current.
+    Current,
+    /// Toe position.
+    Position,
+}
+
+impl fmt::Display for Channel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Current => "current",
+            Self::Position => "position",
+        })
+    }
+}
+
+/// Why a throw was not evaluated. `Display` is one sentence for a person; [`Rejection::code`] is stable for programs.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Rejection {
+    /// The trace, or the part of it in which the machine works, is too short to tell three coefficients.
+    #[error("the trace is too short: {samples} samples over {duration_s:.2} s in which the motor drives the toe")]
+    TooShort {
+        /// Samples in the window.
+        samples: usize,
+        /// Length of the window \[s\].
+        duration_s: f64,
+    },
+    /// NaN or infinite values.
+    #[error("the {channel} is no finite number at {at_s:.3} s, sample {sample}")]
+    NotFinite {
+        /// Which channel.
+        channel: Channel,
+        /// First such sample, counted from 0.
+        sample: usize,
+        /// Its time from the start of the trace \[s\].
+        at_s: f64,
+    },
+    /// A value that no point machine's sensor gives.
+    #[error("the {channel} at {at_s:.3} s is {value}, which no point machine gives: a corrupt value")]
+    Implausible {
+        /// Which channel.
+        channel: Channel,
+        /// Its time from the start of the trace \[s\].
+        at_s: f64,
+        /// The value \[A or mm\].
+        value: f64,
+    },
+    /// The toe did not move.
+    #[error("the toe did not move")]
+    NoMovement,
+    /// The toe moved although the current shows no motor.
+    #[error(
+        "the toe moved {travel_mm:.1} mm, but the current never left its noise: the current channel is dead or stuck"
+    )]
+    NoCurrent {
+        /// Distance moved \[mm\].
+        travel_mm: f64,
+    },
+    /// The toe moved before the motor was on.
+    #[error("the toe moved {moved_mm:.2} mm before the current rose: the channels are not of the same moment")]
+    MovedBeforeCurrent {
+        /// Distance moved by then \[mm\].
+        moved_mm: f64,
+    },
+    /// The recording began after the motor had started.
+    #[error("the recording began after the motor had started: the current is {current_a:.2} A at its first sample")]
+    StartMissing {
+        /// Current at the first sample \[A\].
+        current_a: f64,
+    },
+    /// The toe stopped short of the stroke.
+    #[error("the throw is incomplete: the toe moved {travel_mm:.1} mm of {stroke_mm:.1} mm")]
+    Incomplete {
+        /// Distance moved \[mm\].
+        travel_mm: f64,
+        /// The configured stroke \[mm\].
+        stroke_mm: f64,
+    },
+    /// The motor pushed against something that did not give way.
+    #[error(
+        "obstructed: the toe stood still at {position_mm:.1} mm for {stalled_s:.2} s while the motor was driving it"
+    )]
+    Obstructed {
+        /// Where it stood \[mm\].
+        position_mm: f64,
+        /// How long the motor was on after that \[s\].
+        stalled_s: f64,
+    },
+    /// The toe moved further than the machine can.
+    #[error(
+        "the toe moved {travel_mm:.1} mm, more than the stroke of {stroke_mm:.1} mm: check the position sensor's scale"
+    )]
+    TravelTooLong {
+        /// Distance moved \[mm\].
+        travel_mm: f64,
+        /// The configured stroke \[mm\].
+        stroke_mm: f64,
+    },
+    /// The toe moved back on its way.
+    #[error("the toe moved back by {back_mm:.1} mm on its way")]
+    MovedBackwards {
+        /// Largest distance back from the furthest position \[mm\].
+        back_mm: f64,
+    },
+    /// A channel stood at the limit of its range.
+    #[error("the {channel} is clipped at {limit:.3} from {at_s:.3} s on")]
+    Clipped {
+        /// Which channel.
+        channel: Channel,
+        /// The limit \[A or mm\].
+        limit: f64,
+        /// Start of the plateau \[s\].
+        at_s: f64,
+    },
+    /// A channel repeated one value while the machine moved.
+    #[error("the {channel} is stuck at {value:.3} for {stuck_s:.2} s from {at_s:.3} s on")]
+    Stuck {
+        /// Which channel.
+        channel: Channel,
+        /// The value \[A or mm\].
+        value: f64,
+        /// Start of the stuck stretch \[s\].
+        at_s: f64,
+        /// Its length \[s\].
+        stuck_s: f64,
+    },
+    /// The position jumped: samples are missing, or the sensor slipped.
+    #[error("the position jumps by {jump_mm:.2} mm at {at_s:.3} s: samples are missing or the sensor slipped")]
+    PositionJump {
+        /// Size of the jump \[mm\].
+        jump_mm: f64,
+        /// Time of the jump \[s\].
+        at_s: f64,
+    },
+    /// A lone value far from its neighbours.
+    #[error("the {channel} has a spike of {height:.2} at {at_s:.3} s")]
+    Spike {
+        /// Which channel.
+        channel: Channel,
+        /// Height over its neighbours \[A or mm\].
+        height: f64,
+        /// Time of the spike \[s\].
+        at_s: f64,
+    },
+    /// The rise of the current was not sampled well enough, and no anti-alias filter is declared.
+    #[error(
+        "undersampled: the current rises within {rise_samples} samples, at least 4 are needed unless both channels \
+         passed one anti-alias filter (declare it as anti_alias_hz)"
+    )]
+    Undersampled {
+        /// Samples from the start to the first peak.
+        rise_samples: usize,
+    },
+    /// A channel is far noisier than its sensor should be.
+    #[error("the {channel} is noisy: {measured:.3} standard deviation where the sensor should have {expected:.3}")]
+    Noisy {
+        /// Which channel.
+        channel: Channel,
+        /// Measured in the quiet samples \[A or mm\].
+        measured: f64,
+        /// From the configuration \[A or mm\].
+        expected: f64,
+    },
+    /// The normal equations are singular or nearly so.
+    #[error("the trace does not determine the three coefficients: the normal equations are singular")]
+    Singular,
+    /// The iteration did not converge.
+    #[error("the estimation did not converge in {iterations} iterations: the model does not describe this trace")]
+    NotConverged {
+        /// Iterations done.
+        iterations: usize,
+    },
+    /// The model found is unstable.
+    #[error("the model found is unstable (a1 {a1:.3}, a0 {a0:.3}): it does not describe a point machine")]
+    Unstable {
+        /// Kf / J \[s⁻¹\].
+        a1: f64,
+        /// Kspr / J \[s⁻²\].
+        a0: f64,
+    },
+    /// A coefficient that must be positive is not.
+    #[error("the model found has b0 {b0:.3}, a1 {a1:.3}, a0 {a0:.3}, which must all be positive")]
+    NotPositive {
+        /// KT / J.
+        b0: f64,
+        /// Kf / J \[s⁻¹\].
+        a1: f64,
+        /// Kspr / J \[s⁻²\].
+        a0: f64,
+    },
+    /// The model's output does not follow the measured one.
+    #[error("the model follows the movement to {fit_pct:.2} % only, at least {floor_pct:.2} % are needed")]
+    PoorFit {
+        /// R²_T \[%\].
+        fit_pct: f64,
+        /// The floor \[%\].
+        floor_pct: f64,
+    },
+    /// The noise leaves the coefficients open.
+    #[error(
+        "the noise leaves b0 uncertain by {sd_pct:.0} % (one standard deviation), at most {limit_pct:.0} % are of use"
+    )]
+    Uncertain {
+        /// Standard deviation of b0 \[%\].
+        sd_pct: f64,
+        /// The limit \[%\].
+        limit_pct: f64,
+    },
+    /// The settings make no sense.
+    #[error("the setting {name} is {value}: it must be a positive number")]
+    Settings {
+        /// Which setting.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
+}
+
+impl Rejection {
+    /// The stable word for programs, as in the column `quality`.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::TooShort { .. } => "too_short",
+            Self::NotFinite { .. } => "not_finite",
+            Self::Implausible { .. } => "implausible_value",
+            Self::NoMovement => "no_movement",
+            Self::NoCurrent { .. } => "no_current",
+            Self::MovedBeforeCurrent { .. } => "moved_before_current",
+            Self::StartMissing { .. } => "start_missing",
+            Self::Incomplete { .. } => "incomplete",
+            Self::Obstructed { .. } => "obstructed",
+            Self::TravelTooLong { .. } => "travel_too_long",
+            Self::MovedBackwards { .. } => "moved_backwards",
+            Self::Clipped { .. } => "clipped",
+            Self::Stuck { .. } => "stuck",
+            Self::PositionJump { .. } => "position_jump",
+            Self::Spike { .. } => "spike",
+            Self::Undersampled { .. } => "undersampled",
+            Self::Noisy { .. } => "noisy",
+            Self::Singular => "singular",
+            Self::NotConverged { .. } => "not_converged",
+            Self::Unstable { .. } => "unstable",
+            Self::NotPositive { .. } => "not_positive",
+            Self::PoorFit { .. } => "poor_fit",
+            Self::Uncertain { .. } => "uncertain",
+            Self::Settings { .. } => "bad_settings",
+        }
+    }
+
+    /// Whether the machine, not the sensors, is to blame: the points did not complete their movement.
+    #[must_use]
+    pub fn is_incomplete(&self) -> bool {
+        matches!(
+            self,
+            Self::NoMovement | Self::Incomplete { .. } | Self::Obstructed { .. } | Self::MovedBackwards { .. }
+        )
+    }
+}

@@ -1,0 +1,104 @@
+//! When the machine is let go.
+//!
+//! Before the motor is on, a brake or dry friction holds rails that lean against a spring: y = 0 although y_eq is not.
+//! The term a0 y_eq of equation (12) acts from the moment in which the motor starts, so that moment matters: 1 ms too
+//! early costs 0.8 % of all three coefficients in the direction in which the spring drives the throw.
+//!
+//! Unfiltered, the current shows it: the foot of its rise, extrapolated through the first samples. A filter that both
+//! channels passed delays and rounds the foot. Then moments tell: a filter adds its own delay and variance to those of
+//! the inrush, and the inrush is a one-sided pulse, whose mean lies a fixed share of its spread after its start.
+
+use std::f64::consts::TAU;
+
+/// Mean of an inrush pulse over its spread: 1 for an exponential, √2 for one with equal rise and decay times.
+const MEAN_OVER_SPREAD: f64 = 1.25;
+/// Delay of a fourth-order Butterworth low-pass at 0 Hz, in units of 1/ω_c: 2 (sin π/8 + sin 3π/8).
+const FILTER_DELAY: f64 = 2.613_125_929_752_753;
+
+/// The moment of release \[s\] from the first sample of `current` \[A\], whose last quiet sample is `foot`.
+pub(super) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, filter_hz: Option<f64>) -> f64 {
+    match filter_hz {
+        None => (foot as f64 + foot_fraction(current, offset, foot)) * interval_s,
+        Some(hz) => (pulse_start(current, offset, foot, interval_s, hz)).clamp(0.0, (foot + 2) as f64 * interval_s),
+    }
+}
+
+/// Where between `foot` and the sample after it the rise begins: the rise's slope there is that of the next two
+/// intervals, extrapolated.
+fn foot_fraction(current: &[f64], offset: f64, foot: usize) -> f64 {
+    let Some([first, second, third]) = current.get(foot + 1..foot + 4) else { return 0.0 };
+    let slope = 2.0 * (second - first) - (third - second);
+    let run = (first - offset) / slope;
+    if run.is_finite() && run > 0.0 { 1.0 - run.min(1.0) } else { 0.0 }
+}
+
+fn pulse_start(current: &[f64], offset: f64, foot: usize, interval_s: f64, hz: f64) -> f64 {
+    let level = |k: usize| (current[k] - offset).abs();
+    let peak = (foot..current.len()).fold(foot, |peak, k| if level(k) > level(peak) { k } else { peak });
+    // The running current after the inrush, and where the pulse has come down to it.
+    let after = (peak + (current.len() - peak) / 3).min(current.len() - 1);
+    let running = super::movement::mean((peak.max(after / 2)..=after).map(level));
+    let end = (peak..after).find(|&k| level(k) < running + 0.02 * (level(peak) - running)).unwrap_or(after);
+    let (mut mass, mut mean, mut square) = (0.0, 0.0, 0.0);
+    for k in foot..end {
+        let time_s = k as f64 * interval_s;
+        let excess = level(k) - if k > peak { running } else { running.min(level(k)) };
+        mass += excess;
+        mean += excess * time_s;
+        square += excess * time_s * time_s;
+    }
+    let mean = mean / mass;
+    let variance = square / mass - mean * mean;
+    let omega = TAU * hz;
+    // Variance of the impulse response of a fourth-order Butterworth low-pass: Σ 1/ω_i² over its poles, which is 0.
+    let spread = variance.max(0.0).sqrt();
+    mean - FILTER_DELAY / omega - MEAN_OVER_SPREAD * spread
+}
+
+/// Mean over each sampling interval of the step at `released` \[s\], after the filter.
+pub(super) fn course(step: &mut Vec<f64>, len: usize, released: f64, interval_s: f64, filter_hz: Option<f64>) {
+    step.clear();
+    step.extend((0..len).map(|k| {
+        let from = k as f64 * interval_s - released;
+        match filter_hz {
+            None => ((from + interval_s) / interval_s).clamp(0.0, 1.0),
+            Some(hz) => 0.5 * (step_response(from, hz) + step_response(from + interval_s, hz)),
+        }
+    }));
+}
+
+/// Step response of a fourth-order Butterworth low-pass.
+fn step_response(time_s: f64, hz: f64) -> f64 {
+    let x = TAU * hz * time_s;
+    if x <= 0.0 {
+        return 0.0;
+    }
+    if x > 60.0 {
+        return 1.0;
+    }
+    use nalgebra::Complex;
+    // Poles e^{j 5π/8}, e^{j 7π/8} and their conjugates; residue of 1/(s Π (s - p)) at each.
+    let angles = [5.0, 7.0].map(|eighths: f64| Complex::from_polar(1.0, eighths * TAU / 16.0));
+    let poles = [angles[0], angles[0].conj(), angles[1], angles[1].conj()];
+    let transient: f64 = [0, 2]
+        .into_iter()
+        .map(|i| {
+            let others = (0..4).filter(|j| *j != i).fold(poles[i], |product, j| product * (poles[i] - poles[j]));
+            2.0 * ((poles[i] * x).exp() / others).re
+        })
+        .sum();
+    1.0 + transient
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_step_response_starts_at_zero_overshoots_and_settles() {
+        assert!(step_response(1e-9, 10.0).abs() < 1e-6);
+        assert!((step_response(10.0, 10.0) - 1.0).abs() < 1e-9);
+        let most = (0..1000).map(|k| step_response(f64::from(k) * 1e-4, 10.0)).fold(0.0, f64::max);
+        assert!((most - 1.108).abs() < 0.002, "{most}");
+    }
+}

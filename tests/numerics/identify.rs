@@ -1,0 +1,74 @@
+//! One throw through the whole estimator: simulate, then find the physics again.
+
+use pointsd::estimate::{Identification, Identifier, Settings};
+use pointsd::simulate::{Conditions, Parameters, Rails, Sensors};
+use pointsd::throw::{Direction, Throw, ThrowRef, Trace};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+/// A throw of nobody in particular with this trace.
+pub fn throw_with(trace: Trace, anti_alias_hz: Option<f64>) -> Throw {
+    Throw {
+        id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
+        started_at: jiff::Timestamp::UNIX_EPOCH,
+        direction: None,
+        trace,
+        temperature_c: None,
+        supply_v: None,
+        anti_alias_hz,
+    }
+}
+
+/// Simulates one throw of `machine` as `sensors` see it.
+pub fn simulated(machine: &Parameters, sensors: &Sensors, direction: Direction, seed: u64) -> Throw {
+    let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    throw_with(sensors.record(&motion, direction, &mut rng).unwrap(), sensors.anti_alias_hz)
+}
+
+/// The settings that belong to a simulated machine.
+pub fn settings_of(machine: &Parameters) -> Settings {
+    Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() }
+}
+
+/// The default machine without any dry friction: all of its physics is in equation (10).
+pub fn without_dry_friction() -> Parameters {
+    let machine = Parameters::default();
+    let rails = Rails { slide_friction: 0.0, ..machine.rails.clone() };
+    Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, rails, ..machine }
+}
+
+fn identify(throw: &Throw, settings: &Settings) -> Identification {
+    Identifier::default().identify(throw, settings)
+}
+
+#[test]
+fn a_noise_free_throw_gives_the_machines_physics_within_1_pct_in_both_directions() {
+    for neutral_mm in [0.0, 57.5, 115.0] {
+        let machine = Parameters { neutral_mm, ..without_dry_friction() };
+        let known = machine.coefficients().unwrap();
+        for direction in Direction::BOTH {
+            let throw = simulated(&machine, &Sensors::perfect(1000.0), direction, 1);
+            let found = identify(&throw, &settings_of(&machine));
+            assert_eq!(found.direction, Some(direction));
+            let estimate = found.outcome.unwrap();
+            for (found, known) in [(estimate.b0, known.b0), (estimate.a1, known.a1), (estimate.a0, known.a0)] {
+                assert!((found / known - 1.0).abs() < 0.01, "{direction}, neutral {neutral_mm}: {found} for {known}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_declared_direction_that_the_toe_contradicts_is_flagged_and_the_movement_wins() {
+    let machine = Parameters::default();
+    let mut throw = simulated(&machine, &Sensors::default(), Direction::NormalToReverse, 1);
+    for (declared, contradicted) in
+        [(None, false), (Some(Direction::NormalToReverse), false), (Some(Direction::ReverseToNormal), true)]
+    {
+        throw.direction = declared;
+        let found = identify(&throw, &settings_of(&machine));
+        assert_eq!(found.direction, Some(Direction::NormalToReverse));
+        assert_eq!(found.direction_contradicted, contradicted);
+        assert!(found.outcome.is_ok());
+    }
+}
