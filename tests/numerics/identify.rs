@@ -22,7 +22,7 @@ pub fn throw_with(trace: Trace, anti_alias_hz: Option<f64>) -> Throw {
 pub fn simulated(machine: &Parameters, sensors: &Sensors, direction: Direction, seed: u64) -> Throw {
     let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    throw_with(sensors.record(&motion, direction, &mut rng).unwrap(), sensors.anti_alias_hz)
+    throw_with(sensors.record(&motion, direction, &mut rng).unwrap().trace, sensors.anti_alias_hz)
 }
 
 /// The settings that belong to a simulated machine.
