@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::event::Cause;
+use super::{Settings, event::Cause};
 
 /// What an operator asks of a machine's monitor.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -89,6 +89,12 @@ pub enum CommandError {
         /// The monitor's clock.
         now: Timestamp,
     },
+    /// Shelved for longer than the settings allow.
+    #[error("`until` is more than {days} days ahead: shelve for less (longest_shelving_days)")]
+    ShelvedTooLong {
+        /// The longest time allowed \[days\].
+        days: u32,
+    },
     /// Who, or why, is missing or too long.
     #[error("`{field}` must hold 1 to {max} characters", max = Command::MAX_TEXT)]
     Text {
@@ -132,8 +138,8 @@ impl Command {
     /// Checks the texts and the time.
     ///
     /// # Errors
-    /// When `by` or `why` is empty or too long, or `until` is past.
-    pub fn validate(&self, now: Timestamp) -> Result<(), CommandError> {
+    /// When `by` or `why` is empty or too long, or `until` is past or too far ahead.
+    pub fn validate(&self, now: Timestamp, settings: &Settings) -> Result<(), CommandError> {
         let fits = |text: &str| (1..=Self::MAX_TEXT).contains(&text.trim().chars().count());
         if !fits(self.by()) {
             return Err(CommandError::Text { field: "by" });
@@ -146,8 +152,12 @@ impl Command {
             Self::MaintenanceStart { until, .. } => *until,
             _ => None,
         };
+        let days = settings.longest_shelving_days;
         match until {
             Some(until) if until <= now => Err(CommandError::UntilIsPast { until, now }),
+            Some(until) if until.duration_since(now).as_hours() > 24 * i64::from(days) => {
+                Err(CommandError::ShelvedTooLong { days })
+            }
             _ => Ok(()),
         }
     }

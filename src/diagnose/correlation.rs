@@ -1,6 +1,14 @@
 //! The paper's cross-correlation of the three inertia estimates.
+//!
+//! Every coefficient gives an estimate of the inertia, nominal over estimate: `J_b0` = b0_ref/b0, `J_a1` = a1_ref/a1,
+//! `J_a0` = a0_ref/a0. When inertia itself changes, all three move together; the rule asks each pair for a
+//! correlation of at least 0.8. It is taken over the baseline and the recent window together, each with the same
+//! weight, so that a drift shows in it as between the paper's tests.
 
+use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
+
+use super::{drift::Window, event::Cause};
 
 /// The paper's cross-correlation of the three inertia estimates, pairwise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -11,4 +19,32 @@ pub struct Correlation {
     pub b0_a0: f64,
     /// Between J from a1 and J from a0.
     pub a1_a0: f64,
+}
+
+impl Correlation {
+    /// Over a baseline in which one throw scatters with `of_one_throw` and a `window` of throws around its mean,
+    /// half and half. J = exp(-residual): for small residuals its covariance is that of the logarithms, and the shift
+    /// between the halves is taken in J itself.
+    pub(super) fn of(of_one_throw: &Matrix3<f64>, window: &Window) -> Self {
+        let shift = window.mean.map(|log| (-log).exp() - 1.0);
+        let level = window.mean.map(|log| (-log).exp());
+        let scatter = of_one_throw.component_mul(&(level * level.transpose()));
+        let pooled = 0.5 * (of_one_throw + scatter) + 0.25 * shift * shift.transpose();
+        let between = |i: usize, j: usize| {
+            let scale = (pooled[(i, i)] * pooled[(j, j)]).sqrt();
+            if scale > 0.0 { (pooled[(i, j)] / scale).clamp(-1.0, 1.0) } else { 0.0 }
+        };
+        Self { b0_a1: between(0, 1), b0_a0: between(0, 2), a1_a0: between(1, 2) }
+    }
+
+    /// Whether all three pairs reach `limit`: the paper's sign of inertia.
+    #[must_use]
+    pub fn tells_inertia(&self, limit: f64) -> bool {
+        [self.b0_a1, self.b0_a0, self.a1_a0].into_iter().all(|pair| pair >= limit)
+    }
+
+    /// Whether the rule says the same as the name of a drift.
+    pub(super) fn agrees_with(&self, cause: Cause, limit: f64) -> bool {
+        self.tells_inertia(limit) == (cause == Cause::Inertia)
+    }
 }

@@ -1,12 +1,24 @@
 //! From the history of a machine's estimates to one named cause. Time is a parameter; nothing here reads a clock.
 
+mod alarm;
 mod baseline;
+mod cause;
 mod command;
+mod condition;
 mod correlation;
+mod drift;
 mod event;
 mod monitor;
+mod operational;
+mod robust;
+mod scatter;
 mod settings;
+mod sym3;
+mod text;
+mod threshold;
+mod track;
 mod trend;
+mod verdict;
 
 use jiff::Timestamp;
 use nalgebra::Matrix3;

@@ -44,6 +44,8 @@ pub struct Settings {
     pub hold_throws: u32,
     /// A drift is below its limit only when it is this much smaller than the limit. 0 to 90 %, default 20.
     pub deadband_pct: f64,
+    /// Longest time for which an alarm can be shelved, or a maintenance window planned. 1 to 3,660 days, default 31.
+    pub longest_shelving_days: u32,
     /// A throw is slow when it takes this much longer than the baseline's. 1 to 1,000 %, default 20.
     pub slow_throw_pct: f64,
     /// A slow throw is critical from here. `slow_throw_pct` to 10,000 %, default 50.
@@ -100,6 +102,7 @@ impl Default for Settings {
             off_delay_throws: 12,
             hold_throws: 200,
             deadband_pct: 20.0,
+            longest_shelving_days: 31,
             slow_throw_pct: 20.0,
             slow_throw_critical_pct: 50.0,
             not_monitored_throws: 20,
@@ -131,6 +134,7 @@ impl Settings {
             ("off_delay_throws", f64::from(self.off_delay_throws), 1.0, 10_000.0),
             ("hold_throws", f64::from(self.hold_throws), 1.0, 100_000.0),
             ("deadband_pct", self.deadband_pct, 0.0, 90.0),
+            ("longest_shelving_days", f64::from(self.longest_shelving_days), 1.0, 3_660.0),
             ("slow_throw_pct", self.slow_throw_pct, 1.0, 1_000.0),
             ("slow_throw_critical_pct", self.slow_throw_critical_pct, self.slow_throw_pct, 10_000.0),
             ("not_monitored_throws", f64::from(self.not_monitored_throws), 1.0, 10_000.0),

@@ -1,1 +1,4 @@
 //! The diagnosis: causes, alarms, restarts, the scored table.
+
+mod cause;
+mod fleet;

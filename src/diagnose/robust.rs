@@ -1,0 +1,32 @@
+//! Robust averages: one wild throw must not move them.
+
+/// How far from the median, in standard deviations, a value counts in full; beyond, it counts as if it were there.
+const CLIP_SD: f64 = 3.0;
+/// Median absolute deviation to standard deviation, for Gaussian scatter.
+const MAD_TO_SD: f64 = 1.4826;
+
+/// Median. Sorts `values`, which must not be empty.
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    let middle = values.len() / 2;
+    if values.len() % 2 == 1 { values[middle] } else { 0.5 * (values[middle - 1] + values[middle]) }
+}
+
+/// Mean of `values`, clipped at three standard deviations `sd` around their median: as good as the mean for Gaussian
+/// scatter, and one wild value of three moves it by one `sd` only. Sorts `values`, which must not be empty.
+pub(super) fn clipped_mean(values: &mut [f64], sd: f64) -> f64 {
+    let centre = median(values);
+    let reach = CLIP_SD * sd;
+    values.iter().map(|v| v.clamp(centre - reach, centre + reach)).sum::<f64>() / values.len() as f64
+}
+
+/// Robust centre and standard deviation of a sample. `values` must not be empty.
+pub(super) fn centre_and_sd(values: &[f64]) -> (f64, f64) {
+    let mut sorted = values.to_vec();
+    let middle = median(&mut sorted);
+    let mut deviations: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
+    let sd = MAD_TO_SD * median(&mut deviations);
+    // Half of the values equal (quantised): the mean of deviations still tells a scale.
+    let sd = if sd > 0.0 { sd } else { deviations.iter().sum::<f64>() / deviations.len() as f64 };
+    (clipped_mean(&mut sorted, sd), sd)
+}

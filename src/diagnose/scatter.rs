@@ -1,0 +1,133 @@
+//! The natural scatter of a machine's throws, and what it makes of the mean of a few of them.
+//!
+//! A throw's logarithms x = (ln b0, ln a1, ln a0) scatter around their centre for two reasons: the machine itself
+//! differs from throw to throw (weather, load; covariance A, serially correlated with lag-1 coefficients phi), and the
+//! estimator errs (covariance C, independent from throw to throw and known with every estimate). The mean of w throws
+//! has
+//!
+//! ```text
+//! V = D A D + C / w,   D = diag(sqrt(g_w(phi_i) / w)),   g_w(phi) = 1 + 2 sum_{k<w} (1 - k/w) phi^k
+//! ```
+//!
+//! and g_w tends to (1 + phi) / (1 - phi) (the variance of the mean of a first-order autoregressive series). The
+//! baseline's centre, a mean of n throws, errs in the same way.
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::sym3::Sym3;
+
+/// Weight of the prior on a lag-1 correlation, in throws, and its centre: 50 throws know it to 0.13 only, 12 hardly.
+const LAG1_PRIOR: (f64, f64) = (6.0, 0.3);
+/// Largest lag-1 correlation that is believed: above it the variance of a mean cannot be told from a few throws.
+const LAG1_MAX: f64 = 0.9;
+
+/// Natural scatter, learned from the residuals of a baseline.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Scatter {
+    natural: Sym3,
+    sensor: Sym3,
+    lag1: [f64; 3],
+    throws: f64,
+}
+
+impl Scatter {
+    /// Learns from the residuals of throws in the order in which they happened. `sensor` is the mean covariance of
+    /// the estimates; `centres` is how many means were removed from the residuals.
+    pub(super) fn learn(residuals: &[Vector3<f64>], sensor: Matrix3<f64>, centres: usize) -> Self {
+        let throws = residuals.len() as f64;
+        let moment = |lag: usize| -> Matrix3<f64> {
+            residuals.iter().zip(&residuals[lag..]).map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>() / throws
+        };
+        let (zero, one) = (moment(0), moment(1));
+        let mut lag1 = [0.0; 3];
+        let mut grow = Vector3::zeros();
+        for i in 0..3 {
+            // A removed mean takes the variance of that mean away from the moments; undo it with the first guess.
+            let share = ((zero[(i, i)] - sensor[(i, i)]) / zero[(i, i)]).clamp(0.0, 1.0);
+            let raw = if share > 0.0 { one[(i, i)] / (zero[(i, i)] * share.max(0.2)) } else { 0.0 };
+            let unbiased = (raw + centres as f64 / throws) / (1.0 - 3.0 * centres as f64 / throws);
+            let weight = throws * share;
+            let (prior_weight, prior) = LAG1_PRIOR;
+            lag1[i] = ((weight * unbiased + prior_weight * prior) / (weight + prior_weight)).clamp(0.0, LAG1_MAX);
+            let lost = centres as f64 * (1.0 + share * (inflation(lag1[i], throws) - 1.0)) / throws;
+            grow[i] = (1.0 / (1.0 - lost.min(0.5))).sqrt();
+        }
+        let scale = Matrix3::from_diagonal(&grow);
+        let total = scale * zero * scale;
+        Self { natural: natural_part(total, sensor).into(), sensor: sensor.into(), lag1, throws }
+    }
+
+    /// Covariance of the machine's own scatter plus the estimator's in the baseline: of one throw.
+    pub(super) fn of_one_throw(&self) -> Matrix3<f64> {
+        Matrix3::from(self.natural) + Matrix3::from(self.sensor)
+    }
+
+    /// Lag-1 correlations of the natural scatter.
+    pub(super) fn lag1(&self) -> [f64; 3] {
+        self.lag1
+    }
+
+    /// Standard deviation of one throw whose estimate has the covariance `sensor`.
+    pub(super) fn sd_of_one(&self, sensor: &Matrix3<f64>) -> Vector3<f64> {
+        (Matrix3::from(self.natural) + sensor).diagonal().map(|v| v.max(1e-12).sqrt())
+    }
+
+    /// Covariance of the difference between the mean of `w` throws, whose estimates have the mean covariance
+    /// `sensor`, and the baseline's centre, which is known as from `baseline_throws` throws.
+    pub(super) fn of_mean(&self, w: usize, sensor: &Matrix3<f64>, baseline_throws: f64) -> Matrix3<f64> {
+        let w = w as f64;
+        let recent = Vector3::from_fn(|i, _| (inflation(self.lag1[i], w) / w).sqrt());
+        let base = Vector3::from_fn(|i, _| (inflation(self.lag1[i], self.throws) / baseline_throws).sqrt());
+        let natural = Matrix3::from(self.natural);
+        natural.component_mul(&(recent * recent.transpose() + base * base.transpose()))
+            + sensor / w
+            + Matrix3::from(self.sensor) / baseline_throws
+    }
+
+    /// How well `of_mean` is known, in degrees of freedom: 2 / var(ln V) (Satterthwaite), where V errs with the
+    /// variance of the residuals and with the lag-1 correlation, both from a finite number of dependent throws.
+    pub(super) fn degrees_of_freedom(&self, w: usize) -> f64 {
+        const STEP: f64 = 1e-4;
+        let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
+        let factor = |phi: f64| inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws;
+        let mut mean = 0.0;
+        for i in 0..3 {
+            let phi = self.lag1[i].min(LAG1_MAX - 2.0 * STEP);
+            let share = natural[(i, i)] / (natural[(i, i)] + sensor[(i, i)]).max(f64::MIN_POSITIVE);
+            let effective = self.throws * (1.0 - phi * phi) / (1.0 + phi * phi);
+            let slope = (factor(phi + STEP).ln() - factor((phi - STEP).max(0.0)).ln()) / (STEP + phi.min(STEP));
+            let weight = (self.throws * share).max(1.0) + LAG1_PRIOR.0;
+            let of_lag1 = share * slope * slope * (1.0 - phi * phi) / weight;
+            mean += (2.0 / effective + of_lag1) / 3.0;
+        }
+        2.0 / mean
+    }
+}
+
+/// g_w(phi): by how much the variance of a mean of `w` throws exceeds that of independent ones.
+pub(super) fn inflation(phi: f64, w: f64) -> f64 {
+    let rest = 1.0 - phi;
+    (1.0 + phi) / rest - 2.0 * phi * (1.0 - phi.powf(w)) / (w * rest * rest)
+}
+
+/// What of `total` the estimator's own covariance does not explain: never negative in any direction.
+fn natural_part(total: Matrix3<f64>, sensor: Matrix3<f64>) -> Matrix3<f64> {
+    let eigen = (total - sensor).symmetric_eigen();
+    let kept = eigen.eigenvalues.map(|v| v.max(0.0));
+    eigen.eigenvectors * Matrix3::from_diagonal(&kept) * eigen.eigenvectors.transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_inflation_is_the_sum_it_stands_for() {
+        for (phi, w) in [(0.0, 3_u32), (0.5, 3), (0.6, 24), (0.3, 6)] {
+            let w_f = f64::from(w);
+            let sum: f64 = (1..w).map(|k| (1.0 - f64::from(k) / w_f) * f64::powi(phi, k.cast_signed())).sum();
+            assert!((inflation(phi, w_f) - (1.0 + 2.0 * sum)).abs() < 1e-12);
+        }
+    }
+}

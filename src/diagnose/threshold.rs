@@ -1,0 +1,78 @@
+//! Limits of the drift statistic, computed from the budget of false alarms.
+//!
+//! T = m' V^-1 m of one window would be chi-square with three degrees of freedom if V were known. V comes from a
+//! finite baseline, so T follows Hotelling's law instead: T (nu - 2) / (3 nu) is F(3, nu - 2), with the degrees of
+//! freedom nu of [`Scatter::degrees_of_freedom`]. Every throw asks several windows of several streams; the budget is
+//! shared among them, and each share is a rate of *new* crossings: successive windows overlap, so a crossing lasts
+//! some throws and counts once.
+
+use serde::{Deserialize, Serialize};
+use statrs::function::beta::checked_beta_reg;
+
+use super::scatter::Scatter;
+
+/// Window lengths \[throws\].
+pub(super) const WINDOWS: [usize; 4] = [3, 6, 12, 24];
+/// Coefficients in a residual.
+const DIMENSIONS: f64 = 3.0;
+
+/// Limits of T for the four windows, and the budget for which they were computed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Thresholds {
+    budget: f64,
+    limits: [f64; 4],
+}
+
+impl Thresholds {
+    /// For `budget` false alarms a throw, shared among `streams` streams of four windows.
+    pub(super) fn compute(scatter: &Scatter, budget: f64, streams: usize) -> Self {
+        let share = budget / (streams * WINDOWS.len()) as f64;
+        Self { budget, limits: WINDOWS.map(|w| limit(share, scatter.degrees_of_freedom(w))) }
+    }
+
+    /// Whether they were computed for this budget.
+    #[expect(clippy::float_cmp, reason = "any change of the setting asks for new limits")]
+    pub(super) fn are_for(&self, budget: f64) -> bool {
+        self.budget == budget
+    }
+
+    /// The limit of the window `WINDOWS[at]`.
+    pub(super) fn of(&self, at: usize) -> f64 {
+        self.limits[at]
+    }
+}
+
+/// T that Hotelling's law with `nu` degrees of freedom exceeds with probability `alpha`.
+fn limit(alpha: f64, nu: f64) -> f64 {
+    let second = (nu - DIMENSIONS + 1.0).max(2.0);
+    let nu = second + DIMENSIONS - 1.0;
+    let exceeds = |f: f64| {
+        let x = second / (second + DIMENSIONS * f);
+        checked_beta_reg(second / 2.0, DIMENSIONS / 2.0, x).unwrap_or(0.0)
+    };
+    let (mut low, mut high) = (0.0_f64, 30.0_f64);
+    for _ in 0..60 {
+        let middle = 0.5 * (low + high);
+        if exceeds(middle.exp()) > alpha { low = middle } else { high = middle }
+    }
+    DIMENSIONS * nu / second * low.exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn with_many_degrees_of_freedom_the_limit_is_that_of_chi_square() {
+        // Chi-square with three degrees of freedom, upper tails from a table.
+        for (alpha, expected) in [(0.05, 7.815), (0.001, 16.266)] {
+            assert!((limit(alpha, 1e7) - expected).abs() < 2e-3, "{}", limit(alpha, 1e7));
+        }
+    }
+
+    #[test]
+    fn with_few_it_is_that_of_f() {
+        // F(3, 10), upper 1 %: 6.552 in the tables.
+        assert!((limit(0.01, 12.0) - 3.0 * 12.0 / 10.0 * 6.552).abs() < 0.01);
+    }
+}

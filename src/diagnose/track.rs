@@ -1,0 +1,237 @@
+//! What the monitor keeps of the throws of each direction: the baseline and how it is learned, and the last throws.
+
+use jiff::Timestamp;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    BaselineRecord, Cause, Settings,
+    baseline::{Baseline, Learned, learn_mixed},
+    drift::{Recent, Ring, Tail, Window},
+    monitor::Evaluated,
+    scatter::Scatter,
+    threshold::{Thresholds, WINDOWS},
+    verdict::Drift,
+};
+use crate::throw::{Direction, ThrowRef};
+
+/// Streams that every throw asks: its own direction's, and the mixed one.
+const STREAMS: usize = 2;
+/// Boots remembered by name. The rings hold 48 throws, so that many can be in use.
+const BOOTS: usize = 64;
+
+/// One direction.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+struct Track {
+    /// Throws for the baseline; kept until both directions have theirs.
+    learned: Vec<Learned>,
+    baseline: Option<Baseline>,
+    thresholds: Option<Thresholds>,
+    recent: Ring,
+    since_baseline: u64,
+}
+
+/// Both directions together.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Mixed {
+    scatter: Scatter,
+    thresholds: Thresholds,
+}
+
+/// Baselines and last throws of a machine.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Tracks {
+    sides: [Track; 2],
+    mixed: Option<Mixed>,
+    boots: Vec<String>,
+}
+
+fn side(direction: Direction) -> usize {
+    match direction {
+        Direction::NormalToReverse => 0,
+        Direction::ReverseToNormal => 1,
+    }
+}
+
+impl Tracks {
+    /// Residual of a throw from its direction's baseline, and its distance from the reference temperature \[K\].
+    pub(super) fn residual(&self, throw: &Evaluated) -> Option<(Vector3<f64>, f64)> {
+        let baseline = self.sides[side(throw.direction)].baseline.as_ref()?;
+        Some(baseline.residual(&throw.log, throw.temperature_c))
+    }
+
+    /// Takes a throw into the last throws of its direction. `None` while it has no baseline.
+    pub(super) fn push(
+        &mut self,
+        throw: &Evaluated,
+        id: &ThrowRef,
+        order: u64,
+        settings: &Settings,
+    ) -> Option<Vector3<f64>> {
+        let (residual, distance) = self.residual(throw)?;
+        self.refresh_thresholds(settings);
+        let boot = self.boot_index(&id.boot_id);
+        let track = &mut self.sides[side(throw.direction)];
+        track.since_baseline += 1;
+        track.recent.push(Recent::new(order, (boot, id.throw_no), residual, distance, throw.sensor.into()));
+        Some(residual)
+    }
+
+    fn boot_index(&mut self, boot_id: &str) -> u16 {
+        if let Some(known) = self.boots.iter().rposition(|boot| boot == boot_id) {
+            return known.try_into().unwrap_or(u16::MAX);
+        }
+        if self.boots.len() == BOOTS {
+            self.forget_unused_boots();
+        }
+        self.boots.push(boot_id.to_owned());
+        (self.boots.len() - 1).try_into().unwrap_or(u16::MAX)
+    }
+
+    fn forget_unused_boots(&mut self) {
+        let used = |at: usize| self.sides.iter().any(|track| track.recent.iter().any(|r| usize::from(r.boot) == at));
+        let kept: Vec<usize> = (0..self.boots.len()).filter(|at| used(*at)).collect();
+        let place = |boot: u16| kept.iter().position(|at| *at == usize::from(boot)).unwrap_or_default();
+        for track in &mut self.sides {
+            track.recent.renumber_boots(|boot| place(boot).try_into().unwrap_or(u16::MAX));
+        }
+        self.boots = kept.iter().map(|at| self.boots[*at].clone()).collect();
+    }
+
+    /// Which throw a recent one was.
+    pub(super) fn throw_ref(&self, recent: &Recent) -> Option<ThrowRef> {
+        let boot_id = self.boots.get(usize::from(recent.boot))?.clone();
+        Some(ThrowRef { boot_id, throw_no: recent.throw_no })
+    }
+
+    /// A changed budget asks for new thresholds.
+    fn refresh_thresholds(&mut self, settings: &Settings) {
+        let budget = settings.false_alarms_per_throw();
+        for track in &mut self.sides {
+            if let (Some(baseline), Some(thresholds)) = (&track.baseline, &mut track.thresholds)
+                && !thresholds.are_for(budget)
+            {
+                *thresholds = Thresholds::compute(baseline.scatter(), budget, STREAMS);
+            }
+        }
+        if let Some(mixed) = &mut self.mixed
+            && !mixed.thresholds.are_for(budget)
+        {
+            mixed.thresholds = Thresholds::compute(&mixed.scatter, budget, STREAMS);
+        }
+    }
+
+    /// What the last throws say, the latest being one of `direction`. `open` are the causes with an active alarm.
+    pub(super) fn drift(&self, direction: Direction, open: &[Cause], settings: &Settings) -> Drift {
+        let [normal, reverse] = &self.sides;
+        let baselines = [normal.baseline.as_ref(), reverse.baseline.as_ref()];
+        let tails = [Tail::of(&normal.recent, 0), Tail::of(&reverse.recent, 1)];
+        let mut best: Option<(Window, &Scatter)> = None;
+        let mut consider = |tail: &Tail, scatter, thresholds| {
+            if let Some(window) = tail.strongest(scatter, thresholds, baselines)
+                && best.is_none_or(|(best, _)| window.excess > best.excess)
+            {
+                best = Some((window, scatter));
+            }
+        };
+        for (tail, track) in tails.iter().zip(&self.sides) {
+            if let (Some(baseline), Some(thresholds)) = (&track.baseline, &track.thresholds) {
+                consider(tail, baseline.scatter(), thresholds);
+            }
+        }
+        let mixed_tail = Tail::mixed([&normal.recent, &reverse.recent]);
+        if let Some(mixed) = &self.mixed
+            && mixed_tail.is_balanced()
+        {
+            consider(&mixed_tail, &mixed.scatter, &mixed.thresholds);
+        }
+        let level = |at: usize, longest: usize| {
+            let scatter = baselines[at]?.scatter();
+            let throws = WINDOWS.into_iter().rev().find(|w| *w <= longest && *w <= tails[at].len())?;
+            tails[at].window(throws, scatter, baselines)
+        };
+        let levels = [level(0, WINDOWS[2]), level(1, WINDOWS[2])];
+        let latest = side(direction);
+        Drift::new(best, levels, (latest, level(latest, WINDOWS[0])), open, settings)
+    }
+
+    /// Takes a healthy throw into the baseline; gives the baseline's record when it became usable, better or
+    /// complete with it.
+    pub(super) fn learn(
+        &mut self,
+        throw: &Evaluated,
+        order: u64,
+        at: Timestamp,
+        settings: &Settings,
+    ) -> Option<BaselineRecord> {
+        let track = &mut self.sides[side(throw.direction)];
+        if track.baseline.as_ref().is_some_and(Baseline::is_complete) {
+            return None;
+        }
+        track.learned.push(Learned::new(order, throw));
+        let count = track.learned.len();
+        let usable = settings.baseline_usable_throws;
+        let stage = count == usable || count == 2 * usable || count >= settings.baseline_throws;
+        if !stage {
+            return None;
+        }
+        let baseline = Baseline::learn(&track.learned, at, settings);
+        let record = baseline.record(throw.direction);
+        let budget = settings.false_alarms_per_throw();
+        track.thresholds = Some(Thresholds::compute(baseline.scatter(), budget, STREAMS));
+        track.baseline = Some(baseline);
+        track.recent.clear();
+        track.since_baseline = 0;
+        self.learn_mixed(budget);
+        Some(record)
+    }
+
+    fn learn_mixed(&mut self, budget: f64) {
+        let [normal, reverse] = &self.sides;
+        let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
+        let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second]);
+        let done = first.is_complete() && second.is_complete();
+        let thresholds = Thresholds::compute(&scatter, budget, STREAMS);
+        self.mixed = Some(Mixed { scatter, thresholds });
+        if done {
+            self.sides.iter_mut().for_each(|track| track.learned = Vec::new());
+        }
+    }
+
+    /// Forgets the last throws, not the baselines.
+    pub(super) fn forget_recent(&mut self) {
+        self.sides.iter_mut().for_each(|track| track.recent.clear());
+    }
+
+    /// All recent throws of one direction, or of both in their order, newest first.
+    pub(super) fn recent(&self, direction: Option<Direction>) -> Tail<'_> {
+        match direction {
+            Some(direction) => Tail::of(&self.sides[side(direction)].recent, side(direction)),
+            None => Tail::all([&self.sides[0].recent, &self.sides[1].recent]),
+        }
+    }
+
+    pub(super) fn any_baseline(&self) -> bool {
+        self.sides.iter().any(|track| track.baseline.is_some())
+    }
+
+    pub(super) fn duration_s(&self, direction: Direction) -> Option<f64> {
+        self.sides[side(direction)].baseline.as_ref()?.duration_s()
+    }
+
+    pub(super) fn progress(&self, direction: Direction, settings: &Settings) -> (usize, usize) {
+        let track = &self.sides[side(direction)];
+        match &track.baseline {
+            Some(baseline) if baseline.is_complete() => (baseline.throws(), baseline.throws()),
+            _ => (track.learned.len(), settings.baseline_throws),
+        }
+    }
+
+    pub(super) fn record(&self, direction: Direction) -> Option<BaselineRecord> {
+        self.sides[side(direction)].baseline.as_ref().map(|baseline| baseline.record(direction))
+    }
+
+    pub(super) fn since_baseline(&self, direction: Direction) -> u64 {
+        self.sides[side(direction)].since_baseline
+    }
+}

@@ -1,0 +1,214 @@
+//! What all recent throws of a machine say together, and which alarm events follow.
+
+use jiff::Timestamp;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    AlarmEvent, Cause, MachineMonitor, Settings, Severity,
+    alarm::{Actor, Evidence},
+    cause::{Explanation, Finding, Naming, direction_of, percent, relevance, single},
+    condition::{Reading, Step},
+    correlation::Correlation,
+    drift::Window,
+    scatter::Scatter,
+    text,
+    trend::{LimitForecast, forecast},
+};
+use crate::throw::{Direction, ThrowRef};
+
+/// The causes that come from a drift, in the order of the monitor's conditions.
+const DRIFTS: [Cause; 5] = [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
+
+/// When a drift was first suspected.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Onset {
+    first: ThrowRef,
+    order: u64,
+}
+
+/// What the last throws say.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Drift {
+    /// T of the strongest window over its limit.
+    excess: f64,
+    /// Named, when detected.
+    finding: Option<Finding>,
+    /// Present level of each direction.
+    levels: [Option<Window>; 2],
+    /// Side of the latest throw, and the level of its last few throws.
+    latest: (usize, Option<Window>),
+}
+
+impl Drift {
+    pub(super) fn new(
+        strongest: Option<(Window, &Scatter)>,
+        levels: [Option<Window>; 2],
+        latest: (usize, Option<Window>),
+        open: &[Cause],
+        settings: &Settings,
+    ) -> Self {
+        let excess = strongest.map_or(0.0, |(window, _)| window.excess);
+        let finding = strongest.filter(|_| excess > 1.0).map(|(window, scatter)| {
+            let correlation = Correlation::of(&scatter.of_one_throw(), &window);
+            Finding::of(&window, Some(correlation), open, settings)
+        });
+        Self { excess, finding, levels, latest }
+    }
+
+    /// Whether the last throws differ from the baseline beyond chance.
+    pub(super) fn is_detected(&self) -> bool {
+        self.finding.is_some()
+    }
+
+    /// What the throw says about `cause`.
+    fn reading(&self, cause: Cause, settings: &Settings) -> Reading {
+        let named = self.finding.as_ref().filter(|finding| finding.cause() == cause);
+        let other = self.finding.as_ref().is_some_and(|finding| {
+            matches!(finding.naming, Naming::One(_)) && !finding.includes(cause) && finding.relevance(settings) > 1.0
+        });
+        let levels = self.levels.iter().flatten();
+        let (size, bound) = levels.map(|window| extent(cause, window, settings)).fold((0.0, 0.0), max_of_each);
+        let deadband = 1.0 - settings.deadband_pct / 100.0;
+        Reading {
+            relevance: named.map_or(0.0, |finding| finding.relevance(settings)),
+            plain_health: bound < 0.5,
+            below: self.finding.is_none() || size < deadband,
+            other_name: other,
+        }
+    }
+
+    /// The direction in which `cause` shows; `None` for both.
+    fn direction(&self, cause: Cause, settings: &Settings) -> Option<Direction> {
+        let size = |at: usize| self.levels[at].as_ref().map(|window| extent(cause, window, settings).0);
+        match (size(0), size(1)) {
+            (Some(_), None) => Some(Direction::NormalToReverse),
+            (None, Some(_)) => Some(Direction::ReverseToNormal),
+            (Some(normal), Some(reverse)) if reverse < 0.5 * normal => Some(Direction::NormalToReverse),
+            (Some(normal), Some(reverse)) if normal < 0.5 * reverse => Some(Direction::ReverseToNormal),
+            _ => None,
+        }
+    }
+}
+
+/// Size of `cause` in a window over its warning limit; and the same with two standard deviations added.
+fn extent(cause: Cause, window: &Window, settings: &Settings) -> (f64, f64) {
+    let of = |cause: Cause| {
+        let e = single(cause, &window.mean, &window.covariance, settings);
+        let bound = e.size.abs() + 2.0 * e.size_sd;
+        (relevance(cause, e.size, settings), relevance(cause, bound, settings))
+    };
+    if cause == Cause::Unattributed {
+        Cause::PHYSICAL.into_iter().map(of).fold((0.0, 0.0), max_of_each)
+    } else {
+        of(cause)
+    }
+}
+
+fn max_of_each(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    (a.0.max(b.0), a.1.max(b.1))
+}
+
+impl MachineMonitor {
+    /// The alarm events that follow from what the last throws say.
+    pub(super) fn judge(
+        &mut self,
+        drift: &Drift,
+        id: &ThrowRef,
+        at: Timestamp,
+        settings: &Settings,
+    ) -> Vec<AlarmEvent> {
+        self.follow_onset(drift, id);
+        let mut events = Vec::new();
+        for (index, cause) in DRIFTS.into_iter().enumerate() {
+            let reading = drift.reading(cause, settings);
+            let active = self.board.severity(cause);
+            match self.conditions[index].step(cause, reading, active, settings) {
+                Step::Stay => {}
+                Step::Raise(severity) => {
+                    let evidence = self.evidence(cause, severity, drift, id, settings);
+                    events.extend(evidence.and_then(|evidence| self.board.raise(cause, evidence, at)));
+                }
+                Step::Escalate => {
+                    let evidence = self.evidence(cause, Severity::Critical, drift, id, settings);
+                    events.extend(evidence.and_then(|evidence| self.board.escalate(cause, evidence, at)));
+                }
+                Step::Clear => {
+                    let said = text::cleared(&text::subject(&self.name, None), cause, false);
+                    events.extend(self.board.clear(cause, said, Actor::default(), at));
+                }
+                Step::Withdraw => {
+                    let name = drift.finding.as_ref().map_or(Cause::Unattributed, Finding::cause);
+                    let said = text::withdrawn(&text::subject(&self.name, None), cause, name);
+                    events.extend(self.board.clear(cause, said, Actor::default(), at));
+                }
+            }
+        }
+        events
+    }
+
+    /// A drift is suspected from half of its limit on, and forgotten below a quarter.
+    fn follow_onset(&mut self, drift: &Drift, id: &ThrowRef) {
+        if drift.excess > 0.5 && self.onset.is_none() {
+            self.onset = Some(Onset { first: id.clone(), order: self.order });
+        } else if drift.excess < 0.25 {
+            self.onset = None;
+        }
+    }
+
+    fn evidence(
+        &self,
+        cause: Cause,
+        severity: Severity,
+        drift: &Drift,
+        id: &ThrowRef,
+        settings: &Settings,
+    ) -> Option<Evidence> {
+        let finding = drift.finding.as_ref()?;
+        let main = match &finding.naming {
+            Naming::One(main) | Naming::Either(main, _) | Naming::Both(main, _) => Some(main),
+            Naming::Neither => None,
+        };
+        let direction = drift.direction(cause, settings);
+        let limit_in_throws = match (severity, &finding.naming) {
+            (Severity::Warning, Naming::One(main)) => self.forecast(main, direction, settings),
+            _ => None,
+        };
+        let throws = self.onset.as_ref().map_or(1, |onset| self.order - onset.order + 1);
+        let agrees = finding
+            .correlation
+            .is_none_or(|c| c.agrees_with(main.map_or(Cause::Unattributed, |m| m.cause), settings.correlation_limit));
+        let subject = text::subject(&self.name, direction);
+        Some(Evidence {
+            severity,
+            change_pct: main.map(|main| percent(main.size)),
+            change_pct_sd: main.map(text::sd_pct),
+            direction,
+            runner_up: finding.runner_up,
+            correlation: finding.correlation,
+            first_throw: self.onset.as_ref().map(|onset| onset.first.clone()),
+            last_throw: Some(id.clone()),
+            limit_in_throws,
+            text: text::drift(&subject, finding, throws, agrees, limit_in_throws.as_ref()),
+        })
+    }
+
+    /// When a drift reaches its critical limit: from the last throws, else from the whole history.
+    fn forecast(&self, main: &Explanation, direction: Option<Direction>, settings: &Settings) -> Option<LimitForecast> {
+        let d = direction_of(main.cause)?;
+        let weights: Vector3<f64> = d / d.dot(&d);
+        let critical_pct = settings.critical_factor * settings.limit_pct(main.cause)?;
+        let limit = (main.size.signum() * critical_pct / 100.0).ln_1p();
+        if !limit.is_finite() {
+            return None;
+        }
+        let tail = self.tracks.recent(direction);
+        let mut series: Vec<f64> = tail.iter().map(|recent| weights.dot(&recent.residual())).collect();
+        series.reverse();
+        let spacing = if direction.is_some() { 2.0 } else { 1.0 };
+        forecast(&series, spacing, limit).or_else(|| {
+            let (spacing, series) = self.history.along(&weights);
+            forecast(&series, spacing, limit)
+        })
+    }
+}

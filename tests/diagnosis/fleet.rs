@@ -1,0 +1,124 @@
+//! Machines at parameter depth: coefficients drawn from a calibrated scatter, with the estimator's correlated errors.
+
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::{Matrix3, Vector3};
+use pointsd::{
+    diagnose::{Cause, MachineMonitor, Observation, Settings, Verdict},
+    estimate::Features,
+    throw::{Direction, ThrowRef},
+};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// The coefficients of the nominal machine.
+pub(crate) const NOMINAL: [f64; 3] = [203.0, 5.9, 1.56];
+
+/// How a machine scatters.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Nature {
+    /// Relative standard deviation of the machine's own scatter of b0, a1, a0.
+    pub(crate) scatter: [f64; 3],
+    /// Its correlation from one throw to the next.
+    pub(crate) phi: f64,
+    /// Relative standard deviation of the estimator's error of b0, a1, a0.
+    pub(crate) sensor: [f64; 3],
+}
+
+impl Default for Nature {
+    fn default() -> Self {
+        Self { scatter: [0.005, 0.03, 0.01], phi: 0.5, sensor: [0.0053, 0.0060, 0.0052] }
+    }
+}
+
+impl Nature {
+    /// Covariance of the logarithms that the estimator reports; the correlations are the measured ones.
+    pub(crate) fn covariance(&self) -> Matrix3<f64> {
+        let r = Matrix3::new(1.0, 0.97, 0.91, 0.97, 1.0, 0.79, 0.91, 0.79, 1.0);
+        let s = Vector3::from(self.sensor);
+        r.component_mul(&(s * s.transpose())) + Matrix3::from_diagonal(&s.map(|v| 1e-6 * v * v))
+    }
+}
+
+/// Standard normal number (Box and Muller).
+pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
+    let (a, b): (f64, f64) = (rng.random(), rng.random());
+    (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
+}
+
+/// One machine that throws to and fro.
+pub(crate) struct Machine {
+    pub(crate) nature: Nature,
+    pub(crate) rng: ChaCha8Rng,
+    pub(crate) throws: u64,
+    /// Only this direction, or both in turn.
+    pub(crate) only: Option<Direction>,
+    state: Vector3<f64>,
+    root: Matrix3<f64>,
+    started_at: Timestamp,
+}
+
+impl Machine {
+    pub(crate) fn new(seed: u64, nature: Nature) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let state = Vector3::from_fn(|i, _| nature.scatter[i] * normal(&mut rng));
+        let root = nature.covariance().cholesky().unwrap().l();
+        let started_at = "2026-01-01T00:00:00Z".parse().unwrap();
+        Self { nature, rng, throws: 0, only: None, state, root, started_at }
+    }
+
+    /// The next throw, with `shift` added to the logarithms of b0, a1, a0.
+    pub(crate) fn throw(&mut self, shift: Vector3<f64>) -> Observation {
+        let Nature { scatter, phi, .. } = self.nature;
+        let fresh = (1.0 - phi * phi).sqrt();
+        self.state = Vector3::from_fn(|i, _| phi * self.state[i] + fresh * scatter[i] * normal(&mut self.rng));
+        let error = self.root * Vector3::from_fn(|_, _| normal(&mut self.rng));
+        let log = Vector3::from(NOMINAL.map(f64::ln)) + self.state + error + shift;
+        let estimate = log.map(f64::exp);
+        let scale = Matrix3::from_diagonal(&estimate);
+        self.throws += 1;
+        self.started_at += SignedDuration::from_mins(30);
+        let turn = Direction::BOTH[usize::from(self.throws.is_multiple_of(2))];
+        Observation {
+            throw: ThrowRef { boot_id: "7f0e6c1a".to_owned(), throw_no: self.throws },
+            started_at: self.started_at,
+            direction: Some(self.only.unwrap_or(turn)),
+            estimate: Some((estimate.into(), scale * self.nature.covariance() * scale)),
+            incomplete: false,
+            features: Features { duration_s: Some(4.3 * (1.0 + 0.004 * normal(&mut self.rng))), ..Features::default() },
+            temperature_c: None,
+        }
+    }
+
+    /// A monitor that has learned this machine's full baseline.
+    pub(crate) fn learned(&mut self, settings: &Settings) -> MachineMonitor {
+        let mut monitor = MachineMonitor::new("21B");
+        for _ in 0..2 * settings.baseline_throws {
+            self.feed(&mut monitor, Vector3::zeros(), settings);
+        }
+        monitor
+    }
+
+    /// One throw into a monitor.
+    pub(crate) fn feed(&mut self, monitor: &mut MachineMonitor, shift: Vector3<f64>, settings: &Settings) -> Verdict {
+        monitor.observe(&self.throw(shift), settings)
+    }
+}
+
+/// Shift of the logarithms of b0, a1, a0 when the part behind `cause` changes by `pct` percent.
+pub(crate) fn shift(cause: Cause, pct: f64) -> Vector3<f64> {
+    let log = (pct / 100.0).ln_1p();
+    match cause {
+        Cause::Kt => Vector3::new(log, 0.0, 0.0),
+        Cause::Friction => Vector3::new(0.0, log, 0.0),
+        Cause::Stiffness => Vector3::new(0.0, 0.0, log),
+        Cause::Inertia => Vector3::repeat(-log),
+        _ => Vector3::zeros(),
+    }
+}
+
+impl Machine {
+    /// A number below `limit`, from this machine's own stream.
+    pub(crate) fn rng_u(&mut self, limit: u64) -> u64 {
+        self.rng.random_range(0..limit)
+    }
+}
