@@ -3,5 +3,6 @@
 mod given;
 mod judging;
 mod keeping;
+mod power;
 mod spooling;
 mod statements;

@@ -1,0 +1,82 @@
+//! Power cuts: nothing acknowledged is lost, nothing is there twice, every database opens.
+
+use std::path::Path;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    Verdict, inspect,
+    replay::{Disk, Record, read_log},
+    shim,
+    worker::{HOLDER, NORMAL, THROWS},
+};
+
+/// Cuts a run of the worker at `cuts` points; `None` where there is no compiler.
+async fn cut(cuts: usize, seed: u64, variables: &[(&str, &str)]) -> Option<Verdict> {
+    let library = shim::library()?;
+    let folder = tempfile::tempdir().unwrap();
+    let database = folder.path().join("live");
+    std::fs::create_dir(&database).unwrap();
+    let log = folder.path().join("log");
+    let mut variables = variables.to_vec();
+    variables.push(("SHIM_LOG", log.to_str().unwrap()));
+    let output = shim::run_worker(library, &database, &variables);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let records = read_log(&log);
+    assert!(records.len() > 1000, "only {} records", records.len());
+
+    let moved = records.iter().any(Record::is_move);
+    assert_eq!(moved, variables.iter().any(|(name, _)| *name == HOLDER), "the database moves behind a reader, only");
+
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut points: Vec<usize> = (0..cuts).map(|_| rng.random_range(0..=records.len())).collect();
+    points.sort_unstable();
+    let mut disk = Disk::default();
+    let mut followed = 0;
+    let mut total = Verdict::default();
+    for point in points {
+        for record in &records[followed..point] {
+            disk.follow(record);
+        }
+        followed = point;
+        let verdict = one_cut(&disk, &database, &mut rng).await;
+        total.lost += verdict.lost;
+        total.duplicated += verdict.duplicated;
+        total.unreadable += verdict.unreadable;
+        total.notes.extend(verdict.notes.into_iter().map(|note| format!("cut at {point}: {note}")));
+    }
+    let Verdict { lost, duplicated, unreadable, .. } = &total;
+    println!(
+        "{cuts} cuts in {} writes and syncs: {lost} lost, {duplicated} duplicated, {unreadable} unreadable",
+        records.len()
+    );
+    assert!(!disk.acknowledged.throws.is_empty());
+    Some(total)
+}
+
+async fn one_cut(disk: &Disk, was: &Path, rng: &mut ChaCha8Rng) -> Verdict {
+    let folder = tempfile::tempdir().unwrap();
+    disk.after_cut(was, folder.path(), rng);
+    inspect(folder.path(), &disk.acknowledged).await
+}
+
+fn cuts() -> usize {
+    std::env::var("POINTSD_CUTS").map_or(25, |cuts| cuts.parse().expect("POINTSD_CUTS is a number"))
+}
+
+#[tokio::test]
+async fn power_cuts_lose_nothing_that_was_acknowledged() {
+    for (seed, variables) in [(1, &[(THROWS, "60")][..]), (2, &[(THROWS, "60"), (HOLDER, "1")])] {
+        let Some(verdict) = cut(cuts(), seed, variables).await else { return };
+        let Verdict { lost, duplicated, unreadable, notes } = verdict;
+        assert_eq!((lost, duplicated, unreadable), (0, 0, 0), "{notes:?}");
+    }
+}
+
+#[tokio::test]
+async fn the_harness_finds_the_losses_of_a_weaker_setting() {
+    let Some(verdict) = cut(cuts(), 3, &[(THROWS, "60"), (NORMAL, "1")]).await else { return };
+    assert!(verdict.lost > 0, "synchronous = NORMAL lost nothing: this test proves nothing");
+    assert_eq!(verdict.unreadable, 0, "{:?}", verdict.notes);
+}

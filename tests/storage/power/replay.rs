@@ -1,0 +1,209 @@
+//! The disk after a power cut, from the shim's log.
+//!
+//! Model: what was synced is there. A write or truncation that was not may be there, not at all, or in part (by
+//! sectors of 512 bytes, any of them). Names change in order, as in a journalling file system: a cut keeps a
+//! beginning of the list that reaches at least to the last sync of the folder, and to the creation of each synced file.
+
+use std::{collections::BTreeMap, fs, os::unix::fs::symlink, path::Path};
+
+use rand::{Rng, RngExt};
+
+use super::Acknowledged;
+
+const SECTOR: usize = 512;
+
+/// One line of the log.
+pub(super) struct Record {
+    kind: u8,
+    path: String,
+    offset: u64,
+    data: Vec<u8>,
+}
+
+impl Record {
+    /// The database was switched to another file.
+    pub(super) fn is_move(&self) -> bool {
+        self.kind == b'L'
+    }
+}
+
+/// Reads the shim's log; a record that was cut short ends it.
+pub(super) fn read_log(path: &Path) -> Vec<Record> {
+    let bytes = fs::read(path).unwrap();
+    let mut rest = &bytes[..];
+    let mut records = Vec::new();
+    while let Some((head, after)) = rest.split_first_chunk::<17>() {
+        let word = |at: usize| u32::from_ne_bytes(head[at..at + 4].try_into().unwrap()) as usize;
+        let (path_bytes, data_bytes) = (word(1), word(5));
+        if after.len() < path_bytes + data_bytes {
+            break;
+        }
+        records.push(Record {
+            kind: head[0],
+            path: String::from_utf8(after[..path_bytes].to_vec()).unwrap(),
+            offset: u64::from_ne_bytes(head[9..].try_into().unwrap()),
+            data: after[path_bytes..path_bytes + data_bytes].to_vec(),
+        });
+        rest = &after[path_bytes + data_bytes..];
+    }
+    records
+}
+
+#[derive(Clone)]
+enum Change {
+    Write(usize, Vec<u8>),
+    Truncate(usize),
+}
+
+impl Change {
+    fn apply(&self, content: &mut Vec<u8>) {
+        match self {
+            Self::Write(at, data) => write_at(content, *at, data),
+            Self::Truncate(size) => content.resize(*size, 0),
+        }
+    }
+
+    /// Any of its sectors.
+    fn apply_torn(&self, content: &mut Vec<u8>, rng: &mut impl Rng) {
+        match self {
+            Self::Write(at, data) => {
+                for (sector, data) in data.chunks(SECTOR).enumerate() {
+                    if rng.random_bool(0.5) {
+                        write_at(content, at + sector * SECTOR, data);
+                    }
+                }
+            }
+            Self::Truncate(_) => {}
+        }
+    }
+}
+
+fn write_at(content: &mut Vec<u8>, at: usize, data: &[u8]) {
+    content.resize(content.len().max(at + data.len()), 0);
+    content[at..at + data.len()].copy_from_slice(data);
+}
+
+#[derive(Default)]
+struct Content {
+    synced: Vec<u8>,
+    pending: Vec<Change>,
+    /// The name change that created it.
+    created: usize,
+}
+
+#[derive(Clone)]
+enum Naming {
+    Create(String, usize),
+    Unlink(String),
+    Rename(String, String),
+    Symlink(String, String),
+}
+
+/// What the disk holds and what is only in memory, after part of the log.
+#[derive(Default)]
+pub(super) struct Disk {
+    contents: Vec<Content>,
+    /// The names as the process sees them.
+    live: BTreeMap<String, usize>,
+    namings: Vec<Naming>,
+    namings_synced: usize,
+    pub(super) acknowledged: Acknowledged,
+}
+
+impl Disk {
+    pub(super) fn follow(&mut self, record: &Record) {
+        match record.kind {
+            b'A' => self.acknowledged.add_lines(std::str::from_utf8(&record.data).unwrap()),
+            b'D' => self.namings_synced = self.namings.len(),
+            b'W' => self.change(record, Change::Write(at(record), record.data.clone())),
+            b'T' => self.change(record, Change::Truncate(at(record))),
+            b'S' => self.sync(record),
+            b'U' => {
+                self.live.remove(&record.path);
+                self.namings.push(Naming::Unlink(record.path.clone()));
+            }
+            b'R' => {
+                let to = String::from_utf8(record.data.clone()).unwrap();
+                if let Some(file) = self.live.remove(&record.path) {
+                    self.live.insert(to.clone(), file);
+                } else {
+                    self.live.remove(&to);
+                }
+                self.namings.push(Naming::Rename(record.path.clone(), to));
+            }
+            b'L' => {
+                let target = String::from_utf8(record.data.clone()).unwrap();
+                self.namings.push(Naming::Symlink(target, record.path.clone()));
+            }
+            other => panic!("{other}"),
+        }
+    }
+
+    fn file(&mut self, path: &str) -> usize {
+        if let Some(&file) = self.live.get(path) {
+            return file;
+        }
+        let file = self.contents.len();
+        self.namings.push(Naming::Create(path.to_owned(), file));
+        self.contents.push(Content { created: self.namings.len(), ..Content::default() });
+        self.live.insert(path.to_owned(), file);
+        file
+    }
+
+    fn change(&mut self, record: &Record, change: Change) {
+        let file = self.file(&record.path);
+        self.contents[file].pending.push(change);
+    }
+
+    fn sync(&mut self, record: &Record) {
+        let file = self.file(&record.path);
+        let content = &mut self.contents[file];
+        for change in content.pending.drain(..) {
+            change.apply(&mut content.synced);
+        }
+        self.namings_synced = self.namings_synced.max(content.created);
+    }
+
+    /// Writes the disk as it may be after a cut now, into `folder`; the log's paths were in `was`.
+    pub(super) fn after_cut(&self, was: &Path, folder: &Path, rng: &mut impl Rng) {
+        let last = rng.random_range(self.namings_synced..=self.namings.len());
+        let place = |path: &str| folder.join(Path::new(path).strip_prefix(was).unwrap());
+        let severity = rng.random_range(0..3);
+        for naming in &self.namings[..last] {
+            match naming {
+                Naming::Create(path, file) => {
+                    fs::write(place(path), self.contents[*file].torn(severity, rng)).unwrap();
+                }
+                Naming::Unlink(path) => {
+                    let _ = fs::remove_file(place(path));
+                }
+                Naming::Rename(from, to) => fs::rename(place(from), place(to)).unwrap(),
+                Naming::Symlink(target, path) => symlink(target, place(path)).unwrap(),
+            }
+        }
+    }
+}
+
+impl Content {
+    /// Severity 0: nothing that was not synced; 1: all but a torn last change; 2: anything.
+    fn torn(&self, severity: u32, rng: &mut impl Rng) -> Vec<u8> {
+        let mut content = self.synced.clone();
+        for (index, change) in self.pending.iter().enumerate() {
+            match severity {
+                0 => {}
+                1 if index + 1 == self.pending.len() => change.apply_torn(&mut content, rng),
+                1 => change.apply(&mut content),
+                _ => match rng.random_range(0..3) {
+                    0 => {}
+                    1 => change.apply_torn(&mut content, rng),
+                    _ => change.apply(&mut content),
+                },
+            }
+        }
+        content
+    }
+}
+
+fn at(record: &Record) -> usize {
+    usize::try_from(record.offset).unwrap()
+}

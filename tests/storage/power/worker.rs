@@ -1,0 +1,131 @@
+//! The process that is cut off or disturbed: four machines' throws, judged, with alarms, as fast as they go, behind a
+//! reader that does not let go.
+
+use std::{
+    fs::{File, OpenOptions},
+    io::Write,
+    path::{Path, PathBuf},
+    sync::{Arc, Mutex},
+};
+
+use pointsd::{
+    diagnose::AlarmState,
+    store::{Judgement, Message, Outcome, Settings, Spooled, Store, Synchronous, ThrowRow},
+};
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+
+use crate::given::{alarm, at, judgement, machine, throw};
+
+pub(super) const FOLDER: &str = "POINTSD_WORKER_FOLDER";
+/// Throws of each machine.
+pub(super) const THROWS: &str = "POINTSD_WORKER_THROWS";
+/// Set: commit with `synchronous = NORMAL`.
+pub(super) const NORMAL: &str = "POINTSD_WORKER_NORMAL";
+/// Set: a reader holds an old state from half way on.
+pub(super) const HOLDER: &str = "POINTSD_WORKER_HOLDER";
+
+const MACHINES: [&str; 4] = ["21A", "21B", "22A", "22B"];
+/// Tries of each call, as a daemon would.
+const TRIES: usize = 3;
+
+/// Tells the parent, in one write, so that the shim sees it in order.
+#[derive(Clone)]
+struct Acknowledge(Arc<Mutex<File>>);
+
+impl Acknowledge {
+    fn say(&self, what: &str, machine: &str, number: u64) {
+        self.0.lock().unwrap().write_all(format!("{what} {machine} {number}\n").as_bytes()).unwrap();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn run() {
+    let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else { return };
+    let throws = std::env::var(THROWS).map_or(60, |throws| throws.parse().unwrap());
+    let Some(store) = open(&folder).await else { return };
+    let file = OpenOptions::new().create(true).append(true).open(folder.join("points.db.ack")).unwrap();
+    let acknowledge = Acknowledge(Arc::new(Mutex::new(file)));
+    let half = MACHINES.map(|name| tokio::spawn(machine_life(store.clone(), acknowledge.clone(), name, 1, throws / 2)));
+    for life in half {
+        life.await.unwrap();
+    }
+    let holder = match std::env::var_os(HOLDER) {
+        Some(_) => Some(hold(&store).await),
+        None => None,
+    };
+    let rest = MACHINES
+        .map(|name| tokio::spawn(machine_life(store.clone(), acknowledge.clone(), name, throws / 2 + 1, throws)));
+    for life in rest {
+        life.await.unwrap();
+    }
+    // A failing disk may refuse this; what was acknowledged must be there all the same.
+    let _ = store.close().await;
+    drop(holder);
+}
+
+async fn open(folder: &Path) -> Option<Store> {
+    let synchronous = if std::env::var_os(NORMAL).is_some() { Synchronous::Normal } else { Synchronous::Full };
+    let settings = Settings { max_wal_mib: 1, synchronous, ..crate::given::settings(folder) };
+    for _ in 0..TRIES {
+        if let Ok(opened) = Store::open(&settings, at(0)).await {
+            return Some(opened.store);
+        }
+    }
+    None
+}
+
+async fn hold(store: &Store) -> SqliteConnection {
+    let options = SqliteConnectOptions::new().filename(store.path()).read_only(true);
+    let mut holder = SqliteConnection::connect_with(&options).await.unwrap();
+    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
+    sqlx::query("SELECT count(*) FROM throw").execute(&mut holder).await.unwrap();
+    holder
+}
+
+async fn machine_life(store: Store, acknowledge: Acknowledge, name: &'static str, first: u64, last: u64) {
+    for throw_no in first..=last {
+        let Some(row) = spool(&store, name, throw_no).await else { continue };
+        acknowledge.say("throw", name, throw_no);
+        let Some(row) = row else { continue };
+        let event_no = u32::try_from(throw_no / 5).unwrap();
+        let outcome = if throw_no % 5 == 0 { raised(name, event_no) } else { Outcome::default() };
+        let judged = Judgement { outcome, ..judgement(row, name) };
+        if judge(&store, &judged).await {
+            acknowledge.say("judged", name, throw_no);
+            if throw_no % 5 == 0 {
+                acknowledge.say("event", name, u64::from(event_no));
+            }
+        }
+    }
+}
+
+/// The outbox carries the machine as its key and the event's number as its payload, so that it can be compared.
+fn raised(name: &str, event_no: u32) -> Outcome {
+    let outbox = vec![Message { key: name.to_owned(), payload: event_no.to_string().into_bytes() }];
+    Outcome { outbox, ..alarm(event_no, AlarmState::ActiveUnacknowledged) }
+}
+
+/// `None`: given up. `Some(None)`: stored by an attempt that was not answered.
+async fn spool(store: &Store, name: &str, throw_no: u64) -> Option<Option<ThrowRow>> {
+    let (machine, throw) = (machine(name), throw("b1", throw_no));
+    for _ in 0..TRIES {
+        match store.spool(&machine, &throw, at(0)).await {
+            Ok(Spooled::New(row)) => return Some(Some(row)),
+            Ok(Spooled::Duplicate { differs }) => {
+                assert!(!differs);
+                return Some(None);
+            }
+            Err(_) => {}
+        }
+    }
+    None
+}
+
+async fn judge(store: &Store, judged: &Judgement) -> bool {
+    for _ in 0..TRIES {
+        if store.judge(judged.clone()).await.is_ok() {
+            return true;
+        }
+    }
+    false
+}
