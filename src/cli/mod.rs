@@ -1,11 +1,14 @@
 //! The commands of `pointsd` and `pointsim`. One file a command; `pointsd.rs` and `pointsim.rs` hold the command lines.
 
+mod backup;
+mod database;
 mod evaluate;
 mod exit;
 mod identify;
 mod pointsd;
 mod pointsim;
 mod recording;
+mod sql;
 mod throw;
 
 pub use exit::{Exit, Failure, Outcome, ResultExt};

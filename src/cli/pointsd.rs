@@ -2,7 +2,7 @@
 
 use clap::{Parser, Subcommand};
 
-use super::{Outcome, evaluate, exit, identify};
+use super::{Outcome, backup, evaluate, exit, identify, sql};
 
 /// Condition monitoring of railway point machines: which part is wearing out, from the physics of every throw.
 #[derive(Debug, Parser)]
@@ -14,8 +14,10 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Backup(backup::Arguments),
     Evaluate(evaluate::Arguments),
     Identify(identify::Arguments),
+    Sql(sql::Arguments),
 }
 
 pub(super) fn main() -> Outcome {
@@ -24,7 +26,9 @@ pub(super) fn main() -> Outcome {
         Err(exit) => return Ok(exit),
     };
     match arguments.command {
+        Command::Backup(arguments) => backup::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
+        Command::Sql(arguments) => sql::run(&arguments),
     }
 }

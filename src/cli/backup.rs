@@ -1,0 +1,66 @@
+//! `pointsd backup`: a consistent copy while the daemon runs.
+
+use std::{path::PathBuf, time::Duration};
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::{
+    Exit, Failure, Outcome,
+    database::{Location, block_on},
+};
+use crate::store::{Backup, StoreError};
+
+/// How often the progress is drawn anew.
+const REDRAW: Duration = Duration::from_millis(100);
+
+/// Copy the database to a new file, while the daemon runs or not.
+///
+/// The copy is one consistent state, compact and checked; it appears under its name when it is complete. To restore
+/// it, stop the daemon, move the old database away together with its -wal and -shm files, and put the copy in place.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Example:\n  pointsd backup --config /etc/pointsd/pointsd.toml /mnt/usb/points-2026-03-01.db\n\n\
+    Exit codes: 0 copied, 66 there is no database, 73 the copy cannot be created, 74 reading or writing failed."
+)]
+pub(super) struct Arguments {
+    /// The new file.
+    #[arg(value_name = "FILE")]
+    to: PathBuf,
+    #[command(flatten)]
+    location: Location,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let from = arguments.location.find()?;
+    let failure = |error: StoreError| {
+        let exit = match error {
+            StoreError::File { .. } => Exit::CannotCreate,
+            StoreError::Open { .. } => Exit::NoInput,
+            _ => Exit::Io,
+        };
+        Failure { exit, error: error.into() }
+    };
+    let backup = Backup::new(&from, &arguments.to).map_err(failure)?;
+    // Hidden by itself where standard error is no terminal.
+    let bar = ProgressBar::new(backup.total_bytes()).with_style(style());
+    let bytes = block_on(async {
+        let copy = backup.run();
+        tokio::pin!(copy);
+        let mut redraw = tokio::time::interval(REDRAW);
+        loop {
+            tokio::select! {
+                outcome = &mut copy => return outcome.map_err(failure),
+                _ = redraw.tick() => bar.set_position(backup.copied_bytes()),
+            }
+        }
+    })?;
+    bar.finish_and_clear();
+    println!("{} copied to {}: {bytes} bytes, checked", from.display(), arguments.to.display());
+    Ok(Exit::Ok)
+}
+
+fn style() -> ProgressStyle {
+    ProgressStyle::with_template("copying {wide_bar} {bytes} of about {total_bytes}, {eta} left")
+        .unwrap_or_else(|_| ProgressStyle::default_bar())
+}

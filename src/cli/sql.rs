@@ -1,0 +1,173 @@
+//! `pointsd sql`: a question to the database, with the SQLite that wrote it.
+
+use std::io::{self, BufWriter, Write};
+
+use anyhow::Context;
+use clap::Args;
+use comfy_table::{Table, presets};
+use serde_json::json;
+
+use super::{
+    Exit, Failure, Outcome, ResultExt,
+    database::{Location, block_on},
+};
+use crate::store::{StoreError, Value, ask};
+
+/// Ask the database in SQL, read-only, while the daemon runs or not.
+///
+/// The views health_history, machine_health, alarm_history, active_alarms, alarm_events, data_gaps and
+/// throws_not_evaluated are made for it.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    pointsd sql 'SELECT * FROM machine_health'\n  \
+    pointsd sql --csv \"SELECT started_at, b0 FROM health_history WHERE machine = '21B'\" > b0.csv\n\n\
+    Exit codes: 0 answered, 65 no valid SQL or it would write, 66 there is no database.")]
+pub(super) struct Arguments {
+    /// The question.
+    #[arg(value_name = "SQL")]
+    question: String,
+    /// Print a JSON array with one object a row.
+    #[arg(long, conflicts_with = "csv")]
+    json: bool,
+    /// Print CSV with a header.
+    #[arg(long)]
+    csv: bool,
+    #[command(flatten)]
+    location: Location,
+}
+
+pub(super) fn run(arguments: &Arguments) -> Outcome {
+    let path = arguments.location.find()?;
+    let mut answer: Box<dyn Answer> = match (arguments.json, arguments.csv) {
+        (true, _) => Box::new(Json::new(BufWriter::new(io::stdout().lock()))),
+        (_, true) => Box::new(Csv(csv::Writer::from_writer(io::stdout().lock()))),
+        _ => Box::new(Plain(Table::new())),
+    };
+    let answer = std::cell::RefCell::new(answer.as_mut());
+    let asked = block_on(async {
+        let columns = |names: &[String]| answer.borrow_mut().columns(names).map_err(Trouble::Output);
+        let row = |values| answer.borrow_mut().row(values).map_err(Trouble::Output);
+        Ok(ask(&path, &arguments.question, columns, row).await)
+    })?;
+    match asked.and_then(|()| answer.borrow_mut().end().map_err(Trouble::Output)) {
+        Ok(()) => Ok(Exit::Ok),
+        // Whoever reads has seen enough.
+        Err(Trouble::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Exit::Ok),
+        Err(Trouble::Output(error)) => Err(error).context("cannot write the answer").or_exit(Exit::Io),
+        Err(Trouble::Store(error @ StoreError::Read(_))) => Err(Failure { exit: Exit::Data, error: error.into() }),
+        Err(Trouble::Store(error)) => Err(Failure { exit: Exit::NoInput, error: error.into() }),
+    }
+}
+
+enum Trouble {
+    Store(StoreError),
+    Output(io::Error),
+}
+
+impl From<StoreError> for Trouble {
+    fn from(error: StoreError) -> Self {
+        Self::Store(error)
+    }
+}
+
+/// A way to print an answer, row by row.
+trait Answer {
+    fn columns(&mut self, names: &[String]) -> io::Result<()>;
+    fn row(&mut self, values: Vec<Value>) -> io::Result<()>;
+    fn end(&mut self) -> io::Result<()>;
+}
+
+/// A table for people; as wide as its content needs, so that it is all there before the first line.
+struct Plain(Table);
+
+impl Answer for Plain {
+    fn columns(&mut self, names: &[String]) -> io::Result<()> {
+        self.0.load_style(presets::NOTHING).set_header(names);
+        Ok(())
+    }
+
+    fn row(&mut self, values: Vec<Value>) -> io::Result<()> {
+        self.0.add_row(values.iter().map(text));
+        Ok(())
+    }
+
+    fn end(&mut self) -> io::Result<()> {
+        writeln!(io::stdout(), "{}", self.0)
+    }
+}
+
+struct Csv<W: Write>(csv::Writer<W>);
+
+impl<W: Write> Answer for Csv<W> {
+    fn columns(&mut self, names: &[String]) -> io::Result<()> {
+        self.0.write_record(names).map_err(io::Error::from)
+    }
+
+    fn row(&mut self, values: Vec<Value>) -> io::Result<()> {
+        self.0.write_record(values.iter().map(text)).map_err(io::Error::from)
+    }
+
+    fn end(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
+struct Json<W> {
+    out: W,
+    names: Vec<String>,
+    rows: u64,
+}
+
+impl<W> Json<W> {
+    fn new(out: W) -> Self {
+        Self { out, names: Vec::new(), rows: 0 }
+    }
+}
+
+impl<W: Write> Answer for Json<W> {
+    fn columns(&mut self, names: &[String]) -> io::Result<()> {
+        names.clone_into(&mut self.names);
+        write!(self.out, "[")
+    }
+
+    fn row(&mut self, values: Vec<Value>) -> io::Result<()> {
+        let object: serde_json::Map<_, _> = self.names.iter().cloned().zip(values.into_iter().map(plain)).collect();
+        let comma = if self.rows == 0 { "" } else { "," };
+        self.rows += 1;
+        write!(self.out, "{comma}\n{}", serde_json::Value::Object(object))
+    }
+
+    fn end(&mut self) -> io::Result<()> {
+        writeln!(self.out, "{}]", if self.rows == 0 { "" } else { "\n" })?;
+        self.out.flush()
+    }
+}
+
+fn plain(value: Value) -> serde_json::Value {
+    match value {
+        Value::Null => serde_json::Value::Null,
+        Value::Integer(number) => json!(number),
+        Value::Real(number) => json!(number),
+        Value::Text(text) => json!(text),
+        Value::Blob(bytes) => json!(hexadecimal(&bytes)),
+    }
+}
+
+fn text(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::Integer(number) => number.to_string(),
+        Value::Real(number) => number.to_string(),
+        Value::Text(text) => text.clone(),
+        Value::Blob(bytes) => hexadecimal(bytes),
+    }
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    use std::fmt::Write;
+    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
+        // Writing to a string cannot fail.
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}

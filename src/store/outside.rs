@@ -1,0 +1,156 @@
+//! The database from outside the daemon: questions in SQL, and a copy while it runs.
+
+use std::path::{Path, PathBuf};
+
+use futures_util::TryStreamExt;
+use sqlx::{
+    AssertSqlSafe, Column, Connection, Executor, Row, SqlSafeStr, SqliteConnection, Statement, TypeInfo, ValueRef,
+    sqlite::SqliteRow,
+};
+
+use super::{disk::beside, error::StoreError, open};
+
+/// One value of an answer.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// SQL's NULL.
+    Null,
+    /// A whole number.
+    Integer(i64),
+    /// A 64-bit float.
+    Real(f64),
+    /// Text.
+    Text(String),
+    /// Bytes.
+    Blob(Vec<u8>),
+}
+
+/// Connects read-only. A database that its daemon closed, in a folder that cannot be written to, is opened as it is:
+/// nobody changes it.
+async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
+    let file = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let error = |source| StoreError::Open { path: path.to_owned(), source: Box::new(source) };
+    let options = open::reading(&file);
+    let mut first = SqliteConnection::connect_with(&options).await.map_err(error)?;
+    match sqlx::query("SELECT 1 FROM sqlite_schema").execute(&mut first).await {
+        Ok(_) => Ok(first),
+        Err(_) if std::fs::metadata(beside(&file, "-wal")).map_or(0, |log| log.len()) == 0 => {
+            SqliteConnection::connect_with(&options.immutable(true)).await.map_err(error)
+        }
+        Err(source) => Err(error(source)),
+    }
+}
+
+/// Asks the database at `path`, read-only, and hands every row of the answer to `row`, which ends it with an error.
+/// `columns` gets the names first, rows or not.
+///
+/// # Errors
+/// When the database cannot be opened, the question is no SQL or would write; or the error of `columns` or `row`.
+pub async fn ask<E: From<StoreError>>(
+    path: &Path,
+    question: &str,
+    columns: impl FnOnce(&[String]) -> Result<(), E>,
+    mut row: impl FnMut(Vec<Value>) -> Result<(), E>,
+) -> Result<(), E> {
+    let mut connection = connect(path).await?;
+    let question = AssertSqlSafe(question.to_owned()).into_sql_str();
+    let statement = connection.prepare(question.clone()).await.map_err(StoreError::read)?;
+    let names: Vec<String> = statement.columns().iter().map(|column| column.name().to_owned()).collect();
+    columns(&names)?;
+    let mut rows = sqlx::query(question).fetch(&mut connection);
+    while let Some(found) = rows.try_next().await.map_err(StoreError::read)? {
+        row((0..found.len()).map(|at| value(&found, at)).collect::<sqlx::Result<_>>().map_err(StoreError::read)?)?;
+    }
+    Ok(())
+}
+
+fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {
+    let raw = row.try_get_raw(at)?;
+    if raw.is_null() {
+        return Ok(Value::Null);
+    }
+    // The value's own type counts, not the column's: an expression has none.
+    Ok(match raw.type_info().name() {
+        "INTEGER" | "BOOLEAN" => Value::Integer(row.try_get_unchecked(at)?),
+        "REAL" => Value::Real(row.try_get_unchecked(at)?),
+        "TEXT" => Value::Text(row.try_get_unchecked(at)?),
+        _ => Value::Blob(row.try_get_unchecked(at)?),
+    })
+}
+
+/// How much a copy has to do and has done.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Backup {
+    from: PathBuf,
+    to: PathBuf,
+    partial: PathBuf,
+}
+
+impl Backup {
+    /// A copy of the database `from`, which may be in use, to the new file `to`.
+    ///
+    /// # Errors
+    /// When `to` is there already: a backup never overwrites.
+    pub fn new(from: &Path, to: &Path) -> Result<Self, StoreError> {
+        if to.exists() {
+            let source = std::io::Error::from(std::io::ErrorKind::AlreadyExists);
+            return Err(StoreError::File { action: "create", path: to.to_owned(), source });
+        }
+        Ok(Self { from: from.to_owned(), to: to.to_owned(), partial: beside(to, ".partial") })
+    }
+
+    /// The size of the database \[bytes\]: about what there is to copy.
+    #[must_use]
+    pub fn total_bytes(&self) -> u64 {
+        std::fs::metadata(&self.from).map_or(0, |file| file.len())
+    }
+
+    /// Bytes that are copied so far.
+    #[must_use]
+    pub fn copied_bytes(&self) -> u64 {
+        std::fs::metadata(&self.partial).map_or(0, |file| file.len())
+    }
+
+    /// Copies one consistent state, checks the copy, and gives it its name when it is complete. Returns its size
+    /// \[bytes\].
+    ///
+    /// # Errors
+    /// When reading or writing fails; then there is no file `to`.
+    pub async fn run(&self) -> Result<u64, StoreError> {
+        let file = |action, source| StoreError::File { action, path: self.partial.clone(), source };
+        if self.partial.exists() {
+            std::fs::remove_file(&self.partial).map_err(|source| file("remove", source))?;
+        }
+        let outcome = self.copy().await;
+        if let Err(error) = outcome {
+            // What is left of it is of no use; the error that matters is the first one.
+            let _ = std::fs::remove_file(&self.partial);
+            return Err(error);
+        }
+        let size = self.copied_bytes();
+        std::fs::File::open(&self.partial)
+            .and_then(|copy| copy.sync_all())
+            .and_then(|()| std::fs::rename(&self.partial, &self.to))
+            .map_err(|source| file("complete", source))?;
+        Ok(size)
+    }
+
+    async fn copy(&self) -> Result<(), StoreError> {
+        let mut connection = connect(&self.from).await?;
+        let target = self.partial.to_string_lossy().replace('\'', "''");
+        let vacuum = AssertSqlSafe(format!("VACUUM INTO '{target}'"));
+        sqlx::query(vacuum).execute(&mut connection).await.map_err(StoreError::read)?;
+        let mut copy = connect(&self.partial).await?;
+        let findings: Vec<String> =
+            sqlx::query_scalar("PRAGMA quick_check(5)").fetch_all(&mut copy).await.map_err(StoreError::read)?;
+        copy.close().await.map_err(StoreError::read)?;
+        if findings == ["ok"] {
+            Ok(())
+        } else {
+            Err(StoreError::Read(Box::new(sqlx::Error::Protocol(format!(
+                "the copy is broken: {}",
+                findings.join("; ")
+            )))))
+        }
+    }
+}
