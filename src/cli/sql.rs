@@ -14,14 +14,15 @@ use super::{
 use crate::store::{StoreError, Value, ask};
 
 /// Ask the database in SQL, read-only, while the daemon runs or not.
-///
-/// The views health_history, machine_health, alarm_history, active_alarms, alarm_events, data_gaps and
-/// throws_not_evaluated are made for it.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  \
+#[command(
+    after_help = "Views made for it: health_history, machine_health, alarm_history, active_alarms, alarm_events, \
+    data_gaps, throws_not_evaluated.\n\n\
+    Examples:\n  \
     pointsd sql 'SELECT * FROM machine_health'\n  \
     pointsd sql --csv \"SELECT started_at, b0 FROM health_history WHERE machine = '21B'\" > b0.csv\n\n\
-    Exit codes: 0 answered, 65 no valid SQL or it would write, 66 there is no database.")]
+    Exit codes: 0 answered, 65 no valid SQL or it would write, 66 there is no database."
+)]
 pub(super) struct Arguments {
     /// The question.
     #[arg(value_name = "SQL")]

@@ -164,7 +164,7 @@ mod tests {
             .map(|sample| {
                 noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                 let counts = (f64::from(sample) * 0.3).round() + f64::from(noise >> 29);
-                f64::from((counts * 0.01) as f32)
+                f64::from(narrowed(counts * 0.01))
             })
             .collect();
         let stored = encode(&values).data.len();

@@ -172,7 +172,7 @@ struct Stored {
 }
 
 #[derive(sqlx::FromRow)]
-struct Boot {
+struct KnownBoot {
     boot_row: i64,
     highest_no: i64,
     pruned_to_no: i64,
@@ -256,7 +256,7 @@ pub(super) async fn count(connection: &mut SqliteConnection, name: &str, more: i
     sqlx::query(sql::COUNT).bind(name).bind(more).execute(connection).await.map(drop)
 }
 
-async fn boot(connection: &mut SqliteConnection, machine_row: i64, boot_id: &str) -> sqlx::Result<Option<Boot>> {
+async fn boot(connection: &mut SqliteConnection, machine_row: i64, boot_id: &str) -> sqlx::Result<Option<KnownBoot>> {
     sqlx::query_as(sql::BOOT).bind(machine_row).bind(boot_id).fetch_optional(connection).await
 }
 

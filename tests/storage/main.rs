@@ -1,5 +1,7 @@
 //! The database: migrations, views, failures of disk and power.
 
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "here a failure is the test's failure")]
+
 mod commands;
 mod full_disk;
 mod given;
