@@ -9,6 +9,7 @@ mod pointsd;
 mod pointsim;
 mod recording;
 mod sql;
+mod table1;
 mod throw;
 
 pub use exit::{Exit, Failure, Outcome, ResultExt};

@@ -16,6 +16,8 @@ struct Arguments {
 enum Command {
     /// Simulates one throw and writes its trace as CSV.
     Throw(super::throw::Arguments),
+    /// Repeats the study's 4 cases x 6 tests and prints and plots the result.
+    Table1(super::table1::Arguments),
 }
 
 pub(super) fn main() -> Outcome {
@@ -25,5 +27,6 @@ pub(super) fn main() -> Outcome {
     };
     match arguments.command {
         Command::Throw(arguments) => super::throw::main(&arguments),
+        Command::Table1(arguments) => super::table1::main(&arguments),
     }
 }

@@ -39,6 +39,7 @@ mod plan;
 mod random;
 mod report;
 mod scenario;
+pub mod table1;
 mod timeline;
 mod trace;
 

@@ -29,7 +29,8 @@ impl Axis {
             (low, high) = (low - 0.5, high + 0.5);
         }
         let step = round_step((high - low) / 6.0);
-        Self { low: (low / step + 1e-9).floor() * step, high: (high / step - 1e-9).ceil() * step, log }
+        // A little noise beyond a round number does not open a whole step for it.
+        Self { low: (low / step + 0.05).floor() * step, high: (high / step - 0.05).ceil() * step, log }
     }
 
     /// The range shown is narrowed to where the values end, for an axis of time.

@@ -151,7 +151,9 @@ impl Friction {
             let speed = contact.site.velocity(state).abs();
             let toe_speed =
                 if matches!(contact.site, Site::Chair(_)) { speed } else { speed * stribeck.metres_per_radian };
-            let excess = stribeck.excess * (-(toe_speed / stribeck.toe_speed_m_s).powi(2)).exp();
+            let relative = toe_speed / stribeck.toe_speed_m_s;
+            // Far above the Stribeck speed the excess is nothing, and most of a throw is there.
+            let excess = if relative < 5.0 { stribeck.excess * (-relative * relative).exp() } else { 0.0 };
             let limit = contact.sliding * (1.0 + excess) + if at == 0 { brake } else { 0.0 };
             if limit.to_bits() != contact.limit.to_bits() {
                 let slides = contact.force.abs() >= contact.limit;

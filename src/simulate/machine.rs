@@ -107,7 +107,7 @@ impl Default for Parameters {
             load_inertia_kg_m2: 0.8e-4,
             motor_viscous_nms: 2e-3,
             motor_dry_nm: 0.05,
-            brake_nm: 2.0,
+            brake_nm: 6.0,
             gear_ratio: 8.0,
             gear_stiffness_nm: 4000.0,
             gear_damping_nms: 2.0,

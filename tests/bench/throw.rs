@@ -1,3 +1,8 @@
 //! How long one throw takes: identification beside its peer, and simulation beside its reference.
 
-fn main() {}
+#![expect(missing_docs, clippy::expect_used, reason = "criterion's macros; a benchmark may stop on an error")]
+
+mod simulator;
+
+criterion::criterion_group!(benches, simulator::simulator);
+criterion::criterion_main!(benches);

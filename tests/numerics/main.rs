@@ -2,3 +2,4 @@
 
 mod identify;
 mod machine;
+mod table1;

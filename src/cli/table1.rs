@@ -1,0 +1,200 @@
+//! `pointsim table1`: the study's 4 cases x 6 tests, ours beside what is expected, as a table and as pictures.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use comfy_table::{CellAlignment, Table, presets};
+use serde_json::json;
+
+use super::{Exit, Outcome, ResultExt};
+use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, Test, run};
+use crate::report::{Panel, Sheet};
+use crate::simulate::RailModel;
+
+const NAMES: [&str; 3] = ["b0", "a1", "a0"];
+const PAIRS: [&str; 3] = ["b0, a1", "b0, a0", "a1, a0"];
+
+/// The command line of `pointsim table1`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  pointsim table1
+  pointsim table1 --out figures --seed 7
+  pointsim table1 --lumped --json
+
+Exit codes: 0 every row is as expected and every case is named right; 1 it is not; 64 wrong command line; 70 a throw
+could not be identified; 73 a figure cannot be written.")]
+pub(super) struct Arguments {
+    /// Writes the figures into this directory, as SVG.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Rails as one mass and spring instead of a beam.
+    #[arg(long)]
+    lumped: bool,
+    /// Throws a test; the table shows their mean.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    throws: u16,
+    /// Random numbers of the sensors' noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Prints the results as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    let rails = if arguments.lumped { RailModel::Lumped } else { RailModel::Beam };
+    let study = Study { rails, throws: arguments.throws.into(), seed: arguments.seed, ..Study::default() };
+    let results = run(&study).or_exit(Exit::Software)?;
+    if let Some(directory) = &arguments.out {
+        draw(directory, &results).or_exit(Exit::CannotCreate)?;
+    }
+    let as_expected = results.iter().all(|result| {
+        result.verdict() == result.case.cause && result.tests.iter().all(|test| (0..3).all(|at| holds(test, at)))
+    });
+    let mut out = std::io::stdout().lock();
+    if arguments.json {
+        print_json(&mut out, &results).or_exit(Exit::Io)?;
+    } else {
+        print_tables(&mut out, &results, &study).or_exit(Exit::Io)?;
+    }
+    Ok(if as_expected { Exit::Ok } else { Exit::Negative })
+}
+
+fn holds(test: &Test, at: usize) -> bool {
+    test.expected.is_none_or(|expected| expected[at].holds(test.change_pct[at]))
+}
+
+fn print_tables(out: &mut impl Write, results: &[CaseResult], study: &Study) -> anyhow::Result<()> {
+    let rails = if study.rails == RailModel::Lumped { "lumped rails" } else { "finite-element rails" };
+    writeln!(out, "Change of the coefficients from test 1 [%], {rails}, mean of {} throws a test.", study.throws)?;
+    writeln!(
+        out,
+        "Each cell: ours (standard deviation) | expected; * where they differ by more than 2 points or 3 %.\n"
+    )?;
+    for result in results {
+        let mut table = Table::new();
+        table.load_style(presets::UTF8_FULL_CONDENSED);
+        let unit = if result.case.unit.is_empty() { String::new() } else { format!(" [{}]", result.case.unit) };
+        table.set_header(["test", &format!("{}{unit}", result.case.symbol), NAMES[0], NAMES[1], NAMES[2]]);
+        for (at, test) in result.tests.iter().enumerate() {
+            let mut row = vec![format!("{}", at + 1), format!("{}", test.value)];
+            row.extend((0..3).map(|coefficient| cell(test, coefficient)));
+            table.add_row(row);
+        }
+        for column in table.column_iter_mut() {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        writeln!(out, "{table}")?;
+        let line = |[b0_a1, b0_a0, a1_a0]: [f64; 3]| format!("b0, a1 {b0_a1:.2}; b0, a0 {b0_a0:.2}; a1, a0 {a1_a0:.2}");
+        writeln!(out, "correlation of the inertia estimates: {}", line(result.correlation))?;
+        writeln!(out, "the same beyond a scatter of 1 %:     {}", line(result.correlation_beyond_scatter))?;
+        writeln!(out, "verdict: {} (changed: {})\n", result.verdict(), result.case.cause)?;
+    }
+    Ok(())
+}
+
+fn cell(test: &Test, at: usize) -> String {
+    let Some(expected) = test.expected else { return format!("{:.4}", test.coefficients[at]) };
+    let expected = match expected[at] {
+        Expected::Change(pct) => format!("{pct:+.1}"),
+        Expected::Within(pct) => format!("within {pct}"),
+    };
+    let sd_pct = test.sd[at] / test.coefficients[at] * 100.0;
+    let mark = if holds(test, at) { "" } else { " *" };
+    format!("{:+.1} ({sd_pct:.1}) | {expected}{mark}", test.change_pct[at])
+}
+
+fn print_json(out: &mut impl Write, results: &[CaseResult]) -> anyhow::Result<()> {
+    let test = |test: &Test| {
+        json!({
+            "value": test.value, "b0": test.coefficients[0], "a1": test.coefficients[1], "a0": test.coefficients[2],
+            "sd": test.sd, "change_pct": test.change_pct, "physics_pct": test.physics_pct,
+            "as_expected": (0..3).all(|at| holds(test, at)),
+        })
+    };
+    let case = |result: &CaseResult| {
+        let pairs = |[b0_a1, b0_a0, a1_a0]: [f64; 3]| json!({"b0_a1": b0_a1, "b0_a0": b0_a0, "a1_a0": a1_a0});
+        json!({
+            "parameter": result.case.symbol, "cause": result.case.cause, "verdict": result.verdict(),
+            "correlation": pairs(result.correlation),
+            "correlation_beyond_scatter": pairs(result.correlation_beyond_scatter),
+            "tests": result.tests.iter().map(test).collect::<Vec<_>>(),
+        })
+    };
+    serde_json::to_writer_pretty(&mut *out, &results.iter().map(case).collect::<Vec<_>>())?;
+    writeln!(out)?;
+    Ok(())
+}
+
+fn draw(directory: &Path, results: &[CaseResult]) -> anyhow::Result<()> {
+    std::fs::create_dir_all(directory).with_context(|| format!("{} cannot be created", directory.display()))?;
+    let mut figures = vec![("figure05_pulse_response.svg".to_owned(), pulse_response(&results[0].tests[0]))];
+    for (at, result) in results.iter().enumerate() {
+        let name = format!("figure{:02}_case_{}.svg", at + 6, result.case.symbol.to_lowercase());
+        figures.push((name, estimates(result)));
+    }
+    figures.push(("figure10_inertia_estimates.svg".to_owned(), inertia_estimates(results)));
+    figures.push(("figure11_correlations.svg".to_owned(), correlations(results)));
+    for (name, sheet) in figures {
+        let path = directory.join(name);
+        std::fs::write(&path, sheet.to_svg()).with_context(|| format!("{} cannot be written", path.display()))?;
+    }
+    Ok(())
+}
+
+/// The nominal throw as recorded, and the position that the identified model gives for the recorded current.
+fn pulse_response(test: &Test) -> Sheet {
+    let period = test.trace.sample_rate_hz().recip();
+    let samples = |values: &[f64]| -> Vec<(f64, f64)> {
+        values.iter().enumerate().map(|(at, value)| (at as f64 * period, *value)).collect()
+    };
+    // Once the motor is off, the stock rail and the brake hold the toe, which the model does not know.
+    let running = test.trace.current_a().iter().rposition(|current| current.abs() > 0.2).unwrap_or(0);
+    let mut model = test.modelled_position_mm();
+    model.truncate(running);
+    Sheet::new("Pulse response of the nominal machine")
+        .panel(
+            Panel::curves("Motor current", "time [s]", "current [A]").line("recorded", samples(test.trace.current_a())),
+        )
+        .panel(
+            Panel::curves("Toe position", "time [s]", "position [mm]")
+                .line("recorded", samples(test.trace.position_mm()))
+                .line("identified model", samples(&model)),
+        )
+}
+
+fn estimates(result: &CaseResult) -> Sheet {
+    let title = format!("Estimates while {} changes", result.case.symbol);
+    let nominal = result.tests[0].coefficients;
+    let mut panel = Panel::bars("Each test in % of test 1", "% of nominal", NAMES);
+    for test in &result.tests {
+        let label = format!("{} = {}", result.case.symbol, test.value);
+        panel = panel.group(label, (0..3).map(|at| test.coefficients[at] / nominal[at] * 100.0));
+    }
+    Sheet::new(title).panel(panel.level(100.0, ""))
+}
+
+fn inertia_estimates(results: &[CaseResult]) -> Sheet {
+    let mut sheet = Sheet::new("Inertia estimates, nominal / estimate").columns(2);
+    for result in results {
+        let nominal = result.tests[0].coefficients;
+        let mut panel = Panel::curves(format!("{} changes", result.case.symbol), "test", "ratio");
+        for (coefficient, name) in NAMES.iter().enumerate() {
+            let ratio =
+                |(at, test): (usize, &Test)| ((at + 1) as f64, nominal[coefficient] / test.coefficients[coefficient]);
+            panel = panel.dotted_line(format!("J from {name}"), result.tests.iter().enumerate().map(ratio));
+        }
+        sheet = sheet.panel(panel);
+    }
+    sheet
+}
+
+fn correlations(results: &[CaseResult]) -> Sheet {
+    let mut panel = Panel::bars("Pairs of inertia estimates over the six tests", "correlation", PAIRS);
+    for result in results {
+        panel = panel.group(format!("{} changes", result.case.symbol), result.correlation);
+    }
+    Sheet::new("Correlation of the inertia estimates")
+        .panel(panel.level(CORRELATION_LIMIT, "inertia when all three are above"))
+}

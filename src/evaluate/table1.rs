@@ -1,0 +1,340 @@
+//! The study's table of 4 cases x 6 tests, through the simulated machine and the estimator.
+//!
+//! In each case one physical parameter takes six values; test 1 is the nominal machine. A test is the mean of several
+//! throws, as one throw alone scatters by half a per cent and more. The expected changes are those of
+//! an independent simulation of the same study (20 mA and 20 um of noise). The rule of the study reads the correlation of
+//! the three inertia estimates J = nominal/estimate over the six tests: inertia when all pairs are at least 0.8. As a
+//! correlation has no scale, changes of a tenth of a per cent, from noise or from the leakage of dry friction, count in it
+//! as much as a doubling does: without any noise the friction case has 0.98 in all pairs. So the verdict reads the
+//! correlation beyond the scatter of a machine in service.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha12Rng;
+
+use crate::estimate::{Estimate, Identifier, Rejection, Settings};
+use crate::simulate::{Conditions, InvalidParameter, Parameters, RailModel, Sensors};
+use crate::throw::{Direction, Throw, ThrowRef, Trace};
+
+/// Correlation from which the study calls a pair of inertia estimates equal.
+pub const CORRELATION_LIMIT: f64 = 0.8;
+/// How many of its own standard deviations a coefficient must move to have moved.
+const MOVED_SIGMAS: f64 = 4.0;
+/// Throw-to-throw scatter of a healthy machine in service, as a share: running currents repeat within 0.3 to 2 %.
+const SERVICE_SCATTER: f64 = 0.01;
+/// The study throws in one direction.
+const DIRECTION: Direction = Direction::NormalToReverse;
+
+/// Expected change of one coefficient from test 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Expected {
+    /// This change \[%\].
+    Change(f64),
+    /// No more than this, either way \[%\].
+    Within(f64),
+}
+
+impl Expected {
+    /// How far a change may be from the one expected: 2 points, or 3 % of the figure where that is more.
+    #[must_use]
+    pub fn holds(self, change_pct: f64) -> bool {
+        match self {
+            Self::Change(expected) => (change_pct - expected).abs() <= (0.03 * expected.abs()).max(2.0),
+            Self::Within(limit) => change_pct.abs() <= limit,
+        }
+    }
+}
+
+/// One case of the study.
+#[derive(Debug, Clone, Copy)]
+pub struct Case {
+    /// The parameter's symbol.
+    pub symbol: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// The cause that it stands for, as in messages.
+    pub cause: &'static str,
+    /// Its values in tests 2 to 6.
+    pub values: [f64; 5],
+    /// Its value in the nominal machine.
+    pub nominal: fn(&Parameters) -> f64,
+    set: fn(&mut Parameters, f64),
+    expected: fn(usize) -> [Expected; 3],
+}
+
+/// The four cases, in the study's order.
+pub const CASES: [Case; 4] = [
+    Case {
+        symbol: "KT",
+        unit: "N m/A",
+        cause: "kt",
+        values: [0.5, 0.6, 0.7, 0.9, 1.0],
+        nominal: |machine| machine.torque_constant,
+        set: |machine, value| machine.torque_constant = value,
+        expected: |at| {
+            let b0 = [-37.4, -25.4, -11.1, 14.1, 24.8][at];
+            [Expected::Change(b0), Expected::Within(2.0), Expected::Within(2.0)]
+        },
+    },
+    Case {
+        symbol: "mu",
+        unit: "",
+        cause: "friction",
+        values: [0.001, 0.0025, 0.005, 0.01, 0.02],
+        nominal: |machine| machine.rails.slide_friction,
+        set: |machine, value| machine.rails.slide_friction = value,
+        expected: |at| {
+            // Only the largest value has a figure; those below lie between none and that.
+            let a1 = if at == 4 { Expected::Change(2.5) } else { Expected::Within(2.5) };
+            [Expected::Within(2.0), a1, Expected::Within(2.0)]
+        },
+    },
+    Case {
+        symbol: "K_bs",
+        unit: "N m/rad",
+        cause: "stiffness",
+        values: [0.1, 0.2, 0.3, 0.4, 0.5],
+        nominal: |machine| machine.screw_stiffness_nm,
+        set: |machine, value| machine.screw_stiffness_nm = value,
+        expected: |at| {
+            let a0 = [208.0, 410.0, 618.0, 817.0, 1019.0][at];
+            [Expected::Within(1.5), Expected::Within(1.5), Expected::Change(a0)]
+        },
+    },
+    Case {
+        symbol: "J_L",
+        unit: "kg m²",
+        cause: "inertia",
+        values: [1e-4, 2e-4, 4e-4, 6e-4, 7.5e-4],
+        nominal: |machine| machine.load_inertia_kg_m2,
+        set: |machine, value| machine.load_inertia_kg_m2 = value,
+        expected: |at| [Expected::Change([-3.0, -19.0, -39.0, -51.0, -57.5][at]); 3],
+    },
+];
+
+/// One test: its parameter value and what was identified.
+#[derive(Debug, Clone)]
+pub struct Test {
+    /// Value of the case's parameter.
+    pub value: f64,
+    /// Mean estimates of b0, a1, a0.
+    pub coefficients: [f64; 3],
+    /// Their standard deviations, as the estimator states them.
+    pub sd: [f64; 3],
+    /// Change of b0, a1, a0 from test 1 \[%\].
+    pub change_pct: [f64; 3],
+    /// What the physics says the change is \[%\].
+    pub physics_pct: [f64; 3],
+    /// What the study's table says; `None` for test 1.
+    pub expected: Option<[Expected; 3]>,
+    /// The first throw of the test, as recorded.
+    pub trace: Trace,
+}
+
+/// One case with its six tests.
+#[derive(Debug, Clone)]
+pub struct CaseResult {
+    /// The case.
+    pub case: Case,
+    /// Test 1 is the nominal machine.
+    pub tests: Vec<Test>,
+    /// Correlations of the inertia estimates: `b0_a1`, `b0_a0`, `a1_a0`; 0 where an estimate does not vary.
+    pub correlation: [f64; 3],
+    /// The same with a scatter of 1 % in each estimate, so that only larger changes count.
+    pub correlation_beyond_scatter: [f64; 3],
+}
+
+/// Why the study could not be run.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Failure {
+    /// The machine cannot be simulated.
+    #[error(transparent)]
+    Machine(#[from] InvalidParameter),
+    /// A throw was refused.
+    #[error("{symbol} = {value}: {reason}")]
+    Refused {
+        /// The case's parameter.
+        symbol: &'static str,
+        /// Its value.
+        value: f64,
+        /// Why.
+        reason: Rejection,
+    },
+}
+
+/// How the study is run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Study {
+    /// Model of the rails.
+    pub rails: RailModel,
+    /// Sensors, with fresh noise for every throw.
+    pub sensors: Sensors,
+    /// Throws a test, at least 1.
+    pub throws: usize,
+    /// Of the sensors' noise.
+    pub seed: u64,
+}
+
+impl Default for Study {
+    fn default() -> Self {
+        Self { rails: RailModel::Beam, sensors: Sensors::default(), throws: 10, seed: 1 }
+    }
+}
+
+/// Runs all four cases.
+///
+/// # Errors
+/// When a throw cannot be simulated or identified.
+pub fn run(study: &Study) -> Result<Vec<CaseResult>, Failure> {
+    let mut nominal = Parameters::default();
+    nominal.rails.model = study.rails;
+    let mut rng = ChaCha12Rng::seed_from_u64(study.seed);
+    let mut identifier = Identifier::default();
+    CASES.iter().map(|case| run_case(case, &nominal, study, &mut rng, &mut identifier)).collect()
+}
+
+fn run_case(
+    case: &Case,
+    nominal: &Parameters,
+    study: &Study,
+    rng: &mut ChaCha12Rng,
+    identifier: &mut Identifier,
+) -> Result<CaseResult, Failure> {
+    let truth = |machine: &Parameters| machine.coefficients().map(|is| [is.b0, is.a1, is.a0]);
+    let reference = truth(nominal)?;
+    let mut tests: Vec<Test> = Vec::with_capacity(6);
+    for (at, value) in std::iter::once((case.nominal)(nominal)).chain(case.values).enumerate() {
+        let mut machine = nominal.clone();
+        (case.set)(&mut machine, value);
+        let motion = machine.simulate(DIRECTION, &Conditions::default(), study.sensors.step_s())?;
+        let mut traces = Vec::with_capacity(study.throws);
+        let mut estimates = Vec::with_capacity(study.throws);
+        for _ in 0..study.throws.max(1) {
+            let trace = study.sensors.record(&motion, DIRECTION, rng)?.trace;
+            let refused = |reason| Failure::Refused { symbol: case.symbol, value, reason };
+            estimates.push(identify(identifier, &machine, &trace, &study.sensors).map_err(refused)?);
+            traces.push(trace);
+        }
+        let (coefficients, sd) = mean(&estimates);
+        let first = tests.first().map_or(coefficients, |first| first.coefficients);
+        tests.push(Test {
+            value,
+            coefficients,
+            sd,
+            change_pct: change_pct(coefficients, first),
+            physics_pct: change_pct(truth(&machine)?, reference),
+            expected: at.checked_sub(1).map(case.expected),
+            trace: traces.swap_remove(0),
+        });
+    }
+    let inertia = |at: usize| -> Vec<f64> {
+        tests.iter().map(|test| tests[0].coefficients[at] / test.coefficients[at]).collect()
+    };
+    let (b0, a1, a0) = (inertia(0), inertia(1), inertia(2));
+    let correlations = |scatter| [(&b0, &a1), (&b0, &a0), (&a1, &a0)].map(|(a, b)| correlation(a, b, scatter));
+    Ok(CaseResult {
+        case: *case,
+        correlation: correlations(0.0),
+        correlation_beyond_scatter: correlations(SERVICE_SCATTER),
+        tests,
+    })
+}
+
+/// Mean of b0, a1, a0 and the standard deviation of that mean.
+fn mean(estimates: &[Estimate]) -> ([f64; 3], [f64; 3]) {
+    let count = estimates.len() as f64;
+    let values = |at: usize| estimates.iter().map(move |e| [e.b0, e.a1, e.a0][at]).sum::<f64>() / count;
+    let sd = |at: usize| estimates.iter().map(|e| e.covariance[(at, at)]).sum::<f64>().sqrt() / count;
+    (std::array::from_fn(values), std::array::from_fn(sd))
+}
+
+fn identify(
+    identifier: &mut Identifier,
+    machine: &Parameters,
+    trace: &Trace,
+    sensors: &Sensors,
+) -> Result<Estimate, Rejection> {
+    let settings = Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() };
+    let throw = Throw {
+        id: ThrowRef { boot_id: "table1".to_owned(), throw_no: 1 },
+        started_at: jiff::Timestamp::UNIX_EPOCH,
+        direction: Some(DIRECTION),
+        trace: trace.clone(),
+        temperature_c: None,
+        supply_v: None,
+        anti_alias_hz: sensors.anti_alias_hz,
+    };
+    identifier.identify(&throw, &settings).outcome
+}
+
+fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|at| (is[at] / was[at] - 1.0) * 100.0)
+}
+
+/// Pearson's correlation with this standard deviation of unrelated scatter in each side; 0 where one does not vary.
+fn correlation(a: &[f64], b: &[f64], scatter: f64) -> f64 {
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let product: f64 = a.iter().zip(b).map(|(x, y)| (x - mean_a) * (y - mean_b)).sum();
+    let square = |values: &[f64], mean: f64| values.iter().map(|x| (x - mean).powi(2) + scatter * scatter).sum::<f64>();
+    let scale = (square(a, mean_a) * square(b, mean_b)).sqrt();
+    if scale > 0.0 { product / scale } else { 0.0 }
+}
+
+impl Test {
+    /// Toe position that the identified model (12) gives for the recorded current \[mm\], one value a sample, in steps of
+    /// the sampling period with the current as it is between samples; the start is where the motor is switched on.
+    #[must_use]
+    pub fn modelled_position_mm(&self) -> Vec<f64> {
+        let [b0, a1, a0] = self.coefficients;
+        let h = self.trace.sample_rate_hz().recip();
+        let mm_per_radian = Parameters::default().lead_mm / std::f64::consts::TAU;
+        let (mut angle, mut speed) = (0.0, 0.0);
+        let step = |pair: &[f64]| {
+            // Midpoint rule.
+            let current = 0.5 * (pair[0] + pair[1]);
+            let (mid_angle, mid_speed) =
+                (angle + 0.5 * h * speed, speed + 0.5 * h * (b0 * pair[0] - a1 * speed - a0 * angle));
+            angle += h * mid_speed;
+            speed += h * (b0 * current - a1 * mid_speed - a0 * mid_angle);
+            angle * mm_per_radian
+        };
+        std::iter::once(0.0).chain(self.trace.current_a().windows(2).map(step)).collect()
+    }
+}
+
+impl CaseResult {
+    /// Whether each of b0, a1, a0 moved, in any test, beyond its own uncertainty.
+    #[must_use]
+    pub fn moved(&self) -> [bool; 3] {
+        let first = &self.tests[0];
+        std::array::from_fn(|at| {
+            self.tests.iter().any(|test| {
+                let limit = MOVED_SIGMAS * first.sd[at].hypot(test.sd[at]);
+                (test.coefficients[at] - first.coefficients[at]).abs() > limit
+            })
+        })
+    }
+
+    /// The cause that the study's rule reads from this case.
+    #[must_use]
+    pub fn verdict(&self) -> &'static str {
+        let moved = self.moved();
+        if self.correlation_beyond_scatter.iter().all(|pair| *pair >= CORRELATION_LIMIT) {
+            return "inertia";
+        }
+        let most = |at: usize| self.tests.iter().map(|test| test.change_pct[at].abs()).fold(0.0, f64::max);
+        let causes = ["kt", "friction", "stiffness"];
+        let largest = (0..3).filter(|&at| moved[at]).max_by(|&a, &b| most(a).total_cmp(&most(b)));
+        largest.map_or("none", |at| causes[at])
+    }
+
+    /// Largest difference between the changes of the three coefficients in any test \[points\].
+    #[must_use]
+    pub fn disagreement(&self) -> f64 {
+        let span = |test: &Test| {
+            let [b0, a1, a0] = test.change_pct;
+            b0.max(a1).max(a0) - b0.min(a1).min(a0)
+        };
+        self.tests.iter().map(span).fold(0.0, f64::max)
+    }
+}

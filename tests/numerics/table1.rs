@@ -1,0 +1,52 @@
+//! The study's table through simulator and estimator, with lumped rails and with the beam.
+
+use pointsd::evaluate::table1::{CaseResult, Expected, Study, run};
+use pointsd::simulate::RailModel;
+
+fn results(rails: RailModel, seed: u64) -> Vec<CaseResult> {
+    run(&Study { rails, seed, ..Study::default() }).unwrap()
+}
+
+#[test]
+fn every_row_is_as_expected() {
+    for rails in [RailModel::Lumped, RailModel::Beam] {
+        for result in results(rails, 1) {
+            for test in &result.tests[1..] {
+                let expected = test.expected.unwrap();
+                for (at, name) in ["b0", "a1", "a0"].iter().enumerate() {
+                    let (change, expected) = (test.change_pct[at], expected[at]);
+                    assert!(
+                        expected.holds(change),
+                        "{rails:?} {} = {}: {name} moved by {change:.2} %, expected {expected:?}",
+                        result.case.symbol,
+                        test.value
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_correlations_name_inertia_and_nothing_else() {
+    for (rails, seed) in [(RailModel::Lumped, 1), (RailModel::Beam, 1), (RailModel::Beam, 2), (RailModel::Beam, 3)] {
+        for result in results(rails, seed) {
+            assert_eq!(result.verdict(), result.case.cause, "{rails:?}, seed {seed}: {:?}", result.correlation);
+            let beyond_scatter = result.correlation_beyond_scatter;
+            if result.case.cause == "inertia" {
+                assert!(result.correlation.iter().all(|pair| *pair > 0.995), "{:?}", result.correlation);
+                assert!(beyond_scatter.iter().all(|pair| *pair > 0.99), "{beyond_scatter:?}");
+                assert!(result.disagreement() < 1.0, "{}", result.disagreement());
+            } else {
+                assert!(beyond_scatter.iter().any(|pair| *pair < 0.5), "{beyond_scatter:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_check_of_a_row_can_fail() {
+    assert!(Expected::Change(1019.0).holds(1019.0 + 30.0) && !Expected::Change(1019.0).holds(1019.0 + 31.0));
+    assert!(Expected::Change(-3.0).holds(-4.9) && !Expected::Change(-3.0).holds(-5.1));
+    assert!(Expected::Within(1.5).holds(-1.5) && !Expected::Within(1.5).holds(1.6));
+}
