@@ -10,7 +10,7 @@ use sqlx::{AssertSqlSafe, Connection, SqliteConnection, sqlite::SqliteConnectOpt
 
 use super::{
     disk::Disk,
-    error::{StoreError, is_full, is_refused},
+    error::{StoreError, is_corrupt, is_full, is_refused},
     place::Place,
     reader::Reader,
     statements as sql,
@@ -40,6 +40,8 @@ pub(super) struct Link {
     pub(super) disk: Arc<Disk>,
     pub(super) place: Place,
     pub(super) reader: Reader,
+    /// SQLite found the content of the file broken: only opening it anew can set it aside.
+    pub(super) broken: bool,
     /// At this size of the log something is done about it \[bytes\]. Raised when nothing could be done.
     pub(super) log_bound: u64,
 }
@@ -100,6 +102,7 @@ impl Link {
     /// Gives up the connection, and the ballast if the disk is full.
     async fn recover(&mut self, error: &sqlx::Error) {
         tracing::warn!(%error, "a write transaction failed; its connection is replaced");
+        self.broken |= is_corrupt(error);
         self.disconnect().await;
         self.disk.note_failure(is_full(error));
     }

@@ -41,7 +41,8 @@ use crate::throw::{MachineId, Throw};
 use disk::Disk;
 use link::Link;
 use place::Place;
-use writer::Writer;
+use tokio::sync::Semaphore;
+use writer::{Answer, Writer};
 
 /// The database of a running daemon. Cheap to clone.
 #[derive(Clone)]
@@ -50,7 +51,13 @@ pub struct Store {
     reader: Reader,
     disk: Arc<Disk>,
     settings: Arc<Settings>,
+    /// Bounds the bytes of the throws that wait for their commit.
+    room: Arc<Semaphore>,
 }
+
+/// Throws that may wait for their commit \[KiB\]: 64 MiB, four of the largest possible throws, or a thousand usual
+/// ones. Whoever brings more waits.
+const ROOM_KIB: usize = 64 * 1024;
 
 /// An opened store, and how it was found.
 pub struct Opened {
@@ -77,12 +84,14 @@ impl Store {
             disk: Arc::clone(&disk),
             place,
             reader: reader.clone(),
+            broken: false,
             log_bound: settings.max_wal_mib * settings::MIB,
         });
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast: a full disk will be harder to clear");
         }
-        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()) };
+        let room = Arc::new(Semaphore::new(ROOM_KIB));
+        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), room };
         Ok(Opened { store, report })
     }
 
@@ -108,38 +117,50 @@ impl Store {
         throw: &Throw,
         received_at: Timestamp,
     ) -> Result<Spooled, StoreError> {
-        let write = spool::Spool::new(machine, throw, received_at)?;
-        let spooled = self.writer.write(write).await?;
-        if spooled == (Spooled::Duplicate { differs: true }) {
-            self.note_contradiction(machine, throw, received_at).await?;
-        }
-        Ok(spooled)
+        let answer = self.submit(machine, throw, received_at).await?;
+        self.spooled(answer, machine, throw, received_at).await
     }
 
     /// Stores several throws in as few commits as possible; the answers are in their order.
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
-        let mut waiting = Vec::with_capacity(throws.len());
+        let mut submitted = Vec::with_capacity(throws.len());
         for (machine, throw, received_at) in throws {
-            waiting.push(match spool::Spool::new(machine, throw, *received_at) {
-                Ok(write) => self.writer.submit(write).await,
-                Err(error) => Err(error),
-            });
+            submitted.push(self.submit(machine, throw, *received_at).await);
         }
         let mut answers = Vec::with_capacity(throws.len());
-        for (answer, (machine, throw, received_at)) in waiting.into_iter().zip(throws) {
-            let spooled = match answer {
-                Ok(answer) => answer.await.unwrap_or(Err(StoreError::Closed)),
+        for (answer, (machine, throw, received_at)) in submitted.into_iter().zip(throws) {
+            answers.push(match answer {
+                Ok(answer) => self.spooled(answer, machine, throw, *received_at).await,
                 Err(error) => Err(error),
-            };
-            answers.push(match spooled {
-                Ok(Spooled::Duplicate { differs: true }) => self
-                    .note_contradiction(machine, throw, *received_at)
-                    .await
-                    .map(|()| Spooled::Duplicate { differs: true }),
-                spooled => spooled,
             });
         }
         answers
+    }
+
+    async fn submit(
+        &self,
+        machine: &MachineId,
+        throw: &Throw,
+        received_at: Timestamp,
+    ) -> Result<Answer<Spooled>, StoreError> {
+        let mut write = spool::Spool::new(machine, throw, received_at)?;
+        let room = Arc::clone(&self.room).acquire_many_owned(write.kib());
+        write.room = Some(room.await.map_err(|_| StoreError::Closed)?);
+        self.writer.submit(write).await
+    }
+
+    async fn spooled(
+        &self,
+        answer: Answer<Spooled>,
+        machine: &MachineId,
+        throw: &Throw,
+        received_at: Timestamp,
+    ) -> Result<Spooled, StoreError> {
+        let spooled = answer.await.map_err(|_| StoreError::Closed)??;
+        if spooled == (Spooled::Duplicate { differs: true }) {
+            self.note_contradiction(machine, throw, received_at).await?;
+        }
+        Ok(spooled)
     }
 
     async fn note_contradiction(&self, machine: &MachineId, throw: &Throw, at: Timestamp) -> Result<(), StoreError> {
@@ -209,7 +230,8 @@ impl Store {
         self.writer.write(quarantine::Quarantine::new(key, payload, reason, at, self.settings.max_quarantined)).await
     }
 
-    /// Resolves when the writer is gone: after [`close`](Self::close), or because it died.
+    /// Resolves when the writer is gone: after [`close`](Self::close), because it died, or because the file turned out
+    /// to be broken. Then the process should end: opening the store again sets a broken file aside.
     pub async fn stopped(&self) {
         self.writer.stopped().await;
     }

@@ -10,7 +10,7 @@ use std::{
 
 use jiff::Timestamp;
 use sqlx::{
-    Connection, SqliteConnection,
+    ConnectOptions, Connection, SqliteConnection,
     migrate::{MigrateError, Migrator},
     sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous},
 };
@@ -74,11 +74,12 @@ pub(super) fn writing(settings: &Settings) -> SqliteConnectOptions {
         .synchronous(synchronous)
         .busy_timeout(BUSY)
         .pragma("journal_size_limit", LOG_KEPT.to_string())
+        .disable_statement_logging()
 }
 
 /// How readers open the database.
 pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY)
+    SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
 }
 
 /// Opens the writing connection; a broken database is set aside first.

@@ -2,6 +2,7 @@
 
 use jiff::Timestamp;
 use sqlx::SqliteConnection;
+use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
     codec::{self, Channel},
@@ -75,9 +76,16 @@ pub(super) struct Spool {
     current: Channel,
     position: Channel,
     trace_crc32: u32,
+    /// Its share of the room for waiting throws; given back when it is answered.
+    pub(super) room: Option<OwnedSemaphorePermit>,
 }
 
 impl Spool {
+    /// What it takes while it waits \[KiB\].
+    pub(super) fn kib(&self) -> u32 {
+        u32::try_from((self.current.data.len() + self.position.data.len()) / 1024 + 1).unwrap_or(u32::MAX)
+    }
+
     pub(super) fn new(machine: &MachineId, throw: &Throw, received_at: Timestamp) -> Result<Self, StoreError> {
         let throw_no = i64::try_from(throw.id.throw_no).map_err(|_| StoreError::ThrowNumber(throw.id.throw_no))?;
         let trace_crc32 = codec::checksum(throw.trace.current_a(), throw.trace.position_mm());
@@ -97,6 +105,7 @@ impl Spool {
             current: codec::encode(throw.trace.current_a()),
             position: codec::encode(throw.trace.position_mm()),
             trace_crc32,
+            room: None,
         })
     }
 

@@ -28,6 +28,9 @@ pub(super) trait Write: Send + 'static {
     ) -> impl Future<Output = sqlx::Result<Self::Output>> + Send;
 }
 
+/// Comes after the commit.
+pub(super) type Answer<T> = oneshot::Receiver<Result<T, StoreError>>;
+
 type Running<'a> = Pin<Box<dyn Future<Output = sqlx::Result<()>> + Send + 'a>>;
 
 /// A [`Write`] of any kind, with the caller who waits for it.
@@ -79,10 +82,7 @@ impl Writer {
     }
 
     /// Hands a write over; the receiver gets its answer after the commit.
-    pub(super) async fn submit<W: Write + Sync>(
-        &self,
-        write: W,
-    ) -> Result<oneshot::Receiver<Result<W::Output, StoreError>>, StoreError> {
+    pub(super) async fn submit<W: Write + Sync>(&self, write: W) -> Result<Answer<W::Output>, StoreError> {
         let (reply, answer) = oneshot::channel();
         let job = Box::new(Waiting { write, output: None, reply });
         self.requests.send(Request::Write(job)).await.map_err(|_| StoreError::Closed)?;
@@ -121,5 +121,9 @@ async fn serve(mut inbox: mpsc::Receiver<Request>, mut link: Link) {
             }
         }
         link.commit(group).await;
+        if link.broken {
+            tracing::error!("the database is broken: the writer ends, and the next start sets the file aside");
+            return;
+        }
     }
 }

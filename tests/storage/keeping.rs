@@ -1,6 +1,6 @@
 //! Years in a cabinet: bounds on rows, bytes, age and log; broken files; clocks that jump.
 
-use std::fs;
+use std::{fs, os::unix::fs::FileExt};
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
@@ -98,6 +98,28 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
         opened.store.close().await.unwrap();
         assert_eq!(open(folder.path()).await.report.found, Found::Clean);
     }
+}
+
+#[tokio::test]
+async fn a_database_that_breaks_under_way_ends_the_writer_and_the_next_start_sets_it_aside() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    store.spool_all(&batch).await;
+    store.close().await.unwrap();
+    // After a clean stop nothing is checked, so that this shows only when the pages are needed.
+    let file = fs::OpenOptions::new().write(true).open(folder.path().join("points.db")).unwrap();
+    let pages = usize::try_from(file.metadata().unwrap().len() / 4096).unwrap();
+    file.write_all_at(&vec![0x5a; (pages - 60) * 4096], 60 * 4096).unwrap();
+    let opened = open(folder.path()).await;
+    assert_eq!(opened.report.found, Found::Clean);
+    let store = opened.store;
+    let error = store.spool(&machine("21B"), &throw("b1", 1501), at(0)).await.unwrap_err();
+    assert!(error.to_string().contains("malformed"), "{error}");
+    store.stopped().await;
+    let opened = open(folder.path()).await;
+    assert!(matches!(opened.report.found, Found::SetAside { .. }), "{:?}", opened.report);
+    spooled(&opened.store, "21B", "b1", 1).await;
 }
 
 #[tokio::test]

@@ -1,11 +1,13 @@
-//! What no `kill -9` can show: power cuts and disks that fail.
+//! Processes that are killed, power cuts, disks that fail.
 //!
 //! A worker process fills a database while a preloaded shim logs every write and sync, or makes some of them fail.
 //! The power-cut test then builds the disk as it would have been after a cut at any point of the log, with what was
-//! not synced dropped, kept or torn, and opens it. `POINTSD_CUTS` and `POINTSD_FAULTS` set how many are tried.
+//! not synced dropped, kept or torn, and opens it. `POINTSD_CUTS`, `POINTSD_FAULTS` and `POINTSD_KILLS` set how
+//! many are tried.
 
 mod cuts;
 mod faults;
+mod kills;
 mod replay;
 mod shim;
 mod worker;
