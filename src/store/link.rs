@@ -53,16 +53,16 @@ impl Link {
             return;
         }
         let Err(first) = self.transaction(&mut jobs, false).await else {
-            jobs.into_iter().for_each(|job| job.answer(Ok(())));
+            answer(jobs, || Ok(()));
             return self.bound_log().await;
         };
         self.recover(first.error()).await;
         match self.transaction(&mut jobs, true).await {
-            Ok(()) => jobs.into_iter().for_each(|job| job.answer(Ok(()))),
+            Ok(()) => answer(jobs, || Ok(())),
             Err(Failed::Within(error)) if is_refused(&error) && jobs.len() > 1 => self.commit_one_by_one(jobs).await,
             Err(failed) => {
                 self.recover(failed.error()).await;
-                jobs.into_iter().for_each(|job| job.answer(Err(told(failed.error()))));
+                answer(jobs, || Err(told(failed.error())));
             }
         }
     }
@@ -175,6 +175,12 @@ impl Link {
         let copied = self.checkpoint().await;
         self.disconnect().await;
         copied.map(drop).map_err(|error| told(&error))
+    }
+}
+
+fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError>) {
+    for job in jobs {
+        job.answer(committed());
     }
 }
 

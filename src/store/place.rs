@@ -110,8 +110,10 @@ impl Place {
     pub(super) fn set_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
         let file = self.file();
         let stamp = now.strftime("%Y%m%dT%H%M%SZ");
-        let free = (0u32..).map(|n| beside(&self.path, &format!("-broken-{stamp}-{n}"))).find(|to| !to.exists());
-        let to = free.unwrap_or_else(|| beside(&self.path, "-broken"));
+        let mut to = beside(&self.path, &format!("-broken-{stamp}"));
+        while to.exists() {
+            to = beside(&to, "-again");
+        }
         for suffix in SUFFIXES {
             let (from, to) = (beside(&file, suffix), beside(&to, suffix));
             match std::fs::rename(&from, &to) {

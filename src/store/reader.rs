@@ -83,7 +83,7 @@ pub struct HealthRow {
     pub sd: Option<[f64; 3]>,
     /// Their change from the baseline \[%\].
     pub change_pct: Option<[f64; 3]>,
-    /// R²_T \[%\].
+    /// Fit `R²_T` \[%\].
     pub fit_pct: Option<f64>,
     /// Duration \[s\].
     pub duration_s: Option<f64>,

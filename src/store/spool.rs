@@ -234,14 +234,13 @@ impl Write for RecordGap {
     /// Only numbers above the highest known one are news: all others are stored or in a gap already.
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
         let (machine_row, known) = machine_row(connection, &self.machine).await?;
-        let (boot_row, highest_no) = match boot(connection, machine_row, &self.boot_id).await? {
-            Some(boot) => (boot.boot_row, boot.highest_no),
-            None => {
-                let boot = NewBoot { machine_row, known, boot_id: &self.boot_id, at_us: self.at_us };
-                (boot.begin(connection, self.first_no).await?, self.first_no - 1)
-            }
+        let (boot_row, news_from) = if let Some(boot) = boot(connection, machine_row, &self.boot_id).await? {
+            (boot.boot_row, boot.highest_no.saturating_add(1))
+        } else {
+            let boot = NewBoot { machine_row, known, boot_id: &self.boot_id, at_us: self.at_us };
+            (boot.begin(connection, self.first_no).await?, self.first_no)
         };
-        add_gap(connection, boot_row, (self.first_no.max(highest_no + 1), self.last_no), self.kind, self.at_us).await?;
+        add_gap(connection, boot_row, (self.first_no.max(news_from), self.last_no), self.kind, self.at_us).await?;
         set_highest(connection, boot_row, self.last_no).await
     }
 }
@@ -251,13 +250,11 @@ pub(super) async fn machine_row(connection: &mut SqliteConnection, id: &MachineI
     let (site, machine) = (id.site.as_str(), id.machine.as_str());
     let row: Option<i64> =
         sqlx::query_scalar(sql::MACHINE).bind(site).bind(machine).fetch_optional(&mut *connection).await?;
-    match row {
-        Some(row) => Ok((row, true)),
-        None => {
-            let row = sqlx::query_scalar(sql::ADD_MACHINE).bind(site).bind(machine).fetch_one(connection).await?;
-            Ok((row, false))
-        }
+    if let Some(row) = row {
+        return Ok((row, true));
     }
+    let row = sqlx::query_scalar(sql::ADD_MACHINE).bind(site).bind(machine).fetch_one(connection).await?;
+    Ok((row, false))
 }
 
 /// Adds to a lasting total.

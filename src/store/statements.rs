@@ -143,6 +143,6 @@ statements! {
     WAITING_COUNT = "SELECT count(*) FROM throw WHERE judged_at_us IS NULL";
     OUTBOX_COUNT = "SELECT count(*) FROM outbox";
     QUARANTINE_COUNT = "SELECT count(*) FROM quarantine";
-    OPEN_GAP_COUNT = "SELECT coalesce(sum(last_no - first_no + 1), 0) FROM gap WHERE filled_at_us IS NULL AND kind <> 'before_first_contact'";
+    OPEN_GAP_COUNT = "SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE filled_at_us IS NULL AND kind <> 'before_first_contact'";
     OPEN_ALARM_COUNT = "SELECT count(*) FROM alarm WHERE state <> 'normal'";
 }

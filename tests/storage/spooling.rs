@@ -101,3 +101,22 @@ async fn a_batch_is_answered_in_its_order() {
     assert_eq!(*answers[150].as_ref().unwrap(), Spooled::Duplicate { differs: false });
     assert!(matches!(answers[151], Err(StoreError::ThrowNumber(u64::MAX))));
 }
+
+/// A logger gone mad must not stop the writer.
+#[tokio::test]
+async fn the_largest_numbers_and_oddest_times_are_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let largest = u64::try_from(i64::MAX).unwrap();
+    for boot_id in ["b1", "b2", ""] {
+        spooled(&store, "21B", boot_id, 1).await;
+        let mut odd = throw(boot_id, 2);
+        odd.id.throw_no = largest;
+        odd.started_at = if boot_id.is_empty() { jiff::Timestamp::MIN } else { jiff::Timestamp::MAX };
+        assert!(matches!(store.spool(&machine("21B"), &odd, at(0)).await.unwrap(), Spooled::New(_)));
+        store.record_gap(&machine("21B"), boot_id, (3, largest), GapKind::Missed, at(0)).await.unwrap();
+        spooled(&store, "21B", boot_id, 3).await;
+    }
+    assert_eq!(store.reader().pending(ThrowRow::START, 100).await.unwrap().len(), 9);
+    assert!(store.statistics().await.unwrap().missing_throws > 1 << 60);
+}
