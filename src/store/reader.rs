@@ -318,7 +318,7 @@ impl Reader {
     pub async fn quarantined(&self, limit: u32) -> Result<Vec<Quarantined>, StoreError> {
         let read = |(at_us, key, reason, bytes, payload_start): (i64, String, String, i64, Vec<u8>)| {
             let payload_bytes = bytes.cast_unsigned();
-            Ok(Quarantined { received_at: timestamp(at_us)?, key, reason, payload_bytes, payload_start })
+            Ok(Quarantined { received_at: timestamp(at_us), key, reason, payload_bytes, payload_start })
         };
         self.rows(sqlx::query_as(sql::QUARANTINE).bind(limit), read).await
     }
@@ -337,8 +337,10 @@ fn machine_id(site: &str, machine: &str) -> sqlx::Result<MachineId> {
     MachineId::new(site, machine).map_err(decode_error)
 }
 
-fn timestamp(at_us: i64) -> sqlx::Result<Timestamp> {
-    Timestamp::from_microsecond(at_us).map_err(decode_error)
+/// The nearest time that there is: one odd row must not hide all others.
+fn timestamp(at_us: i64) -> Timestamp {
+    let nearest = if at_us < 0 { Timestamp::MIN } else { Timestamp::MAX };
+    Timestamp::from_microsecond(at_us).unwrap_or(nearest)
 }
 
 fn three(values: [Option<f64>; 3]) -> Option<[f64; 3]> {
@@ -381,8 +383,8 @@ impl ThrowColumns {
 
     fn read(mut self) -> sqlx::Result<StoredThrow> {
         let machine = machine_id(&self.site, &self.machine)?;
-        let started_at = timestamp(self.started_at_us)?;
-        let received_at = timestamp(self.received_at_us)?;
+        let started_at = timestamp(self.started_at_us);
+        let received_at = timestamp(self.received_at_us);
         let id = ThrowRef { boot_id: std::mem::take(&mut self.boot_id), throw_no: self.throw_no.cast_unsigned() };
         let throw = self.trace().map(|trace| Throw {
             id: id.clone(),
@@ -431,7 +433,7 @@ impl HealthColumns {
         Ok(HealthRow {
             machine: machine_id(&self.site, &self.machine)?,
             throw: ThrowRef { boot_id: self.boot_id, throw_no: self.throw_no.cast_unsigned() },
-            started_at: timestamp(self.started_at_us)?,
+            started_at: timestamp(self.started_at_us),
             direction: self.direction.as_deref().and_then(Direction::from_word),
             quality: self.quality,
             detail: self.detail,
@@ -483,7 +485,7 @@ impl GapColumns {
             first_no: self.first_no.cast_unsigned(),
             last_no: self.last_no.cast_unsigned(),
             kind: GapKind::ALL.into_iter().find(|kind| kind.as_str() == self.kind).unwrap_or(GapKind::Missed),
-            detected_at: timestamp(self.detected_at_us)?,
+            detected_at: timestamp(self.detected_at_us),
         })
     }
 }
