@@ -149,7 +149,10 @@ fn write_picture(path: &Path, report: &Report) -> anyhow::Result<()> {
 }
 
 fn tables(report: &Report) -> String {
-    let mut sections = vec![format!("Seed {}", report.seed), format!("Healthy machines\n{}", healthy_table(report))];
+    let mut sections = vec![format!("Seed {}", report.seed)];
+    if !report.healthy.is_empty() {
+        sections.push(format!("Healthy machines\n{}", healthy_table(report)));
+    }
     for depth in [Depth::Parameter, Depth::Trace] {
         let table = rows_table(report, depth);
         if !table.is_empty() {
@@ -157,7 +160,9 @@ fn tables(report: &Report) -> String {
             sections.push(format!("Faults at {depth} depth: lives named right, throws from onset to name\n{table}"));
         }
     }
-    sections.push(format!("False-alarm budget, with limits that stop nothing\n{}", budget_table(report)));
+    if !report.budget.is_empty() {
+        sections.push(format!("False-alarm budget, with limits that stop nothing\n{}", budget_table(report)));
+    }
     sections.join("\n\n")
 }
 

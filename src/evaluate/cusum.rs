@@ -161,3 +161,41 @@ fn alarms((deviations, sd): &TuningLife, design: &Design) -> usize {
     let mut sums = Sums::default();
     deviations.iter().filter(|deviation| sums.add(**deviation, *sd, design).is_some()).count()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: Limits = [0.05, 0.15, 0.10, 0.05];
+    const BASELINE: usize = 50;
+
+    fn alarms_per_throw(design: &Design, seed: u64) -> f64 {
+        let lives = tuning_lives(seed, Noise::Default, BASELINE);
+        let throws: usize = lives.iter().map(|(deviations, _)| deviations.len()).sum();
+        lives.iter().map(|life| alarms(life, design)).sum::<usize>() as f64 / throws as f64
+    }
+
+    #[test]
+    fn tuning_meets_its_budget_on_machines_that_it_has_not_seen() {
+        let budget = 2_000.0;
+        let design = Design::tuned(1, Noise::Default, LIMITS, BASELINE, budget);
+        let ratio = alarms_per_throw(&design, 2) * budget;
+        assert!((0.5..2.0).contains(&ratio), "{ratio} times the budget");
+    }
+
+    #[test]
+    fn a_shift_of_one_coefficient_is_its_cause_and_of_all_three_inertia() {
+        let design = Design { reference: Vector3::new(0.025, 0.075, 0.05), decision_sd: 4.0 };
+        let sd = Vector3::repeat(0.01);
+        let named = |shift: Vector3<f64>| {
+            let mut sums = Sums::default();
+            (0..20).find_map(|_| sums.add(shift, sd, &design))
+        };
+        assert_eq!(named(Vector3::new(-0.1, 0.0, 0.0)), Some(Cause::Kt));
+        assert_eq!(named(Vector3::new(0.0, 0.2, 0.0)), Some(Cause::Friction));
+        assert_eq!(named(Vector3::new(0.0, 0.0, 0.2)), Some(Cause::Stiffness));
+        assert_eq!(named(Vector3::repeat(-0.2)), Some(Cause::Inertia));
+        assert_eq!(named(Vector3::new(0.2, 0.0, -0.2)), Some(Cause::Unattributed));
+        assert_eq!(named(Vector3::new(0.02, 0.07, -0.04)), None);
+    }
+}

@@ -69,3 +69,76 @@ pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
         (None, None) => Judgement::Missed,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::{
+        random::stream,
+        scenario::{Depth, Noise, Scenario, Shape, Situation},
+    };
+
+    const BASELINE: usize = 100;
+
+    fn life(situation: Situation, parts: &[Cause]) -> Timeline {
+        let faults = parts.iter().map(|&part| (part, 0.2)).collect();
+        let (depth, shape, noise, hard) = (Depth::Parameter, Shape::Step, Noise::Default, false);
+        let scenario = Scenario { depth, situation, faults, shape, noise, hard };
+        Timeline::of(&scenario, 0, BASELINE, &mut stream(1, 0, 0, 0))
+    }
+
+    /// Judges calls given as (throws after the onset, cause, critical).
+    fn judged(life: &Timeline, calls: &[(isize, Cause, bool)]) -> Judgement {
+        let at = |after: isize| life.onset.checked_add_signed(after).unwrap();
+        let calls: Vec<Call> =
+            calls.iter().map(|&(after, cause, critical)| Call { at: at(after), cause, critical }).collect();
+        judge(&calls, life)
+    }
+
+    #[test]
+    fn one_cause_is_judged_by_its_first_name_and_by_critical_names() {
+        use Cause::{Inertia, Kt, Unattributed};
+        let life = life(Situation::Plain, &[Kt]);
+        let cases: &[(&[(isize, Cause, bool)], Judgement)] = &[
+            (&[], Judgement::Missed),
+            (&[(0, Kt, false)], Judgement::Right(1)),
+            (&[(4, Kt, false), (9, Inertia, false)], Judgement::Right(5)),
+            (&[(4, Kt, false), (9, Inertia, true)], Judgement::Wrong),
+            (&[(4, Inertia, false), (9, Kt, true)], Judgement::Wrong),
+            (&[(2, Unattributed, true)], Judgement::Ambiguous),
+            (&[(2, Unattributed, true), (6, Kt, false)], Judgement::Right(7)),
+            (&[(-1, Kt, false), (1, Kt, false)], Judgement::Wrong),
+            (&[(-1, Unattributed, false), (1, Kt, false)], Judgement::Wrong),
+        ];
+        for (calls, expected) in cases {
+            assert_eq!(judged(&life, calls), *expected, "{calls:?}");
+        }
+    }
+
+    #[test]
+    fn two_causes_want_both_names_or_none() {
+        use Cause::{Friction, Inertia, Kt, Unattributed};
+        let life = life(Situation::Pair, &[Kt, Friction]);
+        let cases: &[(&[(isize, Cause, bool)], Judgement)] = &[
+            (&[], Judgement::Missed),
+            (&[(3, Kt, true)], Judgement::Missed),
+            (&[(3, Kt, true), (7, Friction, false)], Judgement::Right(8)),
+            (&[(3, Unattributed, true)], Judgement::Right(4)),
+            (&[(3, Inertia, false)], Judgement::Wrong),
+            (&[(3, Unattributed, false), (5, Inertia, true)], Judgement::Wrong),
+        ];
+        for (calls, expected) in cases {
+            assert_eq!(judged(&life, calls), *expected, "{calls:?}");
+        }
+    }
+
+    #[test]
+    fn after_a_repair_only_the_second_fault_counts_and_the_first_may_be_named_in_its_time() {
+        let life = life(Situation::Repaired, &[Cause::Kt]);
+        let first = life.repaired().unwrap();
+        assert_ne!(first, Cause::Kt);
+        assert_eq!(judged(&life, &[(-110, first, true), (2, Cause::Kt, false)]), Judgement::Right(3));
+        assert_eq!(judged(&life, &[(-110, Cause::Kt, true), (2, Cause::Kt, false)]), Judgement::Wrong);
+        assert_eq!(judged(&life, &[(-110, first, true), (2, first, false)]), Judgement::Wrong);
+    }
+}

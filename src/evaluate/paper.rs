@@ -86,3 +86,42 @@ fn correlated(tests: &[Vector3<f64>]) -> bool {
     let correlation = |i, j| covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
     correlation(0, 1) >= CORRELATED && correlation(0, 2) >= CORRELATED && correlation(1, 2) >= CORRELATED
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMITS: Limits = [0.05, 0.15, 0.10, 0.05];
+
+    /// The tests of the paper's Table 1, as ln(b0, a1, a0) over nominal for each value of the parameter over nominal.
+    fn tests(ratios: &[f64], along: Vector3<f64>) -> Vec<Vector3<f64>> {
+        // Small differences that belong to no test: without any, two series are constant and have no correlation.
+        let ripple = |at: usize| {
+            Vector3::new(1.0, (at % 2) as f64, (at / 2 % 2) as f64)
+                * 1e-3
+                * if at.is_multiple_of(3) { 1.0 } else { -1.0 }
+        };
+        ratios.iter().enumerate().map(|(at, ratio)| along * ratio.ln() + ripple(at)).collect()
+    }
+
+    fn named(ratios: &[f64], along: Vector3<f64>) -> Option<Cause> {
+        let tests = tests(ratios, along);
+        verdict(*tests.last().unwrap(), &tests, LIMITS)
+    }
+
+    #[test]
+    fn the_four_cases_of_the_study_are_told_apart() {
+        let kt = [1.0, 0.626, 0.752, 0.877, 1.127, 1.253];
+        assert_eq!(named(&kt, Vector3::x()), Some(Cause::Kt));
+        assert_eq!(named(&[1.0, 1.01, 1.05, 1.2, 1.5, 1.99], Vector3::y()), Some(Cause::Friction));
+        assert_eq!(named(&[1.0, 3.1, 5.1, 7.2, 9.2, 11.2], Vector3::z()), Some(Cause::Stiffness));
+        assert_eq!(named(&[1.0, 0.97, 0.81, 0.61, 0.49, 0.425], Vector3::repeat(1.0)), Some(Cause::Inertia));
+        assert_eq!(named(&[1.0, 1.01, 0.99, 1.0, 1.01, 1.01], Vector3::x()), None);
+    }
+
+    #[test]
+    fn two_coefficients_that_move_apart_have_no_name() {
+        let tests = tests(&[1.0, 1.1, 1.2, 1.3, 1.4, 1.5], Vector3::new(1.0, 0.0, -1.0));
+        assert_eq!(verdict(*tests.last().unwrap(), &tests, LIMITS), Some(Cause::Unattributed));
+    }
+}

@@ -152,7 +152,8 @@ impl Plan {
             let tally = |rule: usize| Tally::of(judgements.iter().map(|three| three[rule]));
             Row::new(scenario, judgements.len(), [tally(0), tally(1), tally(2)])
         });
-        Report { seed: self.seed, healthy, rows: rows.collect(), budget: budget.to_vec() }
+        let budget = budget.into_iter().filter(|budget| budget.throws > 0).collect();
+        Report { seed: self.seed, healthy, rows: rows.collect(), budget }
     }
 
     fn healthy(&self, depth: Depth, machine: usize, throws: usize) -> [usize; 3] {
@@ -199,7 +200,7 @@ impl Plan {
 }
 
 /// The machine that lives a life.
-fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, life: &Timeline) -> Source {
+pub(super) fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, life: &Timeline) -> Source {
     match depth {
         Depth::Parameter => Source::Parameter(Box::new(ParameterMachine::new(random, noise, SCATTER_PHI))),
         Depth::Trace => Source::Trace(Box::new(TraceMachine::new(random, situation, noise, life))),

@@ -183,8 +183,8 @@ impl Row {
         if !self.hard && right < GOAL_RIGHT * self.trials as f64 {
             shortfalls.push(format!("{} of {} named right", self.monitor.right, self.trials));
         }
-        let delay = self.monitor.delay_median.unwrap_or(f64::INFINITY);
-        if !self.hard && self.shape == Shape::Step && delay > GOAL_STEP_DELAY {
+        let late = self.monitor.delay_median.filter(|delay| *delay > GOAL_STEP_DELAY);
+        if let Some(delay) = late.filter(|_| !self.hard && self.shape == Shape::Step) {
             shortfalls.push(format!("median delay {delay} throws"));
         }
         for (name, comparator) in [("the paper's rule", &self.paper), ("CUSUM", &self.cusum)] {

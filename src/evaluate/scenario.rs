@@ -89,6 +89,8 @@ pub(super) enum Situation {
     FromFirstThrow,
     /// A first fault is repaired, nobody takes a new baseline, then another part fails.
     Repaired,
+    /// Dry friction that winds up the toe drive and leaks into b0 and a0, at parameter depth.
+    Leakage,
     /// Complete throws with a toe drive of 5e6 N/m, which dry friction winds up.
     SoftToe,
     /// Complete throws sampled at 100 Hz behind an anti-alias filter.
@@ -106,6 +108,7 @@ impl Situation {
             Self::ShortBaseline => "short baseline",
             Self::FromFirstThrow => "fault from the first throw",
             Self::Repaired => "second fault after a repair, no rebaseline",
+            Self::Leakage => "dry friction leaking into b0 and a0",
             Self::SoftToe => "soft toe drive, dry friction",
             Self::Slow => "100 Hz, anti-aliased",
         }
@@ -124,6 +127,8 @@ pub(super) const MULTIPLES: [f64; 4] = [1.5, 2.0, 3.0, 6.0];
 /// Least multiple of the warning limit from which a row is plain: closer to the limit the size itself is in doubt.
 const PLAIN_FROM: f64 = 2.0;
 
+/// Size of the friction fault of the rows with leakage.
+const LEAKING_FRICTION: f64 = 0.54;
 /// Size of the friction fault of the row with a soft toe drive: what a slide-chair friction of 0.15 adds to a1.
 const SOFT_TOE_FRICTION: f64 = 0.99;
 
@@ -195,6 +200,9 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
         for (part, limit) in parts() {
             rows.push(row(situation, vec![(part, PLAIN_FROM * limit)], Shape::Step, Noise::Default, true));
         }
+    }
+    for shape in [Shape::Step, Shape::Ramp] {
+        rows.push(row(Situation::Leakage, vec![(Cause::Friction, LEAKING_FRICTION)], shape, Noise::Default, true));
     }
     rows
 }

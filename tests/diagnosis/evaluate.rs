@@ -1,0 +1,59 @@
+//! The evaluation itself: it repeats, whatever the order of its lives, and its report has the promised shape.
+
+use pointsd::{
+    diagnose::Settings,
+    evaluate::{Amount, Plan, Report},
+};
+
+const SMALL: Amount =
+    Amount { trials: 6, trace_trials: 0, healthy_throws: 20_000, trace_healthy_throws: 0, budget_lives: 2 };
+
+fn report(seed: u64, amount: Amount) -> Report {
+    let plan = Plan::new(seed, amount, Settings::default());
+    plan.report(&(0..plan.lives()).map(|life| plan.live(life)).collect::<Vec<_>>())
+}
+
+#[test]
+fn the_order_in_which_lives_are_lived_changes_nothing() {
+    let amount = Amount { trials: 2, trace_trials: 0, healthy_throws: 500, trace_healthy_throws: 0, budget_lives: 1 };
+    let plan = Plan::new(5, amount, Settings::default());
+    let mut backwards: Vec<_> = (0..plan.lives()).rev().map(|life| plan.live(life)).collect();
+    backwards.reverse();
+    assert_eq!(plan.report(&backwards), report(5, amount));
+}
+
+#[test]
+fn plain_faults_are_named_right_and_health_is_not_alarmed() {
+    let report = report(11, SMALL);
+    let plain: Vec<_> = report.rows.iter().filter(|row| !row.hard).collect();
+    // Four causes, steps and ramps, three sizes at default noise and one at low noise.
+    assert_eq!(plain.len(), 32);
+    for row in plain {
+        assert_eq!(row.monitor.right, row.trials, "{row:?}");
+    }
+    assert_eq!(report.healthy[0].throws, 20_000);
+    assert_eq!(report.healthy[0].false_alarms, 0);
+}
+
+#[test]
+fn the_json_has_the_promised_keys() {
+    let amount = Amount { trials: 1, trace_trials: 0, healthy_throws: 100, trace_healthy_throws: 0, budget_lives: 1 };
+    let json = serde_json::to_value(report(1, amount)).unwrap();
+    assert_eq!(json["seed"], 1);
+    for key in ["depth", "throws", "false_alarms"] {
+        assert!(!json["healthy"][0][key].is_null(), "{key}");
+    }
+    let row = json["rows"][0].as_object().unwrap();
+    let keys = [
+        "depth", "cause", "shape", "size_pct", "noise", "hard", "trials", "right", "wrong", "ambiguous", "missed",
+        "delay_median", "delay_p95",
+    ];
+    for key in keys {
+        assert!(row.contains_key(key), "{key}");
+    }
+    for comparator in ["paper", "cusum"] {
+        let tally = row[comparator].as_object().unwrap();
+        let sum: u64 = ["right", "wrong", "missed"].iter().map(|key| tally[*key].as_u64().unwrap()).sum();
+        assert_eq!(sum, 1, "{comparator}");
+    }
+}
