@@ -45,8 +45,19 @@ fn the_json_has_the_promised_keys() {
     }
     let row = json["rows"][0].as_object().unwrap();
     let keys = [
-        "depth", "cause", "shape", "size_pct", "noise", "hard", "trials", "right", "wrong", "ambiguous", "missed",
-        "delay_median", "delay_p95",
+        "depth",
+        "cause",
+        "shape",
+        "size_pct",
+        "noise",
+        "hard",
+        "trials",
+        "right",
+        "wrong",
+        "ambiguous",
+        "missed",
+        "delay_median",
+        "delay_p95",
     ];
     for key in keys {
         assert!(row.contains_key(key), "{key}");

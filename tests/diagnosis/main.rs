@@ -1,5 +1,5 @@
 //! The diagnosis: causes, alarms, restarts, the scored table.
 
 mod cause;
-mod fleet;
 mod evaluate;
+mod fleet;
