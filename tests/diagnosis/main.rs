@@ -3,3 +3,4 @@
 mod cause;
 mod evaluate;
 mod fleet;
+mod table1_lives;
