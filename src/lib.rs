@@ -14,6 +14,7 @@
 //! | [`wire`] | keys and payloads on zenoh | the core |
 //! | [`store`] | the SQLite database | core, `wire` |
 //! | [`bus`] | zenoh sessions, publishers, subscribers, queries | core, `wire` |
+//! | [`logger`] | the device at the machine that publishes its throws, with simulated machines behind it | core, `wire`, `bus`, the daemon's clock |
 //! | [`daemon`] | the running monitor: pipeline, supervision, configuration | everything above |
 //! | [`cli`] | the commands of `pointsd` and `pointsim` | everything above |
 
@@ -23,6 +24,7 @@ pub mod daemon;
 pub mod diagnose;
 pub mod estimate;
 pub mod evaluate;
+pub mod logger;
 pub mod report;
 pub mod simulate;
 pub mod store;

@@ -13,8 +13,10 @@ const CORE: &[(&str, &[&str])] = &[
     ("wire", &["diagnose", "estimate", "throw"]),
 ];
 
-const ROOMS: &[&str] =
-    &["bus", "cli", "daemon", "diagnose", "estimate", "evaluate", "report", "simulate", "store", "throw", "wire"];
+const ROOMS: &[&str] = &[
+    "bus", "cli", "daemon", "diagnose", "estimate", "evaluate", "logger", "report", "simulate", "store", "throw",
+    "wire",
+];
 
 /// Words that only the shell may use.
 const SHELL_WORDS: &[&str] = &[

@@ -1,14 +1,27 @@
 //! The commands of `pointsd` and `pointsim`. One file a command; `pointsd.rs` and `pointsim.rs` hold the command lines.
 
+mod ack;
+mod alarms;
 mod backup;
+mod check;
 mod database;
+mod demo;
 mod evaluate;
 mod exit;
 mod identify;
+mod import;
+mod maintenance;
+mod operator;
 mod pointsd;
 mod pointsim;
+mod rebaseline;
 mod recording;
+mod run;
+mod runtime;
+mod shelve;
+mod simulate_run;
 mod sql;
+mod status;
 mod table1;
 mod throw;
 

@@ -2,7 +2,10 @@
 
 use clap::{Parser, Subcommand};
 
-use super::{Outcome, backup, evaluate, exit, identify, sql};
+use super::{
+    Outcome, ack, alarms, backup, check, demo, evaluate, exit, identify, import, maintenance, rebaseline, run, shelve,
+    sql, status,
+};
 
 /// Condition monitoring of railway point machines: which part is wearing out, from the physics of every throw.
 #[derive(Debug, Parser)]
@@ -14,10 +17,20 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Demo(demo::Arguments),
+    Run(run::Arguments),
+    Check(check::Arguments),
+    Status(status::Arguments),
+    Alarms(alarms::Arguments),
+    Ack(ack::Arguments),
+    Shelve(shelve::Arguments),
+    Rebaseline(rebaseline::Arguments),
+    Maintenance(maintenance::Arguments),
+    Identify(identify::Arguments),
+    Import(import::Arguments),
+    Sql(sql::Arguments),
     Backup(backup::Arguments),
     Evaluate(evaluate::Arguments),
-    Identify(identify::Arguments),
-    Sql(sql::Arguments),
 }
 
 pub(super) fn main() -> Outcome {
@@ -26,9 +39,19 @@ pub(super) fn main() -> Outcome {
         Err(exit) => return Ok(exit),
     };
     match arguments.command {
+        Command::Demo(arguments) => demo::main(&arguments),
+        Command::Run(arguments) => run::main(&arguments),
+        Command::Check(arguments) => check::main(&arguments),
+        Command::Status(arguments) => status::main(&arguments),
+        Command::Alarms(arguments) => alarms::main(&arguments),
+        Command::Ack(arguments) => ack::main(&arguments),
+        Command::Shelve(arguments) => shelve::main(&arguments),
+        Command::Rebaseline(arguments) => rebaseline::main(&arguments),
+        Command::Maintenance(arguments) => maintenance::main(&arguments),
+        Command::Identify(arguments) => identify::run(&arguments),
+        Command::Import(arguments) => import::main(&arguments),
+        Command::Sql(arguments) => sql::run(&arguments),
         Command::Backup(arguments) => backup::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
-        Command::Identify(arguments) => identify::run(&arguments),
-        Command::Sql(arguments) => sql::run(&arguments),
     }
 }

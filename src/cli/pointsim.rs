@@ -14,6 +14,7 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Run(super::simulate_run::Arguments),
     /// Simulates one throw and writes its trace as CSV.
     Throw(super::throw::Arguments),
     /// Repeats the study's 4 cases x 6 tests and prints and plots the result.
@@ -26,6 +27,7 @@ pub(super) fn main() -> Outcome {
         Err(exit) => return Ok(exit),
     };
     match arguments.command {
+        Command::Run(arguments) => super::simulate_run::main(&arguments),
         Command::Throw(arguments) => super::throw::main(&arguments),
         Command::Table1(arguments) => super::table1::main(&arguments),
     }

@@ -53,7 +53,7 @@ pub enum Synchronous {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            path: PathBuf::from("/var/lib/pointsd/points.db"),
+            path: PathBuf::from("points.db"),
             max_size_mib: 4096,
             max_traces: 200_000,
             max_throws: 5_000_000,

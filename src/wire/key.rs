@@ -62,6 +62,12 @@ pub fn monitor_alive_key(site: &Name, id: &Name) -> String {
     format!("{PREFIX}{site}/monitor/{id}/alive")
 }
 
+/// The key on which a monitor tells how it stands: `points/v1/{site}/monitor/{id}/status`.
+#[must_use]
+pub fn monitor_status_key(site: &Name, id: &Name) -> String {
+    format!("{PREFIX}{site}/monitor/{id}/status")
+}
+
 /// The machine and the kind that a key names.
 ///
 /// # Errors

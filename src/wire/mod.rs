@@ -13,6 +13,6 @@ mod throw;
 pub use alarm::{Alarm, alarm_id};
 pub use command::{InvalidCommand, Reply, decode_command};
 pub use health::{GOOD, Health};
-pub use key::{InvalidKey, InvalidScope, Kind, Scope, machine_key, monitor_alive_key, parse_key};
+pub use key::{InvalidKey, InvalidScope, Kind, Scope, machine_key, monitor_alive_key, monitor_status_key, parse_key};
 pub use query::{HistoryQuery, InvalidQuery, MAX_HISTORY};
 pub use throw::{Encoding, InvalidThrow, MAX_BOOT_ID_BYTES, decode_throw, encode_throw};

@@ -90,10 +90,14 @@ fn cbor(write: impl FnOnce(&mut minicbor::Encoder<Vec<u8>>)) -> Result<Throw, In
 #[test]
 fn cbor_channels_may_be_plain_or_typed_arrays() {
     let little_endian = |values: [f64; 2]| values.map(f64::to_le_bytes).concat();
-    let typed =
-        cbor(|e| drop(e.tag(minicbor::data::Tag::new(86)).unwrap().bytes(&little_endian([0.1, -7.0])).unwrap()));
+    let typed = cbor(|e| {
+        e.tag(minicbor::data::Tag::new(86)).unwrap().bytes(&little_endian([0.1, -7.0])).unwrap();
+    });
     assert_eq!(typed.unwrap().trace.current_a(), [0.1, -7.0]);
-    let plain = cbor(|e| drop(e.begin_array().unwrap().f64(0.1).unwrap().i8(-7).unwrap().end().unwrap())).unwrap();
+    let plain = cbor(|e| {
+        e.begin_array().unwrap().f64(0.1).unwrap().i8(-7).unwrap().end().unwrap();
+    })
+    .unwrap();
     assert_eq!(plain.trace.current_a(), [0.1, -7.0]);
     assert_eq!(plain.id.boot_id, "boot");
     assert_eq!(plain.trace.position_mm(), [1.0, 2.5]);
@@ -103,14 +107,54 @@ fn cbor_channels_may_be_plain_or_typed_arrays() {
 fn cbor_that_cannot_be_used_says_why() {
     let tag = minicbor::data::Tag::new;
     for (result, says) in [
-        (cbor(|e| drop(e.tag(tag(85)).unwrap().bytes(&[0; 7]).unwrap())), "whole number"),
-        (cbor(|e| drop(e.tag(tag(81)).unwrap().bytes(&[0; 8]).unwrap())), "tag 81"),
-        (cbor(|e| drop(e.tag(tag(85)).unwrap().u8(1).unwrap())), "byte string"),
-        (cbor(|e| drop(e.str("1 2 3").unwrap())), "must be an array"),
-        (cbor(|e| drop(e.array(1 << 60).unwrap())), "samples"),
-        (cbor(|e| drop(e.array(900_000).unwrap())), "must be a number"),
-        (cbor(|e| drop(e.array(1).unwrap().str("x").unwrap())), "must be a number"),
-        (cbor(|e| drop(e.array(1).unwrap().u8(1).unwrap())), "equally long"),
+        (
+            cbor(|e| {
+                e.tag(tag(85)).unwrap().bytes(&[0; 7]).unwrap();
+            }),
+            "whole number",
+        ),
+        (
+            cbor(|e| {
+                e.tag(tag(81)).unwrap().bytes(&[0; 8]).unwrap();
+            }),
+            "tag 81",
+        ),
+        (
+            cbor(|e| {
+                e.tag(tag(85)).unwrap().u8(1).unwrap();
+            }),
+            "byte string",
+        ),
+        (
+            cbor(|e| {
+                e.str("1 2 3").unwrap();
+            }),
+            "must be an array",
+        ),
+        (
+            cbor(|e| {
+                e.array(1 << 60).unwrap();
+            }),
+            "samples",
+        ),
+        (
+            cbor(|e| {
+                e.array(900_000).unwrap();
+            }),
+            "must be a number",
+        ),
+        (
+            cbor(|e| {
+                e.array(1).unwrap().str("x").unwrap();
+            }),
+            "must be a number",
+        ),
+        (
+            cbor(|e| {
+                e.array(1).unwrap().u8(1).unwrap();
+            }),
+            "equally long",
+        ),
     ] {
         let error = result.unwrap_err().to_string();
         assert!(error.contains(says), "{says}: {error}");

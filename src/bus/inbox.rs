@@ -1,0 +1,157 @@
+//! Throws as they arrive: an advanced subscriber that recovers what a cut link missed, and a bounded queue.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed},
+    },
+    time::Duration,
+};
+
+use tokio::sync::mpsc;
+use zenoh::{
+    Session,
+    sample::{Sample, SampleKind},
+};
+use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, Miss, RecoveryConfig};
+
+use super::BusError;
+
+/// Messages that may wait to be stored. At 20 kB each this is the byte limit; smaller ones come in bursts after a cut
+/// link, 64 of each machine's cache at once.
+const QUEUE: usize = 8_192;
+/// Bytes that may wait to be stored: about a second of the database's measured rate of 40 kB throws.
+const QUEUE_BYTES: usize = 128 << 20;
+/// How long the caches of loggers are given to answer for missed throws.
+const RECOVERY_TIMEOUT: Duration = Duration::from_secs(20);
+
+/// One message as it arrived.
+#[derive(Debug)]
+pub struct Message {
+    /// The key it came on.
+    pub key: String,
+    /// Its content type; empty when the sender gave none.
+    pub content_type: String,
+    /// The payload; of one that is too large, only the beginning.
+    pub payload: Vec<u8>,
+    /// The size of the whole payload \[bytes\].
+    pub bytes: usize,
+}
+
+/// What bounds the inbox.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits {
+    /// Largest payload that is taken whole \[bytes\].
+    pub max_payload_bytes: usize,
+    /// How much of a larger one is kept as a sample \[bytes\].
+    pub kept_of_larger_bytes: usize,
+}
+
+/// Counts that only grow.
+#[derive(Debug, Default)]
+pub struct InboxCounters {
+    /// Messages that arrived.
+    pub received: AtomicU64,
+    /// Messages that were dropped because the queue was full.
+    pub dropped: AtomicU64,
+    /// Samples that zenoh reports as missed beyond recovery.
+    pub missed: AtomicU64,
+    queued_bytes: AtomicUsize,
+}
+
+/// The subscription and its queue.
+pub struct Inbox {
+    subscriber: Option<AdvancedSubscriber<()>>,
+    messages: mpsc::Receiver<Message>,
+    counters: Arc<InboxCounters>,
+}
+
+impl Inbox {
+    /// Subscribes to a key expression.
+    ///
+    /// # Errors
+    /// When zenoh refuses the subscription.
+    pub async fn subscribe(session: &Session, key_expression: &str, limits: Limits) -> Result<Self, BusError> {
+        let (sender, messages) = mpsc::channel(QUEUE);
+        let counters = Arc::new(InboxCounters::default());
+        let counting = Arc::clone(&counters);
+        let subscriber = session
+            .declare_subscriber(key_expression.to_owned())
+            .callback(move |sample| take(&sample, &sender, &counting, limits))
+            .history(HistoryConfig::default().detect_late_publishers())
+            .recovery(RecoveryConfig::default().heartbeat())
+            .query_timeout(RECOVERY_TIMEOUT)
+            .await
+            .map_err(BusError::new(format!("subscribe to {key_expression}")))?;
+        let counting = Arc::clone(&counters);
+        subscriber
+            .sample_miss_listener()
+            .callback(move |miss: Miss| {
+                counting.missed.fetch_add(u64::from(miss.nb()), Relaxed);
+            })
+            .background()
+            .await
+            .map_err(BusError::new("listen for missed samples"))?;
+        Ok(Self { subscriber: Some(subscriber), messages, counters })
+    }
+
+    /// The counts.
+    #[must_use]
+    pub fn counters(&self) -> Arc<InboxCounters> {
+        Arc::clone(&self.counters)
+    }
+
+    /// Waits for messages and moves up to `limit` of them into `batch`; returns how many. 0 after [`Self::close`],
+    /// once the queue is empty.
+    pub async fn receive(&mut self, batch: &mut Vec<Message>, limit: usize) -> usize {
+        let before = batch.len();
+        let count = self.messages.recv_many(batch, limit).await;
+        let bytes: usize = batch[before..].iter().map(|message| message.payload.len()).sum();
+        self.counters.queued_bytes.fetch_sub(bytes, Relaxed);
+        count
+    }
+
+    /// Messages that wait.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.messages.len()
+    }
+
+    /// Ends the subscription. What waits in the queue can still be received.
+    pub async fn close(&mut self) {
+        if let Some(subscriber) = self.subscriber.take()
+            && let Err(error) = subscriber.undeclare().await
+        {
+            tracing::warn!(%error, "the subscription could not be ended in good order");
+        }
+        self.messages.close();
+    }
+}
+
+/// Runs in zenoh's thread: counts, copies, hands over, returns.
+fn take(sample: &Sample, queue: &mpsc::Sender<Message>, counters: &InboxCounters, limits: Limits) {
+    if sample.kind() != SampleKind::Put {
+        return;
+    }
+    counters.received.fetch_add(1, Relaxed);
+    let bytes = sample.payload().len();
+    let kept = if bytes > limits.max_payload_bytes { limits.kept_of_larger_bytes } else { bytes };
+    let queued = counters.queued_bytes.fetch_add(kept, Relaxed) + kept;
+    let place = if queued > QUEUE_BYTES { None } else { queue.try_reserve().ok() };
+    let Some(place) = place else {
+        counters.queued_bytes.fetch_sub(kept, Relaxed);
+        counters.dropped.fetch_add(1, Relaxed);
+        return;
+    };
+    let mut payload = Vec::with_capacity(kept);
+    for slice in sample.payload().slices() {
+        let left = kept - payload.len();
+        payload.extend_from_slice(&slice[..slice.len().min(left)]);
+    }
+    place.send(Message {
+        key: sample.key_expr().to_string(),
+        content_type: sample.encoding().to_string(),
+        payload,
+        bytes,
+    });
+}

@@ -1,0 +1,121 @@
+//! How the demo ended: what was injected, what was reported, and where to look further.
+
+use std::{path::Path, time::Duration};
+
+use comfy_table::{CellAlignment, Table, presets::UTF8_FULL_CONDENSED};
+use jiff::Timestamp;
+
+use super::{Injected, MACHINES};
+use crate::{
+    diagnose::Cause,
+    store::{Reader, Selector, StoreError},
+    throw::MachineId,
+    wire::Alarm,
+};
+
+/// More events than the demo can raise.
+const EVENTS: u32 = 10_000;
+
+/// One machine of the demo.
+pub(super) struct Row {
+    machine: MachineId,
+    injected: Option<Injected>,
+    /// Its alarms, with the first and the last event of each.
+    alarms: Vec<(Alarm, Alarm)>,
+}
+
+impl Row {
+    /// The injected cause was named, and no other; nothing at all on a healthy machine.
+    pub(super) fn is_right(&self) -> bool {
+        match self.injected {
+            None => self.alarms.is_empty(),
+            Some(injected) => {
+                let named = |alarm: &Alarm| alarm.cause.as_str() == injected.part.cause();
+                let mut drifts =
+                    self.alarms.iter().map(|(first, _)| first).filter(|alarm| alarm.cause.is_drift()).peekable();
+                drifts.peek().is_some() && drifts.all(named)
+            }
+        }
+    }
+
+    fn cells(&self) -> [String; 6] {
+        let (first, last) = match self.alarms.iter().find(|(first, _)| first.cause.is_drift()).or(self.alarms.first()) {
+            Some((first, last)) => (Some(first), Some(last)),
+            None => (None, None),
+        };
+        let injected = self.injected.map_or_else(
+            || "nothing".to_owned(),
+            |injected| format!("{} {:+.0} %", word(injected.part.cause()), injected.size_pct),
+        );
+        let reported = match self.alarms.as_slice() {
+            [] => "nothing".to_owned(),
+            alarms => alarms.iter().map(|(first, _)| first.cause.to_string()).collect::<Vec<_>>().join(", "),
+        };
+        let size = last.and_then(|alarm| Some((alarm.change_pct?, alarm.change_pct_sd?)));
+        let delay = self.injected.zip(first.and_then(|alarm| alarm.last_throw_no)).map(|(injected, throw_no)| {
+            // Throws are numbered from 1 and injected from 0: the first throw with the fault counts as one.
+            i64::try_from(throw_no).unwrap_or(i64::MAX) - i64::try_from(injected.from_throw).unwrap_or(0)
+        });
+        [
+            self.machine.machine.to_string(),
+            injected,
+            reported,
+            size.map(|(size, sd)| format!("{size:+.0} % (±{:.0} %)", 2.0 * sd)).unwrap_or_default(),
+            delay.map(|delay| delay.to_string()).unwrap_or_default(),
+            if self.is_right() { "right".to_owned() } else { "WRONG".to_owned() },
+        ]
+    }
+}
+
+fn word(cause: &str) -> String {
+    Cause::from_word(cause).map_or_else(|| cause.to_owned(), |cause| cause.to_string())
+}
+
+/// What the database says of each machine.
+pub(super) async fn rows(reader: &Reader, machines: &[MachineId]) -> Result<Vec<Row>, StoreError> {
+    let events = reader.alarm_history(&Selector::default(), Timestamp::UNIX_EPOCH, EVENTS).await?;
+    let mut rows: Vec<Row> = machines
+        .iter()
+        .zip(MACHINES)
+        .map(|(machine, injected)| Row { machine: machine.clone(), injected, alarms: Vec::new() })
+        .collect();
+    for event in events {
+        let Ok(alarm) = serde_json::from_str::<Alarm>(&event.payload) else { continue };
+        let Some(row) = rows.iter_mut().find(|row| row.machine == event.machine) else { continue };
+        match row.alarms.iter_mut().find(|(first, _)| first.alarm_id == alarm.alarm_id) {
+            Some((_, last)) => *last = alarm,
+            None => row.alarms.push((alarm.clone(), alarm)),
+        }
+    }
+    Ok(rows)
+}
+
+pub(super) fn table(rows: &[Row]) -> Table {
+    let mut table = Table::new();
+    table.load_style(UTF8_FULL_CONDENSED);
+    table.set_header(["machine", "injected", "reported", "size (95 %)", "after throws", ""]);
+    for row in rows {
+        table.add_row(row.cells());
+    }
+    for column in [3, 4] {
+        if let Some(column) = table.column_mut(column) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}
+
+pub(super) fn sentence(rows: &[Row], took: Duration) -> String {
+    let right = rows.iter().filter(|row| row.is_right()).count();
+    format!("{right} of {} machines right, in {:.0} s.", rows.len(), took.as_secs_f64())
+}
+
+pub(super) fn print_queries(database: &Path) {
+    let database = database.display();
+    println!("Everything is in {database}. Ask it, for example:");
+    println!("  pointsd sql --database {database} \"SELECT machine, cause, severity, text FROM active_alarms\"");
+    println!(
+        "  sqlite3 {database} \"SELECT machine, direction, throw_no, round(b0_pct, 1), round(a1_pct, 1), round(a0_pct, 1) \
+         FROM health_history ORDER BY started_at DESC LIMIT 10\""
+    );
+}

@@ -1,0 +1,102 @@
+//! The demo's terminal: throws arriving, baselines filling, alarms in plain sentences. In a pipe, a few lines.
+
+use std::io::IsTerminal;
+
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+
+use crate::{
+    daemon::Judged,
+    diagnose::{AlarmEvent, AlarmState, Severity},
+    throw::MachineId,
+};
+
+const BOLD: &str = "\x1b[1m";
+const YELLOW: &str = "\x1b[33m";
+const RED: &str = "\x1b[31m";
+const GREEN: &str = "\x1b[32m";
+const PLAIN: &str = "\x1b[0m";
+
+pub(super) struct Screen {
+    bars: MultiProgress,
+    machines: Vec<Line>,
+    terminal: bool,
+}
+
+struct Line {
+    bar: ProgressBar,
+    throws: u64,
+    /// Throws in the baseline, of how many, for each direction.
+    baseline: [(usize, usize); 2],
+    learned: bool,
+}
+
+impl Screen {
+    pub(super) fn new(machines: usize, throws: u64) -> Self {
+        let terminal = std::io::stdout().is_terminal();
+        let bars = MultiProgress::new();
+        let style = ProgressStyle::with_template("  {prefix:<12} {bar:30.cyan/blue} {pos:>4} throws  {wide_msg}");
+        let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+        let line = |_| {
+            let bar = if terminal { bars.add(ProgressBar::new(throws)) } else { ProgressBar::hidden() };
+            bar.set_style(style.clone());
+            Line { bar, throws: 0, baseline: [(0, 1); 2], learned: false }
+        };
+        let machines = (0..machines).map(line).collect();
+        Self { bars, machines, terminal }
+    }
+
+    pub(super) fn throw(&mut self, machines: &[MachineId], judged: &Judged) {
+        let Some(number) = machines.iter().position(|machine| *machine == judged.machine) else { return };
+        let line = &mut self.machines[number];
+        line.throws += 1;
+        line.bar.set_prefix(judged.machine.machine.to_string());
+        line.bar.set_position(line.throws);
+        if let (Some(direction), Some(baseline)) = (judged.direction, judged.baseline) {
+            line.baseline[direction as usize] = baseline;
+        }
+        let so_far: usize = line.baseline.iter().map(|(so_far, _)| so_far).sum();
+        let needed: usize = line.baseline.iter().map(|(_, needed)| needed).sum();
+        if !line.learned {
+            line.bar.set_message(format!("baseline {so_far} of {needed}"));
+        }
+        let completed = !line.learned && needed > 2 && so_far >= needed;
+        if completed {
+            line.learned = true;
+            line.bar.set_message("watched");
+            self.say(&format!("{}: its baseline is complete, {so_far} throws", judged.machine));
+        }
+        for event in &judged.events {
+            self.alarm(number, event);
+        }
+    }
+
+    fn alarm(&self, number: usize, event: &AlarmEvent) {
+        let (colour, word) = match (event.state, event.severity) {
+            (AlarmState::Normal | AlarmState::ClearedUnacknowledged, _) => (GREEN, "cleared"),
+            (_, Severity::Warning) => (YELLOW, "WARNING"),
+            (_, Severity::Critical) => (RED, "CRITICAL"),
+        };
+        if self.terminal {
+            self.machines[number].bar.set_message(format!("{colour}{word}: {}{PLAIN}", event.cause));
+            self.say(&format!("{BOLD}{colour}{word}{PLAIN} {}", event.text));
+        } else {
+            self.say(&format!("{word} {}", event.text));
+        }
+    }
+
+    fn say(&self, line: &str) {
+        if self.terminal {
+            // A terminal that is gone cannot be written to; the demo's answer is its exit code.
+            let _ = self.bars.println(line);
+        } else {
+            println!("{line}");
+        }
+    }
+
+    pub(super) fn finish(&self) {
+        for line in &self.machines {
+            line.bar.abandon();
+        }
+        println!();
+    }
+}

@@ -1,0 +1,156 @@
+//! `pointsd import`: recorded throws through the whole pipeline into the database.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Context;
+use jiff::{SignedDuration, Timestamp};
+use serde_json::json;
+
+use super::{
+    Exit, Failure, Outcome, ResultExt,
+    operator::MachineArgument,
+    recording,
+    run::{load, start_failure},
+    runtime,
+};
+use crate::{
+    daemon::{Judged, Offline},
+    store::Spooled,
+    throw::{Throw, ThrowRef},
+    wire::{self, Encoding},
+};
+
+/// Feeds recorded throws of one machine through spool, identification and diagnosis into the database, in the order
+/// of the command line. The daemon of that database must not run.
+///
+/// FILE is CSV with the columns time_s, current_a and position_mm, one throw a file; or JSON as on zenoh, one throw a
+/// line or one a file. A throw that is in the database already changes nothing.
+///
+/// Exit codes: 0 imported; 65 a file's content is wrong; 66 a file cannot be read; 69 the daemon is running; 74 the
+/// database cannot be used; 78 the configuration is wrong. What came before a wrong file is imported.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  pointsd import --machine north/21B --config config/pointsd.toml throws/*.csv")]
+pub(super) struct Arguments {
+    /// Recorded throws.
+    #[arg(value_name = "FILE", required = true)]
+    files: Vec<PathBuf>,
+    /// Whose throws they are.
+    #[arg(long, value_name = "SITE/MACHINE")]
+    machine: MachineArgument,
+    /// The configuration; without it, the built-in defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Time of the first throw in CSV, RFC 3339, each further one a minute later; without it, the files' own times.
+    #[arg(long, value_name = "TIME")]
+    started_at: Option<Timestamp>,
+    /// Print one JSON object a throw.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Default)]
+struct Count {
+    new: u64,
+    known: u64,
+    refused: u64,
+    alarms: u64,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    let config = load(arguments.config.as_deref())?;
+    runtime::block_on(async {
+        let mut pipeline = Offline::open(config).await.map_err(start_failure)?;
+        let mut count = Count::default();
+        let outcome = import(arguments, &mut pipeline, &mut count).await;
+        let rest = pipeline.judge().await.or_exit(Exit::Io)?;
+        report(arguments, &rest, &mut count);
+        pipeline.close().await.or_exit(Exit::Io)?;
+        if !arguments.json {
+            let Count { new, known, refused, alarms } = count;
+            println!("{new} throws imported ({refused} not evaluated), {known} known before, {alarms} alarm events");
+        }
+        outcome
+    })
+}
+
+async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count) -> Outcome {
+    for (number, file) in arguments.files.iter().enumerate() {
+        for throw in read(arguments, number, file)? {
+            let (spooled, judged) = pipeline.take(&arguments.machine.0, &throw).await.or_exit(Exit::Io)?;
+            match spooled {
+                Spooled::New(_) => count.new += 1,
+                Spooled::Duplicate { .. } => count.known += 1,
+            }
+            report(arguments, &judged, count);
+        }
+    }
+    Ok(Exit::Ok)
+}
+
+fn read(arguments: &Arguments, number: usize, file: &Path) -> Result<Vec<Throw>, Failure> {
+    let is_json = file.extension().is_some_and(|extension| extension == "json" || extension == "jsonl");
+    if is_json { read_json(file) } else { read_csv(arguments, number, file).map(|throw| vec![throw]) }
+}
+
+fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
+    let name = || file.display().to_string();
+    let bytes = fs::read(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
+    if let Ok(throw) = wire::decode_throw(Encoding::Json, &bytes) {
+        return Ok(vec![throw]);
+    }
+    let lines = bytes.split(|byte| *byte == b'\n').enumerate().filter(|(_, line)| !line.trim_ascii().is_empty());
+    lines
+        .map(|(at, line)| {
+            let throw = wire::decode_throw(Encoding::Json, line);
+            throw.with_context(|| format!("{}, line {}", name(), at + 1)).or_exit(Exit::Data)
+        })
+        .collect()
+}
+
+fn read_csv(arguments: &Arguments, number: usize, file: &Path) -> Result<Throw, Failure> {
+    let recording = recording::read(file)?;
+    let unreadable = || format!("cannot read {}", file.display());
+    let content = fs::read(file).with_context(unreadable).or_exit(Exit::NoInput)?;
+    let started_at = match arguments.started_at {
+        Some(first) => {
+            let later = SignedDuration::from_mins(i64::try_from(number).unwrap_or(0));
+            first.checked_add(later).or_exit(Exit::Usage)?
+        }
+        None => {
+            let modified = fs::metadata(file).and_then(|file| file.modified()).with_context(unreadable);
+            Timestamp::try_from(modified.or_exit(Exit::NoInput)?).or_exit(Exit::Data)?
+        }
+    };
+    Ok(Throw {
+        // The content names the throw, so that the same file is the same throw however often it is imported.
+        id: ThrowRef { boot_id: format!("import-{:08x}-{}", crc32fast::hash(&content), content.len()), throw_no: 1 },
+        started_at,
+        direction: None,
+        trace: recording.trace,
+        temperature_c: None,
+        supply_v: None,
+        anti_alias_hz: None,
+    })
+}
+
+fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) {
+    for throw in judged {
+        count.refused += u64::from(throw.quality != wire::GOOD);
+        count.alarms += throw.events.len() as u64;
+        if arguments.json {
+            let events: Vec<_> = throw.events.iter().map(|event| wire::Alarm::new(&throw.machine, event)).collect();
+            println!(
+                "{}",
+                json!({"boot_id": throw.throw.boot_id, "throw_no": throw.throw.throw_no, "quality": throw.quality,
+                       "direction": throw.direction, "alarms": events})
+            );
+        } else {
+            for event in &throw.events {
+                println!("{}", event.text);
+            }
+        }
+    }
+}

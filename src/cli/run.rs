@@ -1,0 +1,85 @@
+//! `pointsd run`: the daemon.
+
+use std::path::{Path, PathBuf};
+
+use super::{
+    Exit, Failure, Outcome, ResultExt,
+    runtime::{self, Asked, Signals},
+};
+use crate::daemon::{Daemon, Ended, LockError, StartError, config::Config};
+
+/// Runs the daemon until SIGTERM or SIGINT; SIGHUP makes it read its configuration again.
+///
+/// Exit codes: 0 stopped in good order; 69 zenoh cannot be used (is the port taken?), or another
+/// pointsd works on the database; 70 a part of the daemon died;
+/// 74 the database cannot be used; 78 the configuration is wrong.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  pointsd run --config config/pointsd.toml")]
+pub(super) struct Arguments {
+    /// The configuration; without it, the built-in defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    let config = load(arguments.config.as_deref())?;
+    runtime::log(&config.log)?;
+    runtime::block_on(run(arguments, config))
+}
+
+/// The configuration in a file, or the defaults.
+pub(super) fn load(file: Option<&Path>) -> Result<Config, Failure> {
+    match file {
+        Some(file) => Config::load(file),
+        None => Config::built_in(),
+    }
+    .or_exit(Exit::Config)
+}
+
+/// The exit code for a daemon that cannot start.
+pub(super) fn start_failure(error: StartError) -> Failure {
+    let exit = match &error {
+        StartError::Store(_) => Exit::Io,
+        StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
+        StartError::Lock(LockError::File { .. }) => Exit::CannotCreate,
+        StartError::Thread(_) => Exit::Software,
+    };
+    Failure { exit, error: error.into() }
+}
+
+async fn run(arguments: &Arguments, config: Config) -> Outcome {
+    let mut signals = Signals::listen()?;
+    let mut daemon = Daemon::start(config).await.map_err(start_failure)?;
+    daemon.announce_ready();
+    tracing::info!(database = %daemon.store().path().display(), listens_on = ?daemon.locators().await, "ready");
+    let died = loop {
+        tokio::select! {
+            asked = signals.next() => match asked {
+                Asked::Stop => break None,
+                Asked::Reload => reload(&daemon, arguments.config.as_deref()),
+            },
+            Ended(task) = daemon.ended() => break Some(task),
+        }
+    };
+    let stopped = daemon.stop().await;
+    if let Some(task) = died {
+        let error = anyhow::anyhow!("{task} has ended on its own; the daemon cannot go on without it");
+        return Err(Failure { exit: Exit::Software, error });
+    }
+    stopped.or_exit(Exit::Io)?;
+    tracing::info!("stopped");
+    Ok(Exit::Ok)
+}
+
+fn reload(daemon: &Daemon, file: Option<&Path>) {
+    match load(file) {
+        Ok(config) => {
+            let waiting = daemon.reload(config);
+            tracing::info!("the configuration was read again: diagnosis and machines are in force");
+            if !waiting.is_empty() {
+                tracing::warn!("changes in {} take effect at the next start", waiting.join(", "));
+            }
+        }
+        Err(failure) => tracing::error!("the configuration stays as it was: {:#}", failure.error),
+    }
+}

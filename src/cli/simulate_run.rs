@@ -1,0 +1,180 @@
+//! `pointsim run`: a simulated fleet that publishes its throws.
+
+use std::{path::PathBuf, str::FromStr};
+
+use serde::Deserialize;
+
+use super::{
+    Exit, Failure, Outcome, ResultExt,
+    runtime::{self, Signals},
+};
+use crate::{
+    bus,
+    daemon::{
+        clock,
+        config::{ConfigError, Document, Log, check_log, client_session},
+    },
+    logger::{Logger, LoggerError, LoggerSettings},
+    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+};
+
+/// Publishes the throws of a simulated fleet, in real or accelerated time, until it is stopped or all are made.
+///
+/// Exit codes: 0 stopped, or all throws were published and judged; 1 no monitor has judged them all; 64 an option is
+/// wrong; 69 zenoh cannot be used; 78 the configuration is wrong.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example: five machines, the first one's motor weakens by 20 % from throw 120 on\n  \
+                  pointsim run --config config/pointsim.toml --time-scale 3000 --throws 200 --fault 1:kt:-20:120")]
+pub(super) struct Arguments {
+    /// The configuration; without it, the built-in defaults.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Stop after so many throws of each machine, once a monitor has judged them.
+    #[arg(long, value_name = "N")]
+    throws: Option<u64>,
+    /// Number of machines.
+    #[arg(long, value_name = "N")]
+    machines: Option<usize>,
+    /// Seed of everything random.
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// How many times faster than real time.
+    #[arg(long, value_name = "FACTOR")]
+    time_scale: Option<f64>,
+    /// A part that wears out: machine (from 1), kt|friction|stiffness|rail_stiffness|inertia, size in %, first throw
+    /// that shows it (from 0), and, for a slow one, throws until it is there. May be given several times.
+    #[arg(long, value_name = "MACHINE:PART:SIZE:FROM[:RAMP]")]
+    fault: Vec<FaultArgument>,
+    /// Connect to this zenoh endpoint instead of the configured ones.
+    #[arg(long, value_name = "ENDPOINT")]
+    connect: Option<String>,
+}
+
+#[derive(Debug, Clone)]
+struct FaultArgument(FleetFault);
+
+impl FromStr for FaultArgument {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts: Vec<&str> = text.split(':').collect();
+        let (machine, part, size, from, ramp) = match parts.as_slice() {
+            [machine, part, size, from] => (machine, part, size, from, None),
+            [machine, part, size, from, ramp] => (machine, part, size, from, Some(ramp)),
+            _ => return Err("write MACHINE:PART:SIZE:FROM or MACHINE:PART:SIZE:FROM:RAMP".to_owned()),
+        };
+        let number = |name: &str, text: &str| text.parse::<u64>().map_err(|_| format!("{name}: {text:?} is no number"));
+        let machine = usize::try_from(number("machine", machine)?)
+            .ok()
+            .and_then(|machine| machine.checked_sub(1))
+            .ok_or("machines are counted from 1")?;
+        let known = "kt, friction, stiffness, rail_stiffness or inertia";
+        let part: Part =
+            serde_json::from_value(serde_json::Value::from(*part)).map_err(|_| format!("{part:?} is not {known}"))?;
+        let size_pct = size.parse().map_err(|_| format!("size: {size:?} is no number"))?;
+        let from_throw = number("first throw", from)?;
+        let shape = match ramp {
+            Some(ramp) => Shape::Ramp { throws: number("ramp", ramp)? },
+            None => Shape::Step,
+        };
+        Ok(Self(FleetFault { machine, fault: Fault { part, shape, size_pct, from_throw } }))
+    }
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct File {
+    logger: LoggerSettings,
+    fleet: FleetSettings,
+    log: Log,
+    #[serde(rename = "zenoh")]
+    _zenoh: Option<zenoh::Config>,
+}
+
+struct Plan {
+    logger: LoggerSettings,
+    fleet: FleetSettings,
+    log: Log,
+    zenoh: zenoh::Config,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    let document = match &arguments.config {
+        Some(file) => Document::read(file),
+        None => Document::parse("built-in defaults".as_ref(), String::new()),
+    }
+    .or_exit(Exit::Config)?;
+    let mut plan = read(&document).or_exit(Exit::Config)?;
+    apply(arguments, &mut plan)?;
+    runtime::log(&plan.log)?;
+    runtime::block_on(run(plan))
+}
+
+fn read(document: &Document) -> Result<Plan, ConfigError> {
+    let file: File = document.deserialize()?;
+    file.logger.validate().map_err(|error| document.complain(&format!("logger.{}", error.key), error.to_string()))?;
+    file.fleet.check().map_err(|error| document.complain(&format!("fleet.{}", error.name), error.to_string()))?;
+    check_log(&file.log, document)?;
+    Ok(Plan { logger: file.logger, fleet: file.fleet, log: file.log, zenoh: client_session(document)? })
+}
+
+/// Lays the command line over the configuration.
+fn apply(arguments: &Arguments, plan: &mut Plan) -> Result<(), Failure> {
+    let usage = |problem: String| Failure { exit: Exit::Usage, error: anyhow::anyhow!(problem) };
+    plan.logger.throws = arguments.throws.or(plan.logger.throws);
+    plan.logger.seed = arguments.seed.unwrap_or(plan.logger.seed);
+    plan.logger.time_scale = arguments.time_scale.unwrap_or(plan.logger.time_scale);
+    plan.fleet.machines = arguments.machines.unwrap_or(plan.fleet.machines);
+    plan.fleet.faults.extend(arguments.fault.iter().map(|fault| fault.0));
+    if let Some(endpoint) = &arguments.connect {
+        let endpoints = serde_json::json!([endpoint]).to_string();
+        plan.zenoh
+            .insert_json5("connect/endpoints", &endpoints)
+            .map_err(|error| usage(format!("--connect {endpoint}: {error}")))?;
+    }
+    plan.logger.validate().map_err(|error| usage(format!("--{}: {error}", error.key.replace('_', "-"))))?;
+    plan.fleet.check().map_err(|error| usage(error.to_string()))
+}
+
+async fn run(plan: Plan) -> Outcome {
+    let mut signals = Signals::listen()?;
+    let session = bus::open(plan.zenoh).await.or_exit(Exit::Unavailable)?;
+    let mut logger = Logger::start(session.clone(), &plan.logger, &plan.fleet, boot_id()).await.map_err(failure)?;
+    tracing::info!(machines = plan.fleet.machines, site = %plan.logger.site, "publishing throws");
+    let outcome = tokio::select! {
+        () = signals.stop() => {
+            tracing::info!(published = logger.published(), "stopped");
+            Exit::Ok
+        }
+        outcome = complete(&mut logger) => outcome?,
+    };
+    drop(logger);
+    session.close().await.map_err(|error| Failure { exit: Exit::Unavailable, error: anyhow::anyhow!(error) })?;
+    Ok(outcome)
+}
+
+/// Until all throws are published, and a monitor has judged them.
+async fn complete(logger: &mut Logger) -> Outcome {
+    let throws = logger.finished().await.map_err(failure)?;
+    tracing::info!(published = logger.published(), "all throws are published");
+    if logger.judged(throws).await {
+        tracing::info!("all throws are judged");
+        return Ok(Exit::Ok);
+    }
+    tracing::warn!("no monitor says that it has judged all throws");
+    Ok(Exit::Negative)
+}
+
+fn failure(error: LoggerError) -> Failure {
+    let exit = match &error {
+        LoggerError::Simulation(_) => Exit::Config,
+        LoggerError::Bus(_) | LoggerError::Zenoh(_) => Exit::Unavailable,
+        LoggerError::Spawn(_) | LoggerError::Thread => Exit::Software,
+    };
+    Failure { exit, error: error.into() }
+}
+
+/// A new one at each start: the moment and the process.
+pub(super) fn boot_id() -> String {
+    format!("{}-{}", clock::now().as_microsecond(), std::process::id())
+}

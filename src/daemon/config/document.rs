@@ -1,0 +1,215 @@
+//! A configuration file with the place of every key, so that each complaint can say where it belongs.
+
+use std::{
+    fmt::Write as _,
+    fs,
+    ops::Range,
+    path::{Path, PathBuf},
+};
+
+use serde::de::DeserializeOwned;
+use toml::de::{DeTable, DeValue};
+
+/// Largest configuration file, in bytes; a larger one is another file by mistake.
+const MAX_BYTES: u64 = 4 << 20;
+
+/// Why a configuration cannot be used. `Display` is one line: file, line, key, what is wrong.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ConfigError {
+    /// The file.
+    pub file: PathBuf,
+    /// The line, from 1; `None` when the file as a whole is at fault.
+    pub line: Option<usize>,
+    /// The key, as `store.path` or `machine[2].lead_mm`.
+    pub key: Option<String>,
+    /// What is wrong and what is right.
+    pub problem: String,
+}
+
+impl std::error::Error for ConfigError {}
+
+impl std::fmt::Display for ConfigError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", self.file.display())?;
+        if let Some(line) = self.line {
+            write!(f, ":{line}")?;
+        }
+        if let Some(key) = &self.key {
+            write!(f, ": {key}")?;
+        }
+        write!(f, ": {}", self.problem)
+    }
+}
+
+/// A key's place in the text.
+struct Place {
+    path: String,
+    key: Range<usize>,
+    value: Range<usize>,
+}
+
+/// The text of a configuration file and where its keys are.
+pub struct Document {
+    file: PathBuf,
+    text: String,
+    places: Vec<Place>,
+}
+
+impl Document {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// When it cannot be read, is no text or no TOML.
+    pub fn read(file: &Path) -> Result<Self, ConfigError> {
+        let failed = |problem: String| ConfigError { file: file.to_owned(), line: None, key: None, problem };
+        let size = fs::metadata(file).map_err(|error| failed(format!("cannot be read: {error}")))?.len();
+        if size > MAX_BYTES {
+            return Err(failed(format!("has {size} bytes; a configuration has at most {MAX_BYTES}")));
+        }
+        let text = fs::read_to_string(file).map_err(|error| failed(format!("cannot be read: {error}")))?;
+        Self::parse(file, text)
+    }
+
+    /// Takes a text as the content of a file.
+    ///
+    /// # Errors
+    /// When it is no TOML.
+    pub fn parse(file: &Path, text: String) -> Result<Self, ConfigError> {
+        let mut document = Self { file: file.to_owned(), text, places: Vec::new() };
+        let mut places = Vec::new();
+        match DeTable::parse(&document.text) {
+            Ok(table) => collect(table.get_ref(), "", &mut places),
+            Err(error) => return Err(document.from_toml(&error)),
+        }
+        document.places = places;
+        Ok(document)
+    }
+
+    /// The whole text as a value.
+    ///
+    /// # Errors
+    /// The first key that is unknown, missing or of another type.
+    pub fn deserialize<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
+        toml::from_str(&self.text).map_err(|error| self.from_toml(&error))
+    }
+
+    /// Whether the text names this key.
+    #[must_use]
+    pub fn has(&self, key: &str) -> bool {
+        self.places.iter().any(|place| place.path == key)
+    }
+
+    /// A complaint about a key, at its line; for a key that is not in the text, at that of its section.
+    #[must_use]
+    pub fn complain(&self, key: &str, problem: impl Into<String>) -> ConfigError {
+        let mut path = key;
+        let place = loop {
+            if let Some(place) = self.places.iter().find(|place| place.path == path) {
+                break Some(place);
+            }
+            match path.rfind(['.', '[']) {
+                Some(end) => path = &path[..end],
+                None => break None,
+            }
+        };
+        ConfigError {
+            file: self.file.clone(),
+            line: place.map(|place| self.line(place.key.start)),
+            key: Some(key.to_owned()),
+            problem: problem.into(),
+        }
+    }
+
+    #[expect(clippy::wrong_self_convention, reason = "the error is placed in this document")]
+    fn from_toml(&self, error: &toml::de::Error) -> ConfigError {
+        let start = error.span().map(|span| span.start);
+        // The innermost key whose name or value holds the place of the error.
+        let holds = |place: &&Place, at: usize| place.key.contains(&at) || place.value.contains(&at);
+        let key = start
+            .and_then(|at| self.places.iter().filter(|place| holds(place, at)).max_by_key(|place| place.path.len()));
+        let mut problem = error.message().lines().collect::<Vec<_>>().join(", ");
+        if problem.is_empty() {
+            problem = "not valid TOML".to_owned();
+        }
+        ConfigError {
+            file: self.file.clone(),
+            line: start.map(|at| self.line(at)),
+            key: key.map(|place| place.path.clone()),
+            problem,
+        }
+    }
+
+    fn line(&self, at: usize) -> usize {
+        1 + self.text.as_bytes()[..at.min(self.text.len())].iter().filter(|byte| **byte == b'\n').count()
+    }
+}
+
+fn collect(table: &DeTable<'_>, prefix: &str, places: &mut Vec<Place>) {
+    for (key, value) in table {
+        let mut path = prefix.to_owned();
+        if !path.is_empty() {
+            path.push('.');
+        }
+        path.push_str(key.get_ref());
+        places.push(Place { path: path.clone(), key: key.span(), value: value.span() });
+        collect_value(value.get_ref(), &path, places);
+    }
+}
+
+fn collect_value(value: &DeValue<'_>, path: &str, places: &mut Vec<Place>) {
+    match value {
+        DeValue::Table(inner) => collect(inner, path, places),
+        DeValue::Array(items) => {
+            for (index, item) in items.iter().enumerate() {
+                let mut path = path.to_owned();
+                // Writing into a String cannot fail.
+                let _ = write!(path, "[{index}]");
+                places.push(Place { path: path.clone(), key: item.span(), value: item.span() });
+                collect_value(item.get_ref(), &path, places);
+            }
+        }
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Example {
+        #[expect(dead_code, reason = "only its reading is tested")]
+        store: Store,
+    }
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Store {
+        #[expect(dead_code, reason = "only its reading is tested")]
+        size: u32,
+    }
+
+    fn complaint(text: &str) -> String {
+        let document = Document::parse(Path::new("x.toml"), text.to_owned());
+        document.and_then(|document| document.deserialize::<Example>()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn every_complaint_names_file_line_and_key() {
+        assert!(complaint("[store]\nsize = 1\nsise = 2\n").starts_with("x.toml:3: store.sise: unknown field `sise`"));
+        assert!(complaint("[store]\n\nsize = \"1\"\n").starts_with("x.toml:3: store.size: invalid type"));
+        assert!(complaint("[store]\n").starts_with("x.toml:1: store: missing field `size`"));
+        assert!(complaint("\nstore = {\n").starts_with("x.toml:"));
+        assert!(complaint("[store]\nsize = 1\nsize = 2\n").starts_with("x.toml:3: "));
+    }
+
+    #[test]
+    fn a_key_that_is_not_there_is_complained_about_at_its_section() {
+        let text = "a = 1\n[[machine]]\nx = 1\n[[machine]]\ny = 2\n";
+        let document = Document::parse(Path::new("x.toml"), text.to_owned()).unwrap();
+        assert_eq!(document.complain("machine[1].y", "bad").to_string(), "x.toml:5: machine[1].y: bad");
+        assert_eq!(document.complain("machine[1].z", "bad").to_string(), "x.toml:4: machine[1].z: bad");
+        assert!(document.has("a") && !document.has("b"));
+    }
+}

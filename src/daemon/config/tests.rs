@@ -1,0 +1,140 @@
+use super::*;
+
+fn load(text: &str) -> Result<Config, ConfigError> {
+    let folder = tempfile::tempdir().unwrap();
+    let text = if text.contains("[store]") {
+        text.to_owned()
+    } else {
+        format!("{text}\n[store]\npath = {:?}\n", folder.path().join("points.db"))
+    };
+    Config::from_document(&Document::parse(Path::new("pointsd.toml"), text)?)
+}
+
+fn shipped() -> String {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("config/pointsd.toml")).unwrap()
+}
+
+/// The keys of a table, as paths.
+fn keys(table: &toml::Table, prefix: &str) -> Vec<String> {
+    let mut all = Vec::new();
+    for (key, value) in table {
+        let path = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+        match value {
+            toml::Value::Table(inner) => all.extend(keys(inner, &path)),
+            _ => all.push(path),
+        }
+    }
+    all
+}
+
+#[test]
+fn the_shipped_file_is_the_built_in_defaults() {
+    let document = Document::parse(Path::new("config/pointsd.toml"), shipped()).unwrap();
+    let shipped: File = document.deserialize().unwrap();
+    let built_in = File::default();
+    assert_eq!(shipped.monitor, built_in.monitor);
+    assert_eq!(shipped.subscribe, built_in.subscribe);
+    assert_eq!(shipped.identify, built_in.identify);
+    assert_eq!(shipped.store, built_in.store);
+    assert_eq!(shipped.diagnosis, built_in.diagnosis);
+    assert_eq!(shipped.machines, built_in.machines);
+    assert_eq!(shipped.log, built_in.log);
+    assert_eq!(shipped.machine, []);
+    let empty = Document::parse(Path::new("empty"), String::new()).unwrap();
+    assert_eq!(monitor_session(&document).unwrap().to_string(), monitor_session(&empty).unwrap().to_string());
+}
+
+#[test]
+fn the_shipped_file_shows_every_key() {
+    #[derive(Serialize)]
+    struct Sections {
+        monitor: Monitor,
+        subscribe: Subscribe,
+        identify: Identify,
+        store: store::Settings,
+        diagnosis: diagnose::Settings,
+        machines: MachineDefaults,
+        log: Log,
+    }
+    let file = File::default();
+    let sections = Sections {
+        monitor: file.monitor,
+        subscribe: file.subscribe,
+        identify: file.identify,
+        store: file.store,
+        diagnosis: file.diagnosis,
+        machines: MachineDefaults { stroke_mm: Some(115.0), ..file.machines },
+        log: file.log,
+    };
+    // Keys without a default are shown as comments.
+    let text = shipped().replace("# stroke_mm", "stroke_mm");
+    let table: toml::Table = toml::from_str(&text).unwrap();
+    let shown = keys(&table, "");
+    for key in keys(&toml::Table::try_from(sections).unwrap(), "") {
+        assert!(shown.contains(&key), "config/pointsd.toml does not show {key}");
+    }
+    for key in keys(&toml::from_str(zenoh::MONITOR).unwrap(), "zenoh") {
+        assert!(shown.contains(&key), "config/pointsd.toml does not show {key}");
+    }
+}
+
+#[test]
+fn what_is_wrong_is_named_with_line_and_key() {
+    for (text, says) in [
+        ("[subscribe]\nkee = 1", "pointsd.toml:2: subscribe.kee: unknown field"),
+        ("[stor]\npath = 1", "pointsd.toml:1: stor: unknown field"),
+        ("[subscribe]\n\nmax_machines = 0", "pointsd.toml:3: subscribe.max_machines: is 0, must be 1 to 100000"),
+        ("[subscribe]\nmax_machines = \"many\"", "pointsd.toml:2: subscribe.max_machines: invalid type"),
+        ("[subscribe]\nkey = \"elsewhere/**\"", "pointsd.toml:2: subscribe.key: "),
+        ("[diagnosis]\nmodel_error = 7", "pointsd.toml:2: diagnosis.model_error: "),
+        ("[machines]\nlead_mm = 0", "pointsd.toml:2: machines.lead_mm: is 0, must be 0.5 to 500 mm"),
+        ("[machines]\nmotor = \"steam\"", "pointsd.toml:2: machines.motor: unknown variant `steam`"),
+        ("[[machine]]\nsite = \"a b\"\nmachine = \"1\"", "pointsd.toml:2: machine[0].site: "),
+        ("[[machine]]\nsite = \"a\"", "pointsd.toml:1: machine[0]: missing field `machine`"),
+        (
+            "[[machine]]\nsite = \"a\"\nmachine = \"1\"\nlead_mm = nan",
+            "pointsd.toml:4: machine[0].lead_mm: is NaN, must be",
+        ),
+        (
+            "[[machine]]\nsite = \"a\"\nmachine = \"1\"\n[[machine]]\nsite = \"a\"\nmachine = \"1\"",
+            "pointsd.toml:6: machine[1].machine: a/1 is described a second time",
+        ),
+        ("[log]\nlevel = \"loud=very\"", "pointsd.toml:2: log.level: "),
+        ("[zenoh]\nmode = \"rooter\"", "pointsd.toml:2: zenoh.mode: "),
+        ("[zenoh]\nlisten.endpoint = []", "pointsd.toml:2: zenoh.listen.endpoint: unknown field"),
+        ("[zenoh]\nlisten.endpoints = [\"7447\"]", "pointsd.toml:2: zenoh.listen.endpoints"),
+        (
+            "[zenoh.transport.link.tls]\nroot_ca_certificate = \"/no/such/file\"",
+            "pointsd.toml:2: zenoh.transport.link.tls.root_ca_certificate: there is no file",
+        ),
+        ("[store]\npath = \"/no/such/folder/points.db\"", "pointsd.toml:2: store.path: "),
+        ("[store]\npath = \"/tmp\"", "pointsd.toml:2: store.path: /tmp is a folder"),
+        ("[store]\nmax_wal_mib = 1", "pointsd.toml:2: store.max_wal_mib: "),
+        ("monitor = 3", "pointsd.toml:1: monitor: invalid type"),
+        ("[monitor\nid = 3", "pointsd.toml:1: "),
+    ] {
+        let error = load(text).unwrap_err().to_string();
+        assert!(error.starts_with(says), "{text:?} says: {error}");
+    }
+}
+
+#[test]
+fn machines_differ_from_the_defaults_where_they_say_so() {
+    let config = load(
+        "[machines]\nlead_mm = 12\nstroke_mm = 110\n[[machine]]\nsite = \"north\"\nmachine = \"21B\"\nneutral_mm = 55\nmotor = \"series\"",
+    )
+    .unwrap();
+    let own = config.machines.of(&crate::throw::MachineId::new("north", "21B").unwrap());
+    assert_eq!((own.lead_mm, own.neutral_mm, own.stroke_mm), (12.0, 55.0, Some(110.0)));
+    assert_eq!(own.motor, crate::estimate::Motor::Series);
+    let other = config.machines.of(&crate::throw::MachineId::new("north", "22").unwrap());
+    assert_eq!((other.lead_mm, other.neutral_mm), (12.0, 0.0));
+}
+
+#[test]
+fn the_zenoh_section_is_laid_over_ours() {
+    let config = load("[zenoh]\nlisten.endpoints = [\"tcp/0.0.0.0:17447\"]").unwrap();
+    assert!(config.zenoh.get_json("listen/endpoints").unwrap().contains("17447"));
+    assert_eq!(config.zenoh.get_json("mode").unwrap(), "\"router\"");
+    assert_eq!(config.zenoh.get_json("scouting/multicast/enabled").unwrap(), "false");
+}

@@ -1,0 +1,76 @@
+//! The `[zenoh]` section: zenoh's own configuration, laid over what suits this program.
+
+use std::path::Path;
+
+use toml::{Table, Value};
+
+use super::{ConfigError, Document};
+
+/// What zenoh is told when the configuration says nothing: every file that a key of the section names must exist.
+const FILE_KEYS: [&str; 5] =
+    ["root_ca_certificate", "listen_certificate", "listen_private_key", "connect_certificate", "connect_private_key"];
+
+/// The session of the daemon: the hub of a cabinet, which loggers and operators connect to. It listens on loopback
+/// only until it is told otherwise, and finds nobody by itself.
+pub(super) const MONITOR: &str = r#"
+mode = "router"
+listen.endpoints = ["tcp/127.0.0.1:7447"]
+connect.timeout_ms = -1
+connect.exit_on_failure = false
+scouting.multicast.enabled = false
+scouting.gossip.enabled = false
+transport.link.rx.max_message_size = 33554432
+"#;
+
+/// The session of a logger or an operator: a client that keeps trying to reach the hub.
+pub(super) const CLIENT: &str = r#"
+mode = "client"
+connect.endpoints = ["tcp/127.0.0.1:7447"]
+connect.timeout_ms = -1
+connect.exit_on_failure = false
+scouting.multicast.enabled = false
+scouting.gossip.enabled = false
+transport.link.rx.max_message_size = 33554432
+"#;
+
+/// The configuration of a session: `section` laid over `base`.
+pub(super) fn session_config(
+    base: &str,
+    section: Option<&Table>,
+    document: &Document,
+) -> Result<zenoh::Config, ConfigError> {
+    let invalid = |problem: String| document.complain("zenoh", problem);
+    let mut merged: Table = toml::from_str(base).map_err(|error| invalid(error.to_string()))?;
+    if let Some(section) = section {
+        overlay(&mut merged, section);
+        check_files(section, document)?;
+    }
+    zenoh::Config::from_deserializer(Value::Table(merged)).map_err(|failure| match failure {
+        Ok(_) => invalid("zenoh finds values in this section that do not go together".to_owned()),
+        Err(error) => invalid(error.to_string()),
+    })
+}
+
+fn overlay(base: &mut Table, over: &Table) {
+    for (key, value) in over {
+        match (base.get_mut(key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) => overlay(below, above),
+            _ => {
+                base.insert(key.clone(), value.clone());
+            }
+        }
+    }
+}
+
+fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> {
+    let tls =
+        ["transport", "link", "tls"].iter().try_fold(section, |table, key| table.get(*key).and_then(Value::as_table));
+    let Some(tls) = tls else { return Ok(()) };
+    for key in FILE_KEYS {
+        if let Some(path) = tls.get(key).and_then(Value::as_str).filter(|path| !Path::new(path).is_file()) {
+            let problem = format!("there is no file {path:?}");
+            return Err(document.complain(&format!("zenoh.transport.link.tls.{key}"), problem));
+        }
+    }
+    Ok(())
+}

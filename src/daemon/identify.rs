@@ -1,0 +1,68 @@
+//! Identification on a bounded number of blocking threads. The answers come in the order of the throws.
+
+use tokio::task;
+
+use crate::{
+    estimate::{Identification, Identifier, Settings},
+    throw::Throw,
+};
+
+/// Most threads that are taken when the configuration leaves it open.
+const MOST_THREADS: usize = 8;
+
+/// Identifiers, one a thread, each with its work buffers.
+pub struct Pool {
+    idle: Vec<Identifier>,
+}
+
+impl Pool {
+    /// A pool of so many threads; 0 for as many as there are processors, at most [`MOST_THREADS`].
+    #[must_use]
+    pub fn new(threads: usize) -> Self {
+        let available = || std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
+        let threads = if threads == 0 { available() } else { threads };
+        Self { idle: (0..threads).map(|_| Identifier::default()).collect() }
+    }
+
+    /// Identifies each throw with its settings. `None` where the estimator itself failed on a throw, which is a fault
+    /// of the program that must not keep the other throws from being judged.
+    pub async fn identify(&mut self, throws: Vec<(Throw, Settings)>) -> Vec<Option<Identification>> {
+        let threads = self.idle.len().max(1);
+        let share = throws.len().div_ceil(threads).max(1);
+        let mut throws = throws.into_iter();
+        let mut running = Vec::with_capacity(threads);
+        loop {
+            let part: Vec<_> = throws.by_ref().take(share).collect();
+            if part.is_empty() {
+                break;
+            }
+            let mut identifier = self.idle.pop().unwrap_or_default();
+            running.push(task::spawn_blocking(move || {
+                let found = part.iter().map(|(throw, settings)| guarded(&mut identifier, throw, settings)).collect();
+                (identifier, found)
+            }));
+        }
+        let mut all = Vec::new();
+        for part in running {
+            let (identifier, found): (_, Vec<_>) = match part.await {
+                Ok(done) => done,
+                // `guarded` catches panics, and nobody cancels: this is a runtime that shuts down.
+                Err(_) => return all,
+            };
+            self.idle.push(identifier);
+            all.extend(found);
+        }
+        self.idle.resize_with(threads, Identifier::default);
+        all
+    }
+}
+
+fn guarded(identifier: &mut Identifier, throw: &Throw, settings: &Settings) -> Option<Identification> {
+    let attempt = std::panic::AssertUnwindSafe(|| identifier.identify(throw, settings));
+    let found = std::panic::catch_unwind(attempt).ok();
+    if found.is_none() {
+        // Its buffers may be in any state.
+        *identifier = Identifier::default();
+    }
+    found
+}

@@ -1,0 +1,194 @@
+//! How the daemon stands: counts that only grow, and one line for people.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed},
+    },
+    time::Instant,
+};
+
+use serde::{Deserialize, Serialize};
+
+use super::{clock, heartbeat::Heartbeats};
+use crate::{
+    bus::{InboxCounters, OutletCounters},
+    store::{DiskLevel, Store},
+};
+
+/// What the loops count. Shared by all of them.
+#[derive(Debug)]
+pub struct Status {
+    /// Who lives.
+    pub heartbeats: Heartbeats,
+    /// Throws that were stored.
+    pub stored: AtomicU64,
+    /// Throws that were stored before.
+    pub duplicates: AtomicU64,
+    /// Messages that were no throw, or could not be kept as one.
+    pub quarantined: AtomicU64,
+    /// Throws and messages that arrived and could not be kept at all.
+    pub lost: AtomicU64,
+    /// Throws that were identified and diagnosed.
+    pub judged: AtomicU64,
+    /// Of these, throws that gave no estimate.
+    pub not_evaluated: AtomicU64,
+    /// Alarm events.
+    pub alarm_events: AtomicU64,
+    /// Loggers that are connected now.
+    pub loggers: AtomicUsize,
+    /// Whether a link to others is up.
+    pub connected: AtomicBool,
+    /// Whether the database refuses writes at the moment.
+    pub storing_fails: AtomicBool,
+    started: Instant,
+}
+
+/// The status as `pointsd status` gets it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StatusReport {
+    /// Program version.
+    pub version: String,
+    /// Time since the start \[s\].
+    pub uptime_s: u64,
+    /// The database file.
+    pub database: String,
+    /// `ok`, `low`, `full` or `failing`.
+    pub disk: String,
+    /// Size of the write-ahead log \[bytes\].
+    pub wal_bytes: u64,
+    /// Whether a link to others is up.
+    pub connected: bool,
+    /// Loggers that are connected now.
+    pub loggers: usize,
+    /// Messages that arrived.
+    pub received: u64,
+    /// Messages dropped before storing because too many waited.
+    pub dropped: u64,
+    /// Samples that zenoh reports as missed beyond recovery.
+    pub missed: u64,
+    /// Throws stored.
+    pub stored: u64,
+    /// Throws that were stored before.
+    pub duplicates: u64,
+    /// Messages in quarantine since the start.
+    pub quarantined: u64,
+    /// Throws and messages that could not be kept at all.
+    pub lost: u64,
+    /// Throws identified and diagnosed.
+    pub judged: u64,
+    /// Of these, throws that gave no estimate.
+    pub not_evaluated: u64,
+    /// Alarm events since the start.
+    pub alarm_events: u64,
+    /// Messages published.
+    pub published: u64,
+    /// Health messages that were not published because links were slow.
+    pub unpublished: u64,
+    /// Loops that hang.
+    pub silent: Vec<String>,
+}
+
+impl Status {
+    /// Nothing has happened yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            heartbeats: Heartbeats::new(),
+            stored: AtomicU64::new(0),
+            duplicates: AtomicU64::new(0),
+            quarantined: AtomicU64::new(0),
+            lost: AtomicU64::new(0),
+            judged: AtomicU64::new(0),
+            not_evaluated: AtomicU64::new(0),
+            alarm_events: AtomicU64::new(0),
+            loggers: AtomicUsize::new(0),
+            connected: AtomicBool::new(false),
+            storing_fails: AtomicBool::new(false),
+            started: clock::monotonic(),
+        }
+    }
+}
+
+impl Default for Status {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Everything that a report is made of.
+#[derive(Clone)]
+pub(super) struct Gauges {
+    pub(super) status: Arc<Status>,
+    pub(super) inbox: Arc<InboxCounters>,
+    pub(super) outlet: Arc<OutletCounters>,
+    pub(super) store: Store,
+}
+
+impl Gauges {
+    pub(super) fn report(&self) -> StatusReport {
+        let status = &self.status;
+        StatusReport {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            uptime_s: clock::monotonic().duration_since(status.started).as_secs(),
+            database: self.store.path().display().to_string(),
+            disk: match self.store.disk_level() {
+                DiskLevel::Ample => "ok",
+                DiskLevel::Low => "low",
+                DiskLevel::Full => "full",
+                DiskLevel::Failing => "failing",
+            }
+            .to_owned(),
+            wal_bytes: self.store.wal_bytes(),
+            connected: status.connected.load(Relaxed),
+            loggers: status.loggers.load(Relaxed),
+            received: self.inbox.received.load(Relaxed),
+            dropped: self.inbox.dropped.load(Relaxed),
+            missed: self.inbox.missed.load(Relaxed),
+            stored: status.stored.load(Relaxed),
+            duplicates: status.duplicates.load(Relaxed),
+            quarantined: status.quarantined.load(Relaxed),
+            lost: status.lost.load(Relaxed),
+            judged: status.judged.load(Relaxed),
+            not_evaluated: status.not_evaluated.load(Relaxed),
+            alarm_events: status.alarm_events.load(Relaxed),
+            published: self.outlet.published.load(Relaxed),
+            unpublished: self.outlet.dropped.load(Relaxed),
+            silent: status.heartbeats.silent().into_iter().map(|organ| organ.as_str().to_owned()).collect(),
+        }
+    }
+}
+
+impl StatusReport {
+    /// Whether nothing is wrong with the daemon itself.
+    #[must_use]
+    pub fn is_well(&self) -> bool {
+        self.disk == "ok" && self.silent.is_empty() && self.dropped + self.lost == 0
+    }
+
+    /// One line for people: trouble first.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let mut parts = Vec::new();
+        match self.disk.as_str() {
+            "ok" => {}
+            "low" => parts.push("DISK LOW: old traces are dropped".to_owned()),
+            "full" => parts.push("DISK FULL: nothing can be stored, free some space".to_owned()),
+            _ => parts.push("DATABASE FAILING: writes do not succeed".to_owned()),
+        }
+        if !self.silent.is_empty() {
+            parts.push(format!("HANGING: {}", self.silent.join(", ")));
+        }
+        if !self.connected {
+            parts.push("nobody is connected".to_owned());
+        }
+        if self.dropped + self.lost > 0 {
+            parts.push(format!("{} messages LOST", self.dropped + self.lost));
+        }
+        parts.push(format!(
+            "{} loggers, {} throws stored, {} judged ({} not evaluated), {} in quarantine",
+            self.loggers, self.stored, self.judged, self.not_evaluated, self.quarantined
+        ));
+        parts.join("; ")
+    }
+}

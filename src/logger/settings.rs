@@ -1,0 +1,99 @@
+//! What a simulated logger can be told.
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use crate::throw::{MachineId, Name};
+
+/// The `[logger]` section of `pointsim`'s configuration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LoggerSettings {
+    /// The site of its machines.
+    pub site: Name,
+    /// Its machines are called by this and their number from 1: `machine-1`.
+    pub machine: Name,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Throws of each machine, 1 to 1,000,000,000; without it, until it is stopped.
+    pub throws: Option<u64>,
+    /// Time from one throw of a machine to its next \[s\], 1 to 1,000,000.
+    pub interval_s: f64,
+    /// How many times faster than real time, 0.001 to 1,000,000. Time stamps follow the simulated time.
+    pub time_scale: f64,
+    /// Last throws of each machine that are kept for monitors that missed them, 1 to 100,000.
+    pub cache: usize,
+    /// Wait for a monitor before the first throw.
+    pub wait_for_monitor: bool,
+    /// Time of the first throw; without it, that of the start.
+    pub started_at: Option<Timestamp>,
+}
+
+impl Default for LoggerSettings {
+    fn default() -> Self {
+        Self {
+            site: fixed_name("north"),
+            machine: fixed_name("machine"),
+            seed: 1,
+            throws: None,
+            interval_s: 600.0,
+            time_scale: 1.0,
+            cache: 1_000,
+            wait_for_monitor: true,
+            started_at: None,
+        }
+    }
+}
+
+#[expect(clippy::expect_used, reason = "called with literals that a test reads")]
+fn fixed_name(text: &str) -> Name {
+    text.parse().expect("a valid name")
+}
+
+/// A setting out of its range.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("is {value}, must be {low} to {high}")]
+pub struct InvalidLogger {
+    /// The key in the section.
+    pub key: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// Lowest value allowed.
+    pub low: f64,
+    /// Highest value allowed.
+    pub high: f64,
+}
+
+impl LoggerSettings {
+    /// Longest name that leaves room for a number.
+    const MAX_NAME: usize = Name::MAX_LEN - 7;
+
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// The first setting that is out of range.
+    pub fn validate(&self) -> Result<(), InvalidLogger> {
+        let ranges = [
+            ("machine", self.machine.as_str().len() as f64, 1.0, Self::MAX_NAME as f64),
+            ("throws", self.throws.unwrap_or(1) as f64, 1.0, 1e9),
+            ("interval_s", self.interval_s, 1.0, 1e6),
+            ("time_scale", self.time_scale, 1e-3, 1e6),
+            ("cache", self.cache as f64, 1.0, 1e5),
+        ];
+        for (key, value, low, high) in ranges {
+            if !(low..=high).contains(&value) {
+                return Err(InvalidLogger { key, value, low, high });
+            }
+        }
+        Ok(())
+    }
+
+    /// The machine with this number, counted from 0.
+    #[must_use]
+    pub fn machine_id(&self, number: usize) -> MachineId {
+        let name = format!("{}-{}", self.machine, number + 1);
+        // The prefix is a name with room for the number, so the whole is one too.
+        let machine = name.parse().unwrap_or_else(|_| self.machine.clone());
+        MachineId { site: self.site.clone(), machine }
+    }
+}

@@ -1,0 +1,64 @@
+//! A wrong configuration: exit 78, with file, line and key, before anything is touched.
+
+use std::fs;
+
+use crate::rig::{Rig, pointsd, pointsim};
+
+#[test]
+fn a_wrong_configuration_is_named_with_file_line_and_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("wrong.toml");
+    for (text, says) in [
+        ("[subscribe]\nkeys = \"points/v1/**\"\n", "2: subscribe.keys: "),
+        ("[diagnosis]\n\nfriction_limit_pct = 0\n", "3: diagnosis.friction_limit_pct: "),
+        ("[store]\npath = \"/no/such/folder/points.db\"\n", "2: store.path: "),
+        ("[zenoh]\nmode = \"router\"\nlisten.endpoint = []\n", "3: zenoh.listen.endpoint: "),
+        ("[machines]\nlead_mm = \"ten\"\n", "2: machines.lead_mm: "),
+        ("[store\n", "1: "),
+    ] {
+        fs::write(&file, text).unwrap();
+        for command in ["check", "run"] {
+            let output = pointsd(&[command, "--config"]).arg(&file).output().unwrap();
+            let error = String::from_utf8(output.stderr).unwrap();
+            assert_eq!(output.status.code(), Some(78), "{command} on {text:?}: {error}");
+            assert!(error.contains(&format!("{}:{says}", file.display())), "{command} on {text:?}: {error}");
+            assert_eq!(error.lines().count(), 1, "{error}");
+        }
+    }
+    let output = pointsd(&["check", "--config", "/no/such/file.toml"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(78));
+}
+
+#[test]
+fn a_wrong_fleet_is_named_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("wrong.toml");
+    fs::write(&file, "[fleet]\nmachines = 0\n").unwrap();
+    let output = pointsim(&["run", "--config"]).arg(&file).output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(78), "{error}");
+    assert!(error.contains(":2: fleet.machines: "), "{error}");
+}
+
+#[test]
+fn a_second_daemon_on_the_same_database_is_refused() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("second.toml");
+    let text = format!("store.path = {:?}\nzenoh.listen.endpoints = [\"tcp/127.0.0.1:0\"]\n", rig.database());
+    fs::write(&file, text).unwrap();
+    let output = pointsd(&["run", "--config"]).arg(&file).output().unwrap();
+    assert_eq!(output.status.code(), Some(69), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("another pointsd works on"));
+
+    // And a port that is taken.
+    let text = format!(
+        "store.path = {:?}\nzenoh.listen.endpoints = [{:?}]\n",
+        folder.path().join("other.db"),
+        daemon.endpoint
+    );
+    fs::write(&file, text).unwrap();
+    let output = pointsd(&["run", "--config"]).arg(&file).output().unwrap();
+    assert_eq!(output.status.code(), Some(69), "{}", String::from_utf8_lossy(&output.stderr));
+}

@@ -1,0 +1,135 @@
+//! Throws that arrive: once, three times, in a burst, before a crash, among poison.
+
+use pointsd::wire::{Encoding, encode_throw};
+use zenoh::bytes::Encoding as ContentType;
+
+use crate::rig::{Rig, matched, put, stub, throws};
+
+const KEY: &str = "points/v1/north/21B/throw";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_same_throw_three_times_is_one_row() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let made = throws("boot", 3);
+    for throw in &made {
+        for _ in 0..3 {
+            publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+        }
+    }
+    let rows = rig.judged(3).await;
+    assert!(daemon.terminate().success());
+    assert_eq!(rig.history().await.len(), 3);
+    for (row, throw) in rows.iter().zip(&made) {
+        assert_eq!((&row.throw, row.quality.as_str()), (&throw.id, "good"));
+        assert!(row.coefficients.is_some() && row.sd.is_some());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let made = throws("boot", 60);
+    for throw in &made {
+        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+    }
+    // The last one has arrived when the daemon answers that it received all.
+    let received = async {
+        loop {
+            let (code, text) = daemon.operate(&["status", "--json"]);
+            assert_eq!(code, Some(0), "{text}");
+            let status: serde_json::Value = serde_json::from_str(&text).unwrap();
+            if status["daemons"][0]["received"] == made.len() {
+                return;
+            }
+        }
+    };
+    tokio::time::timeout(crate::rig::PATIENCE, received).await.unwrap();
+    assert!(daemon.terminate().success());
+    let waiting = rig.sql("SELECT count(*) AS n FROM throw")[0]["n"].clone();
+    assert_eq!(waiting, made.len());
+    // What could not be judged in time is judged after the next start.
+    let daemon = rig.start();
+    let rows = rig.judged(made.len()).await;
+    assert!(daemon.terminate().success());
+    let numbers: Vec<u64> = rows.iter().map(|row| row.throw.throw_no).collect();
+    assert_eq!(numbers, (1..=60).collect::<Vec<_>>());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_killed_daemon_goes_on_where_it_was() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let made = throws("boot", 12);
+    for throw in &made[..6] {
+        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+    }
+    rig.judged(6).await;
+    daemon.kill();
+    drop((publisher, session));
+
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    for throw in &made {
+        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+    }
+    rig.judged(12).await;
+    assert!(daemon.terminate().success());
+    let rows = rig.history().await;
+    assert_eq!(rows.len(), 12);
+    // The baseline counts on: the monitor was not forgotten.
+    assert_eq!(rows[11].baseline.unwrap().0, 6);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn poison_goes_to_quarantine_and_good_throws_pass() {
+    let rig = Rig::with("[subscribe]\nmax_payload_bytes = 100000\nmax_machines = 2\n");
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let good = |throw_no| encode_throw(Encoding::Json, &stub("boot", throw_no));
+    let json = || ContentType::APPLICATION_JSON;
+    publisher.put(good(1)).await.unwrap();
+    put(&session, KEY, json(), b"{\"schema\": 7}".to_vec()).await;
+    put(&session, KEY, ContentType::APPLICATION_CBOR, vec![0x9f; 50_000]).await;
+    put(&session, KEY, ContentType::APPLICATION_CBOR, vec![b'x'; 2_000_000]).await;
+    put(&session, "points/v1/north/no name!/throw", json(), good(1)).await;
+    put(&session, "points/v1/north/second/throw", json(), good(1)).await;
+    put(&session, "points/v1/north/third/throw", json(), good(1)).await;
+    publisher.put(good(2)).await.unwrap();
+    rig.judged(3).await;
+    let (_, status) = daemon.operate(&["status", "--json"]);
+    assert!(daemon.terminate().success());
+    let reasons = rig.sql("SELECT reason FROM quarantine ORDER BY quarantine_row");
+    let reasons: Vec<&str> = reasons.iter().map(|row| row["reason"].as_str().unwrap()).collect();
+    assert_eq!(reasons.len(), 5, "{reasons:?}");
+    let says = ["not a throw in JSON", "not valid CBOR", "2000000 bytes", "is no site or machine name", "more than 2 machines"];
+    for word in says {
+        assert!(reasons.iter().any(|reason| reason.contains(word)), "{word}: {reasons:?}");
+    }
+    assert!(status.contains("\"quarantined\":5"), "{status}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_missing_throw_number_is_a_gap() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    for throw_no in [1, 2, 5, 6] {
+        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
+    }
+    rig.judged(4).await;
+    assert!(daemon.terminate().success());
+    let gaps = rig.sql("SELECT first_throw_no, last_throw_no, missing_throws FROM data_gaps WHERE kind = 'missed'");
+    assert_eq!(gaps.len(), 1, "{gaps:?}");
+    assert_eq!((&gaps[0]["first_throw_no"], &gaps[0]["last_throw_no"]), (&3.into(), &4.into()));
+}
