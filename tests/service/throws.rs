@@ -111,7 +111,13 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     let reasons = rig.sql("SELECT reason FROM quarantine ORDER BY quarantine_row");
     let reasons: Vec<&str> = reasons.iter().map(|row| row["reason"].as_str().unwrap()).collect();
     assert_eq!(reasons.len(), 5, "{reasons:?}");
-    let says = ["not a throw in JSON", "not valid CBOR", "2000000 bytes", "is no site or machine name", "more than 2 machines"];
+    let says = [
+        "not a throw in JSON",
+        "not valid CBOR",
+        "2000000 bytes",
+        "is no site or machine name",
+        "more than 2 machines",
+    ];
     for word in says {
         assert!(reasons.iter().any(|reason| reason.contains(word)), "{word}: {reasons:?}");
     }
