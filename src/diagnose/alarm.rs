@@ -18,8 +18,6 @@
 //! One alarm per cause: raised again while `cleared_unacknowledged` it goes on; after `normal` it is a new one. An
 //! occurrence is known by its `raised_at`, which no other occurrence of the cause shares, whatever the clock does.
 
-use std::collections::VecDeque;
-
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
@@ -29,10 +27,6 @@ use super::{
     trend::LimitForecast,
 };
 use crate::throw::{Direction, ThrowRef};
-
-/// Remembered times of raising, so that none is given twice: far more occurrences than fit between two readings of a
-/// clock that was set back.
-const REMEMBERED: usize = 16;
 
 /// What speaks for an alarm.
 #[derive(Debug, Clone, PartialEq)]
@@ -88,7 +82,10 @@ struct Alarm {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Board {
     alarms: Vec<Alarm>,
-    raised: VecDeque<Timestamp>,
+    /// Latest time of raising that was ever given.
+    latest: Option<Timestamp>,
+    /// Occurrences of any alarm so far.
+    occurrences: u64,
     out_of_service: bool,
 }
 
@@ -106,7 +103,7 @@ impl Alarm {
 }
 
 impl Board {
-    fn find(&mut self, cause: Cause) -> Option<usize> {
+    fn find(&self, cause: Cause) -> Option<usize> {
         self.alarms.iter().position(|alarm| alarm.last.cause == cause)
     }
 
@@ -125,17 +122,18 @@ impl Board {
         if state == AlarmState::Normal { self.alarms.remove(index).last } else { alarm.last.clone() }
     }
 
-    /// A time of raising that no remembered occurrence has.
-    fn unique(&mut self, mut at: Timestamp) -> Timestamp {
-        const TICK: jiff::SignedDuration = jiff::SignedDuration::from_micros(1);
-        while self.raised.contains(&at) {
-            at = at.checked_add(TICK).unwrap_or(Timestamp::MIN);
-        }
-        if self.raised.len() == REMEMBERED {
-            self.raised.pop_front();
-        }
-        self.raised.push_back(at);
-        at
+    /// A time of raising that no other occurrence has: the clock's, or, when that was set back behind an earlier
+    /// one, the clock's millisecond with the count of occurrences for its microseconds.
+    fn unique(&mut self, at: Timestamp) -> Timestamp {
+        self.occurrences += 1;
+        let unique = if self.latest.is_none_or(|latest| at > latest) {
+            at
+        } else {
+            let count = i64::try_from(self.occurrences % 1000).unwrap_or_default();
+            Timestamp::from_microsecond(at.as_millisecond() * 1000 + count).unwrap_or(at)
+        };
+        self.latest = self.latest.max(Some(unique));
+        unique
     }
 
     /// The condition of `cause` began. Nothing happens to an alarm that is active already.
@@ -172,6 +170,12 @@ impl Board {
         }
         alarm.acknowledged_by = None;
         let text = take_evidence(&mut alarm.last, evidence);
+        Some(self.note(index, at, Actor::default(), Some(text)))
+    }
+
+    /// Something new about an active alarm, which stays as it is.
+    pub(super) fn remark(&mut self, cause: Cause, text: String, at: Timestamp) -> Option<AlarmEvent> {
+        let index = self.find(cause)?;
         Some(self.note(index, at, Actor::default(), Some(text)))
     }
 
@@ -243,6 +247,11 @@ impl Board {
     /// Severity of an active alarm.
     pub(super) fn severity(&self, cause: Cause) -> Option<Severity> {
         self.alarms.iter().find(|alarm| alarm.active && alarm.last.cause == cause).map(|alarm| alarm.last.severity)
+    }
+
+    /// The direction of an active alarm: the inner `None` is both.
+    pub(super) fn direction(&self, cause: Cause) -> Option<Option<Direction>> {
+        self.alarms.iter().find(|alarm| alarm.active && alarm.last.cause == cause).map(|alarm| alarm.last.direction)
     }
 
     /// The active alarms, oldest first.

@@ -52,14 +52,17 @@ pub struct BaselineRecord {
     pub duration_s: Option<f64>,
 }
 
-/// One throw that a baseline is learned from. `order` counts the machine's throws.
+/// One throw that a baseline is learned from; `order` counts the machine's throws. Short names keep the state small.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Learned {
-    pub(super) order: u64,
-    pub(super) log: [f64; 3],
-    pub(super) sensor: Sym3,
-    pub(super) temperature_c: Option<f32>,
-    pub(super) duration_s: Option<f32>,
+    #[serde(rename = "n")]
+    order: u64,
+    #[serde(rename = "x")]
+    log: [f64; 3],
+    #[serde(rename = "t", default, skip_serializing_if = "Option::is_none")]
+    temperature_c: Option<f32>,
+    #[serde(rename = "d", default, skip_serializing_if = "Option::is_none")]
+    duration_s: Option<f32>,
 }
 
 /// Compensation of temperature: x - per_k (T - reference).
@@ -89,7 +92,6 @@ impl Learned {
         Self {
             order,
             log: throw.log,
-            sensor: throw.sensor.into(),
             temperature_c: throw.temperature_c.map(|t| t as f32),
             duration_s: throw.duration_s.map(|d| d as f32),
         }
@@ -147,8 +149,8 @@ impl Temperature {
 }
 
 impl Baseline {
-    /// Learns from at least a dozen throws of one direction.
-    pub(super) fn learn(throws: &[Learned], taken_at: Timestamp, settings: &Settings) -> Self {
+    /// Learns from at least a dozen throws of one direction, whose estimates have the mean covariance `sensor`.
+    pub(super) fn learn(throws: &[Learned], sensor: Sym3, taken_at: Timestamp, settings: &Settings) -> Self {
         let temperature = Temperature::learn(throws, settings);
         let logs: Vec<Vector3<f64>> = throws
             .iter()
@@ -160,7 +162,6 @@ impl Baseline {
         let robust = [0, 1, 2].map(|i| centre_and_sd(&logs.iter().map(|x| x[i]).collect::<Vec<_>>()));
         let centre = robust.map(|(centre, _)| centre);
         let residuals: Vec<Vector3<f64>> = logs.iter().map(|x| clip(x - Vector3::from(centre), robust)).collect();
-        let sensor = mean_sensor(throws);
         let mut durations: Vec<f64> = throws.iter().filter_map(|l| l.duration_s.map(f64::from)).collect();
         Self {
             centre,
@@ -169,7 +170,7 @@ impl Baseline {
             taken_at,
             temperature,
             duration_s: (!durations.is_empty()).then(|| median(&mut durations)),
-            scatter: Scatter::learn(&residuals, sensor, 1),
+            scatter: Scatter::learn(&residuals, sensor.into(), 1),
         }
     }
 
@@ -227,8 +228,8 @@ pub(super) fn learn_mixed(learned: [&[Learned]; 2], baselines: [&Baseline; 2]) -
         for throw in throws {
             let (r, _) = baseline.residual(&throw.log, throw.temperature_c.map(f64::from));
             residuals.push((throw.order, clip(r, [0, 1, 2].map(|i| (0.0, sd[i])))));
-            sensor += Matrix3::from(throw.sensor);
         }
+        sensor += baseline.scatter.sensor() * throws.len() as f64;
     }
     residuals.sort_unstable_by_key(|(order, _)| *order);
     sensor /= residuals.len() as f64;
@@ -239,8 +240,4 @@ pub(super) fn learn_mixed(learned: [&[Learned]; 2], baselines: [&Baseline; 2]) -
 fn clip(residual: Vector3<f64>, robust: [(f64, f64); 3]) -> Vector3<f64> {
     const REACH_SD: f64 = 3.5;
     Vector3::from_fn(|i, _| residual[i].clamp(-REACH_SD * robust[i].1, REACH_SD * robust[i].1))
-}
-
-fn mean_sensor(throws: &[Learned]) -> Matrix3<f64> {
-    throws.iter().map(|l| Matrix3::from(l.sensor)).sum::<Matrix3<f64>>() / throws.len() as f64
 }

@@ -20,32 +20,26 @@ use super::{
 /// Throws kept of each direction: the longest window.
 const KEPT: usize = WINDOWS[3];
 
-/// One throw since the baseline, as its residual from it.
+/// One throw since the baseline, as its residual from it. Short names keep the state small.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Recent {
     /// Counts the machine's throws.
-    pub(super) order: u64,
-    /// Index of the boot in the monitor's list.
-    pub(super) boot: u16,
-    /// The throw within that boot.
-    pub(super) throw_no: u64,
+    #[serde(rename = "n")]
+    order: u64,
+    #[serde(rename = "r")]
     residual: [f32; 3],
+    #[serde(rename = "c")]
     sensor: Sym3,
     /// Distance from the reference temperature \[K\].
+    #[serde(rename = "k")]
     distance_k: f32,
 }
 
 impl Recent {
     #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
-    pub(super) fn new(
-        order: u64,
-        (boot, throw_no): (u16, u64),
-        residual: Vector3<f64>,
-        distance_k: f64,
-        sensor: Sym3,
-    ) -> Self {
+    pub(super) fn new(order: u64, residual: Vector3<f64>, distance_k: f64, sensor: Sym3) -> Self {
         let residual = [residual.x as f32, residual.y as f32, residual.z as f32];
-        Self { order, boot, throw_no, residual, sensor, distance_k: distance_k as f32 }
+        Self { order, residual, sensor, distance_k: distance_k as f32 }
     }
 
     pub(super) fn residual(&self) -> Vector3<f64> {
@@ -68,13 +62,6 @@ impl Ring {
 
     pub(super) fn clear(&mut self) {
         self.0.clear();
-    }
-
-    /// Gives every throw the new number of its boot.
-    pub(super) fn renumber_boots(&mut self, number: impl Fn(u16) -> u16) {
-        for throw in &mut self.0 {
-            throw.boot = number(throw.boot);
-        }
     }
 
     /// Oldest first.

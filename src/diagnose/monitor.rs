@@ -118,7 +118,7 @@ impl MachineMonitor {
         verdict.events.extend(self.operation.arrived(observation.incomplete, &mut self.board, scene));
         verdict.events.extend(self.operation.evaluated(evaluated.is_some(), &mut self.board, scene));
         if let Some(throw) = evaluated {
-            let drift = self.tracks.push(throw, &observation.throw, self.order, settings).map(|residual| {
+            let drift = self.tracks.push(throw, self.order, settings).map(|residual| {
                 self.history.push(&residual);
                 self.tracks.drift(throw.direction, &self.open_causes(), settings)
             });
@@ -127,7 +127,12 @@ impl MachineMonitor {
             }
             let suspicious = drift.is_some_and(|drift| drift.is_detected()) || self.board.active().any(is_drift);
             if !suspicious {
-                verdict.baselines_taken.extend(self.tracks.learn(throw, self.order, at, settings));
+                let taken = self.tracks.learn(throw, self.order, at, settings);
+                if taken.is_some() {
+                    // Residuals from another centre: what came before is no history of this one.
+                    self.history = History::default();
+                }
+                verdict.baselines_taken.extend(taken);
             }
         }
         if let (Some(direction), Some(duration_s), false) =

@@ -56,6 +56,14 @@ pub(super) fn cleared(subject: &str, cause: Cause, at_once: bool) -> String {
     format!("{subject}: {cause} is back to normal.{repair}")
 }
 
+/// Most of a drift went away at once, and something is left.
+pub(super) fn maybe_repaired(subject: &str, cause: Cause) -> String {
+    format!(
+        "{subject}: most of the {cause} change went away within a few throws, as after a repair, but the machine is \
+         not as its baseline. If it was repaired, take a new baseline (rebaseline)."
+    )
+}
+
 /// A drift that turned out to be something else.
 pub(super) fn withdrawn(subject: &str, cause: Cause, other: Cause) -> String {
     format!("{subject}: the drift is no longer taken for {cause}, but for {other}.")
@@ -64,7 +72,11 @@ pub(super) fn withdrawn(subject: &str, cause: Cause, other: Cause) -> String {
 fn change(e: &Explanation) -> String {
     let pct = percent(e.size);
     let way = if pct < 0.0 { "down" } else { "up" };
-    format!("{} {way} {} % (±{} %)", e.cause, figure(pct.abs()), figure(interval_pct(e)))
+    // One decimal for small changes only; the interval is given as finely as the change.
+    let decimals = usize::from(pct.abs() < 9.95);
+    let least = if decimals == 0 { 1.0 } else { 0.1 };
+    let interval = interval_pct(e).max(least);
+    format!("{} {way} {:.decimals$} % (±{interval:.decimals$} %)", e.cause, pct.abs())
 }
 
 /// Half width of the 95 % interval of a size \[%\].
@@ -75,10 +87,6 @@ fn interval_pct(e: &Explanation) -> f64 {
 /// Standard deviation of a size \[%\].
 pub(super) fn sd_pct(e: &Explanation) -> f64 {
     100.0 * e.size_sd * e.size.exp()
-}
-
-fn figure(pct: f64) -> String {
-    if pct < 9.95 { format!("{pct:.1}") } else { format!("{pct:.0}") }
 }
 
 fn coefficients(finding: &Finding) -> String {

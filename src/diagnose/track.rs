@@ -1,7 +1,7 @@
 //! What the monitor keeps of the throws of each direction: the baseline and how it is learned, and the last throws.
 
 use jiff::Timestamp;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -10,21 +10,19 @@ use super::{
     drift::{Recent, Ring, Tail, Window},
     monitor::Evaluated,
     scatter::Scatter,
+    sym3::Sym3,
     threshold::{Thresholds, WINDOWS},
     verdict::Drift,
 };
-use crate::throw::{Direction, ThrowRef};
-
-/// Streams that every throw asks: its own direction's, and the mixed one.
-const STREAMS: usize = 2;
-/// Boots remembered by name. The rings hold 48 throws, so that many can be in use.
-const BOOTS: usize = 64;
+use crate::throw::Direction;
 
 /// One direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Track {
     /// Throws for the baseline; kept until both directions have theirs.
     learned: Vec<Learned>,
+    /// Mean covariance of their estimates.
+    sensor: Sym3,
     baseline: Option<Baseline>,
     thresholds: Option<Thresholds>,
     recent: Ring,
@@ -43,7 +41,6 @@ struct Mixed {
 pub(super) struct Tracks {
     sides: [Track; 2],
     mixed: Option<Mixed>,
-    boots: Vec<String>,
 }
 
 fn side(direction: Direction) -> usize {
@@ -61,63 +58,31 @@ impl Tracks {
     }
 
     /// Takes a throw into the last throws of its direction. `None` while it has no baseline.
-    pub(super) fn push(
-        &mut self,
-        throw: &Evaluated,
-        id: &ThrowRef,
-        order: u64,
-        settings: &Settings,
-    ) -> Option<Vector3<f64>> {
+    pub(super) fn push(&mut self, throw: &Evaluated, order: u64, settings: &Settings) -> Option<Vector3<f64>> {
         let (residual, distance) = self.residual(throw)?;
         self.refresh_thresholds(settings);
-        let boot = self.boot_index(&id.boot_id);
         let track = &mut self.sides[side(throw.direction)];
         track.since_baseline += 1;
-        track.recent.push(Recent::new(order, (boot, id.throw_no), residual, distance, throw.sensor.into()));
+        track.recent.push(Recent::new(order, residual, distance, throw.sensor.into()));
         Some(residual)
     }
 
-    fn boot_index(&mut self, boot_id: &str) -> u16 {
-        if let Some(known) = self.boots.iter().rposition(|boot| boot == boot_id) {
-            return known.try_into().unwrap_or(u16::MAX);
-        }
-        if self.boots.len() == BOOTS {
-            self.forget_unused_boots();
-        }
-        self.boots.push(boot_id.to_owned());
-        (self.boots.len() - 1).try_into().unwrap_or(u16::MAX)
-    }
-
-    fn forget_unused_boots(&mut self) {
-        let used = |at: usize| self.sides.iter().any(|track| track.recent.iter().any(|r| usize::from(r.boot) == at));
-        let kept: Vec<usize> = (0..self.boots.len()).filter(|at| used(*at)).collect();
-        let place = |boot: u16| kept.iter().position(|at| *at == usize::from(boot)).unwrap_or_default();
-        for track in &mut self.sides {
-            track.recent.renumber_boots(|boot| place(boot).try_into().unwrap_or(u16::MAX));
-        }
-        self.boots = kept.iter().map(|at| self.boots[*at].clone()).collect();
-    }
-
-    /// Which throw a recent one was.
-    pub(super) fn throw_ref(&self, recent: &Recent) -> Option<ThrowRef> {
-        let boot_id = self.boots.get(usize::from(recent.boot))?.clone();
-        Some(ThrowRef { boot_id, throw_no: recent.throw_no })
-    }
-
-    /// A changed budget asks for new thresholds.
+    /// A new baseline, a new stream or a changed budget asks for new thresholds.
     fn refresh_thresholds(&mut self, settings: &Settings) {
-        let budget = settings.false_alarms_per_throw();
+        // Every throw asks its own direction's stream, and the mixed one where there is one.
+        let streams = if self.mixed.is_some() { 2.0 } else { 1.0 };
+        let share = settings.false_alarms_per_throw() / streams;
         for track in &mut self.sides {
-            if let (Some(baseline), Some(thresholds)) = (&track.baseline, &mut track.thresholds)
-                && !thresholds.are_for(budget)
+            if let Some(baseline) = &track.baseline
+                && track.thresholds.is_none_or(|thresholds| !thresholds.are_for(share))
             {
-                *thresholds = Thresholds::compute(baseline.scatter(), budget, STREAMS);
+                track.thresholds = Some(Thresholds::compute(baseline.scatter(), share));
             }
         }
         if let Some(mixed) = &mut self.mixed
-            && !mixed.thresholds.are_for(budget)
+            && !mixed.thresholds.are_for(share)
         {
-            mixed.thresholds = Thresholds::compute(&mixed.scatter, budget, STREAMS);
+            mixed.thresholds = Thresholds::compute(&mixed.scatter, share);
         }
     }
 
@@ -170,28 +135,30 @@ impl Tracks {
         }
         track.learned.push(Learned::new(order, throw));
         let count = track.learned.len();
+        let mean = Matrix3::from(track.sensor);
+        track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
         let usable = settings.baseline_usable_throws;
         let stage = count == usable || count == 2 * usable || count >= settings.baseline_throws;
         if !stage {
             return None;
         }
-        let baseline = Baseline::learn(&track.learned, at, settings);
+        let baseline = Baseline::learn(&track.learned, track.sensor, at, settings);
         let record = baseline.record(throw.direction);
-        let budget = settings.false_alarms_per_throw();
-        track.thresholds = Some(Thresholds::compute(baseline.scatter(), budget, STREAMS));
+        track.thresholds = None;
         track.baseline = Some(baseline);
         track.recent.clear();
         track.since_baseline = 0;
-        self.learn_mixed(budget);
+        self.learn_mixed(settings);
+        self.refresh_thresholds(settings);
         Some(record)
     }
 
-    fn learn_mixed(&mut self, budget: f64) {
+    fn learn_mixed(&mut self, settings: &Settings) {
         let [normal, reverse] = &self.sides;
         let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
         let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second]);
         let done = first.is_complete() && second.is_complete();
-        let thresholds = Thresholds::compute(&scatter, budget, STREAMS);
+        let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw());
         self.mixed = Some(Mixed { scatter, thresholds });
         if done {
             self.sides.iter_mut().for_each(|track| track.learned = Vec::new());

@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::robust::median;
 
+/// Two-sided 95 % of a standard normal.
+const NORMAL_97_5: f64 = 1.96;
+
 /// Throws until a limit is reached, with an interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LimitForecast {
@@ -35,6 +38,8 @@ impl Default for History {
 impl History {
     /// Places: even, so that all blocks have a neighbour to be joined with.
     const PLACES: usize = 48;
+    /// Blocks that a trend is read from: half of a history that was just joined.
+    const LATEST: usize = 12;
     /// Throws in a block at first: enough to average the scatter, few enough to see a fast ramp.
     const FIRST_LENGTH: u32 = 4;
 
@@ -58,10 +63,11 @@ impl History {
         }
     }
 
-    /// Throws that a block stands for, and the blocks along `weights`, oldest first.
+    /// Throws that a block stands for, and the latest blocks along `weights`, oldest first.
     pub(super) fn along(&self, weights: &Vector3<f64>) -> (f64, Vec<f64>) {
         let project = |block: &[f32; 3]| weights.dot(&Vector3::from(block.map(f64::from)));
-        (f64::from(self.length), self.blocks.iter().map(project).collect())
+        let from = self.blocks.len().saturating_sub(Self::LATEST);
+        (f64::from(self.length), self.blocks[from..].iter().map(project).collect())
     }
 }
 
@@ -74,7 +80,10 @@ pub(super) fn forecast(series: &[f64], spacing: f64, limit: f64) -> Option<Limit
     if series.len() < LEAST_POINTS {
         return None;
     }
-    let (low, slope, high) = theil_sen(series);
+    let slopes = Slopes::of(series);
+    let slope = slopes.middle();
+    let inflation = serial_inflation(series, slope);
+    let (low, high) = slopes.interval(inflation);
     if low * high <= 0.0 || slope * limit <= 0.0 {
         return None;
     }
@@ -89,30 +98,69 @@ pub(super) fn forecast(series: &[f64], spacing: f64, limit: f64) -> Option<Limit
     if left * limit <= 0.0 {
         return None;
     }
+    // The end of the line errs twice as much as its middle, and in the direction in which the slope errs.
+    let level_sd = 2.0 * (line_misfit(series, slope) * inflation).sqrt() / series.len() as f64;
+    let reach = NORMAL_97_5 * level_sd / slope.abs() * spacing;
     let steps = |slope: f64| left / slope * spacing;
-    let (soon, late) = if slope > 0.0 { (steps(high), steps(low)) } else { (steps(low), steps(high)) };
     let mid = steps(slope);
+    let (steep, flat) = if slope > 0.0 { (high, low) } else { (low, high) };
+    let soon = (steps(steep) - reach).max(0.0);
+    let late = steps(flat) + reach;
     (late <= REACH * spacing * series.len() as f64).then_some(LimitForecast { low: soon, mid, high: late })
 }
 
-/// Median of all pairwise slopes (Theil, Sen) per step, with Sen's 95 % interval from the rank of Kendall's S.
-fn theil_sen(series: &[f64]) -> (f64, f64, f64) {
-    const NORMAL_97_5: f64 = 1.96;
-    let n = series.len();
-    let mut slopes = Vec::with_capacity(n * (n - 1) / 2);
-    for (at, from) in series.iter().enumerate() {
-        for (gap, to) in series[at + 1..].iter().enumerate() {
-            slopes.push((to - from) / (gap + 1) as f64);
+/// All pairwise slopes per step, sorted (Theil, Sen).
+struct Slopes {
+    sorted: Vec<f64>,
+    points: f64,
+}
+
+impl Slopes {
+    fn of(series: &[f64]) -> Self {
+        let n = series.len();
+        let mut sorted = Vec::with_capacity(n * (n - 1) / 2);
+        for (at, from) in series.iter().enumerate() {
+            for (gap, to) in series[at + 1..].iter().enumerate() {
+                sorted.push((to - from) / (gap + 1) as f64);
+            }
         }
+        sorted.sort_unstable_by(f64::total_cmp);
+        Self { sorted, points: n as f64 }
     }
-    let mid = median(&mut slopes);
-    let n = n as f64;
-    let kendall_sd = (n * (n - 1.0) * (2.0 * n + 5.0) / 18.0).sqrt();
-    let reach = NORMAL_97_5 * kendall_sd;
-    let count = slopes.len() as f64;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped into the list's indices")]
-    let rank = |position: f64| slopes[position.clamp(0.0, count - 1.0) as usize];
-    (rank((count - reach) / 2.0), mid, rank((count + reach) / 2.0))
+
+    fn at(&self, position: f64) -> f64 {
+        let last = (self.sorted.len() - 1) as f64;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped into the indices")]
+        let index = position.clamp(0.0, last) as usize;
+        self.sorted[index]
+    }
+
+    fn middle(&self) -> f64 {
+        self.at(self.sorted.len() as f64 / 2.0)
+    }
+
+    /// Sen's 95 % interval from the rank of Kendall's S, whose variance grows by `inflation` in a correlated series.
+    fn interval(&self, inflation: f64) -> (f64, f64) {
+        let n = self.points;
+        let kendall_variance = n * (n - 1.0) * (2.0 * n + 5.0) / 18.0;
+        let reach = NORMAL_97_5 * (kendall_variance * inflation).sqrt();
+        let count = self.sorted.len() as f64;
+        (self.at((count - reach) / 2.0), self.at((count + reach) / 2.0))
+    }
+}
+
+/// By how much serial correlation of what the line leaves inflates the variance of a slope or a mean.
+fn serial_inflation(series: &[f64], slope: f64) -> f64 {
+    const MOST: f64 = 0.8;
+    let n = series.len() as f64;
+    let mut rest: Vec<f64> = series.iter().enumerate().map(|(at, value)| value - slope * at as f64).collect();
+    let level = rest.iter().sum::<f64>() / n;
+    rest.iter_mut().for_each(|v| *v -= level);
+    let square: f64 = rest.iter().map(|v| v * v).sum();
+    let lagged: f64 = rest.iter().zip(&rest[1..]).map(|(a, b)| a * b).sum();
+    // A fitted line takes correlation away: about four parts of n.
+    let lag1 = (lagged / square.max(f64::MIN_POSITIVE) + 4.0 / n).clamp(0.0, MOST);
+    (1.0 + lag1) / (1.0 - lag1)
 }
 
 fn line_misfit(series: &[f64], slope: f64) -> f64 {
@@ -154,9 +202,10 @@ mod tests {
             history.push(&Vector3::repeat(f64::from(at)));
         }
         let (length, series) = history.along(&Vector3::new(1.0, 0.0, 0.0));
-        assert!(series.len() < History::PLACES);
+        assert!(history.blocks.len() < History::PLACES);
+        let first = (history.blocks.len() - series.len()) as f64;
         for (at, value) in series.iter().enumerate() {
-            let expected = length * at as f64 + (length - 1.0) / 2.0;
+            let expected = length * (first + at as f64) + (length - 1.0) / 2.0;
             assert!((value - expected).abs() < 1e-3 * expected.max(1.0));
         }
     }

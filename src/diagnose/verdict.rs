@@ -20,6 +20,12 @@ use crate::throw::{Direction, ThrowRef};
 /// The causes that come from a drift, in the order of the monitor's conditions.
 const DRIFTS: [Cause; 5] = [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
 
+/// Throws by which an alarm without a single name waits longer: the first throws after a step are few, and what they
+/// leave open the next ones usually settle.
+const UNNAMED_PATIENCE: u32 = 6;
+/// The same when two causes are too close to call: a growing drift tells them apart within a longest window.
+const TOO_CLOSE_PATIENCE: u32 = 24;
+
 /// When a drift was first suspected.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Onset {
@@ -62,19 +68,29 @@ impl Drift {
     }
 
     /// What the throw says about `cause`.
-    fn reading(&self, cause: Cause, settings: &Settings) -> Reading {
+    fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
         let named = self.finding.as_ref().filter(|finding| finding.cause() == cause);
         let other = self.finding.as_ref().is_some_and(|finding| {
             matches!(finding.naming, Naming::One(_)) && !finding.includes(cause) && finding.relevance(settings) > 1.0
         });
         let levels = self.levels.iter().flatten();
         let (size, bound) = levels.map(|window| extent(cause, window, settings)).fold((0.0, 0.0), max_of_each);
+        let (side, last_few) = &self.latest;
+        let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
+        let latest = last_few.as_ref().filter(|_| concerned && alarmed.is_some());
+        let latest = latest.map(|window| extent(cause, window, settings).0);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         Reading {
             relevance: named.map_or(0.0, |finding| finding.relevance(settings)),
+            patience: named.map_or(0, |finding| match finding.naming {
+                Naming::One(_) => 0,
+                Naming::Either(..) => TOO_CLOSE_PATIENCE,
+                Naming::Both(..) | Naming::Neither => UNNAMED_PATIENCE,
+            }),
             plain_health: bound < 0.5,
             below: self.finding.is_none() || size < deadband,
             other_name: other,
+            latest,
         }
     }
 
@@ -121,9 +137,9 @@ impl MachineMonitor {
         self.follow_onset(drift, id);
         let mut events = Vec::new();
         for (index, cause) in DRIFTS.into_iter().enumerate() {
-            let reading = drift.reading(cause, settings);
             let active = self.board.severity(cause);
-            match self.conditions[index].step(cause, reading, active, settings) {
+            let reading = drift.reading(cause, self.board.direction(cause), settings);
+            match self.conditions[index].step(reading, active, settings) {
                 Step::Stay => {}
                 Step::Raise(severity) => {
                     let evidence = self.evidence(cause, severity, drift, id, settings);
@@ -133,9 +149,13 @@ impl MachineMonitor {
                     let evidence = self.evidence(cause, Severity::Critical, drift, id, settings);
                     events.extend(evidence.and_then(|evidence| self.board.escalate(cause, evidence, at)));
                 }
-                Step::Clear => {
-                    let said = text::cleared(&text::subject(&self.name, None), cause, false);
+                Step::Clear { at_once } => {
+                    let said = text::cleared(&text::subject(&self.name, None), cause, at_once);
                     events.extend(self.board.clear(cause, said, Actor::default(), at));
+                }
+                Step::ProposeRebaseline => {
+                    let said = text::maybe_repaired(&text::subject(&self.name, None), cause);
+                    events.extend(self.board.remark(cause, said, at));
                 }
                 Step::Withdraw => {
                     let name = drift.finding.as_ref().map_or(Cause::Unattributed, Finding::cause);

@@ -1,0 +1,202 @@
+//! The life cycle of alarms: acknowledge, shelve, out of service, clear, raise again, and no chatter.
+
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::Vector3;
+use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, Command, CommandError, MachineMonitor, Settings, Severity};
+use proptest::prelude::*;
+
+use crate::fleet::{Machine, Nature, shift};
+
+fn now() -> Timestamp {
+    "2026-03-01T00:00:00Z".parse().unwrap()
+}
+
+fn by() -> String {
+    "A. Fitter".to_owned()
+}
+
+/// A machine with an active friction warning, and the event that raised it.
+fn alarmed(seed: u64) -> (Machine, MachineMonitor, AlarmEvent) {
+    let settings = Settings::default();
+    let mut machine = Machine::new(seed, Nature::default());
+    let mut monitor = machine.learned(&settings);
+    let raised =
+        (0..20).find_map(|_| machine.feed(&mut monitor, shift(Cause::Friction, 25.0), &settings).events.pop()).unwrap();
+    (machine, monitor, raised)
+}
+
+fn run(machine: &mut Machine, monitor: &mut MachineMonitor, throws: usize, fault: Vector3<f64>) -> Vec<AlarmEvent> {
+    (0..throws).flat_map(|_| machine.feed(monitor, fault, &Settings::default()).events).collect()
+}
+
+fn states(events: &[AlarmEvent]) -> Vec<AlarmState> {
+    events.iter().map(|event| event.state).collect()
+}
+
+#[test]
+fn cleared_before_it_was_acknowledged_it_waits_and_goes_on() {
+    let (mut machine, mut monitor, raised) = alarmed(1);
+    assert_eq!((raised.state, raised.event_no), (AlarmState::ActiveUnacknowledged, 1));
+    let cleared = run(&mut machine, &mut monitor, 60, Vector3::zeros());
+    assert_eq!(states(&cleared), [AlarmState::ClearedUnacknowledged]);
+    let again = run(&mut machine, &mut monitor, 10, shift(Cause::Friction, 25.0));
+    assert_eq!(states(&again), [AlarmState::ActiveUnacknowledged]);
+    assert_eq!((again[0].raised_at, again[0].event_no), (raised.raised_at, 3));
+}
+
+#[test]
+fn acknowledged_and_cleared_it_is_normal_and_the_next_is_a_new_alarm() {
+    let settings = Settings::default();
+    let (mut machine, mut monitor, raised) = alarmed(2);
+    let ack = Command::Ack { cause: Cause::Friction, by: by() };
+    let seen = monitor.command(&ack, now(), &settings).unwrap();
+    assert_eq!(states(&seen), [AlarmState::ActiveAcknowledged]);
+    assert_eq!(seen[0].by.as_deref(), Some("A. Fitter"));
+    let twice = monitor.command(&ack, now(), &settings);
+    assert_eq!(twice, Err(CommandError::AlreadyAcknowledged { cause: Cause::Friction, by: by() }));
+    let cleared = run(&mut machine, &mut monitor, 60, Vector3::zeros());
+    assert_eq!(states(&cleared), [AlarmState::Normal]);
+    assert_eq!(monitor.open_alarms(), []);
+    let again = run(&mut machine, &mut monitor, 10, shift(Cause::Friction, 25.0));
+    assert_eq!(again[0].event_no, 1);
+    assert_ne!(again[0].raised_at, raised.raised_at);
+    let none = monitor.command(&Command::Ack { cause: Cause::Kt, by: by() }, now(), &settings);
+    assert_eq!(none, Err(CommandError::NoSuchAlarm { cause: Cause::Kt }));
+}
+
+#[test]
+fn severity_rises_within_the_same_alarm_and_asks_to_be_seen_again() {
+    let settings = Settings::default();
+    let (mut machine, mut monitor, raised) = alarmed(3);
+    monitor.command(&Command::Ack { cause: Cause::Friction, by: by() }, now(), &settings).unwrap();
+    let worse = run(&mut machine, &mut monitor, 20, shift(Cause::Friction, 70.0));
+    assert_eq!(states(&worse), [AlarmState::ActiveUnacknowledged]);
+    assert_eq!((worse[0].severity, worse[0].raised_at, worse[0].event_no), (Severity::Critical, raised.raised_at, 3));
+}
+
+#[test]
+fn shelved_until_a_time_or_a_command() {
+    let settings = Settings::default();
+    let (_, mut monitor, _) = alarmed(4);
+    let until = now() + SignedDuration::from_hours(8);
+    let shelve = Command::Shelve { cause: Cause::Friction, until, by: by(), why: "parts ordered".to_owned() };
+    assert_eq!(states(&monitor.command(&shelve, now(), &settings).unwrap()), [AlarmState::Shelved]);
+    assert_eq!(monitor.tick(now() + SignedDuration::from_hours(7), &settings), []);
+    let ended = monitor.tick(until, &settings);
+    assert_eq!(states(&ended), [AlarmState::ActiveUnacknowledged]);
+    monitor.command(&shelve, now(), &settings).unwrap();
+    let unshelve = Command::Unshelve { cause: Cause::Friction, by: by() };
+    assert_eq!(states(&monitor.command(&unshelve, now(), &settings).unwrap()), [AlarmState::ActiveUnacknowledged]);
+    assert_eq!(monitor.command(&unshelve, now(), &settings), Err(CommandError::NotShelved { cause: Cause::Friction }));
+    assert!(matches!(monitor.command(&shelve, until, &settings), Err(CommandError::UntilIsPast { .. })));
+    let long = Command::Shelve {
+        cause: Cause::Friction,
+        until: now() + SignedDuration::from_hours(24 * 365),
+        by: by(),
+        why: "never".to_owned(),
+    };
+    assert!(matches!(monitor.command(&long, now(), &settings), Err(CommandError::ShelvedTooLong { .. })));
+}
+
+#[test]
+fn maintenance_diagnoses_nothing_and_teaches_nothing() {
+    let settings = Settings::default();
+    let mut machine = Machine::new(5, Nature::default());
+    let mut monitor = MachineMonitor::new("21B");
+    run(&mut machine, &mut monitor, 20, Vector3::zeros());
+    let progress = monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings);
+    let start = Command::MaintenanceStart { until: None, by: by(), why: "slide chairs".to_owned() };
+    monitor.command(&start, now(), &settings).unwrap();
+    assert_eq!(monitor.command(&start, now(), &settings), Err(CommandError::InMaintenance));
+    assert_eq!(run(&mut machine, &mut monitor, 50, shift(Cause::Friction, 80.0)), []);
+    assert_eq!(monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings), progress);
+    monitor.command(&Command::MaintenanceEnd { by: by() }, now(), &settings).unwrap();
+    run(&mut machine, &mut monitor, 2, Vector3::zeros());
+    assert_ne!(monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings), progress);
+
+    let (mut machine, mut monitor, raised) = alarmed(6);
+    let out = monitor.command(&start, now(), &settings).unwrap();
+    assert_eq!(states(&out), [AlarmState::OutOfService]);
+    let back = monitor.command(&Command::MaintenanceEnd { by: by() }, now(), &settings).unwrap();
+    assert_eq!(states(&back), [AlarmState::ActiveUnacknowledged]);
+    let cleared = run(&mut machine, &mut monitor, 60, Vector3::zeros());
+    assert_eq!(states(&cleared), [AlarmState::ClearedUnacknowledged]);
+    assert_eq!(cleared[0].raised_at, raised.raised_at);
+}
+
+#[test]
+fn a_new_baseline_ends_drift_alarms_and_makes_the_present_normal() {
+    let settings = Settings::default();
+    let (mut machine, mut monitor, _) = alarmed(7);
+    let rebaseline = Command::Rebaseline { by: by(), why: "new slide chairs".to_owned() };
+    let events = monitor.command(&rebaseline, now(), &settings).unwrap();
+    assert_eq!(states(&events), [AlarmState::Normal]);
+    assert_eq!(events[0].why.as_deref(), Some("new slide chairs"));
+    assert_eq!(run(&mut machine, &mut monitor, 200, shift(Cause::Friction, 25.0)), []);
+    let record = monitor.baseline(pointsd::throw::Direction::ReverseToNormal).unwrap();
+    assert!(record.complete);
+    assert!((record.center[1] / (1.25 * crate::fleet::NOMINAL[1]) - 1.0).abs() < 0.03);
+}
+
+#[test]
+fn an_unrecorded_repair_is_proposed_not_acted_on() {
+    let (mut machine, mut monitor, _) = alarmed(8);
+    run(&mut machine, &mut monitor, 40, shift(Cause::Friction, 40.0));
+    let events = run(&mut machine, &mut monitor, 80, Vector3::zeros());
+    let cleared = events.last().unwrap();
+    assert_eq!(cleared.state, AlarmState::ClearedUnacknowledged);
+    assert!(cleared.text.contains("as after a repair"), "{}", cleared.text);
+    assert!(monitor.baseline(pointsd::throw::Direction::NormalToReverse).is_some());
+}
+
+#[test]
+fn an_alarm_at_its_limit_does_not_chatter() {
+    let settings = Settings::default();
+    for (cause, pct, times) in [
+        (Cause::Friction, 15.0, 1.0),
+        (Cause::Friction, 12.5, 3.0),
+        (Cause::Kt, 5.0, 1.0),
+        (Cause::Stiffness, 10.0, 3.0),
+    ] {
+        let natural = Nature::default();
+        let mut machine = Machine::new(9, Nature { scatter: natural.scatter.map(|s| s * times), phi: 0.6, ..natural });
+        let mut monitor = machine.learned(&settings);
+        let mut raised = 0;
+        for _ in 0..10_000 {
+            let events = machine.feed(&mut monitor, shift(cause, pct), &settings).events;
+            raised += events.iter().filter(|e| e.cause == cause && e.state == AlarmState::ActiveUnacknowledged).count();
+        }
+        assert!(raised <= 10_000 / 200, "{cause} at {pct} %: raised {raised} times");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// Whatever the clock does, no two occurrences of an alarm share their identity, and events count up from 1.
+    #[test]
+    fn identities_are_unique_whatever_the_clock_does(seed in 0_u64..1000, jumps in prop::collection::vec(0_u8..4, 40)) {
+        let settings = Settings::default();
+        let mut machine = Machine::new(seed, Nature::default());
+        let mut monitor = machine.learned(&settings);
+        let mut seen = std::collections::BTreeMap::new();
+        for jump in jumps {
+            let mut observation = machine.throw(Vector3::zeros());
+            observation.incomplete = jump > 0;
+            observation.started_at = now() + SignedDuration::from_secs(i64::from(jump % 2));
+            let mut events = monitor.observe(&observation, &settings).events;
+            for _ in 0..12 {
+                let mut fine = machine.throw(Vector3::zeros());
+                fine.started_at = now();
+                events.extend(monitor.observe(&fine, &settings).events);
+            }
+            let ack = Command::Ack { cause: Cause::IncompleteThrow, by: by() };
+            events.extend(monitor.command(&ack, now(), &settings).unwrap_or_default());
+            for event in events {
+                let last = seen.entry((event.cause, event.raised_at)).or_insert(0);
+                *last += 1;
+                prop_assert_eq!(event.event_no, *last);
+            }
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! What is not one clean fault: two at once, one direction only, temperature, outliers, a short baseline; and the
+//! budget of false alarms.
+
+use nalgebra::Vector3;
+use pointsd::{
+    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, Settings, Severity, TemperatureSource},
+    throw::Direction,
+};
+
+use crate::fleet::{Machine, Nature, shift};
+
+fn run(machine: &mut Machine, monitor: &mut MachineMonitor, throws: usize, fault: Vector3<f64>) -> Vec<AlarmEvent> {
+    (0..throws).flat_map(|_| machine.feed(monitor, fault, &Settings::default()).events).collect()
+}
+
+#[test]
+fn two_causes_at_once_are_never_one_wrong_name_at_critical_severity() {
+    let settings = Settings::default();
+    for (at, first) in Cause::PHYSICAL.into_iter().enumerate() {
+        for second in Cause::PHYSICAL.into_iter().skip(at + 1) {
+            for seed in 0..6 {
+                let mut machine = Machine::new(400 + seed, Nature::default());
+                let mut monitor = machine.learned(&settings);
+                let size = |cause| 4.0 * settings.limit_pct(cause).unwrap();
+                let fault = shift(first, size(first)) + shift(second, size(second));
+                for event in run(&mut machine, &mut monitor, 60, fault) {
+                    let named = [first, second, Cause::Unattributed].contains(&event.cause);
+                    assert!(named || event.severity < Severity::Critical, "{first} and {second}: {}", event.text);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_fault_of_one_direction_is_said_to_be_of_that_direction() {
+    let settings = Settings::default();
+    let mut machine = Machine::new(31, Nature::default());
+    let mut monitor = machine.learned(&settings);
+    let mut events = Vec::new();
+    for throw in 0..40 {
+        // The machine's next throw is normal to reverse when an even number was made.
+        let fault = if machine.throws.is_multiple_of(2) { Vector3::zeros() } else { shift(Cause::Friction, 40.0) };
+        events.extend(machine.feed(&mut monitor, fault, &settings).events);
+        assert!(throw < 30 || !events.is_empty());
+    }
+    assert_eq!((events[0].cause, events[0].direction), (Cause::Friction, Some(Direction::BOTH[1])));
+    assert!(events[0].text.starts_with("Machine 21B, reverse to normal: friction up"), "{}", events[0].text);
+}
+
+#[test]
+fn one_wild_throw_is_no_alarm_and_does_not_poison_the_baseline() {
+    let settings = Settings::default();
+    let mut machine = Machine::new(32, Nature::default());
+    let mut monitor = MachineMonitor::new("21B");
+    for throw in 0..400 {
+        let wild = if throw % 23 == 7 { Vector3::new(0.7, -0.5, 0.9) } else { Vector3::zeros() };
+        assert_eq!(machine.feed(&mut monitor, wild, &settings).events, []);
+    }
+    let found = run(&mut machine, &mut monitor, 20, shift(Cause::Kt, -15.0));
+    assert_eq!(found[0].cause, Cause::Kt);
+}
+
+#[test]
+fn a_fitted_temperature_keeps_the_seasons_from_being_a_fault() {
+    let settings = Settings::default();
+    let mut machine = Machine::new(33, Nature::default());
+    let mut monitor = MachineMonitor::new("21B");
+    for throw in 0..1_000_u32 {
+        let celsius = 10.0 + 8.0 * (f64::from(throw) / 7.0).sin() - 20.0 * (f64::from(throw) / 1_000.0);
+        let mut observation = machine.throw(Vector3::new(-0.0015, -0.006, 0.0) * (celsius - 10.0));
+        observation.temperature_c = Some(celsius);
+        let verdict = monitor.observe(&observation, &settings);
+        assert_eq!(verdict.events, []);
+    }
+    let record = monitor.baseline(Direction::NormalToReverse).unwrap();
+    assert_eq!(record.temperature_source, TemperatureSource::Fitted);
+    assert!((record.temperature_pct_per_k[0] + 0.15).abs() < 0.05, "{:?}", record.temperature_pct_per_k);
+}
+
+#[test]
+fn a_dozen_throws_are_a_usable_baseline() {
+    let mut machine = Machine::new(34, Nature::default());
+    let mut monitor = MachineMonitor::new("21B");
+    assert_eq!(run(&mut machine, &mut monitor, 26, Vector3::zeros()), []);
+    assert!(!monitor.baseline(Direction::NormalToReverse).unwrap().complete);
+    let found = run(&mut machine, &mut monitor, 40, shift(Cause::Kt, -25.0));
+    assert_eq!(found[0].cause, Cause::Kt);
+}
+
+#[test]
+fn a_ramp_says_when_it_gets_critical() {
+    const TRIALS: u64 = 40;
+    let settings = Settings::default();
+    let mut covered = 0;
+    for seed in 0..TRIALS {
+        let mut machine = Machine::new(3_500 + seed, Nature::default());
+        let mut monitor = machine.learned(&settings);
+        // 0.1 % a throw: critical, 15 %, at throw 150.
+        let (at, event) = (1..=150_u32)
+            .find_map(|at| {
+                let verdict = machine.feed(&mut monitor, shift(Cause::Kt, -0.1 * f64::from(at)), &settings);
+                verdict.events.into_iter().next().map(|event| (at, event))
+            })
+            .unwrap();
+        assert!(event.text.contains("Reaches the critical limit in about"), "{}", event.text);
+        let forecast = event.limit_in_throws.unwrap();
+        let truth = 150.0 - f64::from(at);
+        covered += u64::from(forecast.low <= truth && truth <= forecast.high);
+    }
+    assert!(covered >= TRIALS * 85 / 100, "the interval held the truth in {covered} of {TRIALS}");
+}
+
+#[test]
+fn the_rate_of_false_alarms_is_that_of_the_budget_within_a_factor_of_three() {
+    /// Throws between two false alarms that the budget allows.
+    const BUDGET_THROWS: f64 = 2_000.0;
+    const MACHINES: u64 = 40;
+    const LIFE: u32 = 1_500;
+    let free = Settings {
+        kt_limit_pct: 0.001,
+        friction_limit_pct: 0.001,
+        stiffness_limit_pct: 0.001,
+        inertia_limit_pct: 0.001,
+        false_alarm_years: 1.0,
+        throws_per_day: BUDGET_THROWS / 365.25,
+        ..Settings::default()
+    };
+    for phi in [0.0, 0.3, 0.6] {
+        let mut raised = 0;
+        for seed in 0..MACHINES {
+            let mut machine = Machine::new(7_000 + seed, Nature { phi, ..Nature::default() });
+            let mut monitor = machine.learned(&free);
+            for _ in 0..LIFE {
+                let events = machine.feed(&mut monitor, Vector3::zeros(), &free).events;
+                raised += events.iter().filter(|e| e.state == AlarmState::ActiveUnacknowledged).count();
+            }
+        }
+        let allowed = MACHINES as f64 * f64::from(LIFE) / BUDGET_THROWS;
+        let ratio = raised as f64 / allowed;
+        assert!((1.0 / 3.0..=3.0).contains(&ratio), "phi {phi}: {raised} alarms, {allowed} in the budget");
+    }
+}
