@@ -94,6 +94,20 @@ async fn who_shows_no_certificate_of_our_authority_gets_no_link() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_expired_certificate_opens_no_link() {
+    let (_cabinet, endpoint) = cabinet().await;
+    let config = client_config(&railway().expiring("logger.north.21A"), &endpoint);
+    let expired = async {
+        while gets_a_link(config.clone()).await {
+            tokio::task::yield_now().await;
+        }
+    };
+    // It is valid for a second at most; that it is the time alone is what the valid one of the same name shows.
+    tokio::time::timeout(PATIENCE, expired).await.expect("it expires");
+    assert!(gets_a_link(client_config(&railway().folder("logger.north.21A"), &endpoint)).await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_logger_does_not_talk_to_a_false_cabinet() {
     let mut config = zenoh_table(&cabinet_toml("tls/127.0.0.1:0", None));
     for (key, file) in

@@ -39,10 +39,26 @@ pub(crate) struct Authority(TempDir);
 
 impl Authority {
     fn new(names: &[&str]) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let output = Command::new(deploy("make-test-certificates")).arg(folder.path()).args(names).output().unwrap();
+        let authority = Self(tempfile::tempdir().unwrap());
+        authority.certify(authority.0.path(), names, "30");
+        authority
+    }
+
+    fn certify(&self, folder: &Path, names: &[&str], days: &str) {
+        let script = deploy("make-test-certificates");
+        let output = Command::new(script).arg(folder).args(names).env("DAYS", days).output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        Self(folder)
+    }
+
+    /// The folder of a certificate that ends as it begins.
+    pub(crate) fn expiring(&self, name: &str) -> PathBuf {
+        let folder = self.0.path().join("expiring");
+        fs::create_dir_all(&folder).unwrap();
+        for file in ["ca.pem", "ca-key.pem"] {
+            fs::copy(self.0.path().join(file), folder.join(file)).unwrap();
+        }
+        self.certify(&folder, &[name], "0");
+        folder.join(name)
     }
 
     pub(crate) fn folder(&self, name: &str) -> PathBuf {
