@@ -5,6 +5,8 @@ mod access;
 #[cfg(test)]
 mod central;
 #[cfg(test)]
+mod daemon;
+#[cfg(test)]
 mod shipped;
 #[cfg(test)]
 mod site;

@@ -1,0 +1,152 @@
+//! The real daemon with the shipped cabinet configuration: from a logger's throw over TLS to an alarm that an operator
+//! acknowledges and a viewer does not.
+
+use std::{
+    fs,
+    net::TcpListener,
+    path::Path,
+    process::{Child, Command, Output, Stdio},
+};
+
+use serde_json::Value;
+use zenoh::Session;
+
+use super::site::*;
+
+const ALARM: &str = "points/v1/north/21A/alarm";
+const COMMAND: &str = "points/v1/north/21A/command";
+const STATUS: &str = "points/v1/north/monitor/cabinet/status";
+
+/// The shipped configuration, its database in `folder`, listening at `address`.
+fn configured(folder: &Path, address: &str) -> String {
+    let text = cabinet_toml(&format!("tls/{address}"), None);
+    let text = replaced(&text, "/var/lib/pointsd/", &format!("{}/", folder.display()));
+    // One throw that cannot be evaluated is an alarm at once.
+    format!("{text}\n[diagnosis]\nnot_monitored_throws = 1\n")
+}
+
+/// A daemon that is stopped at the end of the test, however that ends.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn start(config: &Path) -> Running {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pointsd"));
+    Running(command.arg("run").arg("--config").arg(config).stderr(Stdio::inherit()).spawn().unwrap())
+}
+
+fn free_address() -> String {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
+}
+
+/// The JSON replies to a question.
+async fn ask_json(session: &Session, selector: &str, payload: Option<Value>) -> Vec<Value> {
+    // A machine's open alarms all have one key: zenoh would keep the last of them only.
+    let mut get = session
+        .get(selector)
+        .consolidation(zenoh::query::ConsolidationMode::None)
+        .timeout(std::time::Duration::from_secs(2));
+    if let Some(payload) = payload {
+        get = get.payload(payload.to_string());
+    }
+    let replies = get.await.unwrap();
+    let mut values = Vec::new();
+    while let Ok(reply) = replies.recv_async().await {
+        if let Ok(sample) = reply.result() {
+            values.push(serde_json::from_slice(&sample.payload().to_bytes()).unwrap());
+        }
+    }
+    values
+}
+
+async fn until_answered(session: &Session, selector: &str) -> Vec<Value> {
+    let answered = async {
+        loop {
+            let values = ask_json(session, selector, None).await;
+            if !values.is_empty() {
+                return values;
+            }
+        }
+    };
+    tokio::time::timeout(PATIENCE, answered).await.unwrap_or_else(|_| panic!("{selector} is answered"))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_real_daemon_takes_commands_from_operators_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("pointsd.toml");
+    let address = free_address();
+    fs::write(&config, configured(folder.path(), &address)).unwrap();
+    let _daemon = start(&config);
+    let endpoint = format!("tls/{address}");
+
+    let viewer = client("viewer", &endpoint).await;
+    let operator = client("operator", &endpoint).await;
+    assert_eq!(until_answered(&viewer, STATUS).await[0]["stored"], 0);
+    assert_eq!(alive(&viewer, "points/v1/**/alive").await, ["points/v1/north/monitor/cabinet/alive"]);
+
+    let logger = client("logger.north.21A", &endpoint).await;
+    let publisher = throw_publisher(&logger, THROW_A).await;
+    until_heard(&publisher).await;
+    publisher.put(still_machine().to_string()).await.unwrap();
+
+    let not_monitored = |alarms: Vec<Value>| alarms.into_iter().find(|alarm| alarm["cause"] == "not_monitored");
+    let raised = not_monitored(until_answered(&viewer, ALARM).await).expect("the alarm is open");
+    assert_eq!(raised["state"], "active_unacknowledged");
+    let ack = serde_json::json!({"command": "ack", "cause": "not_monitored", "by": "test"});
+    assert!(ask_json(&viewer, COMMAND, Some(ack.clone())).await.is_empty());
+    assert!(ask_json(&logger, COMMAND, Some(ack.clone())).await.is_empty());
+    let unmoved = not_monitored(until_answered(&viewer, ALARM).await);
+    assert_eq!(unmoved.as_ref(), Some(&raised), "a viewer's command changed the alarm");
+
+    let reply = ask_json(&operator, COMMAND, Some(ack)).await;
+    assert_eq!(reply[0]["done"], true, "{reply:?}");
+    let acknowledged = not_monitored(until_answered(&viewer, ALARM).await).expect("the alarm is open");
+    assert_eq!(
+        (&acknowledged["alarm_id"], &acknowledged["state"]),
+        (&raised["alarm_id"], &"active_acknowledged".into())
+    );
+}
+
+/// A throw in which nothing moves.
+fn still_machine() -> Value {
+    serde_json::json!({
+        "schema": "points.throw/1", "boot_id": "first", "throw_no": 1, "started_at": "2026-01-01T06:00:00Z",
+        "direction": "normal_to_reverse", "sample_rate_hz": 1000,
+        "current_a": vec![0.0; 2000], "position_mm": vec![0.0; 2000],
+    })
+}
+
+fn check(config: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_pointsd")).arg("check").arg("--config").arg(config).output().unwrap()
+}
+
+#[test]
+fn every_shipped_configuration_of_pointsd_is_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let installed = replaced(&read("pointsd.toml"), "/var/lib/pointsd/", &format!("{}/", folder.path().display()));
+    for text in [configured(folder.path(), "127.0.0.1:7447"), installed] {
+        let config = folder.path().join("pointsd.toml");
+        fs::write(&config, text).unwrap();
+        let output = check(&config);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+}
+
+#[test]
+fn a_missing_key_file_is_a_wrong_configuration_and_says_which() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("pointsd.toml");
+    let whole = configured(folder.path(), "127.0.0.1:7447");
+    let key = railway().folder("cabinet.north").join("key.pem");
+    fs::write(&config, replaced(&whole, &key.display().to_string(), "/nowhere/key.pem")).unwrap();
+    let output = check(&config);
+    let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(78), "{complaint}");
+    assert!(complaint.contains("zenoh.transport.link.tls.") && complaint.contains("/nowhere/key.pem"), "{complaint}");
+}
