@@ -104,13 +104,29 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     let unmoved = not_monitored(until_answered(&viewer, ALARM).await);
     assert_eq!(unmoved.as_ref(), Some(&raised), "a viewer's command changed the alarm");
 
+    // The program, with `operator.toml` as INSTALL.md shows it.
+    assert_eq!(pointsd_ack(folder.path(), &endpoint), Some(0));
     let reply = ask_json(&operator, COMMAND, Some(ack)).await;
-    assert_eq!(reply[0]["done"], true, "{reply:?}");
+    assert_eq!(reply[0]["done"], false, "acknowledged a moment before: {reply:?}");
     let acknowledged = not_monitored(until_answered(&viewer, ALARM).await).expect("the alarm is open");
     assert_eq!(
         (&acknowledged["alarm_id"], &acknowledged["state"]),
         (&raised["alarm_id"], &"active_acknowledged".into())
     );
+}
+
+/// `pointsd ack` with the configuration that INSTALL.md shows; its exit code.
+fn pointsd_ack(folder: &Path, endpoint: &str) -> Option<i32> {
+    let page = read("INSTALL.md");
+    let (_, rest) = page.split_once("```toml\n").expect("the page shows operator.toml");
+    let (text, _) = rest.split_once("```").expect("it ends");
+    let text = replaced(text, "tls/cabinet-north.example:7447", endpoint);
+    let text = replaced(&text, "/root/pki/operator/", &format!("{}/", railway().folder("operator").display()));
+    let config = folder.join("operator.toml");
+    fs::write(&config, text).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pointsd"));
+    command.args(["ack", "north/21A", "not_monitored", "--by", "test", "--config"]).arg(config);
+    command.output().unwrap().status.code()
 }
 
 /// A throw in which nothing moves.
