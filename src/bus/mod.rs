@@ -52,6 +52,5 @@ pub async fn declare_alive(session: &Session, key: &str) -> Result<LivelinessTok
 
 /// Whether anybody is at the other end of a link. A client without its router talks into the void.
 pub async fn is_connected(session: &Session) -> bool {
-    let info = session.info();
-    info.routers_zid().await.next().is_some() || info.peers_zid().await.next().is_some()
+    session.info().transports().await.next().is_some()
 }

@@ -93,6 +93,8 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     let logger = client("logger.north.21A", &endpoint).await;
     let publisher = throw_publisher(&logger, THROW_A).await;
     until_heard(&publisher).await;
+    let seen = async { while until_answered(&viewer, STATUS).await[0]["connected"] != true {} };
+    tokio::time::timeout(PATIENCE, seen).await.expect("the daemon knows that it is connected");
     publisher.put(still_machine().to_string()).await.unwrap();
 
     let not_monitored = |alarms: Vec<Value>| alarms.into_iter().find(|alarm| alarm["cause"] == "not_monitored");
