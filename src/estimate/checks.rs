@@ -16,8 +16,12 @@ const COMPLETE_SHARE: f64 = 0.95;
 const TOO_LONG_SHARE: f64 = 1.15;
 /// The motor may stay on this long after the toe arrived \[s\].
 const LONGEST_STALL_S: f64 = 0.5;
-/// Measured noise beyond this many times the configured sensor's is a fault of the sensor or its wiring.
-const NOISE_FACTOR: f64 = 25.0;
+/// Measured noise beyond this many times the configured sensor's is a fault of the sensor or its wiring. Noise in the
+/// current reaches the coefficients ten times more than noise in the position.
+const CURRENT_NOISE_FACTOR: f64 = 5.0;
+const POSITION_NOISE_FACTOR: f64 = 25.0;
+/// An energised motor starts with at least this many times its running current.
+const INRUSH_FACTOR: f64 = 1.5;
 
 /// The first value that is no number, or that no machine gives.
 pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Result<(), Rejection> {
@@ -93,7 +97,7 @@ pub(super) fn course(
         return Err(Rejection::MovedBeforeCurrent { moved_mm });
     }
     jumps(movement, position, interval_s, noise_mm)?;
-    let (back_mm, _) = backwards(movement, position);
+    let back_mm = backwards(movement, &position[..=movement.motor_off.unwrap_or(position.len() - 1)]);
     if back_mm > 0.02 * travel_mm + 10.0 * noise_mm {
         return Err(Rejection::MovedBackwards { back_mm });
     }
@@ -107,6 +111,16 @@ pub(super) fn course(
     } else if let Some(off) = movement.motor_off {
         let stalled_s = at(off.saturating_sub(movement.arrived));
         if stalled_s > LONGEST_STALL_S {
+            let stalled = &position[movement.arrived.midpoint(off)..=off];
+            if movement.position.sd > 0.0 && stalled.iter().all(|x| x.to_bits() == stalled[0].to_bits()) {
+                let at_s = at(movement.arrived);
+                return Err(Rejection::Stuck {
+                    channel: Channel::Position,
+                    value: stalled[0],
+                    at_s,
+                    stuck_s: stalled_s,
+                });
+            }
             return Err(Rejection::Obstructed { position_mm: movement.end_mm, stalled_s });
         }
     }
@@ -119,24 +133,87 @@ pub(super) fn course(
 
 /// The sensors against their configuration.
 pub(super) fn noise(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
-    for (channel, level, expected) in [
-        (Channel::Current, movement.current, settings.current_noise_a),
-        (Channel::Position, movement.position, settings.position_noise_mm),
+    for (channel, level, expected, factor) in [
+        (Channel::Current, movement.current, settings.current_noise_a, CURRENT_NOISE_FACTOR),
+        (Channel::Position, movement.position, settings.position_noise_mm, POSITION_NOISE_FACTOR),
     ] {
-        if level.samples >= super::movement::MIN_QUIET && level.sd > NOISE_FACTOR * expected {
+        if level.samples >= super::movement::MIN_QUIET && level.sd > factor * expected {
             return Err(Rejection::Noisy { channel, measured: level.sd, expected });
         }
     }
     Ok(())
 }
 
-/// How many samples the current takes from its start to its first peak: the first crest of at least 90 % of the largest.
+/// A channel that repeats one value, longer than its converter's step explains, while the toe moves.
+pub(super) fn sticking(
+    movement: &Movement,
+    channel: Channel,
+    values: &[f64],
+    interval_s: f64,
+    factor: usize,
+) -> Result<(), Rejection> {
+    let (from, to) = (movement.start() * factor, (movement.near_end * factor).min(values.len()));
+    let values = &values[from.min(to)..to];
+    let step = quantum(values);
+    let noisy = movement.level(channel).sd > 0.5 * step && step > 0.0;
+    let mean_step = movement.travel_mm / values.len().max(1) as f64;
+    let longest = match channel {
+        _ if noisy => 25.0,
+        // The toe needs this many samples for one step of the converter, and several times that as it sets off.
+        Channel::Position => 25.0_f64.max(10.0 * step / mean_step).max(0.02 / interval_s),
+        Channel::Current => 25.0_f64.max(0.3 * values.len() as f64),
+    };
+    let mut at = 0;
+    for stretch in values.chunk_by(|a, b| a.to_bits() == b.to_bits()) {
+        if stretch.len() as f64 > longest {
+            let (at_s, stuck_s) = ((from + at) as f64 * interval_s, stretch.len() as f64 * interval_s);
+            return Err(Rejection::Stuck { channel, value: stretch[0], at_s, stuck_s });
+        }
+        at += stretch.len();
+    }
+    Ok(())
+}
+
+/// Lone values far from their neighbours: the second difference is large there, and half as large and opposite beside it.
+/// A few of them are corrupt values; many are a ripple that the sampling barely resolves.
+pub(super) fn spikes(movement: &Movement, channel: Channel, values: &[f64], interval_s: f64) -> Result<(), Rejection> {
+    let range = if channel == Channel::Current { 0.02 * movement.peak_a } else { 0.002 * movement.travel_mm };
+    let threshold = range.max(12.0 * movement.level(channel).sd).max(3.0 * quantum(values).min(range));
+    let bend = |k: usize| values[k] - 0.5 * (values[k - 1] + values[k + 1]);
+    let mut spikes = (2..movement.near_end.min(values.len().saturating_sub(2))).filter(|&k| {
+        let here = bend(k);
+        let opposite = |beside: f64| -beside * here.signum() > 0.3 * here.abs();
+        here.abs() > threshold && opposite(bend(k - 1)) && opposite(bend(k + 1))
+    });
+    match spikes.next() {
+        Some(at) if spikes.count() < 5 => {
+            Err(Rejection::Spike { channel, height: bend(at), at_s: at as f64 * interval_s })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A motor that starts takes more current than one that runs.
+pub(super) fn inrush(movement: &Movement, current: &[f64], scratch: &mut Vec<f64>) -> Result<(), Rejection> {
+    let (start, end) = (movement.start(), movement.near_end.max(movement.start() + 1));
+    let early = start + ((end - start) / 5).max(1);
+    let level = |i: &f64| (i - movement.current.mean).abs();
+    let peak_a = current[start..early].iter().map(level).fold(0.0, f64::max);
+    scratch.clear();
+    scratch.extend(current[early..end].iter().map(level));
+    let running_a = median(scratch);
+    if peak_a < INRUSH_FACTOR * running_a { Err(Rejection::NoInrush { peak_a, running_a }) } else { Ok(()) }
+}
+
+/// How many samples, the last quiet one included, the current takes to its first crest: one of at least 90 % of the
+/// largest current, with the samples after it that are within 3 % of it.
 pub(super) fn rise_samples(movement: &Movement, current: &[f64]) -> usize {
     let start = movement.start();
     let level = |k: usize| (current[k] - movement.current.mean).abs();
-    let crest =
-        |k: &usize| level(*k) >= 0.9 * movement.peak_a && (*k + 1 == current.len() || level(*k + 1) <= level(*k));
-    (start..current.len()).find(crest).map_or(0, |peak| peak - start)
+    let falls = |k: usize| k + 1 == current.len() || level(k + 1) <= level(k);
+    let Some(crest) = (start..current.len()).find(|&k| level(k) >= 0.9 * movement.peak_a && falls(k)) else { return 0 };
+    let flat = (crest + 1..current.len()).take_while(|&k| level(k) >= 0.97 * level(crest)).count();
+    crest + flat - start + 1
 }
 
 /// A step between two samples that no speed of this machine explains.
@@ -153,15 +230,13 @@ fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) 
     }
 }
 
-/// The largest distance back from the furthest position so far, and where.
-fn backwards(movement: &Movement, position: &[f64]) -> (f64, usize) {
-    let (mut furthest, mut worst) = (f64::NEG_INFINITY, (0.0, 0));
+/// The largest distance back from the furthest position so far.
+fn backwards(movement: &Movement, position: &[f64]) -> f64 {
     let sign = if movement.sign == 0.0 { 1.0 } else { movement.sign };
-    for (k, x) in position.iter().enumerate() {
+    let (mut furthest, mut worst) = (f64::NEG_INFINITY, 0.0_f64);
+    for x in position {
         furthest = furthest.max(sign * x);
-        if furthest - sign * x > worst.0 {
-            worst = (furthest - sign * x, k);
-        }
+        worst = worst.max(furthest - sign * x);
     }
     worst
 }

@@ -16,7 +16,8 @@
 //! ```
 //!
 //! The start position and the current's offset are means over n quiet samples: their errors, of variances s_y²/n and
-//! s_s²/n, are common to all samples and add s_y²/n (Σz)(Σz)' and s_s²/n (Σw)(Σw)' to the bracket.
+//! s_s²/n, are common to all samples and add s_y²/n (Σz)(Σz)' and s_s²/n (Σw)(Σw)' to the bracket. (With less noise than
+//! half a step of the converter averaging does not help, and the rounding error of one sample takes their place.)
 
 use super::{
     filter::Discrete,
@@ -34,9 +35,8 @@ pub struct Noise<'a, const S: usize> {
     /// Standard deviation of the noise on the first input, sample by sample, as a multiple of `inputs[0]`'s root:
     /// for an input that is a nonlinear function of what the sensor measures.
     pub scale: Option<&'a [f64]>,
-    /// How many quiet samples gave the offsets that were removed from the first input and from the output; 0 where
-    /// none was removed.
-    pub offset_samples: [usize; 2],
+    /// Variances of the offsets that were removed from the first input and from the output; 0 where none was.
+    pub offsets: [f64; 2],
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
@@ -56,7 +56,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             add_square(&mut middle, z, noise.output);
             add(&mut sum, z, 1.0);
         }
-        add_offset(&mut middle, &sum, noise.output, noise.offset_samples[1]);
+        add_square(&mut middle, &sum, noise.offsets[1]);
         for (s, variance) in noise.inputs.into_iter().enumerate().filter(|(_, variance)| *variance > 0.0) {
             let Signal::Sampled(_, hold) = problem.inputs[s] else { continue };
             let filter = Discrete::new(&solution.denominator, problem.interval_s, hold);
@@ -69,7 +69,8 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
                 add(&mut sum, w, scale);
             });
             if s == 0 {
-                add_offset(&mut middle, &sum, variance, noise.offset_samples[0]);
+                // An offset is the mean of a few noisy samples: its own error is common to all samples of the trace.
+                add_square(&mut middle, &sum, noise.offsets[0]);
             }
         }
         for i in 0..P {
@@ -95,13 +96,6 @@ fn add_square<const P: usize>(sum: &mut [[f64; P]; P], v: &[f64; P], weight: f64
 fn add<const P: usize>(sum: &mut [f64; P], v: &[f64; P], weight: f64) {
     for (sum, v) in sum.iter_mut().zip(v) {
         *sum += weight * v;
-    }
-}
-
-/// An offset is the mean of a few noisy samples: its own error is common to all samples of the trace.
-fn add_offset<const P: usize>(middle: &mut [[f64; P]; P], sum: &[f64; P], variance: f64, samples: usize) {
-    if samples > 0 {
-        add_square(middle, sum, variance / samples as f64);
     }
 }
 

@@ -7,10 +7,10 @@ use super::{
     checks::{self, quantum, second_difference_noise},
     covariance::Noise,
     decimate,
-    movement::{MIN_QUIET, Movement},
+    movement::{Level, MIN_QUIET, Movement},
     rejection::Channel,
     release,
-    sriv::{Failure, Problem, Signal, Solution, Sriv, Termination, Workspace},
+    sriv::{Failure, Problem, Signal, Solution, Sriv, Unsound, Workspace},
 };
 use crate::throw::{Direction, Throw};
 
@@ -21,10 +21,17 @@ const MIN_DURATION_S: f64 = 0.3;
 const LEAD_IN: usize = 2;
 /// Fewest samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
-/// Least reciprocal condition of the normal matrix: below it rounding reaches the third digit.
-const MIN_RCOND: f64 = 1e-12;
-/// Largest standard deviation of b0 that is of use \[%\].
-const MAX_SD_PCT: f64 = 20.0;
+/// Largest standard deviations of b0, a1 and a0 that are of use \[%\]; a0 may be small.
+const MAX_SD_PCT: [f64; 3] = [10.0, 15.0, 30.0];
+/// The same for a trace that ends in the middle of the movement.
+const MAX_SD_CUT_PCT: f64 = 1.2;
+/// What dry friction, rails and a soft drive make the movement depart from a linear model, as a share of the travel:
+/// root mean square, and averaged over 20 ms.
+const MISFIT_RMS: f64 = 4e-4;
+const MISFIT_PEAK: f64 = 1.5e-3;
+const MISFIT_STRETCH_S: f64 = 0.02;
+/// How much of the wandering that noise in the current causes is left beside a fitted model.
+const FITTED_SHARE: f64 = 0.3;
 /// Equivalent noise bandwidth of a fourth-order Butterworth low-pass over its cut-off.
 const NOISE_BANDWIDTH: f64 = 1.026;
 
@@ -87,8 +94,13 @@ struct Window {
     /// Variances of white noise on input (per unit scale) and output.
     input_noise: f64,
     output_noise: f64,
-    /// Quiet samples behind the offsets that were removed from input and output.
-    offset_samples: [usize; 2],
+    /// Quiet samples behind the output's noise.
+    noise_samples: usize,
+    /// Variances of the offsets that were removed from input and output.
+    offsets: [f64; 2],
+    /// The input is I |I|, and its mean magnitude of I.
+    series: bool,
+    running: f64,
 }
 
 impl Identifier {
@@ -103,6 +115,8 @@ impl Identifier {
 
         copy_finite(&mut self.current, trace.current_a());
         copy_finite(&mut self.position, trace.position_mm());
+        let released =
+            (factor > 1).then(|| release::at_full_rate(&self.current, raw_interval_s, &mut self.scratch)).flatten();
         let at_rest = if factor > 1 { level_before(&self.current) } else { 0.0 };
         decimate::decimate(&mut self.current, factor, at_rest);
         let first = self.position[0];
@@ -115,7 +129,10 @@ impl Identifier {
                 checks::course(&movement, &self.current, &self.position, interval_s, settings, &mut self.scratch)
             })
             .and_then(|()| checks::noise(&movement, settings))
-            .and_then(|()| self.estimate(throw, settings, &movement, interval_s, factor));
+            .and_then(|()| checks::inrush(&movement, &self.current, &mut self.scratch))
+            .and_then(|()| checks::sticking(&movement, Channel::Current, trace.current_a(), raw_interval_s, factor))
+            .and_then(|()| checks::sticking(&movement, Channel::Position, trace.position_mm(), raw_interval_s, factor))
+            .and_then(|()| self.estimate(throw, settings, &movement, interval_s, factor, released));
         let moved = direction_moved(&movement, &outcome);
         Identification {
             direction: moved.or(throw.direction),
@@ -132,6 +149,7 @@ impl Identifier {
         movement: &Movement,
         interval_s: f64,
         factor: usize,
+        released: Option<f64>,
     ) -> Result<Estimate, Rejection> {
         let rate_hz = 1.0 / interval_s;
         let filter_hz = throw.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001);
@@ -139,8 +157,10 @@ impl Identifier {
         if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
             return Err(Rejection::Undersampled { rise_samples });
         }
+        checks::spikes(movement, Channel::Current, &self.current, interval_s)?;
+        checks::spikes(movement, Channel::Position, &self.position, interval_s)?;
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
-        let window = self.window(settings, movement, interval_s, filter_hz)?;
+        let window = self.window(settings, movement, interval_s, filter_hz, released)?;
         let model = ThrowModel::new([0]).map_err(|_| Rejection::Singular)?;
         let problem = Problem {
             interval_s: window.interval_s,
@@ -157,10 +177,13 @@ impl Identifier {
             output: window.output_noise,
             inputs: [window.input_noise],
             scale: (settings.motor == Motor::Series).then_some(self.input_scale.as_slice()),
-            offset_samples: window.offset_samples,
+            offsets: window.offsets,
         };
         let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
-        finish(&solution, &covariance, &window)
+        let travel = movement.travel_mm * std::f64::consts::TAU / settings.lead_mm;
+        misfit(&self.output, self.workspace.model_output(), &solution, &window, travel, settings.lead_mm)?;
+        let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
+        finish(&solution, &covariance, &window, cut.then_some(movement.travel_mm))
     }
 
     /// Cuts the window out of the trace and brings it into the model's terms: input positive when it drives the throw,
@@ -171,6 +194,7 @@ impl Identifier {
         movement: &Movement,
         interval_s: f64,
         filter_hz: Option<f64>,
+        released: Option<f64>,
     ) -> Result<Window, Rejection> {
         let from = movement.start().saturating_sub(LEAD_IN);
         let to = movement.end(&self.position).max(from) + 1;
@@ -189,7 +213,10 @@ impl Identifier {
                 *i *= i.abs();
             }
         }
-        let released = release::time(&self.current[from..to], offset, movement.start() - from, interval_s, filter_hz);
+        let released = released.map_or_else(
+            || release::time(&self.current[from..to], offset, movement.start() - from, interval_s, filter_hz),
+            |released| released - from as f64 * interval_s,
+        );
         let equilibrium = movement.sign * (settings.neutral_mm - start_mm) * radians_per_mm;
         release::course(&mut self.equilibrium, to - from, released, interval_s, filter_hz);
         for shift in &mut self.equilibrium {
@@ -205,7 +232,13 @@ impl Identifier {
             shifted: equilibrium != 0.0,
             input_noise: current_sd * current_sd * colour,
             output_noise: (position_sd * radians_per_mm).powi(2) * colour,
-            offset_samples: [movement.current.samples, movement.position.samples],
+            noise_samples: movement.position.samples,
+            offsets: [
+                offset_variance(movement.current, &self.current),
+                offset_variance(movement.position, &self.position) * radians_per_mm * radians_per_mm,
+            ],
+            series: settings.motor == Motor::Series,
+            running: movement.mean_a,
         };
         let samples = to - from;
         if samples < MIN_SAMPLES || (samples as f64) * interval_s < MIN_DURATION_S {
@@ -229,6 +262,13 @@ impl Identifier {
     }
 }
 
+/// Variance of a mean over quiet samples; with less noise than half a step of the converter averaging does not help.
+fn offset_variance(level: Level, values: &[f64]) -> f64 {
+    let step = quantum(values);
+    let rounding = if level.sd < 0.5 * step { step * step / 12.0 } else { 0.0 };
+    if level.samples == 0 { 0.0 } else { level.sd * level.sd / level.samples as f64 + rounding }
+}
+
 /// The settings that the estimate divides by.
 fn checks_of(settings: &Settings) -> Result<(), Rejection> {
     for (name, value) in [("lead_mm", settings.lead_mm), ("stroke_mm", settings.stroke_mm.unwrap_or(1.0))] {
@@ -239,34 +279,74 @@ fn checks_of(settings: &Settings) -> Result<(), Rejection> {
     Ok(())
 }
 
-/// "Converged" alone is not acceptance: on data that the model cannot describe, SRIV converges to nonsense.
 fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejection> {
     let [b0, a1, a0] = solution.parameters;
-    if solution.rcond < MIN_RCOND {
-        return Err(Rejection::Singular);
+    let sound = solution.sound(settings.fit_floor_pct / 100.0);
+    let positive = b0 > 0.0 && a1 > 0.0 && a0 > 0.0;
+    match sound {
+        Err(Unsound::NearlySingular { .. }) => Err(Rejection::Singular),
+        Err(Unsound::NotConverged { iterations }) => Err(Rejection::NotConverged { iterations }),
+        Ok(()) | Err(_) if !positive => Err(Rejection::NotPositive { b0, a1, a0 }),
+        Err(Unsound::Unstable) => Err(Rejection::Unstable { a1, a0 }),
+        Err(Unsound::PoorFit { fit }) => {
+            Err(Rejection::PoorFit { fit_pct: 100.0 * fit, floor_pct: settings.fit_floor_pct })
+        }
+        Ok(()) => Ok(()),
     }
-    if solution.termination != Termination::Converged {
-        return Err(Rejection::NotConverged { iterations: solution.iterations });
+}
+
+/// Refuses an output that departs from the model's by more than noise and the usual dry friction explain.
+fn misfit(
+    output: &[f64],
+    model: &[f64],
+    solution: &Solution<2, 1, 3>,
+    window: &Window,
+    travel: f64,
+    lead_mm: f64,
+) -> Result<(), Rejection> {
+    let [b0, a1, a0] = solution.parameters;
+    // White noise of unit variance on the input makes this variance at the model's output once it has settled.
+    let settled = b0 * b0 / (2.0 * a1 * a0) * window.interval_s;
+    let scale = if window.series { 4.0 * window.running * window.running } else { 1.0 };
+    let through = FITTED_SHARE * FITTED_SHARE * settled * scale * window.input_noise;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of the samples")]
+    let stretch = ((MISFIT_STRETCH_S / window.interval_s) as usize).clamp(1, output.len());
+    let (mut squares, mut peak, mut at) = (0.0, 0.0_f64, 0);
+    for (block, (y, x)) in output.chunks(stretch).zip(model.chunks(stretch)).enumerate() {
+        let sum: f64 = y.iter().zip(x).map(|(y, x)| y - x).sum();
+        squares += y.iter().zip(x).map(|(y, x)| (y - x) * (y - x)).sum::<f64>();
+        let mean = (sum / y.len() as f64).abs();
+        if y.len() == stretch && mean > peak {
+            (peak, at) = (mean, block * stretch);
+        }
     }
-    if b0 <= 0.0 || a1 <= 0.0 || a0 <= 0.0 {
-        return Err(Rejection::NotPositive { b0, a1, a0 });
-    }
-    if solution.reflected {
-        return Err(Rejection::Unstable { a1, a0 });
-    }
-    let fit_pct = 100.0 * solution.fit;
-    // Written so that a NaN is refused.
-    if !(fit_pct >= settings.fit_floor_pct) {
-        return Err(Rejection::PoorFit { fit_pct, floor_pct: settings.fit_floor_pct });
+    // The noise itself is known from a few samples only: leave room for five standard deviations of its variance.
+    let room = 1.0 + 5.0 * (2.0 / window.noise_samples.max(MIN_QUIET) as f64).sqrt();
+    let excess = (squares / output.len() as f64 - room * window.output_noise - through).max(0.0).sqrt();
+    let wander = 5.0 * (window.output_noise / stretch as f64 + through).sqrt();
+    if excess > (MISFIT_RMS * travel).hypot(3.0 * through.sqrt()) || peak > (MISFIT_PEAK * travel).hypot(wander) {
+        let at_s = (window.from + at) as f64 * window.interval_s;
+        return Err(Rejection::Misfit { peak_mm: peak * lead_mm / std::f64::consts::TAU, at_s });
     }
     Ok(())
 }
 
-fn finish(solution: &Solution<2, 1, 3>, covariance: &[[f64; 3]; 3], window: &Window) -> Result<Estimate, Rejection> {
+fn finish(
+    solution: &Solution<2, 1, 3>,
+    covariance: &[[f64; 3]; 3],
+    window: &Window,
+    cut_after_mm: Option<f64>,
+) -> Result<Estimate, Rejection> {
     let [b0, a1, a0] = solution.parameters;
-    let sd_pct = 100.0 * covariance[0][0].sqrt() / b0;
-    if !(sd_pct <= MAX_SD_PCT) {
-        return Err(Rejection::Uncertain { sd_pct, limit_pct: MAX_SD_PCT });
+    for (i, name) in ["b0", "a1", "a0"].into_iter().enumerate() {
+        let sd_pct = 100.0 * covariance[i][i].sqrt() / solution.parameters[i];
+        match cut_after_mm {
+            Some(travel_mm) if !(sd_pct <= MAX_SD_CUT_PCT) => return Err(Rejection::EndMissing { travel_mm }),
+            _ if !(sd_pct <= MAX_SD_PCT[i]) => {
+                return Err(Rejection::Uncertain { name, sd_pct, limit_pct: MAX_SD_PCT[i] });
+            }
+            _ => {}
+        }
     }
     Ok(Estimate {
         b0,

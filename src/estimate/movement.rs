@@ -1,7 +1,7 @@
 //! What happened in a throw, read from its two channels without any model: when the motor started and stopped, where
 //! the toe was before and after, and how noisy the sensors were while nothing happened.
 
-use super::Features;
+use super::{Channel, Features};
 
 /// The motor's start is looked for at this share of the largest current, above sensor noise and below the first rise.
 const START_SHARE: f64 = 0.05;
@@ -72,7 +72,11 @@ impl Movement {
             position_level.mean = position[0];
         }
         let end_mm = median_of(&position[len - (len / 50).clamp(1, 50)..], scratch);
-        let moved = end_mm - position_level.mean;
+        // An obstructed drive springs back once the motor lets go: what counts is how far it got.
+        let with_motor = motor_off.map_or(end_mm, |off| median_of(&position[off.saturating_sub(4)..=off], scratch));
+        let distance = |mm: f64| (mm - position_level.mean).abs();
+        let reached_mm = if distance(with_motor) > distance(end_mm) { with_motor } else { end_mm };
+        let moved = reached_mm - position_level.mean;
         let sign = if moved == 0.0 { 0.0 } else { moved.signum() };
         let progress = |k: usize| sign * (position[k] - position_level.mean);
         let travel_mm = moved.abs();
@@ -94,6 +98,23 @@ impl Movement {
             peak_a,
             mean_a,
         }
+    }
+
+    /// What a channel showed while nothing happened.
+    pub(super) fn level(&self, channel: Channel) -> Level {
+        match channel {
+            Channel::Current => self.current,
+            Channel::Position => self.position,
+        }
+    }
+
+    /// Whether the trace ends while the toe is moving.
+    pub(super) fn ends_moving(&self, position: &[f64]) -> bool {
+        let last = position.len() - 1;
+        let stretch = (last / 50).max(3).min(last);
+        let speed = |from: usize, to: usize| (position[to] - position[from]).abs() / (to - from).max(1) as f64;
+        let running = speed(self.start().min(self.near_end.saturating_sub(1)), self.near_end.max(1));
+        speed(last - stretch, last) > 0.5 * running
     }
 
     /// Last sample before the motor's start, or the first of the trace.
@@ -137,7 +158,7 @@ impl Level {
 }
 
 /// The last sample before the current leaves its noise; `None` when it never does.
-fn start_of_motor(current: &[f64], scratch: &mut Vec<f64>) -> Option<usize> {
+pub(super) fn start_of_motor(current: &[f64], scratch: &mut Vec<f64>) -> Option<usize> {
     let lead = median_of(&current[..current.len().min(5)], scratch);
     let peak = peak(current, lead);
     let crossing = |threshold: f64| {

@@ -202,12 +202,41 @@ pub enum Rejection {
         /// The floor \[%\].
         floor_pct: f64,
     },
-    /// The noise leaves the coefficients open.
+    /// The model's output departs from the measured one by more than the sensors' noise and dry friction explain.
     #[error(
-        "the noise leaves b0 uncertain by {sd_pct:.0} % (one standard deviation), at most {limit_pct:.0} % are of use"
+        "the movement departs from the model by up to {peak_mm:.2} mm at {at_s:.2} s: current and position do not \
+         belong together (lost samples, a disturbed channel, channels of different moments)"
+    )]
+    Misfit {
+        /// Largest departure, averaged over short stretches \[mm\].
+        peak_mm: f64,
+        /// Its time from the start of the trace \[s\].
+        at_s: f64,
+    },
+    /// The current has no inrush.
+    #[error("the current has no inrush: {peak_a:.2} A at the start against {running_a:.2} A later")]
+    NoInrush {
+        /// Largest current early in the movement \[A\].
+        peak_a: f64,
+        /// Median current after that \[A\].
+        running_a: f64,
+    },
+    /// The recording ends in the middle of the movement.
+    #[error(
+        "the recording ends after {travel_mm:.1} mm while the toe is still moving: too early to tell the coefficients"
+    )]
+    EndMissing {
+        /// Distance moved by then \[mm\].
+        travel_mm: f64,
+    },
+    /// The noise leaves a coefficient open.
+    #[error(
+        "the noise leaves {name} uncertain by {sd_pct:.0} % (one standard deviation), at most {limit_pct:.0} % are of use"
     )]
     Uncertain {
-        /// Standard deviation of b0 \[%\].
+        /// Which coefficient.
+        name: &'static str,
+        /// Its standard deviation \[%\].
         sd_pct: f64,
         /// The limit \[%\].
         limit_pct: f64,
@@ -249,6 +278,9 @@ impl Rejection {
             Self::Unstable { .. } => "unstable",
             Self::NotPositive { .. } => "not_positive",
             Self::PoorFit { .. } => "poor_fit",
+            Self::Misfit { .. } => "misfit",
+            Self::NoInrush { .. } => "no_inrush",
+            Self::EndMissing { .. } => "end_missing",
             Self::Uncertain { .. } => "uncertain",
             Self::Settings { .. } => "bad_settings",
         }

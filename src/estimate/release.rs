@@ -5,21 +5,30 @@
 //! early costs 0.8 % of all three coefficients in the direction in which the spring drives the throw.
 //!
 //! Unfiltered, the current shows it: the foot of its rise, extrapolated through the first samples. A filter that both
-//! channels passed delays and rounds the foot. Then moments tell: a filter adds its own delay and variance to those of
-//! the inrush, and the inrush is a one-sided pulse, whose mean lies a fixed share of its spread after its start.
+//! channels passed delays and rounds the foot; then the start is that of the rectangular pulse which, filtered alike,
+//! fits the current's rise best.
 
 use std::f64::consts::TAU;
 
-/// Mean of an inrush pulse over its spread: 1 for an exponential, √2 for one with equal rise and decay times.
-const MEAN_OVER_SPREAD: f64 = 1.25;
+use super::movement::start_of_motor;
+
+/// Widths of inrush that are tried \[s\].
+const PULSE_WIDTHS_S: [f64; 5] = [0.005, 0.01, 0.02, 0.04, 0.08];
+/// Starts that are tried.
+const STEPS: u32 = 100;
 /// Delay of a fourth-order Butterworth low-pass at 0 Hz, in units of 1/ω_c: 2 (sin π/8 + sin 3π/8).
 const FILTER_DELAY: f64 = 2.613_125_929_752_753;
+
+/// The moment of release \[s\] in a trace before its decimation; `None` when the motor was never off or never on.
+pub(super) fn at_full_rate(current: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Option<f64> {
+    start_of_motor(current, scratch).filter(|foot| *foot > 0).map(|foot| foot as f64 * interval_s)
+}
 
 /// The moment of release \[s\] from the first sample of `current` \[A\], whose last quiet sample is `foot`.
 pub(super) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, filter_hz: Option<f64>) -> f64 {
     match filter_hz {
         None => (foot as f64 + foot_fraction(current, offset, foot)) * interval_s,
-        Some(hz) => (pulse_start(current, offset, foot, interval_s, hz)).clamp(0.0, (foot + 2) as f64 * interval_s),
+        Some(hz) => (pulse_start(current, offset, foot, interval_s, hz)).clamp(0.0, (foot + 3) as f64 * interval_s),
     }
 }
 
@@ -32,27 +41,32 @@ fn foot_fraction(current: &[f64], offset: f64, foot: usize) -> f64 {
     if run.is_finite() && run > 0.0 { 1.0 - run.min(1.0) } else { 0.0 }
 }
 
+/// The start of the inrush by least squares: up to its crest the filtered current is that of a rectangular pulse, of the
+/// start and width that fit best.
 fn pulse_start(current: &[f64], offset: f64, foot: usize, interval_s: f64, hz: f64) -> f64 {
-    let level = |k: usize| (current[k] - offset).abs();
-    let peak = (foot..current.len()).fold(foot, |peak, k| if level(k) > level(peak) { k } else { peak });
-    // The running current after the inrush, and where the pulse has come down to it.
-    let after = (peak + (current.len() - peak) / 3).min(current.len() - 1);
-    let running = super::movement::mean((peak.max(after / 2)..=after).map(level));
-    let end = (peak..after).find(|&k| level(k) < running + 0.02 * (level(peak) - running)).unwrap_or(after);
-    let (mut mass, mut mean, mut square) = (0.0, 0.0, 0.0);
-    for k in foot..end {
-        let time_s = k as f64 * interval_s;
-        let excess = level(k) - if k > peak { running } else { running.min(level(k)) };
-        mass += excess;
-        mean += excess * time_s;
-        square += excess * time_s * time_s;
-    }
-    let mean = mean / mass;
-    let variance = square / mass - mean * mean;
-    let omega = TAU * hz;
-    // Variance of the impulse response of a fourth-order Butterworth low-pass: Σ 1/ω_i² over its poles, which is 0.
-    let spread = variance.max(0.0).sqrt();
-    mean - FILTER_DELAY / omega - MEAN_OVER_SPREAD * spread
+    let level = |k: usize| current[k] - offset;
+    let crest = (foot..current.len()).max_by(|&a, &b| level(a).abs().total_cmp(&level(b).abs())).unwrap_or(foot);
+    let samples = foot.saturating_sub(1)..(crest + 2).min(current.len());
+    let misfit = |start: f64, width: f64| {
+        let (mut both, mut pulse, mut power) = (0.0, 0.0, 0.0);
+        for k in samples.clone() {
+            let time_s = k as f64 * interval_s - start;
+            let shape = step_response(time_s, hz) - step_response(time_s - width, hz);
+            both += shape * level(k);
+            pulse += shape * shape;
+            power += level(k) * level(k);
+        }
+        if pulse > 0.0 { power - both * both / pulse } else { power }
+    };
+    let foot_s = foot as f64 * interval_s;
+    let span = FILTER_DELAY / (TAU * hz) + 2.0 * interval_s;
+    let candidates = PULSE_WIDTHS_S.into_iter().flat_map(|width| {
+        (0..=STEPS).map(move |step| (foot_s + interval_s - span * f64::from(step) / f64::from(STEPS), width))
+    });
+    candidates
+        .map(|(start, width)| (misfit(start, width), start))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map_or(foot_s, |best| best.1)
 }
 
 /// Mean over each sampling interval of the step at `released` \[s\], after the filter.

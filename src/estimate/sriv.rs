@@ -106,6 +106,56 @@ pub enum Failure {
     Singular,
 }
 
+/// Why a solution is not to be used although the iteration came to an end.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum Unsound {
+    /// The normal equations are close to singular.
+    #[error("the normal equations are nearly singular (reciprocal condition {rcond:e})")]
+    NearlySingular {
+        /// Reciprocal condition of the equilibrated normal matrix.
+        rcond: f64,
+    },
+    /// The iteration limit came first.
+    #[error("no convergence in {iterations} iterations")]
+    NotConverged {
+        /// Iterations done.
+        iterations: usize,
+    },
+    /// The model found is unstable; its filter worked only with reflected poles.
+    #[error("the model found is unstable")]
+    Unstable,
+    /// The model's output does not follow the measured one.
+    #[error("the model explains {fit} of the output's variance only")]
+    PoorFit {
+        /// R²_T.
+        fit: f64,
+    },
+}
+
+/// Least reciprocal condition of the normal matrix: below it rounding reaches the third digit.
+const MIN_RCOND: f64 = 1e-12;
+
+impl<const N: usize, const S: usize, const P: usize> Solution<N, S, P> {
+    /// Whether this is an estimate at all. "Converged" alone is not: on data that the model cannot describe, SRIV
+    /// converges to nonsense.
+    ///
+    /// # Errors
+    /// The first thing that is wrong with it: not converged, unstable, nearly singular, or a fit R²_T below `fit_floor`.
+    pub fn sound(&self, fit_floor: f64) -> Result<(), Unsound> {
+        if self.rcond < MIN_RCOND {
+            return Err(Unsound::NearlySingular { rcond: self.rcond });
+        }
+        if self.termination != Termination::Converged {
+            return Err(Unsound::NotConverged { iterations: self.iterations });
+        }
+        if self.reflected {
+            return Err(Unsound::Unstable);
+        }
+        // Written so that a NaN is refused.
+        if self.fit >= fit_floor { Ok(()) } else { Err(Unsound::PoorFit { fit: self.fit }) }
+    }
+}
+
 /// The estimate and what it takes to judge it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution<const N: usize, const S: usize, const P: usize> {

@@ -2,7 +2,8 @@
 
 #![expect(missing_docs, clippy::expect_used, reason = "criterion's macros; a benchmark may stop on an error")]
 
+mod estimator;
 mod simulator;
 
-criterion::criterion_group!(benches, simulator::simulator);
+criterion::criterion_group!(benches, estimator::estimation, simulator::simulator);
 criterion::criterion_main!(benches);

@@ -1,5 +1,7 @@
 //! The estimator and the simulated machine against known answers.
 
+mod covariance;
+mod damaged;
 mod emps;
 mod identify;
 mod machine;

@@ -1,0 +1,314 @@
+//! Damaged traces: each is refused with its reason, and random damage never passes as a sound estimate far from the truth.
+
+use pointsd::estimate::{Identification, Identifier, Rejection, Settings};
+use pointsd::simulate::{Conditions, Parameters, Sensors};
+use pointsd::throw::{Direction, Trace};
+use rand::RngExt;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use super::identify::{settings_of, simulated, throw_with};
+
+#[derive(Clone)]
+struct Channels {
+    rate_hz: f64,
+    current: Vec<f64>,
+    position: Vec<f64>,
+}
+
+impl Channels {
+    fn healthy(sensors: &Sensors, direction: Direction, seed: u64) -> Self {
+        let throw = simulated(&Parameters::default(), sensors, direction, seed);
+        let rate_hz = throw.trace.sample_rate_hz();
+        let (current, position) = throw.trace.into_channels();
+        Self { rate_hz, current, position }
+    }
+
+    fn identify(&self, identifier: &mut Identifier, settings: &Settings) -> Identification {
+        let trace = Trace::new(self.rate_hz, self.current.clone(), self.position.clone()).unwrap();
+        identifier.identify(&throw_with(trace, None), settings)
+    }
+}
+
+/// One random injury. The word says which, for the report.
+fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static str {
+    let len = channels.current.len();
+    let from = rng.random_range(0..len);
+    let to = (from + rng.random_range(1..=len / 4)).min(len);
+    let size = 10.0_f64.powf(rng.random_range(-1.0..2.0)) * if rng.random() { 1.0 } else { -1.0 };
+    let kind = rng.random_range(0..16);
+    let both = rng.random_range(0..3);
+    let mut pick = |apply: &dyn Fn(&mut Vec<f64>)| {
+        if both != 0 {
+            apply(&mut channels.current);
+        }
+        if both != 1 {
+            apply(&mut channels.position);
+        }
+    };
+    match kind {
+        0 => {
+            let value = [f64::NAN, f64::INFINITY, 188_776.0, -1e300, 0.0][rng.random_range(0..5)];
+            pick(&|c| c[from] = value);
+            "value"
+        }
+        1 => {
+            pick(&|c| c[from] += size);
+            "spike"
+        }
+        2 => {
+            pick(&|c| c[from..to].iter_mut().for_each(|v| *v += size));
+            "shifted stretch"
+        }
+        3 => {
+            let factor = rng.random_range(-2.0..3.0);
+            pick(&|c| c[from..to].iter_mut().for_each(|v| *v *= factor));
+            "scaled stretch"
+        }
+        4 => {
+            channels.current.drain(from..to);
+            channels.position.drain(from..to);
+            "lost stretch"
+        }
+        5 => {
+            let copy = [channels.current[from..to].to_vec(), channels.position[from..to].to_vec()];
+            channels.current.splice(from..from, copy[0].iter().copied());
+            channels.position.splice(from..from, copy[1].iter().copied());
+            "repeated stretch"
+        }
+        6 => {
+            pick(&|c| {
+                let value = c[from];
+                c[from..to].fill(value);
+            });
+            "frozen stretch"
+        }
+        7 => {
+            pick(&|c| c[from..to].fill(0.0));
+            "zeroed stretch"
+        }
+        8 => {
+            pick(&|c| c[from..to].reverse());
+            "reversed stretch"
+        }
+        9 => {
+            pick(&|c| c.reverse());
+            "reversed"
+        }
+        10 => {
+            let by = rng.random_range(1..=len / 20);
+            let channel = if both == 0 { &mut channels.current } else { &mut channels.position };
+            if rng.random() {
+                channel.rotate_left(by)
+            } else {
+                channel.rotate_right(by)
+            }
+            "channels apart"
+        }
+        11 => {
+            channels.current.truncate(from.max(1));
+            channels.position.truncate(from.max(1));
+            "cut off"
+        }
+        12 => {
+            channels.current.drain(..from);
+            channels.position.drain(..from);
+            "begun late"
+        }
+        13 => {
+            let limit = size.abs();
+            pick(&|c| c.iter_mut().for_each(|v| *v = v.clamp(-limit, limit)));
+            "clipped"
+        }
+        14 => {
+            let seed = rng.random();
+            pick(&|c| {
+                let mut noise = ChaCha8Rng::seed_from_u64(seed);
+                c.iter_mut().for_each(|v| *v += size * noise.random_range(-1.0..1.0));
+            });
+            "noise"
+        }
+        _ => {
+            let bit = 1_u64 << rng.random_range(0..64);
+            pick(&|c| c[from] = f64::from_bits(c[from].to_bits() ^ bit));
+            "flipped bit"
+        }
+    }
+}
+
+#[test]
+fn random_damage_never_passes_for_a_sound_estimate_far_from_the_truth() {
+    let runs: u64 = std::env::var("POINTSD_MUTATIONS").ok().and_then(|text| text.parse().ok()).unwrap_or(4000);
+    let settings = settings_of(&Parameters::default());
+    let mut identifier = Identifier::default();
+    let healthy: Vec<Channels> = (0..16)
+        .map(|seed| Channels::healthy(&Sensors::default(), Direction::BOTH[usize::from(seed % 2 == 0)], seed))
+        .collect();
+    let whole: Vec<_> =
+        healthy.iter().map(|channels| channels.identify(&mut identifier, &settings).outcome.unwrap()).collect();
+    let (mut accepted, mut nonsense) = (0, Vec::new());
+    for run in 0..runs {
+        let mut rng = ChaCha8Rng::seed_from_u64(run);
+        let pick = rng.random_range(0..healthy.len());
+        let (whole, mut channels) = (&whole[pick], healthy[pick].clone());
+        let kind = mutate(&mut channels, &mut rng);
+        if let Ok(estimate) = channels.identify(&mut identifier, &settings).outcome {
+            accepted += 1;
+            let change = [estimate.b0 / whole.b0, estimate.a1 / whole.a1, estimate.a0 / whole.a0]
+                .into_iter()
+                .fold(0.0, |most: f64, ratio| most.max((ratio - 1.0).abs()));
+            if change > 0.05 {
+                nonsense.push((kind, run, (1e4 * change).round() / 100.0, estimate.fit_pct));
+            }
+        }
+    }
+    println!("{runs} mutations, {accepted} accepted, {} of them more than 5 % away", nonsense.len());
+    nonsense.sort_by(|a, b| a.0.cmp(b.0).then(a.2.total_cmp(&b.2)));
+    for n in &nonsense {
+        println!("{n:?}");
+    }
+    assert!(nonsense.len() as u64 * 1000 <= runs, "{nonsense:?}");
+}
+
+/// What is done to a healthy trace, and the word, or one of the words, that must come out.
+type Damage = (&'static str, &'static str, fn(&mut Channels));
+
+const TABLE: &[Damage] = &[
+    ("one NaN in the current", "not_finite", |c| c.current[900] = f64::NAN),
+    ("one infinity in the position", "not_finite", |c| c.position[900] = f64::INFINITY),
+    ("a corrupt current of 188,776 A", "implausible_value", |c| c.current[1200] = 188_776.0),
+    ("a corrupt position of 1e300 mm", "implausible_value", |c| c.position[1200] = 1e300),
+    ("the toe stands still", "no_movement", |c| c.position.fill(0.0)),
+    ("the current channel is dead", "no_current", |c| c.current.fill(0.01)),
+    ("three samples", "no_movement", |c| c.keep(0..3)),
+    ("only the first 30 ms of the throw", "no_movement", |c| c.keep(0..230)),
+    ("the first 250 ms of the throw", "too_short", |c| c.keep(0..450)),
+    ("half of the throw", "end_missing", |c| c.keep(0..1200)),
+    ("begun 300 ms after the motor's start", "moved_before_current", |c| c.keep(500..4500)),
+    ("begun 20 ms after the motor's start", "start_missing", |c| c.keep(206..4500)),
+    ("the current half a second late", "moved_before_current", |c| c.current.rotate_right(500)),
+    ("the toe comes back half-way", "moved_backwards", |c| {
+        let half = c.position[2200];
+        for (k, x) in c.position[2200..].iter_mut().enumerate() {
+            *x = half - 0.02 * k as f64;
+        }
+    }),
+    ("2 mm of position lost at once", "position_jump", |c| c.position[2200..].iter_mut().for_each(|x| *x += 2.0)),
+    ("100 samples lost in mid-throw", "position_jump", |c| {
+        c.current.drain(2000..2100);
+        c.position.drain(2000..2100);
+    }),
+    ("the current clipped at 8 A", "clipped", |c| c.current.iter_mut().for_each(|i| *i = i.min(8.0))),
+    ("the negative current clipped at -8 A", "clipped", |c| c.current.iter_mut().for_each(|i| *i = -i.min(8.0))),
+    ("the current stuck for half a second", "stuck", |c| {
+        let stuck = c.current[2000];
+        c.current[2000..2500].fill(stuck);
+    }),
+    ("the position stuck from half-way on", "stuck", |c| {
+        let stuck = c.position[2000];
+        c.position[2000..].fill(stuck);
+    }),
+    ("the position stuck for 60 ms", "position_jump", |c| {
+        let stuck = c.position[2000];
+        c.position[2000..2060].fill(stuck);
+    }),
+    ("a lone current of 5 A", "spike", |c| c.current[1500] += 5.0),
+    ("a lone position 0.3 mm off", "spike|position_jump", |c| c.position[1500] += 0.3),
+    ("1 A of noise in the current", "noisy", |c| c.noise(true, 1.0)),
+    ("2 mm of noise in the position", "noisy", |c| c.noise(false, 2.0)),
+    ("every tenth sample only, unfiltered", "undersampled", |c| {
+        c.rate_hz = 100.0;
+        c.current = c.current.iter().step_by(10).copied().collect();
+        c.position = c.position.iter().step_by(10).copied().collect();
+    }),
+    ("played backwards", "no_inrush", |c| {
+        c.current.reverse();
+        c.position.reverse();
+    }),
+    ("the current off for 200 ms while the toe moves on", "misfit", |c| {
+        for (k, i) in c.current[2000..2200].iter_mut().enumerate() {
+            *i = 0.02 * (k as f64).sin();
+        }
+    }),
+    ("the current doubled for a second", "misfit|not_converged", |c| {
+        c.current[2000..3000].iter_mut().for_each(|i| *i *= 2.0)
+    }),
+    ("the position 40 ms late", "misfit", |c| {
+        let first = c.position[0];
+        c.position.rotate_right(40);
+        c.position[..40].fill(first);
+    }),
+    ("a position that has nothing to do with the current", "misfit|not_positive", |c| {
+        for (k, x) in c.position.iter_mut().enumerate() {
+            let share = (k as f64 - 200.0).clamp(0.0, 4000.0) / 4000.0;
+            *x = 115.0 * share * share * (3.0 - 2.0 * share);
+        }
+    }),
+];
+
+impl Channels {
+    fn keep(&mut self, range: std::ops::Range<usize>) {
+        let range = range.start..range.end.min(self.current.len());
+        self.current = self.current[range.clone()].to_vec();
+        self.position = self.position[range].to_vec();
+    }
+
+    fn noise(&mut self, current: bool, size: f64) {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let channel = if current { &mut self.current } else { &mut self.position };
+        channel.iter_mut().for_each(|v| *v += size * 1.7 * rng.random_range(-1.0..1.0));
+    }
+}
+
+#[test]
+fn every_damaged_trace_is_refused_with_its_reason() {
+    let settings = settings_of(&Parameters::default());
+    let mut wrong = Vec::new();
+    for (what, code, damage) in TABLE {
+        let mut channels = Channels::healthy(&Sensors::default(), Direction::NormalToReverse, 5);
+        damage(&mut channels);
+        let found = channels.identify(&mut Identifier::default(), &settings);
+        match found.outcome {
+            Err(refused) if code.split('|').any(|code| code == refused.code()) => {}
+            Err(refused) => wrong.push(format!("{what}: {} instead of {code}: {refused}", refused.code())),
+            Ok(estimate) => wrong.push(format!("{what}: accepted: {estimate:?}")),
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn what_the_machine_did_wrong_is_told_from_what_the_sensors_did() {
+    let machine = Parameters::default();
+    let outcome = |conditions: Conditions, stroke_mm: Option<f64>| {
+        let sensors = Sensors::default();
+        let motion = machine.simulate(Direction::NormalToReverse, &conditions, sensors.step_s()).unwrap();
+        let trace =
+            sensors.record(&motion, Direction::NormalToReverse, &mut ChaCha8Rng::seed_from_u64(3)).unwrap().trace;
+        let settings = Settings { stroke_mm, ..settings_of(&machine) };
+        Identifier::default().identify(&throw_with(trace, None), &settings)
+    };
+    let obstructed = Conditions { obstruction_mm: Some(60.0), ..Conditions::default() };
+    let refused = outcome(obstructed, None).outcome.unwrap_err();
+    assert!(matches!(refused, Rejection::Obstructed { .. }) && refused.is_incomplete(), "{refused}");
+    let found = outcome(obstructed, Some(115.0));
+    assert!(matches!(found.outcome, Err(Rejection::Incomplete { .. })), "{:?}", found.outcome);
+    assert!((58.0..75.0).contains(&found.features.travel_mm.unwrap()), "{:?}", found.features);
+    let cut_off = Conditions { cut_off_after_s: Some(2.0), ..Conditions::default() };
+    let refused = outcome(cut_off, Some(115.0)).outcome.unwrap_err();
+    assert!(matches!(refused, Rejection::Incomplete { .. }), "{refused}");
+}
+
+#[test]
+fn absurd_settings_and_the_shortest_traces_are_refused_without_a_panic() {
+    let healthy = Channels::healthy(&Sensors::default(), Direction::NormalToReverse, 5);
+    for lead_mm in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let refused =
+            healthy.identify(&mut Identifier::default(), &Settings { lead_mm, ..Settings::default() }).outcome;
+        assert_eq!(refused.unwrap_err().code(), "bad_settings");
+    }
+    for len in 1..40 {
+        let mut short = Channels::healthy(&Sensors::default(), Direction::NormalToReverse, 5);
+        short.keep(195..195 + len);
+        assert!(short.identify(&mut Identifier::default(), &Settings::default()).outcome.is_err());
+    }
+}
