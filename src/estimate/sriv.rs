@@ -332,11 +332,13 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             Signal::Sampled(_, Hold::First) => &linear,
             _ => &held,
         });
-        let value = |s: usize, k: usize| match problem.inputs[s] {
-            Signal::Sampled(u, _) => u[k],
-            Signal::Constant => 1.0,
-            Signal::Impulse => 0.0,
-        };
+        // A signal that is not sampled is an empty slice and a constant.
+        let samples: [&[f64]; S] = std::array::from_fn(|s| match problem.inputs[s] {
+            Signal::Sampled(u, _) => u,
+            Signal::Constant | Signal::Impulse => &[],
+        });
+        let constants: [f64; S] = problem.inputs.map(|input| f64::from(u8::from(matches!(input, Signal::Constant))));
+        let value = |s: usize, k: usize| samples[s].get(k).copied().unwrap_or(constants[s]);
         let mut input_states: [[f64; N]; S] = std::array::from_fn(|s| match problem.inputs[s] {
             Signal::Impulse => std::array::from_fn(|i| f64::from(u8::from(i == N - 1))),
             _ => input_filters[s].rest(value(s, 0)),
@@ -344,7 +346,15 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         let mut output_state = linear.rest(output[0]);
         let equilibrium = &problem.equilibrium.unwrap_or(output)[..len];
         let mut shift_state = [0.0; N];
-        let mut model_state = None;
+        // All filters start at rest, so only impulses show in the first output of the auxiliary model.
+        let first: f64 = (0..P - N)
+            .filter(|&column| {
+                let (input, derivative) = self.columns[column];
+                derivative == N - 1 && matches!(problem.inputs[input], Signal::Impulse)
+            })
+            .map(|column| theta[column])
+            .sum();
+        let mut model_state = linear.rest(first);
         let mut sums = Sums { normal: [[0.0; P]; P], right: [0.0; P] };
         for k in 0..len {
             let u: [f64; S] = std::array::from_fn(|s| value(s, k));
@@ -355,8 +365,15 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
                 top -= a[N - 1 - i] * filtered[i];
             }
             let mut phi = [0.0; P];
-            for (phi, (input, derivative)) in phi.iter_mut().zip(&self.columns[..P - N]) {
-                *phi = inputs[*input][*derivative];
+            if P - N == S {
+                // Known at compile time: every numerator is a constant.
+                for s in 0..S {
+                    phi[s] = inputs[s][0];
+                }
+            } else {
+                for (phi, (input, derivative)) in phi.iter_mut().zip(&self.columns[..P - N]) {
+                    *phi = inputs[*input][*derivative];
+                }
             }
             for i in 0..N {
                 phi[P - 1 - i] = -filtered[i];
@@ -374,9 +391,8 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
                     model += a[N - 1] * shift_state[0];
                 }
                 model_output[k] = model;
-                let state = model_state.get_or_insert_with(|| linear.rest(model));
-                let auxiliary = linear.output(state, model);
-                *state = linear.advance(state, model);
+                let auxiliary = linear.output(&model_state, model);
+                model_state = linear.advance(&model_state, model);
                 for i in 0..N {
                     z[P - 1 - i] = -auxiliary[i];
                 }
@@ -428,15 +444,13 @@ fn lag<const N: usize>(lambda: f64) -> [f64; N] {
 
 /// 1 - var(y - x̂) / var(y).
 fn fit(output: &[f64], model: &[f64]) -> f64 {
-    let variance = |values: &mut dyn Iterator<Item = f64>| {
-        let (mut n, mut mean, mut squares) = (0.0, 0.0, 0.0);
-        for value in values {
-            n += 1.0;
-            let delta = value - mean;
-            mean += delta / n;
-            squares += delta * (value - mean);
-        }
-        squares / n
-    };
-    1.0 - variance(&mut output.iter().zip(model).map(|(y, x)| y - x)) / variance(&mut output.iter().copied())
+    let count = output.len() as f64;
+    let mean = output.iter().sum::<f64>() / count;
+    let (mut error, mut error_square, mut square) = (0.0, 0.0, 0.0);
+    for (y, x) in output.iter().zip(model) {
+        error += y - x;
+        error_square += (y - x) * (y - x);
+        square += (y - mean) * (y - mean);
+    }
+    1.0 - (error_square - error * error / count) / square
 }
