@@ -62,10 +62,10 @@ async fn python_publishes_throws_and_receives_the_alarm() {
     let lines = BufReader::new(client.stdout.take().unwrap()).lines();
     let alarm = lines.map_while(Result::ok).find(|line| line.starts_with('{')).expect("an alarm");
     let alarm: Alarm = serde_json::from_str(&alarm).unwrap();
-    client.kill().unwrap();
-    client.wait().unwrap();
     assert_eq!((alarm.site.as_str(), alarm.machine.as_str(), alarm.cause), ("south", "7", Cause::Kt));
     let rows = rig.judged(60).await;
+    client.kill().unwrap();
+    client.wait().unwrap();
     assert!(rows.iter().all(|row| row.quality == "good"));
     assert!(daemon.terminate().success());
 }

@@ -17,36 +17,36 @@ use pointsd::{
     store::{HealthRow, Reader, Selector},
     throw::{Throw, ThrowRef, Trace},
 };
-use zenoh::{Session, bytes::Encoding};
+use zenoh::{Session, bytes::Encoding, qos::CongestionControl};
 
 /// Longest wait for anything: far beyond what a loaded machine takes.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A folder with a configuration and a database.
-pub struct Rig {
+pub(crate) struct Rig {
     folder: tempfile::TempDir,
     extra: String,
 }
 
 /// A running `pointsd run`.
-pub struct Daemon {
+pub(crate) struct Daemon {
     child: Child,
     /// Where it listens.
-    pub endpoint: String,
+    pub(crate) endpoint: String,
     log: Arc<Mutex<Vec<String>>>,
 }
 
 impl Rig {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self::with("")
     }
 
     /// A rig with more lines of configuration.
-    pub fn with(extra: &str) -> Self {
+    pub(crate) fn with(extra: &str) -> Self {
         Self { folder: tempfile::tempdir().unwrap(), extra: extra.to_owned() }
     }
 
-    pub fn database(&self) -> PathBuf {
+    pub(crate) fn database(&self) -> PathBuf {
         self.folder.path().join("points.db")
     }
 
@@ -62,7 +62,7 @@ impl Rig {
     }
 
     /// Starts the daemon and waits until it is ready.
-    pub fn start(&self) -> Daemon {
+    pub(crate) fn start(&self) -> Daemon {
         let mut child = pointsd(&["run", "--config"]).arg(self.config()).stderr(Stdio::piped()).spawn().unwrap();
         let log = Arc::new(Mutex::new(Vec::new()));
         let (ready, endpoint) = mpsc::channel();
@@ -83,13 +83,13 @@ impl Rig {
     }
 
     /// Every row of the health history, in the order of arrival.
-    pub async fn history(&self) -> Vec<HealthRow> {
+    pub(crate) async fn history(&self) -> Vec<HealthRow> {
         let reader = Reader::open(&self.database()).await.unwrap();
         reader.health_history(&Selector::default(), jiff::Timestamp::UNIX_EPOCH, 1_000_000).await.unwrap()
     }
 
     /// Waits until so many throws are judged.
-    pub async fn judged(&self, count: usize) -> Vec<HealthRow> {
+    pub(crate) async fn judged(&self, count: usize) -> Vec<HealthRow> {
         let deadline = Instant::now() + PATIENCE;
         loop {
             let history = self.history().await;
@@ -102,7 +102,7 @@ impl Rig {
     }
 
     /// Runs `pointsd sql` and returns the rows.
-    pub fn sql(&self, question: &str) -> Vec<serde_json::Value> {
+    pub(crate) fn sql(&self, question: &str) -> Vec<serde_json::Value> {
         let output = pointsd(&["sql", "--json", question, "--database"]).arg(self.database()).output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         serde_json::from_slice(&output.stdout).unwrap()
@@ -111,22 +111,22 @@ impl Rig {
 
 impl Daemon {
     /// SIGTERM, and the exit code within the limit that systemd's unit promises.
-    pub fn terminate(mut self) -> ExitStatus {
+    pub(crate) fn terminate(mut self) -> ExitStatus {
         self.signal("-TERM");
         self.wait(Duration::from_secs(10))
     }
 
     /// SIGKILL.
-    pub fn kill(mut self) {
+    pub(crate) fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }
 
-    pub fn signal(&self, signal: &str) {
+    pub(crate) fn signal(&self, signal: &str) {
         assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
     }
 
-    pub fn log(&self) -> Vec<String> {
+    pub(crate) fn log(&self) -> Vec<String> {
         self.log.lock().unwrap().clone()
     }
 
@@ -142,14 +142,14 @@ impl Daemon {
     }
 
     /// A client of this daemon.
-    pub async fn client(&self) -> Session {
+    pub(crate) async fn client(&self) -> Session {
         let text = format!("zenoh.connect.endpoints = [{:?}]", self.endpoint);
         let document = Document::parse("test".as_ref(), text).unwrap();
         bus::open(client_session(&document).unwrap()).await.unwrap()
     }
 
     /// Runs an operator's command; returns its exit code and what it printed.
-    pub fn operate(&self, arguments: &[&str]) -> (Option<i32>, String) {
+    pub(crate) fn operate(&self, arguments: &[&str]) -> (Option<i32>, String) {
         let output = pointsd(arguments).args(["--connect", &self.endpoint]).output().unwrap();
         let text = [output.stdout, output.stderr].concat();
         (output.status.code(), String::from_utf8(text).unwrap())
@@ -164,20 +164,20 @@ impl Drop for Daemon {
     }
 }
 
-pub fn pointsd(arguments: &[&str]) -> Command {
+pub(crate) fn pointsd(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pointsd"));
     command.args(arguments).env_remove("NOTIFY_SOCKET").env_remove("WATCHDOG_USEC");
     command
 }
 
-pub fn pointsim(arguments: &[&str]) -> Command {
+pub(crate) fn pointsim(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pointsim"));
     command.args(arguments);
     command
 }
 
 /// Real throws of one simulated machine.
-pub fn throws(boot_id: &str, count: u64) -> Vec<Throw> {
+pub(crate) fn throws(boot_id: &str, count: u64) -> Vec<Throw> {
     let settings = FleetSettings { machines: 1, ..FleetSettings::default() };
     let mut machine = Fleet::new(&settings, 5).unwrap().into_machines().remove(0);
     let first: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
@@ -198,7 +198,7 @@ pub fn throws(boot_id: &str, count: u64) -> Vec<Throw> {
 }
 
 /// A throw that cannot be evaluated, and costs nothing.
-pub fn stub(boot_id: &str, throw_no: u64) -> Throw {
+pub(crate) fn stub(boot_id: &str, throw_no: u64) -> Throw {
     Throw {
         id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
         started_at: "2026-05-04T10:00:00Z".parse().unwrap(),
@@ -211,13 +211,18 @@ pub fn stub(boot_id: &str, throw_no: u64) -> Throw {
 }
 
 /// Puts a payload on a key.
-pub async fn put(session: &Session, key: &str, encoding: Encoding, payload: Vec<u8>) {
-    session.put(key, payload).encoding(encoding).await.unwrap();
+pub(crate) async fn put(session: &Session, key: &str, encoding: Encoding, payload: Vec<u8>) {
+    session.put(key, payload).encoding(encoding).congestion_control(CongestionControl::Block).await.unwrap();
 }
 
 /// A publisher whose subscriber is there.
-pub async fn matched(session: &Session, key: &'static str) -> zenoh::pubsub::Publisher<'static> {
-    let publisher = session.declare_publisher(key).encoding(Encoding::APPLICATION_CBOR).await.unwrap();
+pub(crate) async fn matched(session: &Session, key: &'static str) -> zenoh::pubsub::Publisher<'static> {
+    let publisher = session
+        .declare_publisher(key)
+        .encoding(Encoding::APPLICATION_CBOR)
+        .congestion_control(CongestionControl::Block)
+        .await
+        .unwrap();
     let listener = publisher.matching_listener().await.unwrap();
     while !publisher.matching_status().await.unwrap().matching() {
         tokio::time::timeout(PATIENCE, listener.recv_async()).await.unwrap().unwrap();
