@@ -97,7 +97,7 @@ fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, counters: &OutletCounte
     while let Some(job) = jobs.blocking_recv() {
         let result = match job {
             Job::Alarm { key, payload, done } => {
-                let result = put_alarm(session, &mut publishers, key, payload);
+                let result = put_alarm(session, &mut publishers, &key, payload);
                 let taken = result.is_ok();
                 // Whoever asked may have given up; the event is published all the same.
                 let _ = done.send(result);
@@ -118,16 +118,16 @@ fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, counters: &OutletCounte
 fn put_alarm(
     session: &Session,
     publishers: &mut HashMap<String, AdvancedPublisher<'static>>,
-    key: String,
+    key: &str,
     payload: Vec<u8>,
 ) -> Result<(), BusError> {
-    if !publishers.contains_key(&key) && publishers.len() < MAX_PUBLISHERS {
-        let publisher = declare(session, &key).map_err(BusError::new(format!("declare a publisher on {key}")))?;
-        publishers.insert(key.clone(), publisher);
+    if !publishers.contains_key(key) && publishers.len() < MAX_PUBLISHERS {
+        let publisher = declare(session, key).map_err(BusError::new(format!("declare a publisher on {key}")))?;
+        publishers.insert(key.to_owned(), publisher);
     }
-    let put = match publishers.get(&key) {
+    let put = match publishers.get(key) {
         Some(publisher) => publisher.put(payload).wait(),
-        None => session.put(key.clone(), payload).encoding(Encoding::APPLICATION_JSON).wait(),
+        None => session.put(key.to_owned(), payload).encoding(Encoding::APPLICATION_JSON).wait(),
     };
     put.map_err(BusError::new(format!("publish on {key}")))
 }

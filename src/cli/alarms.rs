@@ -4,7 +4,7 @@ use comfy_table::{Table, presets::UTF8_FULL_CONDENSED};
 use jiff::Timestamp;
 
 use super::{
-    Exit, Failure, Outcome,
+    Exit, Outcome,
     operator::{self, ANSWER_LIMIT, Connection, MachineArgument},
     runtime,
 };
@@ -49,7 +49,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         if somebody.map_err(operator::failure)? == 0 {
             return Err(operator::failure(bus::OperatorError::NoDaemon));
         }
-        print(&replies, arguments.json)
+        Ok(print(&replies, arguments.json))
     })
 }
 
@@ -64,20 +64,20 @@ fn selector(arguments: &Arguments) -> String {
     if parameters.is_empty() { key } else { format!("{key}?{}", parameters.join(";")) }
 }
 
-fn print(replies: &[(String, Vec<u8>)], json: bool) -> Result<Exit, Failure> {
+fn print(replies: &[(String, Vec<u8>)], json: bool) -> Exit {
     if json {
         for (_, payload) in replies {
             println!("{}", String::from_utf8_lossy(payload));
         }
-        return Ok(Exit::Ok);
+        return Exit::Ok;
     }
     let alarms: Vec<Alarm> = replies.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect();
     if alarms.is_empty() {
         println!("no alarms");
-        return Ok(Exit::Ok);
+        return Exit::Ok;
     }
     println!("{}", table(&alarms));
-    Ok(Exit::Ok)
+    Exit::Ok
 }
 
 /// Alarms as a table for people.

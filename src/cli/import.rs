@@ -26,7 +26,7 @@ use crate::{
 /// Feeds recorded throws of one machine through spool, identification and diagnosis into the database, in the order
 /// of the command line. The daemon of that database must not run.
 ///
-/// FILE is CSV with the columns time_s, current_a and position_mm, one throw a file; or JSON as on zenoh, one throw a
+/// FILE is CSV with the columns of a recorded trace, one throw a file; or JSON as on zenoh, one throw a
 /// line or one a file. A throw that is in the database already changes nothing.
 ///
 /// Exit codes: 0 imported; 65 a file's content is wrong; 66 a file cannot be read; 69 the daemon is running; 74 the
@@ -114,15 +114,12 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path) -> Result<Throw, 
     let recording = recording::read(file)?;
     let unreadable = || format!("cannot read {}", file.display());
     let content = fs::read(file).with_context(unreadable).or_exit(Exit::NoInput)?;
-    let started_at = match arguments.started_at {
-        Some(first) => {
-            let later = SignedDuration::from_mins(i64::try_from(number).unwrap_or(0));
-            first.checked_add(later).or_exit(Exit::Usage)?
-        }
-        None => {
-            let modified = fs::metadata(file).and_then(|file| file.modified()).with_context(unreadable);
-            Timestamp::try_from(modified.or_exit(Exit::NoInput)?).or_exit(Exit::Data)?
-        }
+    let started_at = if let Some(first) = arguments.started_at {
+        let later = SignedDuration::from_mins(i64::try_from(number).unwrap_or(0));
+        first.checked_add(later).or_exit(Exit::Usage)?
+    } else {
+        let modified = fs::metadata(file).and_then(|file| file.modified()).with_context(unreadable);
+        Timestamp::try_from(modified.or_exit(Exit::NoInput)?).or_exit(Exit::Data)?
     };
     Ok(Throw {
         // The content names the throw, so that the same file is the same throw however often it is imported.

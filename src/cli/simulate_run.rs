@@ -41,7 +41,7 @@ pub(super) struct Arguments {
     /// How many times faster than real time.
     #[arg(long, value_name = "FACTOR")]
     time_scale: Option<f64>,
-    /// A part that wears out: machine (from 1), kt|friction|stiffness|rail_stiffness|inertia, size in %, first throw
+    /// A part that wears out: machine (from 1), part (as `kt`, `friction`, `stiffness`, `inertia`), size in %, first throw
     /// that shows it (from 0), and, for a slow one, throws until it is there. May be given several times.
     #[arg(long, value_name = "MACHINE:PART:SIZE:FROM[:RAMP]")]
     fault: Vec<FaultArgument>,

@@ -36,7 +36,7 @@ async fn health_replies(question: &Question, reader: &Reader) -> Replies {
             reader.health_history(&selector(question), since.unwrap_or(Timestamp::UNIX_EPOCH), row_limit(limit)).await
         }
     };
-    let rows = rows.map_err(unavailable)?;
+    let rows = rows.map_err(|error| unavailable(&error))?;
     let messages =
         rows.iter().map(|row| (wire::machine_key(&row.machine, Kind::Health), health_message(row).to_json()));
     Ok(messages.filter(|(key, _)| question.asks_about(key)).collect())
@@ -57,7 +57,7 @@ async fn alarm_replies(question: &Question, reader: &Reader) -> Replies {
             reader.alarm_history(&selector(question), since.unwrap_or(Timestamp::UNIX_EPOCH), row_limit(limit)).await
         }
     };
-    let rows = rows.map_err(unavailable)?;
+    let rows = rows.map_err(|error| unavailable(&error))?;
     let messages = rows.into_iter().map(|row| (wire::machine_key(&row.machine, Kind::Alarm), row.payload.into_bytes()));
     Ok(messages.filter(|(key, _)| question.asks_about(key)).collect())
 }
@@ -93,7 +93,7 @@ pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges
     }
 }
 
-fn unavailable(error: StoreError) -> String {
+fn unavailable(error: &StoreError) -> String {
     format!("the daemon cannot answer: {error}")
 }
 

@@ -16,7 +16,7 @@ use crate::store::StoreError;
 /// How often heartbeats are looked at when systemd does not say.
 const LOOK: Duration = Duration::from_secs(5);
 /// How often the status line is written to the log when all is well.
-const ROUTINE: Duration = Duration::from_secs(600);
+const ROUTINE: Duration = Duration::from_mins(10);
 
 /// Taking in what has arrived.
 const RECEIVE_LIMIT: Duration = Duration::from_millis(3_000);

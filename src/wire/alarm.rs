@@ -97,3 +97,44 @@ pub fn alarm_id(machine: &MachineId, cause: Cause, raised_at: Timestamp) -> Stri
     let word = cause.as_ref().and_then(serde_json::Value::as_str).unwrap_or_default();
     format!("{}.{}.{word}.{}", machine.site, machine.machine, raised_at.as_microsecond())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::throw::ThrowRef;
+
+    #[test]
+    fn the_message_has_exactly_the_promised_fields() {
+        let at: Timestamp = "2026-05-04T10:11:12Z".parse().unwrap();
+        let event = AlarmEvent {
+            cause: Cause::IncompleteThrow,
+            raised_at: at,
+            event_no: 2,
+            severity: Severity::Critical,
+            state: AlarmState::ActiveUnacknowledged,
+            event_at: at,
+            change_pct: Some(18.0),
+            change_pct_sd: None,
+            direction: Some(Direction::NormalToReverse),
+            runner_up: Some(RunnerUp { cause: Cause::Kt, margin: 3.5 }),
+            correlation: Some(Correlation { b0_a1: 0.1, b0_a0: 0.2, a1_a0: 0.3 }),
+            first_throw: Some(ThrowRef { boot_id: "b".into(), throw_no: 7 }),
+            last_throw: None,
+            text: "what".into(),
+            limit_in_throws: Some(LimitForecast { low: 1.0, mid: 2.0, high: 3.0 }),
+            by: Some("somebody".into()),
+            why: None,
+        };
+        let message = Alarm::new(&MachineId::new("north", "21B").unwrap(), &event).to_json();
+        let expected = serde_json::json!({
+            "schema": "points.alarm/1", "alarm_id": "north.21B.incomplete_throw.1777889472000000", "event_no": 2,
+            "site": "north", "machine": "21B", "cause": "incomplete_throw", "severity": "critical",
+            "state": "active_unacknowledged", "raised_at": "2026-05-04T10:11:12Z", "event_at": "2026-05-04T10:11:12Z",
+            "change_pct": 18.0, "change_pct_sd": null, "direction": "normal_to_reverse",
+            "runner_up": {"cause": "kt", "margin": 3.5}, "correlation": {"b0_a1": 0.1, "b0_a0": 0.2, "a1_a0": 0.3},
+            "first_throw_no": 7, "last_throw_no": null, "text": "what",
+            "limit_in_throws": {"low": 1.0, "mid": 2.0, "high": 3.0},
+        });
+        assert_eq!(serde_json::from_slice::<serde_json::Value>(&message).unwrap(), expected);
+    }
+}

@@ -64,3 +64,21 @@ impl Health {
         serde_json::to_vec(self).unwrap_or_default()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_message_has_exactly_the_promised_fields() {
+        let text = r#"{"schema": "points.health/1", "site": "north", "machine": "21B", "boot_id": "b", "throw_no": 7,
+            "started_at": "2026-05-04T10:11:12Z", "direction": "unknown", "quality": "no_movement",
+            "b0": null, "a1": null, "a0": null, "b0_sd": null, "a1_sd": null, "a0_sd": null,
+            "b0_pct": null, "a1_pct": null, "a0_pct": null, "fit_pct": null,
+            "duration_s": null, "peak_current_a": 0.5, "mean_current_a": null}"#;
+        let promised: serde_json::Value = serde_json::from_str(text).unwrap();
+        let health: Health = serde_json::from_str(text).unwrap();
+        let written: serde_json::Value = serde_json::from_slice(&health.to_json()).unwrap();
+        assert_eq!(written, promised);
+    }
+}

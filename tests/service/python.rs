@@ -19,7 +19,8 @@ with zenoh.open(config) as session:
     def alarm(sample):
         print(sample.payload.to_string(), flush=True)
     subscriber = session.declare_subscriber("points/v1/**/alarm", alarm)
-    publisher = session.declare_publisher("points/v1/south/7/throw", encoding=zenoh.Encoding.APPLICATION_JSON)
+    publisher = session.declare_publisher("points/v1/south/7/throw", encoding=zenoh.Encoding.APPLICATION_JSON,
+                                          congestion_control=zenoh.CongestionControl.BLOCK)
     while not publisher.matching_status.matching:
         time.sleep(0.05)
     for line in sys.stdin:
@@ -59,8 +60,8 @@ async fn python_publishes_throws_and_receives_the_alarm() {
         writeln!(input, "{message}").unwrap();
     }
     drop(input);
-    let lines = BufReader::new(client.stdout.take().unwrap()).lines();
-    let alarm = lines.map_while(Result::ok).find(|line| line.starts_with('{')).expect("an alarm");
+    let mut lines = BufReader::new(client.stdout.take().unwrap()).lines();
+    let alarm = lines.by_ref().map_while(Result::ok).find(|line| line.starts_with('{')).expect("an alarm");
     let alarm: Alarm = serde_json::from_str(&alarm).unwrap();
     assert_eq!((alarm.site.as_str(), alarm.machine.as_str(), alarm.cause), ("south", "7", Cause::Kt));
     let rows = rig.judged(60).await;

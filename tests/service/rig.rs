@@ -96,7 +96,7 @@ impl Rig {
             if history.len() >= count {
                 return history;
             }
-            assert!(Instant::now() < deadline, "{} of {count} throws are judged", history.len());
+            assert!(Instant::now() < deadline, "{} of {count} throws are judged: {history:?}", history.len());
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     }

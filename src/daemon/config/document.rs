@@ -129,7 +129,7 @@ impl Document {
             .and_then(|at| self.places.iter().filter(|place| holds(place, at)).max_by_key(|place| place.path.len()));
         let mut problem = error.message().lines().collect::<Vec<_>>().join(", ");
         if problem.is_empty() {
-            problem = "not valid TOML".to_owned();
+            "not valid TOML".clone_into(&mut problem);
         }
         ConfigError {
             file: self.file.clone(),
@@ -140,7 +140,7 @@ impl Document {
     }
 
     fn line(&self, at: usize) -> usize {
-        1 + self.text.as_bytes()[..at.min(self.text.len())].iter().filter(|byte| **byte == b'\n').count()
+        1 + self.text.bytes().take(at).filter(|byte| *byte == b'\n').count()
     }
 }
 

@@ -40,7 +40,7 @@ pub struct Subscribe {
 }
 
 /// The `[identify]` section: how much of the computer the estimator may use.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Identify {
     /// Threads, 0 to 64; 0 for as many as there are processors, at most 8.
@@ -76,12 +76,6 @@ impl Default for Monitor {
 impl Default for Subscribe {
     fn default() -> Self {
         Self { key: "points/v1/**".to_owned(), max_payload_bytes: 16 << 20, max_machines: 10_000 }
-    }
-}
-
-impl Default for Identify {
-    fn default() -> Self {
-        Self { threads: 0 }
     }
 }
 

@@ -32,16 +32,12 @@ impl Encoding {
         }
     }
 
-    /// The encoding of a payload: as its content type says, else as its first byte shows. JSON objects begin with `{`
-    /// after white space, and no CBOR map or tag begins with any of these bytes.
+    /// The encoding of a payload. A first byte `{` after white space is JSON whatever the content type says: no CBOR
+    /// map begins with it, and many clients leave the content type as it is.
     #[must_use]
     pub fn of(content_type: &str, payload: &[u8]) -> Self {
-        if content_type.starts_with(Self::Cbor.content_type()) {
-            return Self::Cbor;
-        }
         let first = payload.iter().find(|byte| !byte.is_ascii_whitespace());
-        let looks_like_json = matches!(first, Some(b'{' | b'[' | b'"'));
-        if content_type.contains("json") || looks_like_json { Self::Json } else { Self::Cbor }
+        if first == Some(&b'{') || content_type.contains("json") { Self::Json } else { Self::Cbor }
     }
 }
 

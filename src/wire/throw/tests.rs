@@ -27,7 +27,9 @@ fn json(from: &str, to: &str) -> Result<Throw, InvalidThrow> {
 fn both_encodings_carry_a_throw_unchanged() {
     for encoding in [Encoding::Cbor, Encoding::Json] {
         let bytes = encode_throw(encoding, &example());
-        assert_eq!(Encoding::of("", &bytes), encoding);
+        for content_type in ["", "zenoh/bytes", "application/cbor", encoding.content_type()] {
+            assert_eq!(Encoding::of(content_type, &bytes), encoding);
+        }
         assert_eq!(decode_throw(encoding, &bytes).unwrap(), example());
     }
 }
