@@ -19,15 +19,15 @@ const LOOK: Duration = Duration::from_secs(5);
 const ROUTINE: Duration = Duration::from_mins(10);
 
 /// Taking in what has arrived.
-const RECEIVE_LIMIT: Duration = Duration::from_millis(3_000);
+const RECEIVE_LIMIT: Duration = Duration::from_secs(3);
 /// Judging what waits; the rest is judged after the next start.
 const JUDGE_LIMIT: Duration = Duration::from_millis(2_500);
 /// Leaving the work when the time is up.
 const LEAVE_LIMIT: Duration = Duration::from_millis(700);
 /// Publishing what waits; the rest is published after the next start.
-const PUBLISH_LIMIT: Duration = Duration::from_millis(1_000);
+const PUBLISH_LIMIT: Duration = Duration::from_secs(1);
 /// Closing the session.
-const SESSION_LIMIT: Duration = Duration::from_millis(1_000);
+const SESSION_LIMIT: Duration = Duration::from_secs(1);
 
 /// A task that ended on its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

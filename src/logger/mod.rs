@@ -30,7 +30,7 @@ use crate::{
 use publish::Publishing;
 
 /// How long the monitor is given to judge the last throws.
-const JUDGED_LIMIT: Duration = Duration::from_secs(60);
+const JUDGED_LIMIT: Duration = Duration::from_mins(1);
 /// How often the monitor is asked how far it is.
 const JUDGED_PACE: Duration = Duration::from_millis(200);
 

@@ -77,11 +77,11 @@ impl Publishing {
         let start = clock::monotonic();
         let interval = Duration::from_secs_f64(self.settings.interval_s / self.settings.time_scale);
         let last = self.settings.throws.unwrap_or(u64::MAX);
-        let count = sources.len() as u32;
+        let count = sources.len().max(1) as f64;
         for round in 0..last {
             for (number, source) in sources.iter_mut().enumerate() {
                 // Machines throw one after the other, spread over the interval.
-                let share = number as f64 / f64::from(count.max(1));
+                let share = number as f64 / count;
                 let due = (round as f64 + share) * interval.as_secs_f64();
                 let message = self.message(source.machine.next_throw()?, started_at, round as f64 + share);
                 if !self.wait_until(start + Duration::from_secs_f64(due)) {

@@ -1,5 +1,7 @@
 //! The real programs over loopback: daemon, logger, operators, foreign clients.
 
+#![expect(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "helpers of tests outside #[test]")]
+
 mod configuration;
 mod operators;
 mod python;

@@ -20,7 +20,7 @@ use pointsd::{
 use zenoh::{Session, bytes::Encoding, qos::CongestionControl};
 
 /// Longest wait for anything: far beyond what a loaded machine takes.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 
 /// A folder with a configuration and a database.
 pub(crate) struct Rig {

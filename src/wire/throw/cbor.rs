@@ -128,12 +128,12 @@ fn joined_text(decoder: &mut Decoder<'_>) -> Decoded<String> {
     Ok(text)
 }
 
-fn once<T>(field: &'static str, slot: &Option<T>) -> Decoded<()> {
+fn once<T>(field: &'static str, slot: Option<&T>) -> Decoded<()> {
     if slot.is_some() { Err(wrong(field, "given twice")) } else { Ok(()) }
 }
 
 fn text(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<String>) -> Decoded<()> {
-    once(field, slot)?;
+    once(field, slot.as_ref())?;
     match decoder.datatype()? {
         Type::String | Type::StringIndef => *slot = Some(joined_text(decoder)?),
         Type::Null | Type::Undefined => skip(decoder, 1)?,
@@ -143,7 +143,7 @@ fn text(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<String
 }
 
 fn count(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<u64>) -> Decoded<()> {
-    once(field, slot)?;
+    once(field, slot.as_ref())?;
     match decoder.datatype()? {
         Type::U8 | Type::U16 | Type::U32 | Type::U64 => *slot = Some(decoder.u64()?),
         Type::Null | Type::Undefined => skip(decoder, 1)?,
@@ -153,7 +153,7 @@ fn count(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<u64>)
 }
 
 fn number(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<f64>) -> Decoded<()> {
-    once(field, slot)?;
+    once(field, slot.as_ref())?;
     *slot = match float(decoder, field)? {
         value if value.is_nan() => None,
         value => Some(value),
@@ -177,7 +177,7 @@ fn float(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<f64> {
 }
 
 fn channel(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<Vec<f64>>) -> Decoded<()> {
-    once(field, slot)?;
+    once(field, slot.as_ref())?;
     *slot = Some(match decoder.datatype()? {
         Type::Tag => typed_array(decoder, field)?,
         Type::Array | Type::ArrayIndef => plain_array(decoder, field)?,

@@ -97,12 +97,9 @@ fn started_at(text: &str) -> Result<Timestamp, InvalidThrow> {
 fn direction(word: Option<&str>) -> Result<Option<Direction>, InvalidThrow> {
     match word {
         None | Some(UNKNOWN_DIRECTION) => Ok(None),
-        Some(word) => match Direction::from_word(word) {
-            Some(direction) => Ok(Some(direction)),
-            None => {
-                let problem = format!("{}, must be normal_to_reverse, reverse_to_normal or unknown", quote(word));
-                Err(wrong("direction", problem))
-            }
-        },
+        Some(word) => Direction::from_word(word).map(Some).ok_or_else(|| {
+            let problem = format!("{}, must be normal_to_reverse, reverse_to_normal or unknown", quote(word));
+            wrong("direction", problem)
+        }),
     }
 }

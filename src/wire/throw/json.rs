@@ -126,7 +126,7 @@ struct Written<'a> {
     anti_alias_hz: Option<f64>,
 }
 
-/// serde_json writes NaN and infinities as null, which reads back as NaN.
+/// `serde_json` writes NaN and infinities as null, which reads back as NaN.
 fn write_channel<S: Serializer>(samples: &&[f64], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(samples.iter())
 }
