@@ -39,7 +39,7 @@ pub(super) struct Arguments {
     /// Changes one value of the configuration, for example `machine.lead_mm=8` (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     changes: Vec<String>,
-    /// Wears a part by this change of its coefficient in %: kt, friction, stiffness, rail_stiffness or inertia (repeatable).
+    /// Wears a part by this change of its coefficient in %: kt, friction, stiffness, `rail_stiffness` or inertia (repeatable).
     #[arg(long = "fault", value_name = "PART=PCT", allow_hyphen_values = true)]
     faults: Vec<String>,
     /// Starts from a machine with a series-wound motor.

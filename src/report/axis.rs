@@ -34,7 +34,7 @@ impl Axis {
     }
 
     /// The range shown is narrowed to where the values end, for an axis of time.
-    pub(super) fn tight(values: impl Iterator<Item = f64> + Clone) -> Self {
+    pub(super) fn tight(values: &(impl Iterator<Item = f64> + Clone)) -> Self {
         let rounded = Self::over(values.clone(), false, false);
         let finite = || values.clone().filter(|value| value.is_finite());
         let (low, high) = (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max));

@@ -171,7 +171,7 @@ impl Panel {
 }
 
 fn draw_curves(canvas: &mut Canvas, frame: &Frame, x_label: &str, curves: &[Curve]) {
-    let x = Axis::tight(curves.iter().flat_map(|curve| &curve.points).map(|point| point.0));
+    let x = Axis::tight(&curves.iter().flat_map(|curve| &curve.points).map(|point| point.0));
     let x_of = |value: f64| x.place(value).map(|place| frame.left + frame.width * place);
     let bottom = frame.top + frame.height;
     for tick in x.ticks() {

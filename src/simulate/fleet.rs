@@ -254,7 +254,8 @@ impl SimulatedMachine {
     pub fn next_throw(&mut self) -> Result<SimulatedThrow, InvalidParameter> {
         let throw_index = self.throw_index;
         self.throw_index += 1;
-        let direction = if throw_index % 2 == 0 { Direction::NormalToReverse } else { Direction::ReverseToNormal };
+        let direction =
+            if throw_index.is_multiple_of(2) { Direction::NormalToReverse } else { Direction::ReverseToNormal };
         let condition = self.wear(throw_index);
         let [kt, friction, stiffness, supply] = self.scatter();
         let temperature_c = self.climate.at(throw_index);

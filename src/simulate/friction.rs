@@ -1,7 +1,7 @@
 //! Dry friction at the motor, the screw and every slide chair, with true sticking.
 //!
 //! Each contact's force f is constant over a step and obeys Coulomb's law at its end: |f| <= limit, and where the
-//! contact slides f = -limit sign(v). Velocities at the end of the step are v = v_free + D f with the step's own response
+//! contact slides f = -limit sign(v). Velocities at the end of the step are `v = v_free + D f` with the step's own response
 //! D, so that the law is a small complementarity problem, solved by projected Gauss-Seidel from the forces of the step
 //! before. While everything slides, which is nearly always, those already satisfy it and nothing is solved.
 

@@ -219,18 +219,15 @@ impl<'a> Machine<'a> {
         let settled = volts / resistance;
         let excess = self.current - settled;
         let mean_of_decay = -(-decay).exp_m1() / decay;
-        let mean = settled + excess * mean_of_decay;
-        let mean_square = || {
-            let mean_of_square_decay = -(-2.0 * decay).exp_m1() / (2.0 * decay);
-            settled * settled + 2.0 * settled * excess * mean_of_decay + excess * excess * mean_of_square_decay
-        };
         self.current = settled + excess * (-decay).exp();
-        if p.supply.is_rectified() && self.current * self.direction.sign() < 0.0 {
-            self.current = 0.0;
-        }
         match p.motor {
-            MotorKind::PermanentMagnet => p.torque_constant * mean,
-            MotorKind::Series => p.torque_constant * mean_square() * self.direction.sign(),
+            MotorKind::PermanentMagnet => p.torque_constant * (settled + excess * mean_of_decay),
+            MotorKind::Series => {
+                let mean_of_square_decay = -(-2.0 * decay).exp_m1() / (2.0 * decay);
+                let mean_square =
+                    settled * settled + 2.0 * settled * excess * mean_of_decay + excess * excess * mean_of_square_decay;
+                p.torque_constant * mean_square * self.direction.sign()
+            }
         }
     }
 

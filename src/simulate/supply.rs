@@ -13,7 +13,8 @@ pub enum Waveform {
     /// A battery.
     #[default]
     Constant,
-    /// Full-wave rectified mains, |sin|: the current ripples at twice the mains frequency and cannot reverse.
+    /// Full-wave rectified mains, |sin|: the current ripples at twice the mains frequency. A path for the motor's own
+    /// current is assumed, as records of such machines show it going below zero.
     RectifiedMains {
         /// Mains frequency \[Hz\].
         mains_hz: f64,
@@ -28,16 +29,14 @@ impl Waveform {
             Self::RectifiedMains { mains_hz } => {
                 let w = angular(mains_hz);
                 // The integral of |sin x| from 0 to x: 2 for each half wave that is over, 1 - cos within the last.
-                let integral = |x: f64| 2.0 * (x / PI).floor() + 1.0 - (x.rem_euclid(PI)).cos();
+                let integral = |x: f64| {
+                    let half_waves = (x / PI).floor();
+                    2.0 * half_waves + 1.0 - (x - half_waves * PI).cos()
+                };
                 let from = w * h * at as f64 + phase_rad;
                 (integral(from + w * h) - integral(from)) / (w * h) * (PI / 2.0)
             }
         }
-    }
-
-    /// Whether a rectifier keeps the current from reversing.
-    pub(super) fn is_rectified(self) -> bool {
-        matches!(self, Self::RectifiedMains { .. })
     }
 
     pub(super) fn check(self) -> Result<(), InvalidParameter> {

@@ -6,7 +6,7 @@ use pointsd::throw::Direction;
 use rand::SeedableRng;
 
 /// Times a 5 s throw with 5 modes and prints its largest errors against a step 64 times as fine.
-pub fn simulator(criterion: &mut Criterion) {
+pub(crate) fn simulator(criterion: &mut Criterion) {
     // A longer stroke for a 5 s throw; friction at every chair, so that nothing of the machine is idle.
     let mut machine = Parameters { stroke_mm: 132.0, ..Parameters::default() };
     machine.rails.slide_friction = 0.05;

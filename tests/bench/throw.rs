@@ -1,6 +1,6 @@
 //! How long one throw takes: identification beside its peer, and simulation beside its reference.
 
-#![expect(missing_docs, clippy::expect_used, reason = "criterion's macros; a benchmark may stop on an error")]
+#![expect(clippy::expect_used, reason = "a benchmark may stop on an error")]
 
 mod estimator;
 mod simulator;

@@ -1,8 +1,12 @@
 //! The estimator and the simulated machine against known answers.
 
+#![expect(clippy::unwrap_used, reason = "a test may stop on an error, in its helpers too")]
+
+mod beam;
 mod covariance;
 mod damaged;
 mod emps;
+mod fleet;
 mod identify;
 mod machine;
 mod sriv;

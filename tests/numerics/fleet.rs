@@ -1,0 +1,273 @@
+//! Faults, sensors and fleets: a size means what it says at the coefficient, and one seed reproduces everything.
+
+use pointsd::estimate::{Identifier, Motor, Settings};
+use pointsd::simulate::{
+    Channel, Climate, Condition, Conditions, Fault, Fleet, FleetFault, FleetSettings, Incident, IncidentKind,
+    Parameters, Part, RailModel, Rails, STEP_S, Scatter, Sensors, Shape, Stuck, Waveform, Which,
+};
+use pointsd::throw::{Direction, Throw, ThrowRef, Trace};
+use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
+
+fn lumped() -> Parameters {
+    let rails = Rails { model: RailModel::Lumped, ..Rails::default() };
+    Parameters { rails, ..Parameters::default() }
+}
+
+fn record(machine: &Parameters, sensors: &Sensors, direction: Direction) -> Trace {
+    let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
+    sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(3)).unwrap().trace
+}
+
+fn identify(trace: Trace, anti_alias_hz: Option<f64>, settings: &Settings) -> [f64; 3] {
+    let throw = Throw {
+        id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
+        started_at: jiff::Timestamp::UNIX_EPOCH,
+        direction: None,
+        trace,
+        temperature_c: None,
+        supply_v: None,
+        anti_alias_hz,
+    };
+    let estimate = Identifier::default().identify(&throw, settings).outcome.unwrap();
+    [estimate.b0, estimate.a1, estimate.a0]
+}
+
+fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {
+    std::array::from_fn(|at| (is[at] / was[at] - 1.0) * 100.0)
+}
+
+#[test]
+fn the_size_of_a_fault_is_what_the_estimate_shows() {
+    let by_11th = 100.0 / 1.1 - 100.0;
+    let faults = [
+        (Part::Kt, -10.0, [-10.0, 0.0, 0.0]),
+        (Part::Kt, 15.0, [15.0, 0.0, 0.0]),
+        (Part::Friction, 25.0, [0.0, 25.0, 0.0]),
+        (Part::Friction, -20.0, [0.0, -20.0, 0.0]),
+        (Part::Stiffness, 15.0, [0.0, 0.0, 15.0]),
+        (Part::Stiffness, -15.0, [0.0, 0.0, -15.0]),
+        (Part::RailStiffness, 20.0, [0.0, 0.0, 20.0]),
+        (Part::Inertia, 10.0, [by_11th; 3]),
+        (Part::Inertia, -10.0, [100.0 / 0.9 - 100.0; 3]),
+    ];
+    let cases = [lumped(), Parameters::default()].map(|new| faults.map(|fault| (new.clone(), fault)));
+    for (new, (part, size_pct, expected)) in cases.into_iter().flatten() {
+        let estimate = |machine: &Parameters, direction| {
+            identify(record(machine, &Sensors::perfect(1000.0), direction), None, &Settings::default())
+        };
+        let mut condition = Condition::default();
+        condition.worsen(part, size_pct);
+        let worn = new.in_condition(&condition).unwrap();
+        for direction in Direction::BOTH {
+            let found = change_pct(estimate(&worn, direction), estimate(&new, direction));
+            for (at, expected) in expected.iter().enumerate() {
+                // On a beam the chairs' friction builds up with the travel, and leaks into the other coefficients.
+                let leak = match (part, new.rails.model) {
+                    (Part::Friction, RailModel::Beam) => 0.25 * size_pct.abs(),
+                    (Part::Friction, RailModel::Lumped) => 0.03 * size_pct.abs(),
+                    _ => 0.0,
+                };
+                assert!(
+                    (found[at] - expected).abs() < 0.5 + leak,
+                    "{:?} rails, {part:?} {size_pct} %, {direction}: {found:?}, expected {expected} at {at}",
+                    new.rails.model
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_fault_develops_as_its_shape_says() {
+    let fault = |shape| Fault { part: Part::Kt, shape, size_pct: -10.0, from_throw: 5 };
+    let sizes = |shape| (0..20).map(|throw| fault(shape).size_at(throw, 3.0)).collect::<Vec<_>>();
+    let step = sizes(Shape::Step);
+    let near = |size: f64, expected: f64| (size - expected).abs() < 1e-12;
+    assert!(step[..5].iter().all(|size| near(*size, 0.0)) && step[5..].iter().all(|size| near(*size, -10.0)));
+    let ramp = sizes(Shape::Ramp { throws: 10 });
+    assert!(near(ramp[5], -1.0) && near(ramp[9], -5.0) && near(ramp[14], -10.0) && near(ramp[19], -10.0));
+    // Three standard steps of a walk that is 10 % wide after 9 throws.
+    assert!(near(sizes(Shape::RandomWalk { throws: 9 })[6], -10.0));
+}
+
+#[test]
+fn series_motors_and_rectified_mains_keep_their_physics() {
+    let without_dry = |machine: Parameters| Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, ..machine };
+    let mains = Parameters { supply: Waveform::RectifiedMains { mains_hz: 50.0 }, ..Parameters::default() };
+    for (name, machine, motor, limit) in [
+        ("mains", without_dry(mains), Motor::PermanentMagnet, 0.01),
+        ("series", without_dry(Parameters::series()), Motor::Series, 0.01),
+    ] {
+        let known = machine.coefficients().unwrap();
+        for direction in Direction::BOTH {
+            let trace = record(&machine, &Sensors::perfect(1000.0), direction);
+            let [b0, a1, a0] = identify(trace, None, &Settings { motor, ..Settings::default() });
+            for ratio in [b0 / known.b0, a1 / known.a1, a0 / known.a0] {
+                assert!((ratio - 1.0).abs() < limit, "{name}, {direction}: {ratio}");
+            }
+        }
+    }
+    let ripple = |machine: &Parameters| {
+        let motion = machine.simulate(Direction::NormalToReverse, &Conditions::default(), STEP_S).unwrap();
+        let steady = &motion.current_a[10_000..10_100];
+        steady.iter().fold(f64::MIN, |m, a| m.max(*a)) - steady.iter().fold(f64::MAX, |m, a| m.min(*a))
+    };
+    assert!(ripple(&Parameters::default()) < 0.02);
+    assert!(ripple(&Parameters { supply: Waveform::RectifiedMains { mains_hz: 50.0 }, ..Parameters::default() }) > 1.0);
+}
+
+#[test]
+fn the_same_filter_in_both_channels_cancels() {
+    let machine = Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, ..Parameters::default() };
+    let known = machine.coefficients().unwrap();
+    for (sample_rate_hz, limit) in [(500.0, 0.01), (200.0, 0.012), (100.0, 0.02)] {
+        let anti_alias_hz = Some(0.4 * sample_rate_hz);
+        let sensors = Sensors { anti_alias_hz, ..Sensors::perfect(sample_rate_hz) };
+        let [b0, a1, a0] =
+            identify(record(&machine, &sensors, Direction::NormalToReverse), anti_alias_hz, &Settings::default());
+        for ratio in [b0 / known.b0, a1 / known.a1, a0 / known.a0] {
+            assert!((ratio - 1.0).abs() < limit, "{sample_rate_hz} Hz: {ratio}");
+        }
+    }
+}
+
+#[test]
+fn sensors_do_to_the_trace_what_they_say() {
+    let machine = lumped();
+    let direction = Direction::ReverseToNormal;
+    let perfect = record(&machine, &Sensors::perfect(1000.0), direction);
+    assert!((perfect.position_mm()[0] - 115.0).abs() < 1e-9 && perfect.position_mm()[perfect.len() - 1].abs() < 0.6);
+    assert!(perfect.current_a().iter().fold(0.0_f64, |most, a| most.max(*a)) > 12.0, "driving current is positive");
+
+    let with = |change: fn(&mut Sensors)| {
+        let mut sensors = Sensors::perfect(1000.0);
+        change(&mut sensors);
+        record(&machine, &sensors, direction)
+    };
+    let signed = with(|sensors| sensors.signed_current = true);
+    assert!(signed.current_a().iter().zip(perfect.current_a()).all(|(a, b)| (a + b).abs() < 1e-12));
+    let offset =
+        with(|sensors| sensors.current = Channel { noise: 0.0, offset: -0.15, gain_pct: 2.0, ..Channel::default() });
+    assert!(offset.current_a().iter().zip(perfect.current_a()).all(|(a, b)| (a - (1.02 * b - 0.15)).abs() < 1e-9));
+    let coarse = with(|sensors| {
+        sensors.current = Channel { noise: 0.0, full_scale: Some(10.0), bits: Some(12), ..Channel::default() };
+    });
+    let step = 20.0 / 4096.0;
+    assert!(coarse.current_a().iter().all(|a| a.abs() <= 10.0 && ((a / step).round() * step - a).abs() < 1e-12));
+    assert!(coarse.current_a().iter().any(|a| *a > 9.99), "the inrush is clipped");
+    let dropped = with(|sensors| sensors.dropped_pct = 5.0);
+    assert!(((perfect.len() - dropped.len()) as f64 / perfect.len() as f64 - 0.05).abs() < 0.015);
+    let jittered = with(|sensors| sensors.jitter_s = 1e-4);
+    let largest =
+        jittered.position_mm().iter().zip(perfect.position_mm()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!((1e-3..0.05).contains(&largest), "{largest} mm at 27 mm/s and 0.1 ms");
+    let stuck = with(|sensors| sensors.stuck = Some(Stuck { channel: Which::Position, from_s: 1.0 }));
+    assert!(stuck.position_mm()[1201..].iter().all(|mm| mm.to_bits() == stuck.position_mm()[1200].to_bits()));
+
+    for sample_rate_hz in [25.0, 100.0, 333.0, 20_000.0] {
+        let trace = record(&machine, &Sensors::perfect(sample_rate_hz), direction);
+        let duration = trace.len() as f64 / sample_rate_hz;
+        assert!(
+            (duration - perfect.len() as f64 / 1000.0).abs() < 2.0 / sample_rate_hz + 0.002,
+            "{sample_rate_hz} Hz: {duration} s"
+        );
+    }
+}
+
+#[test]
+fn machines_do_not_depend_on_the_size_of_their_fleet() {
+    let fleet = |machines| {
+        let settings = FleetSettings { machines, machine: lumped(), ..FleetSettings::default() };
+        Fleet::new(&settings, 11).unwrap()
+    };
+    let (mut small, mut large) = (fleet(2), fleet(6));
+    for _ in 0..3 {
+        assert_eq!(small.machines()[1].next_throw().unwrap(), large.machines()[1].next_throw().unwrap());
+    }
+    let [first, second, ..] = large.machines() else { unreachable!("six machines") };
+    assert_ne!(first.parameters(), second.parameters());
+}
+
+#[test]
+fn throws_scatter_as_much_and_as_correlated_as_set() {
+    let scatter = Scatter { correlation: 0.6, ..Scatter::default() };
+    let settings = FleetSettings { machines: 1, machine: lumped(), scatter, ..FleetSettings::default() };
+    let mut fleet = Fleet::new(&settings, 5).unwrap();
+    let machine = &mut fleet.machines()[0];
+    let (b0, a1): (Vec<f64>, Vec<f64>) = (0..600)
+        .map(|_| machine.next_throw().unwrap().coefficients)
+        .map(|known| (known.b0.ln(), known.a1.ln()))
+        .unzip();
+    let moments = |x: &[f64]| {
+        let mean = x.iter().sum::<f64>() / x.len() as f64;
+        let product = |lag: usize| x.iter().zip(&x[lag..]).map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>();
+        ((product(0) / x.len() as f64).sqrt() * 100.0, product(1) / product(0))
+    };
+    for (name, values, sd_pct) in [("b0", b0, 0.5), ("a1", a1, 3.0)] {
+        let (sd, correlation) = moments(&values);
+        // 600 throws at a correlation of 0.6 are worth 150.
+        assert!((sd / sd_pct - 1.0).abs() < 0.2, "{name}: {sd} %");
+        assert!((correlation - 0.6).abs() < 0.12, "{name}: {correlation}");
+    }
+}
+
+#[test]
+fn faults_and_incidents_happen_when_they_are_set() {
+    let mut settings = FleetSettings { machines: 2, machine: lumped(), ..FleetSettings::default() };
+    settings.scatter =
+        Scatter { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, supply_pct: 0.0, correlation: 0.0 };
+    let fault = Fault { part: Part::Stiffness, shape: Shape::Step, size_pct: 30.0, from_throw: 3 };
+    settings.faults.push(FleetFault { machine: 1, fault });
+    let incident = |kind, from_throw| Incident { machine: 0, kind, from_throw, throws: 1 };
+    settings.incidents = vec![
+        incident(IncidentKind::Obstruction { at_mm: 60.0 }, 0),
+        incident(IncidentKind::WeakSupply { loss_pct: 30.0 }, 1),
+        incident(IncidentKind::StuckSensor(Stuck { channel: Which::Current, from_s: 0.5 }), 2),
+    ];
+    let mut fleet = Fleet::new(&settings, 2).unwrap();
+    let throws: Vec<_> = (0..4).map(|_| fleet.machines()[0].next_throw().unwrap()).collect();
+    let end = |at: usize| throws[at].trace.position_mm()[throws[at].trace.len() - 1];
+    let length = |at: usize| throws[at].trace.len() as f64;
+    assert!((end(0) - 60.0).abs() < 5.0, "obstructed at {} mm", end(0));
+    assert!(length(1) > 1.3 * length(3), "weak supply: {} samples, else {}", length(1), length(3));
+    assert!(throws[2].trace.current_a()[1000..1500].windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits()));
+    let a0: Vec<f64> = (0..6).map(|_| fleet.machines()[1].next_throw().unwrap().coefficients.a0).collect();
+    assert!((a0[2] / a0[0] - 1.0).abs() < 1e-9 && (a0[3] / a0[0] - 1.3).abs() < 1e-9, "{a0:?}");
+}
+
+#[test]
+fn cold_grease_and_strong_magnets_show_in_winter() {
+    let climate = Climate { mean_c: 10.0, yearly_swing_k: 15.0, daily_swing_k: 5.0, throws_per_day: 40.0 };
+    let quarter = 365.25 / 4.0 * 40.0;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a throw number of this test")]
+    let at = |quarters: f64| climate.at((quarters * quarter) as u64);
+    assert!((at(1.0) - 25.0).abs() < 5.1 && (at(3.0) + 5.0).abs() < 5.1, "{} and {}", at(1.0), at(3.0));
+    let machine = Parameters::default();
+    let (winter, summer) =
+        (machine.at_temperature(-5.0).coefficients().unwrap(), machine.at_temperature(25.0).coefficients().unwrap());
+    assert!((winter.b0 / summer.b0 - 1.045).abs() < 0.003, "{} and {}", winter.b0, summer.b0);
+    assert!(winter.a1 / summer.a1 > 1.15);
+}
+
+#[test]
+fn settings_are_checked_and_read_from_toml_without_unknown_keys() {
+    let text = "machines = 3\n[machine]\nstroke_mm = 150\n[[faults]]\nmachine = 1\n\
+                fault = { part = \"friction\", shape = { ramp = { throws = 100 } }, size_pct = 25, from_throw = 60 }\n";
+    let settings: FleetSettings = toml::from_str(text).unwrap();
+    assert!(settings.check().is_ok());
+    assert!(settings.machine.stroke_mm > 149.0 && settings.faults[0].fault.shape == Shape::Ramp { throws: 100 });
+    assert!(toml::from_str::<FleetSettings>("machine = { strok_mm = 1.0 }").is_err());
+    let wrong = [
+        "machines = 0",
+        "[machine]\nsupply_v = -1.0",
+        "[machine.rails]\nmodes = 9",
+        "[sensors]\nsample_rate_hz = 5.0",
+        "[scatter]\ncorrelation = 1.0",
+        "[[faults]]\nmachine = 5\nfault = { part = \"kt\", shape = \"step\", size_pct = -10.0, from_throw = 0 }",
+    ];
+    for text in wrong {
+        let settings: FleetSettings = toml::from_str(text).unwrap();
+        let error = Fleet::new(&settings, 1).expect_err(text);
+        assert!(error.to_string().contains("must be"), "{text}: {error}");
+    }
+}
