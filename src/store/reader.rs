@@ -180,11 +180,11 @@ impl Reader {
         self.pool().close().await;
     }
 
-    /// Reads the file that `path` leads to now; queries that run end on the old one.
+    /// Reads the file that `path` leads to now. Queries that run keep the old one to their end: it is not closed but
+    /// dropped, so that none of them fails.
     pub(super) async fn reopen(&self, path: &Path) -> sqlx::Result<()> {
         let pool = connect(path).await?;
-        let old = std::mem::replace(&mut *self.pool.write().unwrap_or_else(PoisonError::into_inner), pool);
-        tokio::spawn(async move { old.close().await });
+        *self.pool.write().unwrap_or_else(PoisonError::into_inner) = pool;
         Ok(())
     }
 
@@ -254,7 +254,8 @@ impl Reader {
         self.rows(query, HealthColumns::read).await
     }
 
-    /// The newest `limit` rows of the health history that started at `since` or later, oldest first.
+    /// The newest `limit` rows of the health history that started at `since` or later, oldest first. 1970 and before
+    /// mean: whenever.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -264,8 +265,11 @@ impl Reader {
         since: Timestamp,
         limit: u32,
     ) -> Result<Vec<HealthRow>, StoreError> {
-        let query = sqlx::query_as(sql::HEALTH_HISTORY).bind(which.site()).bind(which.machine());
-        let mut rows = self.rows(query.bind(since.as_microsecond()).bind(limit), HealthColumns::read).await?;
+        let whenever = since <= Timestamp::UNIX_EPOCH;
+        let query = sqlx::query_as(if whenever { sql::NEWEST_HEALTH } else { sql::HEALTH_SINCE });
+        let query = query.bind(which.site()).bind(which.machine()).bind(limit);
+        let query = if whenever { query } else { query.bind(since.as_microsecond()) };
+        let mut rows = self.rows(query, HealthColumns::read).await?;
         rows.reverse();
         Ok(rows)
     }

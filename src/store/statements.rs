@@ -97,12 +97,18 @@ statements! {
     QUARANTINE = "SELECT received_at_us, key, reason, payload_bytes, payload_start FROM quarantine ORDER BY quarantine_row DESC LIMIT ?1";
 
     // Health.
-    HEALTH_HISTORY = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
+    // The newest rows are at the end of the table; rows since a time are found by their machine and time.
+    NEWEST_HEALTH = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
         quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
         baseline_throws, baseline_needed, throws_since_baseline \
         FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        WHERE started_at_us >= ?3 AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) \
-        ORDER BY throw_row DESC LIMIT ?4";
+        WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) ORDER BY throw_row DESC LIMIT ?3";
+    HEALTH_SINCE = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
+        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
+        baseline_throws, baseline_needed, throws_since_baseline \
+        FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+        WHERE throw.machine_row IN (SELECT machine_row FROM machine WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2)) \
+        AND started_at_us >= ?4 ORDER BY throw_row DESC LIMIT ?3";
     LATEST_HEALTH = "SELECT site, machine, boot_id, throw_no, started_at_us, way.direction AS direction, \
         quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
         baseline_throws, baseline_needed, throws_since_baseline \

@@ -103,5 +103,11 @@ async fn a_restart_finds_snapshots_and_what_waits() {
     let pending = reader.pending(ThrowRow::START, 10).await.unwrap();
     assert_eq!(pending.iter().map(|throw| throw.row).collect::<Vec<_>>(), [second]);
     assert!(reader.pending(second, 10).await.unwrap().is_empty());
-    assert_eq!(reader.health_history(&Selector::default(), at(0), 5).await.unwrap()[0].quality, GOOD);
+    for (since, rows) in [(at(0), 1), (at(61), 0), (jiff::Timestamp::UNIX_EPOCH, 1)] {
+        let history = reader.health_history(&Selector::default(), since, 5).await.unwrap();
+        assert_eq!(history.len(), rows, "since {since}");
+        assert!(history.iter().all(|row| row.quality == GOOD));
+    }
+    let elsewhere = Selector { machine: Some("22A".parse().unwrap()), ..Selector::default() };
+    assert!(reader.health_history(&elsewhere, at(0), 5).await.unwrap().is_empty());
 }
