@@ -138,8 +138,19 @@ impl Link {
         }
         if let Err(error) = self.move_house().await {
             tracing::error!(%error, log, "the database could not be moved away from a reader that does not let go");
-            self.disconnect().await;
             self.log_bound = log + log / 4;
+            self.settle_where_it_is().await;
+        }
+    }
+
+    /// After a move that failed half way: everybody follows the path, and what it does not lead to is removed.
+    async fn settle_where_it_is(&mut self) {
+        self.disconnect().await;
+        if let Err(error) = self.reader.reopen(self.place.path()).await {
+            tracing::error!(%error, "the readers keep the file that they have");
+        }
+        if let Err(error) = self.place.next() {
+            tracing::warn!(%error, "an unfinished copy of the database stays behind");
         }
     }
 

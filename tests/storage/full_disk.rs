@@ -44,6 +44,21 @@ impl SmallDisk {
     }
 }
 
+#[tokio::test]
+async fn sql_reads_a_stopped_database_where_nothing_may_be_written() {
+    let Some(disk) = SmallDisk::mount() else { return };
+    let store = Store::open(&settings(&disk.folder), at(0)).await.unwrap().store;
+    spooled(&store, "21B", "b1", 1).await;
+    let path = store.path().to_owned();
+    store.close().await.unwrap();
+    let remount = Command::new("mount").args(["-o", "remount,ro"]).arg(&disk.folder).status().unwrap();
+    assert!(remount.success());
+    let question = ["sql", "--csv", "SELECT count(*) AS throws FROM throw", "--database"];
+    let output = Command::new(env!("CARGO_BIN_EXE_pointsd")).args(question).arg(&path).output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(String::from_utf8_lossy(&output.stdout), "throws\n1\n", "{error}");
+}
+
 impl Drop for SmallDisk {
     fn drop(&mut self) {
         let _ = Command::new("umount").arg("-l").arg(&self.folder).status();

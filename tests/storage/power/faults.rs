@@ -2,7 +2,10 @@
 
 use std::{fs, path::Path};
 
-use super::{Acknowledged, inspect, shim, worker::THROWS};
+use super::{
+    Acknowledged, inspect, shim,
+    worker::{HOLDER, THROWS},
+};
 
 const EIO: u32 = 5;
 const ENOSPC: u32 = 28;
@@ -15,9 +18,18 @@ fn which() -> Vec<u32> {
     }
 }
 
-async fn run(library: &Path, fault: &str) -> (Acknowledged, Vec<String>) {
+/// The same with a reader that holds an old state.
+fn which_late() -> Vec<(&'static str, u32)> {
+    let all = std::env::var_os("POINTSD_FAULTS").is_some();
+    let (writes, syncs) = if all { (25, 10) } else { (1200, 400) };
+    let writes = (1000..5000).step_by(writes).map(|nth| ("write", nth));
+    writes.chain((200..1000).step_by(syncs).map(|nth| ("sync", nth))).collect()
+}
+
+async fn run(library: &Path, fault: &str, variables: &[(&str, &str)]) -> (Acknowledged, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
-    let output = shim::run_worker(library, folder.path(), &[("SHIM_FAIL", fault), (THROWS, "12")]);
+    let variables: Vec<_> = variables.iter().copied().chain([("SHIM_FAIL", fault)]).collect();
+    let output = shim::run_worker(library, folder.path(), &variables);
     let mut wrong = Vec::new();
     if !output.status.success() {
         wrong.push(format!("{fault}: the worker died: {}", String::from_utf8_lossy(&output.stderr)));
@@ -39,7 +51,8 @@ async fn a_failing_write_or_sync_loses_nothing_that_was_acknowledged() {
         for what in ["write", "sync"] {
             for errno in [EIO, ENOSPC] {
                 for times in ["once", "forever"] {
-                    let (acknowledged, faults) = run(library, &format!("{what}:{nth}:{errno}:{times}")).await;
+                    let (acknowledged, faults) =
+                        run(library, &format!("{what}:{nth}:{errno}:{times}"), &[(THROWS, "12")]).await;
                     wrong.extend(faults);
                     runs += 1;
                     // A fault that passes is got over without a restart.
@@ -48,6 +61,16 @@ async fn a_failing_write_or_sync_loses_nothing_that_was_acknowledged() {
                     }
                 }
             }
+        }
+    }
+    // Late enough to hit the checkpoints and the move away from a reader.
+    for (what, nth) in which_late() {
+        let fault = format!("{what}:{nth}:{ENOSPC}:once");
+        let (acknowledged, faults) = run(library, &fault, &[(THROWS, "60"), (HOLDER, "1")]).await;
+        wrong.extend(faults);
+        runs += 1;
+        if acknowledged.throws.len() < 4 * 60 {
+            wrong.push(format!("{fault}: only {} throws stored", acknowledged.throws.len()));
         }
     }
     println!("{runs} faults, {} with a fault of ours", wrong.len());
