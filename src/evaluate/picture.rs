@@ -88,8 +88,10 @@ fn panel(svg: &mut String, origin: (f64, f64), rows: &[&Row], quantity: Quantity
         Quantity::Right => 100.0,
         Quantity::Delay => round_up(rows.iter().flat_map(|row| highest_delay(row)).fold(4.0, f64::max)),
     };
-    let largest = rows.iter().map(|row| row.size_pct).fold(1.0, f64::max);
-    let x = |size: f64| origin.0 + PANEL.0 * size / (1.05 * largest);
+    let sizes = || rows.iter().map(|row| row.size_pct);
+    let (least, largest) = (sizes().fold(f64::MAX, f64::min), sizes().fold(1.0, f64::max));
+    // Logarithmic: sizes are multiples of the limit.
+    let x = |size: f64| origin.0 + PANEL.0 * (0.08 + 0.87 * (size / least).ln() / (largest / least).ln().max(1e-9));
     let y = |value: f64| origin.1 + PANEL.1 * (1.0 - value / top);
     for tick in [0.0, 0.5, 1.0] {
         let (at, label) = (y(tick * top), format!("{}", tick * top));

@@ -6,5 +6,6 @@ mod evaluate;
 mod fleet;
 mod hard;
 mod operational;
+mod replay;
 mod restart;
 mod table1_lives;

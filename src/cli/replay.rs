@@ -1,0 +1,270 @@
+//! `pointsd replay`: stored throws under other settings, and what would differ.
+
+use std::{
+    collections::BTreeMap,
+    io::{self, IsTerminal as _, Write as _},
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context as _, anyhow};
+use comfy_table::{Table, presets};
+use indicatif::ProgressBar;
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    Exit, Failure, Outcome, ResultExt as _,
+    run::{load, start_failure},
+    runtime,
+};
+use crate::{
+    daemon::Offline,
+    diagnose::{Cause, Severity},
+    store::{Reader, Selector, StoreError, ThrowRow},
+    throw::MachineId,
+};
+
+/// Throws that are read at a time. The longest traces take 16 MB each, so this bounds memory at 256 MB.
+const BATCH: u32 = 16;
+
+/// Runs stored throws again under a changed configuration, into a database of their own, and shows which alarms would
+/// differ. The database that the throws come from is only read; its daemon may run.
+///
+/// The throws come from the database of the configuration, or from `--from`. Operators' commands are not repeated, and
+/// time does not pass: alarms about silence and lost throws, which do not come from throws, are not compared. Throws
+/// whose trace was already removed to save space cannot be run again and are counted.
+///
+/// Exit codes: 0 replayed; 65 the database holds no throw that can be run again; 66 there is no database; 73 the new
+/// database is already there; 74 a database cannot be used; 78 the configuration is wrong.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
+                        --from /var/lib/pointsd/pointsd.db --into /tmp/stricter.db --json")]
+pub(super) struct Arguments {
+    /// The configuration to try.
+    #[arg(long, value_name = "NEW")]
+    config: PathBuf,
+    /// The database with the stored throws; without it, the one that the configuration names.
+    #[arg(long, value_name = "FILE")]
+    from: Option<PathBuf>,
+    /// The database to make; without it, the old one's name with `.replay` added.
+    #[arg(long, value_name = "FILE")]
+    into: Option<PathBuf>,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+/// One occurrence of an alarm, as a database has it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+struct Occurrence {
+    raised_at: Timestamp,
+    /// The throw that raised it.
+    throw_no: Option<u64>,
+    /// The highest it came to.
+    severity: Severity,
+}
+
+/// The same occurrence before and after, the first with the first and so on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+struct Comparison {
+    site: String,
+    machine: String,
+    cause: Cause,
+    before: Option<Occurrence>,
+    after: Option<Occurrence>,
+    difference: &'static str,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    throws: u64,
+    without_trace: u64,
+    database: PathBuf,
+    alarms: Vec<Comparison>,
+}
+
+/// What is read of an alarm's message.
+#[derive(Debug, Deserialize)]
+struct Message {
+    cause: Cause,
+    severity: Severity,
+    raised_at: Timestamp,
+    last_throw_no: Option<u64>,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    let mut config = load(Some(&arguments.config))?;
+    let from = arguments.from.clone().unwrap_or_else(|| config.store.path.clone());
+    let into = arguments.into.clone().unwrap_or_else(|| with_suffix(&from, ".replay"));
+    must_be(from.exists(), Exit::NoInput, || {
+        format!("no database at {}; name one with --from FILE", from.display())
+    })?;
+    must_be(!into.exists(), Exit::CannotCreate, || {
+        format!("{} is already there; remove it, or name another with --into FILE", into.display())
+    })?;
+    config.store.path.clone_from(&into);
+    let report = runtime::block_on(async {
+        let old = Reader::open(&from).await.or_exit(Exit::Io)?;
+        let mut new = Offline::open(config).await.map_err(start_failure)?;
+        let replayed = replay(&old, &mut new).await.or_exit(Exit::Io)?;
+        new.close().await.or_exit(Exit::Io)?;
+        let new = Reader::open(&into).await.or_exit(Exit::Io)?;
+        compare(&old, &new, replayed, into).await
+    })?;
+    let text = if arguments.json {
+        serde_json::to_string_pretty(&report).context("cannot write the report as JSON").or_exit(Exit::Software)?
+    } else {
+        sentences(&report)
+    };
+    writeln!(io::stdout().lock(), "{text}").context("cannot write the report").or_exit(Exit::Io)?;
+    Ok(Exit::Ok)
+}
+
+fn must_be(right: bool, exit: Exit, complaint: impl FnOnce() -> String) -> Result<(), Failure> {
+    if right { Ok(()) } else { Err(Failure { exit, error: anyhow!(complaint()) }) }
+}
+
+fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(suffix);
+    name.into()
+}
+
+/// What was run again.
+struct Replayed {
+    throws: u64,
+    without_trace: u64,
+    /// When the earliest throw with a trace started.
+    since: Option<Timestamp>,
+}
+
+/// Runs all throws of `old` that have a trace through `new`, in the order in which they arrived.
+async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError> {
+    let progress = if io::stderr().is_terminal() { ProgressBar::new_spinner() } else { ProgressBar::hidden() };
+    let mut replayed = Replayed { throws: 0, without_trace: 0, since: None };
+    let mut after = ThrowRow::START;
+    loop {
+        let stored = old.throws(after, BATCH).await?;
+        let Some(last) = stored.last() else { break };
+        after = last.row;
+        for stored in stored {
+            let Ok(throw) = stored.throw else {
+                replayed.without_trace += 1;
+                continue;
+            };
+            new.take(&stored.machine, &throw).await?;
+            replayed.throws += 1;
+            replayed.since = Some(replayed.since.map_or(stored.started_at, |since| since.min(stored.started_at)));
+            progress.set_message(format!("{} throws", replayed.throws));
+            progress.inc(1);
+        }
+    }
+    new.judge().await?;
+    progress.finish_and_clear();
+    Ok(replayed)
+}
+
+async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) -> Result<Report, Failure> {
+    let Some(since) = replayed.since else {
+        let complaint = format!("no stored throw has a trace any more ({} without): nothing to run", replayed.without_trace);
+        return Err(Failure { exit: Exit::Data, error: anyhow!(complaint) });
+    };
+    let before = occurrences(old, since).await?;
+    let mut after = occurrences(new, since).await?;
+    let mut alarms = Vec::new();
+    for (alarm, before) in before {
+        pair(&mut alarms, &alarm, before, after.remove(&alarm).unwrap_or_default());
+    }
+    for (alarm, after) in after {
+        pair(&mut alarms, &alarm, Vec::new(), after);
+    }
+    alarms.sort_by_key(|alarm| (alarm.site.clone(), alarm.machine.clone(), alarm.cause));
+    let Replayed { throws, without_trace, .. } = replayed;
+    Ok(Report { throws, without_trace, database: into, alarms })
+}
+
+/// The occurrences of every alarm that was raised at `since` or later, in their order.
+async fn occurrences(
+    database: &Reader,
+    since: Timestamp,
+) -> Result<BTreeMap<(MachineId, Cause), Vec<Occurrence>>, Failure> {
+    let rows = database.alarm_history(&Selector::default(), since, u32::MAX).await.or_exit(Exit::Io)?;
+    let mut alarms: BTreeMap<_, Vec<Occurrence>> = BTreeMap::new();
+    for row in rows {
+        let unreadable = || format!("alarm {}, event {} cannot be read", row.alarm_id, row.event_no);
+        let message: Message = serde_json::from_str(&row.payload).with_context(unreadable).or_exit(Exit::Data)?;
+        if message.raised_at < since || matches!(message.cause, Cause::NotMonitored | Cause::DataLoss) {
+            continue;
+        }
+        let occurrences = alarms.entry((row.machine, message.cause)).or_default();
+        match occurrences.iter_mut().find(|occurrence| occurrence.raised_at == message.raised_at) {
+            Some(known) => known.severity = known.severity.max(message.severity),
+            None => occurrences.push(Occurrence {
+                raised_at: message.raised_at,
+                throw_no: message.last_throw_no,
+                severity: message.severity,
+            }),
+        }
+    }
+    Ok(alarms)
+}
+
+/// Compares the occurrences of one alarm, the first with the first and so on.
+fn pair(
+    comparisons: &mut Vec<Comparison>,
+    (machine, cause): &(MachineId, Cause),
+    before: Vec<Occurrence>,
+    after: Vec<Occurrence>,
+) {
+    let count = before.len().max(after.len());
+    let (mut before, mut after) = (before.into_iter(), after.into_iter());
+    for _ in 0..count {
+        let (before, after) = (before.next(), after.next());
+        let difference = difference(before.as_ref(), after.as_ref());
+        let (site, machine) = (machine.site.to_string(), machine.machine.to_string());
+        comparisons.push(Comparison { site, machine, cause: *cause, before, after, difference });
+    }
+}
+
+fn difference(before: Option<&Occurrence>, after: Option<&Occurrence>) -> &'static str {
+    let (Some(before), Some(after)) = (before, after) else {
+        return if before.is_some() { "gone" } else { "new" };
+    };
+    match (after.raised_at.cmp(&before.raised_at), after.severity.cmp(&before.severity)) {
+        (std::cmp::Ordering::Less, _) => "earlier",
+        (std::cmp::Ordering::Greater, _) => "later",
+        (_, std::cmp::Ordering::Less) => "milder",
+        (_, std::cmp::Ordering::Greater) => "more severe",
+        _ => "same",
+    }
+}
+
+fn sentences(report: &Report) -> String {
+    let mut lines = vec![format!("{} throws run again into {}", report.throws, report.database.display())];
+    if report.without_trace > 0 {
+        lines.push(format!("{} stored throws have no trace any more and were left out", report.without_trace));
+    }
+    if report.alarms.is_empty() {
+        lines.push("no alarm, before or now".to_owned());
+        return lines.join("\n");
+    }
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING).set_header(["machine", "cause", "before", "now", "difference"]);
+    for alarm in &report.alarms {
+        table.add_row([
+            format!("{}/{}", alarm.site, alarm.machine),
+            alarm.cause.to_string(),
+            words(alarm.before.as_ref()),
+            words(alarm.after.as_ref()),
+            alarm.difference.to_owned(),
+        ]);
+    }
+    lines.push(table.to_string());
+    lines.join("\n")
+}
+
+fn words(occurrence: Option<&Occurrence>) -> String {
+    let Some(occurrence) = occurrence else { return "-".to_owned() };
+    let throw = occurrence.throw_no.map_or_else(String::new, |throw_no| format!(", throw {throw_no}"));
+    format!("{}, {}{throw}", occurrence.severity.as_str(), occurrence.raised_at)
+}

@@ -1,0 +1,101 @@
+//! `pointsd replay`: stored throws under other settings, into a database of their own.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use jiff::{SignedDuration, Timestamp};
+use pointsd::{
+    daemon::{Offline, config::Config},
+    simulate::{Fault, Fleet, FleetFault, FleetSettings, Part, Shape},
+    throw::{MachineId, Throw, ThrowRef},
+};
+
+/// Throws of the baseline, both directions, and throws with the fault.
+const THROWS: (u64, u64) = (24, 16);
+
+fn configuration(folder: &Path, name: &str, diagnosis: &str) -> std::path::PathBuf {
+    let file = folder.join(name);
+    let database = folder.join("pointsd.db");
+    let baseline = "baseline_throws = 12\nbaseline_usable_throws = 12";
+    let text = format!("[store]\npath = {database:?}\n\n[diagnosis]\n{baseline}\n{diagnosis}\n");
+    fs::write(&file, text).unwrap();
+    file
+}
+
+/// A life whose motor loses a quarter of its torque after the baseline, in the database.
+async fn record(config: &Path) {
+    let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: -25.0, from_throw: THROWS.0 };
+    let fleet = FleetSettings { machines: 1, faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
+    let mut machine = Fleet::new(&fleet, 3).unwrap().into_machines().pop().unwrap();
+    let mut pipeline = Offline::open(Config::load(config).unwrap()).await.unwrap();
+    let id = MachineId::new("north", "21B").unwrap();
+    for throw_no in 1..=THROWS.0 + THROWS.1 {
+        let simulated = machine.next_throw().unwrap();
+        let hours = SignedDuration::from_hours(i64::try_from(throw_no).unwrap());
+        let throw = Throw {
+            id: ThrowRef { boot_id: "a".to_owned(), throw_no },
+            started_at: Timestamp::UNIX_EPOCH + hours,
+            direction: Some(simulated.direction),
+            trace: simulated.trace,
+            temperature_c: None,
+            supply_v: None,
+            anti_alias_hz: None,
+        };
+        pipeline.take(&id, &throw).await.unwrap();
+    }
+    pipeline.judge().await.unwrap();
+    pipeline.close().await.unwrap();
+}
+
+fn replay(config: &Path, into: &Path, more: &[&str]) -> Output {
+    let program = env!("CARGO_BIN_EXE_pointsd");
+    Command::new(program).args(["replay", "--config"]).arg(config).arg("--into").arg(into).args(more).output().unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn other_settings_show_which_alarms_differ_and_leave_the_old_database_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let same = configuration(folder.path(), "same.toml", "");
+    record(&same).await;
+
+    let answer = |config: &Path, into: &str| {
+        let output = replay(config, &folder.path().join(into), &["--json"]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+    };
+    let unchanged = answer(&same, "same.db");
+    assert_eq!(unchanged["throws"], THROWS.0 + THROWS.1);
+    let alarms = unchanged["alarms"].as_array().unwrap();
+    assert!(alarms.iter().any(|alarm| alarm["cause"] == "kt"), "{unchanged}");
+    assert!(alarms.iter().all(|alarm| alarm["difference"] == "same"), "{unchanged}");
+
+    let tolerant = configuration(folder.path(), "tolerant.toml", "kt_limit_pct = 60.0");
+    let changed = answer(&tolerant, "tolerant.db");
+    let alarms = changed["alarms"].as_array().unwrap();
+    let motor: Vec<_> = alarms.iter().filter(|alarm| alarm["cause"] == "kt").collect();
+    assert!(!motor.is_empty() && motor.iter().all(|alarm| alarm["difference"] == "gone"), "{changed}");
+
+    // The old database still says what it said.
+    assert_eq!(answer(&same, "again.db")["alarms"], unchanged["alarms"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_missing_or_in_the_way_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = configuration(folder.path(), "config.toml", "");
+    let into = folder.path().join("new.db");
+    let nothing = replay(&config, &into, &[]);
+    assert_eq!(nothing.status.code(), Some(66));
+    assert!(String::from_utf8_lossy(&nothing.stderr).contains("--from"));
+
+    Offline::open(Config::load(&config).unwrap()).await.unwrap().close().await.unwrap();
+    let empty = replay(&config, &into, &[]);
+    assert_eq!(empty.status.code(), Some(65), "{}", String::from_utf8_lossy(&empty.stderr));
+
+    let taken = replay(&config, &into, &[]);
+    assert_eq!(taken.status.code(), Some(73));
+    assert!(String::from_utf8_lossy(&taken.stderr).contains("--into"));
+}
