@@ -16,6 +16,7 @@ mod pointsd;
 mod pointsim;
 mod rebaseline;
 mod recording;
+mod replay;
 mod run;
 mod runtime;
 mod shelve;

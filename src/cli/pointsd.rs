@@ -3,8 +3,8 @@
 use clap::{Parser, Subcommand};
 
 use super::{
-    Outcome, ack, alarms, backup, check, demo, evaluate, exit, identify, import, maintenance, rebaseline, run, shelve,
-    sql, status,
+    Outcome, ack, alarms, backup, check, demo, evaluate, exit, identify, import, maintenance, rebaseline, replay, run,
+    shelve, sql, status,
 };
 
 /// Condition monitoring of railway point machines: which part is wearing out, from the physics of every throw.
@@ -28,6 +28,7 @@ enum Command {
     Maintenance(maintenance::Arguments),
     Identify(identify::Arguments),
     Import(import::Arguments),
+    Replay(replay::Arguments),
     Sql(sql::Arguments),
     Backup(backup::Arguments),
     Evaluate(evaluate::Arguments),
@@ -50,6 +51,7 @@ pub(super) fn main() -> Outcome {
         Command::Maintenance(arguments) => maintenance::main(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
         Command::Import(arguments) => import::main(&arguments),
+        Command::Replay(arguments) => replay::main(&arguments),
         Command::Sql(arguments) => sql::run(&arguments),
         Command::Backup(arguments) => backup::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),

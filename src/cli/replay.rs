@@ -96,28 +96,26 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let mut config = load(Some(&arguments.config))?;
     let from = arguments.from.clone().unwrap_or_else(|| config.store.path.clone());
     let into = arguments.into.clone().unwrap_or_else(|| with_suffix(&from, ".replay"));
-    must_be(from.exists(), Exit::NoInput, || {
-        format!("no database at {}; name one with --from FILE", from.display())
-    })?;
+    must_be(from.exists(), Exit::NoInput, || format!("no database at {}; name one with --from FILE", from.display()))?;
     must_be(!into.exists(), Exit::CannotCreate, || {
         format!("{} is already there; remove it, or name another with --into FILE", into.display())
     })?;
     config.store.path.clone_from(&into);
-    let report = runtime::block_on(async {
+    runtime::block_on(async {
         let old = Reader::open(&from).await.or_exit(Exit::Io)?;
         let mut new = Offline::open(config).await.map_err(start_failure)?;
         let replayed = replay(&old, &mut new).await.or_exit(Exit::Io)?;
         new.close().await.or_exit(Exit::Io)?;
         let new = Reader::open(&into).await.or_exit(Exit::Io)?;
-        compare(&old, &new, replayed, into).await
-    })?;
-    let text = if arguments.json {
-        serde_json::to_string_pretty(&report).context("cannot write the report as JSON").or_exit(Exit::Software)?
-    } else {
-        sentences(&report)
-    };
-    writeln!(io::stdout().lock(), "{text}").context("cannot write the report").or_exit(Exit::Io)?;
-    Ok(Exit::Ok)
+        let report = compare(&old, &new, replayed, into).await?;
+        let text = if arguments.json {
+            serde_json::to_string_pretty(&report).context("cannot write the report as JSON").or_exit(Exit::Software)?
+        } else {
+            sentences(&report)
+        };
+        writeln!(io::stdout().lock(), "{text}").context("cannot write the report").or_exit(Exit::Io)?;
+        Ok(Exit::Ok)
+    })
 }
 
 fn must_be(right: bool, exit: Exit, complaint: impl FnOnce() -> String) -> Result<(), Failure> {
@@ -166,7 +164,8 @@ async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError>
 
 async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) -> Result<Report, Failure> {
     let Some(since) = replayed.since else {
-        let complaint = format!("no stored throw has a trace any more ({} without): nothing to run", replayed.without_trace);
+        let complaint =
+            format!("no stored throw has a trace any more ({} without): nothing to run", replayed.without_trace);
         return Err(Failure { exit: Exit::Data, error: anyhow!(complaint) });
     };
     let before = occurrences(old, since).await?;

@@ -28,7 +28,8 @@ fn configuration(folder: &Path, name: &str, diagnosis: &str) -> std::path::PathB
 /// A life whose motor loses a quarter of its torque after the baseline, in the database.
 async fn record(config: &Path) {
     let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: -25.0, from_throw: THROWS.0 };
-    let fleet = FleetSettings { machines: 1, faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
+    let fleet =
+        FleetSettings { machines: 1, faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
     let mut machine = Fleet::new(&fleet, 3).unwrap().into_machines().pop().unwrap();
     let mut pipeline = Offline::open(Config::load(config).unwrap()).await.unwrap();
     let id = MachineId::new("north", "21B").unwrap();
