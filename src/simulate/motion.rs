@@ -100,11 +100,14 @@ struct Machine<'a> {
     direction: Direction,
     h: f64,
     free: Kind,
-    leaning: Kind,
+    /// Built when the toe first touches a stop: a throw that is watched only while it moves never does.
+    leaning: Option<Kind>,
+    modes: &'a Modes,
     toe: Toe,
     friction: Friction,
     state: State,
     current: f64,
+    decay: Decay,
     /// Motor speed one step ago, for the speed at the middle of the next.
     last_speed: f64,
     /// The stop that the toe leans on \[m from neutral\].
@@ -114,7 +117,7 @@ struct Machine<'a> {
 impl<'a> Machine<'a> {
     fn new(
         parameters: &'a Parameters,
-        modes: &Modes,
+        modes: &'a Modes,
         direction: Direction,
         conditions: &'a Conditions,
         h: f64,
@@ -131,11 +134,13 @@ impl<'a> Machine<'a> {
             direction,
             h,
             free: Kind::new(parameters, modes, &friction, h, false),
-            leaning: Kind::new(parameters, modes, &friction, h, true),
+            leaning: None,
+            modes,
             toe: Toe::new(modes),
             friction,
             state,
             current: 0.0,
+            decay: Decay::over(parameters.resistance_ohm * h / parameters.inductance_h),
             last_speed: 0.0,
             contact: None,
         }
@@ -184,7 +189,11 @@ impl<'a> Machine<'a> {
 
     fn step(&mut self, at: usize, on: bool) {
         let torque = self.armature(at, on) * self.parameters.gear_ratio;
-        let kind = if self.contact.is_some() { &self.leaning } else { &self.free };
+        let kind = if self.contact.is_some() {
+            self.leaning.get_or_insert_with(|| Kind::new(self.parameters, self.modes, &self.friction, self.h, true))
+        } else {
+            &self.free
+        };
         let mut next = kind.step.advance(&self.state);
         add_scaled(&mut next, &kind.step.motor, torque);
         if let Some(stop) = self.contact {
@@ -215,18 +224,19 @@ impl<'a> Machine<'a> {
         } else {
             (p.inductance_h / ARC_TIME_S, 0.0)
         };
-        let decay = resistance * self.h / p.inductance_h;
+        let exponent = resistance * self.h / p.inductance_h;
+        if exponent.to_bits() != self.decay.exponent.to_bits() {
+            self.decay = Decay::over(exponent);
+        }
+        let Decay { left, mean, mean_square, .. } = self.decay;
         let settled = volts / resistance;
         let excess = self.current - settled;
-        let mean_of_decay = -(-decay).exp_m1() / decay;
-        self.current = settled + excess * (-decay).exp();
+        self.current = settled + excess * left;
         match p.motor {
-            MotorKind::PermanentMagnet => p.torque_constant * (settled + excess * mean_of_decay),
+            MotorKind::PermanentMagnet => p.torque_constant * (settled + excess * mean),
             MotorKind::Series => {
-                let mean_of_square_decay = -(-2.0 * decay).exp_m1() / (2.0 * decay);
-                let mean_square =
-                    settled * settled + 2.0 * settled * excess * mean_of_decay + excess * excess * mean_of_square_decay;
-                p.torque_constant * mean_square * self.direction.sign()
+                let square = settled * settled + 2.0 * settled * excess * mean + excess * excess * mean_square;
+                p.torque_constant * square * self.direction.sign()
             }
         }
     }
@@ -254,6 +264,25 @@ impl<'a> Machine<'a> {
         if was.is_some() != self.contact.is_some() {
             self.friction.forget_effect();
         }
+    }
+}
+
+/// How a current fades over one step, e^(-R h / L); kept as long as the resistance stays.
+#[derive(Debug, Clone, Copy)]
+struct Decay {
+    exponent: f64,
+    /// What is left at the end of the step.
+    left: f64,
+    /// Mean over the step.
+    mean: f64,
+    /// Mean of its square.
+    mean_square: f64,
+}
+
+impl Decay {
+    fn over(exponent: f64) -> Self {
+        let mean = |exponent: f64| -(-exponent).exp_m1() / exponent;
+        Self { exponent, left: (-exponent).exp(), mean: mean(exponent), mean_square: mean(2.0 * exponent) }
     }
 }
 
