@@ -55,7 +55,7 @@ impl Rig {
         let text = format!(
             "{}\n[store]\npath = {:?}\nballast_mib = 0\n[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:0\"]\n",
             self.extra,
-            self.database()
+            self.database().display().to_string()
         );
         fs::write(&path, text).unwrap();
         path
