@@ -9,12 +9,12 @@ use serde_json::{Value, json};
 use super::{Exit, Outcome, ResultExt, recording};
 use crate::{
     estimate::{Estimate, Identification, Identifier, Motor, Rejection, Settings},
-    throw::{Throw, ThrowRef},
+    throw::{Direction, Throw, ThrowRef},
 };
 
 /// Identify b0, a1 and a0 from one recorded throw.
 ///
-/// FILE is CSV with the columns time_s, current_a and position_mm (any order, others are ignored). Uneven time stamps
+/// FILE is CSV with the columns `time_s`, `current_a` and `position_mm` (any order, others are ignored). Uneven time stamps
 /// are resampled to an even grid; gaps are refused.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  pointsim throw --out throw.csv && pointsd identify throw.csv\n\n\
@@ -144,7 +144,7 @@ fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> Valu
         "iterations": estimate.map(|e| e.iterations),
         "start_s": of(|e| e.start_s),
         "end_s": of(|e| e.end_s),
-        "direction": found.direction.map(|direction| direction.as_str()),
+        "direction": found.direction.map(super::super::throw::Direction::as_str),
         "duration_s": found.features.duration_s,
         "peak_current_a": found.features.peak_current_a,
         "mean_current_a": found.features.mean_current_a,

@@ -49,7 +49,7 @@ pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
 
 fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
     let text = std::str::from_utf8(bytes).map_err(|error| {
-        let line = 1 + bytes[..error.valid_up_to()].iter().filter(|byte| **byte == b'\n').count();
+        let line = bytes[..error.valid_up_to()].split(|byte| *byte == b'\n').count();
         anyhow!("line {line}: not UTF-8 text: is this a CSV file?")
     })?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);

@@ -43,8 +43,8 @@ pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Resu
 pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection> {
     for sign in [1.0, -1.0] {
         let limit = current.iter().fold(f64::NEG_INFINITY, |max, i| max.max(sign * i));
-        let Some(from) = current.iter().position(|i| sign * i == limit) else { continue };
-        let length = current[from..].iter().take_while(|i| sign * **i == limit).count();
+        let Some(from) = current.iter().position(|i| sign * i >= limit) else { continue };
+        let length = current[from..].iter().take_while(|i| sign * **i >= limit).count();
         if length < 3 || from == 0 {
             continue;
         }

@@ -7,16 +7,16 @@
 //! θ̂ - θ = M⁻¹ Σ_k z_k e_k,   M = Σ z φ',   e = n_y - Σ_s (B_s/A) n_s
 //! ```
 //!
-//! as the equation error, filtered by 1/A, is the output noise n_y itself less the input noise n_s through the model.
-//! With T the lower triangular matrix of the sampled response B/A, Σ z_k (T n)_k = (T' Z)' n, and T' Z is Z filtered
-//! backwards in time. So, for white noise of variances s_y² and s_s²,
+//! as the equation error, filtered by 1/A, is the output noise `n_y` itself less the input noise `n_s` through the model.
+//! With T the lower triangular matrix of the sampled response B/A, Σ `z_k` (T n)_k = (T' Z)' n, and T' Z is Z filtered
+//! backwards in time. So, for white noise of variances `s_y²` and `s_s²`,
 //!
 //! ```text
 //! P = M⁻¹ ( s_y² Z'Z + Σ_s s_s² W_s' W_s ) M⁻ᵀ,   W_s = Z filtered backwards in time by B_s/A
 //! ```
 //!
-//! The start position and the current's offset are means over n quiet samples: their errors, of variances s_y²/n and
-//! s_s²/n, are common to all samples and add s_y²/n (Σz)(Σz)' and s_s²/n (Σw)(Σw)' to the bracket. (With less noise than
+//! The start position and the current's offset are means over n quiet samples: their errors, of variances `s_y²/n` and
+//! `s_s²/n`, are common to all samples and add `s_y²/n` (Σz)(Σz)' and `s_s²/n` (Σw)(Σw)' to the bracket. (With less noise than
 //! half a step of the converter averaging does not help, and the rounding error of one sample takes their place.)
 
 use super::{

@@ -1,7 +1,7 @@
 //! The state-variable filter 1/A(s), discretised exactly for what the signal does between its samples.
 //!
-//! With x = v / A(s) and the state z = (x, x', …, x⁽ⁿ⁻¹⁾), the companion form ż = F z + e_n v gives over one sampling
-//! interval h, for v(t_k + τ) = v_k + (v_{k+1} - v_k) τ/h,
+//! With x = v / A(s) and the state z = (x, x', …, x⁽ⁿ⁻¹⁾), the companion form ż = F z + `e_n` v gives over one sampling
+//! interval h, for `v(t_k` + τ) = `v_k` + (v_{k+1} - `v_k`) τ/h,
 //!
 //! ```text
 //! z_{k+1} = Φ z_k + Γ0 v_k + Γ1 (v_{k+1} - v_k),   Φ = e^{Fh},   Γ0 = ∫₀ʰ e^{Fτ} e_n dτ,   Γ1 = (1/h) ∫₀ʰ e^{F(h-τ)} e_n τ dτ
@@ -13,7 +13,7 @@
 //! q_{k+1} = Φ q_k + Γ v_k,   z_k = q_k + Γ1 v_k,   Γ = Φ Γ1 + Γ0 - Γ1
 //! ```
 //!
-//! Φ, Γ0 and Γ1 come from Taylor series in normalised time (the companion matrix of a_i / ρ^i, ρ its root radius, so
+//! Φ, Γ0 and Γ1 come from Taylor series in normalised time (the companion matrix of `a_i` / ρ^i, ρ its root radius, so
 //! that no power of a fast pole spoils the others) with scaling and squaring.
 
 use serde::{Deserialize, Serialize};
@@ -44,7 +44,7 @@ struct Interval<const N: usize> {
 }
 
 impl<const N: usize> Discrete<N> {
-    /// Discretises 1/A(s), A monic with `a` = \[a_1, …, a_N\] (a_i belongs to s^(N-i)), for the interval `h` \[s\].
+    /// Discretises 1/A(s), A monic with `a` = \[`a_1`, …, `a_N`\] (`a_i` belongs to s^(N-i)), for the interval `h` \[s\].
     pub(super) fn new(a: &[f64; N], h: f64, hold: Hold) -> Self {
         let rho = root_radius(a);
         let interval = Interval::new(&normalised(a, rho), rho * h);
@@ -63,7 +63,7 @@ impl<const N: usize> Discrete<N> {
         Self { phi, gamma, through }
     }
 
-    /// The state before the first sample `v0`, so that z_0 = 0: the filter starts at rest.
+    /// The state before the first sample `v0`, so that `z_0` = 0: the filter starts at rest.
     pub(super) fn rest(&self, v0: f64) -> [f64; N] {
         std::array::from_fn(|i| -self.through[i] * v0)
     }
@@ -146,7 +146,7 @@ fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// max |a_i|^(1/i), a radius that holds the roots of A up to a factor of two; 1 when all are zero.
+/// max |`a_i|^(1/i)`, a radius that holds the roots of A up to a factor of two; 1 when all are zero.
 pub(super) fn root_radius<const N: usize>(a: &[f64; N]) -> f64 {
     let radius = (1..).zip(a).fold(0.0, |radius: f64, (i, a)| radius.max(a.abs().powf(1.0 / f64::from(i))));
     if radius > 0.0 { radius } else { 1.0 }

@@ -46,7 +46,7 @@ pub struct Estimate {
     pub a0: f64,
     /// Covariance of (b0, a1, a0), in their units.
     pub covariance: Matrix3<f64>,
-    /// R²_T \[%\].
+    /// `R²_T` \[%\].
     pub fit_pct: f64,
     /// SRIV iterations.
     pub iterations: usize,

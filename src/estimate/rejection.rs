@@ -197,7 +197,7 @@ pub enum Rejection {
     /// The model's output does not follow the measured one.
     #[error("the model follows the movement to {fit_pct:.2} % only, at least {floor_pct:.2} % are needed")]
     PoorFit {
-        /// R²_T \[%\].
+        /// `R²_T` \[%\].
         fit_pct: f64,
         /// The floor \[%\].
         floor_pct: f64,

@@ -1,7 +1,7 @@
 //! When the machine is let go.
 //!
-//! Before the motor is on, a brake or dry friction holds rails that lean against a spring: y = 0 although y_eq is not.
-//! The term a0 y_eq of equation (12) acts from the moment in which the motor starts, so that moment matters: 1 ms too
+//! Before the motor is on, a brake or dry friction holds rails that lean against a spring: y = 0 although `y_eq` is not.
+//! The term a0 `y_eq` of equation (12) acts from the moment in which the motor starts, so that moment matters: 1 ms too
 //! early costs 0.8 % of all three coefficients in the direction in which the spring drives the throw.
 //!
 //! Unfiltered, the current shows it: the foot of its rise, extrapolated through the first samples. A filter that both
@@ -16,7 +16,7 @@ use super::movement::start_of_motor;
 const PULSE_WIDTHS_S: [f64; 5] = [0.005, 0.01, 0.02, 0.04, 0.08];
 /// Starts that are tried.
 const STEPS: u32 = 100;
-/// Delay of a fourth-order Butterworth low-pass at 0 Hz, in units of 1/ω_c: 2 (sin π/8 + sin 3π/8).
+/// Delay of a fourth-order Butterworth low-pass at 0 Hz, in units of `1/ω_c`: 2 (sin π/8 + sin 3π/8).
 const FILTER_DELAY: f64 = 2.613_125_929_752_753;
 
 /// The moment of release \[s\] in a trace before its decimation; `None` when the motor was never off or never on.

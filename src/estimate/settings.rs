@@ -28,7 +28,7 @@ pub struct Settings {
     pub current_noise_a: f64,
     /// Standard deviation of the position sensor's noise \[mm\], used when the trace has no quiet samples.
     pub position_noise_mm: f64,
-    /// Least fit R²_T of an accepted estimate \[%\].
+    /// Least fit `R²_T` of an accepted estimate \[%\].
     pub fit_floor_pct: f64,
     /// Use the noise-matched prefilter.
     pub refined: bool,

@@ -14,7 +14,7 @@
 //! θ = (Σ z φ')⁻¹ Σ z y_f⁽ᴺ⁾
 //! ```
 //!
-//! where the instrument z is φ with y replaced by the output x̂ of the auxiliary model, x̂ = (Σ B̂_s u_s + â_N y_eq) / Â,
+//! where the instrument z is φ with y replaced by the output x̂ of the auxiliary model, x̂ = (Σ `B̂_s` `u_s` + `â_N` `y_eq`) / Â,
 //! which knows nothing of the noise in y. Filter and auxiliary model come from the estimate before; the first one is
 //! least squares with the filter 1/(s+λ)^N. (Young 1984; Garnier, Gilson, Young.)
 //!
@@ -47,7 +47,7 @@ pub struct Problem<'a, const S: usize> {
     pub output: &'a [f64],
     /// The inputs, each sampled one as long as the output.
     pub inputs: [Signal<'a>; S],
-    /// The output at which the term in a_N vanishes, its mean over the interval after each sample; 0 while something
+    /// The output at which the term in `a_N` vanishes, its mean over the interval after each sample; 0 while something
     /// else still holds the machine. `None` when it is 0 throughout.
     pub equilibrium: Option<&'a [f64]>,
 }
@@ -71,7 +71,7 @@ pub struct Sriv<const N: usize, const S: usize, const P: usize> {
 pub enum Start<const N: usize> {
     /// Least squares with the filter 1/(s+λ)^N, λ in rad/s.
     Lag(f64),
-    /// Least squares with the filter 1/A(s), A monic with these coefficients \[a_1 … a_N\].
+    /// Least squares with the filter 1/A(s), A monic with these coefficients \[`a_1` … `a_N`\].
     Denominator([f64; N]),
 }
 
@@ -127,7 +127,7 @@ pub enum Unsound {
     /// The model's output does not follow the measured one.
     #[error("the model explains {fit} of the output's variance only")]
     PoorFit {
-        /// R²_T.
+        /// `R²_T`.
         fit: f64,
     },
 }
@@ -140,7 +140,7 @@ impl<const N: usize, const S: usize, const P: usize> Solution<N, S, P> {
     /// converges to nonsense.
     ///
     /// # Errors
-    /// The first thing that is wrong with it: not converged, unstable, nearly singular, or a fit R²_T below `fit_floor`.
+    /// The first thing that is wrong with it: not converged, unstable, nearly singular, or a fit `R²_T` below `fit_floor`.
     pub fn sound(&self, fit_floor: f64) -> Result<(), Unsound> {
         if self.rcond < MIN_RCOND {
             return Err(Unsound::NearlySingular { rcond: self.rcond });
@@ -159,7 +159,7 @@ impl<const N: usize, const S: usize, const P: usize> Solution<N, S, P> {
 /// The estimate and what it takes to judge it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution<const N: usize, const S: usize, const P: usize> {
-    /// θ: numerator coefficients input by input, highest derivative first, then a_1 … a_N.
+    /// θ: numerator coefficients input by input, highest derivative first, then `a_1` … `a_N`.
     pub parameters: [f64; P],
     /// Iterations after the start.
     pub iterations: usize,
@@ -169,7 +169,7 @@ pub struct Solution<const N: usize, const S: usize, const P: usize> {
     pub reflected: bool,
     /// Reciprocal condition of the equilibrated normal matrix of the last iteration.
     pub rcond: f64,
-    /// R²_T = 1 - var(y - x̂) / var(y).
+    /// `R²_T` = 1 - var(y - x̂) / var(y).
     pub fit: f64,
     /// (Σ z φ')⁻¹ of the last iteration.
     pub(super) inverse: [[f64; P]; P],
@@ -223,7 +223,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         Ok(Self { columns, numerator_orders, start: Start::Lag(5.0), tolerance: 1e-6, max_iterations: 50 })
     }
 
-    /// The denominator coefficients a_1 … a_N in a parameter vector.
+    /// The denominator coefficients `a_1` … `a_N` in a parameter vector.
     #[must_use]
     pub fn denominator(parameters: &[f64; P]) -> [f64; N] {
         std::array::from_fn(|i| parameters[P - N + i])

@@ -6,7 +6,7 @@ use pointsd::throw::{Direction, Throw, ThrowRef, Trace};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 /// A throw of nobody in particular with this trace.
-pub fn throw_with(trace: Trace, anti_alias_hz: Option<f64>) -> Throw {
+pub(crate) fn throw_with(trace: Trace, anti_alias_hz: Option<f64>) -> Throw {
     Throw {
         id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
         started_at: jiff::Timestamp::UNIX_EPOCH,
@@ -19,19 +19,19 @@ pub fn throw_with(trace: Trace, anti_alias_hz: Option<f64>) -> Throw {
 }
 
 /// Simulates one throw of `machine` as `sensors` see it.
-pub fn simulated(machine: &Parameters, sensors: &Sensors, direction: Direction, seed: u64) -> Throw {
+pub(crate) fn simulated(machine: &Parameters, sensors: &Sensors, direction: Direction, seed: u64) -> Throw {
     let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     throw_with(sensors.record(&motion, direction, &mut rng).unwrap().trace, sensors.anti_alias_hz)
 }
 
 /// The settings that belong to a simulated machine.
-pub fn settings_of(machine: &Parameters) -> Settings {
+pub(crate) fn settings_of(machine: &Parameters) -> Settings {
     Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() }
 }
 
 /// The default machine without any dry friction: all of its physics is in equation (10).
-pub fn without_dry_friction() -> Parameters {
+pub(crate) fn without_dry_friction() -> Parameters {
     let machine = Parameters::default();
     let rails = Rails { slide_friction: 0.0, ..machine.rails.clone() };
     Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, rails, ..machine }

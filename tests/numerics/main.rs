@@ -8,6 +8,7 @@ mod damaged;
 mod emps;
 mod fleet;
 mod identify;
+mod identify_cli;
 mod machine;
 mod sriv;
 mod table1;

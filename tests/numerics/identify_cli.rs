@@ -1,0 +1,85 @@
+//! `pointsd identify` as a user runs it: one sentence that says what is wrong and where.
+
+use std::fmt::Write as _;
+use std::process::{Command, Output};
+
+use pointsd::simulate::{Parameters, Sensors};
+use pointsd::throw::Direction;
+
+use super::identify::simulated;
+
+const HEADER: &str = "time_s,current_a,position_mm\n";
+
+fn csv() -> String {
+    let trace = simulated(&Parameters::default(), &Sensors::default(), Direction::NormalToReverse, 1).trace;
+    let mut text = HEADER.to_owned();
+    for (k, (current, position)) in trace.current_a().iter().zip(trace.position_mm()).enumerate() {
+        writeln!(text, "{:.6},{current},{position}", k as f64 * 1e-3).unwrap();
+    }
+    text
+}
+
+fn identify(text: &str) -> Output {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("throw.csv");
+    std::fs::write(&file, text).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_pointsd")).arg("identify").arg(&file).arg("--json").output().unwrap()
+}
+
+#[test]
+fn a_healthy_recording_is_accepted_whatever_the_habits_of_its_writer() {
+    let plain = csv();
+    let reordered = plain.lines().map(|line| {
+        let cells: Vec<&str> = line.split(',').collect();
+        format!("{},note,{},{}", cells[2], cells[0], cells[1])
+    });
+    let reordered = reordered.collect::<Vec<_>>().join("\r\n");
+    for text in [plain.clone(), format!("\u{feff}{plain}"), plain.replace('\n', "\r\n"), reordered] {
+        let output = identify(&text);
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(report["accepted"], true);
+        assert_eq!(report["direction"], "normal_to_reverse");
+        assert!((report["b0"].as_f64().unwrap() / 203.0 - 1.0).abs() < 0.03, "{report}");
+        assert_eq!(report["covariance"].as_array().unwrap().len(), 3);
+    }
+}
+
+#[test]
+fn what_is_no_recording_is_refused_with_its_place() {
+    let plain = csv();
+    let lines: Vec<&str> = plain.lines().collect();
+    let still: String = lines
+        .iter()
+        .skip(1)
+        .fold(HEADER.to_owned(), |text, line| text + &line.split(',').take(2).collect::<Vec<_>>().join(",") + ",0\n");
+    let with_line = |at: usize, line: &str| {
+        let mut lines = lines.clone();
+        lines[at] = line;
+        lines.join("\n")
+    };
+    let gap = [&lines[..1000], &lines[1100..]].concat().join("\n");
+    for (text, exit, words) in [
+        (still, 1, vec!["the toe did not move"]),
+        (with_line(57, "0.056,NaN,0"), 1, vec!["line 58", "current", "no finite number"]),
+        (with_line(57, "0.056,strong,0"), 65, vec!["line 58", "current_a", "strong"]),
+        (with_line(57, "0.056,1.0"), 65, vec!["line 58", "position_mm", "no value"]),
+        (with_line(57, "0.001,1.0,0"), 65, vec!["line 58", "time does not increase"]),
+        (plain.replace("current_a", "amps"), 65, vec!["line 1", "current_a is missing"]),
+        (plain.replace(',', ";"), 65, vec!["line 1", "semicolons"]),
+        (lines[..4].join("\n"), 1, vec!["throw.csv"]),
+        (lines[..2].join("\n"), 65, vec!["too few"]),
+        (gap, 65, vec!["line 1001", "gap"]),
+        (String::new(), 65, vec!["line 1"]),
+    ] {
+        let output = identify(&text);
+        let sentence = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(exit), "{words:?}: {sentence}");
+        assert_eq!(sentence.trim().lines().count(), 1, "{sentence}");
+        for word in words {
+            assert!(sentence.contains(word), "{word:?} is not in: {sentence}");
+        }
+    }
+    let absent = Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["identify", "/nowhere.csv"]).output().unwrap();
+    assert_eq!(absent.status.code(), Some(66));
+}
