@@ -56,7 +56,7 @@ fn visit(dir: &Path, check: &mut dyn FnMut(&Path, &str)) {
         let path = entry.unwrap().path();
         if path.is_dir() {
             visit(&path, check);
-        } else if path.extension().is_some_and(|ext| ext == "rs") {
+        } else if path.extension().is_some_and(|ext| ext == "rs") && !path.ends_with("tests.rs") {
             check(&path, &fs::read_to_string(&path).unwrap());
         }
     }

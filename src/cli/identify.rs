@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::{Exit, Outcome, ResultExt, recording};
 use crate::{
     estimate::{Estimate, Identification, Identifier, Motor, Rejection, Settings},
-    throw::{Direction, Throw, ThrowRef},
+    throw::{Throw, ThrowRef},
 };
 
 /// Identify b0, a1 and a0 from one recorded throw.
@@ -47,9 +47,6 @@ pub(super) struct Arguments {
     /// Standard deviation of the position sensor's noise [mm], for traces without quiet samples.
     #[arg(long, default_value_t = Settings::default().position_noise_mm, value_name = "MM")]
     position_noise_mm: f64,
-    /// Use the noise-matched prefilter.
-    #[arg(long)]
-    refined: bool,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -108,7 +105,6 @@ impl Arguments {
             },
             current_noise_a: self.current_noise_a,
             position_noise_mm: self.position_noise_mm,
-            refined: self.refined,
             ..Settings::default()
         }
     }

@@ -14,6 +14,7 @@ mod fleet;
 mod heartbeat;
 mod identify;
 mod judge;
+mod keep;
 mod lock;
 mod offline;
 mod presence;
@@ -150,6 +151,7 @@ impl Daemon {
         answer_questions(&config, &session, &store, &tasks, orders).await?;
         let loggers = PresenceWatch::subscribe(&session, &config.scope.key_expression(Kind::Alive)).await?;
         tasks.spawn("presence", presence::run(loggers, Arc::clone(&status)));
+        tasks.spawn("keep house", keep::run(store.clone()));
 
         let limits = Limits {
             max_payload_bytes: config.subscribe.max_payload_bytes,

@@ -174,16 +174,22 @@ pub(super) fn sticking(
     Ok(())
 }
 
-/// Lone values far from their neighbours: the second difference is large there, and half as large and opposite beside it.
-/// A few of them are corrupt values; many are a ripple that the sampling barely resolves.
+/// Lone values far from their neighbours: the second difference is large there, half as large and opposite beside it, and
+/// small again two samples away, which it is not where an anti-alias filter rings after the inrush. A few of them are
+/// corrupt values; many are a ripple that the sampling barely resolves.
 pub(super) fn spikes(movement: &Movement, channel: Channel, values: &[f64], interval_s: f64) -> Result<(), Rejection> {
     let range = if channel == Channel::Current { 0.02 * movement.peak_a } else { 0.002 * movement.travel_mm };
     let threshold = range.max(12.0 * movement.level(channel).sd).max(3.0 * quantum(values).min(range));
     let bend = |k: usize| values[k] - 0.5 * (values[k - 1] + values[k + 1]);
-    let mut spikes = (2..movement.near_end.min(values.len().saturating_sub(2))).filter(|&k| {
+    let mut spikes = (3..movement.near_end.min(values.len().saturating_sub(3))).filter(|&k| {
         let here = bend(k);
         let opposite = |beside: f64| -beside * here.signum() > 0.3 * here.abs();
-        here.abs() > threshold && opposite(bend(k - 1)) && opposite(bend(k + 1))
+        let quiet = |further: f64| further.abs() < 0.3 * here.abs();
+        here.abs() > threshold
+            && opposite(bend(k - 1))
+            && opposite(bend(k + 1))
+            && quiet(bend(k - 2))
+            && quiet(bend(k + 2))
     });
     match spikes.next() {
         Some(at) if spikes.count() < 5 => {

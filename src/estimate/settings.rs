@@ -30,8 +30,6 @@ pub struct Settings {
     pub position_noise_mm: f64,
     /// Least fit `R²_T` of an accepted estimate \[%\].
     pub fit_floor_pct: f64,
-    /// Use the noise-matched prefilter.
-    pub refined: bool,
 }
 
 impl Default for Settings {
@@ -44,7 +42,6 @@ impl Default for Settings {
             current_noise_a: 0.02,
             position_noise_mm: 0.02,
             fit_floor_pct: 98.0,
-            refined: false,
         }
     }
 }
