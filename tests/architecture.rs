@@ -1,5 +1,7 @@
 //! Keeps the architecture: the pure core names no runtime, network, database, clock or process.
 
+#![expect(clippy::unwrap_used, reason = "a test may stop on an error, in its helpers too")]
+
 use std::{fs, path::Path};
 
 /// The rooms of the core, each with the rooms of this crate that it may name.

@@ -32,19 +32,19 @@ pub(super) struct Arguments {
     /// Toe position at which the rails are unstressed [mm from normal].
     #[arg(long, default_value_t = Settings::default().neutral_mm, value_name = "MM", allow_negative_numbers = true)]
     neutral_mm: f64,
-    /// Nominal stroke [mm]; without it only the trace itself tells an incomplete throw.
+    /// Nominal stroke in mm; without it only the trace itself tells an incomplete throw.
     #[arg(long, value_name = "MM")]
     stroke_mm: Option<f64>,
     /// Kind of motor.
     #[arg(long, default_value = "permanent-magnet")]
     motor: MotorArgument,
-    /// Cut-off of the anti-alias filter that both channels passed [Hz].
+    /// Cut-off of the anti-alias filter that both channels passed, in Hz.
     #[arg(long, value_name = "HZ")]
     anti_alias_hz: Option<f64>,
-    /// Standard deviation of the current sensor's noise [A], for traces without quiet samples.
+    /// Standard deviation of the current sensor's noise in A, for traces without quiet samples.
     #[arg(long, default_value_t = Settings::default().current_noise_a, value_name = "A")]
     current_noise_a: f64,
-    /// Standard deviation of the position sensor's noise [mm], for traces without quiet samples.
+    /// Standard deviation of the position sensor's noise in mm, for traces without quiet samples.
     #[arg(long, default_value_t = Settings::default().position_noise_mm, value_name = "MM")]
     position_noise_mm: f64,
 }

@@ -48,7 +48,7 @@ pub(super) struct Arguments {
     /// Temperature of the machine [°C].
     #[arg(long, default_value_t = 20.0, allow_hyphen_values = true)]
     temperature_c: f64,
-    /// An obstacle in the way of the toe, this far from normal [mm].
+    /// An obstacle in the way of the toe, this many mm from normal.
     #[arg(long)]
     obstruction_mm: Option<f64>,
     /// Prints what the physics says, as JSON.

@@ -16,7 +16,7 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// A pool of so many threads; 0 for as many as there are processors, at most [`MOST_THREADS`].
+    /// A pool of so many threads; 0 for as many as there are processors, at most `MOST_THREADS`.
     #[must_use]
     pub fn new(threads: usize) -> Self {
         let available = || std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);

@@ -141,18 +141,17 @@ impl Board {
         if self.is_active(cause) {
             return None;
         }
-        let index = match self.find(cause) {
-            Some(index) => index,
-            None => {
-                let raised_at = self.unique(at);
-                self.alarms.push(Alarm {
-                    active: false,
-                    acknowledged_by: None,
-                    shelved_until: None,
-                    last: blank(cause, raised_at),
-                });
-                self.alarms.len() - 1
-            }
+        let index = if let Some(index) = self.find(cause) {
+            index
+        } else {
+            let raised_at = self.unique(at);
+            self.alarms.push(Alarm {
+                active: false,
+                acknowledged_by: None,
+                shelved_until: None,
+                last: blank(cause, raised_at),
+            });
+            self.alarms.len() - 1
         };
         let alarm = &mut self.alarms[index];
         alarm.active = true;
@@ -206,6 +205,7 @@ impl Board {
     }
 
     /// Ends shelving. The inner `None`: it is not shelved.
+    #[expect(clippy::option_option, reason = "no alarm, and an alarm that is not shelved, are answered differently")]
     pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Option<Option<AlarmEvent>> {
         let index = self.find(cause)?;
         Some(self.alarms[index].shelved_until.take().map(|_| self.note(index, at, actor, None)))
@@ -250,6 +250,7 @@ impl Board {
     }
 
     /// The direction of an active alarm: the inner `None` is both.
+    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     pub(super) fn direction(&self, cause: Cause) -> Option<Option<Direction>> {
         self.alarms.iter().find(|alarm| alarm.active && alarm.last.cause == cause).map(|alarm| alarm.last.direction)
     }

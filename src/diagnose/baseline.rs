@@ -65,7 +65,7 @@ pub(super) struct Learned {
     duration_s: Option<f32>,
 }
 
-/// Compensation of temperature: x - per_k (T - reference).
+/// Compensation of temperature: x - `per_k` (T - reference).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Temperature {
     source: TemperatureSource,

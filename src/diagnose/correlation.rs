@@ -1,7 +1,7 @@
 //! The paper's cross-correlation of the three inertia estimates.
 //!
-//! Every coefficient gives an estimate of the inertia, nominal over estimate: `J_b0` = b0_ref/b0, `J_a1` = a1_ref/a1,
-//! `J_a0` = a0_ref/a0. When inertia itself changes, all three move together; the rule asks each pair for a
+//! Every coefficient gives an estimate of the inertia, nominal over estimate: `J_b0` = `b0_ref/b0`, `J_a1` = `a1_ref/a1`,
+//! `J_a0` = `a0_ref/a0`. When inertia itself changes, all three move together; the rule asks each pair for a
 //! correlation of at least 0.8. It is taken over the baseline and the recent window together, each with the same
 //! weight, so that a drift shows in it as between the paper's tests.
 

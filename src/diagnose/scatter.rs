@@ -9,7 +9,7 @@
 //! V = D A D + C / w,   D = diag(sqrt(g_w(phi_i) / w)),   g_w(phi) = 1 + 2 sum_{k<w} (1 - k/w) phi^k
 //! ```
 //!
-//! and g_w tends to (1 + phi) / (1 - phi) (the variance of the mean of a first-order autoregressive series). The
+//! and `g_w` tends to (1 + phi) / (1 - phi) (the variance of the mean of a first-order autoregressive series). The
 //! baseline's centre, a mean of n throws, errs in the same way.
 
 use nalgebra::{Matrix3, Vector3};
@@ -115,7 +115,7 @@ impl Scatter {
     }
 }
 
-/// g_w(phi): by how much the variance of a mean of `w` throws exceeds that of independent ones.
+/// `g_w(phi)`: by how much the variance of a mean of `w` throws exceeds that of independent ones.
 pub(super) fn inflation(phi: f64, w: f64) -> f64 {
     let rest = 1.0 - phi;
     (1.0 + phi) / rest - 2.0 * phi * (1.0 - phi.powf(w)) / (w * rest * rest)

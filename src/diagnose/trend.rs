@@ -145,7 +145,7 @@ impl Slopes {
         let kendall_variance = n * (n - 1.0) * (2.0 * n + 5.0) / 18.0;
         let reach = NORMAL_97_5 * (kendall_variance * inflation).sqrt();
         let count = self.sorted.len() as f64;
-        (self.at((count - reach) / 2.0), self.at((count + reach) / 2.0))
+        (self.at((count - reach) / 2.0), self.at(f64::midpoint(count, reach)))
     }
 }
 
@@ -155,7 +155,9 @@ fn serial_inflation(series: &[f64], slope: f64) -> f64 {
     let n = series.len() as f64;
     let mut rest: Vec<f64> = series.iter().enumerate().map(|(at, value)| value - slope * at as f64).collect();
     let level = rest.iter().sum::<f64>() / n;
-    rest.iter_mut().for_each(|v| *v -= level);
+    for value in &mut rest {
+        *value -= level;
+    }
     let square: f64 = rest.iter().map(|v| v * v).sum();
     let lagged: f64 = rest.iter().zip(&rest[1..]).map(|(a, b)| a * b).sum();
     // A fitted line takes correlation away: about four parts of n.

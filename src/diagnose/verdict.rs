@@ -68,6 +68,7 @@ impl Drift {
     }
 
     /// What the throw says about `cause`.
+    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
         let named = self.finding.as_ref().filter(|finding| finding.cause() == cause);
         let other = self.finding.as_ref().is_some_and(|finding| {

@@ -341,8 +341,10 @@ fn finish(
     for (i, name) in ["b0", "a1", "a0"].into_iter().enumerate() {
         let sd_pct = 100.0 * covariance[i][i].sqrt() / solution.parameters[i];
         match cut_after_mm {
-            Some(travel_mm) if !(sd_pct <= MAX_SD_CUT_PCT) => return Err(Rejection::EndMissing { travel_mm }),
-            _ if !(sd_pct <= MAX_SD_PCT[i]) => {
+            Some(travel_mm) if sd_pct.is_nan() || sd_pct > MAX_SD_CUT_PCT => {
+                return Err(Rejection::EndMissing { travel_mm });
+            }
+            _ if sd_pct.is_nan() || sd_pct > MAX_SD_PCT[i] => {
                 return Err(Rejection::Uncertain { name, sd_pct, limit_pct: MAX_SD_PCT[i] });
             }
             _ => {}

@@ -8,6 +8,7 @@
 //! channels passed delays and rounds the foot; then the start is that of the rectangular pulse which, filtered alike,
 //! fits the current's rise best.
 
+use nalgebra::Complex;
 use std::f64::consts::TAU;
 
 use super::movement::start_of_motor;
@@ -90,7 +91,6 @@ fn step_response(time_s: f64, hz: f64) -> f64 {
     if x > 60.0 {
         return 1.0;
     }
-    use nalgebra::Complex;
     // Poles e^{j 5π/8}, e^{j 7π/8} and their conjugates; residue of 1/(s Π (s - p)) at each.
     let angles = [5.0, 7.0].map(|eighths: f64| Complex::from_polar(1.0, eighths * TAU / 16.0));
     let poles = [angles[0], angles[0].conj(), angles[1], angles[1].conj()];

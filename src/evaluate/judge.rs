@@ -95,11 +95,14 @@ mod tests {
         judge(&calls, life)
     }
 
+    /// Alarms as throw, cause and whether critical; and what they are worth.
+    type Case = (&'static [(isize, Cause, bool)], Judgement);
+
     #[test]
     fn one_cause_is_judged_by_its_first_name_and_by_critical_names() {
         use Cause::{Inertia, Kt, Unattributed};
         let life = life(Situation::Plain, &[Kt]);
-        let cases: &[(&[(isize, Cause, bool)], Judgement)] = &[
+        let cases: &[Case] = &[
             (&[], Judgement::Missed),
             (&[(0, Kt, false)], Judgement::Right(1)),
             (&[(4, Kt, false), (9, Inertia, false)], Judgement::Right(5)),
@@ -119,7 +122,7 @@ mod tests {
     fn two_causes_want_both_names_or_none() {
         use Cause::{Friction, Inertia, Kt, Unattributed};
         let life = life(Situation::Pair, &[Kt, Friction]);
-        let cases: &[(&[(isize, Cause, bool)], Judgement)] = &[
+        let cases: &[Case] = &[
             (&[], Judgement::Missed),
             (&[(3, Kt, true)], Judgement::Missed),
             (&[(3, Kt, true), (7, Friction, false)], Judgement::Right(8)),

@@ -21,7 +21,7 @@ pub enum Depth {
 pub enum Shape {
     /// All at once.
     Step,
-    /// Linearly over [`RAMP_THROWS`] throws of the machine.
+    /// Linearly over `RAMP_THROWS` throws of the machine.
     Ramp,
 }
 

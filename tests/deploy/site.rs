@@ -40,11 +40,11 @@ pub(crate) struct Authority(TempDir);
 impl Authority {
     fn new(names: &[&str]) -> Self {
         let authority = Self(tempfile::tempdir().unwrap());
-        authority.certify(authority.0.path(), names, "30");
+        Self::certify(authority.0.path(), names, "30");
         authority
     }
 
-    fn certify(&self, folder: &Path, names: &[&str], days: &str) {
+    fn certify(folder: &Path, names: &[&str], days: &str) {
         let script = deploy("make-test-certificates");
         let output = Command::new(script).arg(folder).args(names).env("DAYS", days).output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -57,7 +57,7 @@ impl Authority {
         for file in ["ca.pem", "ca-key.pem"] {
             fs::copy(self.0.path().join(file), folder.join(file)).unwrap();
         }
-        self.certify(&folder, &[name], "0");
+        Self::certify(&folder, &[name], "0");
         folder.join(name)
     }
 

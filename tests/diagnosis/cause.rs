@@ -46,8 +46,7 @@ fn steps_and_ramps_at_twice_the_limit_are_named_right() {
 #[test]
 fn healthy_machines_have_no_alarm() {
     let settings = Settings::default();
-    for seed in 0..20 {
-        let phi = [0.0, 0.3, 0.5, 0.6][seed as usize % 4];
+    for (seed, phi) in (0..20).zip([0.0, 0.3, 0.5, 0.6].into_iter().cycle()) {
         let mut machine = Machine::new(seed, Nature { phi, ..Nature::default() });
         let mut monitor = MachineMonitor::new("21B");
         for _ in 0..1_000 {

@@ -20,7 +20,7 @@ fn configuration(folder: &Path, name: &str, diagnosis: &str) -> std::path::PathB
     let file = folder.join(name);
     let database = folder.join("pointsd.db");
     let baseline = "baseline_throws = 12\nbaseline_usable_throws = 12";
-    let text = format!("[store]\npath = {database:?}\n\n[diagnosis]\n{baseline}\n{diagnosis}\n");
+    let text = format!("[store]\npath = '{}'\n\n[diagnosis]\n{baseline}\n{diagnosis}\n", database.display());
     fs::write(&file, text).unwrap();
     file
 }

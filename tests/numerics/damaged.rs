@@ -30,6 +30,7 @@ impl Channels {
 }
 
 /// One random injury. The word says which, for the report.
+#[expect(clippy::too_many_lines, reason = "one arm for each kind of injury")]
 fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static str {
     let len = channels.current.len();
     let from = rng.random_range(0..len);
@@ -98,9 +99,9 @@ fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static str {
             let by = rng.random_range(1..=len / 20);
             let channel = if both == 0 { &mut channels.current } else { &mut channels.position };
             if rng.random() {
-                channel.rotate_left(by)
+                channel.rotate_left(by);
             } else {
-                channel.rotate_right(by)
+                channel.rotate_right(by);
             }
             "channels apart"
         }
@@ -123,7 +124,9 @@ fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static str {
             let seed = rng.random();
             pick(&|c| {
                 let mut noise = ChaCha8Rng::seed_from_u64(seed);
-                c.iter_mut().for_each(|v| *v += size * noise.random_range(-1.0..1.0));
+                for value in c.iter_mut() {
+                    *value += size * noise.random_range(-1.0..1.0);
+                }
             });
             "noise"
         }
@@ -230,7 +233,7 @@ const TABLE: &[Damage] = &[
         }
     }),
     ("the current doubled for a second", "misfit|not_converged", |c| {
-        c.current[2000..3000].iter_mut().for_each(|i| *i *= 2.0)
+        c.current[2000..3000].iter_mut().for_each(|i| *i *= 2.0);
     }),
     ("the position 40 ms late", "misfit", |c| {
         let first = c.position[0];
@@ -255,7 +258,9 @@ impl Channels {
     fn noise(&mut self, current: bool, size: f64) {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let channel = if current { &mut self.current } else { &mut self.position };
-        channel.iter_mut().for_each(|v| *v += size * 1.7 * rng.random_range(-1.0..1.0));
+        for value in channel.iter_mut() {
+            *value += size * 1.7 * rng.random_range(-1.0..1.0);
+        }
     }
 }
 

@@ -33,7 +33,7 @@ pub(crate) fn settings_of(machine: &Parameters) -> Settings {
 /// The default machine without any dry friction: all of its physics is in equation (10).
 pub(crate) fn without_dry_friction() -> Parameters {
     let machine = Parameters::default();
-    let rails = Rails { slide_friction: 0.0, ..machine.rails.clone() };
+    let rails = Rails { slide_friction: 0.0, ..machine.rails };
     Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, rails, ..machine }
 }
 

@@ -47,7 +47,7 @@ fn second_order(b0: f64, a1: f64, a0: f64, len: usize, h: f64, noise: f64, seed:
     (input, output)
 }
 
-/// Ours in the peer's order: a_1 … a_N, then the numerator.
+/// Ours in the peer's order: `a_1` … `a_N`, then the numerator.
 fn compare<const N: usize, const P: usize>(u: &[f64], y: &[f64], h: f64, hold: Hold, lambda: f64) -> f64 {
     let mut sriv = Sriv::<N, 1, P>::new([P - N - 1]).unwrap();
     (sriv.start, sriv.tolerance) = (Start::Lag(lambda), 1e-10);
