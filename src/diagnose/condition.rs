@@ -82,6 +82,8 @@ impl Condition {
             None if self.on >= delay => {
                 self.restless = self.since_raised.is_some_and(|throws| throws < settings.hold_throws);
                 self.since_raised = Some(0);
+                // What held before the alarm does not end it: the levels lag behind a step by a few throws.
+                (self.healthy, self.below, self.other) = (0, 0, 0);
                 (self.level, self.below_level, self.fell_within, self.proposed) = (reading.relevance, 0, None, false);
                 Step::Raise(if is_critical { Severity::Critical } else { Severity::Warning })
             }

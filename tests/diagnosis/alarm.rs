@@ -150,6 +150,23 @@ fn an_unrecorded_repair_is_proposed_not_acted_on() {
 }
 
 #[test]
+fn a_lasting_step_is_raised_once_and_stays() {
+    let lasting =
+        [(Cause::Kt, -20.0), (Cause::Friction, 45.0), (Cause::Stiffness, 30.0), (Cause::Inertia, 20.0)].into_iter();
+    for ((cause, size_pct), seed) in lasting.flat_map(|fault| (0..25).map(move |seed| (fault, seed))) {
+        let settings = Settings::default();
+        let mut machine = Machine::new(seed, Nature::default());
+        let mut monitor = machine.learned(&settings);
+        let healthy = run(&mut machine, &mut monitor, 40, Vector3::zeros());
+        assert!(healthy.is_empty(), "{healthy:?}");
+        let events = run(&mut machine, &mut monitor, 100, shift(cause, size_pct));
+        assert!(events.iter().all(|event| event.cause == cause), "{events:?}");
+        assert!(states(&events).iter().all(|state| *state == AlarmState::ActiveUnacknowledged), "{events:?}");
+        assert_eq!(events[0].event_no, 1);
+    }
+}
+
+#[test]
 fn an_alarm_at_its_limit_does_not_chatter() {
     let settings = Settings::default();
     for (cause, pct, times) in [
