@@ -125,6 +125,7 @@ impl Identifier {
         let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
         let outcome = raw_checks
             .and_then(|()| checks_of(settings))
+            .and_then(|()| long_enough(self.current.len(), interval_s))
             .and_then(|()| {
                 checks::course(&movement, &self.current, &self.position, interval_s, settings, &mut self.scratch)
             })
@@ -170,7 +171,10 @@ impl Identifier {
         };
         let solution = model.identify(&problem, &mut self.workspace).map_err(|failure| match failure {
             Failure::Singular | Failure::UnequalLengths => Rejection::Singular,
-            Failure::TooFewSamples => too_short(&window),
+            Failure::TooFewSamples => {
+                let samples = window.to - window.from;
+                Rejection::TooShort { samples, duration_s: samples as f64 * window.interval_s }
+            }
         })?;
         accept(&solution, settings)?;
         let noise = Noise {
@@ -241,9 +245,7 @@ impl Identifier {
             running: movement.mean_a,
         };
         let samples = to - from;
-        if samples < MIN_SAMPLES || (samples as f64) * interval_s < MIN_DURATION_S {
-            return Err(too_short(&window));
-        }
+        long_enough(samples, interval_s)?;
         Ok(window)
     }
 
@@ -362,9 +364,13 @@ fn finish(
     })
 }
 
-fn too_short(window: &Window) -> Rejection {
-    let samples = window.to - window.from;
-    Rejection::TooShort { samples, duration_s: samples as f64 * window.interval_s }
+/// A whole trace, or the window of it, in samples.
+fn long_enough(samples: usize, interval_s: f64) -> Result<(), Rejection> {
+    let duration_s = samples as f64 * interval_s;
+    if samples < MIN_SAMPLES || duration_s < MIN_DURATION_S {
+        return Err(Rejection::TooShort { samples, duration_s });
+    }
+    Ok(())
 }
 
 /// The way the toe went, where the position is to be trusted with that.

@@ -24,11 +24,11 @@ impl fmt::Display for Channel {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Rejection {
     /// The trace, or the part of it in which the machine works, is too short to tell three coefficients.
-    #[error("the trace is too short: {samples} samples over {duration_s:.2} s in which the motor drives the toe")]
+    #[error("the trace is too short to tell three coefficients: {samples} samples, {duration_s:.2} s")]
     TooShort {
-        /// Samples in the window.
+        /// Samples of the trace, or of its part.
         samples: usize,
-        /// Length of the window \[s\].
+        /// Their length \[s\].
         duration_s: f64,
     },
     /// NaN or infinite values.

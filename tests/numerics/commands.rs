@@ -1,0 +1,103 @@
+//! The programs themselves: a throw written by `pointsim` is identified by `pointsd` as the physics says.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn pointsim(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_pointsim")).args(arguments).output().unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+#[test]
+fn a_written_throw_is_identified_within_three_of_its_standard_deviations() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("throw.csv");
+    for (direction, seed) in [("normal-to-reverse", "1"), ("reverse-to-normal", "2")] {
+        let truth = json(&pointsim(&[
+            "throw",
+            "--out",
+            text(&file),
+            "--direction",
+            direction,
+            "--seed",
+            seed,
+            "--json",
+            "--set",
+            "machine.motor_dry_nm=0",
+            "--set",
+            "machine.screw_dry_nm=0",
+            "--set",
+            "machine.lead_mm=12",
+        ]));
+        let found = Command::new(env!("CARGO_BIN_EXE_pointsd"))
+            .args(["identify", text(&file), "--lead-mm", "12", "--json"])
+            .output()
+            .unwrap();
+        let found = json(&found);
+        for name in ["b0", "a1", "a0"] {
+            let (expected, is) = (truth[name].as_f64().unwrap(), found[name].as_f64().unwrap());
+            let sd = found[format!("{name}_sd")].as_f64().unwrap();
+            assert!(
+                (is - expected).abs() < 3.0 * sd,
+                "{direction}: {name} is {is} (sd {sd}), the physics says {expected}"
+            );
+        }
+        assert_eq!(found["direction"], truth["direction"]);
+        let (duration, expected) = (found["duration_s"].as_f64().unwrap(), truth["duration_s"].as_f64().unwrap());
+        assert!((duration - expected).abs() < 0.05, "{duration} s, {expected} s");
+    }
+}
+
+#[test]
+fn the_same_seed_writes_the_same_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let write = |name: &str, seed: &str| {
+        let file = directory.path().join(name);
+        assert!(pointsim(&["throw", "--out", text(&file), "--seed", seed]).status.success());
+        std::fs::read(file).unwrap()
+    };
+    assert_eq!(write("a.csv", "5"), write("b.csv", "5"));
+    assert_ne!(write("a.csv", "5"), write("c.csv", "6"));
+}
+
+#[test]
+fn wrong_values_are_refused_with_their_name() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("throw.csv");
+    for (setting, exit, word) in [
+        ("machine.lead_mm=-1", 78, "lead_mm"),
+        ("machine.leed_mm=1", 78, "leed_mm"),
+        ("sensors.sample_rate_hz=1e9", 78, "sample_rate_hz"),
+        ("nonsense", 64, "KEY=VALUE"),
+    ] {
+        let output = pointsim(&["throw", "--out", text(&file), "--set", setting]);
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(exit), "{setting}: {error}");
+        assert!(error.contains(word), "{setting}: {error}");
+    }
+    assert!(!file.exists(), "nothing is written when the settings are wrong");
+}
+
+#[test]
+fn table1_draws_every_figure() {
+    let directory = tempfile::tempdir().unwrap();
+    let figures = directory.path().join("figures");
+    let output = pointsim(&["table1", "--lumped", "--throws", "4", "--out", text(&figures), "--json"]);
+    let cases = json(&output);
+    for case in cases.as_array().unwrap() {
+        assert_eq!(case["verdict"], case["cause"]);
+    }
+    let svgs: Vec<_> = std::fs::read_dir(figures).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(svgs.len(), 7);
+    assert!(svgs.iter().all(|svg| std::fs::read_to_string(svg).unwrap().trim_end().ends_with("</svg>")));
+}
