@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use crate::{
     diagnose::{AlarmEvent, Command, CommandError, MachineMonitor, Observation, Settings, Verdict},
     estimate::Identification,
-    store::{AlarmRecord, BaselineRecord, GOOD, Judgement, Message, Outcome, StoredThrow},
+    store::{AlarmRecord, BaselineRecord, Judgement, Message, Outcome, StoredThrow},
     throw::MachineId,
     wire::{self, Alarm, Kind},
 };
@@ -125,7 +125,7 @@ impl Fleet {
 
 fn quality(stored: &StoredThrow, found: Option<&Identification>) -> (String, Option<String>) {
     match (&stored.throw, found.map(|found| &found.outcome)) {
-        (_, Some(Ok(_))) => (GOOD.to_owned(), None),
+        (_, Some(Ok(_))) => (wire::GOOD.to_owned(), None),
         (_, Some(Err(rejection))) => (rejection.code().to_owned(), Some(rejection.to_string())),
         (Err(unreadable), None) => (UNREADABLE.to_owned(), Some(unreadable.to_string())),
         (Ok(_), None) => {

@@ -13,10 +13,8 @@ use crate::{
     diagnose::AlarmEvent,
     estimate::Identification,
     throw::{Direction, MachineId},
+    wire::{GOOD, alarm_id},
 };
-
-/// The quality of a throw that was evaluated.
-pub const GOOD: &str = "good";
 
 /// What is known after a throw was identified and diagnosed.
 #[derive(Debug, Clone, PartialEq)]
@@ -87,13 +85,6 @@ pub struct BaselineRecord {
     pub by: Option<String>,
     /// Why.
     pub why: Option<String>,
-}
-
-/// The identity of an alarm: `{site}.{machine}.{cause}.{raised_at in microseconds}`.
-#[must_use]
-pub fn alarm_id(machine: &MachineId, event: &AlarmEvent) -> String {
-    let cause = word(&event.cause);
-    format!("{}.{}.{cause}.{}", machine.site, machine.machine, event.raised_at.as_microsecond())
 }
 
 /// The word of an enum in messages and in the database.
@@ -288,7 +279,7 @@ async fn add_alarm_event(
     machine: &MachineId,
     AlarmRecord { event, payload }: &AlarmRecord,
 ) -> sqlx::Result<bool> {
-    let id = alarm_id(machine, event);
+    let id = alarm_id(machine, event.cause, event.raised_at);
     let state = word(&event.state);
     sqlx::query(sql::ADD_ALARM)
         .bind(&id)

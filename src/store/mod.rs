@@ -28,7 +28,7 @@ pub use codec::UnreadableTrace;
 pub use disk::DiskLevel;
 pub use error::StoreError;
 pub use housekeeping::Housekeeping;
-pub use judge::{AlarmRecord, BaselineRecord, GOOD, Judgement, Message, Outcome, alarm_id};
+pub use judge::{AlarmRecord, BaselineRecord, Judgement, Message, Outcome};
 pub use open::{Found, Report};
 pub use outside::{Backup, Value, ask};
 pub use quarantine::QUARANTINED_BYTES;

@@ -73,7 +73,7 @@ pub struct HealthRow {
     pub started_at: Timestamp,
     /// Its direction, where known.
     pub direction: Option<Direction>,
-    /// [`GOOD`](super::GOOD), or the code of why it was not evaluated.
+    /// [`GOOD`](crate::wire::GOOD), or the code of why it was not evaluated.
     pub quality: String,
     /// The same as a sentence.
     pub detail: Option<String>,

@@ -7,7 +7,7 @@ use nalgebra::Matrix3;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Severity},
     estimate::{Estimate, Features, Identification},
-    store::{AlarmRecord, GOOD, Judgement, Message, Opened, Outcome, Settings, Spooled, Store, ThrowRow},
+    store::{AlarmRecord, Judgement, Message, Opened, Outcome, Settings, Spooled, Store, ThrowRow},
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
 };
 
@@ -73,7 +73,7 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
             features: Features { duration_s: Some(4.3), peak_current_a: Some(13.0), ..Features::default() },
             outcome: Ok(estimate()),
         }),
-        quality: GOOD.to_owned(),
+        quality: pointsd::wire::GOOD.to_owned(),
         detail: None,
         change_pct: Some([0.5, -1.0, 2.0]),
         baseline: Some((50, 50)),

@@ -2,7 +2,8 @@
 
 use pointsd::{
     diagnose::AlarmState,
-    store::{Found, GOOD, Judgement, Selector, ThrowRow, alarm_id},
+    store::{Found, Judgement, Selector, ThrowRow},
+    wire::{GOOD, alarm_id},
 };
 
 use crate::given::{alarm, at, event, judgement, machine, open, query, spooled};
@@ -66,7 +67,8 @@ async fn an_alarm_lives_through_its_events_and_each_is_published_once() {
     store.record(&id, at(20), alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
 
     let [open_alarm] = &store.reader().open_alarms(&everything).await.unwrap()[..] else { panic!() };
-    assert_eq!(open_alarm.alarm_id, alarm_id(&id, &event(1, AlarmState::Normal)));
+    let raised = event(1, AlarmState::Normal);
+    assert_eq!(open_alarm.alarm_id, alarm_id(&id, raised.cause, raised.raised_at));
     assert_eq!(open_alarm.alarm_id, format!("north.21B.friction.{}", at(10).as_microsecond()));
     assert_eq!(open_alarm.payload, "{\"event_no\":2}");
     let acknowledged: Vec<(String, String)> =
