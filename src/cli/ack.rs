@@ -2,7 +2,7 @@
 
 use super::{
     Outcome,
-    operator::{Actor, CauseArgument, Connection, MachineArgument, send},
+    operator::{CauseArgument, MachineArgument, Sender},
 };
 use crate::diagnose::Command;
 
@@ -17,15 +17,10 @@ pub(super) struct Arguments {
     /// The alarm's cause, as `pointsd alarms` shows it.
     cause: CauseArgument,
     #[command(flatten)]
-    actor: Actor,
-    #[command(flatten)]
-    connection: Connection,
-    /// Print the answer as JSON.
-    #[arg(long)]
-    json: bool,
+    sender: Sender,
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let command = Command::Ack { cause: arguments.cause.0, by: arguments.actor.name()? };
-    send(&arguments.connection, &arguments.machine.0, &command, arguments.json)
+    let command = Command::Ack { cause: arguments.cause.0, by: arguments.sender.name()? };
+    arguments.sender.send(&arguments.machine.0, &command)
 }

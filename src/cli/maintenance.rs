@@ -4,7 +4,7 @@ use jiff::Timestamp;
 
 use super::{
     Outcome,
-    operator::{Actor, Connection, MachineArgument, send},
+    operator::{MachineArgument, Sender},
 };
 use crate::diagnose::Command;
 
@@ -29,20 +29,15 @@ pub(super) struct Arguments {
     #[arg(long, conflicts_with_all = ["why", "until"])]
     end: bool,
     #[command(flatten)]
-    actor: Actor,
-    #[command(flatten)]
-    connection: Connection,
-    /// Print the answer as JSON.
-    #[arg(long)]
-    json: bool,
+    sender: Sender,
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let by = arguments.actor.name()?;
+    let by = arguments.sender.name()?;
     let command = if arguments.end {
         Command::MaintenanceEnd { by }
     } else {
         Command::MaintenanceStart { until: arguments.until, by, why: arguments.why.clone().unwrap_or_default() }
     };
-    send(&arguments.connection, &arguments.machine.0, &command, arguments.json)
+    arguments.sender.send(&arguments.machine.0, &command)
 }

@@ -99,36 +99,42 @@ impl FromStr for CauseArgument {
     }
 }
 
-/// Who acts.
+/// Who sends a command, to where, and how the answer is printed: the same for every command that changes something.
 #[derive(Debug, clap::Args)]
-pub(super) struct Actor {
+pub(super) struct Sender {
     /// Who you are; it is kept with the alarm [default: your login name].
     #[arg(long, value_name = "NAME")]
     by: Option<String>,
+    #[command(flatten)]
+    connection: Connection,
+    /// Print the answer as JSON.
+    #[arg(long)]
+    json: bool,
 }
 
-impl Actor {
+impl Sender {
+    /// Who acts.
     pub(super) fn name(&self) -> Result<String, Failure> {
         let named = self.by.clone().or_else(|| std::env::var("USER").ok()).filter(|name| !name.trim().is_empty());
         named.ok_or_else(|| Failure { exit: Exit::Usage, error: anyhow::anyhow!("who are you? --by NAME") })
     }
-}
 
-/// Sends a command to the daemon of a machine and prints what it says.
-pub(super) fn send(connection: &Connection, machine: &MachineId, command: &Command, json: bool) -> Outcome {
-    runtime::block_on(async {
-        let session = connection.open().await?;
-        let key = wire::machine_key(machine, Kind::Command);
-        let payload = serde_json::to_vec(command).or_exit(Exit::Software)?;
-        let answer = bus::command(&session, &key, payload, ANSWER_LIMIT).await;
-        close(session).await;
-        let answer = answer.map_err(failure)?;
-        let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;
-        if json {
-            println!("{}", String::from_utf8_lossy(&reply.to_json()));
-        } else {
-            println!("{}", reply.text);
-        }
-        Ok(if reply.done { Exit::Ok } else { Exit::Negative })
-    })
+    /// Sends a command to the daemon of a machine and prints what it says.
+    pub(super) fn send(&self, machine: &MachineId, command: &Command) -> Outcome {
+        runtime::block_on(async {
+            let session = self.connection.open().await?;
+            let key = wire::machine_key(machine, Kind::Command);
+            let payload = serde_json::to_vec(command).or_exit(Exit::Software)?;
+            let answer = bus::command(&session, &key, payload, ANSWER_LIMIT).await;
+            close(session).await;
+            let answer = answer.map_err(failure)?;
+            let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;
+            if self.json {
+                println!("{}", String::from_utf8_lossy(&reply.to_json()));
+            } else {
+                println!("{}", reply.text);
+            }
+            Ok(if reply.done { Exit::Ok } else { Exit::Negative })
+        })
+    }
 }

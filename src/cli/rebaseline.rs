@@ -2,7 +2,7 @@
 
 use super::{
     Outcome,
-    operator::{Actor, Connection, MachineArgument, send},
+    operator::{MachineArgument, Sender},
 };
 use crate::diagnose::Command;
 
@@ -19,15 +19,10 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "TEXT")]
     why: String,
     #[command(flatten)]
-    actor: Actor,
-    #[command(flatten)]
-    connection: Connection,
-    /// Print the answer as JSON.
-    #[arg(long)]
-    json: bool,
+    sender: Sender,
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let command = Command::Rebaseline { by: arguments.actor.name()?, why: arguments.why.clone() };
-    send(&arguments.connection, &arguments.machine.0, &command, arguments.json)
+    let command = Command::Rebaseline { by: arguments.sender.name()?, why: arguments.why.clone() };
+    arguments.sender.send(&arguments.machine.0, &command)
 }

@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 
 use super::{
     Exit, Failure, Outcome,
-    operator::{Actor, CauseArgument, Connection, MachineArgument, send},
+    operator::{CauseArgument, MachineArgument, Sender},
 };
 use crate::{daemon::clock, diagnose::Command};
 
@@ -32,22 +32,17 @@ pub(super) struct Arguments {
     #[arg(long, conflicts_with_all = ["duration", "until", "why"])]
     end: bool,
     #[command(flatten)]
-    actor: Actor,
-    #[command(flatten)]
-    connection: Connection,
-    /// Print the answer as JSON.
-    #[arg(long)]
-    json: bool,
+    sender: Sender,
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    let (cause, by) = (arguments.cause.0, arguments.actor.name()?);
+    let (cause, by) = (arguments.cause.0, arguments.sender.name()?);
     let command = if arguments.end {
         Command::Unshelve { cause, by }
     } else {
         Command::Shelve { cause, until: until(arguments)?, by, why: arguments.why.clone().unwrap_or_default() }
     };
-    send(&arguments.connection, &arguments.machine.0, &command, arguments.json)
+    arguments.sender.send(&arguments.machine.0, &command)
 }
 
 fn until(arguments: &Arguments) -> Result<Timestamp, Failure> {
