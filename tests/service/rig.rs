@@ -1,9 +1,13 @@
 //! The real programs in a folder of their own, on ports that the system gives.
 
+#![allow(dead_code, reason = "shared by test targets, each of which needs some of it")]
+
 use std::{
+    ffi::OsString,
     fs,
     io::{BufRead, BufReader},
-    path::PathBuf,
+    net::TcpListener,
+    path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     sync::{Arc, Mutex, mpsc},
     thread,
@@ -24,8 +28,12 @@ pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 
 /// A folder with a configuration and a database.
 pub(crate) struct Rig {
-    folder: tempfile::TempDir,
+    folder: PathBuf,
+    temporary: tempfile::TempDir,
     extra: String,
+    store: String,
+    listen: String,
+    environment: Vec<(OsString, OsString)>,
 }
 
 /// A running `pointsd run`.
@@ -36,6 +44,13 @@ pub(crate) struct Daemon {
     log: Arc<Mutex<Vec<String>>>,
 }
 
+/// How a start failed.
+#[derive(Debug)]
+pub(crate) struct NotStarted {
+    pub(crate) status: ExitStatus,
+    pub(crate) log: Vec<String>,
+}
+
 impl Rig {
     pub(crate) fn new() -> Self {
         Self::with("")
@@ -43,27 +58,86 @@ impl Rig {
 
     /// A rig with more lines of configuration.
     pub(crate) fn with(extra: &str) -> Self {
-        Self { folder: tempfile::tempdir().unwrap(), extra: extra.to_owned() }
+        let temporary = tempfile::tempdir().unwrap();
+        Self {
+            folder: temporary.path().to_owned(),
+            temporary,
+            extra: extra.to_owned(),
+            store: "ballast_mib = 0\n".to_owned(),
+            listen: "tcp/127.0.0.1:0".to_owned(),
+            environment: Vec::new(),
+        }
+    }
+
+    /// Puts its files into a folder that is there already.
+    pub(crate) fn moved_to(self, folder: &Path) -> Self {
+        Self { folder: folder.to_owned(), ..self }
+    }
+
+    /// Other lines for the configuration's section `[store]`.
+    pub(crate) fn store(self, lines: &str) -> Self {
+        Self { store: lines.to_owned(), ..self }
+    }
+
+    /// The daemon listens on the same port at every start, so that others find it again.
+    pub(crate) fn same_port(self) -> Self {
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        Self { listen: format!("tcp/127.0.0.1:{port}"), ..self }
+    }
+
+    /// Gives the daemon an environment variable from the next start on.
+    pub(crate) fn set(&mut self, name: &str, value: impl Into<OsString>) {
+        self.environment.push((name.into(), value.into()));
+    }
+
+    /// Its folder, without the rig.
+    pub(crate) fn into_folder(self) -> tempfile::TempDir {
+        self.temporary
+    }
+
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
     }
 
     pub(crate) fn database(&self) -> PathBuf {
-        self.folder.path().join("points.db")
+        self.folder.join("points.db")
     }
 
     fn config(&self) -> PathBuf {
-        let path = self.folder.path().join("pointsd.toml");
-        let text = format!(
-            "{}\n[store]\npath = {:?}\nballast_mib = 0\n[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:0\"]\n",
-            self.extra,
-            self.database().display().to_string()
-        );
+        let path = self.folder.join("pointsd.toml");
+        let Self { extra, store, listen, .. } = self;
+        let database = self.database().display().to_string();
+        let text =
+            format!("{extra}\n[store]\npath = {database:?}\n{store}\n[zenoh]\nlisten.endpoints = [{listen:?}]\n");
         fs::write(&path, text).unwrap();
         path
     }
 
     /// Starts the daemon and waits until it is ready.
     pub(crate) fn start(&self) -> Daemon {
-        let mut child = pointsd(&["run", "--config"]).arg(self.config()).stderr(Stdio::piped()).spawn().unwrap();
+        self.try_start().unwrap_or_else(|failed| panic!("the daemon is not ready: {failed:?}"))
+    }
+
+    /// Starts the daemon and waits until it is ready, or has ended.
+    pub(crate) fn try_start(&self) -> Result<Daemon, NotStarted> {
+        let (mut daemon, ready) = self.launch();
+        match ready.recv_timeout(PATIENCE) {
+            Ok(endpoint) => {
+                daemon.endpoint = endpoint;
+                Ok(daemon)
+            }
+            Err(mpsc::RecvTimeoutError::Disconnected) => {
+                Err(NotStarted { status: daemon.child.wait().unwrap(), log: daemon.log() })
+            }
+            Err(mpsc::RecvTimeoutError::Timeout) => panic!("the daemon hangs: {:?}", daemon.log()),
+        }
+    }
+
+    /// Starts the daemon, which sends where it listens once it is ready.
+    pub(crate) fn launch(&self) -> (Daemon, mpsc::Receiver<String>) {
+        let mut command = pointsd(&["run", "--config"]);
+        command.arg(self.config()).envs(self.environment.iter().cloned());
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
         let log = Arc::new(Mutex::new(Vec::new()));
         let (ready, endpoint) = mpsc::channel();
         let lines = BufReader::new(child.stderr.take().unwrap()).lines();
@@ -77,9 +151,7 @@ impl Rig {
                 kept.lock().unwrap().push(line);
             }
         });
-        let endpoint = endpoint.recv_timeout(PATIENCE);
-        let endpoint = endpoint.unwrap_or_else(|_| panic!("the daemon is not ready: {:?}", log.lock().unwrap()));
-        Daemon { child, endpoint, log }
+        (Daemon { child, endpoint: self.listen.clone(), log }, endpoint)
     }
 
     /// Every row of the health history, in the order of arrival.
@@ -126,6 +198,15 @@ impl Daemon {
         assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
     }
 
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Whether it still runs.
+    pub(crate) fn runs(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
     pub(crate) fn log(&self) -> Vec<String> {
         self.log.lock().unwrap().clone()
     }
@@ -143,9 +224,7 @@ impl Daemon {
 
     /// A client of this daemon.
     pub(crate) async fn client(&self) -> Session {
-        let text = format!("zenoh.connect.endpoints = [{:?}]", self.endpoint);
-        let document = Document::parse("test".as_ref(), text).unwrap();
-        bus::open(client_session(&document).unwrap()).await.unwrap()
+        client_of(&self.endpoint).await
     }
 
     /// Runs an operator's command; returns its exit code and what it printed.
@@ -154,6 +233,13 @@ impl Daemon {
         let text = [output.stdout, output.stderr].concat();
         (output.status.code(), String::from_utf8(text).unwrap())
     }
+}
+
+/// A client of whoever listens there, which comes back soon after a cut.
+pub(crate) async fn client_of(endpoint: &str) -> Session {
+    let connect = format!("endpoints = [{endpoint:?}], retry = {{ period_init_ms = 50, period_max_ms = 200 }}");
+    let document = Document::parse("test".as_ref(), format!("zenoh.connect = {{ {connect} }}")).unwrap();
+    bus::open(client_session(&document).unwrap()).await.unwrap()
 }
 
 impl Drop for Daemon {
@@ -178,7 +264,12 @@ pub(crate) fn pointsim(arguments: &[&str]) -> Command {
 
 /// Real throws of one simulated machine.
 pub(crate) fn throws(boot_id: &str, count: u64) -> Vec<Throw> {
-    let settings = FleetSettings { machines: 1, ..FleetSettings::default() };
+    throws_of(&FleetSettings::default(), boot_id, count)
+}
+
+/// Throws of the first machine of a fleet.
+pub(crate) fn throws_of(fleet: &FleetSettings, boot_id: &str, count: u64) -> Vec<Throw> {
+    let settings = FleetSettings { machines: 1, ..fleet.clone() };
     let mut machine = Fleet::new(&settings, 5).unwrap().into_machines().remove(0);
     let first: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
     (1..=count)

@@ -6,10 +6,10 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    Verdict, inspect,
+    Acknowledged, Verdict, inspect,
     replay::{Disk, Record, read_log},
     shim,
-    worker::{HOLDER, NORMAL, THROWS},
+    worker::{self, HOLDER, NORMAL, THROWS},
 };
 
 /// Cuts a run of the worker at `cuts` points; `None` where there is no compiler.
@@ -21,7 +21,7 @@ async fn cut(cuts: usize, seed: u64, variables: &[(&str, &str)]) -> Option<Verdi
     let log = folder.path().join("log");
     let mut variables = variables.to_vec();
     variables.push(("SHIM_LOG", log.to_str().unwrap()));
-    let output = shim::run_worker(library, &database, &variables);
+    let output = worker::run_below(library, &database, &variables);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let records = read_log(&log);
     assert!(records.len() > 1000, "only {} records", records.len());
@@ -51,14 +51,14 @@ async fn cut(cuts: usize, seed: u64, variables: &[(&str, &str)]) -> Option<Verdi
         "{cuts} cuts in {} writes and syncs: {lost} lost, {duplicated} duplicated, {unreadable} unreadable",
         records.len()
     );
-    assert!(!disk.acknowledged.throws.is_empty());
+    assert!(!disk.acknowledged.is_empty());
     Some(total)
 }
 
 async fn one_cut(disk: &Disk, was: &Path, rng: &mut ChaCha8Rng) -> Verdict {
     let folder = tempfile::tempdir().unwrap();
     disk.after_cut(was, folder.path(), rng);
-    inspect(folder.path(), &disk.acknowledged).await
+    inspect(folder.path(), &Acknowledged::of_lines(&disk.acknowledged)).await
 }
 
 fn cuts() -> usize {

@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use super::{
     Acknowledged, inspect, shim,
-    worker::{HOLDER, THROWS},
+    worker::{self, HOLDER, THROWS},
 };
 
 const EIO: u32 = 5;
@@ -29,13 +29,13 @@ fn which_late() -> Vec<(&'static str, u32)> {
 async fn run(library: &Path, fault: &str, variables: &[(&str, &str)]) -> (Acknowledged, Vec<String>) {
     let folder = tempfile::tempdir().unwrap();
     let variables: Vec<_> = variables.iter().copied().chain([("SHIM_FAIL", fault)]).collect();
-    let output = shim::run_worker(library, folder.path(), &variables);
+    let output = worker::run_below(library, folder.path(), &variables);
     let mut wrong = Vec::new();
     if !output.status.success() {
         wrong.push(format!("{fault}: the worker died: {}", String::from_utf8_lossy(&output.stderr)));
     }
-    let mut acknowledged = Acknowledged::default();
-    acknowledged.add_lines(&fs::read_to_string(folder.path().join("points.db.ack")).unwrap_or_default());
+    let lines = fs::read_to_string(folder.path().join("points.db.ack")).unwrap_or_default();
+    let acknowledged = Acknowledged::of_lines(&lines);
     let verdict = inspect(folder.path(), &acknowledged).await;
     if verdict.lost + verdict.duplicated + verdict.unreadable > 0 {
         wrong.push(format!("{fault}: {verdict:?}"));

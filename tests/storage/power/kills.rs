@@ -13,11 +13,8 @@ async fn a_worker_that_is_killed_again_and_again_loses_nothing() {
         std::env::var("POINTSD_KILLS").map_or(8, |kills| kills.parse().expect("POINTSD_KILLS is a number"));
     let folder = tempfile::tempdir().unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(9);
-    let acknowledged = || {
-        let mut acknowledged = Acknowledged::default();
-        acknowledged.add_lines(&fs::read_to_string(folder.path().join("points.db.ack")).unwrap_or_default());
-        acknowledged
-    };
+    let acknowledged =
+        || Acknowledged::of_lines(&fs::read_to_string(folder.path().join("points.db.ack")).unwrap_or_default());
     let mut killed_at_work = 0;
     for _ in 0..kills {
         let before = acknowledged();

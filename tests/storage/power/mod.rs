@@ -8,7 +8,9 @@
 mod cuts;
 mod faults;
 mod kills;
+#[path = "../../power/replay.rs"]
 mod replay;
+#[path = "../../power/shim.rs"]
 mod shim;
 mod worker;
 
@@ -34,17 +36,19 @@ pub(crate) struct Acknowledged {
 }
 
 impl Acknowledged {
-    fn add_lines(&mut self, text: &str) {
+    fn of_lines(text: &str) -> Self {
+        let mut acknowledged = Self::default();
         for line in text.lines() {
             let [what, machine, number] = line.split(' ').collect::<Vec<_>>()[..] else { panic!("{line:?}") };
             let set = match what {
-                "throw" => &mut self.throws,
-                "judged" => &mut self.judged,
-                "event" => &mut self.events,
+                "throw" => &mut acknowledged.throws,
+                "judged" => &mut acknowledged.judged,
+                "event" => &mut acknowledged.events,
                 other => panic!("{other}"),
             };
             set.insert((machine.to_owned(), number.parse().unwrap()));
         }
+        acknowledged
     }
 }
 

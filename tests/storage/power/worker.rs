@@ -5,6 +5,7 @@ use std::{
     fs::{File, OpenOptions},
     io::Write,
     path::{Path, PathBuf},
+    process::{Command, Output},
     sync::{Arc, Mutex},
 };
 
@@ -39,14 +40,25 @@ impl Acknowledge {
     }
 }
 
+/// Runs the worker below the shim on a database in `folder`, with these environment variables.
+pub(super) fn run_below(library: &Path, folder: &Path, variables: &[(&str, &str)]) -> Output {
+    Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "power::worker::run", "--nocapture"])
+        .env("LD_PRELOAD", library)
+        .env("SHIM_MATCH", folder.join("points.db"))
+        .env(FOLDER, folder)
+        .envs(variables.iter().copied())
+        .output()
+        .unwrap()
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn run() {
     let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else { return };
     let throws = std::env::var(THROWS).map_or(60, |throws| throws.parse().unwrap());
     let Some(store) = open(&folder).await else { return };
     // After a kill: on from what was acknowledged.
-    let mut before = Acknowledged::default();
-    before.add_lines(&std::fs::read_to_string(folder.join("points.db.ack")).unwrap_or_default());
+    let before = Acknowledged::of_lines(&std::fs::read_to_string(folder.join("points.db.ack")).unwrap_or_default());
     let next = move |name: &str| 1 + before.throws.iter().filter(|(machine, _)| machine == name).count() as u64;
     let file = OpenOptions::new().create(true).append(true).open(folder.join("points.db.ack")).unwrap();
     let acknowledge = Acknowledge(Arc::new(Mutex::new(file)));

@@ -56,16 +56,7 @@ static int path_of(int fd, char *path) {
     return ours(path);
 }
 
-static void put(const void *data, size_t size) {
-    const char *at = data;
-    while (size > 0) {
-        ssize_t n = REAL(write)(log_fd, at, size);
-        if (n <= 0) abort();
-        at += n;
-        size -= (size_t)n;
-    }
-}
-
+/* One call, so that a record is whole beside those that another process appends. */
 static void record(char kind, const char *path, uint64_t offset, const void *data, uint32_t size) {
     if (log_fd < 0) return;
     uint32_t path_size = (uint32_t)strlen(path);
@@ -74,9 +65,8 @@ static void record(char kind, const char *path, uint64_t offset, const void *dat
     memcpy(head + 1, &path_size, 4);
     memcpy(head + 5, &size, 4);
     memcpy(head + 9, &offset, 8);
-    put(head, sizeof head);
-    put(path, path_size);
-    put(data, size);
+    struct iovec parts[3] = {{head, sizeof head}, {(void *)path, path_size}, {(void *)data, size}};
+    if (writev(log_fd, parts, 3) != (ssize_t)(sizeof head + path_size + size)) abort();
 }
 
 static int fails(const char *what) {

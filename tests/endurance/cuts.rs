@@ -1,0 +1,79 @@
+//! Power cuts under the running daemon: what the world heard is on the disk, at whichever moment the power goes.
+//!
+//! The daemon runs below the shim; what is heard outside is noted in the shim's log at the place that the log had
+//! reached, so that each cut knows what was acknowledged before it.
+
+use std::{path::Path, time::Duration};
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::{
+    database::{Verdict, inspect},
+    logger::{Logger, Plan, QUICK_ALARMS},
+    replay::{Disk, Record, read_log, without_commit_syncs},
+    rig::Rig,
+    shim, size,
+    witness::Witness,
+};
+
+/// Runs the daemon below the shim, with a logger and a witness; its log, and the folder that its database was in.
+async fn run_and_log(throws: usize) -> Option<(Vec<Record>, tempfile::TempDir)> {
+    let library = shim::library()?;
+    let mut rig = Rig::with(QUICK_ALARMS).same_port();
+    let log = tempfile::tempdir().unwrap();
+    let path = log.path().join("log");
+    rig.set("LD_PRELOAD", library);
+    rig.set("SHIM_MATCH", rig.database());
+    rig.set("SHIM_LOG", &path);
+    let daemon = rig.start();
+    let witness = Witness::listen(&daemon.endpoint, Some(&path)).await;
+    let plan =
+        Plan { machine: "m", machines: 4, cache: 1000, pace: Duration::from_millis(5), boot_id: "b1".to_owned() };
+    let logger = Logger::start(&daemon.endpoint, plan).await;
+    witness.until("every throw", |heard| heard.health.len() >= throws).await;
+    let silent = logger.stop();
+    let all = usize::try_from(silent.published).unwrap() * 4;
+    witness.until("the last throw", |heard| heard.health.len() >= all).await;
+    assert!(!witness.heard().events.is_empty(), "no alarm was raised");
+    assert!(daemon.terminate().success());
+    Some((read_log(&path), rig.into_folder()))
+}
+
+/// Cuts the power at `cuts` points of the log.
+async fn cut(records: &[Record], was: &Path, cuts: usize, seed: u64) -> Verdict {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut points: Vec<usize> = (0..cuts).map(|_| rng.random_range(0..=records.len())).collect();
+    points.sort_unstable();
+    let mut disk = Disk::default();
+    let mut followed = 0;
+    let mut verdict = Verdict::default();
+    for point in points {
+        records[followed..point].iter().for_each(|record| disk.follow(record));
+        followed = point;
+        let folder = tempfile::tempdir().unwrap();
+        disk.after_cut(was, folder.path(), &mut rng);
+        inspect(folder.path(), &disk.acknowledged, &mut verdict).await;
+    }
+    verdict
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn power_cuts_lose_nothing_that_the_daemon_had_told() {
+    let cuts = size("POINTSD_CUTS", 25);
+    let Some((records, folder)) = run_and_log(if cuts > 100 { 1000 } else { 100 }).await else { return };
+    let acknowledged = records.iter().filter(|record| record.is_acknowledgement()).count();
+    println!("{} writes and syncs, {acknowledged} acknowledgements", records.len() - acknowledged);
+
+    let verdict = cut(&records, folder.path(), cuts, 1).await;
+    let Verdict { lost, duplicated, unreadable, notes } = &verdict;
+    println!("{cuts} cuts: {lost} lost, {duplicated} duplicated, {unreadable} unreadable");
+    assert_eq!((*lost, *duplicated, *unreadable), (0, 0, 0), "{:#?}", &notes[..notes.len().min(20)]);
+
+    // The same run on a disk that is not told to sync when a transaction is committed.
+    let weaker = without_commit_syncs(records);
+    let Verdict { lost, unreadable, notes, .. } = cut(&weaker, folder.path(), cuts, 2).await;
+    println!("{cuts} cuts with synchronous = NORMAL: {lost} lost, {unreadable} unreadable");
+    assert!(lost > 0, "nothing was lost without syncs: this test proves nothing");
+    assert_eq!(unreadable, 0, "{:#?}", &notes[..notes.len().min(20)]);
+}

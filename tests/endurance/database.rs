@@ -1,0 +1,105 @@
+//! What is in a database after a failure, beside what was acknowledged before it.
+//!
+//! Acknowledged is a throw whose health was published, and an alarm event that a subscriber got.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
+
+use jiff::Timestamp;
+use pointsd::{
+    store::{Found, OutboxRow, Reader, Selector, Settings, Store, StoredThrow, ThrowRow},
+    wire::{self, Alarm, Encoding},
+};
+
+use crate::logger;
+
+/// What is wrong with the databases that were opened after cuts.
+#[derive(Debug, Default)]
+pub(crate) struct Verdict {
+    /// Acknowledged throws and alarm events that are not there, and alarm events that would never be published.
+    pub(crate) lost: usize,
+    pub(crate) duplicated: usize,
+    pub(crate) unreadable: usize,
+    pub(crate) notes: Vec<String>,
+}
+
+impl Verdict {
+    fn lose(&mut self, what: String) {
+        self.lost += 1;
+        self.notes.push(what);
+    }
+}
+
+/// Opens the database as the daemon would, and compares it with what was acknowledged.
+pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Verdict) {
+    let settings = Settings { path: folder.join("points.db"), ballast_mib: 0, low_disk_mib: 0, ..Settings::default() };
+    let opened = match Store::open(&settings, Timestamp::UNIX_EPOCH).await {
+        Ok(opened) if !matches!(opened.report.found, Found::SetAside { .. }) => opened,
+        other => {
+            verdict.unreadable += 1;
+            return verdict
+                .notes
+                .push(other.map_or_else(|error| error.to_string(), |opened| format!("{:?}", opened.report)));
+        }
+    };
+    let reader = opened.store.reader();
+    let throws = reader.throws(ThrowRow::START, 1_000_000).await.unwrap();
+    let judged = reader.health_history(&Selector::default(), Timestamp::UNIX_EPOCH, 1_000_000).await.unwrap();
+    let judged: BTreeSet<_> = judged.iter().map(|row| (row.machine.machine.to_string(), row.throw.throw_no)).collect();
+    let events = events(reader).await;
+    let waiting = reader.outbox_pending(0, 1_000_000).await.unwrap();
+
+    let mut times: BTreeMap<(String, u64), usize> = BTreeMap::new();
+    for stored in &throws {
+        *times.entry((stored.machine.machine.to_string(), stored.id.throw_no)).or_default() += 1;
+        if !is_as_published(stored) {
+            verdict.unreadable += 1;
+            verdict.notes.push(format!("throw {:?} of {} is altered", stored.id, stored.machine));
+        }
+    }
+    verdict.duplicated += times.values().filter(|times| **times > 1).count();
+    let mut heard = BTreeSet::new();
+    for line in acknowledged.lines() {
+        match line.split(' ').collect::<Vec<_>>()[..] {
+            ["throw", machine, _, number] => {
+                let key = (machine.to_owned(), number.parse().unwrap());
+                if !times.contains_key(&key) || !judged.contains(&key) {
+                    verdict.lose(line.to_owned());
+                }
+            }
+            ["event", alarm_id, number] => {
+                let event = (alarm_id.to_owned(), number.parse().unwrap());
+                if !events.contains(&event) {
+                    verdict.lose(line.to_owned());
+                }
+                heard.insert(event);
+            }
+            _ => panic!("{line:?}"),
+        }
+    }
+    // What nobody has heard must be about to be published.
+    let about: BTreeSet<(String, u32)> = waiting.iter().map(message).collect();
+    verdict.duplicated += waiting.len() - about.len();
+    for event in events.iter().filter(|event| !heard.contains(event) && !about.contains(event)) {
+        verdict.lose(format!("{event:?} would never be published"));
+    }
+    opened.store.close().await.unwrap();
+}
+
+pub(crate) async fn events(reader: &Reader) -> BTreeSet<(String, u32)> {
+    let rows = reader.alarm_history(&Selector::default(), Timestamp::UNIX_EPOCH, 1_000_000).await.unwrap();
+    rows.into_iter().map(|row| (row.alarm_id, row.event_no)).collect()
+}
+
+fn message(row: &OutboxRow) -> (String, u32) {
+    let alarm: Alarm = serde_json::from_slice(&row.payload).unwrap();
+    (alarm.alarm_id, alarm.event_no)
+}
+
+fn is_as_published(stored: &StoredThrow) -> bool {
+    let made = logger::throw(&stored.id.boot_id, stored.id.throw_no);
+    let published = wire::decode_throw(Encoding::Cbor, &wire::encode_throw(Encoding::Cbor, &made)).unwrap();
+    stored.throw.as_ref().is_ok_and(|throw| throw.trace == published.trace)
+}

@@ -1,0 +1,126 @@
+//! `kill -9` again and again, at any moment from the start of the process on, while a logger keeps publishing.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::{Duration, Instant},
+};
+
+use pointsd::store::{Reader, ThrowRow};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::{
+    database::events,
+    logger::{Logger, Plan, QUICK_ALARMS},
+    rig::{PATIENCE, Rig},
+    size,
+    witness::Witness,
+};
+
+/// Longest life of a daemon.
+const LONGEST: Duration = Duration::from_millis(1500);
+/// Machines whose logger keeps far more than is published while no daemon runs, and one whose logger keeps nothing.
+const REMEMBERED: usize = 3;
+
+/// The numbers of each machine: how often each is stored, or in an open gap.
+#[derive(Default)]
+struct Numbers {
+    stored: BTreeMap<String, Vec<u64>>,
+    missing: BTreeMap<String, Vec<u64>>,
+}
+
+impl Numbers {
+    async fn of(reader: &Reader) -> Self {
+        let mut numbers = Self::default();
+        for stored in reader.throws(ThrowRow::START, 1_000_000).await.unwrap() {
+            numbers.stored.entry(stored.machine.machine.to_string()).or_default().push(stored.id.throw_no);
+        }
+        for gap in reader.open_gaps(1_000_000).await.unwrap() {
+            numbers.missing.entry(gap.machine.machine.to_string()).or_default().extend(gap.first_no..=gap.last_no);
+        }
+        numbers
+    }
+
+    /// Of one machine, stored and missing together, in order.
+    fn known(&self, machine: &str) -> Vec<u64> {
+        let of = |all: &BTreeMap<String, Vec<u64>>| all.get(machine).cloned().unwrap_or_default();
+        let mut known = [of(&self.stored), of(&self.missing)].concat();
+        known.sort_unstable();
+        known
+    }
+}
+
+fn plan(machine: &'static str, machines: usize, cache: usize) -> Plan {
+    Plan { machine, machines, cache, pace: Duration::from_millis(25), boot_id: "b1".to_owned() }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_daemon_that_is_killed_again_and_again_loses_nothing() {
+    let kills = size("POINTSD_KILLS", 6);
+    let rig = Rig::with(QUICK_ALARMS).same_port();
+    let mut daemon = rig.start();
+    let witness = Witness::listen(&daemon.endpoint, None).await;
+    let logger = Logger::start(&daemon.endpoint, plan("m", REMEMBERED, 10_000)).await;
+    let forgetful = Logger::start(&daemon.endpoint, plan("f", 1, 1)).await;
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    for _ in 0..kills {
+        tokio::time::sleep(rng.random_range(Duration::ZERO..LONGEST)).await;
+        daemon.kill();
+        daemon = rig.launch().0;
+    }
+    daemon.kill();
+    let daemon = rig.start();
+    let (silent, forgotten) = (logger.stop(), forgetful.stop());
+
+    let reader = Reader::open(&rig.database()).await.unwrap();
+    let machines = (1..=REMEMBERED).map(|number| (format!("m{number}"), silent.published));
+    let machines: Vec<(String, u64)> = machines.chain([("f1".to_owned(), forgotten.published)]).collect();
+    let deadline = Instant::now() + 5 * PATIENCE;
+    let settled = loop {
+        let numbers = Numbers::of(&reader).await;
+        let unknown = machines.iter().filter(|(name, last)| numbers.known(name).last() < Some(last)).count();
+        let waiting = reader.pending(ThrowRow::START, 1).await.unwrap().len();
+        let unpublished = reader.outbox_pending(0, 1).await.unwrap().len();
+        if unknown + waiting + unpublished == 0 {
+            break numbers;
+        }
+        assert!(Instant::now() < deadline, "{unknown} machines behind, {waiting} unjudged, {unpublished} unpublished");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    };
+    let events = events(&reader).await;
+    witness.until("every alarm event", |heard| heard.events.len() >= events.len()).await;
+    assert!(daemon.terminate().success());
+
+    let missing = |name: &str| settled.missing.get(name).map_or(0, Vec::len);
+    let heard = witness.heard();
+    println!(
+        "{kills} kills: {} throws of each of {REMEMBERED} machines, {} missing; {} of one without a cache, {} missing; \
+         {} alarm events, {} messages heard",
+        silent.published,
+        (1..=REMEMBERED).map(|number| missing(&format!("m{number}"))).sum::<usize>(),
+        forgotten.published,
+        missing("f1"),
+        events.len(),
+        heard.messages
+    );
+    for (name, last) in &machines {
+        assert_eq!(
+            settled.known(name),
+            (1..=*last).collect::<Vec<_>>(),
+            "{name}: each is stored once, or missing once"
+        );
+        assert!(missing(name) == 0 || name == "f1", "{name}: {:?} were in the logger's cache", settled.missing[name]);
+    }
+    assert_eq!(heard.events.iter().cloned().collect::<BTreeSet<_>>(), events, "every event, and nothing else");
+    for (alarm_id, numbers) in in_order_of_arrival(&heard.events) {
+        assert!(numbers.is_sorted(), "{alarm_id}: events arrived as {numbers:?}");
+    }
+}
+
+fn in_order_of_arrival(heard: &[(String, u32)]) -> BTreeMap<String, Vec<u32>> {
+    let mut alarms: BTreeMap<String, Vec<u32>> = BTreeMap::new();
+    for (alarm_id, event_no) in heard {
+        alarms.entry(alarm_id.clone()).or_default().push(*event_no);
+    }
+    alarms
+}

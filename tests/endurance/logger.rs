@@ -1,0 +1,138 @@
+//! A logger that keeps publishing, whatever becomes of the daemon: machines with faults that come and go, and sensors
+//! that fail now and then, so that alarms are raised and cleared all the time.
+
+use std::{
+    sync::{
+        Arc, Mutex, OnceLock,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+    thread::{self, JoinHandle},
+    time::Duration,
+};
+
+use jiff::{SignedDuration, Timestamp};
+use pointsd::{
+    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    throw::{MachineId, Throw, ThrowRef},
+    wire::{self, Encoding, Kind},
+};
+use zenoh::{Session, Wait, bytes::Encoding as ContentType, qos::CongestionControl};
+use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
+
+use crate::rig;
+
+/// What the daemon of these tests is told, so that alarms come within a few throws.
+pub(crate) const QUICK_ALARMS: &str =
+    "[diagnosis]\nbaseline_throws = 12\nnot_monitored_throws = 1\noff_delay_throws = 2\n";
+
+/// Throws of one phase of a machine's life: healthy and worn out phases take turns.
+const PHASE: u64 = 24;
+/// One throw of so many cannot be evaluated.
+const UNREADABLE: u64 = 7;
+
+/// What a logger does.
+#[derive(Debug, Clone)]
+pub(crate) struct Plan {
+    /// Its machines at the site `north` are called by this and their number from 1.
+    pub(crate) machine: &'static str,
+    /// How many.
+    pub(crate) machines: usize,
+    /// Last throws of each machine that are kept for a monitor that missed them.
+    pub(crate) cache: usize,
+    /// Time from one throw to the next, of whichever machine.
+    pub(crate) pace: Duration,
+    /// This start of the logger.
+    pub(crate) boot_id: String,
+}
+
+/// A logger that publishes until it is stopped.
+pub(crate) struct Logger {
+    session: Session,
+    stop: Arc<AtomicBool>,
+    rounds: Arc<Mutex<u64>>,
+    thread: JoinHandle<Vec<AdvancedPublisher<'static>>>,
+}
+
+/// A logger that has stopped publishing. Its caches still answer, until this is dropped.
+pub(crate) struct Silent {
+    /// Throws of each machine: their numbers are 1 to this.
+    pub(crate) published: u64,
+    _publishers: Vec<AdvancedPublisher<'static>>,
+    _session: Session,
+}
+
+/// A throw of a machine's life.
+pub(crate) fn throw(boot_id: &str, throw_no: u64) -> Throw {
+    let id = ThrowRef { boot_id: boot_id.to_owned(), throw_no };
+    if throw_no.is_multiple_of(UNREADABLE) {
+        return rig::stub(boot_id, throw_no);
+    }
+    let (healthy, worn) = simulated();
+    let phase = if (throw_no / PHASE).is_multiple_of(2) { healthy } else { worn };
+    let like = &phase[usize::try_from(throw_no % PHASE).unwrap()];
+    let first: Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
+    Throw { id, started_at: first + SignedDuration::from_mins(10 * throw_no.cast_signed()), ..like.clone() }
+}
+
+/// A healthy phase and one with friction risen by half.
+fn simulated() -> &'static (Vec<Throw>, Vec<Throw>) {
+    static THROWS: OnceLock<(Vec<Throw>, Vec<Throw>)> = OnceLock::new();
+    THROWS.get_or_init(|| {
+        let friction = Fault { part: Part::Friction, shape: Shape::Step, size_pct: 50.0, from_throw: 0 };
+        let worn =
+            FleetSettings { faults: vec![FleetFault { machine: 0, fault: friction }], ..FleetSettings::default() };
+        (rig::throws_of(&FleetSettings::default(), "any", PHASE), rig::throws_of(&worn, "any", PHASE))
+    })
+}
+
+impl Logger {
+    /// Declares its publishers, waits until a daemon listens, and publishes.
+    pub(crate) async fn start(endpoint: &str, plan: Plan) -> Self {
+        let session = rig::client_of(endpoint).await;
+        let publishers: Vec<_> = (1..=plan.machines).map(|number| declare(&session, &plan, number)).collect();
+        simulated();
+        let (stop, rounds) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(0)));
+        let (stopped, counted) = (Arc::clone(&stop), Arc::clone(&rounds));
+        let thread = thread::spawn(move || {
+            for publisher in &publishers {
+                while !publisher.matching_status().wait().unwrap().matching() && !stopped.load(Relaxed) {
+                    thread::sleep(Duration::from_millis(5));
+                }
+            }
+            for throw_no in 1.. {
+                if stopped.load(Relaxed) {
+                    break;
+                }
+                let message = wire::encode_throw(Encoding::Cbor, &throw(&plan.boot_id, throw_no));
+                for publisher in &publishers {
+                    publisher.put(message.clone()).wait().unwrap();
+                    thread::sleep(plan.pace);
+                }
+                *counted.lock().unwrap() = throw_no;
+            }
+            publishers
+        });
+        Self { session, stop, rounds, thread }
+    }
+
+    /// Stops after the throws at hand.
+    pub(crate) fn stop(self) -> Silent {
+        self.stop.store(true, Relaxed);
+        let publishers = self.thread.join().unwrap();
+        let published = *self.rounds.lock().unwrap();
+        Silent { published, _publishers: publishers, _session: self.session }
+    }
+}
+
+fn declare(session: &Session, plan: &Plan, number: usize) -> AdvancedPublisher<'static> {
+    let machine = MachineId::new("north", &format!("{}{number}", plan.machine)).unwrap();
+    session
+        .declare_publisher(wire::machine_key(&machine, Kind::Throw))
+        .encoding(ContentType::APPLICATION_CBOR)
+        .congestion_control(CongestionControl::Block)
+        .cache(CacheConfig::default().max_samples(plan.cache))
+        .sample_miss_detection(MissDetectionConfig::default().sporadic_heartbeat(Duration::from_millis(200)))
+        .publisher_detection()
+        .wait()
+        .unwrap()
+}

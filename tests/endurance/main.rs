@@ -1,0 +1,22 @@
+//! Years in a cabinet, in minutes: the running daemon under power cuts, kills, failing and full disks, clocks that
+//! jump. Small by default; the README names the variables that make them large.
+
+#![expect(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "helpers of tests outside #[test]")]
+
+mod database;
+mod logger;
+#[path = "../power/replay.rs"]
+mod replay;
+#[path = "../service/rig.rs"]
+mod rig;
+#[path = "../power/shim.rs"]
+mod shim;
+mod witness;
+
+mod cuts;
+mod kills;
+
+/// The number in an environment variable, or the small one of a usual run.
+fn size(variable: &str, usual: usize) -> usize {
+    std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{variable} is a number")))
+}

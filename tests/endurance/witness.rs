@@ -1,0 +1,110 @@
+//! An outside subscriber: what the world has heard of the daemon.
+
+use std::{
+    collections::BTreeSet,
+    fs::{File, OpenOptions},
+    io::Write,
+    path::Path,
+    sync::{Arc, Mutex, MutexGuard},
+    time::Duration,
+};
+
+use pointsd::wire::{Alarm, Health};
+use zenoh::{Session, sample::Sample};
+use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
+
+use crate::rig;
+
+/// What was heard.
+#[derive(Debug, Default)]
+pub(crate) struct Heard {
+    /// Machine, boot and number of every throw whose health was published.
+    pub(crate) health: BTreeSet<(String, String, u64)>,
+    /// Every alarm event in the order of its first arrival.
+    pub(crate) events: Vec<(String, u32)>,
+    /// Alarm messages, repetitions counted.
+    pub(crate) messages: usize,
+}
+
+/// The subscriber. It listens until it is dropped.
+pub(crate) struct Witness {
+    heard: Arc<Mutex<Heard>>,
+    _session: Session,
+    _subscribers: [AdvancedSubscriber<()>; 2],
+}
+
+impl Witness {
+    /// Subscribes to health and alarms. With `log`, the shim's log of the daemon, each thing that is heard is noted
+    /// there as acknowledged, at the place that the log has reached.
+    pub(crate) async fn listen(endpoint: &str, log: Option<&Path>) -> Self {
+        let session = rig::client_of(endpoint).await;
+        let heard = Arc::new(Mutex::new(Heard::default()));
+        let log = log.map(|path| Arc::new(OpenOptions::new().create(true).append(true).open(path).unwrap()));
+        let (health, noted) = (Arc::clone(&heard), log.clone());
+        let on_health = move |sample: Sample| {
+            let message: Health = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+            note(noted.as_deref(), &format!("throw {} {} {}\n", message.machine, message.boot_id, message.throw_no));
+            health.lock().unwrap().health.insert((message.machine, message.boot_id, message.throw_no));
+        };
+        let (alarms, noted) = (Arc::clone(&heard), log);
+        let on_alarm = move |sample: Sample| {
+            let message: Alarm = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+            note(noted.as_deref(), &format!("event {} {}\n", message.alarm_id, message.event_no));
+            let mut heard = alarms.lock().unwrap();
+            heard.messages += 1;
+            let event = (message.alarm_id, message.event_no);
+            if !heard.events.contains(&event) {
+                heard.events.push(event);
+            }
+        };
+        let subscribers =
+            [subscribe(&session, "health", on_health).await, subscribe(&session, "alarm", on_alarm).await];
+        Self { heard, _session: session, _subscribers: subscribers }
+    }
+
+    pub(crate) fn heard(&self) -> MutexGuard<'_, Heard> {
+        self.heard.lock().unwrap()
+    }
+
+    /// Waits until something is heard.
+    pub(crate) async fn until(&self, what: &str, is_heard: impl Fn(&Heard) -> bool) {
+        let waiting = async {
+            while !is_heard(&self.heard()) {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        let waited = tokio::time::timeout(rig::PATIENCE, waiting).await;
+        assert!(
+            waited.is_ok(),
+            "{what} is not heard; {} throws and {:?}",
+            self.heard().health.len(),
+            self.heard().events
+        );
+    }
+}
+
+async fn subscribe(
+    session: &Session,
+    kind: &str,
+    heard: impl Fn(Sample) + Send + Sync + 'static,
+) -> AdvancedSubscriber<()> {
+    session
+        .declare_subscriber(format!("points/v1/**/{kind}"))
+        .callback(heard)
+        .history(HistoryConfig::default().detect_late_publishers())
+        .recovery(RecoveryConfig::default().heartbeat())
+        .await
+        .unwrap()
+}
+
+/// Appends an acknowledgement to the shim's log, in one write.
+fn note(log: Option<&File>, line: &str) {
+    let Some(mut log) = log else { return };
+    let size = u32::try_from(line.len()).unwrap();
+    let mut record = vec![b'A'];
+    record.extend_from_slice(&0u32.to_ne_bytes());
+    record.extend_from_slice(&size.to_ne_bytes());
+    record.extend_from_slice(&0u64.to_ne_bytes());
+    record.extend_from_slice(line.as_bytes());
+    log.write_all(&record).unwrap();
+}
