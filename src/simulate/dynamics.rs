@@ -7,7 +7,7 @@
 //! (J_M + J_L) n² psi'' = n T_motor - B_M n² psi' - T_gh            (3), with the gearhead's torque opposing the motor
 //! T_gh = K_gh (psi - theta) + C_gh (psi' - theta')
 //! J_bs theta'' = T_gh - B_bs theta' - K_bs theta - p F             (6)
-//! F = K_fs (p theta - x) + C_fs (p theta' - x')                    (8), x = sum of the modes at the toe
+//! F = K_fs (p theta - x - s) + C_fs (p theta' - x')                (8), x = sum of the modes at the toe, s slip of the clutch
 //! q_k'' = -2 zeta w_k q_k' - w_k² q_k + f_k(toe) F + chairs and stops
 //! ```
 //!
@@ -21,6 +21,8 @@ use super::rails::{MAX_MODES, Modes};
 
 /// Length of the state vector: psi, psi', theta, theta', then `MAX_MODES` of q and of q'. Unused modes stay 0.
 pub(super) const STATES: usize = 4 + 2 * MAX_MODES;
+/// Index of theta in the state.
+pub(super) const SCREW: usize = 2;
 /// Index of psi' in the state.
 pub(super) const MOTOR_SPEED: usize = 1;
 /// Index of theta' in the state.
@@ -38,6 +40,15 @@ const STOP_STIFFNESS_N_M: f64 = 2e7;
 /// Damping of the stop \[N s/m\].
 const STOP_DAMPING_NS_M: f64 = 1e5;
 
+/// Which of the connections that come and go there are during a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Phase {
+    /// The toe leans on a stop, whose spring and damper then belong to A.
+    pub at_stop: bool,
+    /// The clutch slips: spring and damper of the toe drive carry a constant force, and do not belong to A.
+    pub slipping: bool,
+}
+
 /// One exact step of the linear system.
 #[derive(Debug, Clone)]
 pub(super) struct Step {
@@ -47,16 +58,20 @@ pub(super) struct Step {
     pub motor: State,
     /// Effect of 1 N m at the screw.
     pub screw: State,
+    /// Effect of 1 N on the toe.
+    pub toe: State,
+    /// Effect of 1 N in the toe drive: on the toe, and against the screw.
+    pub drive: State,
     /// Effect of a unit force on each mode.
-    pub modal: [State; MAX_MODES],
+    modal: [State; MAX_MODES],
 }
 
 impl Step {
-    /// The step of `h` seconds; with `in_contact` the toe leans on a stop, whose spring and damper then belong to A.
-    pub(super) fn new(parameters: &Parameters, modes: &Modes, h: f64, in_contact: bool) -> Self {
+    /// The step of `h` seconds.
+    pub(super) fn new(parameters: &Parameters, modes: &Modes, h: f64, phase: Phase) -> Self {
         let n = modes.count;
         let active: Vec<usize> = (0..4).chain((0..n).map(|k| MODE + k)).chain((0..n).map(|k| MODE_SPEED + k)).collect();
-        let (a, b) = continuous(parameters, modes, in_contact);
+        let (a, b) = continuous(parameters, modes, phase);
         let inputs = 2 + n;
         let size = active.len() + inputs;
         let mut augmented = DMatrix::zeros(size, size);
@@ -82,7 +97,11 @@ impl Step {
         }
         let first = active.len();
         let modal = std::array::from_fn(|k| if k < n { column(first + 2 + k) } else { [0.0; STATES] });
-        Self { transition, motor: column(first), screw: column(first + 1), modal }
+        let screw = column(first + 1);
+        let toe = shaped(&modal, &modes.toe);
+        let mut drive = toe;
+        add_scaled(&mut drive, &screw, -parameters.metres_per_radian());
+        Self { transition, motor: column(first), screw, toe, drive, modal }
     }
 
     /// e^(A h) z.
@@ -97,12 +116,16 @@ impl Step {
 
     /// Effect of a force that acts on the modes with this shape.
     pub(super) fn shaped(&self, shape: &[f64; MAX_MODES]) -> State {
-        let mut effect = [0.0; STATES];
-        for (column, weight) in self.modal.iter().zip(shape) {
-            add_scaled(&mut effect, column, *weight);
-        }
-        effect
+        shaped(&self.modal, shape)
     }
+}
+
+fn shaped(modal: &[State; MAX_MODES], shape: &[f64; MAX_MODES]) -> State {
+    let mut effect = [0.0; STATES];
+    for (column, weight) in modal.iter().zip(shape) {
+        add_scaled(&mut effect, column, *weight);
+    }
+    effect
 }
 
 /// `target += factor * source`.
@@ -116,14 +139,15 @@ pub(super) fn add_scaled(target: &mut State, source: &State, factor: f64) {
 type Inputs = [f64; 2 + MAX_MODES];
 
 /// A and B of the system; inputs are the torque at psi, the torque at theta, and a force on each mode.
-fn continuous(parameters: &Parameters, modes: &Modes, in_contact: bool) -> ([State; STATES], [Inputs; STATES]) {
+fn continuous(parameters: &Parameters, modes: &Modes, phase: Phase) -> ([State; STATES], [Inputs; STATES]) {
     let n2 = parameters.gear_ratio.powi(2);
     let motor_inertia = (parameters.rotor_inertia_kg_m2 + parameters.load_inertia_kg_m2) * n2;
     let screw_inertia = parameters.screw_inertia_kg_m2;
     let p = parameters.metres_per_radian();
     let (k_gh, c_gh) = (parameters.gear_stiffness_nm, parameters.gear_damping_nms);
-    let (k_fs, c_fs) = (parameters.drive_stiffness_n_m, parameters.drive_damping_ns_m);
-    let (k_stop, c_stop) = if in_contact { (STOP_STIFFNESS_N_M, STOP_DAMPING_NS_M) } else { (0.0, 0.0) };
+    let (k_fs, c_fs) =
+        if phase.slipping { (0.0, 0.0) } else { (parameters.drive_stiffness_n_m, parameters.drive_damping_ns_m) };
+    let (k_stop, c_stop) = if phase.at_stop { (STOP_STIFFNESS_N_M, STOP_DAMPING_NS_M) } else { (0.0, 0.0) };
 
     let mut a = [[0.0; STATES]; STATES];
     let mut b = [[0.0; 2 + MAX_MODES]; STATES];
@@ -174,10 +198,15 @@ impl Toe {
         self.shape.iter().zip(&state[MODE..]).map(|(shape, q)| shape * q).sum()
     }
 
+    /// Toe speed \[m/s\].
+    #[inline]
+    pub(super) fn speed(&self, state: &State) -> f64 {
+        self.shape.iter().zip(&state[MODE_SPEED..]).map(|(shape, q)| shape * q).sum()
+    }
+
     /// Force of a stop at `stop_m` from neutral on the toe \[N\].
     pub(super) fn stop_force(&self, state: &State, stop_m: f64) -> f64 {
-        let speed: f64 = self.shape.iter().zip(&state[MODE_SPEED..]).map(|(shape, q)| shape * q).sum();
-        STOP_STIFFNESS_N_M * (stop_m - self.position(state)) - STOP_DAMPING_NS_M * speed
+        STOP_STIFFNESS_N_M * (stop_m - self.position(state)) - STOP_DAMPING_NS_M * self.speed(state)
     }
 
     /// Force that stands for the stop's rest position in the equations with contact \[N\].

@@ -385,7 +385,26 @@ impl FleetSettings {
             let size = [("faults.fault.size_pct", fault.size_pct)];
             require(&size, "must be -90 to 2000", |pct| (-90.0..=2000.0).contains(&pct))?;
         }
-        self.incidents.iter().try_for_each(|incident| self.check_machine("incidents.machine", incident.machine))
+        self.incidents.iter().try_for_each(|incident| self.check_incident(incident))
+    }
+
+    fn check_incident(&self, incident: &Incident) -> Result<(), InvalidParameter> {
+        self.check_machine("incidents.machine", incident.machine)?;
+        let stroke_mm = self.machine.stroke_mm;
+        match incident.kind {
+            IncidentKind::Obstruction { at_mm } => {
+                let place = [("incidents.kind.obstruction.at_mm", at_mm)];
+                require(&place, "must be 0 to the stroke", |mm| (0.0..=stroke_mm).contains(&mm))
+            }
+            IncidentKind::WeakSupply { loss_pct } => {
+                let loss = [("incidents.kind.weak_supply.loss_pct", loss_pct)];
+                require(&loss, "must be 0 to 100", |pct| (0.0..=100.0).contains(&pct))
+            }
+            IncidentKind::StuckSensor(stuck) => {
+                let from = [("incidents.kind.stuck_sensor.from_s", stuck.from_s)];
+                require(&from, "must be 0 to 40", |s| (0.0..=40.0).contains(&s))
+            }
+        }
     }
 
     fn check_machine(&self, name: &'static str, machine: usize) -> Result<(), InvalidParameter> {

@@ -6,10 +6,12 @@
 //! | `rails` | the switch rails: finite elements, reduced to modes |
 //! | `dynamics` | everything linear, discretised exactly |
 //! | `friction` | dry friction with true sticking |
+//! | `drive` | the toe drive and its friction clutch |
 //! | `supply`, `motion` | the voltage; one throw, step by step |
 //! | `filter`, `sensors` | from the true motion to the recorded trace |
 //! | `fault`, `fleet` | wear, weather, and many machines |
 
+mod drive;
 mod dynamics;
 mod fault;
 mod filter;

@@ -6,9 +6,10 @@
 
 use crate::throw::Direction;
 
-use super::dynamics::{MOTOR_SPEED, State, Step, Toe, add_scaled, at_rest};
+use super::drive::Drive;
+use super::dynamics::{MOTOR_SPEED, Phase, State, Step, Toe, add_scaled, at_rest};
 use super::friction::{Friction, Response};
-use super::machine::{InvalidParameter, MotorKind, Parameters};
+use super::machine::{InvalidParameter, MotorKind, Parameters, require};
 use super::rails::Modes;
 
 /// Step of the simulation in normal use \[s\].
@@ -45,6 +46,22 @@ impl Default for Conditions {
     }
 }
 
+impl Conditions {
+    fn check(&self, stroke_mm: f64) -> Result<(), InvalidParameter> {
+        let temperature = [("temperature_c", self.temperature_c)];
+        require(&temperature, "must be -60 to 80", |c| (-60.0..=80.0).contains(&c))?;
+        require(&[("supply_ratio", self.supply_ratio)], "must be 0 to 3", |ratio| (0.0..=3.0).contains(&ratio))?;
+        require(&[("supply_phase_rad", self.supply_phase_rad)], "must be a finite number", |_| true)?;
+        if let Some(mm) = self.obstruction_mm {
+            require(&[("obstruction_mm", mm)], "must be 0 to the stroke", |mm| (0.0..=stroke_mm).contains(&mm))?;
+        }
+        match self.cut_off_after_s {
+            Some(s) => require(&[("cut_off_after_s", s)], "must be above 0", |s| s > 0.0),
+            None => Ok(()),
+        }
+    }
+}
+
 /// What one throw really did, on the simulation's own grid from the moment the motor is switched on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
@@ -73,24 +90,33 @@ impl Parameters {
         step_s: f64,
     ) -> Result<Motion, InvalidParameter> {
         self.check()?;
+        conditions.check(self.stroke_mm)?;
         let modes = self.rails.modes();
         Ok(Machine::new(&self.at_temperature(conditions.temperature_c), &modes, direction, conditions, step_s).run())
     }
 }
 
-/// The step without and with contact at a stop, and friction's response in each.
+/// The step in one phase, and friction's response in it.
 struct Kind {
     step: Step,
     response: Response,
-    toe_force: State,
 }
 
 impl Kind {
-    fn new(parameters: &Parameters, modes: &Modes, friction: &Friction, h: f64, in_contact: bool) -> Self {
-        let step = Step::new(parameters, modes, h, in_contact);
+    fn new(parameters: &Parameters, modes: &Modes, friction: &Friction, h: f64, phase: Phase) -> Self {
+        let step = Step::new(parameters, modes, h, phase);
         let response = friction.response(&step);
-        let toe_force = step.shaped(&modes.toe);
-        Self { step, response, toe_force }
+        Self { step, response }
+    }
+}
+
+/// The kinds of step, each built when its phase first comes: a throw that is watched only while it moves needs one.
+#[derive(Default)]
+struct Kinds([Option<Kind>; 4]);
+
+impl Kinds {
+    fn get(&mut self, phase: Phase, build: impl FnOnce() -> Kind) -> &Kind {
+        self.0[2 * usize::from(phase.at_stop) + usize::from(phase.slipping)].get_or_insert_with(build)
     }
 }
 
@@ -99,11 +125,10 @@ struct Machine<'a> {
     conditions: &'a Conditions,
     direction: Direction,
     h: f64,
-    free: Kind,
-    /// Built when the toe first touches a stop: a throw that is watched only while it moves never does.
-    leaning: Option<Kind>,
+    kinds: Kinds,
     modes: &'a Modes,
     toe: Toe,
+    drive: Drive,
     friction: Friction,
     state: State,
     current: f64,
@@ -123,6 +148,7 @@ impl<'a> Machine<'a> {
         h: f64,
     ) -> Self {
         let friction = Friction::new(parameters, modes);
+        let toe = Toe::new(modes);
         let start_mm = match direction {
             Direction::NormalToReverse => 0.0,
             Direction::ReverseToNormal => parameters.stroke_mm,
@@ -133,10 +159,10 @@ impl<'a> Machine<'a> {
             conditions,
             direction,
             h,
-            free: Kind::new(parameters, modes, &friction, h, false),
-            leaning: None,
+            kinds: Kinds::default(),
             modes,
-            toe: Toe::new(modes),
+            toe,
+            drive: Drive::new(parameters, toe),
             friction,
             state,
             current: 0.0,
@@ -189,20 +215,32 @@ impl<'a> Machine<'a> {
 
     fn step(&mut self, at: usize, on: bool) {
         let torque = self.armature(at, on) * self.parameters.gear_ratio;
-        let kind = if self.contact.is_some() {
-            self.leaning.get_or_insert_with(|| Kind::new(self.parameters, self.modes, &self.friction, self.h, true))
-        } else {
-            &self.free
-        };
-        let mut next = kind.step.advance(&self.state);
-        add_scaled(&mut next, &kind.step.motor, torque);
-        if let Some(stop) = self.contact {
-            add_scaled(&mut next, &kind.toe_force, Toe::stop_offset_force(stop));
+        let mut next = self.reached(torque, on);
+        if self.drive.breaks_away(&next) {
+            self.friction.forget_effect();
+            next = self.reached(torque, on);
         }
-        self.friction.apply(&self.state, &mut next, &kind.response, on);
+        if self.drive.engages(&next) {
+            self.friction.forget_effect();
+        }
         self.last_speed = self.state[MOTOR_SPEED];
         self.state = next;
         self.update_contact();
+    }
+
+    /// The state after one step from here, with `torque` \[N m\] at the motor, seen at the screw.
+    fn reached(&mut self, torque: f64, on: bool) -> State {
+        let phase = Phase { at_stop: self.contact.is_some(), slipping: self.drive.slips() };
+        let build = || Kind::new(self.parameters, self.modes, &self.friction, self.h, phase);
+        let Kind { step, response } = self.kinds.get(phase, build);
+        let mut next = step.advance(&self.state);
+        add_scaled(&mut next, &step.motor, torque);
+        add_scaled(&mut next, &step.drive, self.drive.constant_force());
+        if let Some(stop) = self.contact {
+            add_scaled(&mut next, &step.toe, Toe::stop_offset_force(stop));
+        }
+        self.friction.apply(&self.state, &mut next, response, on);
+        next
     }
 
     /// Takes the current over one step; returns the motor's mean torque \[N m\].

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test may stop on an error, in its helpers too")]
 
 mod beam;
+mod clutch;
 mod commands;
 mod covariance;
 mod damaged;

@@ -1,0 +1,162 @@
+//! The friction clutch of the toe drive: what an obstruction looks like, and that a throw without one never shows it.
+
+use std::f64::consts::TAU;
+
+use pointsd::estimate::{Identifier, Motor, Settings};
+use pointsd::simulate::{Conditions, Parameters, Rails, STEP_S, Sensors, Waveform};
+use pointsd::throw::{Direction, Throw, ThrowRef};
+use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
+
+/// Current and screw speed \[A, rad/s\] at which the motor turns against the slipping clutch: armature and shaft in
+/// steady state, by fixed-point iteration.
+fn slipping(machine: &Parameters) -> (f64, f64) {
+    let n = machine.gear_ratio;
+    let constant = machine.clutch_n * machine.lead_mm / 1000.0 / TAU + machine.motor_dry_nm * n + machine.screw_dry_nm;
+    let viscous = machine.motor_viscous_nms * n * n + machine.screw_viscous_nms;
+    (0..50).fold((1.0, 0.0), |(current, _), _| {
+        let speed = (machine.supply_v - machine.resistance_ohm * current) / (machine.back_emf_constant * n);
+        ((constant + viscous * speed) / (machine.torque_constant * n), speed)
+    })
+}
+
+#[test]
+fn an_obstruction_anywhere_shows_the_current_of_the_slipping_clutch() {
+    let machine = Parameters { screw_stiffness_nm: 0.0, ..Parameters::default() };
+    let (expected_a, speed) = slipping(&machine);
+    // What the motor's back-EMF takes in is what clutch and friction turn into heat.
+    let torque = machine.torque_constant * machine.gear_ratio * expected_a;
+    let electric = machine.supply_v * expected_a - machine.resistance_ohm * expected_a * expected_a;
+    assert!((electric / (torque * speed) - 1.0).abs() < 1e-9);
+
+    let sensors = Sensors::default();
+    let mut identifier = Identifier::default();
+    let mut rng = ChaCha12Rng::seed_from_u64(4);
+    for direction in Direction::BOTH {
+        for part in 1..20 {
+            let at_mm = machine.stroke_mm * f64::from(part) / 20.0;
+            let conditions = Conditions { obstruction_mm: Some(at_mm), ..Conditions::default() };
+            let motion = machine.simulate(direction, &conditions, STEP_S).unwrap();
+            assert!(!motion.completed);
+            assert!(
+                (motion.cut_off as f64 * motion.step_s - machine.timeout_s).abs() < 1e-3,
+                "the controller gives up"
+            );
+            let (toe_mm, current_a) = (motion.toe_mm[motion.cut_off], motion.current_a[motion.cut_off]);
+            // The obstacle gives way by half a millimetre under the clutch's force, and the rails' where they help.
+            assert!((toe_mm - at_mm).abs() < 0.6, "{direction}, obstacle at {at_mm} mm: the toe is at {toe_mm} mm");
+            assert!(
+                (current_a / expected_a - 1.0).abs() < 0.005,
+                "{direction}, obstacle at {at_mm} mm: {current_a} A, the clutch takes {expected_a} A"
+            );
+            let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
+            let throw = Throw {
+                id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
+                started_at: jiff::Timestamp::UNIX_EPOCH,
+                direction: Some(direction),
+                trace,
+                temperature_c: None,
+                supply_v: None,
+                anti_alias_hz: None,
+            };
+            let refused = identifier.identify(&throw, &Settings::default()).outcome.unwrap_err();
+            assert!(refused.is_incomplete(), "{direction}, obstacle at {at_mm} mm: {refused}");
+        }
+    }
+}
+
+#[test]
+fn the_step_is_fine_enough_while_the_clutch_slips() {
+    let conditions = Conditions { obstruction_mm: Some(70.0), ..Conditions::default() };
+    for machine in [Parameters::default(), Parameters { drive_stiffness_n_m: 5e6, ..Parameters::default() }] {
+        for direction in Direction::BOTH {
+            let run = |step_s| machine.simulate(direction, &conditions, step_s).unwrap();
+            let (coarse, fine) = (run(STEP_S), run(STEP_S / 16.0));
+            for at in 0..coarse.cut_off {
+                assert!((coarse.current_a[at] - fine.current_a[at * 16]).abs() < 0.03);
+                assert!((coarse.toe_mm[at] - fine.toe_mm[at * 16]).abs() < 0.005);
+            }
+        }
+    }
+}
+
+#[test]
+fn no_normal_throw_slips() {
+    let with_friction = |slide_friction| Rails { slide_friction, ..Rails::default() };
+    let plain = Parameters::default();
+    let machines = [
+        plain.clone(),
+        Parameters { rails: with_friction(0.3), ..plain.clone() },
+        Parameters { neutral_mm: 115.0, rails: with_friction(0.3), ..plain.clone() },
+        Parameters { drive_stiffness_n_m: 5e6, rails: with_friction(0.15), ..plain.clone() },
+        Parameters { screw_stiffness_nm: 0.5, ..plain.clone() },
+        Parameters { supply: Waveform::RectifiedMains { mains_hz: 50.0 }, ..plain },
+        Parameters::series(),
+    ];
+    for machine in machines {
+        for direction in Direction::BOTH {
+            for temperature_c in [-40.0, 20.0] {
+                let conditions = Conditions { temperature_c, ..Conditions::default() };
+                let throw = |clutch_n| {
+                    Parameters { clutch_n, ..machine.clone() }.simulate(direction, &conditions, STEP_S).unwrap()
+                };
+                // Half the clutch would do as well: there is room for wear.
+                let motion = throw(machine.clutch_n / 2.0);
+                assert!(motion.completed, "{direction}, {temperature_c} °C: {machine:?}");
+                assert_eq!(motion, throw(1e9), "{direction}, {temperature_c} °C: {machine:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn stiff_rails_are_more_than_the_clutch_can_bend() {
+    // 3 EI / L³ of both rails at the full stroke, three times the clutch's force.
+    let mut machine = Parameters::default();
+    machine.rails.bending_stiffness_n_m2 = 3.0 * machine.clutch_n / 0.115 * machine.rails.length_m.powi(3) / 6.0;
+    let motion = machine.simulate(Direction::NormalToReverse, &Conditions::default(), STEP_S).unwrap();
+    let reached = motion.toe_mm[motion.cut_off];
+    assert!(!motion.completed && (reached / (115.0 / 3.0) - 1.0).abs() < 0.03, "{reached} mm");
+}
+
+#[test]
+fn conditions_that_cannot_be_are_refused_by_name() {
+    let plain = Conditions::default();
+    for (conditions, name) in [
+        (Conditions { obstruction_mm: Some(-1.0), ..plain }, "obstruction_mm"),
+        (Conditions { obstruction_mm: Some(116.0), ..plain }, "obstruction_mm"),
+        (Conditions { temperature_c: f64::NAN, ..plain }, "temperature_c"),
+        (Conditions { temperature_c: 200.0, ..plain }, "temperature_c"),
+        (Conditions { supply_ratio: -0.1, ..plain }, "supply_ratio"),
+        (Conditions { cut_off_after_s: Some(0.0), ..plain }, "cut_off_after_s"),
+    ] {
+        let error = Parameters::default().simulate(Direction::NormalToReverse, &conditions, STEP_S).unwrap_err();
+        assert_eq!(error.name, name);
+    }
+}
+
+#[test]
+fn a_series_motor_slips_its_clutch_too() {
+    let machine = Parameters::series();
+    let conditions = Conditions { obstruction_mm: Some(40.0), ..Conditions::default() };
+    for direction in Direction::BOTH {
+        let motion = machine.simulate(direction, &conditions, STEP_S).unwrap();
+        let current_a = motion.current_a[motion.cut_off];
+        assert!(!motion.completed && (1.0..6.0).contains(&current_a), "{current_a} A");
+        let refused = {
+            let sensors = Sensors::default();
+            let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(4)).unwrap().trace;
+            let throw = Throw {
+                id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
+                started_at: jiff::Timestamp::UNIX_EPOCH,
+                direction: Some(direction),
+                trace,
+                temperature_c: None,
+                supply_v: None,
+                anti_alias_hz: None,
+            };
+            let settings = Settings { motor: Motor::Series, ..Settings::default() };
+            Identifier::default().identify(&throw, &settings).outcome.unwrap_err()
+        };
+        assert!(refused.is_incomplete(), "{direction}: {refused}");
+    }
+}
