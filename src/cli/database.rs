@@ -1,6 +1,6 @@
 //! Which database a command is about.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
@@ -8,10 +8,13 @@ use clap::Args;
 use super::{Exit, Failure, ResultExt};
 use crate::store;
 
+/// The configuration of the service, where its package puts it.
+const SERVICE: &str = "/etc/pointsd/pointsd.toml";
+
 /// Where the database is.
 #[derive(Debug, Args)]
 pub(super) struct Location {
-    /// The database file.
+    /// The database file. Without this and --config: points.db in this folder, else the one of the installed service.
     #[arg(long, value_name = "FILE", conflicts_with = "config")]
     database: Option<PathBuf>,
     /// Take the path from this configuration.
@@ -20,12 +23,16 @@ pub(super) struct Location {
 }
 
 impl Location {
-    /// The database file: as given, as configured, or the default; it is there.
+    /// The database file: as given, as configured, the one in this folder, or that of the service; it is there.
     pub(super) fn find(&self) -> Result<PathBuf, Failure> {
         let path = match (&self.database, &self.config) {
             (Some(path), _) => path.clone(),
             (None, Some(config)) => configured(config)?,
-            (None, None) => store::Settings::default().path,
+            (None, None) => {
+                let here = store::Settings::default().path;
+                let service = Path::new(SERVICE);
+                if !here.exists() && service.exists() { configured(service)? } else { here }
+            }
         };
         match std::fs::metadata(&path) {
             Ok(_) => Ok(path),
@@ -39,7 +46,7 @@ impl Location {
 }
 
 /// The key `path` of the section `[store]`.
-fn configured(config: &PathBuf) -> Result<PathBuf, Failure> {
+fn configured(config: &Path) -> Result<PathBuf, Failure> {
     let text = std::fs::read_to_string(config)
         .with_context(|| format!("cannot read {}", config.display()))
         .or_exit(Exit::NoInput)?;
