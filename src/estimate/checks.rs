@@ -66,7 +66,25 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
 
 /// The least difference between neighbours that differ: the step of the converter, if there is one to see.
 pub(super) fn quantum(values: &[f64]) -> f64 {
-    let least = values.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|d| *d > 0.0).fold(f64::INFINITY, f64::min);
+    const LANES: usize = 4;
+    // Four at a time, and no branch: it is asked of every sample, several times a throw.
+    let mut least = [f64::INFINITY; LANES];
+    let mut meet = |lane: usize, before: f64, after: f64| {
+        let difference = (after - before).abs();
+        let difference = if difference > 0.0 { difference } else { f64::INFINITY };
+        least[lane] = if difference < least[lane] { difference } else { least[lane] };
+    };
+    let (before, after) = (&values[..values.len().max(1) - 1], values.get(1..).unwrap_or_default());
+    let ((before, before_rest), (after, after_rest)) = (before.as_chunks::<LANES>(), after.as_chunks::<LANES>());
+    for (before, after) in before.iter().zip(after) {
+        for lane in 0..LANES {
+            meet(lane, before[lane], after[lane]);
+        }
+    }
+    for (before, after) in before_rest.iter().zip(after_rest) {
+        meet(0, *before, *after);
+    }
+    let least = least.into_iter().fold(f64::INFINITY, f64::min);
     if least.is_finite() { least } else { 0.0 }
 }
 

@@ -20,7 +20,7 @@
 //! half a step of the converter averaging does not help, and the rounding error of one sample takes their place.)
 
 use super::{
-    filter::Discrete,
+    filter::{Discrete, Hold},
     small::sandwich,
     sriv::{Problem, Signal, Solution, Sriv, Workspace},
 };
@@ -49,24 +49,26 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         noise: &Noise<S>,
         workspace: &Workspace<P>,
     ) -> [[f64; P]; P] {
-        let z = &workspace.instruments;
+        let (z, stride) = (&workspace.instruments, workspace.stride);
+        // Each kept instrument stands for `stride` of them.
+        let times = stride as f64;
         let mut middle = [[0.0; P]; P];
         let mut sum = [0.0; P];
         for z in z {
-            add_square(&mut middle, z, noise.output);
-            add(&mut sum, z, 1.0);
+            add_square(&mut middle, z, times * noise.output);
+            add(&mut sum, z, times);
         }
         add_square(&mut middle, &sum, noise.offsets[1]);
         for (s, variance) in noise.inputs.into_iter().enumerate().filter(|(_, variance)| *variance > 0.0) {
             let Signal::Sampled(_, hold) = problem.inputs[s] else { continue };
-            let filter = Discrete::new(&solution.denominator, problem.interval_s, hold);
+            let Some(filter) = Discrete::new(&solution.denominator, times * problem.interval_s) else { continue };
             let numerator = self.numerator(&solution.parameters, s);
             let scale = noise.scale.filter(|_| s == 0);
             let mut sum = [0.0; P];
-            backwards(z, &filter, &numerator, |k, w| {
-                let scale = scale.map_or(1.0, |scale| scale[k]);
-                add_square(&mut middle, w, variance * scale * scale);
-                add(&mut sum, w, scale);
+            backwards(z, &filter, hold, &numerator, |k, w| {
+                let [mean, square] = scale.map_or([1.0; 2], |scale| moments(&scale[k * stride..], stride));
+                add_square(&mut middle, w, variance * times * square);
+                add(&mut sum, w, times * mean);
             });
             if s == 0 {
                 // An offset is the mean of a few noisy samples: its own error is common to all samples of the trace.
@@ -80,6 +82,13 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         }
         sandwich(&solution.inverse, &middle)
     }
+}
+
+/// Mean and mean square of the first `count` values.
+fn moments(values: &[f64], count: usize) -> [f64; 2] {
+    let values = &values[..count.min(values.len())];
+    let share = 1.0 / values.len() as f64;
+    [values.iter().sum::<f64>() * share, values.iter().map(|v| v * v).sum::<f64>() * share]
 }
 
 /// Adds `weight` v v' to the upper triangle.
@@ -103,30 +112,21 @@ fn add<const P: usize>(sum: &mut [f64; P], v: &[f64; P], weight: f64) {
 fn backwards<const N: usize, const P: usize>(
     z: &[[f64; P]],
     filter: &Discrete<N>,
+    hold: Hold,
     numerator: &[f64; N],
     mut take: impl FnMut(usize, &[f64; P]),
 ) {
-    // One state for each column of z, columns innermost so that they advance side by side.
-    let mut state = [[0.0; P]; N];
+    let (row, through) = filter.readout(hold).combined(numerator);
+    let mut states = [[0.0; N]; P];
     for (k, z) in z.iter().enumerate().rev() {
         let mut w = [0.0; P];
-        for i in 0..N {
-            for j in 0..P {
-                w[j] += numerator[i] * (state[i][j] + filter.through[i] * z[j]);
+        for j in 0..P {
+            w[j] = through * z[j];
+            for i in 0..N {
+                w[j] += row[i] * states[j][i];
             }
+            filter.advance(&mut states[j], z[j]);
         }
         take(k, &w);
-        let mut next = [[0.0; P]; N];
-        for i in 0..N {
-            for j in 0..P {
-                next[i][j] = filter.gamma[i] * z[j];
-            }
-            for l in 0..N {
-                for j in 0..P {
-                    next[i][j] += filter.phi[i][l] * state[l][j];
-                }
-            }
-        }
-        state = next;
     }
 }

@@ -13,10 +13,22 @@
 //! q_{k+1} = Φ q_k + Γ v_k,   z_k = q_k + Γ1 v_k,   Γ = Φ Γ1 + Γ0 - Γ1
 //! ```
 //!
-//! Φ, Γ0 and Γ1 come from Taylor series in normalised time (the companion matrix of `a_i` / ρ^i, ρ its root radius, so
+//! Which coordinates the recursion runs in is free. In those of the controllable canonical form of Ψ = Φ - 1 it costs N
+//! multiplications a sample, and the recursion is the same for both holds:
+//!
+//! ```text
+//! s_i ← s_i + s_{i+1},   s_N ← s_N - α_1 s_N - … - α_N s_1 + v,   q = K s
+//! ```
+//!
+//! with α the characteristic polynomial of Ψ (Faddeev, Leverrier) and the columns `k_N` = Γ, `k_{N-j}` = Ψ `k_{N-j+1}` + `α_j` Γ.
+//! As Ψ is of the order of h, nothing cancels at high sampling rates.
+//!
+//! Ψ, Γ0 and Γ1 come from Taylor series in normalised time (the companion matrix of `a_i` / ρ^i, ρ its root radius, so
 //! that no power of a fast pole spoils the others) with scaling and squaring.
 
 use serde::{Deserialize, Serialize};
+
+use super::small::{invert, times};
 
 /// What a signal does between two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -28,24 +40,34 @@ pub enum Hold {
     First,
 }
 
-/// 1/A(s) for one hold: q⁺ = Φ q + Γ v, z = q + D v, where z holds x and its first N-1 derivatives.
-#[derive(Debug, Clone, Copy)]
+/// 1/A(s) at a sampling interval: the recursion, and how to read x and its derivatives for either hold.
+#[derive(Debug, Clone)]
 pub(super) struct Discrete<const N: usize> {
-    pub(super) phi: [[f64; N]; N],
-    pub(super) gamma: [f64; N],
-    pub(super) through: [f64; N],
+    /// `α_N` … `α_2`, in the order of the states that they weigh, and 1 - `α_1`.
+    feedback: [f64; N],
+    held: Readout<N>,
+    linear: Readout<N>,
 }
 
-/// Φ, Γ0 and the ramp response R = h Γ1 over one interval, in normalised time.
+/// z = K s + D v for one hold, and the inverse of K.
+#[derive(Debug, Clone)]
+pub(super) struct Readout<const N: usize> {
+    pub(super) state: [[f64; N]; N],
+    pub(super) through: [f64; N],
+    inverse: [[f64; N]; N],
+}
+
+/// Ψ = Φ - 1, Γ0 and the ramp response R = h Γ1 over one interval, in normalised time.
 struct Interval<const N: usize> {
-    phi: [[f64; N]; N],
+    psi: [[f64; N]; N],
     step: [f64; N],
     ramp: [f64; N],
 }
 
 impl<const N: usize> Discrete<N> {
     /// Discretises 1/A(s), A monic with `a` = \[`a_1`, …, `a_N`\] (`a_i` belongs to s^(N-i)), for the interval `h` \[s\].
-    pub(super) fn new(a: &[f64; N], h: f64, hold: Hold) -> Self {
+    /// `None` when the samples do not show all states: poles that are not finite, or on a harmonic of the sampling rate.
+    pub(super) fn new(a: &[f64; N], h: f64) -> Option<Self> {
         let rho = root_radius(a);
         let interval = Interval::new(&normalised(a, rho), rho * h);
         let mut powers = [1.0; N];
@@ -53,38 +75,91 @@ impl<const N: usize> Discrete<N> {
             powers[i] = powers[i - 1] * rho;
         }
         let top = powers[N - 1] * rho;
-        let phi = std::array::from_fn(|i| std::array::from_fn(|j| interval.phi[i][j] * powers[i] / powers[j]));
-        let step: [f64; N] = std::array::from_fn(|i| interval.step[i] * powers[i] / top);
-        if hold == Hold::Zero {
-            return Self { phi, gamma: step, through: [0.0; N] };
+        let scales = powers.map(|power| power / top);
+        let alpha = characteristic(&interval.psi);
+        let mut feedback: [f64; N] = std::array::from_fn(|i| alpha[N - 1 - i]);
+        feedback[N - 1] = 1.0 - alpha[0];
+        let none = [0.0; N];
+        let through = interval.ramp.map(|ramp| ramp / (rho * h));
+        let gamma = std::array::from_fn(|i| dot(&interval.psi[i], &through) + interval.step[i]);
+        let held = Readout::new(&interval.psi, &alpha, &interval.step, &none, &scales)?;
+        let linear = Readout::new(&interval.psi, &alpha, &gamma, &through, &scales)?;
+        Some(Self { feedback, held, linear })
+    }
+
+    /// How to read x and its derivatives for this hold.
+    pub(super) fn readout(&self, hold: Hold) -> &Readout<N> {
+        match hold {
+            Hold::Zero => &self.held,
+            Hold::First => &self.linear,
         }
-        let through: [f64; N] = std::array::from_fn(|i| interval.ramp[i] / (rho * h) * powers[i] / top);
-        let gamma = std::array::from_fn(|i| dot(&phi[i], &through) + step[i] - through[i]);
-        Self { phi, gamma, through }
     }
 
-    /// The state before the first sample `v0`, so that `z_0` = 0: the filter starts at rest.
-    pub(super) fn rest(&self, v0: f64) -> [f64; N] {
-        std::array::from_fn(|i| -self.through[i] * v0)
-    }
-
-    /// z at this sample.
+    /// s at the next sample.
     #[inline]
-    pub(super) fn output(&self, q: &[f64; N], v: f64) -> [f64; N] {
-        std::array::from_fn(|i| q[i] + self.through[i] * v)
+    pub(super) fn advance(&self, s: &mut [f64; N], v: f64) {
+        let mut last = v;
+        for i in 0..N - 1 {
+            last -= self.feedback[i] * s[i];
+        }
+        for i in 0..N - 1 {
+            s[i] += s[i + 1];
+        }
+        s[N - 1] = self.feedback[N - 1] * s[N - 1] + last;
     }
+}
 
-    /// q at the next sample.
-    #[inline]
-    pub(super) fn advance(&self, q: &[f64; N], v: f64) -> [f64; N] {
-        std::array::from_fn(|i| {
-            let mut sum = self.gamma[i] * v;
-            for (phi, q) in self.phi[i].iter().zip(q) {
-                sum += phi * q;
+impl<const N: usize> Readout<N> {
+    /// In normalised time; `scales` brings each derivative to seconds.
+    fn new(
+        psi: &[[f64; N]; N],
+        alpha: &[f64; N],
+        gamma: &[f64; N],
+        through: &[f64; N],
+        scales: &[f64; N],
+    ) -> Option<Self> {
+        let mut column = *gamma;
+        let mut state = [[0.0; N]; N];
+        for j in (0..N).rev() {
+            for i in 0..N {
+                state[i][j] = column[i] * scales[i];
             }
-            sum
-        })
+            let next = times(psi, &column);
+            column = std::array::from_fn(|i| next[i] + alpha[N - 1 - j] * gamma[i]);
+        }
+        let through = std::array::from_fn(|i| through[i] * scales[i]);
+        Some(Self { state, through, inverse: invert(&state)?.inverse })
     }
+
+    /// How to read a polynomial in derivatives of x, the coefficient of the d-th at index d: from the states, and directly.
+    pub(super) fn combined(&self, polynomial: &[f64; N]) -> ([f64; N], f64) {
+        (
+            std::array::from_fn(|j| (0..N).map(|i| polynomial[i] * self.state[i][j]).sum()),
+            dot(polynomial, &self.through),
+        )
+    }
+
+    /// The state at the first sample `v0` at which x and its derivatives are `z`.
+    pub(super) fn start(&self, z: &[f64; N], v0: f64) -> [f64; N] {
+        times(&self.inverse, &std::array::from_fn(|i| z[i] - self.through[i] * v0))
+    }
+}
+
+/// `α_1` … `α_N` of det(λ - Ψ) = λ^N + `α_1` λ^(N-1) + … (Faddeev, Leverrier).
+fn characteristic<const N: usize>(psi: &[[f64; N]; N]) -> [f64; N] {
+    let mut alpha = [0.0; N];
+    let mut power = *psi;
+    for k in 0..N {
+        if k > 0 {
+            let mut shifted = power;
+            for i in 0..N {
+                shifted[i][i] += alpha[k - 1];
+            }
+            power = product(psi, &shifted);
+        }
+        alpha[k] = -(0..N).map(|i| power[i][i]).sum::<f64>() / (k + 1) as f64;
+    }
+    alpha
 }
 
 impl<const N: usize> Interval<N> {
@@ -102,16 +177,16 @@ impl<const N: usize> Interval<N> {
         interval
     }
 
-    /// Σ Fᵏhᵏ/k!, Σ Fᵏe hᵏ⁺¹/(k+1)!, Σ Fᵏe hᵏ⁺²/(k+2)!; 16 terms leave less than 1e-24 at h|F| = 0.25.
+    /// Σ Fᵏhᵏ/k! from k = 1, Σ Fᵏe hᵏ⁺¹/(k+1)!, Σ Fᵏe hᵏ⁺²/(k+2)!; 16 terms leave less than 1e-24 at h|F| = 0.25.
     fn taylor(a: &[f64; N], h: f64) -> Self {
-        let mut phi = [[0.0; N]; N];
-        for (j, unit) in (0..N).map(|j| (j, std::array::from_fn(|i| f64::from(u8::from(i == j))))) {
-            let mut term: [f64; N] = unit;
+        let mut psi = [[0.0; N]; N];
+        for j in 0..N {
+            let mut term: [f64; N] = std::array::from_fn(|i| f64::from(u8::from(i == j)));
             for k in 1..=16 {
-                for i in 0..N {
-                    phi[i][j] += term[i];
-                }
                 term = companion(a, &term).map(|x| x * h / f64::from(k));
+                for i in 0..N {
+                    psi[i][j] += term[i];
+                }
             }
         }
         let (mut step, mut ramp) = ([0.0; N], [0.0; N]);
@@ -124,22 +199,26 @@ impl<const N: usize> Interval<N> {
             }
             term = companion(a, &term).map(|x| x * h / f64::from(k + 1));
         }
-        Self { phi, step, ramp }
+        Self { psi, step, ramp }
     }
 
     /// The interval of twice this length.
     fn doubled(&self, length: f64) -> Self {
-        let phi =
-            std::array::from_fn(|i| std::array::from_fn(|j| (0..N).map(|k| self.phi[i][k] * self.phi[k][j]).sum()));
-        let step = std::array::from_fn(|i| dot(&self.phi[i], &self.step) + self.step[i]);
-        let ramp = std::array::from_fn(|i| dot(&self.phi[i], &self.ramp) + self.ramp[i] + length * self.step[i]);
-        Self { phi, step, ramp }
+        let square = product(&self.psi, &self.psi);
+        let psi = std::array::from_fn(|i| std::array::from_fn(|j| 2.0 * self.psi[i][j] + square[i][j]));
+        let step = std::array::from_fn(|i| dot(&self.psi[i], &self.step) + 2.0 * self.step[i]);
+        let ramp = std::array::from_fn(|i| dot(&self.psi[i], &self.ramp) + 2.0 * self.ramp[i] + length * self.step[i]);
+        Self { psi, step, ramp }
     }
 }
 
 /// F z for the companion matrix F of `a`.
 fn companion<const N: usize>(a: &[f64; N], z: &[f64; N]) -> [f64; N] {
     std::array::from_fn(|i| if i + 1 < N { z[i + 1] } else { -(0..N).map(|j| a[N - 1 - j] * z[j]).sum::<f64>() })
+}
+
+fn product<const N: usize>(left: &[[f64; N]; N], right: &[[f64; N]; N]) -> [[f64; N]; N] {
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..N).map(|k| left[i][k] * right[k][j]).sum()))
 }
 
 fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {

@@ -7,6 +7,7 @@ mod features;
 mod filter;
 mod identifier;
 mod movement;
+mod pass;
 mod rejection;
 mod release;
 mod settings;

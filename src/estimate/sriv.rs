@@ -23,7 +23,8 @@
 //! the buffers for them live in [`Workspace`] and are reused.
 
 use super::{
-    filter::{Discrete, Hold},
+    filter::{Hold, root_radius},
+    pass::{Auxiliary, Sums},
     small::{Inverse, invert, is_stable, reflected, times},
 };
 
@@ -56,7 +57,7 @@ pub struct Problem<'a, const S: usize> {
 #[derive(Debug, Clone)]
 pub struct Sriv<const N: usize, const S: usize, const P: usize> {
     /// Input and derivative of each of the first P-N columns.
-    columns: [(usize, usize); P],
+    pub(super) columns: [(usize, usize); P],
     numerator_orders: [usize; S],
     /// Where the iteration starts.
     pub start: Start<N>,
@@ -180,22 +181,36 @@ pub struct Solution<const N: usize, const S: usize, const P: usize> {
 /// Buffers that live from one problem to the next, so that none is allocated while throws keep their length.
 #[derive(Debug, Default)]
 pub struct Workspace<const P: usize> {
+    /// The middle one of every `stride` instruments: they are smooth, and a covariance needs two digits.
     pub(super) instruments: Vec<[f64; P]>,
+    pub(super) stride: usize,
     pub(super) model_output: Vec<f64>,
 }
 
+/// Longest distance of the kept instruments in units of 1 / root radius of their filter.
+const KEPT_ANGLE: f64 = 0.05;
+/// Most samples from one kept instrument to the next.
+const MAX_STRIDE: f64 = 16.0;
+
 impl<const P: usize> Workspace<P> {
+    /// Makes room for a pass over `len` samples with the filter 1/C.
+    pub(super) fn prepare<const N: usize>(&mut self, len: usize, c: &[f64; N], interval_s: f64) {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "between 1 and the maximum, also for NaN"
+        )]
+        let stride = (KEPT_ANGLE / (root_radius(c) * interval_s)).max(1.0).min(MAX_STRIDE.min(len as f64)) as usize;
+        self.stride = stride;
+        self.instruments.resize((len - stride / 2).div_ceil(stride), [0.0; P]);
+        self.model_output.resize(len, 0.0);
+    }
+
     /// The output x̂ of the auxiliary model in the last iteration, one value a sample.
     #[must_use]
     pub fn model_output(&self) -> &[f64] {
         &self.model_output
     }
-}
-
-/// Sums of one pass.
-struct Sums<const P: usize> {
-    normal: [[f64; P]; P],
-    right: [f64; P],
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
@@ -259,14 +274,12 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         if len < 2 * P {
             return Err(Failure::TooFewSamples);
         }
-        workspace.instruments.resize(len, [0.0; P]);
-        workspace.model_output.resize(len, 0.0);
 
         let mut denominator = match self.start {
             Start::Lag(lambda) => lag(lambda),
             Start::Denominator(a) => a,
         };
-        let (mut parameters, mut inverse) = solve(&self.pass(problem, &denominator, None, workspace))?;
+        let (mut parameters, mut inverse) = solve(self.pass(problem, &denominator, None, workspace), &denominator)?;
         let mut iterations = 0;
         let mut was_reflected = false;
         let mut termination = Termination::IterationLimit;
@@ -277,7 +290,8 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
                 denominator = reflected(&denominator);
             }
             let next;
-            (next, inverse) = solve(&self.pass(problem, &denominator, Some(&parameters), workspace))?;
+            let auxiliary = Auxiliary { parameters: &parameters, denominator: None };
+            (next, inverse) = solve(self.pass(problem, &denominator, Some(auxiliary), workspace), &denominator)?;
             iterations += 1;
             let change = distance(&next, &parameters);
             parameters = next;
@@ -297,131 +311,19 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             denominator,
         })
     }
-
-    /// Filters by 1/A and forms the sums; the auxiliary model has `parameters`' numerators, and without them the
-    /// instrument is the regressor itself (least squares).
-    fn pass(
-        &self,
-        problem: &Problem<S>,
-        a: &[f64; N],
-        parameters: Option<&[f64; P]>,
-        workspace: &mut Workspace<P>,
-    ) -> Sums<P> {
-        match (parameters, problem.equilibrium.is_none()) {
-            (None, true) => self.filtered_sums::<false, false>(problem, a, &[0.0; P], workspace),
-            (None, false) => self.filtered_sums::<false, true>(problem, a, &[0.0; P], workspace),
-            (Some(theta), true) => self.filtered_sums::<true, false>(problem, a, theta, workspace),
-            (Some(theta), false) => self.filtered_sums::<true, true>(problem, a, theta, workspace),
-        }
-    }
-
-    fn filtered_sums<const IV: bool, const SHIFTED: bool>(
-        &self,
-        problem: &Problem<S>,
-        a: &[f64; N],
-        theta: &[f64; P],
-        workspace: &mut Workspace<P>,
-    ) -> Sums<P> {
-        let linear = Discrete::new(a, problem.interval_s, Hold::First);
-        let held = Discrete::new(a, problem.interval_s, Hold::Zero);
-        let len = problem.output.len();
-        let output = &problem.output[..len];
-        let instruments = &mut workspace.instruments[..len];
-        let model_output = &mut workspace.model_output[..len];
-        let input_filters: [&Discrete<N>; S] = std::array::from_fn(|s| match problem.inputs[s] {
-            Signal::Sampled(_, Hold::First) => &linear,
-            _ => &held,
-        });
-        // A signal that is not sampled is an empty slice and a constant.
-        let samples: [&[f64]; S] = std::array::from_fn(|s| match problem.inputs[s] {
-            Signal::Sampled(u, _) => u,
-            Signal::Constant | Signal::Impulse => &[],
-        });
-        let constants: [f64; S] = problem.inputs.map(|input| f64::from(u8::from(matches!(input, Signal::Constant))));
-        let value = |s: usize, k: usize| samples[s].get(k).copied().unwrap_or(constants[s]);
-        let mut input_states: [[f64; N]; S] = std::array::from_fn(|s| match problem.inputs[s] {
-            Signal::Impulse => std::array::from_fn(|i| f64::from(u8::from(i == N - 1))),
-            _ => input_filters[s].rest(value(s, 0)),
-        });
-        let mut output_state = linear.rest(output[0]);
-        let equilibrium = &problem.equilibrium.unwrap_or(output)[..len];
-        let mut shift_state = [0.0; N];
-        // All filters start at rest, so only impulses show in the first output of the auxiliary model.
-        let first: f64 = (0..P - N)
-            .filter(|&column| {
-                let (input, derivative) = self.columns[column];
-                derivative == N - 1 && matches!(problem.inputs[input], Signal::Impulse)
-            })
-            .map(|column| theta[column])
-            .sum();
-        let mut model_state = linear.rest(first);
-        let mut sums = Sums { normal: [[0.0; P]; P], right: [0.0; P] };
-        for k in 0..len {
-            let u: [f64; S] = std::array::from_fn(|s| value(s, k));
-            let inputs: [[f64; N]; S] = std::array::from_fn(|s| input_filters[s].output(&input_states[s], u[s]));
-            let filtered = linear.output(&output_state, output[k]);
-            let mut top = output[k];
-            for i in 0..N {
-                top -= a[N - 1 - i] * filtered[i];
-            }
-            let mut phi = [0.0; P];
-            if P - N == S {
-                // Known at compile time: every numerator is a constant.
-                for s in 0..S {
-                    phi[s] = inputs[s][0];
-                }
-            } else {
-                for (phi, (input, derivative)) in phi.iter_mut().zip(&self.columns[..P - N]) {
-                    *phi = inputs[*input][*derivative];
-                }
-            }
-            for i in 0..N {
-                phi[P - 1 - i] = -filtered[i];
-            }
-            if SHIFTED {
-                phi[P - 1] += shift_state[0];
-            }
-            let mut z = phi;
-            if IV {
-                let mut model = 0.0;
-                for (theta, phi) in theta[..P - N].iter().zip(&phi) {
-                    model += theta * phi;
-                }
-                if SHIFTED {
-                    model += a[N - 1] * shift_state[0];
-                }
-                model_output[k] = model;
-                let auxiliary = linear.output(&model_state, model);
-                model_state = linear.advance(&model_state, model);
-                for i in 0..N {
-                    z[P - 1 - i] = -auxiliary[i];
-                }
-                if SHIFTED {
-                    z[P - 1] += shift_state[0];
-                }
-                instruments[k] = z;
-            }
-            for i in 0..P {
-                for j in 0..P {
-                    sums.normal[i][j] += z[i] * phi[j];
-                }
-                sums.right[i] += z[i] * top;
-            }
-            for s in 0..S {
-                input_states[s] = input_filters[s].advance(&input_states[s], u[s]);
-            }
-            output_state = linear.advance(&output_state, output[k]);
-            if SHIFTED {
-                shift_state = held.advance(&shift_state, equilibrium[k]);
-            }
-        }
-        sums
-    }
 }
 
-fn solve<const P: usize>(sums: &Sums<P>) -> Result<([f64; P], Inverse<P>), Failure> {
+/// θ and the inverse of the normal matrix from the sums of a pass with the filter 1/C.
+fn solve<const N: usize, const P: usize>(
+    sums: Option<Sums<P>>,
+    c: &[f64; N],
+) -> Result<([f64; P], Inverse<P>), Failure> {
+    let sums = sums.ok_or(Failure::Singular)?;
     let inverse = invert(&sums.normal).ok_or(Failure::Singular)?;
-    let parameters = times(&inverse.inverse, &sums.right);
+    let mut parameters = times(&inverse.inverse, &sums.right);
+    for i in 0..N {
+        parameters[P - N + i] += c[i];
+    }
     if parameters.iter().all(|p| p.is_finite()) { Ok((parameters, inverse)) } else { Err(Failure::Singular) }
 }
 
@@ -445,12 +347,31 @@ fn lag<const N: usize>(lambda: f64) -> [f64; N] {
 /// 1 - var(y - x̂) / var(y).
 fn fit(output: &[f64], model: &[f64]) -> f64 {
     let count = output.len() as f64;
-    let mean = output.iter().sum::<f64>() / count;
-    let (mut error, mut error_square, mut square) = (0.0, 0.0, 0.0);
-    for (y, x) in output.iter().zip(model) {
-        error += y - x;
-        error_square += (y - x) * (y - x);
-        square += (y - mean) * (y - mean);
-    }
+    let [sum] = sums(output, model, |y, _| [y]);
+    let mean = sum / count;
+    let [error, error_square, square] = sums(output, model, |y, x| [y - x, (y - x) * (y - x), (y - mean) * (y - mean)]);
     1.0 - (error_square - error * error / count) / square
+}
+
+/// Sums over pairs in four lanes: one chain of additions would wait for itself.
+fn sums<const K: usize>(left: &[f64], right: &[f64], terms: impl Fn(f64, f64) -> [f64; K]) -> [f64; K] {
+    const LANES: usize = 4;
+    let mut lanes = [[0.0; LANES]; K];
+    let (left, left_rest) = left.as_chunks::<LANES>();
+    let (right, right_rest) = right.as_chunks::<LANES>();
+    for (left, right) in left.iter().zip(right) {
+        for lane in 0..LANES {
+            let terms = terms(left[lane], right[lane]);
+            for k in 0..K {
+                lanes[k][lane] += terms[k];
+            }
+        }
+    }
+    for (left, right) in left_rest.iter().zip(right_rest) {
+        let terms = terms(*left, *right);
+        for k in 0..K {
+            lanes[k][0] += terms[k];
+        }
+    }
+    lanes.map(|lane| lane.iter().sum())
 }
