@@ -161,7 +161,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         let (mut shift_state, mut model_shift_state) = ([0.0; N], [0.0; N]);
         let first = std::array::from_fn(|s| value(s, 0));
         let mut auxiliary_state =
-            linear.start(&[0.0; N], self.combined(theta, &model_columns.read(&model_states, &first)));
+            linear.start(&[0.0; N], combined::<N, P>(theta, &model_columns.read(&model_states, &first)));
         let mut raw = Raw::new();
         for k in 0..len {
             let u: [f64; S] = std::array::from_fn(|s| value(s, k));
@@ -172,7 +172,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             let mut model = y;
             if IV {
                 let own = if APART { model_columns.read(&model_states, &u) } else { phi };
-                model = self.combined(theta, &own);
+                model = combined::<N, P>(theta, &own);
                 if SHIFTED {
                     let own = if APART { dot(&model_shift_row, &model_shift_state) } else { shift };
                     model += a[N - 1] * own;
@@ -217,16 +217,6 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             raw.model_is_output();
         }
         Some(raw.sums(linear, c[N - 1]))
-    }
-
-    /// The numerators applied to their columns.
-    #[inline]
-    fn combined(&self, theta: &[f64; P], columns: &[f64; P]) -> f64 {
-        let mut sum = 0.0;
-        for at in 0..P - N {
-            sum += theta[at] * columns[at];
-        }
-        sum
     }
 }
 
@@ -335,6 +325,16 @@ fn regressor<const N: usize, const P: usize>(raw: &[f64; P], linear: &Readout<N>
     }
     regressor[P - 1] += shift;
     regressor
+}
+
+/// The numerators applied to their columns.
+#[inline]
+fn combined<const N: usize, const P: usize>(theta: &[f64; P], columns: &[f64; P]) -> f64 {
+    let mut sum = 0.0;
+    for at in 0..P - N {
+        sum += theta[at] * columns[at];
+    }
+    sum
 }
 
 #[inline]
