@@ -2,7 +2,7 @@
 
 use super::{
     Settings,
-    movement::{Movement, median},
+    movement::{MIN_QUIET, Movement, median},
     rejection::{Channel, Rejection},
 };
 
@@ -106,7 +106,10 @@ pub(super) fn course(
     if travel_mm.max(furthest) < least {
         return Err(Rejection::NoMovement);
     }
-    if movement.motor_off.is_none() || movement.peak_a < 6.0 * first_difference_noise(current, scratch) {
+    // Where nothing quiet tells the noise, differences do, although they take a supply's ripple for noise.
+    let quiet = movement.current;
+    let noise_a = if quiet.samples >= MIN_QUIET { quiet.sd } else { first_difference_noise(current, scratch) };
+    if movement.motor_off.is_none() || movement.peak_a < 6.0 * noise_a {
         return Err(Rejection::NoCurrent { travel_mm });
     }
     let start = movement.start();
@@ -155,7 +158,7 @@ pub(super) fn noise(movement: &Movement, settings: &Settings) -> Result<(), Reje
         (Channel::Current, movement.current, settings.current_noise_a, CURRENT_NOISE_FACTOR),
         (Channel::Position, movement.position, settings.position_noise_mm, POSITION_NOISE_FACTOR),
     ] {
-        if level.samples >= super::movement::MIN_QUIET && level.sd > factor * expected {
+        if level.samples >= MIN_QUIET && level.sd > factor * expected {
             return Err(Rejection::Noisy { channel, measured: level.sd, expected });
         }
     }

@@ -115,9 +115,11 @@ impl Identifier {
 
         copy_finite(&mut self.current, trace.current_a());
         copy_finite(&mut self.position, trace.position_mm());
-        let released =
-            (factor > 1).then(|| release::at_full_rate(&self.current, raw_interval_s, &mut self.scratch)).flatten();
         let at_rest = if factor > 1 { level_before(&self.current) } else { 0.0 };
+        let linear = settings.motor == Motor::PermanentMagnet && throw.anti_alias_hz.is_none();
+        let released = (factor > 1)
+            .then(|| release::at_full_rate(&mut self.current, raw_interval_s, linear, &mut self.scratch))
+            .flatten();
         decimate::decimate(&mut self.current, factor, at_rest);
         let first = self.position[0];
         decimate::decimate(&mut self.position, factor, first);
@@ -204,7 +206,7 @@ impl Identifier {
         let to = movement.end(&self.position).max(from) + 1;
         let radians_per_mm = std::f64::consts::TAU / settings.lead_mm;
         let offset = movement.current.mean;
-        let drive = self.current[from..to].iter().map(|i| i - offset).sum::<f64>().signum();
+        let drive = movement.drive(&self.current);
         let start_mm = movement.position.mean;
         self.output.clear();
         self.output.extend(self.position[from..to].iter().map(|x| movement.sign * (x - start_mm) * radians_per_mm));
@@ -215,6 +217,12 @@ impl Identifier {
             self.input_scale.extend(self.input.iter().map(|i| 2.0 * i.abs()));
             for i in &mut self.input {
                 *i *= i.abs();
+            }
+        }
+        if filter_hz.is_none() && settings.motor == Motor::PermanentMagnet {
+            let foot = movement.start() - from;
+            if let Some(onset) = release::onset(&self.input, 0.0, foot) {
+                onset.complete(&mut self.input, foot);
             }
         }
         let released = released.map_or_else(

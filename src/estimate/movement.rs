@@ -108,6 +108,12 @@ impl Movement {
         }
     }
 
+    /// Sign of the current that drives the throw: that of its inrush. (A stiff spring may drive the motor later.)
+    pub(super) fn drive(&self, current: &[f64]) -> f64 {
+        let beyond = |i: &&f64| (*i - self.current.mean).abs() >= 0.5 * self.peak_a;
+        current[self.start()..].iter().find(beyond).map_or(1.0, |i| (i - self.current.mean).signum())
+    }
+
     /// Whether the trace ends while the toe is moving.
     pub(super) fn ends_moving(&self, position: &[f64]) -> bool {
         let last = position.len() - 1;

@@ -4,42 +4,100 @@
 //! The term a0 `y_eq` of equation (12) acts from the moment in which the motor starts, so that moment matters: 1 ms too
 //! early costs 0.8 % of all three coefficients in the direction in which the spring drives the throw.
 //!
-//! Unfiltered, the current shows it: the foot of its rise, extrapolated through the first samples. A filter that both
+//! Unfiltered, the current shows it: the foot of its rise, extrapolated back through the first samples. A filter that both
 //! channels passed delays and rounds the foot; then the start is that of the rectangular pulse which, filtered alike,
 //! fits the current's rise best.
+//!
+//! The same foot is a kink: the slope jumps by m, from nothing to supply voltage over inductance. Lines between samples miss the
+//! charge of the curve after it and have too much in the interval in which it lies, together (Euler, Maclaurin)
+//!
+//! ```text
+//! ∫ i dt - Σ trapezoids = m h² / 2 (1/6 - f (1 - f)),   f the kink's place in its interval
+//! ```
+//!
+//! which is 0.5 % of the inrush at 1 kHz and 2 % at 500 Hz, and all of it would go into the three coefficients.
 
 use nalgebra::Complex;
 use std::f64::consts::TAU;
 
-use super::movement::start_of_motor;
+use super::movement::{mean, start_of_motor};
 
 /// Widths of inrush that are tried \[s\].
 const PULSE_WIDTHS_S: [f64; 5] = [0.005, 0.01, 0.02, 0.04, 0.08];
+/// Samples of an unfiltered rise that tell where it began.
+const RISE_SAMPLES: usize = 6;
 /// Starts that are tried.
 const STEPS: u32 = 100;
 /// Delay of a fourth-order Butterworth low-pass at 0 Hz, in units of `1/ω_c`: 2 (sin π/8 + sin 3π/8).
 const FILTER_DELAY: f64 = 2.613_125_929_752_753;
 
-/// The moment of release \[s\] in a trace before its decimation; `None` when the motor was never off or never on.
-pub(super) fn at_full_rate(current: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Option<f64> {
-    start_of_motor(current, scratch).filter(|foot| *foot > 0).map(|foot| foot as f64 * interval_s)
+/// The moment of release \[s\] in a trace before its decimation, and the charge that its onset misses put into `current`;
+/// `None` when the motor was never off or never on.
+pub(super) fn at_full_rate(current: &mut [f64], interval_s: f64, linear: bool, scratch: &mut Vec<f64>) -> Option<f64> {
+    let foot = start_of_motor(current, scratch).filter(|foot| *foot > 0)?;
+    let offset = mean(current[..foot].iter().copied());
+    let Some(onset) = onset(current, offset, foot) else { return Some(foot as f64 * interval_s) };
+    if linear {
+        onset.complete(current, foot);
+    }
+    Some((foot as f64 + onset.at) * interval_s)
 }
 
 /// The moment of release \[s\] from the first sample of `current` \[A\], whose last quiet sample is `foot`.
 pub(super) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, filter_hz: Option<f64>) -> f64 {
     match filter_hz {
-        None => (foot as f64 + foot_fraction(current, offset, foot)) * interval_s,
+        None => onset(current, offset, foot).map_or(foot as f64, |onset| foot as f64 + onset.at) * interval_s,
         Some(hz) => (pulse_start(current, offset, foot, interval_s, hz)).clamp(0.0, (foot + 3) as f64 * interval_s),
     }
 }
 
-/// Where between `foot` and the sample after it the rise begins: the rise's slope there is that of the next two
-/// intervals, extrapolated.
-fn foot_fraction(current: &[f64], offset: f64, foot: usize) -> f64 {
-    let Some([first, second, third]) = current.get(foot + 1..foot + 4) else { return 0.0 };
-    let slope = 2.0 * (second - first) - (third - second);
-    let run = (first - offset) / slope;
-    if run.is_finite() && run > 0.0 { 1.0 - run.min(1.0) } else { 0.0 }
+/// Where the rise begins, in samples after its foot, and its slope there \[A per sample\].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Onset {
+    at: f64,
+    slope: f64,
+}
+
+impl Onset {
+    /// Adds the charge that lines between samples miss to the sample after the foot.
+    pub(super) fn complete(&self, current: &mut [f64], foot: usize) {
+        let part = self.at - self.at.floor();
+        current[foot + 1] += 0.5 * self.slope * (1.0 / 6.0 - part * (1.0 - part));
+    }
+}
+
+/// The onset of an unfiltered rise. A motor's current follows its voltage step as a linear system of second order
+/// (inductance and back-EMF), so its samples follow `i_k` = α `i_{k-1}` + β `i_{k-2}`: fitted to the first samples, this gives the
+/// ones that would have come before. `None` where they do not cross zero at the foot with a slope.
+pub(super) fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> {
+    let rise = current.get(foot + 1..foot + 1 + RISE_SAMPLES)?;
+    let (mut square, mut both, mut earlier, mut ahead, mut behind) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for w in rise.windows(3) {
+        let [before, last, next] = [w[0] - offset, w[1] - offset, w[2] - offset];
+        square += last * last;
+        both += last * before;
+        earlier += before * before;
+        ahead += next * last;
+        behind += next * before;
+    }
+    let determinant = square * earlier - both * both;
+    let alpha = (ahead * earlier - behind * both) / determinant;
+    let beta = (behind * square - ahead * both) / determinant;
+    let [first, second] = [rise[0] - offset, rise[1] - offset];
+    let at_foot = (second - alpha * first) / beta;
+    let before = (first - alpha * at_foot) / beta;
+    // Newton's cubic through -1, 0, 1, 2, and its zero.
+    let (d1, d2, d3) = (
+        at_foot - before,
+        0.5 * (first - 2.0 * at_foot + before),
+        (second - 3.0 * first + 3.0 * at_foot - before) / 6.0,
+    );
+    let value = |t: f64| before + (t + 1.0) * (d1 + t * (d2 + (t - 1.0) * d3));
+    let slope = |t: f64| d1 + t * (d2 + (t - 1.0) * d3) + (t + 1.0) * (d2 + (2.0 * t - 1.0) * d3);
+    let at = (0..4).fold(0.5, |t, _| t - value(t) / slope(t));
+    let onset = Onset { at, slope: slope(at) };
+    let steep = onset.slope * first > 0.5 * first * first;
+    (steep && (-0.5..1.1).contains(&at) && onset.slope.abs() < 4.0 * (second.abs() + first.abs())).then_some(onset)
 }
 
 /// The start of the inrush by least squares: up to its crest the filtered current is that of a rectangular pulse, of the

@@ -59,6 +59,45 @@ fn a_noise_free_throw_gives_the_machines_physics_within_1_pct_in_both_directions
 }
 
 #[test]
+fn the_kink_of_the_current_at_switch_on_costs_nothing_wherever_it_lies_between_two_samples() {
+    for (sample_rate_hz, inductance_h) in
+        [(500.0, 0.02), (500.0, 0.04), (1000.0, 0.01), (1000.0, 0.02), (1000.0, 0.04), (1500.0, 0.02), (2000.0, 0.01)]
+    {
+        let machine = Parameters { inductance_h, ..without_dry_friction() };
+        let known = machine.coefficients().unwrap();
+        for part in [0.0, 0.3, 0.5, 0.8] {
+            for direction in Direction::BOTH {
+                let sensors = Sensors { before_s: 0.2 + part / sample_rate_hz, ..Sensors::perfect(sample_rate_hz) };
+                let estimate =
+                    identify(&simulated(&machine, &sensors, direction, 1), &settings_of(&machine)).outcome.unwrap();
+                for ratio in [estimate.b0 / known.b0, estimate.a1 / known.a1, estimate.a0 / known.a0] {
+                    assert!(
+                        (ratio - 1.0).abs() < 0.003,
+                        "{sample_rate_hz} Hz, {inductance_h} H, {part} of an interval, {direction}: {ratio}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_spring_that_drives_the_motor_is_told_from_a_current_of_the_other_polarity() {
+    for screw_stiffness_nm in [0.1, 0.2, 0.5] {
+        let machine = Parameters { screw_stiffness_nm, ..without_dry_friction() };
+        let known = machine.coefficients().unwrap();
+        for (direction, signed_current) in Direction::BOTH.into_iter().flat_map(|d| [(d, false), (d, true)]) {
+            let sensors = Sensors { signed_current, ..Sensors::perfect(1000.0) };
+            let throw = simulated(&machine, &sensors, direction, 1);
+            let estimate = identify(&throw, &settings_of(&machine)).outcome.unwrap();
+            for ratio in [estimate.b0 / known.b0, estimate.a1 / known.a1, estimate.a0 / known.a0] {
+                assert!((ratio - 1.0).abs() < 0.005, "{screw_stiffness_nm} N m/rad, {direction}: {ratio}");
+            }
+        }
+    }
+}
+
+#[test]
 fn a_declared_direction_that_the_toe_contradicts_is_flagged_and_the_movement_wins() {
     let machine = Parameters::default();
     let mut throw = simulated(&machine, &Sensors::default(), Direction::NormalToReverse, 1);
