@@ -1,15 +1,20 @@
 //! Which part it is: the direction of a drift in the space of the three logarithms.
 //!
 //! b0 = KT/J, a1 = Kf/J, a0 = Kspr/J (equation 13), so in (ln b0, ln a1, ln a0) the four causes are directions: motor
-//! (1,0,0), friction (0,1,0), stiffness (0,0,1), inertia (-1,-1,-1). For a drift m with covariance V, cause j with
-//! direction d explains it with size f = d'U^-1 m / d'U^-1 d and leaves the misfit (m - f d)' U^-1 (m - f d). U adds
-//! to V the model's own error: a fault may move the other coefficients a little, in proportion to f, and less where
-//! the other coefficient's own limit is narrower. Dry friction has a leak of its own: fitted with a viscous model it
-//! moves b0 and a0 together, by a fifth of a1 and more when it is heavy (simulated throws with slide-chair friction
-//! from 0 to 0.3: a1 +57 %, b0 +11 %, a0 +12 %).
+//! (1,0,0), friction (0,1,0), stiffness (0,0,1), inertia (-1,-1,-1). For a drift m with covariance V, causes with the
+//! directions D explain it with sizes f = (D'U^-1 D)^-1 D'U^-1 m and leave the misfit (m - D f)' U^-1 (m - D f). U adds
+//! to V the model's own error, in proportion to f.
 //!
-//! A single cause must also leave nothing that would be alarmed by itself: a rest above its own coefficient's limit is
-//! a second fault, however small it is beside the first.
+//! # The model's own error
+//! Simulated throws through the estimator: a change of the motor, stiffness or inertia moves each other coefficient by
+//! less than a tenth of itself. Dry friction leaks: fitted with a viscous model, a rise moves along (g, 1, g) with g
+//! from 0 (viscous) over 0.22 (stiff toe drive) to 0.4 (soft toe drive); a fall hardly leaks.
+//!
+//! # Which explanation
+//! One cause, two, or any three movements: each is scored by -2 ln of its probability under a wide prior on the sizes
+//! (Laplace), misfit + ln det U + ln det(D'U^-1 D) + k ln s^2, so that more causes have to earn what they explain; and
+//! coinciding faults are rarer than single ones. A cause is named when its score leads over every other name by a
+//! margin, else two are too close to call.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -20,20 +25,28 @@ use super::{
     event::{Cause, RunnerUp},
 };
 
-/// A single cause is out of the question above this misfit: chi-square with two degrees of freedom, upper 1 %.
-const SINGLE_MISFIT: f64 = 9.21;
-/// A pair of causes is out of the question above this misfit: chi-square with one degree of freedom, upper 1 %.
-const PAIR_MISFIT: f64 = 6.63;
-/// Two causes whose misfits differ by less are too close to call.
-const CLOSE: f64 = 4.0;
+/// A lead that decides between two explanations: odds of 20 to 1, as twice the logarithm.
+const CLOSE: f64 = 6.0;
+/// A lead that leaves no doubt: odds of 1000 to 1. A critical name needs it.
+pub(super) const DECISIVE: f64 = 13.8;
 /// How much closer, when the cross-correlation rule agrees with the named cause, and how much less when it does not.
-const RULE_WEIGHT: f64 = 2.0;
-/// Part of a friction change by which b0 and a0 move together.
-const FRICTION_COUPLING: f64 = 0.12;
-/// By how much a cause that already has an alarm is preferred: a verdict at the edge must not flip to and fro.
+const RULE_WEIGHT: f64 = 1.5;
+/// By how much an explanation that already has an alarm is preferred: a verdict at the edge must not flip to and fro.
 const STICKY: f64 = 4.0;
+/// Prior scale s of a size, in logarithms: faults that matter are from a few percent to a doubling.
+const SIZE_SCALE: f64 = 0.5;
+/// What each cause beside the first costs: one in a dozen faults comes with a second one.
+const SECOND_CAUSE: f64 = 5.0;
+/// Part g of a rise of friction by which b0 and a0 move too.
+const FRICTION_LEAK: std::ops::RangeInclusive<f64> = 0.0..=0.45;
+/// Its standard deviation, where g is read from the drift itself and where it cannot be: even over its range.
+const FRICTION_LEAK_SD: (f64, f64) = (0.05, 0.13);
+/// Standard deviations that the setting `model_error` stands for: "up to".
+const MODEL_ERROR_SD: f64 = 3.0;
+/// Beside its leak friction hardly moves the others: this part of what the other causes do.
+const FRICTION_ERROR: f64 = 0.3;
 
-/// A drift as one cause explains it.
+/// A drift, or a part of it, as one cause explains it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Explanation {
     pub(super) cause: Cause,
@@ -41,16 +54,12 @@ pub(super) struct Explanation {
     pub(super) size: f64,
     /// Its standard deviation.
     pub(super) size_sd: f64,
-    /// What it leaves unexplained.
-    pub(super) misfit: f64,
-    /// Whether what it leaves is below the limit of every coefficient.
-    pub(super) complete: bool,
 }
 
 /// What a drift is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Naming {
-    /// One cause explains it, and no other does nearly as well.
+    /// One cause explains it, and nothing else does nearly as well.
     One(Explanation),
     /// Two causes explain it equally well, the better first.
     Either(Explanation, Explanation),
@@ -60,15 +69,34 @@ pub(super) enum Naming {
     Neither,
 }
 
+/// Another explanation that cannot be ruled out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Rival {
+    Alone(Cause),
+    Together(Cause, Cause),
+}
+
 /// A drift with its name and what speaks for and against it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Finding {
     pub(super) naming: Naming,
+    /// Beside a naming with two causes.
+    pub(super) rival: Option<Rival>,
     pub(super) runner_up: Option<RunnerUp>,
     pub(super) correlation: Option<Correlation>,
     /// Changes of (ln b0, ln a1, ln a0).
     pub(super) mean: Vector3<f64>,
-    pub(super) sd: Vector3<f64>,
+    /// Its size over the warning limit of what it may be: it matters above 1.
+    pub(super) relevance: f64,
+    /// Lead of a single name over everything of which it is no part.
+    pub(super) lead: f64,
+}
+
+/// How well some causes together explain a drift.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Fit<const K: usize> {
+    parts: [Explanation; K],
+    score: f64,
 }
 
 /// The direction of a cause.
@@ -87,37 +115,83 @@ pub(super) fn percent(log: f64) -> f64 {
     100.0 * log.exp_m1()
 }
 
+/// Size of a change over the warning limit of its cause.
+pub(super) fn relevance(cause: Cause, size: f64, settings: &Settings) -> f64 {
+    settings.limit_pct(cause).map_or(0.0, |limit| percent(size).abs() / limit)
+}
+
+/// How one cause explains the drift `m` with covariance `v`.
+pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> Explanation {
+    fit([cause], m, v, settings).parts[0]
+}
+
 impl Finding {
     /// Names the drift of `window`. `open` are the causes with an active alarm.
     pub(super) fn of(window: &Window, correlation: Option<Correlation>, open: &[Cause], settings: &Settings) -> Self {
         let (m, v) = (&window.mean, &window.covariance);
-        let mut ranked = Cause::PHYSICAL.map(|cause| single(cause, m, v, settings));
-        let bonus = |e: &Explanation| if open.contains(&e.cause) { STICKY } else { 0.0 };
-        ranked.sort_by(|a, b| (a.misfit - bonus(a)).total_cmp(&(b.misfit - bonus(b))));
-        let [best, next, ..] = ranked;
-        let margin = next.misfit - best.misfit;
-        let close = match correlation.map(|c| c.agrees_with(best.cause, settings.correlation_limit)) {
-            Some(true) => CLOSE / RULE_WEIGHT,
-            Some(false) => CLOSE * RULE_WEIGHT,
-            None => CLOSE,
-        };
-        let naming = if best.complete && best.misfit <= SINGLE_MISFIT + bonus(&best) {
-            if next.misfit <= SINGLE_MISFIT && margin + bonus(&best) < close {
-                Naming::Either(best, next)
-            } else {
-                Naming::One(best)
-            }
-        } else {
-            best_pair(m, v, settings).map_or(Naming::Neither, |(a, b)| Naming::Both(a, b))
-        };
-        Self {
-            naming,
-            runner_up: matches!(naming, Naming::One(_) | Naming::Either(..))
-                .then_some(RunnerUp { cause: next.cause, margin }),
+        let mut singles = Cause::PHYSICAL.map(|cause| fit([cause], m, v, settings));
+        for single in &mut singles {
+            single.score -= if open.contains(&single.parts[0].cause) { STICKY } else { 0.0 };
+        }
+        singles.sort_by(|a, b| a.score.total_cmp(&b.score));
+        let [best, next, ..] = singles;
+        let mut pairs = all_pairs().map(|causes| fit(causes, m, v, settings));
+        for pair in &mut pairs {
+            pair.score -= if open.contains(&Cause::Unattributed) { STICKY } else { 0.0 };
+        }
+        pairs.sort_by(|a, b| a.score.total_cmp(&b.score));
+        let anything = fit([Cause::Kt, Cause::Friction, Cause::Stiffness], m, v, settings);
+        let found = Self {
+            naming: Naming::Neither,
+            rival: None,
+            runner_up: None,
             correlation,
             mean: *m,
-            sd: v.diagonal().map(f64::sqrt),
+            relevance: anything.relevance(settings),
+            lead: 0.0,
+        };
+        if anything.score + CLOSE < best.score.min(pairs[0].score) {
+            return found;
         }
+        let margin = next.score - best.score;
+        let cause = best.parts[0].cause;
+        let found = Self { runner_up: Some(RunnerUp { cause: next.parts[0].cause, margin }), ..found };
+        // Explanations with two causes that are as good as the best of them.
+        let plausible = pairs.iter().filter(|pair| pair.score < pairs[0].score + CLOSE);
+        let matters = |pair: &&Fit<2>| pair.parts.iter().all(|part| part.relevance(settings) >= 1.0);
+        let mattering = plausible.clone().find(matters);
+        let includes = |pair: &Fit<2>| pair.parts.iter().any(|part| part.cause == cause);
+        // A second movement below its own limit is no second fault.
+        let rival_pair = mattering.or_else(|| pairs.first().filter(|pair| !includes(pair)));
+        let ahead = rival_pair.map_or(f64::INFINITY, |pair| pair.score - best.score);
+        if ahead < CLOSE
+            && let Some(pair) = rival_pair
+        {
+            let relevance = plausible.map(|pair| pair.relevance(settings)).fold(0.0, f64::max);
+            let other = pairs.iter().find(|other| *other != pair && other.score < pair.score + CLOSE);
+            let rival = if ahead > -CLOSE {
+                Some(Rival::Alone(cause))
+            } else {
+                other.map(|other| Rival::Together(other.parts[0].cause, other.parts[1].cause))
+            };
+            let [mut a, mut b] = pair.parts;
+            if a.relevance(settings) < b.relevance(settings) {
+                (a, b) = (b, a);
+            }
+            return Self { naming: Naming::Both(a, b), rival, runner_up: None, relevance, ..found };
+        }
+        // With a second movement taken out, the size of the first is free of it.
+        let beside = Some(&pairs[0]).filter(|pair| includes(pair) && pair.score < best.score);
+        let e =
+            beside.and_then(|pair| pair.parts.into_iter().find(|part| part.cause == cause)).unwrap_or(best.parts[0]);
+        let second = next.parts[0];
+        if margin < close(cause, second.cause, correlation, settings) {
+            let relevance = e.relevance(settings).max(second.relevance(settings));
+            return Self { naming: Naming::Either(e, second), relevance, ..found };
+        }
+        let strangers = pairs.iter().filter(|pair| !includes(pair)).map(|pair| pair.score - best.score);
+        let lead = strangers.fold(margin, f64::min);
+        Self { naming: Naming::One(e), relevance: e.relevance(settings), lead, ..found }
     }
 
     /// The name under which it is alarmed.
@@ -125,20 +199,6 @@ impl Finding {
         match self.naming {
             Naming::One(e) => e.cause,
             _ => Cause::Unattributed,
-        }
-    }
-
-    /// Its size over the warning limit of what it is: it matters above 1.
-    pub(super) fn relevance(&self, settings: &Settings) -> f64 {
-        let of = |e: &Explanation| relevance(e.cause, e.size, settings);
-        match &self.naming {
-            Naming::One(e) => of(e),
-            Naming::Either(a, b) | Naming::Both(a, b) => of(a).max(of(b)),
-            Naming::Neither => [Cause::Kt, Cause::Friction, Cause::Stiffness]
-                .into_iter()
-                .zip(self.mean.iter())
-                .map(|(cause, size)| relevance(cause, *size, settings))
-                .fold(0.0, f64::max),
         }
     }
 
@@ -154,103 +214,97 @@ impl Finding {
     }
 }
 
-/// Size of a change over the warning limit of its cause.
-pub(super) fn relevance(cause: Cause, size: f64, settings: &Settings) -> f64 {
-    settings.limit_pct(cause).map_or(0.0, |limit| percent(size).abs() / limit)
-}
-
-/// How one cause explains the drift `m` with covariance `v`.
-pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> Explanation {
-    const ROUNDS: usize = 3;
-    let d = direction_of(cause).unwrap_or_else(Vector3::zeros);
-    let mut size = m.dot(&d) / d.dot(&d);
-    let mut explanation = Explanation { cause, size, size_sd: f64::INFINITY, misfit: f64::INFINITY, complete: false };
-    for _ in 0..ROUNDS {
-        let u = v + leak(&[(cause, size)], settings);
-        let Some(inverse) = u.try_inverse() else { return explanation };
-        let weights = inverse * d / (d.transpose() * inverse * d).x;
-        size = weights.dot(m);
-        let rest = m - d * size;
-        let misfit = (rest.transpose() * inverse * rest).x;
-        let size_sd = (weights.transpose() * v * weights).x.max(0.0).sqrt();
-        let complete = leaves_nothing(cause, size, rest, v, settings);
-        explanation = Explanation { cause, size, size_sd, misfit, complete };
+impl Explanation {
+    fn relevance(&self, settings: &Settings) -> f64 {
+        relevance(self.cause, self.size, settings)
     }
-    explanation
 }
 
-/// Whether no coefficient's rest reaches its own warning limit beyond doubt.
-fn leaves_nothing(cause: Cause, size: f64, mut rest: Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> bool {
-    const DOUBT_SD: f64 = 2.0;
-    if cause == Cause::Friction {
-        // Simulated throws: half of the square of a rise, and at most this much of a fall.
-        let reach = if size > 0.0 { 0.5 * size * size } else { FRICTION_COUPLING * size.abs() };
-        let together = (0.5 * (rest.x + rest.z)).clamp(-reach, reach);
-        rest -= Vector3::new(together, 0.0, together);
+impl<const K: usize> Fit<K> {
+    /// The largest part over its limit.
+    fn relevance(&self, settings: &Settings) -> f64 {
+        self.parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max)
     }
-    let own = [Cause::Kt, Cause::Friction, Cause::Stiffness];
-    (0..3).all(|i| {
-        let sure = (rest[i].abs() - DOUBT_SD * v[(i, i)].sqrt()).max(0.0);
-        relevance(own[i], sure, settings) < 1.0
-    })
 }
 
-/// The pair of causes that explains the drift best, if one does: the larger, by its limit, first.
-fn best_pair(m: &Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> Option<(Explanation, Explanation)> {
-    let mut best: Option<(Explanation, Explanation)> = None;
-    for (at, &first) in Cause::PHYSICAL.iter().enumerate() {
-        for &second in &Cause::PHYSICAL[at + 1..] {
-            let Some(pair) = pair(first, second, m, v, settings) else { continue };
-            if pair.0.misfit <= PAIR_MISFIT && best.is_none_or(|best| pair.0.misfit < best.0.misfit) {
-                best = Some(pair);
+/// The lead that one name needs over another. The cross-correlation rule tells inertia from the rest, and nothing else.
+fn close(best: Cause, next: Cause, correlation: Option<Correlation>, settings: &Settings) -> f64 {
+    match correlation.map(|c| c.agrees_with(best, settings.correlation_limit)) {
+        Some(agrees) if best == Cause::Inertia || next == Cause::Inertia => {
+            if agrees {
+                CLOSE / RULE_WEIGHT
+            } else {
+                CLOSE * RULE_WEIGHT
             }
         }
+        _ => CLOSE,
     }
-    best.map(|(a, b)| {
-        let ahead = relevance(a.cause, a.size, settings) >= relevance(b.cause, b.size, settings);
-        if ahead { (a, b) } else { (b, a) }
-    })
 }
 
-fn pair(
-    first: Cause,
-    second: Cause,
-    m: &Vector3<f64>,
-    v: &Matrix3<f64>,
-    settings: &Settings,
-) -> Option<(Explanation, Explanation)> {
-    let d = nalgebra::Matrix3x2::from_columns(&[direction_of(first)?, direction_of(second)?]);
-    let mut sizes = (d.transpose() * d).try_inverse()? * d.transpose() * m;
-    let u = v + leak(&[(first, sizes.x), (second, sizes.y)], settings);
-    let inverse = u.try_inverse()?;
-    let gain = (d.transpose() * inverse * d).try_inverse()? * d.transpose() * inverse;
-    sizes = gain * m;
-    let rest = m - d * sizes;
-    let misfit = (rest.transpose() * inverse * rest).x;
-    let sd = (gain * v * gain.transpose()).diagonal().map(|variance| variance.max(0.0).sqrt());
-    Some((
-        Explanation { cause: first, size: sizes.x, size_sd: sd.x, misfit, complete: true },
-        Explanation { cause: second, size: sizes.y, size_sd: sd.y, misfit, complete: true },
-    ))
+fn all_pairs() -> [[Cause; 2]; 6] {
+    let [a, b, c, d] = Cause::PHYSICAL;
+    [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]]
 }
 
-/// The model's own error: each cause of a size may move every coefficient by `model_error` of it, less where the
-/// coefficient's own limit is narrower than the cause's.
-fn leak(causes: &[(Cause, f64)], settings: &Settings) -> Matrix3<f64> {
-    let own = [settings.kt_limit_pct, settings.friction_limit_pct, settings.stiffness_limit_pct];
-    let mut variance = Vector3::zeros();
-    let mut coupled = 0.0;
-    for (cause, size) in causes {
-        // Friction has its coupling; beside it there is hardly any leak.
-        let part = if *cause == Cause::Friction { 0.5 } else { 1.0 } * settings.model_error;
-        if *cause == Cause::Friction {
-            coupled += (FRICTION_COUPLING * size).powi(2);
+/// How `causes` together explain the drift `m` with covariance `v`; at most three causes.
+fn fit<const K: usize>(causes: [Cause; K], m: &Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> Fit<K> {
+    const ROUNDS: usize = 3;
+    let parts = causes.map(|cause| Explanation { cause, size: 0.0, size_sd: f64::INFINITY });
+    let mut fit = Fit { parts, score: f64::INFINITY };
+    let (leak, leak_sd) = friction_leak(m, K == 1);
+    for _ in 0..ROUNDS {
+        let mut u = *v;
+        let mut d = Matrix3::zeros();
+        // Places without a cause have no effect and the size zero.
+        let mut information = Matrix3::identity();
+        for (at, part) in fit.parts.iter().enumerate() {
+            u += model_error(part, leak_sd, settings);
+            d.set_column(at, &effect(part, leak));
+            information[(at, at)] = 0.0;
         }
-        let limit = settings.limit_pct(*cause).unwrap_or(f64::INFINITY);
-        for i in 0..3 {
-            variance[i] += (part * size * (own[i] / limit).min(1.0)).powi(2);
+        let Some(inverse) = u.try_inverse() else { return fit };
+        information += d.transpose() * inverse * d;
+        let Some(spread) = information.try_inverse() else { return fit };
+        let gain = spread * d.transpose() * inverse;
+        let sizes = gain * m;
+        let rest = m - d * sizes;
+        let misfit = (rest.transpose() * inverse * rest).x;
+        let sd = (gain * v * gain.transpose()).diagonal().map(|variance| variance.max(0.0).sqrt());
+        for (at, part) in fit.parts.iter_mut().enumerate() {
+            (part.size, part.size_sd) = (sizes[at], sd[at]);
         }
+        let prior = 2.0 * K as f64 * SIZE_SCALE.ln() + SECOND_CAUSE * (K as f64 - 1.0);
+        fit.score = misfit + u.determinant().ln() + information.determinant().ln() + prior;
     }
-    let together = Vector3::new(1.0, 0.0, 1.0);
-    Matrix3::from_diagonal(&variance) + together * together.transpose() * coupled
+    fit
+}
+
+/// What a cause of this size does to the coefficients, for each unit of its size, when friction leaks by `leak`.
+fn effect(part: &Explanation, leak: f64) -> Vector3<f64> {
+    if part.cause == Cause::Friction && part.size > 0.0 {
+        return Vector3::new(leak, 1.0, leak);
+    }
+    direction_of(part.cause).unwrap_or_else(Vector3::zeros)
+}
+
+/// Covariance of what a cause of this size may do beside its effect, when the leak of friction is known to `leak_sd`.
+fn model_error(part: &Explanation, leak_sd: f64, settings: &Settings) -> Matrix3<f64> {
+    let sd = settings.model_error / MODEL_ERROR_SD * part.size;
+    if part.cause == Cause::Friction {
+        let together = Vector3::new(1.0, 0.0, 1.0) * leak_sd * part.size.max(0.0);
+        let rest = Vector3::new(1.0, 0.0, 1.0) * (FRICTION_ERROR * sd).powi(2);
+        return together * together.transpose() + Matrix3::from_diagonal(&rest);
+    }
+    let own = |i: usize| [Cause::Kt, Cause::Friction, Cause::Stiffness][i] == part.cause;
+    Matrix3::from_diagonal(&Vector3::from_fn(|i, _| if own(i) { 0.0 } else { sd * sd }))
+}
+
+/// The leak of friction and its standard deviation: beside another cause it cannot be told from it.
+fn friction_leak(m: &Vector3<f64>, alone: bool) -> (f64, f64) {
+    let (least, most) = (*FRICTION_LEAK.start(), *FRICTION_LEAK.end());
+    if alone && m.y > 0.0 {
+        ((0.5 * (m.x + m.z) / m.y).clamp(least, most), FRICTION_LEAK_SD.0)
+    } else {
+        (f64::midpoint(least, most), FRICTION_LEAK_SD.1)
+    }
 }

@@ -17,6 +17,8 @@ use super::{Settings, event::Severity, threshold::WINDOWS};
 pub(super) struct Reading {
     /// The diagnosis names the cause, and its size is this many times the warning limit; zero when it does not.
     pub(super) relevance: f64,
+    /// Nothing else explains the drift at odds of 1000 to 1: a critical alarm must not have the wrong name.
+    pub(super) beyond_doubt: bool,
     /// Throws by which the alarm waits longer than the on delay.
     pub(super) patience: u32,
     /// The size, two standard deviations added, is below half of the limit.
@@ -71,7 +73,7 @@ impl Condition {
     pub(super) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Step {
         let count = |streak: &mut u32, holds: bool| *streak = if holds { streak.saturating_add(1) } else { 0 };
         count(&mut self.on, reading.relevance > 1.0);
-        count(&mut self.critical, reading.relevance > settings.critical_factor);
+        count(&mut self.critical, reading.relevance > settings.critical_factor && reading.beyond_doubt);
         count(&mut self.healthy, reading.plain_health);
         count(&mut self.below, reading.below);
         count(&mut self.other, reading.other_name);

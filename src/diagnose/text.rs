@@ -1,7 +1,7 @@
 //! Alarm texts: one plain sentence of what and how sure, one of what to look at, one of when.
 
 use super::{
-    cause::{Explanation, Finding, Naming, percent},
+    cause::{Explanation, Finding, Naming, Rival, percent},
     event::{Cause, RunnerUp},
     trend::LimitForecast,
 };
@@ -30,7 +30,8 @@ pub(super) fn drift(
             format!("{} or {}, too close to call: {} or {} over {over}", a.cause, b.cause, change(a), change(b))
         }
         Naming::Both(a, b) => {
-            format!("{} and {} together: {} and {} over {over}", a.cause, b.cause, change(a), change(b))
+            let together = format!("{} and {} together", a.cause, b.cause);
+            format!("{together}{}: {} and {} over {over}", rival(finding.rival), change(a), change(b))
         }
         Naming::Neither => format!("a change that no cause explains over {over}: {}", coefficients(finding)),
     };
@@ -87,6 +88,14 @@ fn interval_pct(e: &Explanation) -> f64 {
 /// Standard deviation of a size \[%\].
 pub(super) fn sd_pct(e: &Explanation) -> f64 {
     100.0 * e.size_sd * e.size.exp()
+}
+
+fn rival(rival: Option<Rival>) -> String {
+    match rival {
+        Some(Rival::Alone(cause)) => format!(" (or {cause} alone)"),
+        Some(Rival::Together(a, b)) => format!(" (or {a} and {b})"),
+        None => String::new(),
+    }
 }
 
 fn coefficients(finding: &Finding) -> String {

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     AlarmEvent, Cause, MachineMonitor, Settings, Severity,
     alarm::{Actor, Evidence},
-    cause::{Explanation, Finding, Naming, direction_of, percent, relevance, single},
+    cause::{DECISIVE, Explanation, Finding, Naming, Rival, direction_of, percent, relevance, single},
     condition::{Reading, Step},
     correlation::Correlation,
     drift::Window,
@@ -23,7 +23,7 @@ const DRIFTS: [Cause; 5] = [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause:
 /// Throws by which an alarm without a single name waits longer: the first throws after a step are few, and what they
 /// leave open the next ones usually settle.
 const UNNAMED_PATIENCE: u32 = 6;
-/// The same when two causes are too close to call: a growing drift tells them apart within a longest window.
+/// The same when two explanations are too close to call: a longest window tells most of them apart.
 const TOO_CLOSE_PATIENCE: u32 = 24;
 
 /// When a drift was first suspected.
@@ -72,7 +72,7 @@ impl Drift {
     fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
         let named = self.finding.as_ref().filter(|finding| finding.cause() == cause);
         let other = self.finding.as_ref().is_some_and(|finding| {
-            matches!(finding.naming, Naming::One(_)) && !finding.includes(cause) && finding.relevance(settings) > 1.0
+            matches!(finding.naming, Naming::One(_)) && !finding.includes(cause) && finding.relevance > 1.0
         });
         let levels = self.levels.iter().flatten();
         let (size, bound) = levels.map(|window| extent(cause, window, settings)).fold((0.0, 0.0), max_of_each);
@@ -82,11 +82,12 @@ impl Drift {
         let latest = latest.map(|window| extent(cause, window, settings).0);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         Reading {
-            relevance: named.map_or(0.0, |finding| finding.relevance(settings)),
-            patience: named.map_or(0, |finding| match finding.naming {
-                Naming::One(_) => 0,
-                Naming::Either(..) => TOO_CLOSE_PATIENCE,
-                Naming::Both(..) | Naming::Neither => UNNAMED_PATIENCE,
+            relevance: named.map_or(0.0, |finding| finding.relevance),
+            beyond_doubt: cause == Cause::Unattributed || named.is_some_and(|finding| finding.lead >= DECISIVE),
+            patience: named.map_or(0, |finding| match (finding.naming, finding.rival) {
+                (Naming::One(_), _) => 0,
+                (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
+                (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
             }),
             plain_health: bound < 0.5,
             below: self.finding.is_none() || size < deadband,
