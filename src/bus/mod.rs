@@ -9,7 +9,7 @@ mod outlet;
 mod presence;
 mod queries;
 
-use zenoh::{Config, Session};
+use zenoh::{Config, Session, key_expr::keyexpr};
 
 pub use inbox::{Inbox, InboxCounters, Limits, Message};
 pub use operator::{OperatorError, ask, command, monitors};
@@ -48,6 +48,15 @@ pub async fn open(config: Config) -> Result<Session, BusError> {
 pub async fn declare_alive(session: &Session, key: &str) -> Result<LivelinessToken, BusError> {
     let declared = session.liveliness().declare_token(key.to_owned()).await;
     declared.map_err(BusError::new(format!("declare the liveliness token {key}")))
+}
+
+/// Whether two key expressions have a key in common; false when one of them is none.
+#[must_use]
+pub fn intersect(one: &str, other: &str) -> bool {
+    match (keyexpr::new(one), keyexpr::new(other)) {
+        (Ok(one), Ok(other)) => one.intersects(other),
+        _ => false,
+    }
 }
 
 /// Whether anybody is at the other end of a link. A client without its router talks into the void.

@@ -47,7 +47,7 @@ impl Question {
     /// Whether a key is among those asked about.
     #[must_use]
     pub fn asks_about(&self, key: &str) -> bool {
-        zenoh::key_expr::keyexpr::new(key).is_ok_and(|key| self.query.key_expr().intersects(key))
+        super::intersect(self.key(), key)
     }
 }
 

@@ -42,9 +42,12 @@ async fn health_replies(question: &Question, reader: &Reader) -> Replies {
     Ok(messages.filter(|(key, _)| question.asks_about(key)).collect())
 }
 
-/// Answers questions about alarms.
-pub(super) async fn alarms(mut questions: Questions, reader: Reader) {
+/// Answers questions about alarms; not those that also go to the queryable `elsewhere`, which answers them.
+pub(super) async fn alarms(mut questions: Questions, reader: Reader, elsewhere: Option<String>) {
     while let Some(question) = questions.next().await {
+        if elsewhere.as_ref().is_some_and(|elsewhere| question.asks_about(elsewhere)) {
+            continue;
+        }
         let replies = alarm_replies(&question, &reader).await;
         bus::answer(question, replies).await;
     }

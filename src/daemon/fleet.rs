@@ -1,11 +1,11 @@
 //! The monitors of all machines, and what follows from what they see: pure bookkeeping between core and database.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use jiff::Timestamp;
 
 use crate::{
-    diagnose::{AlarmEvent, Command, CommandError, MachineMonitor, Observation, Settings, Verdict},
+    diagnose::{AlarmEvent, Command, CommandError, MachineMonitor, Observation, Settings, Severity, Verdict},
     estimate::Identification,
     store::{AlarmRecord, BaselineRecord, Judgement, Message, Outcome, StoredThrow},
     throw::MachineId,
@@ -73,23 +73,46 @@ impl Fleet {
         (judgement, verdict)
     }
 
-    /// Lets time pass for every machine: what is to be recorded, per machine; with `keep_all` also where nothing
-    /// happened.
+    /// Lets time pass for every machine, with the loggers that show that they are alive: what is to be recorded, per
+    /// machine; with `keep_all` also where nothing happened.
     pub fn tick(
         &mut self,
         now: Timestamp,
         settings: &Settings,
+        loggers: &HashSet<MachineId>,
         keep_all: bool,
     ) -> Vec<(MachineId, Vec<AlarmEvent>, Outcome)> {
         let mut changed = Vec::new();
         for (machine, monitor) in &mut self.monitors {
-            let events = monitor.tick(now, settings);
-            if keep_all || !events.is_empty() {
+            let announced = monitor.is_announced();
+            let mut events: Vec<_> = monitor.logger(loggers.contains(machine), now, settings).into_iter().collect();
+            events.extend(monitor.tick(now, settings));
+            // A logger that is known to show itself is missed after a restart too.
+            let first_seen = monitor.is_announced() != announced;
+            if keep_all || first_seen || !events.is_empty() {
                 let outcome = outcome(machine, monitor, &events);
                 changed.push((machine.clone(), events, outcome));
             }
         }
         changed
+    }
+
+    /// Takes in what keeps the daemon from keeping data: its own alarm, as if it were a machine.
+    pub fn trouble(
+        &mut self,
+        itself: &MachineId,
+        trouble: Option<(Severity, String)>,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<(MachineId, Vec<AlarmEvent>, Outcome)> {
+        if trouble.is_none() && !self.monitors.contains_key(itself) {
+            return None;
+        }
+        let monitor = self.monitor(itself);
+        let trouble = trouble.as_ref().map(|(severity, said)| (*severity, said.as_str()));
+        let event = monitor.trouble(trouble, now, settings)?;
+        let outcome = outcome(itself, monitor, std::slice::from_ref(&event));
+        Some((itself.clone(), vec![event], outcome))
     }
 
     /// Takes in that throws of a machine never came.

@@ -18,7 +18,7 @@ use super::{clock, config::Config, fleet::Fleet, heartbeat::Organ, identify::Poo
 use crate::{
     bus::Outlet,
     diagnose::{AlarmEvent, Command},
-    store::{Gap, GapKind, Judgement, Outcome, Store, StoreError, StoredThrow, ThrowRow},
+    store::{Gap, Judgement, Outcome, Store, StoreError, StoredThrow, ThrowRow},
     throw::{Direction, MachineId, ThrowRef},
     wire::{self, Health, Kind, Reply},
 };
@@ -26,9 +26,9 @@ use crate::{
 /// Throws that are identified together. The longest traces take 16 MB each, so this bounds memory at 256 MB.
 const BATCH: u32 = 16;
 /// How often monitors are told that time passes; they ask for once a minute at least.
-const TICK: Duration = Duration::from_secs(20);
+const TICK: Duration = Duration::from_secs(5);
 /// Ticks in an hour.
-const TICKS_AN_HOUR: u32 = 180;
+const TICKS_AN_HOUR: u32 = 720;
 /// Missing throws may still come from the logger's cache: a gap is told to the monitor after this time.
 const GAP_GRACE: SignedDuration = SignedDuration::from_secs(60);
 /// Gaps that are looked at in one go.
@@ -73,8 +73,10 @@ pub(super) struct Judge {
     pub(super) outbox: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
     pub(super) give_up: CancellationToken,
-    /// Gaps that the monitors know of.
-    pub(super) told: HashSet<(MachineId, String, u64)>,
+    /// The machines whose loggers show that they are alive.
+    pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
+    /// The name under which the daemon's own alarms stand, as if it were a machine.
+    pub(super) itself: MachineId,
     /// Ticks since the monitors were last kept as a whole.
     pub(super) ticks: u32,
 }
@@ -91,7 +93,6 @@ impl Judge {
     ) -> Result<(), StoreError> {
         let mut tick = time::interval(TICK);
         let mut beat = time::interval(Duration::from_secs(1));
-        self.told = self.known_gaps().await;
         loop {
             self.status.heartbeats.beat(Organ::Identify);
             tokio::select! {
@@ -216,14 +217,17 @@ impl Judge {
         // Silence adds up inside the monitors: kept once an hour, so that restarts do not forget it.
         self.ticks += 1;
         let keep_all = self.ticks.is_multiple_of(TICKS_AN_HOUR);
-        for (machine, events, outcome) in self.fleet.tick(now, &config.diagnosis, keep_all) {
+        let own = self.fleet.trouble(&self.itself, self.store.trouble(), now, &config.diagnosis);
+        let machines = self.fleet.tick(now, &config.diagnosis, &self.loggers.borrow(), keep_all);
+        for (machine, events, outcome) in own.into_iter().chain(machines) {
             if self.record(&machine, outcome, now).await? {
                 self.announce(&machine, &events);
             }
         }
         for gap in self.ripe_gaps(now).await {
             let lost = gap.last_no - gap.first_no + 1;
-            let (events, outcome) = self.fleet.gap(&gap.machine, lost, now, &config.diagnosis);
+            let (events, mut outcome) = self.fleet.gap(&gap.machine, lost, now, &config.diagnosis);
+            outcome.told_gaps.push(gap.row);
             if self.record(&gap.machine, outcome, now).await? {
                 self.announce(&gap.machine, &events);
             }
@@ -232,23 +236,16 @@ impl Judge {
     }
 
     /// Gaps that nobody will fill any more, and that the monitors do not know of.
-    async fn ripe_gaps(&mut self, now: Timestamp) -> Vec<Gap> {
-        let gaps = match self.store.reader().open_gaps(GAPS).await {
+    async fn ripe_gaps(&self, now: Timestamp) -> Vec<Gap> {
+        let gaps = match self.store.reader().untold_gaps(GAPS).await {
             Ok(gaps) => gaps,
             Err(error) => {
                 tracing::warn!(%error, "gaps cannot be read; they are looked at again");
                 return Vec::new();
             }
         };
-        let ripe = |gap: &Gap| {
-            gap.kind != GapKind::BeforeFirstContact && now.duration_since(gap.detected_at).abs() >= GAP_GRACE
-        };
-        gaps.into_iter().filter(|gap| ripe(gap) && self.told.insert(identity(gap))).collect()
-    }
-
-    async fn known_gaps(&self) -> HashSet<(MachineId, String, u64)> {
-        let gaps = self.store.reader().open_gaps(GAPS).await.unwrap_or_default();
-        gaps.iter().map(identity).collect()
+        let ripe = |gap: &Gap| now.duration_since(gap.detected_at).abs() >= GAP_GRACE;
+        gaps.into_iter().filter(ripe).collect()
     }
 
     async fn obey(&mut self, order: Order) -> Result<(), StoreError> {
@@ -282,10 +279,6 @@ impl Judge {
             () = self.give_up.cancelled() => {}
         }
     }
-}
-
-fn identity(gap: &Gap) -> (MachineId, String, u64) {
-    (gap.machine.clone(), gap.boot_id.clone(), gap.last_no)
 }
 
 fn health(stored: &StoredThrow, judgement: &Judgement) -> Health {

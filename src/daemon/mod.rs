@@ -23,7 +23,7 @@ mod receive;
 mod status;
 mod supervise;
 
-use std::sync::Arc;
+use std::{collections::HashSet, sync::Arc};
 
 use tokio::{
     sync::{Notify, broadcast, mpsc, watch},
@@ -44,7 +44,7 @@ pub use supervise::Ended;
 use crate::{
     bus::{self, BusError, Inbox, Limits, LivelinessToken, Outlet, PresenceWatch, Questions},
     store::{self, Found, Store, StoreError},
-    wire::{Kind, monitor_alive_key, monitor_status_key},
+    wire::{Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 use config::Config;
 use judge::Judge;
@@ -108,7 +108,7 @@ impl Daemon {
     /// When the database or zenoh cannot be used.
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
-        let opened = Store::open(&config.store, clock::now()).await?;
+        let opened = supervise::patiently("opening the database", Store::open(&config.store, clock::now())).await?;
         report_database(&opened.report, &config.store);
         let store = opened.store;
         let session = bus::open(config.zenoh.clone()).await?;
@@ -120,6 +120,7 @@ impl Daemon {
         let (config_sender, config_receiver) = watch::channel(Arc::clone(&config));
         let outlet = Outlet::start(session.clone())?;
         let (orders, inbox_of_orders) = mpsc::channel(ORDERS);
+        let (alive_loggers, loggers) = watch::channel(HashSet::new());
 
         let fleet = Fleet::restore(store.reader().monitors().await?);
         let machines = store.reader().machines().await?.into_iter().collect();
@@ -134,7 +135,8 @@ impl Daemon {
             outbox: Arc::clone(&outbox),
             watchers: watchers.clone(),
             give_up: stops.give_up.clone(),
-            told: std::collections::HashSet::new(),
+            loggers,
+            itself: config.monitor.as_machine(),
             ticks: 0,
         };
         let publisher = Publisher {
@@ -149,8 +151,8 @@ impl Daemon {
         let publish = tasks.spawn("publish", publisher.run(stops.publish.clone()));
 
         answer_questions(&config, &session, &store, &tasks, orders).await?;
-        let loggers = PresenceWatch::subscribe(&session, &config.scope.key_expression(Kind::Alive)).await?;
-        tasks.spawn("presence", presence::run(loggers, Arc::clone(&status)));
+        let tokens = PresenceWatch::subscribe(&session, &config.scope.key_expression(Kind::Alive)).await?;
+        tasks.spawn("presence", presence::run(tokens, Arc::clone(&status), alive_loggers));
         tasks.spawn("keep house", keep::run(store.clone()));
 
         let limits = Limits {
@@ -279,11 +281,22 @@ async fn answer_questions(
     orders: mpsc::Sender<judge::Order>,
 ) -> Result<(), BusError> {
     let reader = store.reader();
-    let questions = Questions::declare(session, &config.scope.key_expression(Kind::Health)).await?;
+    let scope = |kind| config.scope.key_expression(kind);
+    let questions = Questions::declare(session, &scope(Kind::Health)).await?;
     tasks.spawn("answer health", answer::health(questions, reader.clone()));
-    let questions = Questions::declare(session, &config.scope.key_expression(Kind::Alarm)).await?;
-    tasks.spawn("answer alarms", answer::alarms(questions, reader.clone()));
-    let questions = Questions::declare(session, &config.scope.key_expression(Kind::Command)).await?;
-    tasks.spawn("answer commands", answer::commands(questions, orders));
+    let questions = Questions::declare(session, &scope(Kind::Alarm)).await?;
+    tasks.spawn("answer alarms", answer::alarms(questions, reader.clone(), None));
+    let questions = Questions::declare(session, &scope(Kind::Command)).await?;
+    tasks.spawn("answer commands", answer::commands(questions, orders.clone()));
+
+    // The daemon's own alarms stand under its own name, which need not lie in the part of the fleet that it serves.
+    let own = |kind| machine_key(&config.monitor.as_machine(), kind);
+    if bus::intersect(&scope(Kind::Alarm), &own(Kind::Alarm)) {
+        return Ok(());
+    }
+    let questions = Questions::declare(session, &own(Kind::Alarm)).await?;
+    tasks.spawn("answer own alarms", answer::alarms(questions, reader.clone(), Some(scope(Kind::Alarm))));
+    let questions = Questions::declare(session, &own(Kind::Command)).await?;
+    tasks.spawn("answer own commands", answer::commands(questions, orders));
     Ok(())
 }

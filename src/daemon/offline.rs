@@ -34,6 +34,7 @@ impl Offline {
         let fleet = Fleet::restore(store.reader().monitors().await?);
         let (watchers, judged) = broadcast::channel(16 * GROUP);
         let pool = Pool::new(config.identify.threads);
+        let itself = config.monitor.as_machine();
         // The sender may go: the receiver keeps the last value.
         let (_, config) = watch::channel(Arc::new(config));
         let judge = Judge {
@@ -47,7 +48,8 @@ impl Offline {
             outbox: Arc::new(Notify::new()),
             watchers,
             give_up: CancellationToken::new(),
-            told: HashSet::new(),
+            loggers: watch::channel(HashSet::new()).1,
+            itself,
             ticks: 0,
         };
         Ok(Self { store, judge, judged, waiting: 0, _lock: lock })

@@ -1,30 +1,34 @@
-//! Counts the loggers that are connected, and says when one goes.
+//! Which loggers are connected, for the status and for the monitors, which miss those that go.
 
 use std::{
     collections::HashSet,
     sync::{Arc, atomic::Ordering::Relaxed},
 };
 
+use tokio::sync::watch;
+
 use super::status::Status;
 use crate::{
     bus::PresenceWatch,
+    throw::MachineId,
     wire::{self, Kind},
 };
 
 /// Loggers that are remembered; tokens beyond that are not counted.
 const MOST: usize = 100_000;
 
-pub(super) async fn run(mut watch: PresenceWatch, status: Arc<Status>) {
-    let mut alive = HashSet::new();
-    while let Some(change) = watch.next().await {
+pub(super) async fn run(mut tokens: PresenceWatch, status: Arc<Status>, alive: watch::Sender<HashSet<MachineId>>) {
+    while let Some(change) = tokens.next().await {
         let Ok((machine, Kind::Alive)) = wire::parse_key(&change.key) else { continue };
-        if change.alive && alive.len() < MOST {
-            if alive.insert(machine.clone()) {
-                tracing::info!(%machine, "its logger is there");
+        alive.send_modify(|alive| {
+            if change.alive && alive.len() < MOST {
+                if alive.insert(machine.clone()) {
+                    tracing::info!(%machine, "its logger is there");
+                }
+            } else if alive.remove(&machine) {
+                tracing::warn!(%machine, "its logger is gone");
             }
-        } else if alive.remove(&machine) {
-            tracing::warn!(%machine, "its logger is gone");
-        }
-        status.loggers.store(alive.len(), Relaxed);
+            status.loggers.store(alive.len(), Relaxed);
+        });
     }
 }

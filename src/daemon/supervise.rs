@@ -29,6 +29,12 @@ const PUBLISH_LIMIT: Duration = Duration::from_secs(1);
 /// Closing the session.
 const SESSION_LIMIT: Duration = Duration::from_secs(1);
 
+/// How often systemd is asked for more time while the daemon starts, for how long each time, and how often at most:
+/// after an hour something hangs that a restart may mend.
+const EXTEND_EVERY: Duration = Duration::from_secs(10);
+const EXTEND_BY_USEC: u32 = 60_000_000;
+const EXTENSIONS: u32 = 360;
+
 /// A task that ended on its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ended(pub &'static str);
@@ -131,6 +137,22 @@ pub(super) fn notify(states: &[NotifyState<'_>]) {
     // Without systemd there is nobody to tell.
     if let Err(error) = sd_notify::notify(states) {
         tracing::debug!(%error, "systemd was not told");
+    }
+}
+
+/// Asks systemd for more time while something runs that may take minutes: a check of a large database, a migration.
+pub(super) async fn patiently<T>(what: &str, work: impl Future<Output = T>) -> T {
+    let ask = async {
+        let mut pace = time::interval(EXTEND_EVERY);
+        for _ in 0..EXTENSIONS {
+            pace.tick().await;
+            notify(&[NotifyState::ExtendTimeoutUsec(EXTEND_BY_USEC), NotifyState::Status(what)]);
+        }
+        std::future::pending().await
+    };
+    tokio::select! {
+        done = work => done,
+        never = ask => never,
     }
 }
 

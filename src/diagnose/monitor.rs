@@ -154,11 +154,39 @@ impl MachineMonitor {
         if self.maintenance.as_ref().is_some_and(|m| m.until.is_some_and(|until| until <= now)) {
             events.extend(self.end_maintenance(Actor::default(), now));
         }
-        let in_service = self.maintenance.is_none();
+        // A machine is expected to throw once it has.
+        let counts = self.maintenance.is_none() && self.order > 0;
         let name = self.name.clone();
         let scene = Scene { name: &name, at: now, throw: None, settings };
-        events.extend(self.operation.tick(in_service, &mut self.board, scene));
+        events.extend(self.operation.tick(counts, &mut self.board, scene));
         events
+    }
+
+    /// Takes in whether the machine's logger shows now that it is alive. One that never has is not missed. Call it
+    /// before each [`Self::tick`].
+    pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
+        let name = self.name.clone();
+        let scene = Scene { name: &name, at: to_micros(now), throw: None, settings };
+        self.operation.logger(there, &mut self.board, scene)
+    }
+
+    /// Whether the machine's logger has ever shown that it is alive.
+    #[must_use]
+    pub fn is_announced(&self) -> bool {
+        self.operation.is_announced()
+    }
+
+    /// Takes in what keeps the daemon from keeping data, for the monitor that stands for the daemon itself; its alarm
+    /// ends after ten minutes without trouble. Call it with each [`Self::tick`].
+    pub fn trouble(
+        &mut self,
+        trouble: Option<(Severity, &str)>,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<AlarmEvent> {
+        let name = self.name.clone();
+        let scene = Scene { name: &name, at: to_micros(now), throw: None, settings };
+        self.operation.trouble(trouble, &mut self.board, scene)
     }
 
     /// Takes in that `lost` throws of the machine never arrived.

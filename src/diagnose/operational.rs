@@ -16,6 +16,28 @@ const SLOW_IN_A_ROW: u32 = 3;
 /// Longest time between two ticks that counts as silence \[s\]: more is a clock that jumped or a daemon that was down.
 const LONGEST_TICK_S: f64 = 3600.0;
 
+/// Trouble of the daemon itself is over when it has not been there for so long \[s\]: a disk at its limit does not
+/// toggle its alarm.
+const CALM_S: f64 = 600.0;
+
+/// Whether the logger shows that it is alive.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Logger {
+    /// It never has: it may be one that does not show it.
+    #[default]
+    Unannounced,
+    /// It does.
+    There,
+    /// It did.
+    Gone {
+        /// For so long \[s\].
+        for_s: f64,
+        /// Its being gone has raised an alarm.
+        alarmed: bool,
+    },
+}
+
 /// Counters behind the operational alarms.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Operation {
@@ -29,6 +51,11 @@ pub(super) struct Operation {
     lost: u64,
     silence_s: f64,
     ticked_at: Option<Timestamp>,
+    #[serde(default)]
+    logger: Logger,
+    /// Since when the daemon has no trouble \[s\].
+    #[serde(default)]
+    calm_s: f64,
 }
 
 /// Where events happen: whose they are, and when.
@@ -49,6 +76,12 @@ impl Operation {
     pub(super) fn arrived(&mut self, incomplete: bool, board: &mut Board, scene: Scene) -> Vec<AlarmEvent> {
         let Scene { name, at, throw, settings } = scene;
         self.silence_s = 0.0;
+        self.logger = match self.logger {
+            // It speaks and does not show that it is alive: its silence alone tells that it is gone.
+            Logger::Gone { alarmed: true, .. } => Logger::Unannounced,
+            Logger::Gone { .. } => Logger::Gone { for_s: 0.0, alarmed: false },
+            as_before => as_before,
+        };
         streak(&mut self.incomplete, incomplete);
         streak(&mut self.complete, !incomplete);
         self.since_gap = self.since_gap.saturating_add(1);
@@ -149,20 +182,87 @@ impl Operation {
     pub(super) fn tick(&mut self, counts: bool, board: &mut Board, scene: Scene) -> Vec<AlarmEvent> {
         let Scene { name, at, settings, .. } = scene;
         let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
+        let passed = passed.clamp(0.0, LONGEST_TICK_S);
+        self.calm_s += passed;
         if !counts {
             return Vec::new();
         }
-        self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
-        if self.silence_s < 3600.0 * settings.not_monitored_hours {
+        self.silence_s += passed;
+        let subject = text::subject(name, None);
+        let raise = |board: &mut Board, said| {
+            board.raise(Cause::NotMonitored, Evidence::plain(Severity::Warning, None, said), at)
+        };
+        if let Logger::Gone { for_s, alarmed } = &mut self.logger {
+            *for_s += passed;
+            if *for_s >= 60.0 * settings.logger_gone_minutes {
+                let said = format!(
+                    "{subject}: its logger has been gone for {:.0} minutes, so the machine is not monitored. Check the \
+                     logger's supply and the network.",
+                    *for_s / 60.0
+                );
+                let event = raise(board, said);
+                *alarmed |= event.is_some();
+                return event.into_iter().collect();
+            }
+        }
+        if !self.is_silent(settings) {
             return Vec::new();
         }
         let said = format!(
-            "{}: no throw arrived for {:.0} hours, so the machine is not monitored. Check the logger and the network; \
-             if the machine was not used, acknowledge.",
-            text::subject(name, None),
+            "{subject}: no throw arrived for {:.0} hours, so the machine is not monitored. Check the logger and the \
+             network; if the machine was not used, acknowledge.",
             self.silence_s / 3600.0
         );
-        board.raise(Cause::NotMonitored, Evidence::plain(Severity::Warning, None, said), at).into_iter().collect()
+        raise(board, said).into_iter().collect()
+    }
+
+    fn is_silent(&self, settings: &Settings) -> bool {
+        self.silence_s >= 3600.0 * settings.not_monitored_hours
+    }
+
+    /// Whether the logger shows at this moment that it is alive. One that never did is not missed.
+    pub(super) fn logger(&mut self, there: bool, board: &mut Board, scene: Scene) -> Option<AlarmEvent> {
+        let before = self.logger;
+        self.logger = match before {
+            _ if there => Logger::There,
+            Logger::There => Logger::Gone { for_s: 0.0, alarmed: false },
+            absent => absent,
+        };
+        let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });
+        let monitored = self.unevaluated < scene.settings.not_monitored_throws && !self.is_silent(scene.settings);
+        if !(there && alarmed && monitored) {
+            return None;
+        }
+        let said = format!("{}: its logger is there again.", text::subject(scene.name, None));
+        board.clear(Cause::NotMonitored, said, Actor::default(), scene.at)
+    }
+
+    /// Whether the logger has ever shown that it is alive.
+    pub(super) fn is_announced(&self) -> bool {
+        self.logger != Logger::Unannounced
+    }
+
+    /// What keeps the daemon itself from keeping data; `None` when nothing does.
+    pub(super) fn trouble(
+        &mut self,
+        trouble: Option<(Severity, &str)>,
+        board: &mut Board,
+        scene: Scene,
+    ) -> Option<AlarmEvent> {
+        let Some((severity, said)) = trouble else {
+            if self.calm_s < CALM_S {
+                return None;
+            }
+            let said = "pointsd keeps everything again.".to_owned();
+            return board.clear(Cause::DataLoss, said, Actor::default(), scene.at);
+        };
+        self.calm_s = 0.0;
+        let evidence = || Evidence::plain(severity, None, said.to_owned());
+        match board.severity(Cause::DataLoss) {
+            None => board.raise(Cause::DataLoss, evidence(), scene.at),
+            Some(before) if severity > before => board.escalate(Cause::DataLoss, evidence(), scene.at),
+            Some(_) => None,
+        }
     }
 
     /// Throws were lost on their way.
@@ -183,6 +283,12 @@ impl Operation {
 
     /// The machine was out of service: what happened meanwhile says nothing.
     pub(super) fn reset(&mut self) {
-        *self = Self { ticked_at: self.ticked_at, since_gap: self.since_gap, lost: self.lost, ..Self::default() };
+        *self = Self {
+            ticked_at: self.ticked_at,
+            since_gap: self.since_gap,
+            lost: self.lost,
+            logger: self.logger,
+            ..Self::default()
+        };
     }
 }

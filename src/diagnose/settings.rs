@@ -54,6 +54,9 @@ pub struct Settings {
     pub not_monitored_throws: u32,
     /// Time without any throw that makes a machine not monitored. 0.1 to 100,000 h, default 168.
     pub not_monitored_hours: f64,
+    /// Time for which a logger that showed itself alive may be gone before its machine is not monitored: longer than a
+    /// link flaps or a logger restarts. 0.01 to 100,000 min, default 10.
+    pub logger_gone_minutes: f64,
 }
 
 /// Change of the three coefficients with temperature \[% per K\], each -10 to 10.
@@ -107,6 +110,7 @@ impl Default for Settings {
             slow_throw_critical_pct: 50.0,
             not_monitored_throws: 20,
             not_monitored_hours: 168.0,
+            logger_gone_minutes: 10.0,
         }
     }
 }
@@ -139,6 +143,7 @@ impl Settings {
             ("slow_throw_critical_pct", self.slow_throw_critical_pct, self.slow_throw_pct, 10_000.0),
             ("not_monitored_throws", f64::from(self.not_monitored_throws), 1.0, 10_000.0),
             ("not_monitored_hours", self.not_monitored_hours, 0.1, 100_000.0),
+            ("logger_gone_minutes", self.logger_gone_minutes, 0.01, 100_000.0),
         ];
         let temperature = self.temperature.iter().flat_map(|t| {
             [

@@ -31,6 +31,8 @@ pub(super) struct Disk {
     ballast_bytes: u64,
     low_bytes: u64,
     full: AtomicBool,
+    /// It was full since somebody asked last.
+    was_full: AtomicBool,
     failing: AtomicBool,
     failures: AtomicU64,
 }
@@ -43,6 +45,7 @@ impl Disk {
             ballast_bytes: ballast_mib * MIB,
             low_bytes: low_disk_mib * MIB,
             full: AtomicBool::new(false),
+            was_full: AtomicBool::new(false),
             failing: AtomicBool::new(false),
             failures: AtomicU64::new(0),
         }
@@ -65,6 +68,7 @@ impl Disk {
         self.failures.fetch_add(1, Ordering::Relaxed);
         if full {
             self.full.store(true, Ordering::Relaxed);
+            self.was_full.store(true, Ordering::Relaxed);
             self.release_ballast();
         } else {
             self.failing.store(true, Ordering::Relaxed);
@@ -86,6 +90,11 @@ impl Disk {
         } else {
             DiskLevel::Ample
         }
+    }
+
+    /// The level, and `Full` when it was full since this was asked last: the ballast ends that within the write.
+    pub(super) fn worst_level(&self) -> DiskLevel {
+        if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
     }
 
     /// Gives the ballast's space back to the disk.

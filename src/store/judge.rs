@@ -5,7 +5,7 @@ use serde::Serialize;
 use sqlx::SqliteConnection;
 
 use super::{
-    spool::{ThrowRow, count, machine_row},
+    spool::{GapRow, ThrowRow, count, machine_row},
     statements as sql,
     writer::Write,
 };
@@ -50,6 +50,8 @@ pub struct Outcome {
     pub alarms: Vec<AlarmRecord>,
     /// Messages to be published, in order. Repeating the write adds none twice.
     pub outbox: Vec<Message>,
+    /// Gaps that the monitor knows of from now on.
+    pub told_gaps: Vec<GapRow>,
 }
 
 /// An alarm event, with the message that tells the world.
@@ -258,6 +260,9 @@ async fn add_outcome(
 ) -> sqlx::Result<()> {
     if let Some(snapshot) = &outcome.snapshot {
         sqlx::query(sql::SET_MONITOR).bind(machine_row).bind(snapshot).bind(at_us).execute(&mut *connection).await?;
+    }
+    for GapRow(gap_row) in &outcome.told_gaps {
+        sqlx::query(sql::TELL_GAP).bind(gap_row).bind(at_us).execute(&mut *connection).await?;
     }
     let mut news = outcome.alarms.is_empty();
     for record in &outcome.alarms {

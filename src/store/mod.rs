@@ -18,6 +18,7 @@ mod settings;
 mod spool;
 pub mod statements;
 mod statistics;
+mod trouble;
 mod writer;
 
 use std::{path::Path, sync::Arc};
@@ -34,7 +35,7 @@ pub use outside::{Backup, Value, ask};
 pub use quarantine::QUARANTINED_BYTES;
 pub use reader::{AlarmRow, Gap, HealthRow, OutboxRow, Quarantined, Reader, Selector, StoredThrow};
 pub use settings::{OutOfRange, Settings, Synchronous};
-pub use spool::{GapKind, Spooled, ThrowRow};
+pub use spool::{GapKind, GapRow, Spooled, ThrowRow};
 pub use statistics::Statistics;
 
 use crate::throw::{MachineId, Throw};
@@ -51,6 +52,7 @@ pub struct Store {
     reader: Reader,
     disk: Arc<Disk>,
     settings: Arc<Settings>,
+    place: Place,
     /// Bounds the bytes of the throws that wait for their commit.
     room: Arc<Semaphore>,
 }
@@ -82,7 +84,7 @@ impl Store {
             options: open::writing(settings),
             connection: Some(connection),
             disk: Arc::clone(&disk),
-            place,
+            place: place.clone(),
             reader: reader.clone(),
             broken: false,
             log_bound: settings.max_wal_mib * settings::MIB,
@@ -91,7 +93,7 @@ impl Store {
             tracing::warn!(%error, "no ballast: a full disk will be harder to clear");
         }
         let room = Arc::new(Semaphore::new(ROOM_KIB));
-        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), room };
+        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), place, room };
         Ok(Opened { store, report })
     }
 

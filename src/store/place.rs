@@ -19,6 +19,8 @@ use super::{disk::beside, error::StoreError};
 
 /// The files that SQLite keeps for one database, itself last.
 const SUFFIXES: [&str; 3] = ["-wal", "-shm", ""];
+/// What the name of a database that was set aside goes on with.
+const BROKEN: &str = "-broken-";
 
 /// The configured path of the database.
 #[derive(Debug, Clone)]
@@ -110,7 +112,7 @@ impl Place {
     pub(super) fn set_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
         let file = self.file();
         let stamp = now.strftime("%Y%m%dT%H%M%SZ");
-        let mut to = beside(&self.path, &format!("-broken-{stamp}"));
+        let mut to = beside(&self.path, &format!("{BROKEN}{stamp}"));
         while to.exists() {
             to = beside(&to, "-again");
         }
@@ -127,6 +129,17 @@ impl Place {
             remove_one(&self.path)?;
         }
         Ok(to)
+    }
+
+    /// A database that was set aside and is still there.
+    pub(super) fn set_aside_before(&self) -> Option<PathBuf> {
+        let mark = beside(&self.path, BROKEN);
+        let (folder, mark) = (mark.parent()?, mark.file_name()?.as_encoded_bytes());
+        let is_database =
+            |name: &[u8]| name.starts_with(mark) && !SUFFIXES[..2].iter().any(|s| name.ends_with(s.as_bytes()));
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        let files = std::fs::read_dir(folder).ok()?.filter_map(Result::ok);
+        files.filter(|file| is_database(file.file_name().as_encoded_bytes())).map(|file| file.path()).min()
     }
 
     fn sync_folder(&self) -> io::Result<()> {

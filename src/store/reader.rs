@@ -18,7 +18,7 @@ use super::{
     codec::{self, Channel, UnreadableTrace},
     error::StoreError,
     open,
-    spool::{GapKind, ThrowRow},
+    spool::{GapKind, GapRow, ThrowRow},
     statements as sql,
 };
 use crate::throw::{Direction, MachineId, Name, Throw, ThrowRef, Trace};
@@ -113,6 +113,8 @@ pub struct AlarmRow {
 /// Throws that are missing, from the first to the last number, both included.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Gap {
+    /// Its row.
+    pub row: GapRow,
     /// Which machine.
     pub machine: MachineId,
     /// Which start of its logger.
@@ -312,7 +314,16 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn open_gaps(&self, limit: u32) -> Result<Vec<Gap>, StoreError> {
-        self.rows(sqlx::query_as(sql::GAPS).bind(0).bind(limit), GapColumns::read).await
+        self.rows(sqlx::query_as(sql::GAPS).bind(limit), GapColumns::read).await
+    }
+
+    /// Up to `limit` open gaps that the monitors do not know of, oldest first; without those from before the first
+    /// contact, which nobody missed.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn untold_gaps(&self, limit: u32) -> Result<Vec<Gap>, StoreError> {
+        self.rows(sqlx::query_as(sql::UNTOLD_GAPS).bind(limit), GapColumns::read).await
     }
 
     /// The newest `limit` messages in quarantine, newest first.
@@ -472,6 +483,7 @@ impl AlarmColumns {
 
 #[derive(sqlx::FromRow)]
 struct GapColumns {
+    gap_row: i64,
     site: String,
     machine: String,
     boot_id: String,
@@ -484,6 +496,7 @@ struct GapColumns {
 impl GapColumns {
     fn read(self) -> sqlx::Result<Gap> {
         Ok(Gap {
+            row: GapRow(self.gap_row),
             machine: machine_id(&self.site, &self.machine)?,
             boot_id: self.boot_id,
             first_no: self.first_no.cast_unsigned(),

@@ -21,6 +21,10 @@ impl ThrowRow {
     pub const START: Self = Self(0);
 }
 
+/// The row of a gap.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct GapRow(pub(super) i64);
+
 /// What became of a throw that was handed over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Spooled {

@@ -34,8 +34,8 @@ statements! {
     GAP_AT = "SELECT gap_row, first_no, last_no FROM gap \
         WHERE boot_row = ?1 AND first_no <= ?2 AND last_no >= ?2 AND filled_at_us IS NULL";
     ADD_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us) VALUES (?1, ?2, ?3, ?4, ?5)";
-    SPLIT_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us) \
-        SELECT boot_row, ?2, last_no, kind, detected_at_us FROM gap WHERE gap_row = ?1";
+    SPLIT_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us, told_at_us) \
+        SELECT boot_row, ?2, last_no, kind, detected_at_us, told_at_us FROM gap WHERE gap_row = ?1";
     SHRINK_GAP = "UPDATE gap SET first_no = ?2, last_no = ?3, recovered = recovered + 1 WHERE gap_row = ?1";
     FILL_GAP = "UPDATE gap SET filled_at_us = ?2, recovered = recovered + 1 WHERE gap_row = ?1";
 
@@ -117,9 +117,13 @@ statements! {
         WHERE latest.machine_row = machine.machine_row AND latest.direction IS way.direction) \
         JOIN throw USING (throw_row) JOIN boot USING (boot_row) \
         WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) ORDER BY site, machine, direction";
-    GAPS = "SELECT site, machine, boot_id, first_no, last_no, kind, detected_at_us \
+    GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
-        WHERE filled_at_us IS NULL AND gap_row > ?1 ORDER BY gap_row LIMIT ?2";
+        WHERE filled_at_us IS NULL ORDER BY gap_row LIMIT ?1";
+    UNTOLD_GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
+        FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
+        WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' ORDER BY gap_row LIMIT ?1";
+    TELL_GAP = "UPDATE gap SET told_at_us = ?2 WHERE gap_row = ?1";
 
     // Retention.
     OLDEST_TRACES = "SELECT throw_row FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT ?1";

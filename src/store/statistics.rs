@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Store, disk::DiskLevel, error::StoreError, place::Place, statements as sql};
+use super::{Store, disk::DiskLevel, error::StoreError, statements as sql};
 
 /// How the database stands.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -75,7 +75,7 @@ impl Store {
     /// Size of the write-ahead log \[bytes\].
     #[must_use]
     pub fn wal_bytes(&self) -> u64 {
-        Place::new(&self.settings.path).log_bytes()
+        self.place.log_bytes()
     }
 
     pub(super) async fn figure(&self, query: &'static str) -> Result<u64, StoreError> {

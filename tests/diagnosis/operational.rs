@@ -83,6 +83,78 @@ fn silence_is_noticed_and_a_jumping_clock_is_no_silence() {
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
 }
 
+/// Calls the monitor every ten seconds, as the daemon does.
+fn pass(
+    monitor: &mut MachineMonitor,
+    now: &mut jiff::Timestamp,
+    minutes: i64,
+    mut each: impl FnMut(&mut MachineMonitor, jiff::Timestamp) -> Option<pointsd::diagnose::AlarmEvent>,
+) -> Vec<pointsd::diagnose::AlarmEvent> {
+    let mut events = Vec::new();
+    for _ in 0..6 * minutes {
+        *now += SignedDuration::from_secs(10);
+        events.extend(each(monitor, *now));
+        events.extend(monitor.tick(*now, &Settings::default()));
+    }
+    events
+}
+
+#[test]
+fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
+    let settings = Settings::default();
+    let (mut machine, mut monitor) = machine();
+    let mut now = machine.throw(Vector3::zeros()).started_at;
+    let there = |monitor: &mut MachineMonitor, now| monitor.logger(true, now, &Settings::default());
+    let away = |monitor: &mut MachineMonitor, now| monitor.logger(false, now, &Settings::default());
+    // One that never showed itself alive is not missed.
+    assert_eq!(pass(&mut monitor, &mut now, 60, away), []);
+    // A flapping link, and a logger that starts anew, are no alarm.
+    for minutes in [1, 9, 5] {
+        assert_eq!(pass(&mut monitor, &mut now, 1, there), []);
+        assert_eq!(pass(&mut monitor, &mut now, minutes, away), []);
+    }
+    assert_eq!(pass(&mut monitor, &mut now, 1, there), []);
+    let raised = (Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged);
+    let cleared = (Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged);
+    // Half of the delay before a restart of the daemon, half after it; and then it says so once.
+    assert_eq!(pass(&mut monitor, &mut now, 6, away), []);
+    let mut monitor: MachineMonitor = serde_json::from_str(&serde_json::to_string(&monitor).unwrap()).unwrap();
+    assert_eq!(summary(&pass(&mut monitor, &mut now, 120, away)), [raised]);
+    assert_eq!(monitor.state(), MachineState::NotMonitored);
+    assert_eq!(summary(&pass(&mut monitor, &mut now, 5, there)), [cleared]);
+    // It comes back with a throw before it shows itself.
+    assert_eq!(summary(&pass(&mut monitor, &mut now, 15, away)), [raised]);
+    assert_eq!(summary(&feed(&mut machine, &mut monitor, 1, |_| {})), [cleared]);
+    assert_eq!(pass(&mut monitor, &mut now, 5, there), []);
+    // When it is back with throws that cannot be evaluated, the machine still is not monitored.
+    assert_eq!(summary(&pass(&mut monitor, &mut now, 15, away)), [raised]);
+    let many = i64::from(settings.not_monitored_throws);
+    assert_eq!(feed(&mut machine, &mut monitor, many.try_into().unwrap(), |o| o.estimate = None), []);
+    assert_eq!(pass(&mut monitor, &mut now, 5, there), []);
+}
+
+#[test]
+fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
+    let settings = Settings::default();
+    let mut monitor = MachineMonitor::new("pointsd");
+    let mut now: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
+    let full = |monitor: &mut MachineMonitor, now| {
+        monitor.trouble(Some((Severity::Critical, "full")), now, &Settings::default())
+    };
+    let well = |monitor: &mut MachineMonitor, now| monitor.trouble(None, now, &Settings::default());
+    assert_eq!(pass(&mut monitor, &mut now, 60, well), []);
+    let low = monitor.trouble(Some((Severity::Warning, "nearly full")), now, &settings);
+    assert_eq!(summary(&Vec::from_iter(low)), [(Cause::DataLoss, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    let events = pass(&mut monitor, &mut now, 1, full);
+    assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Critical, AlarmState::ActiveUnacknowledged)]);
+    assert_eq!(events[0].text, "full");
+    // At its limit it does not toggle.
+    assert_eq!(pass(&mut monitor, &mut now, 9, well), []);
+    assert_eq!(pass(&mut monitor, &mut now, 1, full), []);
+    let events = pass(&mut monitor, &mut now, 60 * 24 * 30, well);
+    assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Critical, AlarmState::ClearedUnacknowledged)]);
+}
+
 #[test]
 fn lost_throws_are_an_alarm_until_none_was_lost_for_a_while() {
     let settings = Settings::default();

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "helpers of tests outside #[test]")]
 
+mod alarms;
 mod configuration;
 mod operators;
 mod python;

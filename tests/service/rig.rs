@@ -33,6 +33,7 @@ pub(crate) struct Rig {
     extra: String,
     store: String,
     listen: String,
+    router: Option<String>,
     environment: Vec<(OsString, OsString)>,
 }
 
@@ -65,6 +66,7 @@ impl Rig {
             extra: extra.to_owned(),
             store: "ballast_mib = 0\n".to_owned(),
             listen: "tcp/127.0.0.1:0".to_owned(),
+            router: None,
             environment: Vec::new(),
         }
     }
@@ -85,6 +87,11 @@ impl Rig {
         Self { listen: format!("tcp/127.0.0.1:{port}"), ..self }
     }
 
+    /// The daemon is a leaf behind a router, and listens nowhere.
+    pub(crate) fn behind(self, router: &str) -> Self {
+        Self { router: Some(router.to_owned()), ..self }
+    }
+
     /// Gives the daemon an environment variable from the next start on.
     pub(crate) fn set(&mut self, name: &str, value: impl Into<OsString>) {
         self.environment.push((name.into(), value.into()));
@@ -103,12 +110,15 @@ impl Rig {
         self.folder.join("points.db")
     }
 
-    fn config(&self) -> PathBuf {
+    pub(crate) fn config(&self) -> PathBuf {
         let path = self.folder.join("pointsd.toml");
-        let Self { extra, store, listen, .. } = self;
+        let Self { extra, store, .. } = self;
+        let zenoh = match &self.router {
+            Some(router) => format!("mode = \"client\"\nlisten.endpoints = []\nconnect.endpoints = [{router:?}]"),
+            None => format!("listen.endpoints = [{:?}]", self.listen),
+        };
         let database = self.database().display().to_string();
-        let text =
-            format!("{extra}\n[store]\npath = {database:?}\n{store}\n[zenoh]\nlisten.endpoints = [{listen:?}]\n");
+        let text = format!("{extra}\n[store]\npath = {database:?}\n{store}\n[zenoh]\n{zenoh}\n");
         fs::write(&path, text).unwrap();
         path
     }
@@ -144,7 +154,8 @@ impl Rig {
         let kept = Arc::clone(&log);
         thread::spawn(move || {
             for line in lines.map_while(Result::ok) {
-                if let Some(at) = line.find("tcp/127.0.0.1:").filter(|_| line.contains(" ready ")) {
+                if line.contains(" ready ") {
+                    let at = line.find("tcp/127.0.0.1:").unwrap_or(line.len());
                     let endpoint: String = line[at..].chars().take_while(|c| *c != '"').collect();
                     let _ = ready.send(endpoint);
                 }
@@ -178,6 +189,24 @@ impl Rig {
         let output = pointsd(&["sql", "--json", question, "--database"]).arg(self.database()).output().unwrap();
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         serde_json::from_slice(&output.stdout).unwrap()
+    }
+
+    /// Waits until a question that looks for something has an answer.
+    pub(crate) async fn until_sql(&self, question: &str) {
+        let deadline = Instant::now() + PATIENCE;
+        while self.sql(question).is_empty() {
+            assert!(Instant::now() < deadline, "{question} has no answer");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    }
+
+    /// Changes the database while no daemon runs.
+    pub(crate) async fn change(&self, statement: &'static str) {
+        use sqlx::Connection;
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(self.database());
+        let mut connection = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+        sqlx::query(statement).execute(&mut connection).await.unwrap();
+        connection.close().await.unwrap();
     }
 }
 
@@ -250,14 +279,19 @@ impl Drop for Daemon {
     }
 }
 
+/// A program of this package. Cargo names it again when the tests run: what they try may also be another build.
+fn program(variable: &str, built: &str) -> Command {
+    Command::new(std::env::var_os(variable).unwrap_or_else(|| built.into()))
+}
+
 pub(crate) fn pointsd(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_pointsd"));
+    let mut command = program("CARGO_BIN_EXE_pointsd", env!("CARGO_BIN_EXE_pointsd"));
     command.args(arguments).env_remove("NOTIFY_SOCKET").env_remove("WATCHDOG_USEC");
     command
 }
 
 pub(crate) fn pointsim(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_pointsim"));
+    let mut command = program("CARGO_BIN_EXE_pointsim", env!("CARGO_BIN_EXE_pointsim"));
     command.args(arguments);
     command
 }

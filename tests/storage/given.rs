@@ -110,6 +110,7 @@ pub(crate) fn alarm(event_no: u32, state: AlarmState) -> Outcome {
         snapshot: Some(format!("{{\"events\":{event_no}}}")),
         alarms: vec![AlarmRecord { event: event(event_no, state), payload: payload.clone() }],
         outbox: vec![Message { key: "points/v1/north/21B/alarm".to_owned(), payload: payload.into_bytes() }],
+        ..Outcome::default()
     }
 }
 

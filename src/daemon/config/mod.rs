@@ -15,7 +15,11 @@ use serde::{Deserialize, Serialize};
 pub use document::{ConfigError, Document};
 pub use machines::{MachineDefaults, MachineEntry, Machines};
 
-use crate::{diagnose, store, throw::Name, wire::Scope};
+use crate::{
+    diagnose, store,
+    throw::{MachineId, Name},
+    wire::Scope,
+};
 
 /// The `[monitor]` section: how this daemon is called.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -25,6 +29,14 @@ pub struct Monitor {
     pub site: Name,
     /// Its name: the key of its liveliness token is `points/v1/{site}/monitor/{id}/alive`.
     pub id: Name,
+}
+
+impl Monitor {
+    /// The name under which its own alarms stand, as if it were a machine of its site.
+    #[must_use]
+    pub fn as_machine(&self) -> MachineId {
+        MachineId { site: self.site.clone(), machine: self.id.clone() }
+    }
 }
 
 /// The `[subscribe]` section: what it takes in.

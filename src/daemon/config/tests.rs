@@ -73,7 +73,7 @@ fn the_shipped_file_shows_every_key() {
     for key in keys(&toml::Table::try_from(sections).unwrap(), "") {
         assert!(shown.contains(&key), "config/pointsd.toml does not show {key}");
     }
-    for key in keys(&toml::from_str(zenoh::MONITOR).unwrap(), "zenoh") {
+    for key in keys(&zenoh::base(zenoh::MONITOR).unwrap(), "zenoh") {
         assert!(shown.contains(&key), "config/pointsd.toml does not show {key}");
     }
 }

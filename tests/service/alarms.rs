@@ -1,0 +1,151 @@
+//! The alarms about the monitoring itself, on the running daemon: a logger that goes, throws that never come, a database
+//! that is broken. Each is still there, and once, after a restart.
+
+use std::{os::unix::net::UnixDatagram, process::Stdio};
+
+use pointsd::{
+    diagnose::{AlarmState, Cause, Severity},
+    wire::{Alarm, Encoding, encode_throw},
+};
+use zenoh::{Session, handlers::FifoChannelHandler, pubsub::Subscriber, sample::Sample};
+
+use crate::rig::{PATIENCE, Rig, matched, pointsd, stub};
+
+const KEY: &str = "points/v1/north/21B/throw";
+const ALIVE: &str = "points/v1/north/21B/alive";
+/// A logger is missed after 1.2 s.
+const HASTY: &str = "[diagnosis]\nlogger_gone_minutes = 0.02\n";
+
+type Alarms = Subscriber<FifoChannelHandler<Sample>>;
+
+async fn next(alarms: &Alarms) -> Alarm {
+    let sample = tokio::time::timeout(PATIENCE, alarms.recv_async()).await.expect("an alarm").unwrap();
+    serde_json::from_slice(&sample.payload().to_bytes()).unwrap()
+}
+
+async fn listen(session: &Session) -> Alarms {
+    session.declare_subscriber("points/v1/**/alarm").await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_logger_that_goes_is_an_alarm_until_it_is_back() {
+    let rig = Rig::with(HASTY);
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let alarms = listen(&session).await;
+    let logger = daemon.client().await;
+    let token = logger.liveliness().declare_token(ALIVE).await.unwrap();
+    let publisher = matched(&logger, KEY).await;
+    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
+    rig.judged(1).await;
+    // Known, and kept: what is in the snapshot outlives a kill.
+    rig.until_sql("SELECT 1 AS n FROM monitor WHERE snapshot LIKE '%\"logger\":\"there\"%'").await;
+
+    drop((token, publisher));
+    logger.close().await.unwrap();
+    let raised = next(&alarms).await;
+    assert_eq!((raised.cause, raised.state), (Cause::NotMonitored, AlarmState::ActiveUnacknowledged));
+    assert!(raised.text.contains("logger has been gone"), "{}", raised.text);
+
+    let logger = daemon.client().await;
+    let token = logger.liveliness().declare_token(ALIVE).await.unwrap();
+    let cleared = next(&alarms).await;
+    assert_eq!((&cleared.alarm_id, cleared.state), (&raised.alarm_id, AlarmState::ClearedUnacknowledged));
+
+    // It dies while the daemon is down.
+    daemon.kill();
+    drop((token, logger, alarms));
+    drop(session);
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let alarms = listen(&session).await;
+    let again = next(&alarms).await;
+    assert_eq!((again.cause, again.state), (Cause::NotMonitored, AlarmState::ActiveUnacknowledged));
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn throws_that_were_missing_before_a_restart_are_an_alarm_after_it_and_only_once() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    for throw_no in [1, 5] {
+        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
+    }
+    rig.judged(2).await;
+    assert!(daemon.terminate().success());
+    drop((publisher, session));
+    // The minute in which they may still come passes while the daemon is down.
+    rig.change("UPDATE gap SET detected_at_us = detected_at_us - 61000000").await;
+
+    let daemon = rig.start();
+    rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE cause = 'data_loss'").await;
+    assert!(daemon.terminate().success());
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 6))).await.unwrap();
+    rig.judged(3).await;
+    assert!(daemon.terminate().success());
+    let events = rig.sql("SELECT machine, event_no, text FROM alarm_events WHERE cause = 'data_loss'");
+    assert_eq!(events.len(), 1, "{events:?}");
+    assert!(events[0]["text"].as_str().unwrap().contains("3 throws never arrived"), "{events:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer() {
+    // A daemon whose own name lies outside the part of the fleet that it serves.
+    let rig = Rig::with("[subscribe]\nkey = \"points/v1/north/**\"\n[monitor]\nsite = \"cabinets\"\nid = \"c7\"\n");
+    let daemon = rig.start();
+    assert!(daemon.terminate().success());
+    std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
+
+    for start in 0..2 {
+        // A restart that finds the file still there does not raise it again.
+        let daemon = rig.start();
+        let question = "SELECT 1 AS n FROM active_alarms WHERE machine = 'c7' AND cause = 'data_loss'";
+        rig.until_sql(question).await;
+        for selector in [&["alarms", "cabinets/c7", "--json"][..], &["alarms", "--json"]] {
+            let (code, text) = daemon.operate(selector);
+            assert_eq!(code, Some(0), "{text}");
+            let lines: Vec<Alarm> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+            let [alarm] = &lines[..] else { panic!("{text}") };
+            assert_eq!((alarm.site.as_str(), alarm.machine.as_str()), ("cabinets", "c7"));
+            assert_eq!((alarm.cause, alarm.severity), (Cause::DataLoss, Severity::Critical));
+            assert!(alarm.text.contains("points.db-broken-") && alarm.text.contains("move it elsewhere"), "{text}");
+        }
+        if start == 0 {
+            let (code, text) = daemon.operate(&["ack", "cabinets/c7", "data_loss", "--by", "tester"]);
+            assert_eq!(code, Some(0), "{text}");
+        }
+        assert!(daemon.terminate().success());
+    }
+    let events = rig.sql("SELECT state FROM alarm_events ORDER BY event_no");
+    let states: Vec<&str> = events.iter().map(|event| event["state"].as_str().unwrap()).collect();
+    assert_eq!(states, ["active_unacknowledged", "active_acknowledged"]);
+}
+
+#[test]
+fn while_it_starts_systemd_is_asked_for_more_time() {
+    let rig = Rig::new();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("notify");
+    let socket = UnixDatagram::bind(&path).unwrap();
+    socket.set_read_timeout(Some(PATIENCE)).unwrap();
+    let config = rig.config();
+    let mut command = pointsd(&["run", "--config"]);
+    let mut child = command.arg(config).env("NOTIFY_SOCKET", &path).stderr(Stdio::null()).spawn().unwrap();
+    let mut said = Vec::new();
+    while !said.iter().any(|text: &String| text.contains("READY=1")) {
+        let mut buffer = [0; 4096];
+        let count = socket.recv(&mut buffer).expect("it becomes ready");
+        said.push(String::from_utf8_lossy(&buffer[..count]).into_owned());
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let more: u64 =
+        said[0].lines().find_map(|line| line.strip_prefix("EXTEND_TIMEOUT_USEC=")).expect("asks").parse().unwrap();
+    assert!(more >= 30_000_000, "{said:?}");
+    assert!(said[0].contains("STATUS=opening the database"), "{said:?}");
+}
