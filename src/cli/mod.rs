@@ -10,7 +10,6 @@ mod evaluate;
 mod exit;
 mod identify;
 mod import;
-mod limits;
 mod maintenance;
 mod operator;
 mod pointsd;

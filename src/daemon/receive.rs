@@ -146,6 +146,9 @@ impl Receiver {
                 return;
             }
             throws = self.without_the_unstorable(failed, &error).await;
+            if throws.is_empty() {
+                return;
+            }
             tokio::select! {
                 () = time::sleep(pause) => {}
                 () = self.give_up.cancelled() => {}

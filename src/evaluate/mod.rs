@@ -32,7 +32,6 @@ mod comparator;
 mod cusum;
 mod judge;
 mod life;
-pub mod limits;
 mod paper;
 mod parameter;
 mod picture;

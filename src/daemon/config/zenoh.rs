@@ -11,36 +11,42 @@ const FILE_KEYS: [&str; 5] =
     ["root_ca_certificate", "listen_certificate", "listen_private_key", "connect_certificate", "connect_private_key"];
 
 /// The session of the daemon: the hub of a cabinet, which loggers and operators connect to. It listens on loopback
-/// only until it is told otherwise, and finds nobody by itself.
+/// only until it is told otherwise. Loggers publish throws so that they wait for a busy link; passed on to others,
+/// throws wait for nobody, or a subscriber that does not read would hold up the loggers' links for 5 s.
 pub(super) const MONITOR: &str = r#"
 mode = "router"
 listen.endpoints = ["tcp/127.0.0.1:7447"]
-connect.timeout_ms = -1
-connect.exit_on_failure = false
-scouting.multicast.enabled = false
-scouting.gossip.enabled = false
-transport.link.rx.max_message_size = 33554432
+qos.network = [{ messages = ["put"], flows = ["egress"], key_exprs = ["points/v1/*/*/throw"], overwrite = { congestion_control = "drop" } }]
 "#;
 
-/// The session of a logger or an operator: a client that keeps trying to reach the hub.
+/// The session of a logger or an operator: a client of the hub.
 pub(super) const CLIENT: &str = r#"
 mode = "client"
 connect.endpoints = ["tcp/127.0.0.1:7447"]
+"#;
+
+/// What every session is told: it keeps trying to connect, and finds nobody by itself.
+const COMMON: &str = "
 connect.timeout_ms = -1
 connect.exit_on_failure = false
 scouting.multicast.enabled = false
 scouting.gossip.enabled = false
 transport.link.rx.max_message_size = 33554432
-"#;
+";
 
-/// The configuration of a session: `section` laid over `base`.
+/// All that a session of this kind is told.
+pub(super) fn base(kind: &str) -> Result<Table, toml::de::Error> {
+    toml::from_str(&format!("{kind}{COMMON}"))
+}
+
+/// The configuration of a session of a kind, with `section` laid over it.
 pub(super) fn session_config(
-    base: &str,
+    kind: &str,
     section: Option<&Table>,
     document: &Document,
 ) -> Result<zenoh::Config, ConfigError> {
     let invalid = |problem: String| document.complain("zenoh", problem);
-    let mut merged: Table = toml::from_str(base).map_err(|error| invalid(error.to_string()))?;
+    let mut merged = base(kind).map_err(|error| invalid(error.to_string()))?;
     if let Some(section) = section {
         overlay(&mut merged, section);
         check_files(section, document)?;

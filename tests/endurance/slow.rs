@@ -1,0 +1,166 @@
+//! A subscriber that never reads and an SQL reader that never closes: throws are taken in and judged as without them, and
+//! neither memory nor the write-ahead log grows beyond its bound. `POINTSD_SLOW_THROWS` sets how many throws.
+
+use std::{
+    fs,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+        mpsc,
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use pointsd::{
+    throw::Throw,
+    wire::{self, Encoding},
+};
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+use zenoh::{Session, pubsub::Publisher};
+
+use crate::{
+    gauge::{Usage, mib, status},
+    rig::{PATIENCE, Rig, matched, throws},
+    size,
+};
+
+const KEY: &str = "points/v1/north/21B/throw";
+/// The configured bound of the log, and what one group of writes may take it over \[MiB\].
+const LOG_MIB: f64 = 32.0;
+const GROUP_MIB: f64 = 8.0;
+/// What hanging readers may cost in memory: the buffers of one link, and of the bounded queues before it \[MiB\].
+const MEMORY_MIB: f64 = 64.0;
+/// Rates of one run differ by this factor on a busy computer.
+const NOISE: f64 = 3.0;
+
+/// The most that was seen while throws went in.
+#[derive(Debug, Default, Clone, Copy)]
+struct Most {
+    rss_mib: f64,
+    log_mib: f64,
+}
+
+fn watch(process: u32, rig: &Rig, stop: Arc<AtomicBool>) -> thread::JoinHandle<Most> {
+    let path = rig.database();
+    thread::spawn(move || {
+        let mut most = Most::default();
+        while !stop.load(Relaxed) {
+            let file = fs::canonicalize(&path).unwrap();
+            let log = file.with_file_name(format!("{}-wal", file.file_name().unwrap().to_str().unwrap()));
+            most.rss_mib = most.rss_mib.max(Usage::of(process).rss_mib);
+            most.log_mib = most.log_mib.max(mib(&log));
+            thread::sleep(Duration::from_millis(10));
+        }
+        most
+    })
+}
+
+/// A source of throws.
+struct Source<'a> {
+    session: &'a Session,
+    publisher: Publisher<'static>,
+    like: Vec<Throw>,
+    published: u64,
+}
+
+impl Source<'_> {
+    /// Publishes throws as fast as they are taken; returns how many were stored a second, and judged.
+    async fn rates(&mut self, count: u64) -> [f64; 2] {
+        let start = Instant::now();
+        for _ in 0..count {
+            self.published += 1;
+            let mut throw = self.like[self.published as usize % self.like.len()].clone();
+            throw.id.throw_no = self.published;
+            self.publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
+        }
+        let mut stored = None;
+        loop {
+            let now = status(self.session).await;
+            assert!(start.elapsed() < 10 * PATIENCE, "{} published: {now:?}", self.published);
+            let Some(now) = now else { continue };
+            if now.stored >= self.published {
+                stored.get_or_insert(start.elapsed());
+            }
+            if now.judged >= self.published {
+                return [stored.unwrap(), start.elapsed()].map(|time| count as f64 / time.as_secs_f64());
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
+    let count = size("POINTSD_SLOW_THROWS", 800) as u64;
+    let rig = Rig::new().store(&format!("ballast_mib = 0\nmax_wal_mib = {LOG_MIB:.0}\n"));
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let mut source = Source { session: &session, publisher, like: throws("boot", 40), published: 0 };
+    source.rates(100).await;
+
+    let look = |stop: &Arc<AtomicBool>| watch(daemon.id(), &rig, Arc::clone(stop));
+    let stop = Arc::new(AtomicBool::new(false));
+    let watching = look(&stop);
+    let without = source.rates(count).await;
+    stop.store(true, Relaxed);
+    let before = watching.join().unwrap();
+
+    // One gets every throw, alarm and health message, and stays in its first callback.
+    let hanging = daemon.client().await;
+    let (release, held) = mpsc::channel::<()>();
+    let held = std::sync::Mutex::new(held);
+    let (entered, is_in) = mpsc::channel();
+    let _subscriber = hanging
+        .declare_subscriber("points/v1/**")
+        .callback(move |_| {
+            let _ = entered.send(());
+            let _ = held.lock().unwrap().recv();
+        })
+        .await
+        .unwrap();
+    // Dropped before the subscriber, however the test ends: that waits for its callback.
+    let release = release;
+    source.rates(20).await;
+    is_in.recv_timeout(PATIENCE).expect("the subscriber hears the first throw");
+    // The other has begun a transaction and looks at the database as it was then.
+    let options = SqliteConnectOptions::new().filename(rig.database()).read_only(true);
+    let mut reader = SqliteConnection::connect_with(&options).await.unwrap();
+    let mut transaction = reader.begin().await.unwrap();
+    let rows: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM health_history").fetch_one(&mut *transaction).await.unwrap();
+
+    stop.store(false, Relaxed);
+    let watching = look(&stop);
+    let with = source.rates(count).await;
+    stop.store(true, Relaxed);
+    let after = watching.join().unwrap();
+    let seen: i64 =
+        sqlx::query_scalar("SELECT count(*) FROM health_history").fetch_one(&mut *transaction).await.unwrap();
+    drop(release);
+    transaction.rollback().await.unwrap();
+    let end = status(&session).await.unwrap();
+    assert!(daemon.terminate().success());
+
+    let ratio = [with[0] / without[0], with[1] / without[1]];
+    println!(
+        "stored {:.0}/s and judged {:.0}/s without, {:.0}/s and {:.0}/s with a subscriber and an SQL reader that hang: \
+         ratios {:.2} and {:.2}; memory at most {:.1} MiB without, {:.1} MiB with; log at most {:.1} and {:.1} MiB; {end:?}",
+        without[0],
+        without[1],
+        with[0],
+        with[1],
+        ratio[0],
+        ratio[1],
+        before.rss_mib,
+        after.rss_mib,
+        before.log_mib,
+        after.log_mib
+    );
+    assert_eq!(rows, seen, "the reader did not keep its state");
+    assert_eq!((end.stored, end.dropped, end.lost), (source.published, 0, 0));
+    assert!(ratio.iter().all(|ratio| *ratio > 1.0 / NOISE), "ingestion is slowed: {ratio:?}");
+    assert!(after.rss_mib < before.rss_mib + MEMORY_MIB, "memory grows to {:.0} MiB", after.rss_mib);
+    assert!(after.log_mib < LOG_MIB + GROUP_MIB, "the log grows to {:.0} MiB", after.log_mib);
+}
