@@ -3,7 +3,9 @@
 
 #![expect(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "helpers of tests outside #[test]")]
 
+mod cable;
 mod database;
+mod gauge;
 mod logger;
 #[path = "../power/replay.rs"]
 mod replay;
@@ -15,6 +17,10 @@ mod witness;
 
 mod cuts;
 mod kills;
+mod links;
+mod poison;
+mod slow;
+mod soak;
 
 /// The number in an environment variable, or the small one of a usual run.
 fn size(variable: &str, usual: usize) -> usize {

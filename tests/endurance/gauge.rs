@@ -1,0 +1,44 @@
+//! What a running daemon takes and does, as the system and the daemon itself say.
+
+use std::{fs, path::Path, time::Duration};
+
+use pointsd::{bus, daemon::StatusReport};
+use zenoh::Session;
+
+/// What a process takes of the computer.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Usage {
+    /// Memory in use \[MiB\].
+    pub(crate) rss_mib: f64,
+    /// Open files and sockets.
+    pub(crate) files: usize,
+    /// Threads.
+    pub(crate) threads: usize,
+}
+
+impl Usage {
+    /// Of a process that runs.
+    pub(crate) fn of(process: u32) -> Self {
+        let status = fs::read_to_string(format!("/proc/{process}/status")).expect("it runs");
+        let figure = |key: &str| -> f64 {
+            let line = status.lines().find_map(|line| line.strip_prefix(key)).expect(key);
+            line.split_whitespace().next().unwrap().parse().unwrap()
+        };
+        Self {
+            rss_mib: figure("VmRSS:") / 1024.0,
+            files: fs::read_dir(format!("/proc/{process}/fd")).unwrap().count(),
+            threads: figure("Threads:") as usize,
+        }
+    }
+}
+
+/// Size of a file \[MiB\]; 0 where there is none.
+pub(crate) fn mib(file: &Path) -> f64 {
+    fs::metadata(file).map_or(0.0, |file| file.len() as f64 / f64::from(1 << 20))
+}
+
+/// What the daemon says of itself; `None` when it does not answer in time.
+pub(crate) async fn status(session: &Session) -> Option<StatusReport> {
+    let replies = bus::ask(session, "points/v1/*/monitor/*/status", None, Duration::from_secs(5)).await.ok()?;
+    serde_json::from_slice(&replies.first()?.1).ok()
+}

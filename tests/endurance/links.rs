@@ -1,0 +1,178 @@
+//! Links that are cut for longer than zenoh waits, a router that dies, a logger that starts anew. Twenty machines keep
+//! throwing: afterwards each throw is stored once, or is in a recorded gap that the logger's cache could not cover, and
+//! every alarm event reached a subscriber outside, whose own link was cut as well.
+//!
+//! `POINTSD_CUT_SECONDS=30` cuts for so long at 10 throws a second; without it all goes faster.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::{Duration, Instant},
+};
+
+use pointsd::store::{Reader, ThrowRow};
+
+use crate::{
+    cable::Cable,
+    database::events,
+    logger::{Logger, Plan, QUICK_ALARMS},
+    rig::{PATIENCE, Rig},
+    size,
+    witness::Witness,
+};
+
+const MACHINES: usize = 20;
+/// Throws of each machine that its logger keeps, as in the shipped configuration.
+const CACHE: usize = 64;
+
+/// Seconds of a cut, and throws a second.
+fn scale() -> (Duration, f64) {
+    match size("POINTSD_CUT_SECONDS", 0) {
+        0 => (Duration::from_secs(4), 50.0),
+        seconds => (Duration::from_secs(seconds as u64), 10.0),
+    }
+}
+
+/// Twenty machines with a cache, or one whose logger keeps nothing.
+async fn loggers(endpoint: &str, boot_id: &str, rate: f64) -> [Logger; 2] {
+    let plan = |machine, machines, cache, rate| Plan {
+        machine,
+        machines,
+        cache,
+        pace: Duration::from_secs_f64(1.0 / rate),
+        boot_id: boot_id.to_owned(),
+    };
+    let remembers = Logger::start(endpoint, plan("m", MACHINES, CACHE, rate)).await;
+    [remembers, Logger::start(endpoint, plan("f", 1, 1, rate / 10.0)).await]
+}
+
+/// What was published: the last number of each machine and start of its logger.
+type Published = BTreeMap<(String, String), u64>;
+
+/// Stops the loggers; their caches answer until what is returned is dropped.
+fn stop([remembers, forgets]: [Logger; 2], boot_id: &str, published: &mut Published) -> [crate::logger::Silent; 2] {
+    let silent = [remembers.stop(), forgets.stop()];
+    let machines = (1..=MACHINES).map(|number| (format!("m{number}"), silent[0].published));
+    for (machine, last) in machines.chain([("f1".to_owned(), silent[1].published)]) {
+        published.insert((machine, boot_id.to_owned()), last);
+    }
+    silent
+}
+
+/// The numbers of each machine and start, stored and missing.
+#[derive(Default)]
+struct Known {
+    stored: BTreeMap<(String, String), Vec<u64>>,
+    missing: BTreeMap<(String, String), Vec<u64>>,
+}
+
+impl Known {
+    async fn of(reader: &Reader) -> Self {
+        let mut known = Self::default();
+        for stored in reader.throws(ThrowRow::START, 1_000_000).await.unwrap() {
+            let who = (stored.machine.machine.to_string(), stored.id.boot_id);
+            known.stored.entry(who).or_default().push(stored.id.throw_no);
+        }
+        for gap in reader.open_gaps(1_000_000).await.unwrap() {
+            let who = (gap.machine.machine.to_string(), gap.boot_id);
+            known.missing.entry(who).or_default().extend(gap.first_no..=gap.last_no);
+        }
+        known
+    }
+
+    fn all(&self, who: &(String, String)) -> Vec<u64> {
+        let parts = [self.stored.get(who), self.missing.get(who)];
+        let mut all: Vec<u64> = parts.into_iter().flatten().flatten().copied().collect();
+        all.sort_unstable();
+        all
+    }
+
+    fn count(numbers: &BTreeMap<(String, String), Vec<u64>>, cached: bool) -> usize {
+        numbers.iter().filter(|((machine, _), _)| machine.starts_with('m') == cached).map(|(_, list)| list.len()).sum()
+    }
+}
+
+/// Waits until everything is known, judged, published and heard; checks it; says what it saw.
+async fn settle(rig: &Rig, witness: &Witness, published: &Published, what: &str) {
+    let reader = Reader::open(&rig.database()).await.unwrap();
+    let deadline = Instant::now() + 3 * PATIENCE;
+    let known = loop {
+        let known = Known::of(&reader).await;
+        let behind: Vec<_> = published.iter().filter(|(who, last)| known.all(who).last() < Some(last)).collect();
+        let waiting = reader.pending(ThrowRow::START, 1).await.unwrap().len();
+        let unpublished = reader.outbox_pending(0, 1).await.unwrap().len();
+        if behind.is_empty() && waiting + unpublished == 0 {
+            break known;
+        }
+        assert!(Instant::now() < deadline, "behind: {behind:?}; {waiting} unjudged, {unpublished} unpublished");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    };
+    let events = events(&reader).await;
+    witness.until("every alarm event", |heard| heard.events.len() >= events.len()).await;
+    let heard = witness.heard();
+    println!(
+        "{what}: {} throws of {MACHINES} machines stored, {} missing; {} of one without a cache, {} missing; {} alarm \
+         events, {} messages heard",
+        Known::count(&known.stored, true),
+        Known::count(&known.missing, true),
+        Known::count(&known.stored, false),
+        Known::count(&known.missing, false),
+        events.len(),
+        heard.messages
+    );
+    for (who, last) in published {
+        assert_eq!(known.all(who), (1..=*last).collect::<Vec<_>>(), "{who:?}: each is stored once, or missing once");
+    }
+    assert_eq!(Known::count(&known.missing, true), 0, "throws in the caches did not come: {:?}", known.missing);
+    assert_eq!(heard.events.iter().cloned().collect::<BTreeSet<_>>(), events, "every event, and nothing else");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn cut_links_and_new_loggers_lose_nothing_that_a_cache_holds() {
+    let (cut, rate) = scale();
+    let rig = Rig::with(QUICK_ALARMS);
+    let daemon = rig.start();
+    let (field, control_room) = (Cable::to(&daemon.endpoint).await, Cable::to(&daemon.endpoint).await);
+    let witness = Witness::listen(&control_room.endpoint, None).await;
+    let mut published = Published::new();
+    let mut silent = Vec::new();
+    for boot_id in ["b1", "b2"] {
+        let loggers = loggers(&field.endpoint, boot_id, rate).await;
+        tokio::time::sleep(cut).await;
+        field.cut();
+        tokio::time::sleep(cut / 2).await;
+        control_room.cut();
+        tokio::time::sleep(cut / 2).await;
+        field.mend();
+        tokio::time::sleep(cut / 2).await;
+        control_room.mend();
+        // The next start of the loggers ends this one's caches: what they hold has to be there before.
+        silent.extend(stop(loggers, boot_id, &mut published));
+        settle(&rig, &witness, &published, &format!("a cut of {cut:?}, start {boot_id}")).await;
+        silent.clear();
+    }
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_router_that_dies_loses_nothing_that_a_cache_holds() {
+    let (cut, rate) = scale();
+    // Any pointsd is a router; this one serves a site that is not there.
+    let router_rig = Rig::with("[subscribe]\nkey = \"points/v1/nowhere/**\"\n[monitor]\nid = \"router\"\n").same_port();
+    let router = router_rig.start();
+    let endpoint = router.endpoint.clone();
+    let rig = Rig::with(QUICK_ALARMS).behind(&endpoint);
+    let daemon = rig.start();
+    let witness = Witness::listen(&endpoint, None).await;
+    let loggers = loggers(&endpoint, "b1", rate).await;
+    tokio::time::sleep(cut).await;
+    router.kill();
+    tokio::time::sleep(cut).await;
+    let router = router_rig.start();
+    tokio::time::sleep(cut / 2).await;
+    let mut published = Published::new();
+    let silent = stop(loggers, "b1", &mut published);
+    settle(&rig, &witness, &published, &format!("a router dead for {cut:?}")).await;
+    drop(silent);
+    assert!(daemon.terminate().success());
+    assert!(router.terminate().success());
+}

@@ -1,0 +1,263 @@
+//! Anything on the live subscription: noise, huge and deeply nested payloads, wrong types and keys, good messages with a
+//! field changed, thousands of machines that nobody has. Good throws go between: each is stored once, and the daemon's
+//! memory and its quarantine stay within bounds. `POINTSD_POISON=1000000` sets the number of messages.
+
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+    time::{Duration, Instant},
+};
+
+use pointsd::{
+    store::{Reader, ThrowRow},
+    throw::Throw,
+    wire::{self, Encoding},
+};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
+use zenoh::{Session, bytes::Encoding as ContentType, qos::CongestionControl};
+
+use crate::{
+    gauge::{Usage, status},
+    rig::{PATIENCE, Rig, matched, stub, throws},
+    size,
+};
+
+const GOOD: &str = "points/v1/good/1/throw";
+/// One good throw in so many messages.
+const EVERY: usize = 100;
+/// Messages between two looks at the daemon: it may be so far behind, which is less than its queue holds.
+const ROUND: usize = 2_000;
+/// What its memory may grow to: 128 MiB of queue, 64 MiB on the way to the database, 256 MiB of the longest traces are
+/// its own bounds; none of them is reached by what is sent here.
+const MEMORY_MIB: f64 = 400.0;
+const QUARANTINE: usize = 500;
+/// A line for each refused message is for people, not for a million of them.
+const QUIET: &str = "info,zenoh=warn,pointsd::daemon::receive=error,pointsd::store=error";
+const MACHINES: usize = 2_000;
+
+/// Makes messages.
+struct Poison {
+    rng: ChaCha8Rng,
+    like: Throw,
+    number: usize,
+}
+
+/// Key, content type, payload.
+type Message = (String, ContentType, Vec<u8>);
+
+impl Poison {
+    fn next(&mut self) -> Message {
+        self.number += 1;
+        let machine = format!("points/v1/bad/m{}/throw", self.rng.random_range(0..10));
+        let (cbor, json) = (ContentType::APPLICATION_CBOR, ContentType::APPLICATION_JSON);
+        match self.rng.random_range(0..20) {
+            0 | 12 | 13 => (machine, cbor, self.noise(300)),
+            1 | 14 | 15 => (machine, json, self.noise(300)),
+            2 | 16 => (machine, ContentType::default(), self.noise(40)),
+            // Arrays and maps within each other, and lengths that are promised and not there.
+            3 => (machine, cbor, vec![[0x81, 0xa1, 0x9f, 0xbf, 0xd8][self.rng.random_range(0..5)]; 5_000]),
+            4 => (machine, json, vec![[b'[', b'{', b'"'][self.rng.random_range(0..3)]; 5_000]),
+            5 => (machine, cbor, [&[0x9b][..], &u64::MAX.to_be_bytes(), &[0xfb; 30]].concat()),
+            6 | 17 => (machine, cbor, self.damaged()),
+            7 | 18 | 19 => (machine, json, self.changed_field()),
+            8 => {
+                let name = format!("points/v1/many/x{}/throw", self.rng.random_range(0..20_000));
+                (name, cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", self.number as u64)))
+            }
+            9 => (self.key(), cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", 1))),
+            // One boot id for other contents each time.
+            10 => {
+                let mut again = stub("boot", 1 + self.number as u64 % 3);
+                again.temperature_c = Some(self.rng.random_range(-40.0..60.0));
+                (machine, cbor, wire::encode_throw(Encoding::Cbor, &again))
+            }
+            _ => {
+                let boot_id = format!("boot-{}", self.number);
+                let no = [0, 1, u64::MAX, i64::MAX.cast_unsigned(), 1 << 40][self.rng.random_range(0..5)];
+                (machine, cbor, wire::encode_throw(Encoding::Cbor, &stub(&boot_id, no)))
+            }
+        }
+    }
+
+    fn noise(&mut self, most: usize) -> Vec<u8> {
+        let mut bytes = vec![0; self.rng.random_range(0..most)];
+        self.rng.fill_bytes(&mut bytes);
+        bytes
+    }
+
+    /// A real throw with some bytes changed, or cut off.
+    fn damaged(&mut self) -> Vec<u8> {
+        let mut bytes = wire::encode_throw(Encoding::Cbor, &self.like);
+        for _ in 0..self.rng.random_range(1..20) {
+            let at = self.rng.random_range(0..bytes.len().min(400));
+            bytes[at] = self.rng.random();
+        }
+        if self.rng.random_bool(0.3) {
+            bytes.truncate(self.rng.random_range(0..bytes.len()));
+        }
+        bytes
+    }
+
+    /// A throw in JSON with one field of another type or size.
+    fn changed_field(&mut self) -> Vec<u8> {
+        let text = String::from_utf8(wire::encode_throw(Encoding::Json, &stub("boot", self.number as u64))).unwrap();
+        let mut throw: Value = serde_json::from_str(&text).unwrap();
+        let fields: Vec<String> = throw.as_object().unwrap().keys().cloned().collect();
+        let field = &fields[self.rng.random_range(0..fields.len())];
+        let values = [
+            json!(null),
+            json!(-1),
+            json!(u64::MAX),
+            json!(1e308),
+            json!(-0.0),
+            json!(""),
+            json!("x".repeat(3_000)),
+            json!("9999-12-31T23:59:59Z"),
+            json!("-009999-01-01T00:00:00Z"),
+            json!([]),
+            json!([[[]]]),
+            json!({}),
+            json!(vec![1e308; 100]),
+            json!(vec![Value::Null; 100]),
+            json!(true),
+            json!("\u{0}\u{202e}"),
+        ];
+        throw[field] = values[self.rng.random_range(0..values.len())].clone();
+        throw.to_string().into_bytes()
+    }
+
+    /// A key that matches the subscription and may name no machine.
+    fn key(&mut self) -> String {
+        let name = [
+            "no name!",
+            "\u{e9}",
+            "a.b",
+            "%2e",
+            "x".repeat(64).as_str(),
+            "x".repeat(65).as_str(),
+            "-",
+            "é".repeat(500).as_str(),
+            "*",
+        ][self.rng.random_range(0..9)]
+        .to_owned();
+        format!("points/v1/keys/{name}/throw")
+    }
+}
+
+/// Watches the daemon's memory until it is told to stop; returns the most it saw \[MiB\].
+fn watch(process: u32, stop: Arc<AtomicBool>) -> std::thread::JoinHandle<f64> {
+    std::thread::spawn(move || {
+        let mut most = 0.0_f64;
+        while !stop.load(Relaxed) {
+            most = most.max(Usage::of(process).rss_mib);
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        most
+    })
+}
+
+async fn put(session: &Session, (key, content_type, payload): Message) {
+    session.put(key, payload).encoding(content_type).congestion_control(CongestionControl::Block).await.unwrap();
+}
+
+/// How often the daemon is asked.
+const PACE: Duration = Duration::from_millis(10);
+
+/// Waits until the daemon has dealt with all that it received, and has received so many.
+async fn until_handled(session: &Session, sent: u64) -> pointsd::daemon::StatusReport {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        if let Some(now) = status(session).await {
+            let handled = now.stored + now.duplicates + now.quarantined + now.lost + now.dropped;
+            if now.received >= sent && handled >= now.received {
+                return now;
+            }
+        }
+        assert!(Instant::now() < deadline, "{sent} messages sent: {:?}", status(session).await);
+        tokio::time::sleep(PACE).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
+    let messages = size("POINTSD_POISON", 4_000);
+    let rig = Rig::with(&format!("[subscribe]\nmax_machines = {MACHINES}\n[log]\nlevel = {QUIET:?}\n"))
+        .store(&format!("ballast_mib = 0\nmax_quarantined = {QUARANTINE}\n"));
+    let mut daemon = rig.start();
+    let session = daemon.client().await;
+    let good = throws("boot", 40);
+    let publisher = matched(&session, GOOD).await;
+    let mut poison = Poison { rng: ChaCha8Rng::seed_from_u64(14), like: good[0].clone(), number: 0 };
+    let stop = Arc::new(AtomicBool::new(false));
+    let memory = watch(daemon.id(), Arc::clone(&stop));
+    let (mut sent, mut published) = (0_u64, 0_u64);
+    let start = Instant::now();
+    for number in 0..messages {
+        if number % EVERY == 0 {
+            published += 1;
+            let like = &good[published as usize % good.len()];
+            let mut throw = like.clone();
+            throw.id.throw_no = published;
+            publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
+        } else {
+            put(&session, poison.next()).await;
+        }
+        sent += 1;
+        if number % ROUND == ROUND - 1 {
+            until_handled(&session, sent).await;
+        }
+        // Beyond what a link takes, at its limit, and at the limit of a message.
+        if number % (messages / 2) == messages / 4 {
+            for bytes in [17 << 20, 31 << 20, 100 << 20] {
+                let payload = wire::encode_throw(Encoding::Cbor, &good[0]).into_iter().cycle().take(bytes).collect();
+                put(&session, (GOOD.to_owned(), ContentType::APPLICATION_CBOR, payload)).await;
+            }
+            session.delete(GOOD).await.unwrap();
+            // The link may have been closed over them: it is there again when the daemon answers and hears.
+            sent = until_handled(&session, 0).await.received;
+            while !publisher.matching_status().await.unwrap().matching() {
+                tokio::time::sleep(PACE).await;
+            }
+        }
+    }
+    let end = loop {
+        let now = until_handled(&session, sent).await;
+        if now.judged >= now.stored {
+            break now;
+        }
+    };
+    let seconds = start.elapsed().as_secs_f64();
+    stop.store(true, Relaxed);
+    let most = memory.join().unwrap();
+    assert!(daemon.runs(), "it has ended: {:?}", daemon.log());
+
+    let mut stored: BTreeMap<u64, usize> = BTreeMap::new();
+    let reader = Reader::open(&rig.database()).await.unwrap();
+    let mut from = ThrowRow::START;
+    loop {
+        let rows = reader.throws(from, 10_000).await.unwrap();
+        let Some(last) = rows.last() else { break };
+        from = last.row;
+        for row in rows.iter().filter(|row| row.machine.site.as_str() == "good") {
+            *stored.entry(row.id.throw_no).or_default() += 1;
+        }
+    }
+    let quarantined = reader.quarantined(1_000_000).await.unwrap().len();
+    println!(
+        "{messages} messages in {seconds:.0} s, {published} good throws, {} of them stored; at most {most:.0} MiB; \
+         {quarantined} kept in quarantine of {} that went there; {end:?}",
+        stored.len(),
+        end.quarantined
+    );
+    assert!(stored.keys().copied().eq(1..=published) && stored.values().all(|times| *times == 1), "{stored:?}");
+    assert_eq!((end.dropped, end.lost), (0, 0));
+    assert!(end.quarantined > messages as u64 / 3 && end.silent.is_empty(), "{end:?}");
+    assert!(quarantined <= QUARANTINE, "{quarantined} messages in quarantine");
+    assert!(most < MEMORY_MIB, "{most:.0} MiB");
+    assert!(daemon.terminate().success());
+}

@@ -1,0 +1,301 @@
+//! An hour at fifty times a cabinet's load: does anything grow?
+//!
+//! A cabinet has 20 machines that throw 200 times a day each; fifty times that is 2.3 throws a second. Links are cut now
+//! and then, parts wear out, the logger starts anew half way, and retention works on small bounds. `POINTSD_SOAK_SECONDS`
+//! sets the length; the samples are written to `soak.csv` and drawn in `soak.svg` in the folder `POINTSD_SOAK_OUT`.
+
+use std::{
+    fs,
+    io::{BufRead, BufReader, Write},
+    path::PathBuf,
+    process::{Child, Command, Stdio},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
+    time::{Duration, Instant},
+};
+
+use pointsd::report::{Panel, Sheet};
+use zenoh::Session;
+
+use crate::{
+    cable::Cable,
+    gauge::{Usage, mib, status},
+    rig::{Daemon, PATIENCE, Rig, pointsim},
+    size,
+};
+
+const MACHINES: u32 = 20;
+const THROWS_A_DAY: f64 = 200.0;
+const TIMES: f64 = 50.0;
+/// Throws a second: 2.3.
+const RATE: f64 = MACHINES as f64 * THROWS_A_DAY * TIMES / 86_400.0;
+/// Throws and traces that are kept: the bounds are reached within the first ten minutes.
+const KEPT: u32 = 1_000;
+/// Caches, allocator and database fill up in this time of a long run.
+const WARM_UP_S: f64 = 600.0;
+/// Growth in an hour, after that, which counts as none \[%\].
+const FLAT_PCT: f64 = 5.0;
+
+#[derive(Debug, Clone)]
+struct Sample {
+    at_s: f64,
+    usage: Usage,
+    database_mib: f64,
+    log_mib: f64,
+    /// Messages received and not yet stored.
+    waiting: u64,
+    /// Throws stored and not yet judged.
+    unjudged: u64,
+    stored: u64,
+    judged: u64,
+    alarm_events: u64,
+    link: bool,
+}
+
+const HEADER: &str =
+    "at_s,rss_mib,files,threads,database_mib,log_mib,waiting,unjudged,stored,judged,alarm_events,link_up\n";
+
+impl Sample {
+    fn line(&self) -> String {
+        let Self { at_s, usage, database_mib, log_mib, waiting, unjudged, stored, judged, alarm_events, link } = self;
+        let Usage { rss_mib, files, threads } = usage;
+        let link = u8::from(*link);
+        format!(
+            "{at_s:.1},{rss_mib:.2},{files},{threads},{database_mib:.3},{log_mib:.3},{waiting},{unjudged},{stored},\
+             {judged},{alarm_events},{link}\n"
+        )
+    }
+}
+
+/// What happens when, from the length of the run.
+struct Plan {
+    length: Duration,
+    sample: Duration,
+    cut: Duration,
+}
+
+impl Plan {
+    fn of(seconds: usize) -> Self {
+        let length = Duration::from_secs(seconds as u64);
+        let share = |part: u32, least: u64, most: u64| {
+            (length / part).clamp(Duration::from_secs(least), Duration::from_secs(most))
+        };
+        Self { length, sample: share(720, 1, 5), cut: share(12, 6, 300) }
+    }
+
+    /// In every period of an hour's run the link is down for 5 s, or for 25 s, after which zenoh has given it up.
+    fn link_is_up(&self, at: Duration) -> bool {
+        let period = at.as_millis() / self.cut.as_millis();
+        let part = at.as_secs_f64() / self.cut.as_secs_f64() - period as f64;
+        let down = if period.is_multiple_of(2) { 1.0 / 60.0 } else { 1.0 / 12.0 };
+        !(0.5..0.5 + down).contains(&part) || at + self.cut > self.length
+    }
+}
+
+/// A running `pointsim run`.
+struct Logger(Child);
+
+impl Logger {
+    fn start(endpoint: &str) -> Self {
+        let machines = MACHINES.to_string();
+        let scale = (86_400.0 / THROWS_A_DAY).recip() * 600.0 * TIMES;
+        let child = pointsim(&["run", "--machines", &machines, "--connect", endpoint, "--time-scale"])
+            .arg(scale.to_string())
+            .args(["--fault", "1:kt:-20:60", "--fault", "2:friction:60:60:100", "--fault", "3:stiffness:25:90"])
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        Self(child)
+    }
+
+    /// Ends it; returns how many throws it has published.
+    fn stop(mut self) -> u64 {
+        assert!(Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status().unwrap().success());
+        let lines = BufReader::new(self.0.stderr.take().unwrap()).lines().map_while(Result::ok);
+        let last = lines.filter(|line| line.contains("stopped")).last().expect("it says that it stopped");
+        let (_, published) = last.split_once("published=").expect("and how many it published");
+        assert!(self.0.wait().unwrap().success());
+        published.trim().parse().unwrap()
+    }
+}
+
+impl Drop for Logger {
+    fn drop(&mut self) {
+        // A test that failed must not leave it behind.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_grows_at_fifty_times_a_cabinets_load() {
+    let plan = Plan::of(size("POINTSD_SOAK_SECONDS", 15));
+    let rig = Rig::with("").store(&format!("max_throws = {KEPT}\nmax_traces = {}\nballast_mib = 1\n", KEPT / 4));
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let heard = Arc::new(AtomicU64::new(0));
+    let counting = Arc::clone(&heard);
+    let alarms = session.declare_subscriber("points/v1/**/alarm").callback(move |_| {
+        counting.fetch_add(1, Relaxed);
+    });
+    let alarms = alarms.await.unwrap();
+    let cable = Cable::to(&daemon.endpoint).await;
+    let mut recording = Recording::create();
+    let mut logger = Logger::start(&cable.endpoint);
+    let (start, mut published, mut restarted) = (Instant::now(), 0, false);
+    let mut pace = tokio::time::interval(plan.sample);
+    while start.elapsed() < plan.length {
+        pace.tick().await;
+        let at = start.elapsed();
+        let link = plan.link_is_up(at);
+        if link {
+            cable.mend()
+        } else {
+            cable.cut()
+        }
+        if !restarted && at > plan.length / 2 && link {
+            published += logger.stop();
+            logger = Logger::start(&cable.endpoint);
+            restarted = true;
+        }
+        if let Some(sample) = sample(&rig, &daemon, &session, at, link).await {
+            recording.add(sample);
+        }
+    }
+    published += logger.stop();
+    let all_stored = async { while status(&session).await.is_none_or(|status| status.judged < published) {} };
+    let in_time = tokio::time::timeout(PATIENCE, all_stored).await;
+    let end = status(&session).await.unwrap();
+    let missing = rig.sql("SELECT coalesce(sum(missing_throws), 0) AS n FROM data_gaps")[0]["n"].clone();
+    drop(alarms);
+    assert!(daemon.terminate().success());
+    recording.draw();
+    println!("{published} throws published; {} alarm events heard; at the end {end:?}", heard.load(Relaxed));
+    assert!(in_time.is_ok(), "{published} published, {} stored and judged, {missing} missing", end.judged);
+    assert_eq!((end.stored, end.judged, end.dropped, end.lost, end.quarantined), (published, published, 0, 0, 0));
+    assert!(heard.load(Relaxed) >= end.alarm_events, "alarm events were not heard");
+    let expected = RATE * plan.length.as_secs_f64();
+    assert!(published as f64 > 0.8 * expected, "{published} of {expected:.0} throws: the load was not there");
+    recording.judge();
+}
+
+async fn sample(rig: &Rig, daemon: &Daemon, session: &Session, at: Duration, link: bool) -> Option<Sample> {
+    let report = status(session).await?;
+    let handled = report.stored + report.duplicates + report.quarantined + report.lost + report.dropped;
+    let database = fs::canonicalize(rig.database()).unwrap();
+    let log = database.with_file_name(format!("{}-wal", database.file_name()?.to_str()?));
+    Some(Sample {
+        at_s: at.as_secs_f64(),
+        usage: Usage::of(daemon.id()),
+        database_mib: mib(&database),
+        log_mib: mib(&log),
+        waiting: report.received.saturating_sub(handled),
+        unjudged: report.stored.saturating_sub(report.judged),
+        stored: report.stored,
+        judged: report.judged,
+        alarm_events: report.alarm_events,
+        link,
+    })
+}
+
+/// The samples, in memory and as they come in a file.
+struct Recording {
+    folder: PathBuf,
+    file: fs::File,
+    samples: Vec<Sample>,
+}
+
+impl Recording {
+    fn create() -> Self {
+        let folder = std::env::var_os("POINTSD_SOAK_OUT").map_or(env!("CARGO_TARGET_TMPDIR").into(), PathBuf::from);
+        fs::create_dir_all(&folder).unwrap();
+        let mut file = fs::File::create(folder.join("soak.csv")).unwrap();
+        file.write_all(HEADER.as_bytes()).unwrap();
+        Self { folder, file, samples: Vec::new() }
+    }
+
+    fn add(&mut self, sample: Sample) {
+        self.file.write_all(sample.line().as_bytes()).unwrap();
+        self.samples.push(sample);
+    }
+
+    fn curve(&self, of: impl Fn(&Sample) -> f64) -> Vec<(f64, f64)> {
+        self.samples.iter().map(|sample| (sample.at_s / 60.0, of(sample))).collect()
+    }
+
+    fn draw(&self) {
+        let panel = |title: &str, y: &str| Panel::curves(title, "time [min]", y);
+        let rate = self.samples.windows(13).map(|run| {
+            let (first, last) = (&run[0], &run[run.len() - 1]);
+            (last.at_s / 60.0, (last.judged - first.judged) as f64 / (last.at_s - first.at_s))
+        });
+        let svg = Sheet::new(format!("pointsd at {RATE:.1} throws/s, {TIMES:.0} times a cabinet's load"))
+            .columns(2)
+            .panel(panel("Memory", "MiB").line("resident", self.curve(|sample| sample.usage.rss_mib)).level(0.0, ""))
+            .panel(
+                panel("Open files and threads", "number")
+                    .line("files", self.curve(|sample| sample.usage.files as f64))
+                    .line("threads", self.curve(|sample| sample.usage.threads as f64))
+                    .level(0.0, ""),
+            )
+            .panel(
+                panel("Database", "MiB")
+                    .line("database", self.curve(|sample| sample.database_mib))
+                    .line("write-ahead log", self.curve(|sample| sample.log_mib))
+                    .level(0.0, ""),
+            )
+            .panel(
+                panel("Throws that wait, and the link", "throws")
+                    .line("to be stored", self.curve(|sample| sample.waiting as f64))
+                    .line("to be judged", self.curve(|sample| sample.unjudged as f64))
+                    .line("link down", self.curve(|sample| f64::from(u8::from(!sample.link)))),
+            )
+            .panel(panel("Throws judged, over a minute", "1/s").line("judged", rate).level(RATE, "published"))
+            .panel(panel("Alarm events", "number").line("so far", self.curve(|sample| sample.alarm_events as f64)))
+            .to_svg();
+        let path = self.folder.join("soak.svg");
+        fs::write(&path, svg).unwrap();
+        println!("{} samples: {}", self.samples.len(), path.display());
+    }
+
+    /// Growth in an hour by least squares, as a part of the mean \[%\].
+    fn growth_pct(samples: &[Sample], of: impl Fn(&Sample) -> f64) -> f64 {
+        let count = samples.len() as f64;
+        let mean = |value: &dyn Fn(&Sample) -> f64| samples.iter().map(value).sum::<f64>() / count;
+        let (at, level) = (mean(&|sample| sample.at_s), mean(&of));
+        let covariance: f64 = samples.iter().map(|sample| (sample.at_s - at) * (of(sample) - level)).sum();
+        let variance: f64 = samples.iter().map(|sample| (sample.at_s - at).powi(2)).sum();
+        100.0 * 3600.0 * covariance / variance / level
+    }
+
+    fn judge(&self) {
+        let settled: Vec<Sample> = self.samples.iter().filter(|sample| sample.at_s > WARM_UP_S).cloned().collect();
+        if settled.last().is_none_or(|last| last.at_s < 2.0 * WARM_UP_S) {
+            println!("too short to say whether anything grows: POINTSD_SOAK_SECONDS=3600 does");
+            return;
+        }
+        type Figure = fn(&Sample) -> f64;
+        let figures: [(&str, Figure); 4] = [
+            ("memory", |sample| sample.usage.rss_mib),
+            ("open files", |sample| sample.usage.files as f64),
+            ("threads", |sample| sample.usage.threads as f64),
+            ("database", |sample| sample.database_mib),
+        ];
+        let mut grows = Vec::new();
+        for (name, of) in figures {
+            let growth = Self::growth_pct(&settled, of);
+            let (low, high) =
+                settled.iter().map(of).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+            println!("{name}: {low:.1} to {high:.1} after the first {WARM_UP_S} s, {growth:+.2} % an hour");
+            if growth > FLAT_PCT {
+                grows.push(name);
+            }
+        }
+        let backlog = settled.iter().map(|sample| sample.waiting + sample.unjudged).max().unwrap_or_default();
+        let log = settled.iter().map(|sample| sample.log_mib).fold(0.0, f64::max);
+        println!("at most {backlog} throws waited; the write-ahead log had at most {log:.1} MiB");
+        assert!(grows.is_empty(), "{grows:?} grow by more than {FLAT_PCT} % an hour");
+    }
+}
