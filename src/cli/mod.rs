@@ -10,6 +10,7 @@ mod evaluate;
 mod exit;
 mod identify;
 mod import;
+mod limits;
 mod maintenance;
 mod operator;
 mod pointsd;

@@ -19,6 +19,8 @@ enum Command {
     Throw(super::throw::Arguments),
     /// Repeats the study's 4 cases x 6 tests and prints and plots the result.
     Table1(super::table1::Arguments),
+    /// Shows what the method can and cannot tell: sampling, noise, soft drive, load, closed loop, as tables and pictures.
+    Limits(super::limits::Arguments),
 }
 
 pub(super) fn main() -> Outcome {
@@ -30,5 +32,6 @@ pub(super) fn main() -> Outcome {
         Command::Run(arguments) => super::simulate_run::main(&arguments),
         Command::Throw(arguments) => super::throw::main(&arguments),
         Command::Table1(arguments) => super::table1::main(&arguments),
+        Command::Limits(arguments) => super::limits::main(&arguments),
     }
 }

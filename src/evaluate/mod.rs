@@ -32,6 +32,7 @@ mod comparator;
 mod cusum;
 mod judge;
 mod life;
+pub mod limits;
 mod paper;
 mod parameter;
 mod picture;

@@ -44,10 +44,10 @@ impl Drive {
         self.slipping_n.unwrap_or(-self.stiffness * self.slip_m)
     }
 
-    /// Force on the toe in this state, were the clutch to hold \[N\].
+    /// Force on the toe at `toe_m` in this state, were the clutch to hold \[N\].
     #[inline]
-    fn holding_force(&self, state: &State) -> f64 {
-        let stretch = self.metres_per_radian * state[SCREW] - self.toe.position(state) - self.slip_m;
+    fn holding_force(&self, state: &State, toe_m: f64) -> f64 {
+        let stretch = self.metres_per_radian * state[SCREW] - toe_m - self.slip_m;
         self.stiffness * stretch + self.damping * self.relative_speed(state)
     }
 
@@ -59,11 +59,11 @@ impl Drive {
 
     /// Whether the clutch, which held in the step to `reached`, could not have: then it slips, and the step is void.
     #[inline]
-    pub(super) fn breaks_away(&mut self, reached: &State) -> bool {
+    pub(super) fn breaks_away(&mut self, reached: &State, toe_m: f64) -> bool {
         if self.slips() {
             return false;
         }
-        let force = self.holding_force(reached);
+        let force = self.holding_force(reached, toe_m);
         if force.abs() > self.limit_n {
             self.slipping_n = Some(self.limit_n.copysign(force));
         }
@@ -77,7 +77,7 @@ impl Drive {
         let Some(force) = self.slipping_n.filter(|force| force * self.relative_speed(reached) <= 0.0) else {
             return false;
         };
-        self.slip_m += (self.holding_force(reached) - force) / self.stiffness;
+        self.slip_m += (self.holding_force(reached, self.toe.position(reached)) - force) / self.stiffness;
         self.slipping_n = None;
         true
     }

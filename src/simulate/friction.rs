@@ -7,7 +7,7 @@
 
 use super::dynamics::{MODE_SPEED, MOTOR_SPEED, SCREW_SPEED, STATES, State, Step, add_scaled};
 use super::machine::Parameters;
-use super::rails::{MAX_MODES, Modes};
+use super::rails::{Chair, MAX_MODES, Modes};
 
 /// Most sweeps of Gauss-Seidel in a step: sticking contacts settle in a few, as they start from the step before.
 const MAX_SWEEPS: usize = 60;
@@ -57,10 +57,52 @@ pub(super) struct Response {
     velocity: Vec<Vec<f64>>,
 }
 
+/// Chairs checked at once: enough for the compiler to use vector registers.
+const LANES: usize = 8;
+
+/// A block of chairs; one that is not full repeats its last chair.
+#[derive(Debug, Clone, Copy)]
+struct Sliding {
+    /// How much each mode moves at each chair.
+    shapes: [[f64; LANES]; MAX_MODES],
+    /// The way each chair slides, against its force; 0 for one that sticks.
+    ways: [f64; LANES],
+}
+
+impl Sliding {
+    fn new(chairs: &[Chair]) -> Self {
+        let shapes =
+            std::array::from_fn(|mode| std::array::from_fn(|lane| chairs[lane.min(chairs.len() - 1)].shape[mode]));
+        Self { shapes, ways: [0.0; LANES] }
+    }
+
+    fn update(&mut self, contacts: &[Contact]) {
+        self.ways = std::array::from_fn(|lane| {
+            let contact = &contacts[lane.min(contacts.len() - 1)];
+            if contact.force.abs() >= contact.limit { -contact.force.signum() } else { 0.0 }
+        });
+    }
+
+    /// Whether every chair slides the way its force is against.
+    #[inline]
+    fn goes_on(&self, mode_speeds: &[f64; MAX_MODES]) -> bool {
+        let mut speeds = [0.0; LANES];
+        for (shapes, mode_speed) in self.shapes.iter().zip(mode_speeds) {
+            for lane in 0..LANES {
+                speeds[lane] += shapes[lane] * mode_speed;
+            }
+        }
+        (0..LANES).fold(true, |all, lane| all & (speeds[lane] * self.ways[lane] > 0.0))
+    }
+}
+
 /// All dry friction of a machine, and its forces in the last step.
 #[derive(Debug, Clone)]
 pub(super) struct Friction {
+    /// Motor, screw, then the chairs.
     contacts: Vec<Contact>,
+    /// The same chairs in blocks, for the check in every step whether they still slide.
+    sliding: Vec<Sliding>,
     stribeck: Option<Stribeck>,
     /// Effect of the present forces on the state, kept until they change.
     effect: State,
@@ -81,10 +123,11 @@ impl Friction {
             contact(Site::Motor, parameters.motor_dry_nm * parameters.gear_ratio),
             contact(Site::Screw, parameters.screw_dry_nm),
         ];
+        let mut sliding = Vec::new();
         if parameters.rails.slide_friction > 0.0 {
-            let slide = |chair: &super::rails::Chair| {
-                contact(Site::Chair(chair.shape), parameters.rails.slide_friction * chair.normal_n)
-            };
+            sliding.extend(modes.chairs.chunks(LANES).map(Sliding::new));
+            let slide =
+                |chair: &Chair| contact(Site::Chair(chair.shape), parameters.rails.slide_friction * chair.normal_n);
             contacts.extend(modes.chairs.iter().map(slide));
         }
         let stribeck = (parameters.breakaway_ratio > 1.0).then(|| Stribeck {
@@ -93,7 +136,7 @@ impl Friction {
             metres_per_radian: parameters.metres_per_radian(),
         });
         let brake = parameters.brake_nm * parameters.gear_ratio;
-        Self { contacts, stribeck, effect: [0.0; STATES], brake }
+        Self { contacts, sliding, stribeck, effect: [0.0; STATES], brake }
     }
 
     pub(super) fn response(&self, step: &Step) -> Response {
@@ -124,13 +167,22 @@ impl Friction {
         }
         let mut reached = *next;
         add_scaled(&mut reached, &self.effect, 1.0);
-        if self.contacts.iter().any(|contact| !contact.holds(&reached)) {
+        if !self.all_hold(&reached) {
             self.solve(next, response);
             self.refresh(response);
             reached = *next;
             add_scaled(&mut reached, &self.effect, 1.0);
         }
         *next = reached;
+    }
+
+    /// Whether every force obeys Coulomb's law in the state that it leads to.
+    #[inline]
+    fn all_hold(&self, reached: &State) -> bool {
+        let mode_speeds: [f64; MAX_MODES] = std::array::from_fn(|mode| reached[MODE_SPEED + mode]);
+        self.contacts[0].holds(reached[MOTOR_SPEED])
+            && self.contacts[1].holds(reached[SCREW_SPEED])
+            && self.sliding.iter().all(|chairs| chairs.goes_on(&mode_speeds))
     }
 
     /// The response changed: the kept effect is of the old one.
@@ -142,6 +194,9 @@ impl Friction {
         self.effect = [0.0; STATES];
         for (contact, effect) in self.contacts.iter().zip(&response.effect) {
             add_scaled(&mut self.effect, effect, contact.force);
+        }
+        for (chairs, contacts) in self.sliding.iter_mut().zip(self.contacts[2..].chunks(LANES)) {
+            chairs.update(contacts);
         }
     }
 
@@ -192,13 +247,9 @@ impl Friction {
 }
 
 impl Contact {
-    /// Whether the force obeys Coulomb's law in the state that it leads to.
+    /// Whether the force obeys Coulomb's law at the speed that it leads to.
     #[inline]
-    fn holds(&self, reached: &State) -> bool {
-        if self.limit == 0.0 {
-            return true;
-        }
-        let velocity = self.site.velocity(reached);
-        self.force.abs() >= self.limit && self.force * velocity <= 0.0 && velocity != 0.0
+    fn holds(&self, speed: f64) -> bool {
+        self.limit == 0.0 || (self.force.abs() >= self.limit && self.force * speed <= 0.0 && speed != 0.0)
     }
 }

@@ -131,6 +131,8 @@ struct Machine<'a> {
     drive: Drive,
     friction: Friction,
     state: State,
+    /// Toe position in this state \[m from neutral\].
+    toe_m: f64,
     current: f64,
     decay: Decay,
     /// Motor speed one step ago, for the speed at the middle of the next.
@@ -153,7 +155,8 @@ impl<'a> Machine<'a> {
             Direction::NormalToReverse => 0.0,
             Direction::ReverseToNormal => parameters.stroke_mm,
         };
-        let state = at_rest(parameters, modes, (start_mm - parameters.neutral_mm) / 1000.0);
+        let toe_m = (start_mm - parameters.neutral_mm) / 1000.0;
+        let state = at_rest(parameters, modes, toe_m);
         Self {
             parameters,
             conditions,
@@ -165,6 +168,7 @@ impl<'a> Machine<'a> {
             drive: Drive::new(parameters, toe),
             friction,
             state,
+            toe_m,
             current: 0.0,
             decay: Decay::over(parameters.resistance_ohm * h / parameters.inductance_h),
             last_speed: 0.0,
@@ -210,15 +214,17 @@ impl<'a> Machine<'a> {
     }
 
     fn toe_mm(&self) -> f64 {
-        self.toe.position(&self.state) * 1000.0 + self.parameters.neutral_mm
+        self.toe_m * 1000.0 + self.parameters.neutral_mm
     }
 
     fn step(&mut self, at: usize, on: bool) {
         let torque = self.armature(at, on) * self.parameters.gear_ratio;
         let mut next = self.reached(torque, on);
-        if self.drive.breaks_away(&next) {
+        self.toe_m = self.toe.position(&next);
+        if self.drive.breaks_away(&next, self.toe_m) {
             self.friction.forget_effect();
             next = self.reached(torque, on);
+            self.toe_m = self.toe.position(&next);
         }
         if self.drive.engages(&next) {
             self.friction.forget_effect();
@@ -235,7 +241,10 @@ impl<'a> Machine<'a> {
         let Kind { step, response } = self.kinds.get(phase, build);
         let mut next = step.advance(&self.state);
         add_scaled(&mut next, &step.motor, torque);
-        add_scaled(&mut next, &step.drive, self.drive.constant_force());
+        let force = self.drive.constant_force();
+        if force != 0.0 {
+            add_scaled(&mut next, &step.drive, force);
+        }
         if let Some(stop) = self.contact {
             add_scaled(&mut next, &step.toe, Toe::stop_offset_force(stop));
         }
@@ -251,7 +260,8 @@ impl<'a> Machine<'a> {
         // R i + L i' = V - back-EMF; a series motor's back-EMF acts as a resistance that grows with speed.
         let (resistance, volts) = if on {
             let phase = self.conditions.supply_phase_rad;
-            let supply = p.supply_v * self.conditions.supply_ratio * p.supply.mean(at, self.h, phase);
+            let ripple = p.rectifier_ripple * (p.supply.mean(at, self.h, phase) - 1.0);
+            let supply = p.supply_v * self.conditions.supply_ratio * (1.0 + ripple);
             let driving = supply * self.direction.sign();
             match p.motor {
                 MotorKind::PermanentMagnet => (p.resistance_ohm, driving - p.back_emf_constant * mid_speed),

@@ -11,6 +11,8 @@ mod emps;
 mod fleet;
 mod identify;
 mod identify_cli;
+mod limits;
 mod machine;
+mod mains;
 mod sriv;
 mod table1;

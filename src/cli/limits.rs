@@ -1,0 +1,104 @@
+//! `pointsim limits`: what the method can and cannot tell, from runs of the simulated machine through the estimator.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use comfy_table::{CellAlignment, Table, presets};
+
+use super::{Exit, Outcome, ResultExt};
+use crate::evaluate::limits::{Finding, NAMES, Row, Runs, run};
+use crate::report::{Panel, Sheet};
+
+/// Smallest error drawn on the logarithmic axis \[%\].
+const LEAST_DRAWN_PCT: f64 = 0.01;
+
+/// The command line of `pointsim limits`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  pointsim limits
+  pointsim limits --out figures --seed 7 > limits.md
+  pointsim limits --json --throws 500
+
+Exit codes: 0 all was run; 64 wrong command line; 70 a machine could not be simulated; 73 a figure cannot be written.")]
+pub(super) struct Arguments {
+    /// Writes a figure of each finding into this directory, as SVG.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Noisy throws a row.
+    #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u16).range(4..=10_000))]
+    throws: u16,
+    /// Random numbers of noise and loads.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Prints the findings as JSON, with the errors of every throw.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    let findings = run(Runs { throws: arguments.throws.into(), seed: arguments.seed }).or_exit(Exit::Software)?;
+    if let Some(directory) = &arguments.out {
+        draw(directory, &findings).or_exit(Exit::CannotCreate)?;
+    }
+    let mut out = std::io::stdout().lock();
+    if arguments.json {
+        serde_json::to_writer_pretty(&mut out, &findings).or_exit(Exit::Io)?;
+        writeln!(out).or_exit(Exit::Io)?;
+    } else {
+        findings.iter().try_for_each(|finding| print(&mut out, finding)).or_exit(Exit::Io)?;
+    }
+    Ok(Exit::Ok)
+}
+
+fn print(out: &mut impl Write, finding: &Finding) -> std::io::Result<()> {
+    let mut table = Table::new();
+    table.load_style(presets::ASCII_MARKDOWN);
+    table.set_header([finding.label, "b0 [%]", "a1 [%]", "a0 [%]", "refused"]);
+    for row in &finding.rows {
+        let mut cells = vec![row.label.clone()];
+        cells.extend((0..3).map(|at| cell(row, at)));
+        cells.push(refused(row));
+        table.add_row(cells);
+    }
+    for column in table.column_iter_mut() {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    writeln!(out, "### {}\n\n{}\n\n{table}\n", finding.title, finding.about)
+}
+
+fn cell(row: &Row, at: usize) -> String {
+    match (row.mean_pct(), row.sd_pct(), row.worst_pct()) {
+        (Some(mean), Some(sd), _) => format!("{:+.2} ± {:.2} ({:.2})", mean[at], sd[at], row.stated_sd_pct[at]),
+        (_, _, Some(worst)) => format!("{:+.2}", worst[at]),
+        _ => String::new(),
+    }
+}
+
+fn refused(row: &Row) -> String {
+    let Some(reason) = &row.refusal else { return String::new() };
+    let refused = row.throws - row.errors_pct.len();
+    if refused == row.throws { reason.clone() } else { format!("{refused} of {}: {reason}", row.throws) }
+}
+
+fn draw(directory: &Path, findings: &[Finding]) -> anyhow::Result<()> {
+    std::fs::create_dir_all(directory).with_context(|| format!("{} cannot be created", directory.display()))?;
+    for finding in findings {
+        let path = directory.join(format!("limits_{}.svg", finding.name));
+        std::fs::write(&path, picture(finding).to_svg())
+            .with_context(|| format!("{} cannot be written", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Root mean square errors as bars; a case without bars was refused.
+fn picture(finding: &Finding) -> Sheet {
+    let mut panel = Panel::bars(finding.label, "error, root mean square [%]", NAMES).log_y().level(1.0, "");
+    for row in &finding.rows {
+        let count = row.errors_pct.len() as f64;
+        let square = |at: usize| row.errors_pct.iter().map(|errors| errors[at] * errors[at]).sum::<f64>();
+        let shown = |at: usize| if count > 0.0 { (square(at) / count).sqrt().max(LEAST_DRAWN_PCT) } else { f64::NAN };
+        panel = panel.group(row.label.as_str(), (0..3).map(shown));
+    }
+    Sheet::new(finding.title).panel(panel)
+}

@@ -1,0 +1,174 @@
+//! A motor in a closed loop: equation (12) itself, with a current that answers to the movement.
+//!
+//! SRIV's instrument is made of the current. Where the current answers to what disturbs the position, the instrument knows
+//! the disturbance, and the estimate may be biased.
+
+use rand::RngExt;
+use rand_distr::StandardNormal;
+
+use super::trial::Bench;
+use super::{Finding, Row};
+use crate::estimate::{
+    Hold, Noise,
+    sriv::{Problem, Signal, Sriv, Workspace},
+};
+use crate::simulate::{Coefficients, InvalidParameter, Parameters};
+
+/// Sampling of logger and controller \[s\].
+const INTERVAL_S: f64 = 1e-3;
+/// Steps of the movement between two samples.
+const FINE: usize = 20;
+/// Speed asked for \[rad/s on the screw\].
+const SPEED_RAD_S: f64 = 17.0;
+/// Proportional gain \[A per rad/s\] and integral time \[s\] of the controller, and the current that it can give \[A\].
+const GAIN: f64 = 0.5;
+const INTEGRAL_S: f64 = 0.2;
+const MAX_CURRENT_A: f64 = 13.0;
+/// Time constant of the filter that makes a speed of the recorded position \[s\].
+const SPEED_FILTER_S: f64 = 0.01;
+/// How long a change of the load lasts \[s\].
+const LOAD_S: f64 = 0.05;
+/// Noise of the current sensor \[A\].
+const CURRENT_NOISE_A: f64 = 0.02;
+
+/// Where the current comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Current {
+    /// Back-EMF alone answers to the speed, as in every motor on a battery.
+    Battery,
+    /// A controller that makes its speed of the recorded position, noise and all.
+    Controller,
+    /// The current of an undisturbed throw on a battery, whatever the movement does.
+    Replayed,
+}
+
+/// Errors of a current that answers and one that does not.
+pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, InvalidParameter> {
+    let machine = Parameters::default();
+    let mut plant = Plant { known: machine.coefficients()?, machine, replayed: Vec::new() };
+    plant.replayed = plant.throw(Current::Battery, 0.0, 0.0, bench).0;
+    let mut rows = Vec::new();
+    for (noise_um, load_pct, current) in [
+        (20.0, 0.0, Current::Battery),
+        (20.0, 0.0, Current::Controller),
+        (200.0, 0.0, Current::Controller),
+        (20.0, 5.0, Current::Replayed),
+        (20.0, 5.0, Current::Battery),
+        (20.0, 5.0, Current::Controller),
+    ] {
+        let from = match current {
+            Current::Battery => "battery",
+            Current::Controller => "controller",
+            Current::Replayed => "replayed",
+        };
+        let mut row = Row {
+            label: format!("{from}, {noise_um}, {load_pct}"),
+            throws,
+            errors_pct: Vec::new(),
+            stated_sd_pct: [0.0; 3],
+            refusal: None,
+        };
+        let noise = noise_um / 1000.0 * plant.radians_per_mm();
+        for _ in 0..throws {
+            let (current, position) = plant.throw(current, noise, load_pct / 100.0, bench);
+            identify(&mut row, &plant.known, &current, &position, noise);
+        }
+        row.finish();
+        rows.push(row);
+    }
+    Ok(Finding {
+        name: "closed_loop",
+        title: "A current that answers to the movement",
+        about: "Mean error ± observed standard deviation (standard deviation that the estimator states). The load changes at \
+                random, each change lasting some 50 ms, with the given share of the running torque as standard deviation.",
+        label: "current from, position noise [um], load [%]",
+        rows,
+    })
+}
+
+struct Plant {
+    machine: Parameters,
+    known: Coefficients,
+    replayed: Vec<f64>,
+}
+
+impl Plant {
+    fn radians_per_mm(&self) -> f64 {
+        std::f64::consts::TAU / self.machine.lead_mm
+    }
+
+    /// One throw: recorded current \[A\] and screw angle \[rad\]. `load` is relative to the running torque.
+    fn throw(&self, current: Current, noise: f64, load: f64, bench: &mut Bench) -> (Vec<f64>, Vec<f64>) {
+        let Coefficients { b0, a1, a0, .. } = self.known;
+        let mut normal = || bench.rng.sample::<f64, _>(StandardNormal);
+        let end = 0.95 * self.machine.stroke_mm * self.radians_per_mm();
+        let back_emf = self.machine.back_emf_constant * self.machine.gear_ratio;
+        let (mut angle, mut speed, mut disturbance) = (0.0, 0.0, 0.0);
+        let mut controller = Controller::default();
+        let (mut currents, mut positions) = (Vec::new(), Vec::new());
+        while angle < end && positions.len() < 20_000 {
+            let recorded = angle + noise * normal();
+            let driving = match current {
+                Current::Battery => (self.machine.supply_v - back_emf * speed) / self.machine.resistance_ohm,
+                Current::Controller => controller.current(recorded),
+                Current::Replayed => {
+                    let last = self.replayed.last().copied().unwrap_or_default();
+                    self.replayed.get(positions.len()).copied().unwrap_or(last)
+                }
+            };
+            let measured = if noise > 0.0 { driving + CURRENT_NOISE_A * normal() } else { driving };
+            currents.push(measured);
+            positions.push(recorded);
+            let keeps = (-INTERVAL_S / LOAD_S).exp();
+            let size = load * a1 * SPEED_RAD_S;
+            disturbance = keeps * disturbance + (1.0 - keeps * keeps).sqrt() * size * normal();
+            let h = INTERVAL_S / FINE as f64;
+            for _ in 0..FINE {
+                // Midpoint rule for equation (12) under a held current.
+                let slope = |angle: f64, speed: f64| b0 * driving - a1 * speed - a0 * angle - disturbance;
+                let (mid_angle, mid_speed) = (angle + 0.5 * h * speed, speed + 0.5 * h * slope(angle, speed));
+                angle += h * mid_speed;
+                speed += h * slope(mid_angle, mid_speed);
+            }
+        }
+        (currents, positions)
+    }
+}
+
+/// A speed controller with proportional and integral part.
+#[derive(Default)]
+struct Controller {
+    before: f64,
+    speed: f64,
+    integral: f64,
+}
+
+impl Controller {
+    fn current(&mut self, recorded: f64) -> f64 {
+        self.speed += ((recorded - self.before) / INTERVAL_S - self.speed) * INTERVAL_S / SPEED_FILTER_S;
+        self.before = recorded;
+        let error = SPEED_RAD_S - self.speed;
+        let asked = GAIN * (error + self.integral / INTEGRAL_S);
+        if asked.abs() <= MAX_CURRENT_A {
+            self.integral += error * INTERVAL_S;
+        }
+        asked.clamp(-MAX_CURRENT_A, MAX_CURRENT_A)
+    }
+}
+
+fn identify(row: &mut Row, known: &Coefficients, current: &[f64], position: &[f64], noise: f64) {
+    let Ok(model) = Sriv::<2, 1, 3>::new([0]) else { return };
+    // The current is held from one sample to the next.
+    let inputs = [Signal::Sampled(current, Hold::Zero)];
+    let problem = Problem { interval_s: INTERVAL_S, output: position, inputs, equilibrium: None };
+    let mut workspace = Workspace::default();
+    let solved = model.identify(&problem, &mut workspace).ok().filter(|solution| solution.sound(0.0).is_ok());
+    let Some(solution) = solved else {
+        row.refusal = Some("not_converged".to_owned());
+        return;
+    };
+    let variances = Noise { output: noise * noise, inputs: [CURRENT_NOISE_A.powi(2)], scale: None, offsets: [0.0; 2] };
+    let covariance = model.covariance(&problem, &solution, &variances, &workspace);
+    let sd = std::array::from_fn(|at| covariance[at][at].sqrt());
+    row.add(solution.parameters, sd, [known.b0, known.a1, known.a0]);
+}

@@ -1,0 +1,200 @@
+//! Sensors, supply, toe drive and temperature: each finding is one table of runs.
+
+use super::Finding;
+use super::trial::{Bench, Trial, without_dry_friction};
+use crate::estimate::Settings;
+use crate::simulate::{Channel, InvalidParameter, Parameters, Sensors, Waveform};
+use crate::throw::Direction;
+
+/// Rates that loggers use \[Hz\].
+const RATES_HZ: [f64; 9] = [25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0, 20_000.0];
+/// Cut-off of the anti-alias filter over the sampling rate.
+const CUT_OFF_SHARE: f64 = 0.4;
+
+/// The sampling rate: raw, raw but declared as filtered, and filtered.
+pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, InvalidParameter> {
+    let sensors = |rate: f64, filtered: bool| Sensors {
+        anti_alias_hz: filtered.then_some(CUT_OFF_SHARE * rate),
+        ..Sensors::perfect(rate)
+    };
+    let mut table = |name, title, about, filtered: bool, declared: bool| {
+        let row = |&rate: &f64| {
+            let declared_hz = declared.then_some(CUT_OFF_SHARE * rate);
+            bench.row(format!("{rate}"), &Trial { sensors: sensors(rate, filtered), declared_hz, ..Trial::default() })
+        };
+        let rows = RATES_HZ.iter().map(row).collect::<Result<_, _>>()?;
+        Ok(Finding { name, title, about, label: "rate [Hz]", rows })
+    };
+    Ok(vec![
+        table(
+            "sampling_raw",
+            "Raw samples",
+            "Error against the physics, without noise; the larger of both directions.",
+            false,
+            false,
+        )?,
+        table(
+            "sampling_undeclared",
+            "Raw samples, wrongly declared as filtered",
+            "What the refusal above prevents: the same traces, but the message claims an anti-alias filter.",
+            false,
+            true,
+        )?,
+        table(
+            "sampling_filtered",
+            "The same anti-alias filter in both channels",
+            "4th-order Butterworth at 0.4 of the rate, declared; error against the physics, without noise.",
+            true,
+            true,
+        )?,
+    ])
+}
+
+/// A supply from rectified mains.
+pub(super) fn mains(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+    let supply = Waveform::RectifiedMains { mains_hz: 50.0 };
+    let machine = Parameters { supply, ..without_dry_friction() };
+    let mut rows = Vec::new();
+    for (rate, filtered) in
+        [(20_000.0, false), (1000.0, false), (500.0, false), (100.0, false), (100.0, true), (50.0, true)]
+    {
+        let declared_hz = filtered.then_some(CUT_OFF_SHARE * rate);
+        let sensors = Sensors { anti_alias_hz: declared_hz, ..Sensors::perfect(rate) };
+        let label = format!("{rate} {}", if filtered { "filtered" } else { "raw" });
+        rows.push(bench.row(label, &Trial { machine: machine.clone(), sensors, declared_hz, ..Trial::default() })?);
+    }
+    Ok(Finding {
+        name: "mains",
+        title: "Rectified mains: a ripple of 100 Hz on the current",
+        about: "Error against the physics, without noise; the larger of both directions.",
+        label: "rate [Hz]",
+        rows,
+    })
+}
+
+/// Softness of the toe drive and dry friction on the slide chairs.
+pub(super) fn drive(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+    let mut rows = Vec::new();
+    for drive_stiffness_n_m in [1e8, 2e7, 1e7, 5e6] {
+        for slide_friction in [0.0, 0.05, 0.15, 0.3] {
+            let mut machine = Parameters { drive_stiffness_n_m, ..Parameters::default() };
+            machine.rails.slide_friction = slide_friction;
+            let label = format!("{drive_stiffness_n_m:.0e}, {slide_friction}");
+            rows.push(bench.row(label, &Trial { machine, ..Trial::default() })?);
+        }
+    }
+    Ok(Finding {
+        name: "drive",
+        title: "A soft toe drive, and dry friction on the slide chairs",
+        about: "Error against the physics, in which dry friction counts as viscous friction of the same torque at running \
+                speed; without noise, the larger of both directions.",
+        label: "K_fs [N/m], mu",
+        rows,
+    })
+}
+
+/// The sensors' noise, with the standard deviation that the estimator states beside the observed one.
+pub(super) fn noise(bench: &mut Bench, throws: usize) -> Result<Finding, InvalidParameter> {
+    let mut rows = Vec::new();
+    for (current_a, position_mm) in
+        [(0.005, 0.02), (0.02, 0.02), (0.05, 0.02), (0.02, 0.1), (0.02, 0.2), (0.1, 0.1), (0.2, 0.2)]
+    {
+        let mut sensors = Sensors::default();
+        sensors.current.noise = current_a;
+        sensors.position.noise = position_mm;
+        let settings = Settings { current_noise_a: current_a, position_noise_mm: position_mm, ..Settings::default() };
+        let label = format!("{:.0}, {:.0}", current_a * 1000.0, position_mm * 1000.0);
+        rows.push(bench.row(label, &Trial { sensors, settings, repeats: throws.div_ceil(2), ..Trial::default() })?);
+    }
+    Ok(Finding {
+        name: "noise",
+        title: "Noise of the sensors, at 1 kHz",
+        about: "Mean error ± observed standard deviation (standard deviation that the estimator states).",
+        label: "current [mA], position [um]",
+        rows,
+    })
+}
+
+/// An offset of the current sensor, with and without quiet samples before the motor's start.
+pub(super) fn offset(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+    let mut rows = Vec::new();
+    for before_s in [0.2, 0.01, 0.0] {
+        for offset in [-0.15, 0.05, 0.15] {
+            let perfect = Sensors::perfect(1000.0);
+            let sensors = Sensors { before_s, current: Channel { offset, ..perfect.current }, ..perfect };
+            let label = format!("{offset:+.2} A, {:.0} ms", before_s * 1000.0);
+            rows.push(bench.row(label, &Trial { sensors, ..Trial::default() })?);
+        }
+    }
+    Ok(Finding {
+        name: "offset",
+        title: "Offset of the current sensor",
+        about: "Error against the physics, without noise; the larger of both directions. Quiet samples before the motor's \
+                start show the offset.",
+        label: "offset, quiet samples",
+        rows,
+    })
+}
+
+/// A wrong idea of where the rails are unstressed.
+pub(super) fn neutral(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+    let mut rows = Vec::new();
+    for neutral_mm in [0.0, 57.5, 115.0] {
+        for believed_mm in [0.0, 57.5, 115.0] {
+            for direction in Direction::BOTH {
+                let machine = Parameters { neutral_mm, ..without_dry_friction() };
+                let settings = Settings { neutral_mm: believed_mm, ..Settings::default() };
+                let label = format!("{neutral_mm}, {believed_mm}, {direction}");
+                let directions = vec![direction];
+                rows.push(bench.row(label, &Trial { machine, settings, directions, ..Trial::default() })?);
+            }
+        }
+    }
+    Ok(Finding {
+        name: "neutral",
+        title: "Where the rails are unstressed: neutral_mm",
+        about: "Error against the physics, without noise.",
+        label: "true [mm], configured [mm], direction",
+        rows,
+    })
+}
+
+/// Resolution of the converters.
+pub(super) fn converters(bench: &mut Bench, throws: usize) -> Result<Finding, InvalidParameter> {
+    let mut rows = Vec::new();
+    for (bits, noise) in [(10, 0.02), (12, 0.02), (12, 0.0), (16, 0.02), (16, 0.0)] {
+        let channel =
+            |full_scale| Channel { noise, full_scale: Some(full_scale), bits: Some(bits), ..Channel::default() };
+        let sensors = Sensors { current: channel(20.0), position: channel(150.0), ..Sensors::default() };
+        let noisy = if noise > 0.0 { "20 mA, 20 um" } else { "none" };
+        let label = format!("{bits}, {noisy}");
+        rows.push(bench.row(label, &Trial { sensors, repeats: throws.div_ceil(2), ..Trial::default() })?);
+    }
+    Ok(Finding {
+        name: "converters",
+        title: "Converters of 10 to 16 bit over ±20 A and ±150 mm",
+        about: "Mean error ± observed standard deviation (standard deviation that the estimator states).",
+        label: "bits, noise",
+        rows,
+    })
+}
+
+/// What temperature does to a healthy machine.
+pub(super) fn temperature(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+    let at_20 = Parameters::default().coefficients()?;
+    let reference = Some([at_20.b0, at_20.a1, at_20.a0]);
+    let rows = [-20.0, 0.0, 10.0, 20.0, 30.0, 50.0]
+        .map(|temperature_c| {
+            let machine = Parameters::default();
+            bench.row(format!("{temperature_c}"), &Trial { machine, temperature_c, reference, ..Trial::default() })
+        })
+        .into_iter()
+        .collect::<Result<_, _>>()?;
+    Ok(Finding {
+        name: "temperature",
+        title: "Temperature of a healthy machine",
+        about: "Estimates against the physics at 20 °C, without noise; the larger of both directions.",
+        label: "temperature [°C]",
+        rows,
+    })
+}

@@ -1,0 +1,97 @@
+//! A constant load torque: what it does to the three coefficients, and why it cannot be the fourth.
+
+use super::trial::{Bench, Trial, without_dry_friction};
+use super::{Finding, Row};
+use crate::estimate::{
+    Hold, Noise,
+    sriv::{Problem, Signal, Sriv, Workspace},
+};
+use crate::simulate::{Conditions, InvalidParameter, Parameters, Sensors};
+use crate::throw::Direction;
+
+/// A load against the movement, as dry friction of the screw gives it.
+const LOADS_NM: [f64; 5] = [0.0, 0.2, 0.5, 1.0, 2.0];
+/// The load under which the fourth coefficient is tried \[N m\].
+const TRIED_NM: f64 = 0.5;
+
+/// How the load appears in the three coefficients.
+pub(super) fn torque(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+    let known = without_dry_friction().coefficients()?;
+    let reference = Some([known.b0, known.a1, known.a0]);
+    let mut rows = Vec::new();
+    for screw_dry_nm in LOADS_NM {
+        let machine = Parameters { screw_dry_nm, ..without_dry_friction() };
+        let speed = machine.coefficients()?.running_speed_rad_s;
+        let as_friction_pct = screw_dry_nm / speed / known.inertia_kg_m2 / known.a1 * 100.0;
+        let label = format!("{screw_dry_nm}, {as_friction_pct:+.1} %");
+        rows.push(bench.row(label, &Trial { machine, reference, ..Trial::default() })?);
+    }
+    Ok(Finding {
+        name: "load",
+        title: "A constant load torque looks like friction",
+        about: "Change of the estimates from those without load, without noise; the larger of both directions.",
+        label: "load [N m on the screw], in a1 at running speed",
+        rows,
+    })
+}
+
+/// The same throws with three coefficients, and with the load as a fourth.
+pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Finding, InvalidParameter> {
+    let machine = Parameters { screw_dry_nm: TRIED_NM, ..without_dry_friction() };
+    let known = machine.coefficients()?;
+    let sensors = Sensors { before_s: 0.0, ..Sensors::default() };
+    let motion = machine.simulate(Direction::NormalToReverse, &Conditions::default(), sensors.step_s())?;
+    let radians_per_mm = std::f64::consts::TAU / machine.lead_mm;
+    let empty = |label: &str| Row {
+        label: label.to_owned(),
+        throws,
+        errors_pct: Vec::new(),
+        stated_sd_pct: [0.0; 3],
+        refusal: None,
+    };
+    let (mut three, mut four) = (empty("b0, a1, a0"), empty("b0, a1, a0 and the load"));
+    for _ in 0..throws {
+        let trace = sensors.record(&motion, Direction::NormalToReverse, &mut bench.rng)?.trace;
+        let end = trace.position_mm().iter().position(|mm| *mm > 0.95 * machine.stroke_mm).unwrap_or(trace.len());
+        let output: Vec<f64> = trace.position_mm()[..end].iter().map(|mm| mm * radians_per_mm).collect();
+        let input = Signal::Sampled(&trace.current_a()[..end], Hold::First);
+        let variances = [sensors.current.noise.powi(2), (sensors.position.noise * radians_per_mm).powi(2)];
+        let interval_s = trace.sample_rate_hz().recip();
+        fit::<1, 3>(&mut three, [input], interval_s, &output, variances, [known.b0, known.a1, known.a0]);
+        let viscous = [known.b0, known.a1_viscous, known.a0];
+        fit::<2, 4>(&mut four, [input, Signal::Constant], interval_s, &output, variances, viscous);
+    }
+    three.finish();
+    four.finish();
+    Ok(Finding {
+        name: "fourth_coefficient",
+        title: "The load as a fourth coefficient",
+        about: "The same throws under a load of 0.5 N m with 20 mA and 20 um of noise, from exactly known start: mean error \
+                ± observed standard deviation (stated standard deviation).",
+        label: "estimated",
+        rows: vec![three, four],
+    })
+}
+
+fn fit<const S: usize, const P: usize>(
+    row: &mut Row,
+    inputs: [Signal; S],
+    interval_s: f64,
+    output: &[f64],
+    [current, position]: [f64; 2],
+    truth: [f64; 3],
+) {
+    let Ok(model) = Sriv::<2, S, P>::new([0; S]) else { return };
+    let problem = Problem { interval_s, output, inputs, equilibrium: None };
+    let mut workspace = Workspace::default();
+    let solved = model.identify(&problem, &mut workspace).ok().filter(|solution| solution.sound(0.0).is_ok());
+    let Some(solution) = solved else {
+        row.refusal = Some("not_converged".to_owned());
+        return;
+    };
+    let measured = std::array::from_fn(|s| if s == 0 { current } else { 0.0 });
+    let noise = Noise { output: position, inputs: measured, scale: None, offsets: [0.0; 2] };
+    let covariance = model.covariance(&problem, &solution, &noise, &workspace);
+    let of = [0, P - 2, P - 1];
+    row.add(of.map(|at| solution.parameters[at]), of.map(|at| covariance[at][at].sqrt()), truth);
+}

@@ -1,0 +1,105 @@
+//! One case: a machine, its sensors, and what the estimator is told of them.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha12Rng;
+
+use super::Row;
+use crate::estimate::{Identifier, Settings};
+use crate::simulate::{Conditions, InvalidParameter, Parameters, Sensors};
+use crate::throw::{Direction, Throw, ThrowRef};
+
+/// What is thrown, recorded and identified for one row.
+#[derive(Debug, Clone)]
+pub(super) struct Trial {
+    pub machine: Parameters,
+    pub sensors: Sensors,
+    pub temperature_c: f64,
+    pub settings: Settings,
+    /// The filter that the message declares.
+    pub declared_hz: Option<f64>,
+    pub directions: Vec<Direction>,
+    /// Throws in each direction.
+    pub repeats: usize,
+    /// What the errors count from; `None` for what the physics says.
+    pub reference: Option<[f64; 3]>,
+}
+
+impl Default for Trial {
+    fn default() -> Self {
+        Self {
+            machine: without_dry_friction(),
+            sensors: Sensors::perfect(1000.0),
+            temperature_c: 20.0,
+            settings: Settings::default(),
+            declared_hz: None,
+            directions: Direction::BOTH.to_vec(),
+            repeats: 1,
+            reference: None,
+        }
+    }
+}
+
+/// The default machine without dry friction, which is no part of equation (10): its coefficients are known exactly.
+pub(super) fn without_dry_friction() -> Parameters {
+    Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, ..Parameters::default() }
+}
+
+/// Runs trials one after the other.
+pub(super) struct Bench {
+    pub rng: ChaCha12Rng,
+    identifier: Identifier,
+}
+
+impl Bench {
+    pub(super) fn new(seed: u64) -> Self {
+        Self { rng: ChaCha12Rng::seed_from_u64(seed), identifier: Identifier::default() }
+    }
+
+    pub(super) fn row(&mut self, label: impl Into<String>, trial: &Trial) -> Result<Row, InvalidParameter> {
+        let conditions = Conditions { temperature_c: trial.temperature_c, ..Conditions::default() };
+        let known = trial.machine.at_temperature(trial.temperature_c).coefficients()?;
+        let reference = trial.reference.unwrap_or([known.b0, known.a1, known.a0]);
+        let mut row =
+            Row { label: label.into(), throws: 0, errors_pct: Vec::new(), stated_sd_pct: [0.0; 3], refusal: None };
+        for direction in &trial.directions {
+            let motion = trial.machine.simulate(*direction, &conditions, trial.sensors.step_s())?;
+            for _ in 0..trial.repeats {
+                let trace = trial.sensors.record(&motion, *direction, &mut self.rng)?.trace;
+                let throw = Throw {
+                    id: ThrowRef { boot_id: "limits".to_owned(), throw_no: 1 },
+                    started_at: jiff::Timestamp::UNIX_EPOCH,
+                    direction: Some(*direction),
+                    trace,
+                    temperature_c: None,
+                    supply_v: None,
+                    anti_alias_hz: trial.declared_hz,
+                };
+                row.throws += 1;
+                match self.identifier.identify(&throw, &trial.settings).outcome {
+                    Ok(estimate) => {
+                        let sd = std::array::from_fn(|at| estimate.covariance[(at, at)].sqrt());
+                        row.add([estimate.b0, estimate.a1, estimate.a0], sd, reference);
+                    }
+                    Err(reason) => row.refusal = Some(reason.code().to_owned()),
+                }
+            }
+        }
+        row.finish();
+        Ok(row)
+    }
+}
+
+impl Row {
+    pub(super) fn add(&mut self, found: [f64; 3], sd: [f64; 3], reference: [f64; 3]) {
+        self.errors_pct.push(std::array::from_fn(|at| (found[at] / reference[at] - 1.0) * 100.0));
+        for at in 0..3 {
+            self.stated_sd_pct[at] += sd[at] / found[at] * 100.0;
+        }
+    }
+
+    /// Makes the mean of what the estimates stated from their sum.
+    pub(super) fn finish(&mut self) {
+        let count = self.errors_pct.len().max(1) as f64;
+        self.stated_sd_pct = self.stated_sd_pct.map(|sum| sum / count);
+    }
+}

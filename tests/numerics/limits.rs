@@ -1,0 +1,43 @@
+//! What the page on the method's limits says, held against its own runs.
+
+use pointsd::evaluate::limits::{Finding, Row, Runs, run};
+
+fn largest(row: &Row) -> f64 {
+    row.worst_pct().unwrap_or([f64::NAN; 3]).iter().fold(0.0, |most, error| error.abs().max(most))
+}
+
+fn find<'a>(findings: &'a [Finding], name: &str) -> &'a [Row] {
+    &findings.iter().find(|finding| finding.name == name).unwrap().rows
+}
+
+#[test]
+fn the_page_holds() {
+    let findings = run(Runs { throws: 8, seed: 3 }).unwrap();
+    let row = |finding: &str, label: &str| {
+        find(&findings, finding).iter().find(|row| row.label == label).unwrap_or_else(|| panic!("{finding}: {label}"))
+    };
+    // Raw samples: refused where the inrush is not sampled, close to the physics where it is.
+    for rate in ["25", "50", "100", "200"] {
+        assert!(row("sampling_raw", rate).errors_pct.is_empty(), "{rate} Hz raw");
+    }
+    for (rate, limit) in [("500", 3.0), ("1000", 1.0), ("5000", 0.3), ("20000", 0.3)] {
+        assert!(largest(row("sampling_raw", rate)) < limit, "{rate} Hz raw: {:?}", row("sampling_raw", rate));
+    }
+    for (rate, limit) in [("50", 5.0), ("100", 3.0), ("200", 1.5), ("500", 1.5), ("1000", 1.0), ("20000", 0.3)] {
+        assert!(largest(row("sampling_filtered", rate)) < limit, "{rate} Hz: {:?}", row("sampling_filtered", rate));
+    }
+    // A load is friction to the three coefficients, and no fourth coefficient.
+    let loaded = row("load", "1, +40.0 %").worst_pct().unwrap();
+    assert!(loaded[0].abs() < 1.0 && (loaded[1] - 40.0).abs() < 2.0 && loaded[2].abs() < 1.0, "{loaded:?}");
+    let four = row("fourth_coefficient", "b0, a1, a0 and the load");
+    assert!(four.errors_pct.len() < 4 || largest(four) > 20.0, "{four:?}");
+    // Sensor noise in the loop does no harm.
+    for label in ["battery, 20, 0", "controller, 20, 0", "controller, 200, 0"] {
+        let mean = row("closed_loop", label).mean_pct().unwrap();
+        assert!(mean.iter().all(|error| error.abs() < 1.0), "{label}: {mean:?}");
+    }
+    // The neutral position belongs to a1.
+    assert!(largest(row("neutral", "57.5, 57.5, reverse to normal")) < 1.0);
+    assert!(largest(row("neutral", "0, 57.5, normal to reverse")) > 50.0);
+    assert_eq!(findings.len(), 13);
+}

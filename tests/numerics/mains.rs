@@ -1,0 +1,66 @@
+//! A supply from rectified mains: its ripple as recorded on a real machine, and that it does no harm where it is sampled.
+
+use std::f64::consts::PI;
+
+use pointsd::estimate::{Identifier, Settings};
+use pointsd::simulate::{Conditions, Parameters, STEP_S, Sensors, Waveform};
+use pointsd::throw::{Direction, Throw, ThrowRef};
+use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
+
+fn on(supply: Waveform) -> Parameters {
+    Parameters { supply, ..Parameters::default() }
+}
+
+const MAINS: Waveform = Waveform::RectifiedMains { mains_hz: 50.0 };
+
+#[test]
+fn the_current_ripples_by_one_ampere_at_twice_the_mains_frequency() {
+    for direction in Direction::BOTH {
+        let motion = on(MAINS).simulate(direction, &Conditions::default(), STEP_S).unwrap();
+        let running = &motion.current_a[10_000..15_000];
+        let mean = running.iter().sum::<f64>() / running.len() as f64;
+        let above = running.iter().fold(f64::MIN, |most, a| most.max(*a)) - mean;
+        let below = mean - running.iter().fold(f64::MAX, |least, a| least.min(*a));
+        assert!((0.8..1.4).contains(&above) && (0.8..1.4).contains(&below), "{direction}: +{above}, -{below} A");
+        let rises = running.windows(2).filter(|pair| pair[0] < mean && pair[1] >= mean).count();
+        assert_eq!(rises, 100, "{direction}: in one second");
+        let steady = on(Waveform::Constant).simulate(direction, &Conditions::default(), STEP_S).unwrap();
+        let peak = |motion: &pointsd::simulate::Motion| motion.current_a.iter().fold(0.0_f64, |most, a| most.max(*a));
+        assert!((peak(&motion) - peak(&steady)).abs() < 1.5, "{direction}: inrush of {} A", peak(&motion));
+    }
+}
+
+#[test]
+fn the_ripple_does_no_harm_where_it_is_sampled() {
+    let identify = |machine: &Parameters, direction, sensors: &Sensors, supply_phase_rad| {
+        let conditions = Conditions { supply_phase_rad, ..Conditions::default() };
+        let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
+        let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(3)).unwrap().trace;
+        let throw = Throw {
+            id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
+            started_at: jiff::Timestamp::UNIX_EPOCH,
+            direction: Some(direction),
+            trace,
+            temperature_c: None,
+            supply_v: None,
+            anti_alias_hz: sensors.anti_alias_hz,
+        };
+        Identifier::default().identify(&throw, &Settings::default()).outcome.map(|found| [found.b0, found.a1, found.a0])
+    };
+    for (sample_rate_hz, filtered) in
+        [(500.0, true), (1000.0, false), (1000.0, true), (5000.0, false), (20_000.0, false)]
+    {
+        let anti_alias_hz = filtered.then_some(0.4 * sample_rate_hz);
+        let sensors = Sensors { anti_alias_hz, ..Sensors::perfect(sample_rate_hz) };
+        for direction in Direction::BOTH {
+            let steady = identify(&on(Waveform::Constant), direction, &sensors, 0.0).unwrap();
+            for eighth in 0..8 {
+                let ripple = identify(&on(MAINS), direction, &sensors, PI * f64::from(eighth) / 8.0).unwrap();
+                for (with, without) in ripple.iter().zip(steady) {
+                    let change = (with / without - 1.0).abs();
+                    assert!(change < 0.01, "{sample_rate_hz} Hz, {direction}, phase {eighth}/8: {change}");
+                }
+            }
+        }
+    }
+}
