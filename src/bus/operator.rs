@@ -9,6 +9,10 @@ use zenoh::{
 };
 
 use super::BusError;
+use crate::{
+    throw::MachineId,
+    wire::{Kind, machine_key},
+};
 
 /// Why there is no answer.
 #[derive(Debug, thiserror::Error)]
@@ -21,6 +25,11 @@ pub enum OperatorError {
         "no daemon answers: none is connected to this router. Is pointsd running, and does [zenoh] connect to the same router?"
     )]
     NoDaemon,
+    /// Daemons are there, and this is not for them.
+    #[error(
+        "no daemon serves {0}: is the name right, does a running pointsd's subscribe.key hold it, and may your certificate command it?"
+    )]
+    NotServed(String),
     /// The daemon says no.
     #[error("{0}")]
     Refused(String),
@@ -66,12 +75,17 @@ pub async fn ask(
 /// When nobody answers, or the daemon refuses.
 pub async fn command(
     session: &Session,
-    key: &str,
+    machine: &MachineId,
     payload: Vec<u8>,
     timeout: Duration,
 ) -> Result<Vec<u8>, OperatorError> {
-    let replies = ask(session, key, Some(payload), timeout).await?;
-    replies.into_iter().next().map(|(_, payload)| payload).ok_or(OperatorError::NoDaemon)
+    let key = machine_key(machine, Kind::Command);
+    let replies = ask(session, &key, Some(payload), timeout).await?;
+    match replies.into_iter().next() {
+        Some((_, payload)) => Ok(payload),
+        None if monitors(session).await? > 0 => Err(OperatorError::NotServed(machine.to_string())),
+        None => Err(OperatorError::NoDaemon),
+    }
 }
 
 /// How many monitors show that they are alive. A question that nobody answers looks like one with an empty answer;

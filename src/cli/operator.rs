@@ -10,7 +10,7 @@ use crate::{
     daemon::config::{Document, client_session},
     diagnose::{Cause, Command},
     throw::MachineId,
-    wire::{self, Kind, Reply},
+    wire::Reply,
 };
 
 /// Longest wait for an answer; longer than a daemon takes in the middle of a batch.
@@ -67,7 +67,7 @@ pub(super) async fn close(session: Session) {
 /// The exit code for an answer that did not come.
 pub(super) fn failure(error: OperatorError) -> Failure {
     let exit = match &error {
-        OperatorError::Bus(_) | OperatorError::NoDaemon => Exit::Unavailable,
+        OperatorError::Bus(_) | OperatorError::NoDaemon | OperatorError::NotServed(_) => Exit::Unavailable,
         OperatorError::Refused(_) => Exit::Negative,
     };
     Failure { exit, error: error.into() }
@@ -123,9 +123,8 @@ impl Sender {
     pub(super) fn send(&self, machine: &MachineId, command: &Command) -> Outcome {
         runtime::block_on(async {
             let session = self.connection.open().await?;
-            let key = wire::machine_key(machine, Kind::Command);
             let payload = serde_json::to_vec(command).or_exit(Exit::Software)?;
-            let answer = bus::command(&session, &key, payload, ANSWER_LIMIT).await;
+            let answer = bus::command(&session, machine, payload, ANSWER_LIMIT).await;
             close(session).await;
             let answer = answer.map_err(failure)?;
             let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;

@@ -101,7 +101,7 @@ impl Fleet {
     pub fn trouble(
         &mut self,
         itself: &MachineId,
-        trouble: Option<(Severity, String)>,
+        trouble: Option<&(Severity, String)>,
         now: Timestamp,
         settings: &Settings,
     ) -> Option<(MachineId, Vec<AlarmEvent>, Outcome)> {
@@ -109,7 +109,7 @@ impl Fleet {
             return None;
         }
         let monitor = self.monitor(itself);
-        let trouble = trouble.as_ref().map(|(severity, said)| (*severity, said.as_str()));
+        let trouble = trouble.map(|(severity, said)| (*severity, said.as_str()));
         let event = monitor.trouble(trouble, now, settings)?;
         let outcome = outcome(itself, monitor, std::slice::from_ref(&event));
         Some((itself.clone(), vec![event], outcome))
@@ -141,7 +141,7 @@ impl Fleet {
         let result = monitor.command(command, now, settings);
         Some(result.map(|events| {
             let outcome = outcome(machine, monitor, &events);
-            (events, outcome)
+            (events, Outcome { command: Some(command.clone()), ..outcome })
         }))
     }
 }

@@ -217,7 +217,7 @@ impl Judge {
         // Silence adds up inside the monitors: kept once an hour, so that restarts do not forget it.
         self.ticks += 1;
         let keep_all = self.ticks.is_multiple_of(TICKS_AN_HOUR);
-        let own = self.fleet.trouble(&self.itself, self.store.trouble(), now, &config.diagnosis);
+        let own = self.fleet.trouble(&self.itself, self.store.trouble().as_ref(), now, &config.diagnosis);
         let machines = self.fleet.tick(now, &config.diagnosis, &self.loggers.borrow(), keep_all);
         for (machine, events, outcome) in own.into_iter().chain(machines) {
             if self.record(&machine, outcome, now).await? {

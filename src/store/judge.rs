@@ -10,11 +10,14 @@ use super::{
     writer::Write,
 };
 use crate::{
-    diagnose::AlarmEvent,
+    diagnose::{AlarmEvent, Command},
     estimate::Identification,
     throw::{Direction, MachineId},
     wire::{GOOD, alarm_id},
 };
+
+/// Operators' commands that are kept, the newest: thirty a day for ten years.
+const COMMANDS: i64 = 100_000;
 
 /// What is known after a throw was identified and diagnosed.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,6 +55,8 @@ pub struct Outcome {
     pub outbox: Vec<Message>,
     /// Gaps that the monitor knows of from now on.
     pub told_gaps: Vec<GapRow>,
+    /// The operator's command that all this follows from.
+    pub command: Option<Command>,
 }
 
 /// An alarm event, with the message that tells the world.
@@ -264,6 +269,9 @@ async fn add_outcome(
     for GapRow(gap_row) in &outcome.told_gaps {
         sqlx::query(sql::TELL_GAP).bind(gap_row).bind(at_us).execute(&mut *connection).await?;
     }
+    if let Some(command) = &outcome.command {
+        add_command(connection, machine_row, command, at_us).await?;
+    }
     let mut news = outcome.alarms.is_empty();
     for record in &outcome.alarms {
         news |= add_alarm_event(connection, machine_row, machine, record).await?;
@@ -275,6 +283,26 @@ async fn add_outcome(
         }
     }
     Ok(())
+}
+
+async fn add_command(
+    connection: &mut SqliteConnection,
+    machine_row: i64,
+    command: &Command,
+    at_us: i64,
+) -> sqlx::Result<()> {
+    // Words into memory: nothing in it can fail.
+    let payload = serde_json::to_value(command).unwrap_or_default();
+    sqlx::query(sql::ADD_COMMAND)
+        .bind(machine_row)
+        .bind(at_us)
+        .bind(payload["command"].as_str())
+        .bind(command.by())
+        .bind(command.why())
+        .bind(payload.to_string())
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query(sql::TRIM_COMMANDS).bind(COMMANDS).execute(connection).await.map(drop)
 }
 
 /// Returns whether the event was not there before.

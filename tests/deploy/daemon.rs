@@ -111,10 +111,21 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     let reply = ask_json(&operator, COMMAND, Some(ack)).await;
     assert_eq!(reply[0]["done"], false, "acknowledged a moment before: {reply:?}");
     let acknowledged = not_monitored(until_answered(&viewer, ALARM).await).expect("the alarm is open");
+    let question = "SELECT state, by_whom FROM alarm_events WHERE by_whom IS NOT NULL";
+    let kept =
+        pointsd(&["sql", "--json", question, "--database"]).arg(folder.path().join("points.db")).output().unwrap();
+    let kept: Value = serde_json::from_slice(&kept.stdout).unwrap();
+    assert_eq!(kept, serde_json::json!([{"state": "active_acknowledged", "by_whom": "test"}]));
     assert_eq!(
         (&acknowledged["alarm_id"], &acknowledged["state"]),
         (&raised["alarm_id"], &"active_acknowledged".into())
     );
+}
+
+fn pointsd(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pointsd"));
+    command.args(arguments);
+    command
 }
 
 /// `pointsd ack` with the configuration that INSTALL.md shows; its exit code.
