@@ -4,7 +4,7 @@
 use std::{collections::BTreeSet, sync::atomic::Ordering, time::Duration};
 
 use tokio::{
-    io::copy_bidirectional,
+    io::{AsyncReadExt, copy_bidirectional},
     net::{TcpListener, TcpStream},
 };
 use zenoh::Wait;
@@ -257,6 +257,46 @@ async fn throws_made_while_the_link_was_down_are_recovered_through_the_rules() {
             assert!(arrived.is_subset(&expected));
         }
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_flood_of_connections_keeps_others_out_only_while_it_lasts() {
+    // The shipped bounds, smaller and quicker.
+    let text = cabinet_toml("tls/127.0.0.1:0", None);
+    let text = replaced(&text, "accept_timeout = 10000", "accept_timeout = 1000");
+    let text = replaced(&text, "accept_pending = 32", "accept_pending = 4");
+    let text = replaced(&text, "max_sessions = 256", "max_sessions = 2");
+    let (_cabinet, endpoint) = open_and_locate(zenoh_table(&text)).await;
+    let address = endpoint.trim_start_matches("tls/").to_owned();
+    let logger = client_config(&railway().folder("logger.north.21A"), &endpoint);
+
+    // Sockets that are opened and say nothing are closed by the cabinet.
+    let mut silent = Vec::new();
+    for _ in 0..40 {
+        silent.push(TcpStream::connect(&address).await.unwrap());
+    }
+    for socket in &mut silent {
+        let end = tokio::time::timeout(PATIENCE, socket.read(&mut [0; 64])).await.expect("it is closed");
+        assert!(matches!(end, Ok(0) | Err(_)), "{end:?}");
+    }
+    let gets_in = async {
+        while !gets_a_link(logger.clone()).await {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, gets_in).await.expect("after the flood a logger has its link");
+
+    // Links with a good certificate are counted too; there is room again when one ends.
+    let first = client("viewer", &endpoint).await;
+    let _second = client("operator", &endpoint).await;
+    assert!(!gets_a_link(logger.clone()).await, "a third link, above the limit");
+    first.close().await.unwrap();
+    let gets_in = async {
+        while !gets_a_link(logger.clone()).await {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, gets_in).await.expect("where a link has ended there is room");
 }
 
 /// A subscriber to alarms.

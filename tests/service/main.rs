@@ -4,6 +4,7 @@
 
 mod alarms;
 mod configuration;
+mod import;
 mod operators;
 mod python;
 mod rig;

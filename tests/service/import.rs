@@ -1,0 +1,79 @@
+//! Recorded throws in JSON, as a foreign logger would have sent them, into the database without a daemon.
+
+use std::{fs, path::Path};
+
+use pointsd::wire::{Encoding, encode_throw};
+
+use crate::rig::{Rig, pointsd, stub, throws};
+
+/// Runs the command; returns its exit code, stdout and stderr.
+fn import(rig: &Rig, files: &[&Path], more: &[&str]) -> (Option<i32>, String, String) {
+    let mut command = pointsd(&["import", "--machine", "north/21B", "--config"]);
+    let output = command.arg(rig.config()).args(more).args(files).output().unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    (output.status.code(), text(output.stdout), text(output.stderr))
+}
+
+#[test]
+fn throws_in_json_go_through_the_whole_pipeline_once() {
+    let rig = Rig::new();
+    let made = throws("recorded", 5);
+    let json = |number: usize| encode_throw(Encoding::Json, &made[number]);
+    let (one, many) = (rig.folder().join("one.json"), rig.folder().join("many.jsonl"));
+    fs::write(&one, json(0)).unwrap();
+    // One a line, with an empty line between, and the throw of the other file again.
+    fs::write(&many, [&json(1)[..], b"\n\n", &json(2), b"\r\n", &json(0), b"\n", &json(3), b"\n"].concat()).unwrap();
+
+    let (code, said, error) = import(&rig, &[&one, &many], &[]);
+    assert_eq!(code, Some(0), "{error}");
+    assert_eq!(said.trim(), "4 throws imported (0 not evaluated), 1 known before, 0 alarm events");
+    let rows = rig.sql("SELECT throw_no, quality, started_at, b0 FROM health_history ORDER BY throw_no");
+    assert_eq!(rows.len(), 4, "{rows:?}");
+    for (row, throw) in rows.iter().zip(&made) {
+        assert_eq!((&row["throw_no"], &row["quality"]), (&throw.id.throw_no.into(), &"good".into()));
+        let at: jiff::Timestamp = row["started_at"].as_str().unwrap().parse().unwrap();
+        assert_eq!(at, throw.started_at);
+        assert!(row["b0"].as_f64().unwrap() > 0.0);
+    }
+
+    let (code, said, error) = import(&rig, &[&many], &["--json"]);
+    assert_eq!((code, said.as_str()), (Some(0), ""), "known before: nothing is judged again; {error}");
+    fs::write(&one, [json(4), encode_throw(Encoding::Json, &stub("recorded", 9))].join(&b'\n')).unwrap();
+    let (code, said, error) = import(&rig, &[&one], &["--json"]);
+    assert_eq!(code, Some(0), "{error}");
+    let lines: Vec<serde_json::Value> = said.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 2, "{said}");
+    assert_eq!((&lines[0]["throw_no"], &lines[0]["quality"]), (&5.into(), &"good".into()));
+    assert_ne!(lines[1]["quality"], "good");
+}
+
+#[test]
+fn a_wrong_line_is_named_and_what_came_before_its_file_is_kept() {
+    let rig = Rig::new();
+    let made = throws("recorded", 2);
+    let (good, bad) = (rig.folder().join("good.json"), rig.folder().join("bad.jsonl"));
+    fs::write(&good, encode_throw(Encoding::Json, &made[0])).unwrap();
+    let second = encode_throw(Encoding::Json, &made[1]);
+    fs::write(&bad, [&second[..], b"\n{\"schema\": 7}\n"].concat()).unwrap();
+    let (code, said, error) = import(&rig, &[&good, &bad], &[]);
+    assert_eq!(code, Some(65), "{error}");
+    assert!(error.starts_with("error: ") && error.contains("bad.jsonl, line 2: "), "{error}");
+    assert_eq!(error.lines().count(), 1, "{error}");
+    assert!(said.starts_with("1 throws imported"), "{said}");
+
+    let (code, _, error) = import(&rig, &[Path::new("/no/such/throws.json")], &[]);
+    assert_eq!(code, Some(66), "{error}");
+    assert!(error.contains("/no/such/throws.json"), "{error}");
+}
+
+#[test]
+fn an_import_beside_the_running_daemon_is_refused() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let file = rig.folder().join("one.json");
+    fs::write(&file, encode_throw(Encoding::Json, &throws("recorded", 1)[0])).unwrap();
+    let (code, _, error) = import(&rig, &[&file], &[]);
+    assert_eq!(code, Some(69), "{error}");
+    assert!(error.contains("another pointsd works on"), "{error}");
+    assert!(daemon.terminate().success());
+}
