@@ -8,26 +8,29 @@ use zenoh::Session;
 /// What a process takes of the computer.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Usage {
-    /// Memory in use \[MiB\].
+    /// Memory in use \[MiB\]: its own, and the parts of its files that it has looked at.
     pub(crate) rss_mib: f64,
+    /// Of this, what it has allocated \[MiB\].
+    pub(crate) own_mib: f64,
     /// Open files and sockets.
     pub(crate) files: usize,
     /// Threads.
-    pub(crate) threads: usize,
+    pub(crate) threads: u32,
 }
 
 impl Usage {
     /// Of a process that runs.
     pub(crate) fn of(process: u32) -> Self {
         let status = fs::read_to_string(format!("/proc/{process}/status")).expect("it runs");
-        let figure = |key: &str| -> f64 {
+        let figure = |key: &str| -> u32 {
             let line = status.lines().find_map(|line| line.strip_prefix(key)).expect(key);
             line.split_whitespace().next().unwrap().parse().unwrap()
         };
         Self {
-            rss_mib: figure("VmRSS:") / 1024.0,
+            rss_mib: f64::from(figure("VmRSS:")) / 1024.0,
+            own_mib: f64::from(figure("RssAnon:")) / 1024.0,
             files: fs::read_dir(format!("/proc/{process}/fd")).unwrap().count(),
-            threads: figure("Threads:") as usize,
+            threads: figure("Threads:"),
         }
     }
 }

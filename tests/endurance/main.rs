@@ -1,7 +1,13 @@
 //! Years in a cabinet, in minutes: the running daemon under power cuts, kills, failing and full disks, clocks that
 //! jump. Small by default; the README names the variables that make them large.
 
-#![expect(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "helpers of tests outside #[test]")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::disallowed_methods,
+    reason = "helpers of tests outside #[test]"
+)]
 
 mod cable;
 mod database;

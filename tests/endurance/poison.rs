@@ -190,9 +190,9 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
         .store(&format!("ballast_mib = 0\nmax_quarantined = {QUARANTINE}\n"));
     let mut daemon = rig.start();
     let session = daemon.client().await;
-    let good = throws("boot", 40);
+    let mut good = throws("boot", 40).into_iter().cycle();
     let publisher = matched(&session, GOOD).await;
-    let mut poison = Poison { rng: ChaCha8Rng::seed_from_u64(14), like: good[0].clone(), number: 0 };
+    let mut poison = Poison { rng: ChaCha8Rng::seed_from_u64(14), like: good.next().unwrap(), number: 0 };
     let stop = Arc::new(AtomicBool::new(false));
     let memory = watch(daemon.id(), Arc::clone(&stop));
     let (mut sent, mut published) = (0_u64, 0_u64);
@@ -200,8 +200,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
     for number in 0..messages {
         if number % EVERY == 0 {
             published += 1;
-            let like = &good[published as usize % good.len()];
-            let mut throw = like.clone();
+            let mut throw = good.next().unwrap();
             throw.id.throw_no = published;
             publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
         } else {
@@ -214,7 +213,8 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
         // Beyond what a link takes, at its limit, and at the limit of a message.
         if number % (messages / 2) == messages / 4 {
             for bytes in [17 << 20, 31 << 20, 100 << 20] {
-                let payload = wire::encode_throw(Encoding::Cbor, &good[0]).into_iter().cycle().take(bytes).collect();
+                let payload =
+                    wire::encode_throw(Encoding::Cbor, &poison.like).into_iter().cycle().take(bytes).collect();
                 put(&session, (GOOD.to_owned(), ContentType::APPLICATION_CBOR, payload)).await;
             }
             session.delete(GOOD).await.unwrap();

@@ -13,6 +13,7 @@ use std::{
 };
 
 use pointsd::{
+    daemon::StatusReport,
     throw::Throw,
     wire::{self, Encoding},
 };
@@ -31,6 +32,8 @@ const LOG_MIB: f64 = 32.0;
 const GROUP_MIB: f64 = 8.0;
 /// What hanging readers may cost in memory: the buffers of one link, and of the bounded queues before it \[MiB\].
 const MEMORY_MIB: f64 = 64.0;
+/// Throws that are published before the daemon is waited for.
+const AHEAD: u64 = 1_000;
 /// Rates of one run differ by this factor on a busy computer.
 const NOISE: f64 = 3.0;
 
@@ -60,7 +63,7 @@ fn watch(process: u32, rig: &Rig, stop: Arc<AtomicBool>) -> thread::JoinHandle<M
 struct Source<'a> {
     session: &'a Session,
     publisher: Publisher<'static>,
-    like: Vec<Throw>,
+    like: std::iter::Cycle<std::vec::IntoIter<Throw>>,
     published: u64,
 }
 
@@ -68,22 +71,32 @@ impl Source<'_> {
     /// Publishes throws as fast as they are taken; returns how many were stored a second, and judged.
     async fn rates(&mut self, count: u64) -> [f64; 2] {
         let start = Instant::now();
-        for _ in 0..count {
+        for number in 0..count {
+            // Never further ahead than what waits may take: what is beyond that is dropped and counted.
+            if number % AHEAD == AHEAD - 1 {
+                self.until(|now| now.stored, start).await;
+            }
             self.published += 1;
-            let mut throw = self.like[self.published as usize % self.like.len()].clone();
+            let mut throw = self.like.next().unwrap();
             throw.id.throw_no = self.published;
             self.publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
         }
-        let mut stored = None;
+        self.until(|now| now.stored, start).await;
+        let stored = start.elapsed();
+        self.until(|now| now.judged, start).await;
+        [stored, start.elapsed()].map(|time| count as f64 / time.as_secs_f64())
+    }
+
+    /// Waits until the daemon has got as far as was published.
+    async fn until(&self, far: impl Fn(&StatusReport) -> u64, start: Instant) {
         loop {
             let now = status(self.session).await;
             assert!(start.elapsed() < 10 * PATIENCE, "{} published: {now:?}", self.published);
-            let Some(now) = now else { continue };
-            if now.stored >= self.published {
-                stored.get_or_insert(start.elapsed());
-            }
-            if now.judged >= self.published {
-                return [stored.unwrap(), start.elapsed()].map(|time| count as f64 / time.as_secs_f64());
+            if let Some(now) = now {
+                assert_eq!(now.dropped, 0, "{now:?}");
+                if far(&now) >= self.published {
+                    return;
+                }
             }
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
@@ -97,7 +110,8 @@ async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
     let daemon = rig.start();
     let session = daemon.client().await;
     let publisher = matched(&session, KEY).await;
-    let mut source = Source { session: &session, publisher, like: throws("boot", 40), published: 0 };
+    let mut source =
+        Source { session: &session, publisher, like: throws("boot", 40).into_iter().cycle(), published: 0 };
     source.rates(100).await;
 
     let look = |stop: &Arc<AtomicBool>| watch(daemon.id(), &rig, Arc::clone(stop));

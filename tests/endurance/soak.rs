@@ -55,15 +55,15 @@ struct Sample {
 }
 
 const HEADER: &str =
-    "at_s,rss_mib,files,threads,database_mib,log_mib,waiting,unjudged,stored,judged,alarm_events,link_up\n";
+    "at_s,rss_mib,own_mib,files,threads,database_mib,log_mib,waiting,unjudged,stored,judged,alarm_events,link_up\n";
 
 impl Sample {
     fn line(&self) -> String {
         let Self { at_s, usage, database_mib, log_mib, waiting, unjudged, stored, judged, alarm_events, link } = self;
-        let Usage { rss_mib, files, threads } = usage;
+        let Usage { rss_mib, own_mib, files, threads } = usage;
         let link = u8::from(*link);
         format!(
-            "{at_s:.1},{rss_mib:.2},{files},{threads},{database_mib:.3},{log_mib:.3},{waiting},{unjudged},{stored},\
+            "{at_s:.1},{rss_mib:.2},{own_mib:.2},{files},{threads},{database_mib:.3},{log_mib:.3},{waiting},{unjudged},{stored},\
              {judged},{alarm_events},{link}\n"
         )
     }
@@ -151,9 +151,9 @@ async fn nothing_grows_at_fifty_times_a_cabinets_load() {
         let at = start.elapsed();
         let link = plan.link_is_up(at);
         if link {
-            cable.mend()
+            cable.mend();
         } else {
-            cable.cut()
+            cable.cut();
         }
         if !restarted && at > plan.length / 2 && link {
             published += logger.stop();
@@ -200,6 +200,9 @@ async fn sample(rig: &Rig, daemon: &Daemon, session: &Session, at: Duration, lin
     })
 }
 
+/// What is judged of a sample.
+type Figure = fn(&Sample) -> f64;
+
 /// The samples, in memory and as they come in a file.
 struct Recording {
     folder: PathBuf,
@@ -233,11 +236,16 @@ impl Recording {
         });
         let svg = Sheet::new(format!("pointsd at {RATE:.1} throws/s, {TIMES:.0} times a cabinet's load"))
             .columns(2)
-            .panel(panel("Memory", "MiB").line("resident", self.curve(|sample| sample.usage.rss_mib)).level(0.0, ""))
+            .panel(
+                panel("Memory", "MiB")
+                    .line("resident", self.curve(|sample| sample.usage.rss_mib))
+                    .line("of this its own", self.curve(|sample| sample.usage.own_mib))
+                    .level(0.0, ""),
+            )
             .panel(
                 panel("Open files and threads", "number")
                     .line("files", self.curve(|sample| sample.usage.files as f64))
-                    .line("threads", self.curve(|sample| sample.usage.threads as f64))
+                    .line("threads", self.curve(|sample| f64::from(sample.usage.threads)))
                     .level(0.0, ""),
             )
             .panel(
@@ -276,11 +284,11 @@ impl Recording {
             println!("too short to say whether anything grows: POINTSD_SOAK_SECONDS=3600 does");
             return;
         }
-        type Figure = fn(&Sample) -> f64;
-        let figures: [(&str, Figure); 4] = [
+        let figures: [(&str, Figure); 5] = [
             ("memory", |sample| sample.usage.rss_mib),
+            ("its own memory", |sample| sample.usage.own_mib),
             ("open files", |sample| sample.usage.files as f64),
-            ("threads", |sample| sample.usage.threads as f64),
+            ("threads", |sample| f64::from(sample.usage.threads)),
             ("database", |sample| sample.database_mib),
         ];
         let mut grows = Vec::new();

@@ -19,7 +19,7 @@ const HASTY: &str = "[diagnosis]\nlogger_gone_minutes = 0.02\n";
 type Alarms = Subscriber<FifoChannelHandler<Sample>>;
 
 async fn next(alarms: &Alarms) -> Alarm {
-    let sample = tokio::time::timeout(PATIENCE, alarms.recv_async()).await.expect("an alarm").unwrap();
+    let sample = tokio::time::timeout(PATIENCE, alarms.recv_async()).await.unwrap().unwrap();
     serde_json::from_slice(&sample.payload().to_bytes()).unwrap()
 }
 
