@@ -88,7 +88,7 @@ fn print_tables(out: &mut impl Write, results: &[CaseResult], study: &Study) -> 
         writeln!(out, "{table}")?;
         let line = |[b0_a1, b0_a0, a1_a0]: [f64; 3]| format!("b0, a1 {b0_a1:.2}; b0, a0 {b0_a0:.2}; a1, a0 {a1_a0:.2}");
         writeln!(out, "correlation of the inertia estimates: {}", line(result.correlation))?;
-        writeln!(out, "the same beyond a scatter of 1 %:     {}", line(result.correlation_beyond_scatter))?;
+        writeln!(out, "of the means, beyond a scatter of 1 %: {}", line(result.correlation_beyond_scatter))?;
         writeln!(out, "verdict: {} (changed: {})\n", result.verdict(), result.case.cause)?;
     }
     Ok(())

@@ -1,6 +1,6 @@
 //! The study's table through simulator and estimator, with lumped rails and with the beam.
 
-use pointsd::evaluate::table1::{CaseResult, Expected, Study, run};
+use pointsd::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, run};
 use pointsd::simulate::RailModel;
 
 fn results(rails: RailModel, seed: u64) -> Vec<CaseResult> {
@@ -9,8 +9,8 @@ fn results(rails: RailModel, seed: u64) -> Vec<CaseResult> {
 
 #[test]
 fn every_row_is_as_expected() {
-    for rails in [RailModel::Lumped, RailModel::Beam] {
-        for result in results(rails, 1) {
+    for (rails, seed) in [(RailModel::Lumped, 1), (RailModel::Beam, 1), (RailModel::Beam, 2), (RailModel::Beam, 3)] {
+        for result in results(rails, seed) {
             for test in &result.tests[1..] {
                 let expected = test.expected.unwrap();
                 for (at, name) in ["b0", "a1", "a0"].iter().enumerate() {
@@ -33,6 +33,8 @@ fn the_correlations_name_inertia_and_nothing_else() {
         for result in results(rails, seed) {
             assert_eq!(result.verdict(), result.case.cause, "{rails:?}, seed {seed}: {:?}", result.correlation);
             let beyond_scatter = result.correlation_beyond_scatter;
+            let inertia = result.correlation.iter().all(|pair| *pair >= CORRELATION_LIMIT);
+            assert_eq!(inertia, result.case.cause == "inertia", "{rails:?}, seed {seed}: {:?}", result.correlation);
             if result.case.cause == "inertia" {
                 assert!(result.correlation.iter().all(|pair| *pair > 0.995), "{:?}", result.correlation);
                 assert!(beyond_scatter.iter().all(|pair| *pair > 0.99), "{beyond_scatter:?}");
