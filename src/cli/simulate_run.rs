@@ -113,7 +113,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 fn read(document: &Document) -> Result<Plan, ConfigError> {
     let file: File = document.deserialize()?;
     file.logger.validate().map_err(|error| document.complain(&format!("logger.{}", error.key), error.to_string()))?;
-    file.fleet.check().map_err(|error| document.complain(&format!("fleet.{}", error.name), error.to_string()))?;
+    file.fleet.check().map_err(|error| {
+        document.complain(&format!("fleet.{}", error.name), format!("is {}, {}", error.value, error.must))
+    })?;
     check_log(&file.log, document)?;
     Ok(Plan { logger: file.logger, fleet: file.fleet, log: file.log, zenoh: client_session(document)? })
 }
@@ -177,4 +179,142 @@ fn failure(error: LoggerError) -> Failure {
 /// A new one at each start: the moment and the process.
 pub(super) fn boot_id() -> String {
     format!("{}-{}", clock::now().as_microsecond(), std::process::id())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::simulate::{Channel, Stuck, Which};
+
+    fn shipped() -> String {
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("config/pointsim.toml")).unwrap()
+    }
+
+    fn plan(text: &str) -> Result<Plan, ConfigError> {
+        read(&Document::parse(Path::new("pointsim.toml"), text.to_owned())?)
+    }
+
+    fn keys(table: &toml::Table, path: &str, found: &mut Vec<String>) {
+        for (key, value) in table {
+            let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+            if let Some(inner) = value.as_table() {
+                keys(inner, &path, found);
+            }
+            found.push(path);
+        }
+    }
+
+    #[test]
+    fn the_shipped_file_is_the_built_in_defaults() {
+        let (shipped, built_in) = (plan(&shipped()).unwrap(), plan("").unwrap());
+        assert_eq!(shipped.logger, LoggerSettings::default());
+        assert_eq!(shipped.fleet, FleetSettings::default());
+        assert_eq!(shipped.log, built_in.log);
+        assert_eq!(shipped.zenoh.to_string(), built_in.zenoh.to_string());
+    }
+
+    #[test]
+    fn the_shipped_file_shows_every_key() {
+        #[derive(serde::Serialize)]
+        struct Sections {
+            logger: LoggerSettings,
+            fleet: FleetSettings,
+        }
+        // Keys without a default are shown as comments; faults and incidents are examples.
+        let text: String = shipped()
+            .lines()
+            .map(|line| line.strip_prefix("# ").filter(|key| key.contains(" = ")).unwrap_or(line))
+            .fold(
+                String::new(),
+                |text, line| if line.starts_with("machine = 0") { return text } else { text + line + "\n" },
+            );
+        let shown = text.split("# Parts that wear out").next().unwrap();
+        let mut found = Vec::new();
+        keys(&toml::from_str(shown).unwrap(), "", &mut found);
+        let channel = Channel { full_scale: Some(1.0), bits: Some(12), ..Channel::default() };
+        let mut sections = Sections {
+            logger: LoggerSettings {
+                throws: Some(1),
+                started_at: Some(jiff::Timestamp::UNIX_EPOCH),
+                ..LoggerSettings::default()
+            },
+            fleet: FleetSettings::default(),
+        };
+        sections.fleet.sensors.current = channel;
+        sections.fleet.sensors.position = channel;
+        sections.fleet.sensors.anti_alias_hz = Some(1.0);
+        sections.fleet.sensors.stuck = Some(Stuck { channel: Which::Position, from_s: 1.0 });
+        let mut all = Vec::new();
+        keys(&toml::Table::try_from(sections).unwrap(), "", &mut all);
+        assert!(all.len() > 70, "{all:?}");
+        for key in all.iter().filter(|key| !matches!(key.as_str(), "fleet.faults" | "fleet.incidents")) {
+            assert!(found.contains(key), "config/pointsim.toml does not show {key}");
+        }
+    }
+
+    #[test]
+    fn its_examples_of_faults_and_incidents_are_read() {
+        let text = shipped();
+        let examples = text.split("# [[fleet.faults]]").skip(1).collect::<Vec<_>>().join("# [[fleet.faults]]");
+        let examples: String = format!("# [[fleet.faults]]{examples}")
+            .lines()
+            .take_while(|line| line.starts_with("# "))
+            .map(|line| line.trim_start_matches("# ").to_owned() + "\n")
+            .collect();
+        let plan = plan(&examples).unwrap();
+        assert_eq!((plan.fleet.faults.len(), plan.fleet.incidents.len()), (2, 1));
+    }
+
+    #[test]
+    fn a_wrong_file_is_refused_with_file_line_and_key() {
+        for (text, complaint) in [
+            ("[fleet]\nmachines = 0", "pointsim.toml:2: fleet.machines: is 0, must be 1 to 10000"),
+            ("[fleet.machine]\n\nsupply_v = -1.0", "pointsim.toml:3: fleet.machine.supply_v: is -1, must be above 0"),
+            ("[fleet.machine]\nlead = 1.0", "pointsim.toml:2: fleet.machine.lead: unknown field"),
+            ("[fleet.machine.rails]\nmodes = 9", "pointsim.toml:2: fleet.machine.rails.modes: is 9, must be 1 to 6"),
+            (
+                "[fleet.machine]\nsupply = { rectified_mains = { mains_hz = 1.0 } }",
+                "pointsim.toml:2: fleet.machine.supply.rectified_mains.mains_hz: is 1, must be 10 to 100",
+            ),
+            ("[fleet.sensors]\nsample_rate_hz = 5.0", "pointsim.toml:2: fleet.sensors.sample_rate_hz: is 5, must be"),
+            (
+                "[fleet.sensors.current]\nbits = 12",
+                "pointsim.toml:1: fleet.sensors.current.full_scale: is NaN, must be given",
+            ),
+            (
+                "[fleet.scatter]\ncorrelation = 1.0",
+                "pointsim.toml:2: fleet.scatter.correlation: is 1, must be 0 to 0.99",
+            ),
+            ("[logger]\ninterval_s = 0", "pointsim.toml:2: logger.interval_s: "),
+            (
+                "[[fleet.faults]]\nmachine = 0\nfault = { part = \"magnet\", shape = \"step\", size_pct = 1.0, from_throw = 0 }",
+                "unknown variant `magnet`",
+            ),
+            (
+                "[[fleet.incidents]]\nmachine = 0\nkind = { obstruction = { at_mm = 200.0 } }\nfrom_throw = 0\nthrows = 1",
+                "must be 0 to the stroke",
+            ),
+        ] {
+            let error = plan(text).err().map(|error| error.to_string()).unwrap_or_default();
+            assert!(error.contains(complaint), "{text}: {error:?}");
+            assert!(!error.contains('\n') && error.starts_with("pointsim.toml:"), "{text}: {error:?}");
+        }
+    }
+
+    #[test]
+    fn a_wrong_fault_on_the_command_line_is_refused_in_one_sentence() {
+        for (text, complaint) in [
+            ("1:kt:-20", "write MACHINE:PART:SIZE:FROM"),
+            ("0:kt:-20:5", "counted from 1"),
+            ("1:magnet:-20:5", "\"magnet\" is not kt, friction"),
+            ("1:kt:much:5", "size: \"much\" is no number"),
+            ("1:kt:-20:-5", "first throw: \"-5\" is no number"),
+            ("1:kt:-20:5:slow", "ramp: \"slow\" is no number"),
+        ] {
+            let error = text.parse::<FaultArgument>().unwrap_err();
+            assert!(error.contains(complaint), "{text}: {error}");
+        }
+    }
 }

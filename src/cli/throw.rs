@@ -98,14 +98,15 @@ struct Truth {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let Settings { machine, sensors } = settings(arguments)?;
     let condition = condition(&arguments.faults).or_exit(Exit::Usage)?;
-    let worn = machine.in_condition(&condition).or_exit(Exit::Config)?;
+    machine.check().map_err(|error| error.within("machine")).or_exit(Exit::Config)?;
+    let worn = machine.in_condition(&condition).context("the worn machine").or_exit(Exit::Config)?;
     let direction = Direction::from(arguments.direction);
     let conditions = Conditions {
         temperature_c: arguments.temperature_c,
         obstruction_mm: arguments.obstruction_mm,
         ..Conditions::default()
     };
-    sensors.check().or_exit(Exit::Config)?;
+    sensors.check().map_err(|error| error.within("sensors")).or_exit(Exit::Config)?;
     let motion = worn.simulate(direction, &conditions, sensors.step_s()).or_exit(Exit::Config)?;
     let mut rng = ChaCha12Rng::seed_from_u64(arguments.seed);
     let recording = sensors.record(&motion, direction, &mut rng).or_exit(Exit::Config)?;

@@ -357,8 +357,8 @@ impl FleetSettings {
     pub fn check(&self) -> Result<(), InvalidParameter> {
         let most = Fleet::MAX_MACHINES as f64;
         require(&[("machines", self.machines as f64)], "must be 1 to 10000", |n| (1.0..=most).contains(&n))?;
-        self.machine.check()?;
-        self.sensors.check()?;
+        self.machine.check().map_err(|error| error.within("machine"))?;
+        self.sensors.check().map_err(|error| error.within("sensors"))?;
         let shares = [
             ("spread.kt_pct", self.spread.kt_pct),
             ("spread.friction_pct", self.spread.friction_pct),
@@ -401,8 +401,7 @@ impl FleetSettings {
                 require(&loss, "must be 0 to 100", |pct| (0.0..=100.0).contains(&pct))
             }
             IncidentKind::StuckSensor(stuck) => {
-                let from = [("incidents.kind.stuck_sensor.from_s", stuck.from_s)];
-                require(&from, "must be 0 to 40", |s| (0.0..=40.0).contains(&s))
+                stuck.check().map_err(|error| error.within("incidents.kind.stuck_sensor"))
             }
         }
     }

@@ -144,12 +144,20 @@ impl Default for Parameters {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{name} is {value}: {must}")]
 pub struct InvalidParameter {
-    /// The parameter's name.
-    pub name: &'static str,
+    /// The parameter's name, as in configuration files.
+    pub name: String,
     /// Its value.
     pub value: f64,
     /// What it must be.
     pub must: &'static str,
+}
+
+impl InvalidParameter {
+    /// The same in a section of a configuration: `lead_mm` becomes `machine.lead_mm`.
+    #[must_use]
+    pub fn within(self, section: &str) -> Self {
+        Self { name: format!("{section}.{}", self.name), ..self }
+    }
 }
 
 /// What the physics says that identification should find; equation (13), everything on the screw.
@@ -278,7 +286,6 @@ impl Parameters {
             ("screw_viscous_nms", self.screw_viscous_nms),
             ("screw_dry_nm", self.screw_dry_nm),
             ("drive_damping_ns_m", self.drive_damping_ns_m),
-            ("breakaway_ratio - 1", self.breakaway_ratio - 1.0),
         ];
         let finite = [
             ("screw_stiffness_nm", self.screw_stiffness_nm),
@@ -290,13 +297,14 @@ impl Parameters {
         require(&positive, "must be above 0", |value| value > 0.0)?;
         require(&not_negative, "must be 0 or more", |value| value >= 0.0)?;
         require(&finite, "must be a finite number", |_| true)?;
+        require(&[("breakaway_ratio", self.breakaway_ratio)], "must be 1 or more", |ratio| ratio >= 1.0)?;
         require(&[("timeout_s", self.timeout_s)], "must be above 0 and at most 40", |s| s > 0.0 && s <= 40.0)?;
         require(&[("rectifier_ripple", self.rectifier_ripple)], "must be 0 to 1", |share| {
             (0.0..=1.0).contains(&share)
         })?;
         require(&[("cut_off_mm", self.cut_off_mm)], "must be less than the stroke", |mm| mm < self.stroke_mm)?;
-        self.supply.check()?;
-        self.rails.check()
+        self.supply.check().map_err(|error| error.within("supply.rectified_mains"))?;
+        self.rails.check().map_err(|error| error.within("rails"))
     }
 
     /// These parameters at `temperature_c`: magnets and back-EMF, copper, grease and thermal thrust in the rails.
@@ -338,7 +346,7 @@ pub(super) fn require(
     good: impl Fn(f64) -> bool,
 ) -> Result<(), InvalidParameter> {
     match values.iter().find(|(_, value)| !value.is_finite() || !good(*value)) {
-        Some(&(name, value)) => Err(InvalidParameter { name, value, must }),
+        Some(&(name, value)) => Err(InvalidParameter { name: name.to_owned(), value, must }),
         None => Ok(()),
     }
 }

@@ -92,7 +92,15 @@ impl Parameters {
         self.check()?;
         conditions.check(self.stroke_mm)?;
         let modes = self.rails.modes();
-        Ok(Machine::new(&self.at_temperature(conditions.temperature_c), &modes, direction, conditions, step_s).run())
+        let machine = self.at_temperature(conditions.temperature_c);
+        let motion = Machine::new(&machine, &modes, direction, conditions, step_s).run();
+        // Not every combination of positive numbers is a machine that can be integrated.
+        let ends = [
+            ("current_a", motion.current_a[motion.current_a.len() - 1]),
+            ("toe_mm", motion.toe_mm[motion.toe_mm.len() - 1]),
+        ];
+        require(&ends, "must stay finite: no machine has such parameters together", |_| true)?;
+        Ok(motion)
     }
 }
 

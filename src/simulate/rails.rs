@@ -97,21 +97,19 @@ pub(super) struct QuasiStatic {
 impl Rails {
     pub(super) fn check(&self) -> Result<(), InvalidParameter> {
         let positive = [
-            ("rails.length_m", self.length_m),
-            ("rails.mass_kg_m", self.mass_kg_m),
-            ("rails.bending_stiffness_n_m2", self.bending_stiffness_n_m2),
+            ("length_m", self.length_m),
+            ("mass_kg_m", self.mass_kg_m),
+            ("bending_stiffness_n_m2", self.bending_stiffness_n_m2),
         ];
         let not_negative = [
-            ("rails.toe_mass_kg", self.toe_mass_kg),
-            ("rails.damping_ratio", self.damping_ratio),
-            ("rails.slide_friction", self.slide_friction),
+            ("toe_mass_kg", self.toe_mass_kg),
+            ("damping_ratio", self.damping_ratio),
+            ("slide_friction", self.slide_friction),
         ];
         require(&positive, "must be above 0", |value| value > 0.0)?;
         require(&not_negative, "must be 0 or more", |value| value >= 0.0)?;
-        require(&[("rails.modes", self.modes as f64)], "must be 1 to 6", |n| (1.0..=MAX_MODES as f64).contains(&n))?;
-        require(&[("rails.elements", self.elements as f64)], "must be 3 to 40", |n| {
-            (3.0..=MAX_ELEMENTS as f64).contains(&n)
-        })
+        require(&[("modes", self.modes as f64)], "must be 1 to 6", |n| (1.0..=MAX_MODES as f64).contains(&n))?;
+        require(&[("elements", self.elements as f64)], "must be 3 to 40", |n| (3.0..=MAX_ELEMENTS as f64).contains(&n))
     }
 
     /// The reduced rails. The parameters must have passed [`Rails::check`].

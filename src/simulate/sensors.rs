@@ -124,19 +124,12 @@ impl Sensors {
         require(&rate, "must be 25 to 20000", |hz| (25.0..=20_000.0).contains(&hz))?;
         let times = [("before_s", self.before_s), ("after_s", self.after_s)];
         require(&times, "must be 0 to 5", |s| (0.0..=5.0).contains(&s))?;
-        let rest = [
-            ("current.noise", self.current.noise),
-            ("position.noise", self.position.noise),
-            ("jitter_s", self.jitter_s),
-        ];
-        require(&rest, "must be 0 or more", |value| value >= 0.0)?;
+        self.current.check().map_err(|error| error.within("current"))?;
+        self.position.check().map_err(|error| error.within("position"))?;
+        require(&[("jitter_s", self.jitter_s)], "must be 0 to 1", |s| (0.0..=1.0).contains(&s))?;
         require(&[("dropped_pct", self.dropped_pct)], "must be 0 to 50", |pct| (0.0..=50.0).contains(&pct))?;
-        let scales = [self.current.full_scale, self.position.full_scale];
-        for scale in scales.into_iter().flatten() {
-            require(&[("full_scale", scale)], "must be above 0", |value| value > 0.0)?;
-        }
-        for bits in [self.current.bits, self.position.bits].into_iter().flatten() {
-            require(&[("bits", f64::from(bits))], "must be 4 to 24", |bits| (4.0..=24.0).contains(&bits))?;
+        if let Some(stuck) = self.stuck {
+            stuck.check().map_err(|error| error.within("stuck"))?;
         }
         match self.anti_alias_hz {
             Some(hz) => require(&[("anti_alias_hz", hz)], "must be above 0 and below half the sampling rate", |hz| {
@@ -208,7 +201,30 @@ impl Sensors {
     }
 }
 
+impl Stuck {
+    pub(super) fn check(&self) -> Result<(), InvalidParameter> {
+        require(&[("from_s", self.from_s)], "must be 0 to 40", |s| (0.0..=40.0).contains(&s))
+    }
+}
+
 impl Channel {
+    fn check(&self) -> Result<(), InvalidParameter> {
+        require(&[("noise", self.noise)], "must be 0 or more", |sd| sd >= 0.0)?;
+        require(&[("offset", self.offset)], "must be a finite number", |_| true)?;
+        require(&[("gain_pct", self.gain_pct)], "must be -90 to 900", |pct| (-90.0..=900.0).contains(&pct))?;
+        if let Some(scale) = self.full_scale {
+            require(&[("full_scale", scale)], "must be above 0", |value| value > 0.0)?;
+        }
+        match self.bits {
+            Some(bits) => {
+                require(&[("bits", f64::from(bits))], "must be 4 to 24", |bits| (4.0..=24.0).contains(&bits))?;
+                let scale = [("full_scale", self.full_scale.unwrap_or(f64::NAN))];
+                require(&scale, "must be given with bits: the converter's range", |_| true)
+            }
+            None => Ok(()),
+        }
+    }
+
     fn reading<R: Rng>(&self, truth: f64, rng: &mut R) -> f64 {
         let mut value = truth + self.offset;
         if self.noise > 0.0 {
