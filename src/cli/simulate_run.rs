@@ -222,17 +222,14 @@ mod tests {
             logger: LoggerSettings,
             fleet: FleetSettings,
         }
-        // Keys without a default are shown as comments; faults and incidents are examples.
-        let text: String = shipped()
-            .lines()
-            .map(|line| line.strip_prefix("# ").filter(|key| key.contains(" = ")).unwrap_or(line))
-            .fold(
-                String::new(),
-                |text, line| if line.starts_with("machine = 0") { return text } else { text + line + "\n" },
-            );
-        let shown = text.split("# Parts that wear out").next().unwrap();
+        // Keys without a default are shown as comments; the examples of faults and incidents come last.
+        let shipped = shipped();
+        let settings = shipped.split("# Parts that wear out").next().unwrap();
+        let uncommented =
+            |line: &str| line.strip_prefix("# ").filter(|key| key.contains(" = ")).unwrap_or(line).to_owned();
+        let shown = settings.lines().map(uncommented).collect::<Vec<_>>().join("\n");
         let mut found = Vec::new();
-        keys(&toml::from_str(shown).unwrap(), "", &mut found);
+        keys(&toml::from_str(&shown).unwrap(), "", &mut found);
         let channel = Channel { full_scale: Some(1.0), bits: Some(12), ..Channel::default() };
         let mut sections = Sections {
             logger: LoggerSettings {
