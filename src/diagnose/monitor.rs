@@ -10,7 +10,7 @@ use super::{
     cause::percent,
     condition::Condition,
     operational::{Operation, Scene},
-    track::Tracks,
+    track::{Standing, Tracks},
     trend::History,
     verdict::Onset,
 };
@@ -125,15 +125,20 @@ impl MachineMonitor {
             if let Some(drift) = &drift {
                 verdict.events.extend(self.judge(drift, &observation.throw, at, settings));
             }
-            let suspicious = drift.is_some_and(|drift| drift.is_detected()) || self.board.active().any(is_drift);
-            if !suspicious {
-                let taken = self.tracks.learn(throw, self.order, at, settings);
-                if taken.is_some() {
-                    // Residuals from another centre: what came before is no history of this one.
-                    self.history = History::default();
-                }
-                verdict.baselines_taken.extend(taken);
+            let standing = if self.board.active().any(is_drift) {
+                Standing::Alarmed
+            } else if self.onset.is_some() {
+                Standing::Suspected
+            } else {
+                Standing::Plain
+            };
+            let taken = self.tracks.learn(throw, self.order, at, standing, settings);
+            if taken.is_some() {
+                // Residuals from another centre: what came before is no history of this one.
+                self.history = History::default();
+                self.onset = None;
             }
+            verdict.baselines_taken.extend(taken);
         }
         if let (Some(direction), Some(duration_s), false) =
             (observation.direction, observation.features.duration_s, observation.incomplete)

@@ -17,11 +17,31 @@ use serde::{Deserialize, Serialize};
 
 use super::sym3::Sym3;
 
-/// Weight of the prior on a lag-1 correlation, in throws, and its centre: 50 throws know it to 0.13 only, 12 hardly.
-const LAG1_PRIOR: (f64, f64) = (4.0, 0.2);
+/// What is known of a machine before its first throw, from machines of its kind. A dozen correlated throws alone hardly
+/// know a covariance and its serial correlation: a provisional baseline leans on this, a complete one on itself.
+struct Prior {
+    /// Weight of the lag-1 correlation, in throws, and its centre.
+    lag1: (f64, f64),
+    /// Weight of `TYPICAL_SD`, in independent throws.
+    scatter: f64,
+}
+
+const PROVISIONAL: Prior = Prior { lag1: (20.0, 0.35), scatter: 12.0 };
+const COMPLETE: Prior = Prior { lag1: (4.0, 0.2), scatter: 0.0 };
+/// Standard deviations of ln b0, ln a1, ln a0 from weather and load.
+const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
 /// Lag-1 correlations that are believed. Above, the variance of a mean cannot be told from a few throws; the lower
 /// end lets an estimate for independent throws err to both sides, as a floor at zero would make limits too wide.
 const LAG1_RANGE: (f64, f64) = (-0.3, 0.9);
+
+/// How well the covariance of a mean is known.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Doubt {
+    /// Degrees of freedom of the variance of one throw.
+    pub(super) degrees_of_freedom: f64,
+    /// Variance of the logarithm of what the serial correlation makes of it.
+    pub(super) log_variance: f64,
+}
 
 /// Natural scatter, learned from the residuals of a baseline.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,12 +50,15 @@ pub(super) struct Scatter {
     sensor: Sym3,
     lag1: [f64; 3],
     throws: f64,
+    complete: bool,
 }
 
 impl Scatter {
     /// Learns from the residuals of throws in the order in which they happened. `sensor` is the mean covariance of
-    /// the estimates; `centres` is how many means were removed from the residuals.
-    pub(super) fn learn(residuals: &[Vector3<f64>], sensor: Matrix3<f64>, centres: usize) -> Self {
+    /// the estimates; `centres` is how many means were removed from the residuals; `complete` whether these are all the
+    /// throws that a baseline is made of.
+    pub(super) fn learn(residuals: &[Vector3<f64>], sensor: Matrix3<f64>, centres: usize, complete: bool) -> Self {
+        let prior = prior(complete);
         let throws = residuals.len() as f64;
         let moment = |lag: usize| -> Matrix3<f64> {
             residuals.iter().zip(&residuals[lag..]).map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>() / throws
@@ -49,15 +72,18 @@ impl Scatter {
             let raw = if share > 0.0 { one[(i, i)] / (zero[(i, i)] * share.max(0.2)) } else { 0.0 };
             let unbiased = (raw + centres as f64 / throws) / (1.0 - 3.0 * centres as f64 / throws);
             let weight = throws * share;
-            let (prior_weight, prior) = LAG1_PRIOR;
-            lag1[i] = ((weight * unbiased + prior_weight * prior) / (weight + prior_weight))
+            let (prior_weight, typical) = prior.lag1;
+            lag1[i] = ((weight * unbiased + prior_weight * typical) / (weight + prior_weight))
                 .clamp(LAG1_RANGE.0, LAG1_RANGE.1);
             let lost = centres as f64 * (1.0 + share * (inflation(lag1[i], throws) - 1.0)) / throws;
             grow[i] = (1.0 / (1.0 - lost.min(0.5))).sqrt();
         }
         let scale = Matrix3::from_diagonal(&grow);
         let total = scale * zero * scale;
-        Self { natural: natural_part(total, sensor).into(), sensor: sensor.into(), lag1, throws }
+        let own = effective(throws, lag1.iter().sum::<f64>() / 3.0);
+        let typical = Matrix3::from_diagonal(&Vector3::from(TYPICAL_SD).map(|sd| sd * sd));
+        let natural = (natural_part(total, sensor) * own + typical * prior.scatter) / (own + prior.scatter);
+        Self { natural: natural.into(), sensor: sensor.into(), lag1, throws, complete }
     }
 
     /// Covariance of the machine's own scatter plus the estimator's in the baseline: of one throw.
@@ -92,27 +118,37 @@ impl Scatter {
             + Matrix3::from(self.sensor) / baseline_throws
     }
 
-    /// How well `of_mean` is known, in degrees of freedom: 2 / var(ln V) (Satterthwaite), where V errs with the
-    /// variance of the residuals and with the lag-1 correlation, both from a finite number of dependent throws.
-    pub(super) fn degrees_of_freedom(&self, w: usize) -> f64 {
+    /// How well `of_mean` of `w` throws is known: it errs with the variance of the residuals and with the lag-1
+    /// correlation, both from a finite number of dependent throws; the mean over the coefficients.
+    pub(super) fn doubt(&self, w: usize) -> Doubt {
         const STEP: f64 = 1e-4;
+        let prior = prior(self.complete);
         let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
         let factor = |phi: f64| inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws;
-        let mut mean = 0.0;
+        let (mut variance, mut log_variance) = (0.0, 0.0);
         for i in 0..3 {
             let phi = self.lag1[i];
             let share = natural[(i, i)] / (natural[(i, i)] + sensor[(i, i)]).max(f64::MIN_POSITIVE);
-            let effective = self.throws * (1.0 - phi * phi) / (1.0 + phi * phi);
             let slope = (factor(phi + STEP).ln() - factor(phi - STEP).ln()) / (2.0 * STEP);
-            let weight = (self.throws * share).max(1.0) + LAG1_PRIOR.0;
+            let weight = (self.throws * share).max(1.0) + prior.lag1.0;
             let of_lag1 = share * slope * slope * (1.0 - phi * phi) / weight;
             // Skewed: a strong correlation taken too low does more harm than one taken too high does good. The weight
             // is measured on simulated healthy fleets with phi from 0 to 0.6.
             let skew = 1.0 + 2.0 * phi.max(0.0);
-            mean += (2.0 / effective + skew * of_lag1) / 3.0;
+            variance += 2.0 / (effective(self.throws, phi) + prior.scatter) / 3.0;
+            log_variance += skew * of_lag1 / 3.0;
         }
-        2.0 / mean
+        Doubt { degrees_of_freedom: 2.0 / variance, log_variance }
     }
+}
+
+fn prior(complete: bool) -> Prior {
+    if complete { COMPLETE } else { PROVISIONAL }
+}
+
+/// Independent throws that tell a variance as well as `throws` with the lag-1 correlation `phi`.
+fn effective(throws: f64, phi: f64) -> f64 {
+    throws * (1.0 - phi * phi) / (1.0 + phi * phi)
 }
 
 /// `g_w(phi)`: by how much the variance of a mean of `w` throws exceeds that of independent ones.

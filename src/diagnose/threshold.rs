@@ -1,15 +1,16 @@
 //! Limits of the drift statistic, computed from the budget of false alarms.
 //!
 //! T = m' V^-1 m of one window would be chi-square with three degrees of freedom if V were known. V comes from a
-//! finite baseline, so T follows Hotelling's law instead: T (nu - 2) / (3 nu) is F(3, nu - 2), with the degrees of
-//! freedom nu of [`Scatter::degrees_of_freedom`]. Every throw asks several windows of several streams; the budget is
-//! shared among them, and each share is a rate of *new* crossings: successive windows overlap, so a crossing lasts
-//! some throws and counts once.
+//! finite baseline, so T follows Hotelling's law instead: T (nu - 2) / (3 nu) is F(3, nu - 2). And V errs with the
+//! serial correlation, by a factor whose logarithm has the variance s^2: where the tail of T falls as T^-k, that raises
+//! its limit by exp(k s^2 / 2), the mean of the factor's k-th power. Every throw asks several windows of several
+//! streams; the budget is shared among them, and each share is a rate of *new* crossings: successive windows overlap, so
+//! a crossing lasts some throws and counts once.
 
 use serde::{Deserialize, Serialize};
 use statrs::function::beta::checked_beta_reg;
 
-use super::scatter::Scatter;
+use super::scatter::{Doubt, Scatter};
 
 /// Window lengths \[throws\].
 pub(super) const WINDOWS: [usize; 4] = [3, 6, 12, 24];
@@ -30,7 +31,7 @@ impl Thresholds {
     /// For `budget` false alarms a throw of this stream, shared among its windows.
     pub(super) fn compute(scatter: &Scatter, budget: f64) -> Self {
         let share = CROSSINGS_PER_ALARM * budget / WINDOWS.len() as f64;
-        Self { budget, limits: WINDOWS.map(|w| limit(share, scatter.degrees_of_freedom(w))) }
+        Self { budget, limits: WINDOWS.map(|w| limit(share, scatter.doubt(w))) }
     }
 
     /// Whether they were computed for this budget.
@@ -45,9 +46,11 @@ impl Thresholds {
     }
 }
 
-/// T that Hotelling's law with `nu` degrees of freedom exceeds with probability `alpha`.
-fn limit(alpha: f64, nu: f64) -> f64 {
-    let second = (nu - DIMENSIONS + 1.0).max(2.0);
+/// T that is exceeded with probability `alpha` when its covariance is known as well as `doubt` says.
+fn limit(alpha: f64, doubt: Doubt) -> f64 {
+    /// Step of ln T over which the fall of the tail is taken.
+    const STEP: f64 = 0.1;
+    let second = (doubt.degrees_of_freedom - DIMENSIONS + 1.0).max(2.0);
     let nu = second + DIMENSIONS - 1.0;
     let exceeds = |f: f64| {
         let x = second / (second + DIMENSIONS * f);
@@ -58,7 +61,8 @@ fn limit(alpha: f64, nu: f64) -> f64 {
         let middle = 0.5 * (low + high);
         if exceeds(middle.exp()) > alpha { low = middle } else { high = middle }
     }
-    DIMENSIONS * nu / second * low.exp()
+    let fall = (exceeds(low.exp()) / exceeds((low + STEP).exp())).ln() / STEP;
+    DIMENSIONS * nu / second * (low + 0.5 * fall * doubt.log_variance).exp()
 }
 
 #[cfg(test)]
@@ -69,13 +73,15 @@ mod tests {
     fn with_many_degrees_of_freedom_the_limit_is_that_of_chi_square() {
         // Chi-square with three degrees of freedom, upper tails from a table.
         for (alpha, expected) in [(0.05, 7.815), (0.001, 16.266)] {
-            assert!((limit(alpha, 1e7) - expected).abs() < 2e-3, "{}", limit(alpha, 1e7));
+            let limit = limit(alpha, Doubt { degrees_of_freedom: 1e7, log_variance: 0.0 });
+            assert!((limit - expected).abs() < 2e-3, "{limit}");
         }
     }
 
     #[test]
     fn with_few_it_is_that_of_f() {
         // F(3, 10), upper 1 %: 6.552 in the tables.
-        assert!((limit(0.01, 12.0) - 3.0 * 12.0 / 10.0 * 6.552).abs() < 0.01);
+        let limit = limit(0.01, Doubt { degrees_of_freedom: 12.0, log_variance: 0.0 });
+        assert!((limit - 3.0 * 12.0 / 10.0 * 6.552).abs() < 0.01);
     }
 }

@@ -16,12 +16,28 @@ use super::{
 };
 use crate::throw::Direction;
 
+/// Throws of a direction that are set aside: a longest window of them shows any drift that matters.
+const MOST_ASIDE: usize = WINDOWS[3];
+
+/// What stands when a throw is to be learned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Standing {
+    /// Nothing speaks against it.
+    Plain,
+    /// The last throws may show a drift.
+    Suspected,
+    /// A drift is alarmed.
+    Alarmed,
+}
+
 /// One direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Track {
     /// Throws for the baseline; kept until both directions have theirs.
     learned: Vec<Learned>,
-    /// Mean covariance of their estimates.
+    /// Throws that may show a drift already: not yet in the baseline, nor out of it.
+    aside: Vec<Learned>,
+    /// Mean covariance of the estimates of both.
     sensor: Sym3,
     baseline: Option<Baseline>,
     thresholds: Option<Thresholds>,
@@ -120,26 +136,40 @@ impl Tracks {
         Drift::new(best, levels, (latest, level(latest, WINDOWS[0])), open, settings)
     }
 
-    /// Takes a healthy throw into the baseline; gives the baseline's record when it became usable, better or
-    /// complete with it.
+    /// Takes a throw into a baseline that is not complete; gives its record when it became usable, better or complete.
+    ///
+    /// A fault must not become normal, nor may an unlucky first dozen end the learning: while a drift is suspected,
+    /// throws are set aside. They are dropped when it is alarmed, and taken when it passes, or when a longest window of
+    /// them has shown no drift that matters.
     pub(super) fn learn(
         &mut self,
         throw: &Evaluated,
         order: u64,
         at: Timestamp,
+        standing: Standing,
         settings: &Settings,
     ) -> Option<BaselineRecord> {
+        if standing == Standing::Alarmed {
+            self.sides.iter_mut().for_each(|track| track.aside.clear());
+            return None;
+        }
         let track = &mut self.sides[side(throw.direction)];
         if track.baseline.as_ref().is_some_and(Baseline::is_complete) {
             return None;
         }
-        track.learned.push(Learned::new(order, throw));
-        let count = track.learned.len();
+        track.aside.push(Learned::new(order, throw));
         let mean = Matrix3::from(track.sensor);
+        let count = track.learned.len() + track.aside.len();
         track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
+        if standing == Standing::Suspected && track.aside.len() < MOST_ASIDE {
+            return None;
+        }
+        track.learned.append(&mut track.aside);
+        track.learned.truncate(settings.baseline_throws);
         let usable = settings.baseline_usable_throws;
-        let stage = count == usable || count == 2 * usable || count >= settings.baseline_throws;
-        if !stage {
+        let next =
+            [usable, 2 * usable].into_iter().find(|stage| *stage > track.baseline.as_ref().map_or(0, Baseline::throws));
+        if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
             return None;
         }
         let baseline = Baseline::learn(&track.learned, track.sensor, at, settings);
@@ -190,7 +220,7 @@ impl Tracks {
         let track = &self.sides[side(direction)];
         match &track.baseline {
             Some(baseline) if baseline.is_complete() => (baseline.throws(), baseline.throws()),
-            _ => (track.learned.len(), settings.baseline_throws),
+            _ => (track.learned.len() + track.aside.len(), settings.baseline_throws),
         }
     }
 

@@ -62,11 +62,6 @@ impl Drift {
         Self { excess, finding, levels, latest }
     }
 
-    /// Whether the last throws differ from the baseline beyond chance.
-    pub(super) fn is_detected(&self) -> bool {
-        self.finding.is_some()
-    }
-
     /// What the throw says about `cause`.
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
