@@ -65,6 +65,11 @@ pub(super) struct Learned {
     duration_s: Option<f32>,
 }
 
+/// Change of ln b0, ln a1, ln a0 with temperature \[per K\], as large as it usually is: magnets, grease, rails.
+const TYPICAL_PER_K: [f64; 3] = [0.002, 0.01, 0.002];
+/// Serial correlation that a fit of temperature believes in at most.
+const MOST_LAG1: f64 = 0.8;
+
 /// Compensation of temperature: x - `per_k` (T - reference).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Temperature {
@@ -112,15 +117,21 @@ impl Temperature {
             let per_k = [t.b0_pct_per_k, t.a1_pct_per_k, t.a0_pct_per_k].map(|pct| pct / 100.0);
             return Self { source: TemperatureSource::Configured, per_k, ..none };
         }
-        let spans = known[known.len() - 1] - known[0] >= settings.temperature_span_k;
-        if spans && known.len() == throws.len() && throws.len() >= settings.baseline_throws {
-            Self::fit(throws, reference)
-        } else {
-            none
+        if known.len() < throws.len() {
+            return none;
         }
+        let spans = known[known.len() - 1] - known[0] >= settings.temperature_span_k;
+        let fitted = Self::fit(throws, reference);
+        if spans && throws.len() >= settings.baseline_throws {
+            return fitted;
+        }
+        // Not compensated: what the fit would take out counts as doubt instead.
+        let doubt = |i: usize| fitted.per_k_variance[i] + fitted.per_k[i].powi(2);
+        Self { per_k_variance: [doubt(0), doubt(1), doubt(2)], ..none }
     }
 
-    /// Least squares of each logarithm on temperature, with the variance of the slope.
+    /// Least squares of each logarithm on temperature, drawn to zero by what such slopes are at most. The variance of
+    /// the slope counts that scatter is serially correlated, and so slow as the weather itself.
     fn fit(throws: &[Learned], reference: f64) -> Self {
         let n = throws.len() as f64;
         let t: Vec<f64> = throws.iter().map(|l| l.temperature_c.map_or(0.0, |c| f64::from(c) - reference)).collect();
@@ -131,20 +142,24 @@ impl Temperature {
         for i in 0..3 {
             let x: Vec<f64> = throws.iter().map(|l| l.log[i]).collect();
             let x_mean = x.iter().sum::<f64>() / n;
-            let slope = t.iter().zip(&x).map(|(t, x)| (t - t_mean) * (x - x_mean)).sum::<f64>() / t_square;
-            let rest: f64 = t.iter().zip(&x).map(|(t, x)| (x - x_mean - slope * (t - t_mean)).powi(2)).sum();
-            per_k[i] = slope;
-            per_k_variance[i] = rest / (n - 2.0) / t_square;
+            let together: f64 = t.iter().zip(&x).map(|(t, x)| (t - t_mean) * (x - x_mean)).sum();
+            let slope = together / t_square.max(f64::MIN_POSITIVE);
+            let rest: Vec<f64> = t.iter().zip(&x).map(|(t, x)| x - x_mean - slope * (t - t_mean)).collect();
+            let square: f64 = rest.iter().map(|r| r * r).sum();
+            let lagged: f64 = rest.iter().zip(&rest[1..]).map(|(a, b)| a * b).sum();
+            let lag1 = (lagged / square.max(f64::MIN_POSITIVE) + 2.0 / n).clamp(0.0, MOST_LAG1);
+            let noise = square / (n - 2.0) * (1.0 + lag1) / (1.0 - lag1);
+            let prior = TYPICAL_PER_K[i].powi(-2);
+            let information = t_square / noise.max(f64::MIN_POSITIVE);
+            per_k[i] = slope * information / (information + prior);
+            per_k_variance[i] = (information + prior).recip();
         }
         Self { source: TemperatureSource::Fitted, per_k, per_k_variance, reference_c: Some(reference) }
     }
 
-    /// Distance from the reference \[K\]; zero where either is unknown or nothing is compensated.
+    /// Distance from the reference \[K\]; zero where either is unknown.
     fn distance(&self, temperature_c: Option<f64>) -> f64 {
-        match (self.source, temperature_c, self.reference_c) {
-            (TemperatureSource::None, ..) | (_, None, _) | (_, _, None) => 0.0,
-            (_, Some(now), Some(reference)) => now - reference,
-        }
+        temperature_c.zip(self.reference_c).map_or(0.0, |(now, reference)| now - reference)
     }
 }
 
@@ -180,9 +195,10 @@ impl Baseline {
         (Vector3::from(*log) - Vector3::from(self.centre) - Vector3::from(self.temperature.per_k) * distance, distance)
     }
 
-    /// Variance that fitted temperature coefficients add at a mean `distance` \[K\] from the reference.
-    pub(super) fn temperature_variance(&self, distance: f64) -> Matrix3<f64> {
-        Matrix3::from_diagonal(&(Vector3::from(self.temperature.per_k_variance) * distance * distance))
+    /// Standard deviation that the doubt about temperature coefficients adds at a mean `distance` \[K\] from the
+    /// reference; with the sign of the distance, as both directions see the same weather.
+    pub(super) fn temperature_sd(&self, distance: f64) -> Vector3<f64> {
+        Vector3::from(self.temperature.per_k_variance).map(f64::sqrt) * distance
     }
 
     pub(super) fn scatter(&self) -> &Scatter {

@@ -146,15 +146,16 @@ impl<'a> Tail<'a> {
         });
         // The centre of each direction errs on its own: together they are known as from this many throws.
         let mut spread = 0.0;
-        let mut covariance = Matrix3::zeros();
+        let mut doubt = Vector3::zeros();
         for side in 0..2 {
             if counts[side] > 0 {
                 let part = counts[side] as f64 / n;
                 spread += part * part / baselines[side]?.throws() as f64;
-                covariance += baselines[side]?.temperature_variance(distance[side] / n);
+                doubt += baselines[side]?.temperature_sd(distance[side] / n);
             }
         }
-        covariance += scatter.of_mean(throws, &sensor, 1.0 / spread);
+        let temperature = Matrix3::from_diagonal(&doubt.component_mul(&doubt));
+        let covariance = scatter.of_mean(throws, &sensor, 1.0 / spread) + temperature;
         Some(Window { throws, mean, covariance, excess: 0.0 })
     }
 
