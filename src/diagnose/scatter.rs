@@ -26,7 +26,7 @@ struct Prior {
     scatter: f64,
 }
 
-const PROVISIONAL: Prior = Prior { lag1: (20.0, 0.35), scatter: 12.0 };
+const PROVISIONAL: Prior = Prior { lag1: (20.0, 0.35), scatter: 15.0 };
 const COMPLETE: Prior = Prior { lag1: (4.0, 0.2), scatter: 0.0 };
 /// Standard deviations of ln b0, ln a1, ln a0 from weather and load.
 const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];

@@ -133,7 +133,8 @@ impl Tracks {
         };
         let levels = [level(0, WINDOWS[2]), level(1, WINDOWS[2])];
         let latest = side(direction);
-        Drift::new(best, levels, (latest, level(latest, WINDOWS[0])), open, settings)
+        let provisional = baselines.iter().flatten().any(|baseline| !baseline.is_complete());
+        Drift::new(best, provisional, levels, (latest, level(latest, WINDOWS[0])), open, settings)
     }
 
     /// Takes a throw into a baseline that is not complete; gives its record when it became usable, better or complete.

@@ -26,6 +26,9 @@ const UNNAMED_PATIENCE: u32 = 6;
 /// The same when two explanations are too close to call: a longest window tells most of them apart.
 const TOO_CLOSE_PATIENCE: u32 = 24;
 
+/// By how much limits are wider on a provisional baseline: it has not seen the machine's weather yet.
+const PROVISIONAL_WIDENING: f64 = 1.5;
+
 /// When a drift was first suspected.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Onset {
@@ -38,6 +41,8 @@ pub(super) struct Onset {
 pub(super) struct Drift {
     /// T of the strongest window over its limit.
     excess: f64,
+    /// Whether a baseline behind it is still being learned.
+    provisional: bool,
     /// Named, when detected.
     finding: Option<Finding>,
     /// Present level of each direction.
@@ -49,6 +54,7 @@ pub(super) struct Drift {
 impl Drift {
     pub(super) fn new(
         strongest: Option<(Window, &Scatter)>,
+        provisional: bool,
         levels: [Option<Window>; 2],
         latest: (usize, Option<Window>),
         open: &[Cause],
@@ -59,7 +65,7 @@ impl Drift {
             let correlation = Correlation::of(&scatter.of_one_throw(), &window);
             Finding::of(&window, Some(correlation), open, settings)
         });
-        Self { excess, finding, levels, latest }
+        Self { excess, provisional, finding, levels, latest }
     }
 
     /// What the throw says about `cause`.
@@ -75,9 +81,10 @@ impl Drift {
         let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
         let latest = last_few.as_ref().filter(|_| concerned && alarmed.is_some());
         let latest = latest.map(|window| extent(cause, window, settings).0);
+        let widening = if self.provisional { PROVISIONAL_WIDENING } else { 1.0 };
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         Reading {
-            relevance: named.map_or(0.0, |finding| finding.relevance),
+            relevance: named.map_or(0.0, |finding| finding.relevance / widening),
             beyond_doubt: cause == Cause::Unattributed || named.is_some_and(|finding| finding.lead >= DECISIVE),
             patience: named.map_or(0, |finding| match (finding.naming, finding.rival) {
                 (Naming::One(_), _) => 0,
