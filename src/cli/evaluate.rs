@@ -186,8 +186,8 @@ fn healthy_table(report: &Report) -> Table {
 
 fn rows_table(report: &Report, depth: Depth) -> Table {
     let header = [
-        "case", "cause", "shape", "noise", "size %", "lives", "right %", "wrong", "ambig.", "missed", "delay", "p95",
-        "paper %", "wrong", "CUSUM %", "wrong",
+        "case", "cause", "shape", "noise", "size %", "lives", "right %", "wrong", "critical", "ambig.", "missed",
+        "delay", "p95", "paper %", "wrong", "CUSUM %", "wrong",
     ];
     let mut table = table(&header, 4);
     for row in report.rows.iter().filter(|row| row.depth == depth) {
@@ -206,7 +206,7 @@ fn row_cells(row: &Row) -> Vec<Cell> {
     cells.push(Cell::new(row.trials));
     let mark = if row.shortfalls().is_empty() { "" } else { "! " };
     cells.push(Cell::new(format!("{mark}{}", share(monitor))));
-    cells.extend([monitor.wrong, monitor.ambiguous, monitor.missed].map(Cell::new));
+    cells.extend([monitor.wrong, row.wrong_critical, monitor.ambiguous, monitor.missed].map(Cell::new));
     cells.extend([monitor.delay_median, monitor.delay_p95].map(|throws| Cell::new(delay(throws))));
     for comparator in [&row.paper, &row.cusum] {
         cells.extend([Cell::new(share(comparator)), Cell::new(comparator.wrong)]);

@@ -70,6 +70,18 @@ pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
     }
 }
 
+/// Whether, at any time, a part that was sound was named at critical severity.
+pub(super) fn accuses_wrongly(calls: &[Call], life: &Timeline) -> bool {
+    let at_fault = |call: &Call| {
+        if call.at < life.onset {
+            Some(call.cause) == life.repaired()
+        } else {
+            life.truth().any(|part| part == call.cause)
+        }
+    };
+    calls.iter().any(|call| call.critical && is_part(call.cause) && !at_fault(call))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -116,6 +128,17 @@ mod tests {
         for (calls, expected) in cases {
             assert_eq!(judged(&life, calls), *expected, "{calls:?}");
         }
+    }
+
+    #[test]
+    fn a_sound_part_at_critical_severity_is_told_apart_from_a_warning() {
+        let life = life(Situation::Pair, &[Cause::Kt, Cause::Friction]);
+        let call = |cause, critical| [Call { at: life.onset + 5, cause, critical }];
+        assert!(accuses_wrongly(&call(Cause::Inertia, true), &life));
+        assert!(!accuses_wrongly(&call(Cause::Inertia, false), &life));
+        assert!(!accuses_wrongly(&call(Cause::Friction, true), &life));
+        assert!(!accuses_wrongly(&call(Cause::Unattributed, true), &life));
+        assert!(accuses_wrongly(&[Call { at: life.onset - 1, cause: Cause::Kt, critical: true }], &life));
     }
 
     #[test]

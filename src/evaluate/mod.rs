@@ -15,6 +15,8 @@
 //! - **ambiguous**: an alarm, but no name.
 //! - **missed**: no alarm at all; of two causes, only one.
 //!
+//! Of the wrong ones, **critical** counts the lives in which a sound part was named at critical severity at any time.
+//!
 //! **Delay** counts throws of the machine, both directions, from the first throw with the fault (1) to the name. A ramp
 //! starts at nothing and takes 100 throws to its full size, so its delay includes the time until it matters.
 //!

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use super::{
     cusum::Design,
     domain,
-    judge::{Judgement, judge},
+    judge::{Judgement, accuses_wrongly, judge},
     life::{Rules, Source, live, observation},
     parameter::{ParameterMachine, SCATTER_PHI},
     random::stream,
@@ -75,8 +75,8 @@ pub struct Outcome(Kind);
 enum Kind {
     /// Alarms of the monitor, the paper's rule and the CUSUM.
     Healthy([usize; 3]),
-    /// The judgements of the same three.
-    Row([Judgement; 3]),
+    /// The judgements of the same three, and whether the monitor named a sound part at critical severity.
+    Row([Judgement; 3], bool),
     Budget {
         throws: usize,
         alarmed: bool,
@@ -125,7 +125,7 @@ impl Plan {
     pub fn live(&self, life: usize) -> Outcome {
         Outcome(match self.tasks[life] {
             Task::Healthy { depth, machine, throws } => Kind::Healthy(self.healthy(depth, machine, throws)),
-            Task::Row { row, trial } => Kind::Row(self.row(row, trial)),
+            Task::Row { row, trial } => self.row(row, trial),
             Task::Budget { phi, machine } => self.budget(phi, machine),
         })
     }
@@ -135,23 +135,28 @@ impl Plan {
     pub fn report(&self, outcomes: &[Outcome]) -> Report {
         let mut healthy = Vec::new();
         let mut judgements = vec![Vec::new(); self.scenarios.len()];
+        let mut wrong_critical = vec![0; self.scenarios.len()];
         let mut budget = BUDGET_PHI.map(|phi| Budget::new(phi, BUDGET_THROWS));
         for (task, outcome) in self.tasks.iter().zip(outcomes) {
             match (*task, outcome.0) {
                 (Task::Healthy { depth, throws, .. }, Kind::Healthy(alarms)) => {
                     add(&mut healthy, depth, throws, alarms);
                 }
-                (Task::Row { row, .. }, Kind::Row(three)) => judgements[row].push(three),
+                (Task::Row { row, .. }, Kind::Row(three, accused)) => {
+                    judgements[row].push(three);
+                    wrong_critical[row] += usize::from(accused);
+                }
                 (Task::Budget { phi, .. }, Kind::Budget { throws, alarmed }) => budget[phi].add(throws, alarmed),
                 _ => {}
             }
         }
         healthy.sort_by_key(|healthy: &Healthy| healthy.depth as u8);
-        let lived = self.scenarios.iter().zip(judgements).filter(|(_, judgements)| !judgements.is_empty());
-        let rows = lived.map(|(scenario, judgements)| {
-            let tally = |rule: usize| Tally::of(judgements.iter().map(|three| three[rule]));
-            Row::new(scenario, judgements.len(), [tally(0), tally(1), tally(2)])
-        });
+        let lived = self.scenarios.iter().zip(judgements.iter().zip(wrong_critical));
+        let rows =
+            lived.filter(|(_, (judgements, _))| !judgements.is_empty()).map(|(scenario, (judgements, accused))| {
+                let tally = |rule: usize| Tally::of(judgements.iter().map(|three| three[rule]));
+                Row::new(scenario, judgements.len(), accused, [tally(0), tally(1), tally(2)])
+            });
         let budget = budget.into_iter().filter(|budget| budget.throws > 0).collect();
         Report { seed: self.seed, healthy, rows: rows.collect(), budget }
     }
@@ -164,14 +169,15 @@ impl Plan {
         [heard.raised, heard.paper.len(), heard.cusum.len()]
     }
 
-    fn row(&self, row: usize, trial: usize) -> [Judgement; 3] {
+    fn row(&self, row: usize, trial: usize) -> Kind {
         let scenario = &self.scenarios[row];
         let mut random = stream(self.seed, domain::TIMELINE, row, trial);
         let life = Timeline::of(scenario, trial, 2 * self.baseline, &mut random);
         let random = stream(self.seed, domain::ROW, row, trial);
         let mut source = source(scenario.depth, scenario.situation, scenario.noise, random, &life);
         let heard = live(&mut source, &life, self.rules(scenario.situation, scenario.noise));
-        [&heard.monitor, &heard.paper, &heard.cusum].map(|calls| judge(calls, &life))
+        let judgements = [&heard.monitor, &heard.paper, &heard.cusum].map(|calls| judge(calls, &life));
+        Kind::Row(judgements, accuses_wrongly(&heard.monitor, &life))
     }
 
     /// A healthy life under limits so small that only the drift rule's budget keeps alarms away, up to the first alarm.

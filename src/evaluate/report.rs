@@ -79,6 +79,8 @@ pub struct Row {
     /// The monitor's score.
     #[serde(flatten)]
     pub monitor: Tally,
+    /// Lives in which the monitor named a sound part at critical severity, at any time.
+    pub wrong_critical: usize,
     /// The paper's bare rule on the same throws.
     #[serde(serialize_with = "without_names")]
     pub paper: Tally,
@@ -157,7 +159,8 @@ fn without_names<S: Serializer>(tally: &Tally, serializer: S) -> Result<S::Ok, S
 
 impl Row {
     /// The row of a scenario whose lives were judged.
-    pub(super) fn new(scenario: &Scenario, trials: usize, [monitor, paper, cusum]: [Tally; 3]) -> Self {
+    pub(super) fn new(scenario: &Scenario, trials: usize, wrong_critical: usize, tallies: [Tally; 3]) -> Self {
+        let [monitor, paper, cusum] = tallies;
         let cause: Vec<&str> = scenario.faults.iter().map(|(part, _)| part.as_str()).collect();
         Self {
             depth: scenario.depth,
@@ -170,6 +173,7 @@ impl Row {
             case: scenario.situation.label(),
             trials,
             monitor,
+            wrong_critical,
             paper,
             cusum,
         }
@@ -186,6 +190,9 @@ impl Row {
         let late = self.monitor.delay_median.filter(|delay| *delay > GOAL_STEP_DELAY);
         if let Some(delay) = late.filter(|_| !self.hard && self.shape == Shape::Step) {
             shortfalls.push(format!("median delay {delay} throws"));
+        }
+        if self.wrong_critical > 0 && self.cause.contains('+') {
+            shortfalls.push(format!("a sound part named at critical severity in {} lives", self.wrong_critical));
         }
         for (name, comparator) in [("the paper's rule", &self.paper), ("CUSUM", &self.cusum)] {
             if comparator.right > self.monitor.right {
