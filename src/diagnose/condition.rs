@@ -17,6 +17,8 @@ use super::{Settings, event::Severity, threshold::WINDOWS};
 pub(super) struct Reading {
     /// The diagnosis names the cause, and its size is this many times the warning limit; zero when it does not.
     pub(super) relevance: f64,
+    /// How many times the warning limit the size must be for an alarm to be raised.
+    pub(super) raised_above: f64,
     /// Nothing else explains the drift at odds of 1000 to 1: a critical alarm must not have the wrong name.
     pub(super) beyond_doubt: bool,
     /// Throws by which the alarm waits longer than the on delay.
@@ -72,7 +74,7 @@ impl Condition {
     /// Takes in one throw, while the alarm has the severity `active`.
     pub(super) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Step {
         let count = |streak: &mut u32, holds: bool| *streak = if holds { streak.saturating_add(1) } else { 0 };
-        count(&mut self.on, reading.relevance > 1.0);
+        count(&mut self.on, reading.relevance > reading.raised_above);
         count(&mut self.critical, reading.relevance > settings.critical_factor && reading.beyond_doubt);
         count(&mut self.healthy, reading.plain_health);
         count(&mut self.below, reading.below);
@@ -86,7 +88,7 @@ impl Condition {
                 self.since_raised = Some(0);
                 // What held before the alarm does not end it: the levels lag behind a step by a few throws.
                 (self.healthy, self.below, self.other) = (0, 0, 0);
-                (self.level, self.below_level, self.fell_within, self.proposed) = (reading.relevance, 0, None, false);
+                (self.level, self.below_level, self.fell_within, self.proposed) = (0.0, 0, None, false);
                 Step::Raise(if is_critical { Severity::Critical } else { Severity::Warning })
             }
             Some(Severity::Warning) if is_critical => Step::Escalate,

@@ -60,8 +60,9 @@ pub(super) fn cleared(subject: &str, cause: Cause, at_once: bool) -> String {
 /// Most of a drift went away at once, and something is left.
 pub(super) fn maybe_repaired(subject: &str, cause: Cause) -> String {
     format!(
-        "{subject}: most of the {cause} change went away within a few throws, as after a repair, but the machine is \
-         not as its baseline. If it was repaired, take a new baseline (rebaseline)."
+        "{subject}: most of the {} went away within a few throws, as after a repair, but the machine is not as its \
+         baseline. If it was repaired, take a new baseline (rebaseline).",
+        if cause == Cause::Unattributed { "drift".to_owned() } else { format!("change of {cause}") }
     )
 }
 

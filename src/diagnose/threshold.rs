@@ -16,7 +16,7 @@ use super::scatter::{Doubt, Scatter};
 pub(super) const WINDOWS: [usize; 4] = [3, 6, 12, 24];
 /// Of the crossings of a limit, one in so many becomes an alarm: the others end within the on delay, or have no
 /// settled name. Measured on simulated healthy fleets with the relevance limits switched off.
-const CROSSINGS_PER_ALARM: f64 = 30.0;
+const CROSSINGS_PER_ALARM: f64 = 16.0;
 /// Coefficients in a residual.
 const DIMENSIONS: f64 = 3.0;
 

@@ -26,7 +26,7 @@ const UNNAMED_PATIENCE: u32 = 6;
 /// The same when two explanations are too close to call: a longest window tells most of them apart.
 const TOO_CLOSE_PATIENCE: u32 = 24;
 
-/// By how much limits are wider on a provisional baseline: it has not seen the machine's weather yet.
+/// By how much warning limits are wider on a provisional baseline: it has not seen the machine's weather yet.
 const PROVISIONAL_WIDENING: f64 = 1.5;
 
 /// When a drift was first suspected.
@@ -81,10 +81,10 @@ impl Drift {
         let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
         let latest = last_few.as_ref().filter(|_| concerned && alarmed.is_some());
         let latest = latest.map(|window| extent(cause, window, settings).0);
-        let widening = if self.provisional { PROVISIONAL_WIDENING } else { 1.0 };
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         Reading {
-            relevance: named.map_or(0.0, |finding| finding.relevance / widening),
+            relevance: named.map_or(0.0, |finding| finding.relevance),
+            raised_above: if self.provisional { PROVISIONAL_WIDENING } else { 1.0 },
             beyond_doubt: cause == Cause::Unattributed || named.is_some_and(|finding| finding.lead >= DECISIVE),
             patience: named.map_or(0, |finding| match (finding.naming, finding.rival) {
                 (Naming::One(_), _) => 0,

@@ -32,6 +32,38 @@ fn two_causes_at_once_are_never_one_wrong_name_at_critical_severity() {
     }
 }
 
+/// Fitted with a viscous model, a rise of dry friction moves b0 and a0 by up to 0.4 of what it moves a1.
+#[test]
+fn dry_friction_that_leaks_is_friction() {
+    for seed in 0..20_u32 {
+        let mut machine = Machine::new(500 + u64::from(seed), Nature::default());
+        let mut monitor = machine.learned(&Settings::default());
+        let leak = 0.02 * f64::from(seed);
+        let friction = shift(Cause::Friction, 54.0).y;
+        let found = run(&mut machine, &mut monitor, 60, Vector3::new(leak, 1.0, leak) * friction);
+        assert!(found.iter().all(|event| event.cause == Cause::Friction), "leak {leak}: {}", found[0].text);
+        let texts: Vec<_> = found.iter().map(|event| &event.text).collect();
+        assert!(found.iter().any(|event| event.severity == Severity::Critical), "leak {leak}: {texts:?}");
+    }
+}
+
+/// Motor and inertia changing alike cancel in b0 and leave what friction and stiffness together would do.
+#[test]
+fn what_cannot_be_told_apart_is_not_named() {
+    let (mut named, mut said) = (0, 0);
+    for seed in 0..20 {
+        let mut machine = Machine::new(600 + seed, Nature::default());
+        let mut monitor = machine.learned(&Settings::default());
+        let found = run(&mut machine, &mut monitor, 100, shift(Cause::Kt, 10.0) + shift(Cause::Inertia, 10.0));
+        let unattributed = found.iter().find(|event| event.cause == Cause::Unattributed);
+        let both = ["motor and inertia together", "inertia and motor together"];
+        said += u32::from(unattributed.is_some_and(|event| both.iter().any(|both| event.text.contains(both))));
+        named += usize::from(found.iter().any(|event| event.cause != Cause::Unattributed));
+        assert!(found.iter().all(|event| event.severity < Severity::Critical), "seed {seed}");
+    }
+    assert!(said >= 19 && named <= 2, "said in {said}, a single name in {named} of 20");
+}
+
 #[test]
 fn a_fault_of_one_direction_is_said_to_be_of_that_direction() {
     let settings = Settings::default();

@@ -5,6 +5,7 @@
 mod alarm;
 mod cause;
 mod evaluate;
+mod filling;
 mod fleet;
 mod hard;
 mod operational;

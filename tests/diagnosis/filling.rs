@@ -1,0 +1,71 @@
+//! The first throws of a machine: a fault among them does not become normal, and no doubt lasts for ever.
+
+use nalgebra::Vector3;
+use pointsd::{
+    diagnose::{Cause, MachineMonitor, Settings, Severity},
+    throw::Direction,
+};
+
+use crate::fleet::{Machine, Nature, shift};
+
+fn is_complete(monitor: &MachineMonitor) -> bool {
+    Direction::BOTH.into_iter().all(|way| monitor.baseline(way).is_some_and(|record| record.complete))
+}
+
+#[test]
+fn a_fault_while_the_baseline_fills_is_named_and_not_learned() {
+    const TRIALS: u64 = 15;
+    let settings = Settings::default();
+    for cause in Cause::PHYSICAL {
+        for seed in 0..TRIALS {
+            let mut machine = Machine::new(5_000 + seed, Nature::default());
+            let mut monitor = MachineMonitor::new("21B");
+            for _ in 0..30 {
+                assert_eq!(machine.feed(&mut monitor, Vector3::zeros(), &settings).events, []);
+            }
+            let sign = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
+            let fault = shift(cause, sign * 2.0 * settings.limit_pct(cause).unwrap());
+            let mut named = Vec::new();
+            for _ in 0..120 {
+                named.extend(machine.feed(&mut monitor, fault, &settings).events.into_iter().map(|event| event.cause));
+            }
+            assert_eq!(named.first(), Some(&cause), "seed {seed}");
+            assert!(!is_complete(&monitor), "{cause}: the fault was learned");
+        }
+    }
+}
+
+#[test]
+fn healthy_machines_complete_their_baseline_without_an_alarm() {
+    const LIVES: u64 = 60;
+    let settings = Settings::default();
+    for (seed, phi) in (0..LIVES).zip([0.0, 0.3, 0.6, 0.8].into_iter().cycle()) {
+        let mut machine = Machine::new(6_000 + seed, Nature { phi, ..Nature::default() });
+        let mut monitor = MachineMonitor::new("21B");
+        for _ in 0..250 {
+            assert_eq!(machine.feed(&mut monitor, Vector3::zeros(), &settings).events, [], "seed {seed}");
+        }
+        assert!(is_complete(&monitor), "seed {seed}, phi {phi}");
+    }
+}
+
+/// The first dozen throws of each direction happened in weather that does not come back: every later throw differs from
+/// them beyond chance, by less than any limit.
+#[test]
+fn an_unlucky_first_dozen_does_not_end_the_learning() {
+    let settings = Settings::default();
+    let calm = Nature { scatter: [0.002, 0.005, 0.003], ..Nature::default() };
+    for seed in 0..10 {
+        let mut machine = Machine::new(7_100 + seed, calm);
+        let mut monitor = MachineMonitor::new("21B");
+        for throw in 0..300 {
+            let weather = if throw < 24 { shift(Cause::Friction, 13.0) } else { Vector3::zeros() };
+            assert_eq!(machine.feed(&mut monitor, weather, &settings).events, [], "seed {seed}, throw {throw}");
+        }
+        assert!(is_complete(&monitor), "seed {seed}");
+        let found: Vec<_> =
+            (0..10).flat_map(|_| machine.feed(&mut monitor, shift(Cause::Kt, -20.0), &settings).events).collect();
+        assert_eq!(found.first().map(|event| event.cause), Some(Cause::Kt), "seed {seed}");
+        assert_eq!(found.last().map(|event| event.severity), Some(Severity::Critical), "seed {seed}");
+    }
+}
