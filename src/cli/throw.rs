@@ -107,7 +107,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         ..Conditions::default()
     };
     sensors.check().map_err(|error| error.within("sensors")).or_exit(Exit::Config)?;
-    let motion = worn.simulate(direction, &conditions, sensors.step_s()).or_exit(Exit::Config)?;
+    let motion = worn.simulate(direction, &conditions, sensors.step_s()).map_err(|error| {
+        let from_command_line = ["obstruction_mm", "temperature_c"].contains(&error.name.as_str());
+        let exit = if from_command_line { Exit::Usage } else { Exit::Config };
+        super::Failure { exit, error: error.into() }
+    })?;
     let mut rng = ChaCha12Rng::seed_from_u64(arguments.seed);
     let recording = sensors.record(&motion, direction, &mut rng).or_exit(Exit::Config)?;
     write_csv(&arguments.out, &recording)
@@ -164,7 +168,9 @@ fn settings(arguments: &Arguments) -> Result<Settings, super::Failure> {
     for change in &arguments.changes {
         apply(&mut table, change).or_exit(Exit::Usage)?;
     }
-    table.try_into().context("the configuration is wrong").or_exit(Exit::Config)
+    // The error has its key on a line of its own.
+    let one_line = |error: toml::de::Error| anyhow!("{}", error.to_string().trim().replace('\n', " "));
+    table.try_into().map_err(one_line).context("the configuration is wrong").or_exit(Exit::Config)
 }
 
 fn merge(into: &mut toml::Table, from: toml::Table) {

@@ -85,7 +85,38 @@ fn wrong_values_are_refused_with_their_name() {
         assert_eq!(output.status.code(), Some(exit), "{setting}: {error}");
         assert!(error.contains(word), "{setting}: {error}");
     }
+    for (option, value, exit, word) in [
+        ("--fault", "magnet=5", 64, "magnet"),
+        ("--fault", "kt=much", 64, "much is no number"),
+        ("--fault", "kt=-95", 64, "-90 to 2000"),
+        ("--obstruction-mm", "300", 64, "obstruction_mm is 300"),
+        ("--temperature-c", "500", 64, "temperature_c is 500"),
+        ("--set", "machine.motor=steam", 78, "machine.motor"),
+        ("--set", "machine.gear_stiffness_nm=1e300", 78, "must stay finite"),
+        ("--set", "sensors.current.bits=12", 78, "sensors.current.full_scale"),
+        ("--config", "/nowhere.toml", 66, "/nowhere.toml"),
+    ] {
+        let output = pointsim(&["throw", "--out", text(&file), option, value]);
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(exit), "{option} {value}: {error}");
+        assert!(error.contains(word), "{option} {value}: {error}");
+        assert_eq!(error.trim_end().lines().count(), 1, "{option} {value}: {error}");
+    }
     assert!(!file.exists(), "nothing is written when the settings are wrong");
+}
+
+#[test]
+fn limits_draws_and_prints_every_finding() {
+    let directory = tempfile::tempdir().unwrap();
+    let figures = directory.path().join("figures");
+    let output = pointsim(&["limits", "--throws", "4", "--out", text(&figures), "--json"]);
+    let findings = json(&output);
+    let names: Vec<_> = findings.as_array().unwrap().iter().map(|finding| finding["name"].as_str().unwrap()).collect();
+    assert!(names.contains(&"sampling_raw") && names.contains(&"closed_loop"), "{names:?}");
+    for name in names {
+        let svg = std::fs::read_to_string(figures.join(format!("limits_{name}.svg"))).unwrap();
+        assert!(svg.trim_end().ends_with("</svg>"), "{name}");
+    }
 }
 
 #[test]
