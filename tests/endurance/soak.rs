@@ -132,7 +132,9 @@ impl Drop for Logger {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nothing_grows_at_fifty_times_a_cabinets_load() {
     let plan = Plan::of(size("POINTSD_SOAK_SECONDS", 15));
-    let rig = Rig::with("").store(&format!("max_throws = {KEPT}\nmax_traces = {}\nballast_mib = 1\n", KEPT / 4));
+    let mut rig = Rig::new().store(&format!("max_throws = {KEPT}\nmax_traces = {}\nballast_mib = 1\n", KEPT / 4));
+    // As the service's unit does.
+    rig.set("MALLOC_ARENA_MAX", "2");
     let daemon = rig.start();
     let session = daemon.client().await;
     let heard = Arc::new(AtomicU64::new(0));

@@ -1,6 +1,6 @@
 //! Logger, daemon and operators as separate processes.
 
-use std::{process::Stdio, time::Duration};
+use std::process::Stdio;
 
 use pointsd::{diagnose::Cause, wire::Alarm};
 
@@ -144,11 +144,6 @@ async fn sighup_takes_over_what_is_safe() {
     let rig = Rig::new();
     let daemon = rig.start();
     daemon.signal("-HUP");
-    let read_again = async {
-        while !daemon.log().iter().any(|line| line.contains("was read again")) {
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
-    };
-    tokio::time::timeout(PATIENCE, read_again).await.unwrap();
+    daemon.until_log("was read again");
     assert!(daemon.terminate().success());
 }

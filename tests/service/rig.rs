@@ -9,7 +9,7 @@ use std::{
     net::TcpListener,
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
-    sync::{Arc, Mutex, mpsc},
+    sync::{Arc, Condvar, Mutex, mpsc},
     thread,
     time::{Duration, Instant},
 };
@@ -42,7 +42,15 @@ pub(crate) struct Daemon {
     child: Child,
     /// Where it listens.
     pub(crate) endpoint: String,
-    log: Arc<Mutex<Vec<String>>>,
+    log: Arc<Log>,
+}
+
+/// The lines that a daemon has logged.
+#[derive(Default)]
+struct Log {
+    lines: Mutex<Vec<String>>,
+    /// Rung with each new one.
+    more: Condvar,
 }
 
 /// How a start failed.
@@ -148,7 +156,7 @@ impl Rig {
         let mut command = pointsd(&["run", "--config"]);
         command.arg(self.config()).envs(self.environment.iter().cloned());
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
-        let log = Arc::new(Mutex::new(Vec::new()));
+        let log = Arc::new(Log::default());
         let (ready, endpoint) = mpsc::channel();
         let lines = BufReader::new(child.stderr.take().unwrap()).lines();
         let kept = Arc::clone(&log);
@@ -159,7 +167,8 @@ impl Rig {
                     let endpoint: String = line[at..].chars().take_while(|c| *c != '"').collect();
                     let _ = ready.send(endpoint);
                 }
-                kept.lock().unwrap().push(line);
+                kept.lines.lock().unwrap().push(line);
+                kept.more.notify_all();
             }
         });
         (Daemon { child, endpoint: self.listen.clone(), log }, endpoint)
@@ -237,7 +246,15 @@ impl Daemon {
     }
 
     pub(crate) fn log(&self) -> Vec<String> {
-        self.log.lock().unwrap().clone()
+        self.log.lines.lock().unwrap().clone()
+    }
+
+    /// Waits until it logs a line with these words.
+    pub(crate) fn until_log(&self, words: &str) {
+        let absent = |lines: &mut Vec<String>| !lines.iter().any(|line| line.contains(words));
+        let lines = self.log.lines.lock().unwrap();
+        let (lines, waited) = self.log.more.wait_timeout_while(lines, PATIENCE, absent).unwrap();
+        assert!(!waited.timed_out(), "it never says {words:?}: {lines:?}");
     }
 
     fn wait(&mut self, limit: Duration) -> ExitStatus {
