@@ -2,7 +2,7 @@
 
 use super::{
     Settings,
-    movement::{MIN_QUIET, Movement, median},
+    movement::{MIN_QUIET, Movement, mean, median},
     rejection::{Channel, Rejection},
 };
 
@@ -18,7 +18,7 @@ const TOO_LONG_SHARE: f64 = 1.15;
 const LONGEST_STALL_S: f64 = 0.5;
 /// Measured noise beyond this many times the configured sensor's is a fault of the sensor or its wiring. Noise in the
 /// current reaches the coefficients ten times more than noise in the position.
-const CURRENT_NOISE_FACTOR: f64 = 5.0;
+const CURRENT_NOISE_FACTOR: f64 = 3.5;
 const POSITION_NOISE_FACTOR: f64 = 25.0;
 /// An energised motor starts with at least this many times its running current.
 const INRUSH_FACTOR: f64 = 1.5;
@@ -117,6 +117,14 @@ pub(super) fn course(
     if moved_mm > 0.02 * travel_mm.max(furthest) + 10.0 * noise_mm {
         return Err(Rejection::MovedBeforeCurrent { moved_mm });
     }
+    if movement.quiet > 2 * MIN_QUIET {
+        // One current and one position can be off by noise; three positions in a row are a toe that moves.
+        let here = &position[start - 2..=start];
+        let moved_mm = (mean(here.iter().copied()) - movement.position.mean).abs();
+        if moved_mm > (2.8 * movement.position.sd).max(quantum(position)).max(LEAST_SLIP * travel_mm) {
+            return Err(Rejection::MovedBeforeCurrent { moved_mm });
+        }
+    }
     jumps(movement, position, interval_s, noise_mm)?;
     let back_mm = backwards(movement, &position[..=movement.motor_off.unwrap_or(position.len() - 1)]);
     if back_mm > 0.02 * travel_mm + 10.0 * noise_mm {
@@ -146,7 +154,7 @@ pub(super) fn course(
         }
     }
     let first_a = current[0] - movement.current.mean;
-    if movement.quiet <= 1 && first_a.abs() > 0.25 * movement.peak_a {
+    if movement.quiet < MIN_QUIET && first_a.abs() > 0.25 * movement.peak_a {
         return Err(Rejection::StartMissing { current_a: first_a });
     }
     Ok(())
@@ -173,11 +181,14 @@ pub(super) fn sticking(
     interval_s: f64,
     factor: usize,
 ) -> Result<(), Rejection> {
-    let (from, to) = (movement.start() * factor, (movement.near_end * factor).min(values.len()));
-    let values = &values[from.min(to)..to];
-    let step = quantum(values);
+    let to = (movement.near_end * factor).min(values.len());
+    let start = (movement.start() * factor).min(to);
+    let step = quantum(&values[start..to]);
     let noisy = movement.level(channel).sd > 0.5 * step && step > 0.0;
-    let mean_step = movement.travel_mm / values.len().max(1) as f64;
+    let mean_step = movement.travel_mm / (to - start).max(1) as f64;
+    // Without noise nothing changes before the start.
+    let from = if noisy { 0 } else { start };
+    let values = &values[from..to];
     let longest = match channel {
         _ if noisy => 25.0,
         // The toe needs this many samples for one step of the converter, and several times that as it sets off.
@@ -198,15 +209,25 @@ pub(super) fn sticking(
 /// Lone values far from their neighbours: the second difference is large there, half as large and opposite beside it, and
 /// small again two samples away, which it is not where an anti-alias filter rings after the inrush. A few of them are
 /// corrupt values; many are a ripple that the sampling barely resolves.
-pub(super) fn spikes(movement: &Movement, channel: Channel, values: &[f64], interval_s: f64) -> Result<(), Rejection> {
+pub(super) fn spikes(
+    movement: &Movement,
+    channel: Channel,
+    values: &[f64],
+    interval_s: f64,
+    filtered: bool,
+) -> Result<(), Rejection> {
     let range = if channel == Channel::Current { 0.02 * movement.peak_a } else { 0.002 * movement.travel_mm };
+    // A low rate shows the machine's own vibrations as lone values.
+    let range = if filtered { 10.0 * range } else { range };
     let threshold = range.max(12.0 * movement.level(channel).sd).max(3.0 * quantum(values).min(range));
     let bend = |k: usize| values[k] - 0.5 * (values[k - 1] + values[k + 1]);
+    // Where the signal is steep, a sampling instant that is a little off looks like a spike.
+    let steep = |k: usize| 0.4 * (values[k + 1] - values[k - 1]).abs();
     let mut spikes = (3..movement.near_end.min(values.len().saturating_sub(3))).filter(|&k| {
         let here = bend(k);
         let opposite = |beside: f64| -beside * here.signum() > 0.3 * here.abs();
         let quiet = |further: f64| further.abs() < 0.3 * here.abs();
-        here.abs() > threshold
+        here.abs() > threshold.max(steep(k))
             && opposite(bend(k - 1))
             && opposite(bend(k + 1))
             && quiet(bend(k - 2))
@@ -218,6 +239,148 @@ pub(super) fn spikes(movement: &Movement, channel: Channel, values: &[f64], inte
         }
         _ => Ok(()),
     }
+}
+
+/// Length of a mean on either side of a step \[s\].
+const STEP_S: f64 = 0.008;
+/// How far above its noise a step is one: with several thousand places to look at, and a smooth signal beneath.
+const STEP_SIGNIFICANCE: f64 = 6.5;
+/// How long the inrush swings \[s\].
+const INRUSH_S: f64 = 0.15;
+/// Least step of the current, as a share of its largest value: rails and friction make less.
+const LEAST_STEP: f64 = 0.006;
+/// Least step of the position, as a share of the travel.
+const LEAST_SLIP: f64 = 5e-4;
+
+/// A step from one sample to the next that stays: inductance and inertia let neither current nor toe do that, but a changed gain,
+/// a shifted offset and lost samples do. Means over 8 and over 4 ms, the trend through their neighbours removed, show
+/// the same step only where there is one; a smooth course shows the shorter means an eighth of it. Many steps are a ripple
+/// that the sampling barely resolves.
+pub(super) fn steps(
+    movement: &Movement,
+    channel: Channel,
+    values: &[f64],
+    interval_s: f64,
+    sums: &mut Vec<f64>,
+) -> Result<(), Rejection> {
+    let quantum = quantum(values);
+    // A step at rest is in the noise at rest, but not in that of differences.
+    let sd = movement.level(channel).sd.min(second_difference_noise(values, sums)).max(quantum);
+    let start = movement.start();
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let wide = 2 * ((0.5 * STEP_S / interval_s) as usize).clamp(2, 16);
+    if channel == Channel::Current {
+        let far = |k: &usize| {
+            let [a, b, c, d] = [values[k - 1], values[*k], values[k + 1], values[k + 2]];
+            (0.5 * (a - d) + 1.5 * (c - b)).abs() > (12.0 * sd).max(0.18 * movement.peak_a)
+        };
+        let inrush = start + 3..(start + 19).min(values.len().saturating_sub(2));
+        let mut found = inrush.filter(far);
+        // One step is seen from the places beside it; more are a supply that switches.
+        if let Some(at) = found.next().filter(|_| found.count() < 3) {
+            return Err(Rejection::CurrentJump { jump_a: values[at + 1] - values[at], at_s: at as f64 * interval_s });
+        }
+    }
+    sums.clear();
+    sums.push(0.0);
+    let mut sum = 0.0;
+    sums.extend(values.iter().map(|v| {
+        sum += v - values[0];
+        sum
+    }));
+    let step = |k: usize, width: usize| {
+        let mean = |from: usize| (sums[from + width] - sums[from]) / width as f64;
+        let [far_before, before, after, far_after] = [k + 1 - 2 * width, k + 1 - width, k + 1, k + 1 + width].map(mean);
+        1.5 * (after - before) - 0.5 * (far_after - far_before)
+    };
+    // The variance of a step is 5 / width of a sample's.
+    let [long, short] = [wide, wide / 2].map(|width| sd * (5.0 / width as f64).sqrt());
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let settled = start + (INRUSH_S / interval_s) as usize + wide;
+    let (clear, least) = match channel {
+        // Inductance and back-EMF swing faster than these means.
+        Channel::Current => (start.saturating_sub(2 * wide)..settled, LEAST_STEP * movement.peak_a),
+        // The toe sets off with a jerk.
+        Channel::Position => (start..start + 4 * wide, LEAST_SLIP * movement.travel_mm),
+    };
+    let last = (movement.near_end + 1).min(values.len()).saturating_sub(2 * wide);
+    let mut found = (2 * wide - 1..last).filter(|k| {
+        let size = step(*k, wide);
+        !clear.contains(k) && size.abs() > (STEP_SIGNIFICANCE * long).max(least) && {
+            let near = step(*k, wide / 2) * size.signum();
+            near > (5.0 * short).max(0.6 * size.abs())
+        }
+    });
+    let Some(at) = found.next() else { return Ok(()) };
+    // One step is seen from a few places beside it.
+    if found.count() > 5 * wide {
+        return Ok(());
+    }
+    let (size, at_s) = (step(at, wide), at as f64 * interval_s);
+    Err(match channel {
+        Channel::Current => Rejection::CurrentJump { jump_a: size, at_s },
+        Channel::Position => Rejection::PositionJump { jump_mm: size.abs(), at_s },
+    })
+}
+
+/// Shortest stretch whose noise is looked at, in samples.
+const NOISE_SAMPLES: usize = 64;
+/// Least noise that hides the machine's vibrations, as a share of the largest current.
+const LEAST_NOISE: f64 = 1e-3;
+/// Standard normal quantile of one wrong alarm in 3 million stretches.
+const NOISE_QUANTILE: f64 = 5.0;
+
+/// A stretch of the current that is noisier or quieter than the rest, where the noise is that of the sensor at rest otherwise:
+/// there its gain was another one. (A supply's ripple, a commutator or a coarse converter make noise of their own, and with a
+/// very good sensor the machine's vibrations show; then nothing is said.)
+pub(super) fn noise_level(
+    movement: &Movement,
+    current: &[f64],
+    interval_s: f64,
+    scratch: &mut Vec<f64>,
+) -> Result<(), Rejection> {
+    let last = (movement.near_end + 1).min(current.len());
+    let usual = second_difference_noise(&current[..last], scratch);
+    let quiet = &current[..movement.quiet];
+    if quiet.len() < NOISE_SAMPLES || usual < (8.0 * quantum(current)).max(LEAST_NOISE * movement.peak_a) {
+        return Ok(());
+    }
+    let at_rest = second_difference_noise(quiet, scratch);
+    if at_rest > 1.5 * usual {
+        return Err(Rejection::GainChanged { ratio: at_rest / usual });
+    }
+    // A disturbed stretch may hold most of one half.
+    let [first, second] = [&quiet[..quiet.len() / 2], &quiet[quiet.len() / 2..]];
+    let halves = second_difference_noise(first, scratch).max(second_difference_noise(second, scratch));
+    if halves < 0.6 * usual {
+        return Ok(());
+    }
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let settled = movement.start() + (INRUSH_S / interval_s) as usize;
+    scratch.clear();
+    scratch.push(0.0);
+    let (mut sum, square) = (0.0, 6.0 * usual * usual);
+    for (k, w) in current[..last].windows(3).enumerate() {
+        if (settled..last).contains(&k) || k + 3 < movement.start() {
+            sum += (w[2] - 2.0 * w[1] + w[0]).powi(2) / square;
+            scratch.push(sum);
+        }
+    }
+    let mut width = NOISE_SAMPLES;
+    while width < scratch.len() {
+        // Neighbouring second differences share samples: 35/18 of them are worth one. (Wilson, Hilferty)
+        let spread = 2.0 / 9.0 * (35.0 / 18.0) / width as f64;
+        let limit = |sign: f64| (1.0 - spread + sign * NOISE_QUANTILE * spread.sqrt()).powi(3);
+        let (low, high) = (limit(-1.0), limit(1.0));
+        for from in (0..scratch.len() - width).step_by(width / 4) {
+            let ratio = (scratch[from + width] - scratch[from]) / width as f64;
+            if ratio < low || ratio > high {
+                return Err(Rejection::GainChanged { ratio: ratio.sqrt() });
+            }
+        }
+        width *= 2;
+    }
+    Ok(())
 }
 
 /// A motor that starts takes more current than one that runs.

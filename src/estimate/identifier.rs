@@ -22,13 +22,13 @@ const LEAD_IN: usize = 2;
 /// Fewest samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
 /// Largest standard deviations of b0, a1 and a0 that are of use \[%\]; a0 may be small.
-const MAX_SD_PCT: [f64; 3] = [10.0, 15.0, 30.0];
+const MAX_SD_PCT: [f64; 3] = [6.0, 12.0, 30.0];
 /// The same for a trace that ends in the middle of the movement.
 const MAX_SD_CUT_PCT: f64 = 1.2;
 /// What dry friction, rails and a soft drive make the movement depart from a linear model, as a share of the travel:
 /// root mean square, and averaged over 20 ms.
 const MISFIT_RMS: f64 = 4e-4;
-const MISFIT_PEAK: f64 = 1.5e-3;
+const MISFIT_PEAK: f64 = 1e-3;
 const MISFIT_STRETCH_S: f64 = 0.02;
 /// How much of the wandering that noise in the current causes is left beside a fitted model.
 const FITTED_SHARE: f64 = 0.3;
@@ -160,8 +160,14 @@ impl Identifier {
         if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
             return Err(Rejection::Undersampled { rise_samples });
         }
-        checks::spikes(movement, Channel::Current, &self.current, interval_s)?;
-        checks::spikes(movement, Channel::Position, &self.position, interval_s)?;
+        let filtered = filter_hz.is_some();
+        checks::spikes(movement, Channel::Current, &self.current, interval_s, filtered)?;
+        checks::spikes(movement, Channel::Position, &self.position, interval_s, filtered)?;
+        if factor == 1 && filter_hz.is_none() {
+            checks::steps(movement, Channel::Current, &self.current, interval_s, &mut self.scratch)?;
+            checks::steps(movement, Channel::Position, &self.position, interval_s, &mut self.scratch)?;
+            checks::noise_level(movement, &self.current, interval_s, &mut self.scratch)?;
+        }
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
         let window = self.window(settings, movement, interval_s, filter_hz, released)?;
         let model = ThrowModel::new([0]).map_err(|_| Rejection::Singular)?;
@@ -221,8 +227,17 @@ impl Identifier {
         }
         if filter_hz.is_none() && settings.motor == Motor::PermanentMagnet {
             let foot = movement.start() - from;
-            if let Some(onset) = release::onset(&self.input, 0.0, foot) {
-                onset.complete(&mut self.input, foot);
+            match release::onset(&self.input, 0.0, foot) {
+                Some(onset) => {
+                    if let Some(missing) = onset.missing() {
+                        return Err(Rejection::OnsetMissing { missing_s: missing * interval_s });
+                    }
+                    onset.complete(&mut self.input, foot);
+                }
+                None if movement.quiet < MIN_QUIET || self.input[foot + 1] > 0.5 * movement.peak_a => {
+                    return Err(Rejection::StartMissing { current_a: self.input[foot + 1] });
+                }
+                None => {}
             }
         }
         let released = released.map_or_else(

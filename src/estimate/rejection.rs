@@ -68,10 +68,12 @@ pub enum Rejection {
         /// Distance moved by then \[mm\].
         moved_mm: f64,
     },
-    /// The recording began after the motor had started.
-    #[error("the recording began after the motor had started: the current is {current_a:.2} A at its first sample")]
+    /// The recording began after the motor had started, or lost its start.
+    #[error(
+        "the motor's start is not in the recording: the current is {current_a:.2} A at the first sample that shows it"
+    )]
     StartMissing {
-        /// Current at the first sample \[A\].
+        /// Current at the first sample that shows the motor \[A\].
         current_a: f64,
     },
     /// The toe stopped short of the stroke.
@@ -137,6 +139,34 @@ pub enum Rejection {
         jump_mm: f64,
         /// Time of the jump \[s\].
         at_s: f64,
+    },
+    /// The current stepped: its gain or offset changed, or samples are missing.
+    #[error(
+        "the current jumps by {jump_a:.2} A at {at_s:.3} s, faster than a motor's inductance lets it: a disturbed channel or \
+         lost samples"
+    )]
+    CurrentJump {
+        /// Size of the jump \[A\].
+        jump_a: f64,
+        /// Time of the jump \[s\].
+        at_s: f64,
+    },
+    /// The current's noise, and so its gain, is another one for a while.
+    #[error(
+        "the current's noise is {ratio:.2} times that of the rest for a while: its gain changed, or it was disturbed or smoothed"
+    )]
+    GainChanged {
+        /// Noise of the stretch over that of the rest.
+        ratio: f64,
+    },
+    /// The first samples of the inrush are not there.
+    #[error(
+        "the current's rise begins {missing_s:.4} s before the first sample that shows it: samples are missing at the \
+         motor's start"
+    )]
+    OnsetMissing {
+        /// How long before \[s\].
+        missing_s: f64,
     },
     /// A lone value far from its neighbours.
     #[error("the {channel} has a spike of {height:.2} at {at_s:.3} s")]
@@ -270,6 +300,9 @@ impl Rejection {
             Self::Clipped { .. } => "clipped",
             Self::Stuck { .. } => "stuck",
             Self::PositionJump { .. } => "position_jump",
+            Self::CurrentJump { .. } => "current_jump",
+            Self::GainChanged { .. } => "gain_changed",
+            Self::OnsetMissing { .. } => "onset_missing",
             Self::Spike { .. } => "spike",
             Self::Undersampled { .. } => "undersampled",
             Self::Noisy { .. } => "noisy",

@@ -59,6 +59,11 @@ pub(super) struct Onset {
 }
 
 impl Onset {
+    /// How many samples before the foot the rise began: the first ones are not there.
+    pub(super) fn missing(&self) -> Option<f64> {
+        (self.at < -0.9).then_some(-self.at)
+    }
+
     /// Adds the charge that lines between samples miss to the sample after the foot.
     pub(super) fn complete(&self, current: &mut [f64], foot: usize) {
         let part = self.at - self.at.floor();
@@ -97,7 +102,7 @@ pub(super) fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> 
     let at = (0..4).fold(0.5, |t, _| t - value(t) / slope(t));
     let onset = Onset { at, slope: slope(at) };
     let steep = onset.slope * first > 0.5 * first * first;
-    (steep && (-0.5..1.1).contains(&at) && onset.slope.abs() < 4.0 * (second.abs() + first.abs())).then_some(onset)
+    (steep && (-5.0..1.1).contains(&at) && onset.slope.abs() < 4.0 * (second.abs() + first.abs())).then_some(onset)
 }
 
 /// The start of the inrush by least squares: up to its crest the filtered current is that of a rectangular pulse, of the
