@@ -265,7 +265,8 @@ pub(super) fn steps(
 ) -> Result<(), Rejection> {
     let quantum = quantum(values);
     // A step at rest is in the noise at rest, but not in that of differences.
-    let sd = movement.level(channel).sd.min(second_difference_noise(values, sums)).max(quantum);
+    let (rest, noise) = (movement.level(channel), second_difference_noise(values, sums));
+    let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(quantum);
     let start = movement.start();
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
     let wide = 2 * ((0.5 * STEP_S / interval_s) as usize).clamp(2, 16);
