@@ -137,26 +137,32 @@ impl Judge {
             })
             .collect();
         let mut found = self.pool.identify(readable).await.into_iter();
-        for stored in waiting {
-            self.status.heartbeats.beat(Organ::Identify);
+        let (mut judgements, mut events) = (Vec::with_capacity(waiting.len()), Vec::with_capacity(waiting.len()));
+        for stored in &waiting {
             let identification = stored.throw.is_ok().then(|| found.next().flatten()).flatten();
-            let (judgement, verdict) = self.fleet.judge(&stored, identification, &config.diagnosis, clock::now());
-            if !self.commit(&judgement).await? {
-                return Ok(());
+            let (judgement, verdict) = self.fleet.judge(stored, identification, &config.diagnosis, clock::now());
+            judgements.push(judgement);
+            events.push(verdict.events);
+        }
+        self.status.heartbeats.beat(Organ::Identify);
+        let judgements: Arc<[Judgement]> = judgements.into();
+        if self.commit(&judgements).await? {
+            for ((stored, judgement), events) in waiting.iter().zip(&*judgements).zip(events) {
+                self.tell(stored, judgement, events);
             }
-            self.tell(&stored, &judgement, verdict.events);
         }
         Ok(())
     }
 
-    /// Commits; false when the daemon must end first. The monitor in memory is then ahead of the database, which
-    /// nobody will see: the next start goes on from the database.
-    async fn commit(&self, judgement: &Judgement) -> Result<bool, StoreError> {
+    /// Commits together what was identified together: a burst after a cut link costs the disk one sync for all of it.
+    /// False when the daemon must end first. The monitors in memory are then ahead of the database, which nobody will
+    /// see: the next start goes on from the database.
+    async fn commit(&self, judgements: &Arc<[Judgement]>) -> Result<bool, StoreError> {
         loop {
-            match self.store.judge(judgement.clone()).await {
+            match self.store.judge_all(Arc::clone(judgements)).await {
                 Ok(_) => return Ok(true),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
-                Err(error) => tracing::warn!(%error, "a judgement cannot be stored; it is tried again"),
+                Err(error) => tracing::warn!(%error, "judgements cannot be stored; it is tried again"),
             }
             self.status.heartbeats.beat(Organ::Identify);
             if self.give_up.is_cancelled() {

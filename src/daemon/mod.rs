@@ -42,7 +42,7 @@ pub use status::{Status, StatusReport};
 pub use supervise::Ended;
 
 use crate::{
-    bus::{self, BusError, Inbox, Limits, LivelinessToken, Outlet, PresenceWatch, Questions},
+    bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, PresenceWatch, Questions},
     store::{self, Found, Store, StoreError},
     wire::{Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
@@ -110,6 +110,7 @@ impl Daemon {
         let lock = DatabaseLock::take(&config.store.path)?;
         let opened = supervise::patiently("opening the database", Store::open(&config.store, clock::now())).await?;
         report_database(&opened.report, &config.store);
+        let is_first = opened.report.found == Found::Fresh;
         let store = opened.store;
         let session = bus::open(config.zenoh.clone()).await?;
         let config = Arc::new(config);
@@ -145,6 +146,8 @@ impl Daemon {
             outlet: outlet.clone(),
             status: Arc::clone(&status),
             outbox,
+            audience: Audience::of(&session, &config.scope.key_expression(Kind::Alarm)).await?,
+            is_first,
             is_client: config.zenoh.get_json("mode").is_ok_and(|mode| mode.contains("client")),
         };
         let judge = tasks.spawn("judge", judge.run(inbox_of_orders, stops.judge.clone()));
@@ -232,7 +235,7 @@ impl Daemon {
     pub async fn ended(&mut self) -> Ended {
         tokio::select! {
             ended = self.tasks.ended() => ended,
-            () = self.store.stopped() => Ended("the database's writer"),
+            () = self.store.stopped() => Ended("the database"),
         }
     }
 

@@ -34,6 +34,23 @@ pub enum StoreError {
     /// A query took longer than [`Reader::TIME_LIMIT`](super::Reader::TIME_LIMIT).
     #[error("reading the database took too long and was given up")]
     ReadTimeout,
+    /// The content of the file is broken.
+    #[error("the database is broken; the next start sets it aside and begins a fresh one")]
+    Broken,
+    /// A newer version of the program has changed the database so that this one would do harm.
+    #[error(
+        "the database {} was changed by a newer version of pointsd (schema {needed}) in a way that this one (schema {known}) \
+         does not understand: install that version again, or put the backup from before the upgrade in its place",
+        path.display()
+    )]
+    TooNew {
+        /// The database file.
+        path: PathBuf,
+        /// The oldest schema whose programs may use it.
+        needed: i64,
+        /// The newest schema that this program knows.
+        known: i64,
+    },
     /// The store was closed, or its writer died.
     #[error("the store is closed")]
     Closed,

@@ -104,7 +104,7 @@ struct Figures {
 }
 
 impl Store {
-    /// Brings the database back within its bounds and restores the ballast. To be called every half minute or so;
+    /// Brings the database back within its bounds and restores the ballast. To be called every few seconds;
     /// one call does a bounded amount of work. `clock_trusted`: `now` is known to be right.
     ///
     /// # Errors
@@ -149,13 +149,16 @@ impl Store {
     /// The next thing to drop, if anything is too much.
     async fn excess(&self, figures: &Figures, now: Timestamp, clock_trusted: bool) -> Result<Option<Drop>, StoreError> {
         let settings = &self.settings;
-        let too_large = figures.data_bytes > settings.max_size_mib * MIB;
-        let no_room = figures.room_bytes < settings.low_disk_mib * MIB;
+        let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
+        let missing = (settings.low_disk_mib * MIB).saturating_sub(figures.room_bytes);
+        let (too_large, no_room) = (excess > 0, missing > 0);
         if figures.traces > settings.max_traces {
             return Ok(Some(Drop::Traces(BATCH.min(figures.traces - settings.max_traces))));
         }
         if (too_large || no_room) && self.any(sql::OLDEST_TRACES).await? {
-            return Ok(Some(Drop::Traces(BATCH)));
+            // As many as it takes, by their mean size: a few of the largest may be enough.
+            let each = (figures.data_bytes / figures.traces.max(1)).max(1);
+            return Ok(Some(Drop::Traces((excess.max(missing) / each + 1).min(BATCH))));
         }
         if too_large && self.any(sql::OLDEST_THROWS).await? {
             return Ok(Some(Drop::Throws(BATCH)));

@@ -1,5 +1,7 @@
 //! One judged throw, one operator's command, one tick: everything that follows from it in a single transaction.
 
+use std::sync::Arc;
+
 use jiff::Timestamp;
 use serde::Serialize;
 use sqlx::SqliteConnection;
@@ -102,39 +104,47 @@ fn word<T: Serialize>(value: &T) -> String {
     }
 }
 
-/// A judgement to be written.
+/// Judgements to be written, in their order.
 pub(super) struct Judge {
-    pub(super) judgement: Judgement,
-    /// Space is short: the trace has done its work and goes.
-    pub(super) drop_trace: bool,
+    pub(super) judgements: Arc<[Judgement]>,
+    /// Space is short: the traces have done their work and go.
+    pub(super) drop_traces: bool,
 }
 
 impl Write for Judge {
-    /// False when the throw was judged before; then nothing was written.
-    type Output = bool;
+    /// Of each, whether it was written; false when its throw was judged before.
+    type Output = Vec<bool>;
 
-    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<bool> {
-        let Self { judgement, drop_trace } = self;
-        let at_us = judgement.judged_at.as_microsecond();
-        let machine_row: Option<i64> =
-            sqlx::query_scalar(sql::JUDGED).bind(judgement.row.0).bind(at_us).fetch_optional(&mut *connection).await?;
-        let Some(machine_row) = machine_row else {
-            return judgement.was_written_at(connection, repeated, at_us).await;
-        };
-        judgement.add_estimate(connection, machine_row).await?;
-        for baseline in &judgement.baselines {
-            add_baseline(connection, machine_row, baseline, at_us).await?;
+    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<bool>> {
+        let mut written = Vec::with_capacity(self.judgements.len());
+        for judgement in &*self.judgements {
+            written.push(judgement.write(connection, self.drop_traces, repeated).await?);
         }
-        add_outcome(connection, machine_row, &judgement.machine, &judgement.outcome, at_us).await?;
-        if *drop_trace {
-            sqlx::query(sql::DROP_TRACE).bind(judgement.row.0).execute(&mut *connection).await?;
-            count(connection, "dropped_traces", 1).await?;
-        }
-        Ok(true)
+        Ok(written)
     }
 }
 
 impl Judgement {
+    /// False when the throw was judged before; then nothing was written.
+    async fn write(&self, connection: &mut SqliteConnection, drop_trace: bool, repeated: bool) -> sqlx::Result<bool> {
+        let at_us = self.judged_at.as_microsecond();
+        let machine_row: Option<i64> =
+            sqlx::query_scalar(sql::JUDGED).bind(self.row.0).bind(at_us).fetch_optional(&mut *connection).await?;
+        let Some(machine_row) = machine_row else {
+            return self.was_written_at(connection, repeated, at_us).await;
+        };
+        self.add_estimate(connection, machine_row).await?;
+        for baseline in &self.baselines {
+            add_baseline(connection, machine_row, baseline, at_us).await?;
+        }
+        add_outcome(connection, machine_row, &self.machine, &self.outcome, at_us).await?;
+        if drop_trace {
+            sqlx::query(sql::DROP_TRACE).bind(self.row.0).execute(&mut *connection).await?;
+            count(connection, "dropped_traces", 1).await?;
+        }
+        Ok(true)
+    }
+
     /// Whether the throw was judged by an earlier attempt of this very write.
     async fn was_written_at(
         &self,

@@ -178,8 +178,12 @@ impl Link {
         Ok(())
     }
 
-    /// Marks a clean stop and closes the files.
+    /// Marks a clean stop and closes the files. A broken database is not marked: the next start has to check it.
     pub(super) async fn close(&mut self) -> Result<(), StoreError> {
+        if self.reader.is_broken() {
+            self.disconnect().await;
+            return Err(StoreError::Broken);
+        }
         let connection = self.connected().await.map_err(|error| told(&error))?;
         sqlx::query(sql::SET_CLEAN).bind(true).execute(connection).await.map_err(|error| told(&error))?;
         // What a reader keeps from being copied now stays in the log, which is as durable.

@@ -179,8 +179,16 @@ impl Store {
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
     pub async fn judge(&self, judgement: Judgement) -> Result<bool, StoreError> {
-        let drop_trace = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
-        self.writer.write(judge::Judge { judgement, drop_trace }).await
+        Ok(self.judge_all(Arc::new([judgement])).await? == [true])
+    }
+
+    /// Stores judgements in their order and in one commit, so all or none; of each, whether it was written.
+    ///
+    /// # Errors
+    /// When they could not be stored; the same call may be repeated.
+    pub async fn judge_all(&self, judgements: Arc<[Judgement]>) -> Result<Vec<bool>, StoreError> {
+        let drop_traces = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
+        self.writer.write(judge::Judge { judgements, drop_traces }).await
     }
 
     /// Stores what follows from an operator's command, or from time passing: all or nothing.
@@ -232,16 +240,21 @@ impl Store {
         self.writer.write(quarantine::Quarantine::new(key, payload, reason, at, self.settings.max_quarantined)).await
     }
 
-    /// Resolves when the writer is gone: after [`close`](Self::close), because it died, or because the file turned out
-    /// to be broken. Then the process should end: opening the store again sets a broken file aside.
+    /// Resolves when the writer is gone, after [`close`](Self::close) or because it died, or when the file turned out
+    /// to be broken, be it in a write or in a query. Then the process should end: opening the store again sets a broken
+    /// file aside.
     pub async fn stopped(&self) {
-        self.writer.stopped().await;
+        tokio::select! {
+            () = self.writer.stopped() => {}
+            () = self.reader.breaks() => {}
+        }
     }
 
     /// Writes what waits, marks a clean stop, and closes the files.
     ///
     /// # Errors
-    /// When the mark could not be written: the next start will check the database.
+    /// When the mark could not be written, or must not because the file is broken: the next start will check the
+    /// database.
     pub async fn close(&self) -> Result<(), StoreError> {
         self.reader.close().await;
         self.writer.close().await

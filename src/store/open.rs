@@ -107,6 +107,10 @@ enum Trouble {
     /// The files cannot be accessed.
     Access(sqlx::Error),
     Migration(MigrateError),
+    TooNew {
+        needed: i64,
+        known: i64,
+    },
 }
 
 impl Trouble {
@@ -117,6 +121,7 @@ impl Trouble {
             Self::Access(error) if is_full(&error) => StoreError::Full,
             Self::Access(source) => StoreError::Open { path, source: Box::new(source) },
             Self::Migration(source) => StoreError::Migrate { path, source: Box::new(source) },
+            Self::TooNew { needed, known } => StoreError::TooNew { path, needed, known },
         }
     }
 }
@@ -150,6 +155,11 @@ async fn prepare(settings: &Settings, disk: &Disk, fresh: bool) -> Result<(Sqlit
 
 async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnection, Report), Trouble> {
     let mut connection = SqliteConnection::connect_with(&writing(settings)).await?;
+    let needed: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut connection).await?;
+    let known = newest_known();
+    if needed > known {
+        return Err(Trouble::TooNew { needed, known });
+    }
     let before = applied(&mut connection).await?;
     let found = match (fresh, before.is_empty()) {
         (true, _) | (false, true) => Found::Fresh,
@@ -167,7 +177,14 @@ async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnect
     Ok((connection, Report { found, upgraded_by, newer_schema }))
 }
 
-/// A database of a newer version is opened too: migrations only ever add.
+/// The newest migration of this program.
+fn newest_known() -> i64 {
+    MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
+}
+
+/// A database of a newer version is opened too, so that an upgrade can be rolled back: migrations add, and what they add
+/// an older program leaves alone. One that an older program must not write to says so by `PRAGMA user_version = N`,
+/// its own number: then only programs that know migration N open the database.
 fn migrator() -> Migrator {
     let mut migrator = Migrator { migrations: MIGRATIONS.migrations.clone(), ..Migrator::DEFAULT };
     migrator.set_ignore_missing(true);

@@ -13,10 +13,11 @@ use sqlx::{
     query::QueryAs,
     sqlite::{SqliteArguments, SqlitePoolOptions, SqliteRow},
 };
+use tokio_util::sync::CancellationToken;
 
 use super::{
     codec::{self, Channel, UnreadableTrace},
-    error::StoreError,
+    error::{StoreError, is_corrupt},
     open,
     spool::{GapKind, GapRow, ThrowRow},
     statements as sql,
@@ -161,6 +162,8 @@ pub struct Quarantined {
 pub struct Reader {
     /// Replaced when the database moves to another file.
     pool: Arc<RwLock<SqlitePool>>,
+    /// Cancelled when a query finds the content of the file broken.
+    broken: CancellationToken,
 }
 
 impl Reader {
@@ -175,7 +178,7 @@ impl Reader {
         let pool = connect(path)
             .await
             .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
-        Ok(Self { pool: Arc::new(RwLock::new(pool)) })
+        Ok(Self { pool: Arc::new(RwLock::new(pool)), broken: CancellationToken::new() })
     }
 
     pub(super) async fn close(&self) {
@@ -191,10 +194,25 @@ impl Reader {
     }
 
     pub(super) async fn limited<T>(&self, query: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
-        tokio::time::timeout(Self::TIME_LIMIT, query)
-            .await
-            .map_err(|_| StoreError::ReadTimeout)?
-            .map_err(StoreError::read)
+        let answer = tokio::time::timeout(Self::TIME_LIMIT, query).await.map_err(|_| StoreError::ReadTimeout)?;
+        if let Err(error) = &answer
+            && is_corrupt(error)
+            && !self.broken.is_cancelled()
+        {
+            tracing::error!(%error, "a query found the database broken: the next start sets the file aside");
+            self.broken.cancel();
+        }
+        answer.map_err(StoreError::read)
+    }
+
+    /// Whether a query has found the content of the file broken.
+    pub(super) fn is_broken(&self) -> bool {
+        self.broken.is_cancelled()
+    }
+
+    /// Resolves when a query finds the content of the file broken.
+    pub(super) async fn breaks(&self) {
+        self.broken.cancelled().await;
     }
 
     pub(super) fn pool(&self) -> SqlitePool {

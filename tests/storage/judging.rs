@@ -37,6 +37,23 @@ async fn a_judgement_is_written_once_and_the_views_show_it() {
 }
 
 #[tokio::test]
+async fn judgements_of_a_group_are_written_in_order_and_once_each() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let (first, second) = (spooled(&store, "21B", "b1", 1).await, spooled(&store, "21B", "b1", 2).await);
+    let judged = |row, event_no| Judgement {
+        outcome: alarm(event_no, AlarmState::ActiveUnacknowledged),
+        ..judgement(row, "21B")
+    };
+    let group = [judged(first, 1), judged(first, 7), judged(second, 2)];
+    assert_eq!(store.judge_all(group.into()).await.unwrap(), [true, false, true]);
+    let events: Vec<(i64,)> = query(&store, "SELECT event_no FROM alarm_events ORDER BY event_no").await;
+    assert_eq!(events, [(1,), (2,)]);
+    assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap().len(), 2);
+    assert_eq!(store.reader().monitors().await.unwrap()[0].1, "{\"events\":2}");
+}
+
+#[tokio::test]
 async fn a_throw_that_was_not_evaluated_shows_with_its_reason() {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path()).await.store;

@@ -5,7 +5,7 @@ use std::{fs, os::unix::fs::FileExt};
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     diagnose::AlarmState,
-    store::{Found, Settings, Spooled, Store, ThrowRow},
+    store::{Found, Settings, Spooled, Store, StoreError, ThrowRow},
 };
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
@@ -142,6 +142,40 @@ async fn a_database_of_a_newer_version_opens_and_keeps_its_additions() {
     let opened = open(folder.path()).await;
     assert!(opened.report.newer_schema && opened.report.found == Found::Clean);
     spooled(&opened.store, "21B", "b1", 2).await;
+}
+
+#[tokio::test]
+async fn a_database_that_an_older_program_must_not_write_to_is_refused_and_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let opened = open(folder.path()).await;
+    spooled(&opened.store, "21B", "b1", 1).await;
+    opened.store.close().await.unwrap();
+    let outside = SqliteConnectOptions::new().filename(folder.path().join("points.db"));
+    let mut newer = SqliteConnection::connect_with(&outside).await.unwrap();
+    sqlx::query("PRAGMA user_version = 9999").execute(&mut newer).await.unwrap();
+    newer.close().await.unwrap();
+    let before = fs::read(folder.path().join("points.db")).unwrap();
+    let error = Store::open(&settings(folder.path()), at(0)).await.err().unwrap().to_string();
+    assert!(error.contains("newer version of pointsd (schema 9999)") && error.contains("backup"), "{error}");
+    assert_eq!(fs::read(folder.path().join("points.db")).unwrap(), before);
+}
+
+#[tokio::test]
+async fn a_database_that_a_query_finds_broken_is_set_aside_at_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    store.spool_all(&batch).await;
+    store.close().await.unwrap();
+    let file = fs::OpenOptions::new().write(true).open(folder.path().join("points.db")).unwrap();
+    let pages = usize::try_from(file.metadata().unwrap().len() / 4096).unwrap();
+    file.write_all_at(&vec![0x5a; (pages - 60) * 4096], 60 * 4096).unwrap();
+    let store = open(folder.path()).await.store;
+    let error = store.reader().throws(ThrowRow::START, 10_000).await.unwrap_err();
+    assert!(error.to_string().contains("malformed"), "{error}");
+    store.stopped().await;
+    assert!(matches!(store.close().await, Err(StoreError::Broken)));
+    assert!(matches!(open(folder.path()).await.report.found, Found::SetAside { .. }));
 }
 
 #[tokio::test]
