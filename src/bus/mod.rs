@@ -14,7 +14,7 @@ use zenoh::{Config, Session, key_expr::keyexpr};
 pub use inbox::{Inbox, InboxCounters, Limits, Message};
 pub use operator::{OperatorError, ask, command, monitors};
 pub use outlet::{Outlet, OutletCounters};
-pub use presence::{Presence, PresenceWatch};
+pub use presence::{Audience, Presence, PresenceWatch};
 pub use queries::{Question, Questions, answer};
 pub use zenoh::liveliness::LivelinessToken;
 

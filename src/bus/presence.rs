@@ -1,9 +1,9 @@
-//! Which loggers are there: their liveliness tokens come and go.
+//! Who is there: loggers, whose liveliness tokens come and go, and those who listen to what is published.
 
 use tokio::sync::mpsc;
 use zenoh::{
     Session,
-    pubsub::Subscriber,
+    pubsub::{Publisher, Subscriber},
     sample::{Sample, SampleKind},
 };
 
@@ -52,5 +52,24 @@ impl PresenceWatch {
     /// The next change; `None` when the session is closed.
     pub async fn next(&mut self) -> Option<Presence> {
         self.changes.recv().await
+    }
+}
+
+/// Those who listen on a key expression.
+pub struct Audience(Publisher<'static>);
+
+impl Audience {
+    /// Whoever subscribes to something in the key expression.
+    ///
+    /// # Errors
+    /// When zenoh refuses it.
+    pub async fn of(session: &Session, key_expression: &str) -> Result<Self, BusError> {
+        let publisher = session.declare_publisher(key_expression.to_owned()).await;
+        publisher.map(Self).map_err(BusError::new(format!("see who listens on {key_expression}")))
+    }
+
+    /// Whether anybody listens now.
+    pub async fn is_there(&self) -> bool {
+        self.0.matching_status().await.is_ok_and(|status| status.matching())
     }
 }

@@ -12,15 +12,20 @@ use zenoh::Session;
 
 use super::{clock, heartbeat::Organ, status::Status};
 use crate::{
-    bus::{self, Outlet},
+    bus::{self, Audience, Outlet},
     store::Store,
 };
 
 /// Messages that are read from the outbox together.
 const BATCH: u32 = 64;
-/// A message stays in the outbox this long after zenoh took it: what still was in its buffers when the process died
-/// is sent again by the next one.
+/// A message stays in the outbox this long after zenoh took it: what still was in its buffers when the process died is
+/// sent again by the next one.
 const SETTLED: Duration = Duration::from_secs(2);
+/// On a database that was used before nothing is published for so long after the start: subscribers have to find the new
+/// process first, for which zenoh tries every 4 s at least. One that came later would get old events after new ones.
+const RETURN: Duration = Duration::from_secs(6);
+/// For so long after the start messages wait for somebody who listens.
+const AUDIENCE_LIMIT: Duration = Duration::from_secs(30);
 /// A put that takes longer hangs; zenoh itself gives a stalled link up after 5 s.
 const PUT_LIMIT: Duration = Duration::from_secs(20);
 
@@ -31,6 +36,10 @@ pub(super) struct Publisher {
     pub(super) outlet: Outlet,
     pub(super) status: Arc<Status>,
     pub(super) outbox: Arc<Notify>,
+    /// Those who listen to alarms.
+    pub(super) audience: Audience,
+    /// Whether the database is new, so that nobody has listened to a process before this one.
+    pub(super) is_first: bool,
     /// Whether the session is a leaf, which reaches others through a router only.
     pub(super) is_client: bool,
 }
@@ -41,12 +50,17 @@ impl Publisher {
         let mut beat = time::interval(Duration::from_secs(1));
         let mut taken: VecDeque<(i64, Instant)> = VecDeque::new();
         let mut last = 0;
+        let start = clock::monotonic();
+        let from = start + if self.is_first { Duration::ZERO } else { RETURN };
         loop {
             let stopping = stop.is_cancelled();
             let connected = bus::is_connected(&self.session).await;
             self.status.connected.store(connected, Relaxed);
-            // A client without its router would talk into the void; a router without clients has nobody to wait for.
-            if connected || !self.is_client {
+            // A client without its router would talk into the void.
+            let reaches = connected || !self.is_client;
+            let now = clock::monotonic();
+            let waited = stopping || now.duration_since(start) >= AUDIENCE_LIMIT;
+            if reaches && now >= from && (waited || self.audience.is_there().await) {
                 last = self.publish(last, &mut taken).await;
             }
             self.settle(&mut taken).await;
