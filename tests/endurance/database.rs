@@ -9,7 +9,8 @@ use std::{
 
 use jiff::Timestamp;
 use pointsd::{
-    store::{Found, OutboxRow, Reader, Selector, Settings, Store, StoredThrow, ThrowRow},
+    store::{Found, OutboxRow, Reader, Selector, Settings, Store, StoredThrow, ThrowRow, UnreadableTrace},
+    throw::{MachineId, ThrowRef},
     wire::{self, Alarm, Encoding},
 };
 
@@ -22,6 +23,8 @@ pub(crate) struct Verdict {
     pub(crate) lost: usize,
     pub(crate) duplicated: usize,
     pub(crate) unreadable: usize,
+    /// Traces that were given up for want of space; their throws are there.
+    pub(crate) given_up: usize,
     pub(crate) notes: Vec<String>,
 }
 
@@ -30,6 +33,13 @@ impl Verdict {
         self.lost += 1;
         self.notes.push(what);
     }
+}
+
+/// Machine, start of its logger, number.
+type Key = (String, String, u64);
+
+fn key(machine: &MachineId, throw: &ThrowRef) -> Key {
+    (machine.machine.to_string(), throw.boot_id.clone(), throw.throw_no)
 }
 
 /// Opens the database as the daemon would, and compares it with what was acknowledged.
@@ -47,14 +57,16 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
     let reader = opened.store.reader();
     let throws = reader.throws(ThrowRow::START, 1_000_000).await.unwrap();
     let judged = reader.health_history(&Selector::default(), Timestamp::UNIX_EPOCH, 1_000_000).await.unwrap();
-    let judged: BTreeSet<_> = judged.iter().map(|row| (row.machine.machine.to_string(), row.throw.throw_no)).collect();
+    let judged: BTreeSet<_> = judged.iter().map(|row| key(&row.machine, &row.throw)).collect();
     let events = events(reader).await;
     let waiting = reader.outbox_pending(0, 1_000_000).await.unwrap();
 
-    let mut times: BTreeMap<(String, u64), usize> = BTreeMap::new();
+    let mut times: BTreeMap<Key, usize> = BTreeMap::new();
     for stored in &throws {
-        *times.entry((stored.machine.machine.to_string(), stored.id.throw_no)).or_default() += 1;
-        if !is_as_published(stored) {
+        *times.entry(key(&stored.machine, &stored.id)).or_default() += 1;
+        if matches!(stored.throw, Err(UnreadableTrace::Dropped)) {
+            verdict.given_up += 1;
+        } else if !is_as_published(stored) {
             verdict.unreadable += 1;
             verdict.notes.push(format!("throw {:?} of {} is altered", stored.id, stored.machine));
         }
@@ -63,8 +75,8 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
     let mut heard = BTreeSet::new();
     for line in acknowledged.lines() {
         match line.split(' ').collect::<Vec<_>>()[..] {
-            ["throw", machine, _, number] => {
-                let key = (machine.to_owned(), number.parse().unwrap());
+            ["throw", machine, boot_id, number] => {
+                let key = (machine.to_owned(), boot_id.to_owned(), number.parse().unwrap());
                 if !times.contains_key(&key) || !judged.contains(&key) {
                     verdict.lose(line.to_owned());
                 }

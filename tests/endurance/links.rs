@@ -40,6 +40,7 @@ async fn loggers(endpoint: &str, boot_id: &str, rate: f64) -> [Logger; 2] {
         cache,
         pace: Duration::from_secs_f64(1.0 / rate),
         boot_id: boot_id.to_owned(),
+        ..Plan::default()
     };
     let remembers = Logger::start(endpoint, plan("m", MACHINES, CACHE, rate)).await;
     [remembers, Logger::start(endpoint, plan("f", 1, 1, rate / 10.0)).await]

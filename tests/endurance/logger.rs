@@ -33,6 +33,8 @@ const UNREADABLE: u64 = 7;
 /// What a logger does.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
+    /// Throws of each machine, after which it falls silent.
+    pub(crate) throws: u64,
     /// Its machines at the site `north` are called by this and their number from 1.
     pub(crate) machine: &'static str,
     /// How many.
@@ -43,6 +45,14 @@ pub(crate) struct Plan {
     pub(crate) pace: Duration,
     /// This start of the logger.
     pub(crate) boot_id: String,
+}
+
+impl Default for Plan {
+    /// Two machines that are never forgotten and never stop.
+    fn default() -> Self {
+        let pace = Duration::from_millis(10);
+        Self { throws: u64::MAX, machine: "m", machines: 2, cache: 10_000, pace, boot_id: "b1".to_owned() }
+    }
 }
 
 /// A logger that publishes until it is stopped.
@@ -99,7 +109,7 @@ impl Logger {
                     thread::sleep(Duration::from_millis(5));
                 }
             }
-            for throw_no in 1.. {
+            for throw_no in 1..=plan.throws {
                 if stopped.load(Relaxed) {
                     break;
                 }

@@ -13,18 +13,24 @@ mod cable;
 mod database;
 mod gauge;
 mod logger;
-#[path = "../power/replay.rs"]
+#[path = "../disk/replay.rs"]
 mod replay;
 #[path = "../service/rig.rs"]
 mod rig;
-#[path = "../power/shim.rs"]
+#[path = "../disk/shim.rs"]
 mod shim;
+#[path = "../disk/small_disk.rs"]
+mod small_disk;
 mod witness;
 
+mod clock;
 mod cuts;
+mod faults;
+mod full_disk;
 mod kills;
 mod links;
 mod poison;
+mod retention;
 mod slow;
 mod soak;
 

@@ -26,11 +26,27 @@ pub(crate) struct Heard {
     pub(crate) messages: usize,
 }
 
+impl Heard {
+    /// All of it as lines of acknowledgement.
+    pub(crate) fn acknowledged(&self) -> String {
+        let throws = self.health.iter().map(|(machine, boot_id, throw_no)| throw_line(machine, boot_id, *throw_no));
+        throws.chain(self.events.iter().map(|(alarm_id, event_no)| event_line(alarm_id, *event_no))).collect()
+    }
+}
+
+fn throw_line(machine: &str, boot_id: &str, throw_no: u64) -> String {
+    format!("throw {machine} {boot_id} {throw_no}\n")
+}
+
+fn event_line(alarm_id: &str, event_no: u32) -> String {
+    format!("event {alarm_id} {event_no}\n")
+}
+
 /// The subscriber. It listens until it is dropped.
 pub(crate) struct Witness {
     heard: Arc<Mutex<Heard>>,
     _session: Session,
-    _subscribers: [AdvancedSubscriber<()>; 2],
+    _subscribers: Vec<AdvancedSubscriber<()>>,
 }
 
 impl Witness {
@@ -38,28 +54,27 @@ impl Witness {
     /// there as acknowledged, at the place that the log has reached.
     pub(crate) async fn listen(endpoint: &str, log: Option<&Path>) -> Self {
         let session = rig::client_of(endpoint).await;
-        let heard = Arc::new(Mutex::new(Heard::default()));
+        let heard = Arc::<Mutex<Heard>>::default();
         let log = log.map(|path| Arc::new(OpenOptions::new().create(true).append(true).open(path).unwrap()));
         let (health, noted) = (Arc::clone(&heard), log.clone());
         let on_health = move |sample: Sample| {
             let message: Health = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-            note(noted.as_deref(), &format!("throw {} {} {}\n", message.machine, message.boot_id, message.throw_no));
+            note(noted.as_deref(), &throw_line(&message.machine, &message.boot_id, message.throw_no));
             health.lock().unwrap().health.insert((message.machine, message.boot_id, message.throw_no));
         };
-        let (alarms, noted) = (Arc::clone(&heard), log);
-        let on_alarm = move |sample: Sample| {
-            let message: Alarm = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-            note(noted.as_deref(), &format!("event {} {}\n", message.alarm_id, message.event_no));
-            let mut heard = alarms.lock().unwrap();
-            heard.messages += 1;
-            let event = (message.alarm_id, message.event_no);
-            if !heard.events.contains(&event) {
-                heard.events.push(event);
-            }
-        };
+        let on_alarm = alarm_taker(Arc::clone(&heard), log);
         let subscribers =
-            [subscribe(&session, "health", on_health).await, subscribe(&session, "alarm", on_alarm).await];
+            vec![subscribe(&session, "health", on_health).await, subscribe(&session, "alarm", on_alarm).await];
         Self { heard, _session: session, _subscribers: subscribers }
+    }
+
+    /// Subscribes to alarms as a first program would, with nothing but what zenoh does by itself.
+    pub(crate) async fn listen_plainly(endpoint: &str) -> Self {
+        let session = rig::patient_client_of(endpoint).await;
+        let heard = Arc::<Mutex<Heard>>::default();
+        let on_alarm = alarm_taker(Arc::clone(&heard), None);
+        session.declare_subscriber("points/v1/**/alarm").callback(on_alarm).background().await.unwrap();
+        Self { heard, _session: session, _subscribers: Vec::new() }
     }
 
     pub(crate) fn heard(&self) -> MutexGuard<'_, Heard> {
@@ -80,6 +95,19 @@ impl Witness {
             self.heard().health.len(),
             self.heard().events
         );
+    }
+}
+
+fn alarm_taker(heard: Arc<Mutex<Heard>>, log: Option<Arc<File>>) -> impl Fn(Sample) + Send + Sync + 'static {
+    move |sample| {
+        let message: Alarm = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+        note(log.as_deref(), &event_line(&message.alarm_id, message.event_no));
+        let mut heard = heard.lock().unwrap();
+        heard.messages += 1;
+        let event = (message.alarm_id, message.event_no);
+        if !heard.events.contains(&event) {
+            heard.events.push(event);
+        }
     }
 }
 

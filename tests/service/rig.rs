@@ -242,7 +242,12 @@ impl Daemon {
 
     /// Whether it still runs.
     pub(crate) fn runs(&mut self) -> bool {
-        self.child.try_wait().unwrap().is_none()
+        self.ended().is_none()
+    }
+
+    /// How it ended, if it has.
+    pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
+        self.child.try_wait().unwrap()
     }
 
     pub(crate) fn log(&self) -> Vec<String> {
@@ -273,6 +278,27 @@ impl Daemon {
         client_of(&self.endpoint).await
     }
 
+    /// What `pointsd status` tells of it.
+    pub(crate) fn status(&self) -> serde_json::Value {
+        // It says by its exit code whether all is well, too.
+        let (_, text) = self.operate(&["status", "--json"]);
+        let mut status: serde_json::Value = serde_json::from_str(&text).unwrap_or_else(|_| panic!("{text}"));
+        status["daemons"][0].take()
+    }
+
+    /// Waits until its status is as wanted.
+    pub(crate) async fn until_status(&self, what: &str, is_so: impl Fn(&serde_json::Value) -> bool) {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let status = self.status();
+            if is_so(&status) {
+                return;
+            }
+            assert!(Instant::now() < deadline, "no {what}: {status}; {:?}", self.log());
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
     /// Runs an operator's command; returns its exit code and what it printed.
     pub(crate) fn operate(&self, arguments: &[&str]) -> (Option<i32>, String) {
         let output = pointsd(arguments).args(["--connect", &self.endpoint]).output().unwrap();
@@ -283,7 +309,15 @@ impl Daemon {
 
 /// A client of whoever listens there, which comes back soon after a cut.
 pub(crate) async fn client_of(endpoint: &str) -> Session {
-    let connect = format!("endpoints = [{endpoint:?}], retry = {{ period_init_ms = 50, period_max_ms = 200 }}");
+    client(&format!("endpoints = [{endpoint:?}], retry = {{ period_init_ms = 50, period_max_ms = 200 }}")).await
+}
+
+/// A client that comes back when zenoh's own patience says.
+pub(crate) async fn patient_client_of(endpoint: &str) -> Session {
+    client(&format!("endpoints = [{endpoint:?}]")).await
+}
+
+async fn client(connect: &str) -> Session {
     let document = Document::parse("test".as_ref(), format!("zenoh.connect = {{ {connect} }}")).unwrap();
     bus::open(client_session(&document).unwrap()).await.unwrap()
 }

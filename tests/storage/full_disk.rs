@@ -1,68 +1,27 @@
-//! A disk without space, for real: a small file system of its own, where the tests may mount one.
+//! A disk without space, for real.
 
-use std::{fs, path::PathBuf, process::Command};
+use std::process::Command;
 
 use pointsd::store::{DiskLevel, Settings, Spooled, Store, StoreError, ThrowRow};
 
-use crate::given::{at, judgement, machine, settings, spooled, throw};
-
-/// A file system of 12 MB in memory.
-struct SmallDisk {
-    folder: PathBuf,
-    _place: tempfile::TempDir,
-}
-
-impl SmallDisk {
-    /// `None`, with a message, where mounting is not allowed.
-    fn mount() -> Option<Self> {
-        let place = tempfile::tempdir().unwrap();
-        let folder = place.path().join("disk");
-        fs::create_dir(&folder).unwrap();
-        let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=12m", "tmpfs"]).arg(&folder).output();
-        match mount {
-            Ok(output) if output.status.success() => Some(Self { folder, _place: place }),
-            other => {
-                println!("skipped: no small file system can be mounted here ({other:?})");
-                None
-            }
-        }
-    }
-
-    /// Takes all the space that is left, or gives it back.
-    fn fill(&self) {
-        let mut size = 1 << 20;
-        let mut filler = fs::File::create(self.folder.join("filler")).unwrap();
-        while size >= 512 {
-            if std::io::Write::write_all(&mut filler, &vec![1; size]).is_err() {
-                size /= 2;
-            }
-        }
-    }
-
-    fn free(&self) {
-        fs::remove_file(self.folder.join("filler")).unwrap();
-    }
-}
+use crate::{
+    given::{at, judgement, machine, settings, spooled, throw},
+    small_disk::SmallDisk,
+};
 
 #[tokio::test]
 async fn sql_reads_a_stopped_database_where_nothing_may_be_written() {
     let Some(disk) = SmallDisk::mount() else { return };
-    let store = Store::open(&settings(&disk.folder), at(0)).await.unwrap().store;
+    let store = Store::open(&settings(disk.folder()), at(0)).await.unwrap().store;
     spooled(&store, "21B", "b1", 1).await;
     let path = store.path().to_owned();
     store.close().await.unwrap();
-    let remount = Command::new("mount").args(["-o", "remount,ro"]).arg(&disk.folder).status().unwrap();
+    let remount = Command::new("mount").args(["-o", "remount,ro"]).arg(disk.folder()).status().unwrap();
     assert!(remount.success());
     let question = ["sql", "--csv", "SELECT count(*) AS throws FROM throw", "--database"];
     let output = Command::new(env!("CARGO_BIN_EXE_pointsd")).args(question).arg(&path).output().unwrap();
     let error = String::from_utf8_lossy(&output.stderr);
     assert_eq!(String::from_utf8_lossy(&output.stdout), "throws\n1\n", "{error}");
-}
-
-impl Drop for SmallDisk {
-    fn drop(&mut self) {
-        let _ = Command::new("umount").arg("-l").arg(&self.folder).status();
-    }
 }
 
 /// Spools throws until the disk refuses one; returns the last that was stored.
@@ -80,8 +39,8 @@ async fn spool_until_full(store: &Store, first: u64) -> u64 {
 #[tokio::test]
 async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
     let Some(disk) = SmallDisk::mount() else { return };
-    let store = Store::open(&settings(&disk.folder), at(0)).await.unwrap().store;
-    assert!(disk.folder.join("points.db-ballast").exists());
+    let store = Store::open(&settings(disk.folder()), at(0)).await.unwrap().store;
+    assert!(disk.folder().join("points.db-ballast").exists());
     for throw_no in 1..=20 {
         spooled(&store, "21B", "b1", throw_no).await;
     }
@@ -89,7 +48,7 @@ async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
     // The ballast carries on for a while, then nothing does.
     let last = spool_until_full(&store, 21).await;
     assert!(last > 20, "the ballast was of no use");
-    assert!(!disk.folder.join("points.db-ballast").exists());
+    assert!(!disk.folder().join("points.db-ballast").exists());
     assert_eq!(store.disk_level(), DiskLevel::Full);
     for _ in 0..3 {
         let refused = store.spool(&machine("21B"), &throw("b1", last + 1), at(0)).await;
@@ -101,7 +60,7 @@ async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
     spooled(&store, "21B", "b1", last + 1).await;
     assert_eq!(store.disk_level(), DiskLevel::Ample);
     store.keep_house(at(0), true).await.unwrap();
-    assert!(disk.folder.join("points.db-ballast").exists(), "the ballast is back");
+    assert!(disk.folder().join("points.db-ballast").exists(), "the ballast is back");
     assert_eq!(store.statistics().await.unwrap().missing_throws, 0);
     store.close().await.unwrap();
 }
@@ -109,7 +68,7 @@ async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
 #[tokio::test]
 async fn below_the_watermark_traces_go_and_estimates_stay() {
     let Some(disk) = SmallDisk::mount() else { return };
-    let bounds = Settings { low_disk_mib: 4, ..settings(&disk.folder) };
+    let bounds = Settings { low_disk_mib: 4, ..settings(disk.folder()) };
     let store = Store::open(&bounds, at(0)).await.unwrap().store;
     // Far more than the disk can hold with all traces.
     let mut dropped = 0;

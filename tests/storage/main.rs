@@ -8,5 +8,7 @@ mod given;
 mod judging;
 mod keeping;
 mod power;
+#[path = "../disk/small_disk.rs"]
+mod small_disk;
 mod spooling;
 mod statements;

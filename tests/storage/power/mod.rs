@@ -8,9 +8,9 @@
 mod cuts;
 mod faults;
 mod kills;
-#[path = "../../power/replay.rs"]
+#[path = "../../disk/replay.rs"]
 mod replay;
-#[path = "../../power/shim.rs"]
+#[path = "../../disk/shim.rs"]
 mod shim;
 mod worker;
 

@@ -1,0 +1,56 @@
+//! A disk without space, for real: a small file system of its own, where the tests may mount one.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+/// A file system of 12 MB in memory.
+pub(crate) struct SmallDisk {
+    folder: PathBuf,
+    _place: tempfile::TempDir,
+}
+
+impl SmallDisk {
+    /// `None`, with a message, where mounting is not allowed.
+    pub(crate) fn mount() -> Option<Self> {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().join("disk");
+        fs::create_dir(&folder).unwrap();
+        let mount = Command::new("mount").args(["-t", "tmpfs", "-o", "size=12m", "tmpfs"]).arg(&folder).output();
+        match mount {
+            Ok(output) if output.status.success() => Some(Self { folder, _place: place }),
+            other => {
+                println!("skipped: no small file system can be mounted here ({other:?})");
+                None
+            }
+        }
+    }
+
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Takes all the space that is left.
+    pub(crate) fn fill(&self) {
+        let mut size = 1 << 20;
+        let mut filler = fs::File::options().create(true).append(true).open(self.folder.join("filler")).unwrap();
+        while size >= 512 {
+            if io::Write::write_all(&mut filler, &vec![1; size]).is_err() {
+                size /= 2;
+            }
+        }
+    }
+
+    /// Gives it back.
+    pub(crate) fn free(&self) {
+        fs::remove_file(self.folder.join("filler")).unwrap();
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(&self.folder).status();
+    }
+}

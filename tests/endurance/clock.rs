@@ -1,0 +1,89 @@
+//! A wall clock that jumps under the running daemon: back a day, ahead ten years, and right again. Alarms and their
+//! order are those of a clock that does not jump, and nothing is dropped for its age.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use serde_json::Value;
+
+use crate::{
+    logger::{Logger, Plan, QUICK_ALARMS},
+    rig::Rig,
+    witness::Witness,
+};
+
+/// Where Debian, Fedora and Arch put the library that fakes the clock.
+const LIBRARIES: [&str; 4] = [
+    "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1",
+    "/usr/lib/aarch64-linux-gnu/faketime/libfaketimeMT.so.1",
+    "/usr/lib64/faketime/libfaketimeMT.so.1",
+    "/usr/lib/faketime/libfaketimeMT.so.1",
+];
+
+/// Throws between two jumps, of each of two machines.
+const THROWS: u64 = 30;
+
+fn library() -> Option<PathBuf> {
+    let library = LIBRARIES.iter().map(PathBuf::from).find(|path| path.exists());
+    if library.is_none() {
+        println!("skipped: libfaketime is not installed");
+    }
+    library
+}
+
+/// A life of the daemon in which the clock jumps before each of its parts; all its alarm events were heard.
+async fn life(library: &Path, jumps: &[&str]) -> Rig {
+    let mut rig = Rig::with(QUICK_ALARMS).same_port();
+    let clock = rig.folder().join("clock");
+    rig.set("LD_PRELOAD", library);
+    rig.set("FAKETIME_TIMESTAMP_FILE", &clock);
+    rig.set("FAKETIME_NO_CACHE", "1");
+    rig.set("FAKETIME_DONT_FAKE_MONOTONIC", "1");
+    fs::write(&clock, "+0").unwrap();
+    let mut daemon = rig.start();
+    let witness = Witness::listen(&daemon.endpoint, None).await;
+    let mut loggers = Vec::new();
+    for (part, jump) in jumps.iter().enumerate() {
+        fs::write(&clock, jump).unwrap();
+        // Half of the parts begin with a restart: the daemon finds a database from another time.
+        if part % 2 == 1 {
+            assert!(daemon.terminate().success());
+            daemon = rig.start();
+        }
+        let plan = Plan { throws: THROWS, boot_id: format!("b{part}"), ..Plan::default() };
+        loggers.push(Logger::start(&daemon.endpoint, plan).await);
+        let all = 2 * THROWS * (part as u64 + 1);
+        witness.until("every throw", |heard| heard.health.len() as u64 == all).await;
+    }
+    let events = told(&rig).len();
+    witness.until("every alarm event", |heard| heard.events.len() == events).await;
+    assert!(daemon.terminate().success());
+    rig
+}
+
+fn told(rig: &Rig) -> Vec<Value> {
+    rig.sql("SELECT machine, cause, event_no, severity, state, text FROM alarm_events ORDER BY machine, raised_at, event_no")
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_clock_that_jumps_harms_neither_order_nor_alarms_nor_what_is_kept() {
+    let Some(library) = library() else { return };
+    let steady = life(&library, &["+0", "+0", "+0", "+0", "+0"]).await;
+    let jumped = life(&library, &["+0", "-1d", "+3650d", "-1d", "+0"]).await;
+    assert!(!told(&steady).is_empty());
+    assert_eq!(told(&jumped), told(&steady), "the same alarms, in the same order");
+
+    let received = jumped.sql("SELECT max(received_at_us) - min(received_at_us) AS us FROM throw")[0]["us"].clone();
+    let ten_years = 3600 * 24 * 3650 * 1_000_000_u64;
+    assert!(received.as_u64() > Some(ten_years), "the daemon's clock did not jump");
+    let order = jumped.sql(
+        "SELECT boot_id, throw_no FROM throw JOIN boot USING (boot_row) WHERE throw.machine_row = 1 ORDER BY throw_row",
+    );
+    let order: Vec<_> = order.iter().map(|row| (row["boot_id"].as_str().unwrap(), row["throw_no"].as_u64())).collect();
+    assert!(order.is_sorted(), "{order:?}");
+    assert_eq!(order.len() as u64, 5 * THROWS);
+    assert_eq!(jumped.sql("SELECT count(*) AS n FROM trace")[0]["n"], 10 * THROWS, "a trace was dropped");
+    assert!(jumped.sql("SELECT * FROM data_gaps").is_empty());
+}

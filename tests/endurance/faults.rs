@@ -1,0 +1,152 @@
+//! A disk that fails under the running daemon: the nth write or sync, once or for ever.
+//!
+//! The daemon goes on, or says loudly that it cannot, or ends with an exit code that is not 0. It never drops silently:
+//! what was acknowledged is in the database, which is opened right after a `kill -9`; and a fault that passes is got
+//! over without a restart, or with one where the daemon could not start.
+
+use std::{
+    path::Path,
+    sync::Mutex,
+    thread,
+    time::{Duration, Instant},
+};
+
+use tokio::runtime::Runtime;
+
+use crate::{
+    database::{Verdict, inspect},
+    logger::{Logger, Plan, QUICK_ALARMS},
+    rig::{NotStarted, PATIENCE, Rig},
+    shim, size,
+    witness::{Heard, Witness},
+};
+
+const ERRNOS: [u32; 2] = [5, 28]; // EIO, ENOSPC
+/// Throws that are published, of each of two machines.
+const THROWS: u64 = 8;
+/// How long a daemon that has complained is watched for what it still acknowledges.
+const AFTERMATH: Duration = Duration::from_millis(300);
+/// Daemons at a time: they mostly wait.
+const AT_ONCE: usize = 4;
+
+/// What became of a daemon with a fault.
+#[derive(Debug, PartialEq, Eq, Clone, Copy)]
+enum Fate {
+    /// Everything that was published was heard.
+    WentOn,
+    /// It said that something is wrong, and was killed.
+    Complained,
+    /// It ended with an exit code that is not 0, and everything was heard from the next one.
+    Restarted,
+}
+
+fn is_all(heard: &Heard) -> bool {
+    heard.health.len() as u64 == 2 * THROWS
+}
+
+fn plan() -> Plan {
+    Plan { throws: THROWS, machines: 2, pace: Duration::from_millis(2), ..Plan::default() }
+}
+
+/// Runs a daemon with a fault; its fate, or what is wrong with it.
+async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
+    let mut rig = Rig::with(QUICK_ALARMS).same_port();
+    rig.set("LD_PRELOAD", library);
+    rig.set("SHIM_MATCH", rig.database());
+    rig.set("SHIM_FAIL", fault);
+    let mut daemon = match rig.try_start() {
+        Ok(daemon) => daemon,
+        Err(NotStarted { status, .. }) if !status.success() => return restarted(rig).await,
+        Err(NotStarted { log, .. }) => return Err(format!("it ended as if nothing were wrong: {log:?}")),
+    };
+    let witness = Witness::listen(&daemon.endpoint, None).await;
+    let logger = Logger::start(&daemon.endpoint, plan()).await;
+    let deadline = Instant::now() + PATIENCE;
+    let fate = loop {
+        if is_all(&witness.heard()) {
+            break Fate::WentOn;
+        }
+        if let Some(status) = daemon.ended() {
+            if status.success() {
+                return Err(format!("it ended as if nothing were wrong: {:?}", daemon.log()));
+            }
+            break Fate::Restarted;
+        }
+        if daemon.log().iter().any(|line| line.contains("ERROR")) && fault.ends_with("forever") {
+            tokio::time::sleep(AFTERMATH).await;
+            break Fate::Complained;
+        }
+        if Instant::now() > deadline {
+            return Err(format!("{} heard: {:?}", witness.heard().health.len(), daemon.log()));
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    };
+    daemon.kill();
+    let mut verdict = Verdict::default();
+    let acknowledged = witness.heard().acknowledged();
+    inspect(rig.folder(), &acknowledged, &mut verdict).await;
+    if verdict.lost + verdict.duplicated + verdict.unreadable > 0 {
+        return Err(format!("{verdict:?}"));
+    }
+    if fate == Fate::Restarted {
+        rig.set("SHIM_FAIL", "");
+        let daemon = rig.start();
+        witness.until("everything after the restart", is_all).await;
+        daemon.kill();
+    }
+    drop(logger);
+    Ok(fate)
+}
+
+/// After an end with an exit code: without the fault everything is heard.
+async fn restarted(mut rig: Rig) -> Result<Fate, String> {
+    rig.set("SHIM_FAIL", "");
+    let daemon = rig.start();
+    let witness = Witness::listen(&daemon.endpoint, None).await;
+    let _logger = Logger::start(&daemon.endpoint, plan()).await;
+    witness.until("everything after the restart", is_all).await;
+    Ok(Fate::Restarted)
+}
+
+/// Each fault of the first so many writes and syncs; by default of two of them.
+fn faults() -> Vec<String> {
+    let which = match size("POINTSD_FAULTS", 0) {
+        0 => vec![3, 60],
+        all => (1..=all).collect(),
+    };
+    let mut faults = Vec::new();
+    for nth in which {
+        for what in ["write", "sync"] {
+            for errno in ERRNOS {
+                faults.extend(["once", "forever"].map(|times| format!("{what}:{nth}:{errno}:{times}")));
+            }
+        }
+    }
+    faults
+}
+
+#[test]
+fn a_failing_write_or_sync_drops_nothing_silently() {
+    let Some(library) = shim::library() else { return };
+    let runtime = Runtime::new().unwrap();
+    let (faults, fates) = (Mutex::new(faults()), Mutex::new(Vec::new()));
+    let work = || {
+        while let Some(fault) = { faults.lock().unwrap().pop() } {
+            let fate = runtime.block_on(run(library, &fault));
+            fates.lock().unwrap().push(fate.map_err(|why| format!("{fault}: {why}")));
+        }
+    };
+    thread::scope(|scope| (0..AT_ONCE).for_each(|_| drop(scope.spawn(work))));
+    let fates = fates.into_inner().unwrap();
+    let wrong: Vec<&String> = fates.iter().filter_map(|fate| fate.as_ref().err()).collect();
+    let count = |fate| fates.iter().filter(|one| one.as_ref() == Ok(&fate)).count();
+    println!(
+        "{} faults: {} went on, {} complained, {} ended and went on after a restart; {} wrong",
+        fates.len(),
+        count(Fate::WentOn),
+        count(Fate::Complained),
+        count(Fate::Restarted),
+        wrong.len()
+    );
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}

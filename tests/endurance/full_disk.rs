@@ -1,0 +1,52 @@
+//! A disk without a free byte under the running daemon, and room again: without a crash, a loss or a restart.
+
+use crate::{
+    database::{Verdict, inspect},
+    logger::{Logger, Plan, QUICK_ALARMS},
+    rig::Rig,
+    small_disk::SmallDisk,
+    witness::Witness,
+};
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
+    let Some(disk) = SmallDisk::mount() else { return };
+    let rig = Rig::with(QUICK_ALARMS).moved_to(disk.folder()).store("ballast_mib = 1\nlow_disk_mib = 2\n");
+    let daemon = rig.start();
+    let witness = Witness::listen(&daemon.endpoint, None).await;
+    let first = Logger::start(&daemon.endpoint, Plan { throws: 10, ..Plan::default() }).await;
+    witness.until("a healthy start", |heard| heard.health.len() == 20).await;
+
+    disk.fill();
+    // The ballast is given up, and with its room the alarm is committed.
+    let about_disk = |(alarm_id, _): &(String, u32)| alarm_id.starts_with("fleet.pointsd.data_loss.");
+    witness.until("an alarm about the disk", |heard| heard.events.iter().any(about_disk)).await;
+    // Now nothing can be stored any more.
+    disk.fill();
+    let logger = Logger::start(&daemon.endpoint, Plan { boot_id: "b2".to_owned(), ..Plan::default() }).await;
+    daemon.until_status("a full disk", |status| status["disk"] == "full").await;
+    let heard = witness.heard().health.len();
+    let (_, line) = daemon.operate(&["status"]);
+    assert!(line.contains("DISK FULL"), "{line}");
+    assert!(daemon.log().iter().any(|line| line.contains("ERROR") && line.contains("throws cannot be stored")));
+    // It stays alive, and answers, while throws keep coming.
+    let received = daemon.status()["received"].as_u64().unwrap();
+    daemon.until_status("throws that wait", |status| status["received"].as_u64() > Some(received + 20)).await;
+    assert!(witness.heard().health.len() < heard + 20, "the disk was not full");
+
+    disk.free();
+    daemon.until_status("a disk with room", |status| status["disk"] == "ok").await;
+    let silent = logger.stop();
+    let all = 20 + 2 * usize::try_from(silent.published).unwrap();
+    witness.until("every throw", |heard| heard.health.len() >= all).await;
+    let status = daemon.status();
+    assert_eq!((&status["lost"], &status["dropped"]), (&0.into(), &0.into()), "{status}");
+    drop(first);
+    assert!(daemon.terminate().success());
+    assert!(rig.sql("SELECT * FROM data_gaps").is_empty());
+    let mut verdict = Verdict::default();
+    let acknowledged = witness.heard().acknowledged();
+    inspect(rig.folder(), &acknowledged, &mut verdict).await;
+    let Verdict { lost, duplicated, unreadable, notes, .. } = verdict;
+    assert_eq!((lost, duplicated, unreadable), (0, 0, 0), "{notes:?}");
+}

@@ -1,0 +1,91 @@
+//! The running daemon keeps its database within its bounds: raw traces go first, then throws with their estimates,
+//! alarms last.
+
+use std::time::{Duration, Instant};
+
+use pointsd::{
+    throw::{Throw, Trace},
+    wire::{self, Encoding},
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::{
+    logger::{Logger, Plan, QUICK_ALARMS},
+    rig::{self, PATIENCE, Rig},
+    witness::Witness,
+};
+
+/// How many of each there are.
+#[derive(Debug)]
+struct Kept {
+    traces: u64,
+    throws: u64,
+    alarms: u64,
+    bytes: u64,
+}
+
+impl Kept {
+    fn of(rig: &Rig) -> Self {
+        let row = rig.sql(
+            "SELECT (SELECT count(*) FROM trace) AS traces, (SELECT count(*) FROM health_history) AS throws, \
+             (SELECT count(*) FROM alarm_events) AS alarms, (page_count - freelist_count) * page_size AS bytes \
+             FROM pragma_page_count, pragma_freelist_count, pragma_page_size",
+        );
+        let number = |name: &str| row[0][name].as_u64().unwrap();
+        Self { traces: number("traces"), throws: number("throws"), alarms: number("alarms"), bytes: number("bytes") }
+    }
+
+    /// Waits until the daemon has dropped enough.
+    async fn until(rig: &Rig, is_enough: impl Fn(&Self) -> bool) -> Self {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let kept = Self::of(rig);
+            if is_enough(&kept) {
+                return kept;
+            }
+            assert!(Instant::now() < deadline, "{kept:?}");
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn rows_are_bounded_traces_before_throws_before_alarms() {
+    let rig = Rig::with(QUICK_ALARMS).store("max_traces = 100\nmax_throws = 150\nballast_mib = 0\nlow_disk_mib = 0\n");
+    let daemon = rig.start();
+    let witness = Witness::listen(&daemon.endpoint, None).await;
+    let plan = Plan { throws: 120, pace: Duration::from_millis(1), ..Plan::default() };
+    let _logger = Logger::start(&daemon.endpoint, plan).await;
+    witness.until("every throw", |heard| heard.health.len() == 240).await;
+    let kept = Kept::until(&rig, |kept| kept.traces <= 100 && kept.throws <= 150).await;
+    assert_eq!((kept.traces, kept.throws), (100, 150));
+    assert_eq!(kept.alarms, witness.heard().events.len() as u64, "an alarm was dropped");
+    // The newest stay.
+    let oldest = rig.sql("SELECT min(throw_no) AS oldest FROM health_history")[0]["oldest"].as_u64();
+    assert_eq!(oldest, Some(120 - 75 + 1));
+    assert!(daemon.log().iter().any(|line| line.contains("dropped the oldest")));
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn bytes_are_bounded_and_estimates_outlive_their_traces() {
+    let rig = Rig::with(QUICK_ALARMS).store("max_size_mib = 16\nballast_mib = 0\nlow_disk_mib = 0\n");
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = rig::matched(&session, "points/v1/north/21B/throw").await;
+    // Noise cannot be compressed: each of these takes two thirds of a megabyte.
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut noise = || (0..100_000).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
+    for throw_no in 1..=40 {
+        let trace = Trace::new(1000.0, noise(), noise()).unwrap();
+        let throw = Throw { trace, ..rig::stub("b1", throw_no) };
+        publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
+    }
+    rig.judged(40).await;
+    let kept = Kept::until(&rig, |kept| kept.bytes <= 16 << 20).await;
+    assert!(kept.traces > 0 && kept.traces < 40, "{kept:?}");
+    assert_eq!(kept.throws, 40);
+    assert!(kept.alarms > 0);
+    assert!(daemon.terminate().success());
+}
