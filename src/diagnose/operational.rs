@@ -16,6 +16,9 @@ const SLOW_IN_A_ROW: u32 = 3;
 /// Longest time between two ticks that counts as silence \[s\]: more is a clock that jumped or a daemon that was down.
 const LONGEST_TICK_S: f64 = 3600.0;
 
+/// Longest time between two ticks that counts for what takes minutes \[s\]: after a start of the daemon, loggers are given
+/// the whole delay to connect again.
+const USUAL_TICK_S: f64 = 60.0;
 /// Trouble of the daemon itself is over when it has not been there for so long \[s\]: a disk at its limit does not
 /// toggle its alarm.
 const CALM_S: f64 = 600.0;
@@ -182,18 +185,17 @@ impl Operation {
     pub(super) fn tick(&mut self, counts: bool, board: &mut Board, scene: Scene) -> Vec<AlarmEvent> {
         let Scene { name, at, settings, .. } = scene;
         let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
-        let passed = passed.clamp(0.0, LONGEST_TICK_S);
-        self.calm_s += passed;
+        self.calm_s += passed.clamp(0.0, USUAL_TICK_S);
         if !counts {
             return Vec::new();
         }
-        self.silence_s += passed;
+        self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
         let subject = text::subject(name, None);
         let raise = |board: &mut Board, said| {
             board.raise(Cause::NotMonitored, Evidence::plain(Severity::Warning, None, said), at)
         };
         if let Logger::Gone { for_s, alarmed } = &mut self.logger {
-            *for_s += passed;
+            *for_s += passed.clamp(0.0, USUAL_TICK_S);
             if *for_s >= 60.0 * settings.logger_gone_minutes {
                 let said = format!(
                     "{subject}: its logger has been gone for {:.0} minutes, so the machine is not monitored. Check the \

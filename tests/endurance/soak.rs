@@ -262,7 +262,7 @@ impl Recording {
                     .line("to be judged", self.curve(|sample| sample.unjudged as f64))
                     .line("link down", self.curve(|sample| f64::from(u8::from(!sample.link)))),
             )
-            .panel(panel("Throws judged, over a minute", "1/s").line("judged", rate).level(RATE, "published"))
+            .panel(panel("Throws judged, over twelve samples", "1/s").line("judged", rate).level(RATE, "published"))
             .panel(panel("Alarm events", "number").line("so far", self.curve(|sample| sample.alarm_events as f64)))
             .to_svg();
         let path = self.folder.join("soak.svg");
