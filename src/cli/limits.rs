@@ -91,14 +91,15 @@ fn draw(directory: &Path, findings: &[Finding]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Root mean square errors as bars; a case without bars was refused.
+/// Root mean square errors as bars, beside the line of 1 %.
 fn picture(finding: &Finding) -> Sheet {
-    let mut panel = Panel::bars(finding.label, "error, root mean square [%]", NAMES).log_y().level(1.0, "");
+    let mut panel = Panel::bars(finding.label, "root mean square [%]", NAMES).log_y().level(1.0, "1 %");
     for row in &finding.rows {
         let count = row.errors_pct.len() as f64;
         let square = |at: usize| row.errors_pct.iter().map(|errors| errors[at] * errors[at]).sum::<f64>();
         let shown = |at: usize| if count > 0.0 { (square(at) / count).sqrt().max(LEAST_DRAWN_PCT) } else { f64::NAN };
-        panel = panel.group(row.label.as_str(), (0..3).map(shown));
+        let label = if count > 0.0 { row.label.clone() } else { format!("{} (refused)", row.label) };
+        panel = panel.group(label, (0..3).map(shown));
     }
     Sheet::new(finding.title).panel(panel)
 }

@@ -153,6 +153,9 @@ fn pulse_response(test: &Test) -> Sheet {
     let running = test.trace.current_a().iter().rposition(|current| current.abs() > 0.2).unwrap_or(0);
     let mut model = test.modelled_position_mm();
     model.truncate(running);
+    let start_mm = test.trace.position_mm()[0];
+    let error: Vec<f64> =
+        test.trace.position_mm().iter().zip(&model).map(|(is, model)| is - start_mm - model).collect();
     Sheet::new("Pulse response of the nominal machine")
         .panel(
             Panel::curves("Motor current", "time [s]", "current [A]").line("recorded", samples(test.trace.current_a())),
@@ -162,17 +165,33 @@ fn pulse_response(test: &Test) -> Sheet {
                 .line("recorded", samples(test.trace.position_mm()))
                 .line("identified model", samples(&model)),
         )
+        .panel(
+            Panel::curves("What the model leaves", "time [s]", "difference [mm]")
+                .line("recorded - identified model", samples(&error)),
+        )
 }
 
 fn estimates(result: &CaseResult) -> Sheet {
-    let title = format!("Estimates while {} changes", result.case.symbol);
     let nominal = result.tests[0].coefficients;
-    let mut panel = Panel::bars("Each test in % of test 1", "% of nominal", NAMES);
+    let label = |test: &Test| format!("{}", test.value);
+    let unit = if result.case.unit.is_empty() { String::new() } else { format!(" [{}]", result.case.unit) };
+    let empty = |title: &str| {
+        Panel::bars(title, format!("% of nominal, over {}{unit}", result.case.symbol), NAMES).level(100.0, "")
+    };
+    let (mut ours, mut expected) = (empty("This run"), empty("Expected (no more than 2.5 % where flat)"));
     for test in &result.tests {
-        let label = format!("{} = {}", result.case.symbol, test.value);
-        panel = panel.group(label, (0..3).map(|at| test.coefficients[at] / nominal[at] * 100.0));
+        ours = ours.group(label(test), (0..3).map(|at| test.coefficients[at] / nominal[at] * 100.0));
+        expected = expected.group(label(test), (0..3).map(|at| expected_pct(test, at)));
     }
-    Sheet::new(title).panel(panel.level(100.0, ""))
+    Sheet::new(format!("Estimates while {} changes", result.case.symbol)).columns(2).panel(ours).panel(expected)
+}
+
+/// What a test is expected to show, in % of the nominal machine.
+fn expected_pct(test: &Test, at: usize) -> f64 {
+    match test.expected.map(|expected| expected[at]) {
+        Some(Expected::Change(pct)) => 100.0 + pct,
+        Some(Expected::Within(_)) | None => 100.0,
+    }
 }
 
 fn inertia_estimates(results: &[CaseResult]) -> Sheet {
@@ -191,7 +210,8 @@ fn inertia_estimates(results: &[CaseResult]) -> Sheet {
 }
 
 fn correlations(results: &[CaseResult]) -> Sheet {
-    let mut panel = Panel::bars("Pairs of inertia estimates over the six tests", "correlation", PAIRS);
+    let mut panel =
+        Panel::bars("Pairs of inertia estimates over the six tests, mean over the throws", "correlation", PAIRS);
     for result in results {
         panel = panel.group(format!("{} changes", result.case.symbol), result.correlation);
     }

@@ -5,6 +5,8 @@ use super::svg::{Anchor, Canvas};
 
 /// Colours that people with colour blindness can tell apart (Okabe and Ito, 2008).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555"];
+/// A typical width of a character of 12 px: SVG text has no measure before it is drawn.
+const CHARACTER: f64 = 6.8;
 const GRID: &str = "#dddddd";
 const FRAME: &str = "#444444";
 
@@ -116,7 +118,7 @@ impl Panel {
             left: left + 72.0,
             top: top + 56.0,
             width: width - 72.0 - 24.0,
-            height: height - 56.0 - 54.0,
+            height: height - 56.0 - 54.0 - self.slant(width - 72.0 - 24.0),
             y: self.y_axis(),
         };
         canvas.text(left + width / 2.0, top + 20.0, 15.0, Anchor::Middle, &self.title);
@@ -128,17 +130,27 @@ impl Panel {
         }
         match &self.content {
             Content::Curves { x_label, curves } => draw_curves(canvas, &frame, x_label, curves),
-            Content::Bars { categories, groups } => draw_bars(canvas, &frame, categories, groups, self.log_y),
+            Content::Bars { categories, groups } => {
+                let slanted = self.slant(frame.width) > 0.0;
+                draw_bars(canvas, &frame, categories, groups, self.log_y, slanted);
+            }
         }
         let (right, bottom) = (frame.left + frame.width, frame.top + frame.height);
         for (value, label) in &self.levels {
             let Some(y) = frame.y_of(*value) else { continue };
             canvas.line((frame.left, y), (right, y), FRAME, 1.2, true);
-            canvas.text(right - 4.0, y - 5.0, 12.0, Anchor::End, label);
+            canvas.outlined_text(right - 4.0, y - 5.0, 12.0, Anchor::End, label);
         }
         canvas.line((frame.left, frame.top), (frame.left, bottom), FRAME, 1.2, false);
         canvas.line((frame.left, bottom), (right, bottom), FRAME, 1.2, false);
         self.legend(canvas, &frame);
+    }
+
+    /// Extra height for the names of groups that do not fit beside each other and are slanted \[px\]; 0 when they fit.
+    fn slant(&self, width: f64) -> f64 {
+        let Content::Bars { groups, .. } = &self.content else { return 0.0 };
+        let longest = groups.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0) as f64 * CHARACTER;
+        if longest <= width / groups.len().max(1) as f64 { 0.0 } else { (longest * 0.6 - 20.0).max(0.0) + 1.0 }
     }
 
     fn y_axis(&self) -> Axis {
@@ -164,8 +176,7 @@ impl Panel {
         for (name, colour) in names.iter().zip(COLOURS.iter().cycle()).filter(|(name, _)| !name.is_empty()) {
             canvas.rectangle(x, frame.top - 22.0, 14.0, 10.0, colour);
             canvas.text(x + 19.0, frame.top - 13.0, 12.0, Anchor::Start, name);
-            // A typical width of a character at this size: SVG text has no measure before it is drawn.
-            x += 36.0 + 6.4 * name.chars().count() as f64;
+            x += 36.0 + CHARACTER * name.chars().count() as f64;
         }
     }
 }
@@ -195,14 +206,25 @@ fn draw_curves(canvas: &mut Canvas, frame: &Frame, x_label: &str, curves: &[Curv
     }
 }
 
-fn draw_bars(canvas: &mut Canvas, frame: &Frame, categories: &[String], groups: &[(String, Vec<f64>)], log: bool) {
+fn draw_bars(
+    canvas: &mut Canvas,
+    frame: &Frame,
+    categories: &[String],
+    groups: &[(String, Vec<f64>)],
+    log: bool,
+    slanted: bool,
+) {
     let pitch = frame.width / groups.len().max(1) as f64;
     let bar = 0.8 * pitch / categories.len().max(1) as f64;
     let bottom = frame.top + frame.height;
     let ground = if log { bottom } else { frame.y_of(0.0).unwrap_or(bottom) };
     for (at, (name, values)) in groups.iter().enumerate() {
         let left = frame.left + pitch * (at as f64 + 0.1);
-        canvas.text(left + 0.4 * pitch, bottom + 18.0, 12.0, Anchor::Middle, name);
+        if slanted {
+            canvas.slanted_text(left + 0.5 * pitch, bottom + 14.0, 12.0, name);
+        } else {
+            canvas.text(left + 0.4 * pitch, bottom + 18.0, 12.0, Anchor::Middle, name);
+        }
         for (slot, (value, colour)) in values.iter().zip(COLOURS.iter().cycle()).enumerate() {
             if let Some(y) = frame.y_of(*value) {
                 canvas.rectangle(left + bar * slot as f64, y.min(ground), bar * 0.94, (y - ground).abs(), colour);
@@ -231,5 +253,15 @@ mod tests {
         assert!(svg.contains("limit"));
         assert!(!svg.contains("NaN"));
         assert_eq!(svg.matches('<').count(), svg.matches('>').count());
+    }
+
+    #[test]
+    fn names_that_do_not_fit_are_slanted() {
+        let bars = |name: &str| {
+            let panel = (0..12).fold(Panel::bars("bars", "y", ["p"]), |panel, _| panel.group(name, [1.0]));
+            Sheet::new("sheet").panel(panel).to_svg()
+        };
+        assert!(!bars("g").contains("rotate(-35)"));
+        assert_eq!(bars("a long name").matches("rotate(-35)").count(), 12);
     }
 }

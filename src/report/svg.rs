@@ -42,6 +42,23 @@ impl Canvas {
         ));
     }
 
+    /// A text that stays readable over bars and lines.
+    pub(super) fn outlined_text(&mut self, x: f64, y: f64, size: f64, anchor: Anchor, content: &str) {
+        let (anchor, content) = (anchor.word(), escape(content));
+        self.push(format_args!(
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{size}\" text-anchor=\"{anchor}\" stroke=\"#fff\" stroke-width=\"4\" \
+             stroke-linejoin=\"round\" paint-order=\"stroke\">{content}</text>"
+        ));
+    }
+
+    /// A text that rises at 35 degrees and ends at this place.
+    pub(super) fn slanted_text(&mut self, x: f64, y: f64, size: f64, content: &str) {
+        let content = escape(content);
+        self.push(format_args!(
+            "<text transform=\"translate({x:.1} {y:.1}) rotate(-35)\" font-size=\"{size}\" text-anchor=\"end\">{content}</text>"
+        ));
+    }
+
     /// A text that reads upwards, centred at this place.
     pub(super) fn upright_text(&mut self, x: f64, y: f64, size: f64, content: &str) {
         let content = escape(content);

@@ -37,7 +37,7 @@ fn the_page_holds() {
         assert!(mean.iter().all(|error| error.abs() < 1.0), "{label}: {mean:?}");
     }
     // The neutral position belongs to a1.
-    assert!(largest(row("neutral", "57.5, 57.5, reverse to normal")) < 1.0);
-    assert!(largest(row("neutral", "0, 57.5, normal to reverse")) > 50.0);
+    assert!(largest(row("neutral", "57.5, 57.5, R to N")) < 1.0);
+    assert!(largest(row("neutral", "0, 57.5, N to R")) > 50.0);
     assert_eq!(findings.len(), 13);
 }

@@ -144,7 +144,8 @@ pub(super) fn neutral(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
             for direction in Direction::BOTH {
                 let machine = Parameters { neutral_mm, ..without_dry_friction() };
                 let settings = Settings { neutral_mm: believed_mm, ..Settings::default() };
-                let label = format!("{neutral_mm}, {believed_mm}, {direction}");
+                let way = if direction == Direction::NormalToReverse { "N to R" } else { "R to N" };
+                let label = format!("{neutral_mm}, {believed_mm}, {way}");
                 let directions = vec![direction];
                 rows.push(bench.row(label, &Trial { machine, settings, directions, ..Trial::default() })?);
             }
