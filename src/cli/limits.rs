@@ -68,7 +68,7 @@ fn print(out: &mut impl Write, finding: &Finding) -> std::io::Result<()> {
 }
 
 fn cell(row: &Row, at: usize) -> String {
-    match (row.mean_pct(), row.sd_pct(), row.worst_pct()) {
+    match (row.mean_pct(), row.sd_pct().filter(|_| row.noisy), row.worst_pct()) {
         (Some(mean), Some(sd), _) => format!("{:+.2} ± {:.2} ({:.2})", mean[at], sd[at], row.stated_sd_pct[at]),
         (_, _, Some(worst)) => format!("{:+.2}", worst[at]),
         _ => String::new(),
@@ -78,7 +78,7 @@ fn cell(row: &Row, at: usize) -> String {
 fn refused(row: &Row) -> String {
     let Some(reason) = &row.refusal else { return String::new() };
     let refused = row.throws - row.errors_pct.len();
-    if refused == row.throws { reason.clone() } else { format!("{refused} of {}: {reason}", row.throws) }
+    if refused == row.throws { format!("`{reason}`") } else { format!("{refused} of {}: `{reason}`", row.throws) }
 }
 
 fn draw(directory: &Path, findings: &[Finding]) -> anyhow::Result<()> {

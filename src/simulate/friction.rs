@@ -92,7 +92,8 @@ impl Sliding {
                 speeds[lane] += shapes[lane] * mode_speed;
             }
         }
-        (0..LANES).fold(true, |all, lane| all & (speeds[lane] * self.ways[lane] > 0.0))
+        let along: [f64; LANES] = std::array::from_fn(|lane| speeds[lane] * self.ways[lane]);
+        along.iter().all(|speed| *speed > 0.0)
     }
 }
 

@@ -64,6 +64,7 @@ pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, I
         let mut row = Row {
             label: format!("{from}, {noise_um}, {load_pct}"),
             throws,
+            noisy: true,
             errors_pct: Vec::new(),
             stated_sd_pct: [0.0; 3],
             refusal: None,

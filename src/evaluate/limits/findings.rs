@@ -11,6 +11,9 @@ const RATES_HZ: [f64; 9] = [25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 500
 /// Cut-off of the anti-alias filter over the sampling rate.
 const CUT_OFF_SHARE: f64 = 0.4;
 
+/// Phases of the mains at which the motor is switched on.
+const PHASES: u32 = 8;
+
 /// The sampling rate: raw, raw but declared as filtered, and filtered.
 pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, InvalidParameter> {
     let sensors = |rate: f64, filtered: bool| Sensors {
@@ -55,18 +58,19 @@ pub(super) fn mains(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
     let supply = Waveform::RectifiedMains { mains_hz: 50.0 };
     let machine = Parameters { supply, ..without_dry_friction() };
     let mut rows = Vec::new();
-    for (rate, filtered) in
-        [(20_000.0, false), (1000.0, false), (500.0, false), (100.0, false), (100.0, true), (50.0, true)]
-    {
+    let raw = [20_000.0, 1000.0, 500.0, 100.0].map(|rate| (rate, false));
+    let filtered = [500.0, 200.0, 100.0, 50.0].map(|rate| (rate, true));
+    for (rate, filtered) in raw.into_iter().chain(filtered) {
         let declared_hz = filtered.then_some(CUT_OFF_SHARE * rate);
         let sensors = Sensors { anti_alias_hz: declared_hz, ..Sensors::perfect(rate) };
         let label = format!("{rate} {}", if filtered { "filtered" } else { "raw" });
-        rows.push(bench.row(label, &Trial { machine: machine.clone(), sensors, declared_hz, ..Trial::default() })?);
+        let trial = Trial { machine: machine.clone(), sensors, declared_hz, phases: PHASES, ..Trial::default() };
+        rows.push(bench.row(label, &trial)?);
     }
     Ok(Finding {
         name: "mains",
         title: "Rectified mains: a ripple of 100 Hz on the current",
-        about: "Error against the physics, without noise; the larger of both directions.",
+        about: "Error against the physics, without noise; the largest of both directions and eight phases of the mains.",
         label: "rate [Hz]",
         rows,
     })
@@ -88,7 +92,7 @@ pub(super) fn drive(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
         title: "A soft toe drive, and dry friction on the slide chairs",
         about: "Error against the physics, in which dry friction counts as viscous friction of the same torque at running \
                 speed; without noise, the larger of both directions.",
-        label: "K_fs [N/m], mu",
+        label: "stiffness [N/m], mu",
         rows,
     })
 }
@@ -153,7 +157,7 @@ pub(super) fn neutral(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
     }
     Ok(Finding {
         name: "neutral",
-        title: "Where the rails are unstressed: neutral_mm",
+        title: "Where the rails are unstressed",
         about: "Error against the physics, without noise.",
         label: "true [mm], configured [mm], direction",
         rows,

@@ -45,6 +45,7 @@ pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Fin
     let empty = |label: &str| Row {
         label: label.to_owned(),
         throws,
+        noisy: true,
         errors_pct: Vec::new(),
         stated_sd_pct: [0.0; 3],
         refusal: None,

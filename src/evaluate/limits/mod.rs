@@ -34,6 +34,8 @@ pub struct Row {
     pub label: String,
     /// Throws made.
     pub throws: usize,
+    /// The sensors were noisy: the errors are random.
+    pub noisy: bool,
     /// Errors of b0, a1, a0 in every throw that was accepted \[%\].
     pub errors_pct: Vec<[f64; 3]>,
     /// Standard deviations that the estimator stated, mean over the throws \[%\].

@@ -18,7 +18,9 @@ pub(super) struct Trial {
     /// The filter that the message declares.
     pub declared_hz: Option<f64>,
     pub directions: Vec<Direction>,
-    /// Throws in each direction.
+    /// Phases of the mains at which the motor is switched on, spread over half a period.
+    pub phases: u32,
+    /// Throws in each direction and phase.
     pub repeats: usize,
     /// What the errors count from; `None` for what the physics says.
     pub reference: Option<[f64; 3]>,
@@ -33,6 +35,7 @@ impl Default for Trial {
             settings: Settings::default(),
             declared_hz: None,
             directions: Direction::BOTH.to_vec(),
+            phases: 1,
             repeats: 1,
             reference: None,
         }
@@ -56,12 +59,22 @@ impl Bench {
     }
 
     pub(super) fn row(&mut self, label: impl Into<String>, trial: &Trial) -> Result<Row, InvalidParameter> {
-        let conditions = Conditions { temperature_c: trial.temperature_c, ..Conditions::default() };
         let known = trial.machine.at_temperature(trial.temperature_c).coefficients()?;
         let reference = trial.reference.unwrap_or([known.b0, known.a1, known.a0]);
-        let mut row =
-            Row { label: label.into(), throws: 0, errors_pct: Vec::new(), stated_sd_pct: [0.0; 3], refusal: None };
-        for direction in &trial.directions {
+        let noisy = trial.sensors.current.noise > 0.0 || trial.repeats > 1;
+        let mut row = Row {
+            label: label.into(),
+            throws: 0,
+            noisy,
+            errors_pct: Vec::new(),
+            stated_sd_pct: [0.0; 3],
+            refusal: None,
+        };
+        let cases = trial.directions.iter().flat_map(|way| (0..trial.phases).map(move |phase| (way, phase)));
+        for (direction, phase) in cases {
+            let supply_phase_rad = std::f64::consts::PI * f64::from(phase) / f64::from(trial.phases);
+            let conditions =
+                Conditions { temperature_c: trial.temperature_c, supply_phase_rad, ..Conditions::default() };
             let motion = trial.machine.simulate(*direction, &conditions, trial.sensors.step_s())?;
             for _ in 0..trial.repeats {
                 let trace = trial.sensors.record(&motion, *direction, &mut self.rng)?.trace;
