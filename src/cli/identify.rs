@@ -47,6 +47,9 @@ pub(super) struct Arguments {
     /// Standard deviation of the position sensor's noise in mm, for traces without quiet samples.
     #[arg(long, default_value_t = Settings::default().position_noise_mm, value_name = "MM")]
     position_noise_mm: f64,
+    /// Refine the estimate with the prefilter that matches white sensor noise: half the scatter.
+    #[arg(long)]
+    refined: bool,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -105,6 +108,7 @@ impl Arguments {
             },
             current_noise_a: self.current_noise_a,
             position_noise_mm: self.position_noise_mm,
+            refined: self.refined,
             ..Settings::default()
         }
     }

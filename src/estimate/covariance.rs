@@ -15,6 +15,9 @@
 //! P = M⁻¹ ( s_y² Z'Z + Σ_s s_s² W_s' W_s ) M⁻ᵀ,   W_s = Z filtered backwards in time by B_s/A
 //! ```
 //!
+//! With another prefilter 1/C than 1/A (see `refined`) the equation error is (A/C) `n_y` - (B/C) `n_s`, so W is Z filtered by
+//! B/C, and V = Z filtered by A/C takes the place of Z in Z'Z.
+//!
 //! The start position and the current's offset are means over n quiet samples: their errors, of variances `s_y²/n` and
 //! `s_s²/n`, are common to all samples and add `s_y²/n` (Σz)(Σz)' and `s_s²/n` (Σw)(Σw)' to the bracket. (With less noise than
 //! half a step of the converter averaging does not help, and the rounding error of one sample takes their place.)
@@ -54,9 +57,15 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         let times = stride as f64;
         let mut middle = [[0.0; P]; P];
         let mut sum = [0.0; P];
-        for z in z {
-            add_square(&mut middle, z, times * noise.output);
-            add(&mut sum, z, times);
+        let mut take = |v: &[f64; P]| {
+            add_square(&mut middle, v, times * noise.output);
+            add(&mut sum, v, times);
+        };
+        match excess(solution).zip(Discrete::new(&solution.denominator, times * problem.interval_s)) {
+            None => z.iter().for_each(take),
+            Some((excess, filter)) => {
+                backwards(z, &filter, Hold::First, &excess, |k, v| take(&std::array::from_fn(|i| z[k][i] + v[i])));
+            }
         }
         add_square(&mut middle, &sum, noise.offsets[1]);
         for (s, variance) in noise.inputs.into_iter().enumerate().filter(|(_, variance)| *variance > 0.0) {
@@ -82,6 +91,14 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         }
         sandwich(&solution.inverse, &middle)
     }
+}
+
+/// A - C for the prefilter 1/C, the coefficient of the d-th derivative at index d; `None` where they are the same.
+fn excess<const N: usize, const S: usize, const P: usize>(solution: &Solution<N, S, P>) -> Option<[f64; N]> {
+    let a = Sriv::<N, S, P>::denominator(&solution.parameters);
+    let excess = std::array::from_fn(|d| a[N - 1 - d] - solution.denominator[N - 1 - d]);
+    // Iterations that ended differ by less than their tolerance.
+    (0..N).any(|d| excess[d].abs() > 1e-2 * a[N - 1 - d].abs()).then_some(excess)
 }
 
 /// Mean and mean square of the first `count` values.

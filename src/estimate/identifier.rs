@@ -191,9 +191,16 @@ impl Identifier {
             scale: (settings.motor == Motor::Series).then_some(self.input_scale.as_slice()),
             offsets: window.offsets,
         };
-        let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
         let travel = movement.travel_mm * std::f64::consts::TAU / settings.lead_mm;
         misfit(&self.output, self.workspace.model_output(), &solution, &window, travel, settings.lead_mm)?;
+        let refined = if settings.refined {
+            model.refine(&problem, &solution, &noise, &mut self.workspace).map_err(|_| Rejection::Singular)?
+        } else {
+            None
+        };
+        let solution = refined.map_or(solution, |refined| refined.solution);
+        accept(&solution, settings)?;
+        let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
         let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
         finish(&solution, &covariance, &window, cut.then_some(movement.travel_mm))
     }

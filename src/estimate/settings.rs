@@ -30,6 +30,8 @@ pub struct Settings {
     pub position_noise_mm: f64,
     /// Least fit `R²_T` of an accepted estimate \[%\].
     pub fit_floor_pct: f64,
+    /// Refine each estimate with the prefilter that matches the noise: half the scatter, where the noise is white.
+    pub refined: bool,
 }
 
 impl Default for Settings {
@@ -42,6 +44,7 @@ impl Default for Settings {
             current_noise_a: 0.02,
             position_noise_mm: 0.02,
             fit_floor_pct: 98.0,
+            refined: false,
         }
     }
 }

@@ -314,7 +314,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
 }
 
 /// θ and the inverse of the normal matrix from the sums of a pass with the filter 1/C.
-fn solve<const N: usize, const P: usize>(
+pub(super) fn solve<const N: usize, const P: usize>(
     sums: Option<Sums<P>>,
     c: &[f64; N],
 ) -> Result<([f64; P], Inverse<P>), Failure> {
@@ -328,7 +328,7 @@ fn solve<const N: usize, const P: usize>(
 }
 
 /// ‖next - before‖ / ‖next‖.
-fn distance<const P: usize>(next: &[f64; P], before: &[f64; P]) -> f64 {
+pub(super) fn distance<const P: usize>(next: &[f64; P], before: &[f64; P]) -> f64 {
     let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>();
     (squares(&mut next.iter().zip(before).map(|(n, b)| n - b)) / squares(&mut next.iter().copied())).sqrt()
 }

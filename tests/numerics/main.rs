@@ -14,5 +14,6 @@ mod identify_cli;
 mod limits;
 mod machine;
 mod mains;
+mod refined;
 mod sriv;
 mod table1;

@@ -12,12 +12,20 @@ use rand::{Rng, RngExt};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rand_distr::StandardNormal;
 
-fn normal(rng: &mut impl Rng) -> f64 {
+pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
     rng.sample(StandardNormal)
 }
 
 /// y and u of b0 / (s² + a1 s + a0) under a random step sequence, linear between the samples, with noise on y.
-fn second_order(b0: f64, a1: f64, a0: f64, len: usize, h: f64, noise: f64, seed: u64) -> (Vec<f64>, Vec<f64>) {
+pub(crate) fn second_order(
+    b0: f64,
+    a1: f64,
+    a0: f64,
+    len: usize,
+    h: f64,
+    noise: f64,
+    seed: u64,
+) -> (Vec<f64>, Vec<f64>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut level = 0.0;
     let input: Vec<f64> = (0..len)

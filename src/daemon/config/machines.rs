@@ -27,13 +27,23 @@ pub struct MachineDefaults {
     pub position_noise_mm: f64,
     /// Least fit of an accepted estimate \[%\], 0 to 100.
     pub fit_floor_pct: f64,
+    /// Refine each estimate with the prefilter that matches the sensors' noise.
+    pub refined: bool,
 }
 
 impl Default for MachineDefaults {
     fn default() -> Self {
-        let Settings { lead_mm, neutral_mm, stroke_mm, motor, current_noise_a, position_noise_mm, fit_floor_pct } =
-            Settings::default();
-        Self { lead_mm, neutral_mm, stroke_mm, motor, current_noise_a, position_noise_mm, fit_floor_pct }
+        let Settings {
+            lead_mm,
+            neutral_mm,
+            stroke_mm,
+            motor,
+            current_noise_a,
+            position_noise_mm,
+            fit_floor_pct,
+            refined,
+        } = Settings::default();
+        Self { lead_mm, neutral_mm, stroke_mm, motor, current_noise_a, position_noise_mm, fit_floor_pct, refined }
     }
 }
 
@@ -52,6 +62,7 @@ pub struct MachineEntry {
     current_noise_a: Option<f64>,
     position_noise_mm: Option<f64>,
     fit_floor_pct: Option<f64>,
+    refined: Option<bool>,
 }
 
 /// The settings of every machine.
@@ -93,6 +104,7 @@ impl MachineEntry {
             current_noise_a: self.current_noise_a.unwrap_or(defaults.current_noise_a),
             position_noise_mm: self.position_noise_mm.unwrap_or(defaults.position_noise_mm),
             fit_floor_pct: self.fit_floor_pct.unwrap_or(defaults.fit_floor_pct),
+            refined: self.refined.unwrap_or(defaults.refined),
         }
     }
 }
@@ -107,6 +119,7 @@ impl MachineDefaults {
             current_noise_a: self.current_noise_a,
             position_noise_mm: self.position_noise_mm,
             fit_floor_pct: self.fit_floor_pct,
+            refined: self.refined,
         }
     }
 

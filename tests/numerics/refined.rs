@@ -1,0 +1,105 @@
+//! The prefilter that matches the noise: half the scatter, no bias, an honest covariance, and a test of the model.
+
+use pointsd::estimate::{
+    Hold, Identifier, Noise, Settings,
+    sriv::{Problem, Signal, Sriv, Workspace},
+};
+use pointsd::simulate::{Conditions, Parameters, Sensors};
+use pointsd::throw::Direction;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use super::identify::{settings_of, throw_with, without_dry_friction};
+use super::sriv::{normal, second_order};
+
+/// Throws of each direction.
+const THROWS: u64 = 300;
+
+#[test]
+fn refined_estimates_scatter_half_as_much_without_bias_and_their_covariance_says_so() {
+    let machine = without_dry_friction();
+    let known = machine.coefficients().unwrap();
+    let known = [known.b0, known.a1, known.a0];
+    let plain = settings_of(&machine);
+    let refined = Settings { refined: true, ..plain.clone() };
+    let sensors = Sensors { before_s: 0.5, ..Sensors::default() };
+    let mut identifier = Identifier::default();
+    let (mut squares, mut sums, mut covered) = ([[0.0; 3]; 2], [[0.0; 3]; 2], [0_u32; 3]);
+    for direction in Direction::BOTH {
+        let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
+        for seed in 0..THROWS {
+            let trace = sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap().trace;
+            let throw = throw_with(trace, None);
+            for (which, settings) in [&plain, &refined].into_iter().enumerate() {
+                let found = identifier.identify(&throw, settings).outcome.unwrap();
+                for (i, value) in [found.b0, found.a1, found.a0].into_iter().enumerate() {
+                    let error = value / known[i] - 1.0;
+                    sums[which][i] += error;
+                    squares[which][i] += error * error;
+                    let sd = found.covariance[(i, i)].sqrt() / known[i];
+                    covered[i] += u32::from(which == 1 && error.abs() < 1.959_964 * sd);
+                }
+            }
+        }
+    }
+    let throws = 2.0 * THROWS as f64;
+    for (i, name) in ["b0", "a1", "a0"].into_iter().enumerate() {
+        let [plain, refined] = [0, 1].map(|which| {
+            let mean: f64 = sums[which][i] / throws;
+            (mean, (squares[which][i] / throws - mean * mean).sqrt())
+        });
+        println!(
+            "{name}: scatter {:.3} % and {:.3} %, bias {:.3} %",
+            100.0 * plain.1,
+            100.0 * refined.1,
+            100.0 * refined.0
+        );
+        assert!(refined.1 < 0.7 * plain.1, "{name}: {refined:?}, plain {plain:?}");
+        assert!(refined.0.abs() < 1e-3, "{name}: bias {}", refined.0);
+        let pct = 100.0 * f64::from(covered[i]) / throws;
+        assert!((92.0..=98.5).contains(&pct), "{name}: {pct} % covered");
+    }
+}
+
+#[test]
+fn the_whitened_residual_is_the_noise_and_more_where_the_model_is_wrong() {
+    let (clean_input, clean_output) = second_order(203.0, 5.9, 1.56, 4000, 1e-3, 0.0, 7);
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let (input_sd, output_sd) = (0.02, 0.012);
+    let input: Vec<f64> = clean_input.iter().map(|u| u + input_sd * normal(&mut rng)).collect();
+    let output: Vec<f64> = clean_output.iter().map(|y| y + output_sd * normal(&mut rng)).collect();
+    let noise = Noise { output: output_sd * output_sd, inputs: [input_sd * input_sd], scale: None, offsets: [0.0; 2] };
+    let sriv = Sriv::<2, 1, 3>::new([0]).unwrap();
+    let mut workspace = Workspace::default();
+    let mut ratio = |output: &[f64], noise: &Noise<1>| {
+        let inputs = [Signal::Sampled(&input, Hold::First)];
+        let problem = Problem { interval_s: 1e-3, output, inputs, equilibrium: None };
+        let plain = sriv.identify(&problem, &mut workspace).unwrap();
+        sriv.refine(&problem, &plain, noise, &mut workspace).unwrap().map(|refined| refined.residual_ratio)
+    };
+    let good = ratio(&output, &noise).unwrap();
+    assert!((good - 1.0).abs() < 0.05, "{good}");
+    let shaken: Vec<f64> = output.iter().enumerate().map(|(k, y)| y + 0.02 * (0.05 * k as f64).sin()).collect();
+    let bad = ratio(&shaken, &noise).unwrap();
+    assert!(bad > 1.3, "{bad}");
+    assert_eq!(
+        ratio(&output, &Noise { inputs: [0.0], ..noise }),
+        None,
+        "without noise in the current there is nothing to refine"
+    );
+}
+
+#[test]
+fn dry_friction_biases_refined_estimates_no_more_than_plain_ones() {
+    let machine = Parameters::default();
+    let mut identifier = Identifier::default();
+    let settings = Settings { refined: true, ..settings_of(&machine) };
+    let motion = machine.simulate(Direction::NormalToReverse, &Conditions::default(), 2e-4).unwrap();
+    let known = machine.coefficients().unwrap();
+    let mean = (0..40).map(|seed| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let trace = Sensors::default().record(&motion, Direction::NormalToReverse, &mut rng).unwrap().trace;
+        identifier.identify(&throw_with(trace, None), &settings).outcome.unwrap().b0 / known.b0 - 1.0
+    });
+    let mean = mean.sum::<f64>() / 40.0;
+    assert!(mean.abs() < 0.006, "{mean}");
+}
