@@ -7,6 +7,8 @@ use super::svg::{Anchor, Canvas};
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555"];
 /// A typical width of a character of 12 px: SVG text has no measure before it is drawn.
 const CHARACTER: f64 = 6.8;
+/// Least space between two names beside each other \[px\].
+const GAP: f64 = 10.0;
 const GRID: &str = "#dddddd";
 const FRAME: &str = "#444444";
 
@@ -150,7 +152,7 @@ impl Panel {
     fn slant(&self, width: f64) -> f64 {
         let Content::Bars { groups, .. } = &self.content else { return 0.0 };
         let longest = groups.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0) as f64 * CHARACTER;
-        if longest <= width / groups.len().max(1) as f64 { 0.0 } else { (longest * 0.6 - 20.0).max(0.0) + 1.0 }
+        if longest + GAP <= width / groups.len().max(1) as f64 { 0.0 } else { (longest * 0.6 - 20.0).max(0.0) + 1.0 }
     }
 
     fn y_axis(&self) -> Axis {
