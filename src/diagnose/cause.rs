@@ -35,6 +35,8 @@ const RULE_WEIGHT: f64 = 1.5;
 const STICKY: f64 = 4.0;
 /// Prior scale s of a size, in logarithms: faults that matter are from a few percent to a doubling.
 const SIZE_SCALE: f64 = 0.5;
+/// A second movement smaller than this part of its warning limit is no second fault. Below 1, as its size is in doubt.
+const MATTERS: f64 = 0.75;
 /// What each cause beside the first costs: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
 /// Part g of a rise of friction by which b0 and a0 move too.
@@ -158,10 +160,9 @@ impl Finding {
         let found = Self { runner_up: Some(RunnerUp { cause: next.parts[0].cause, margin }), ..found };
         // Explanations with two causes that are as good as the best of them.
         let plausible = pairs.iter().filter(|pair| pair.score < pairs[0].score + CLOSE);
-        let matters = |pair: &&Fit<2>| pair.parts.iter().all(|part| part.relevance(settings) >= 1.0);
+        let matters = |pair: &&Fit<2>| pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS);
         let mattering = plausible.clone().find(matters);
         let includes = |pair: &Fit<2>| pair.parts.iter().any(|part| part.cause == cause);
-        // A second movement below its own limit is no second fault.
         let rival_pair = mattering.or_else(|| pairs.first().filter(|pair| !includes(pair)));
         let ahead = rival_pair.map_or(f64::INFINITY, |pair| pair.score - best.score);
         if ahead < CLOSE
