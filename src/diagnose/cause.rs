@@ -131,17 +131,9 @@ impl Finding {
     /// Names the drift of `window`. `open` are the causes with an active alarm.
     pub(super) fn of(window: &Window, correlation: Option<Correlation>, open: &[Cause], settings: &Settings) -> Self {
         let (m, v) = (&window.mean, &window.covariance);
-        let mut singles = Cause::PHYSICAL.map(|cause| fit([cause], m, v, settings));
-        for single in &mut singles {
-            single.score -= if open.contains(&single.parts[0].cause) { STICKY } else { 0.0 };
-        }
-        singles.sort_by(|a, b| a.score.total_cmp(&b.score));
+        let singles = ranked(Cause::PHYSICAL.map(|cause| [cause]), window, |[cause]| open.contains(&cause), settings);
+        let pairs = ranked(all_pairs(), window, |_| open.contains(&Cause::Unattributed), settings);
         let [best, next, ..] = singles;
-        let mut pairs = all_pairs().map(|causes| fit(causes, m, v, settings));
-        for pair in &mut pairs {
-            pair.score -= if open.contains(&Cause::Unattributed) { STICKY } else { 0.0 };
-        }
-        pairs.sort_by(|a, b| a.score.total_cmp(&b.score));
         let anything = fit([Cause::Kt, Cause::Friction, Cause::Stiffness], m, v, settings);
         let found = Self {
             naming: Naming::Neither,
@@ -226,6 +218,22 @@ impl<const K: usize> Fit<K> {
     fn relevance(&self, settings: &Settings) -> f64 {
         self.parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max)
     }
+}
+
+/// All these explanations, the best first; `alarmed` ones are preferred.
+fn ranked<const N: usize, const K: usize>(
+    explanations: [[Cause; K]; N],
+    window: &Window,
+    alarmed: impl Fn([Cause; K]) -> bool,
+    settings: &Settings,
+) -> [Fit<K>; N] {
+    let mut fits = explanations.map(|causes| {
+        let mut fit = fit(causes, &window.mean, &window.covariance, settings);
+        fit.score -= if alarmed(causes) { STICKY } else { 0.0 };
+        fit
+    });
+    fits.sort_by(|a, b| a.score.total_cmp(&b.score));
+    fits
 }
 
 /// The lead that one name needs over another. The cross-correlation rule tells inertia from the rest, and nothing else.

@@ -19,8 +19,8 @@ pub(super) struct Reading {
     pub(super) relevance: f64,
     /// How many times the warning limit the size must be for an alarm to be raised.
     pub(super) raised_above: f64,
-    /// Nothing else explains the drift at odds of 1000 to 1: a critical alarm must not have the wrong name.
-    pub(super) beyond_doubt: bool,
+    /// `relevance` where the name is beyond doubt, zero where it is not: a critical alarm must not have the wrong name.
+    pub(super) undoubted: f64,
     /// Throws by which the alarm waits longer than the on delay.
     pub(super) patience: u32,
     /// The size, two standard deviations added, is below half of the limit.
@@ -75,7 +75,7 @@ impl Condition {
     pub(super) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Step {
         let count = |streak: &mut u32, holds: bool| *streak = if holds { streak.saturating_add(1) } else { 0 };
         count(&mut self.on, reading.relevance > reading.raised_above);
-        count(&mut self.critical, reading.relevance > settings.critical_factor && reading.beyond_doubt);
+        count(&mut self.critical, reading.undoubted > settings.critical_factor);
         count(&mut self.healthy, reading.plain_health);
         count(&mut self.below, reading.below);
         count(&mut self.other, reading.other_name);

@@ -72,6 +72,7 @@ impl Drift {
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
         let named = self.finding.as_ref().filter(|finding| finding.cause() == cause);
+        let undoubted = named.filter(|finding| cause == Cause::Unattributed || finding.lead >= DECISIVE);
         let other = self.finding.as_ref().is_some_and(|finding| {
             matches!(finding.naming, Naming::One(_)) && !finding.includes(cause) && finding.relevance > 1.0
         });
@@ -85,7 +86,7 @@ impl Drift {
         Reading {
             relevance: named.map_or(0.0, |finding| finding.relevance),
             raised_above: if self.provisional { PROVISIONAL_WIDENING } else { 1.0 },
-            beyond_doubt: cause == Cause::Unattributed || named.is_some_and(|finding| finding.lead >= DECISIVE),
+            undoubted: undoubted.map_or(0.0, |finding| finding.relevance),
             patience: named.map_or(0, |finding| match (finding.naming, finding.rival) {
                 (Naming::One(_), _) => 0,
                 (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
