@@ -2,7 +2,7 @@
 //! It alone owns the monitors, so operators' commands and the passing of time go through it too.
 
 use std::{
-    collections::HashSet,
+    collections::{HashSet, VecDeque},
     sync::{Arc, atomic::Ordering::Relaxed},
     time::Duration,
 };
@@ -18,7 +18,7 @@ use super::{clock, config::Config, fleet::Fleet, heartbeat::Organ, identify::Poo
 use crate::{
     bus::Outlet,
     diagnose::{AlarmEvent, Command},
-    store::{Gap, Judgement, Outcome, Store, StoreError, StoredThrow, ThrowRow},
+    store::{Gap, Judgement, Message, Outcome, Store, StoreError, StoredThrow, ThrowRow},
     throw::{Direction, MachineId, ThrowRef},
     wire::{self, Health, Kind, Reply},
 };
@@ -60,6 +60,15 @@ pub(super) struct Order {
     pub(super) reply: oneshot::Sender<Reply>,
 }
 
+/// An alarm of the daemon's own that is to be stored.
+pub(super) struct Own {
+    machine: MachineId,
+    events: Vec<AlarmEvent>,
+    outcome: Outcome,
+    /// It was published before it could be stored.
+    told: bool,
+}
+
 /// The loop that judges.
 pub(super) struct Judge {
     pub(super) store: Store,
@@ -77,6 +86,8 @@ pub(super) struct Judge {
     pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
     /// The name under which the daemon's own alarms stand, as if it were a machine.
     pub(super) itself: MachineId,
+    /// Its alarms that are not stored yet: a raise, an escalation, a clearance at most, as the disk is full or not.
+    pub(super) own: VecDeque<Own>,
     /// Ticks since the monitors were last kept as a whole.
     pub(super) ticks: u32,
 }
@@ -108,8 +119,11 @@ impl Judge {
         }
     }
 
-    /// Judges everything that waits.
+    /// Judges everything that waits, and stores what was told before it could be.
     pub(super) async fn drain(&mut self) -> Result<(), StoreError> {
+        if !self.own.is_empty() {
+            self.look_after_itself().await?;
+        }
         while !self.give_up.is_cancelled() {
             let waiting = match self.store.reader().pending(ThrowRow::START, BATCH).await {
                 Ok(waiting) => waiting,
@@ -157,13 +171,14 @@ impl Judge {
     /// Commits together what was identified together: a burst after a cut link costs the disk one sync for all of it.
     /// False when the daemon must end first. The monitors in memory are then ahead of the database, which nobody will
     /// see: the next start goes on from the database.
-    async fn commit(&self, judgements: &Arc<[Judgement]>) -> Result<bool, StoreError> {
+    async fn commit(&mut self, judgements: &Arc<[Judgement]>) -> Result<bool, StoreError> {
         loop {
             match self.store.judge_all(Arc::clone(judgements)).await {
                 Ok(_) => return Ok(true),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
                 Err(error) => tracing::warn!(%error, "judgements cannot be stored; it is tried again"),
             }
+            self.look_after_itself().await?;
             self.status.heartbeats.beat(Organ::Identify);
             if self.give_up.is_cancelled() {
                 return Ok(false);
@@ -202,13 +217,14 @@ impl Judge {
         }
     }
 
-    async fn record(&self, machine: &MachineId, outcome: Outcome, at: Timestamp) -> Result<bool, StoreError> {
+    async fn record(&mut self, machine: &MachineId, outcome: Outcome, at: Timestamp) -> Result<bool, StoreError> {
         loop {
             match self.store.record(machine, at, outcome.clone()).await {
                 Ok(()) => return Ok(true),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
                 Err(error) => tracing::warn!(%error, "a change of an alarm cannot be stored; it is tried again"),
             }
+            self.look_after_itself().await?;
             self.status.heartbeats.beat(Organ::Identify);
             if self.give_up.is_cancelled() {
                 return Ok(false);
@@ -223,9 +239,9 @@ impl Judge {
         // Silence adds up inside the monitors: kept once an hour, so that restarts do not forget it.
         self.ticks += 1;
         let keep_all = self.ticks.is_multiple_of(TICKS_AN_HOUR);
-        let own = self.fleet.trouble(&self.itself, self.store.trouble().as_ref(), now, &config.diagnosis);
-        let machines = self.fleet.tick(now, &config.diagnosis, &self.loggers.borrow(), keep_all);
-        for (machine, events, outcome) in own.into_iter().chain(machines) {
+        self.look_after_itself().await?;
+        let changed = self.fleet.tick(now, &config.diagnosis, &self.loggers.borrow(), keep_all);
+        for (machine, events, outcome) in changed {
             if self.record(&machine, outcome, now).await? {
                 self.announce(&machine, &events);
             }
@@ -239,6 +255,38 @@ impl Judge {
             }
         }
         Ok(())
+    }
+
+    /// Sees to the daemon's own alarms. That nothing can be stored cannot be stored either: such an alarm is told before
+    /// it is committed, and told again once it is.
+    async fn look_after_itself(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (Arc::clone(&self.config.borrow()), clock::now());
+        let news = self.fleet.trouble(&self.itself, self.store.trouble().as_ref(), now, &config.diagnosis);
+        self.own.extend(news.map(|(machine, events, outcome)| Own { machine, events, outcome, told: false }));
+        while let Some(own) = self.own.pop_front() {
+            match self.store.record(&own.machine, now, own.outcome.clone()).await {
+                Ok(()) => self.announce(&own.machine, &own.events),
+                Err(StoreError::Closed) => return Err(StoreError::Closed),
+                Err(_) => {
+                    self.own.push_front(own);
+                    self.tell_uncommitted().await;
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    async fn tell_uncommitted(&mut self) {
+        let Some(outlet) = &self.outlet else { return };
+        for own in self.own.iter_mut().filter(|own| !own.told) {
+            own.told = true;
+            for Message { key, payload } in &own.outcome.outbox {
+                tracing::error!(key, "an alarm cannot be stored yet and is told all the same");
+                // The log has it, whatever becomes of this.
+                let _ = time::timeout(PAUSE, outlet.alarm(key.clone(), payload.clone())).await;
+            }
+        }
     }
 
     /// Gaps that nobody will fill any more, and that the monitors do not know of.

@@ -23,7 +23,10 @@ mod receive;
 mod status;
 mod supervise;
 
-use std::{collections::HashSet, sync::Arc};
+use std::{
+    collections::{HashSet, VecDeque},
+    sync::Arc,
+};
 
 use tokio::{
     sync::{Notify, broadcast, mpsc, watch},
@@ -138,6 +141,7 @@ impl Daemon {
             give_up: stops.give_up.clone(),
             loggers,
             itself: config.monitor.as_machine(),
+            own: VecDeque::new(),
             ticks: 0,
         };
         let publisher = Publisher {

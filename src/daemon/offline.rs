@@ -1,6 +1,9 @@
 //! The pipeline without zenoh: recorded throws go through spool, identification and diagnosis into the database.
 
-use std::{collections::HashSet, sync::Arc};
+use std::{
+    collections::{HashSet, VecDeque},
+    sync::Arc,
+};
 
 use tokio::sync::{Notify, broadcast, watch};
 use tokio_util::sync::CancellationToken;
@@ -50,6 +53,7 @@ impl Offline {
             give_up: CancellationToken::new(),
             loggers: watch::channel(HashSet::new()).1,
             itself,
+            own: VecDeque::new(),
             ticks: 0,
         };
         Ok(Self { store, judge, judged, waiting: 0, _lock: lock })

@@ -10,15 +10,26 @@ use crate::{
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
+    fill_and_free(1).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_full_disk_is_an_alarm_even_where_nothing_is_left_to_commit_it() {
+    fill_and_free(0).await;
+}
+
+async fn fill_and_free(ballast_mib: u64) {
     let Some(disk) = SmallDisk::mount() else { return };
-    let rig = Rig::with(QUICK_ALARMS).moved_to(disk.folder()).store("ballast_mib = 1\nlow_disk_mib = 2\n");
+    let rig = Rig::with(QUICK_ALARMS)
+        .moved_to(disk.folder())
+        .store(&format!("ballast_mib = {ballast_mib}\nlow_disk_mib = 2\n"));
     let daemon = rig.start();
     let witness = Witness::listen(&daemon.endpoint, None).await;
     let first = Logger::start(&daemon.endpoint, Plan { throws: 10, ..Plan::default() }).await;
     witness.until("a healthy start", |heard| heard.health.len() == 20).await;
 
     disk.fill();
-    // The ballast is given up, and with its room the alarm is committed.
+    // The ballast, if any, is given up, and with its room the alarm is committed.
     let about_disk = |(alarm_id, _): &(String, u32)| alarm_id.starts_with("fleet.pointsd.data_loss.");
     witness.until("an alarm about the disk", |heard| heard.events.iter().any(about_disk)).await;
     // Now nothing can be stored any more.
