@@ -326,8 +326,8 @@ pub(super) fn steps(
 
 /// Shortest stretch whose noise is looked at, in samples.
 const NOISE_SAMPLES: usize = 64;
-/// Least noise that hides the machine's vibrations, as a share of the largest current.
-const LEAST_NOISE: f64 = 1e-3;
+/// Least noise that hides the machine's vibrations, as a share of the configured sensor's.
+const LEAST_NOISE: f64 = 0.5;
 /// Standard normal quantile of one wrong alarm in 3 million stretches.
 const NOISE_QUANTILE: f64 = 5.0;
 
@@ -338,12 +338,13 @@ pub(super) fn noise_level(
     movement: &Movement,
     current: &[f64],
     interval_s: f64,
+    settings: &Settings,
     scratch: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
     let last = (movement.near_end + 1).min(current.len());
     let usual = second_difference_noise(&current[..last], scratch);
     let quiet = &current[..movement.quiet];
-    if quiet.len() < NOISE_SAMPLES || usual < (8.0 * quantum(current)).max(LEAST_NOISE * movement.peak_a) {
+    if quiet.len() < NOISE_SAMPLES || usual < (8.0 * quantum(current)).max(LEAST_NOISE * settings.current_noise_a) {
         return Ok(());
     }
     let at_rest = second_difference_noise(quiet, scratch);

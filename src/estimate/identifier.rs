@@ -166,7 +166,7 @@ impl Identifier {
         if factor == 1 && filter_hz.is_none() {
             checks::steps(movement, Channel::Current, &self.current, interval_s, &mut self.scratch)?;
             checks::steps(movement, Channel::Position, &self.position, interval_s, &mut self.scratch)?;
-            checks::noise_level(movement, &self.current, interval_s, &mut self.scratch)?;
+            checks::noise_level(movement, &self.current, interval_s, settings, &mut self.scratch)?;
         }
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
         let window = self.window(settings, movement, interval_s, filter_hz, released)?;
