@@ -123,7 +123,7 @@ fn limits_draws_and_prints_every_finding() {
 fn table1_draws_every_figure() {
     let directory = tempfile::tempdir().unwrap();
     let figures = directory.path().join("figures");
-    let output = pointsim(&["table1", "--lumped", "--throws", "4", "--out", text(&figures), "--json"]);
+    let output = pointsim(&["table1", "--lumped", "--throws", "10", "--out", text(&figures), "--json"]);
     let cases = json(&output);
     for case in cases.as_array().unwrap() {
         assert_eq!(case["verdict"], case["cause"]);
