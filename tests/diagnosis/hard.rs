@@ -56,7 +56,7 @@ fn what_cannot_be_told_apart_is_not_named() {
         let mut monitor = machine.learned(&Settings::default());
         let found = run(&mut machine, &mut monitor, 100, shift(Cause::Kt, 10.0) + shift(Cause::Inertia, 10.0));
         let unattributed = found.iter().find(|event| event.cause == Cause::Unattributed);
-        let both = ["motor and inertia together", "inertia and motor together"];
+        let both = ["motor and inertia", "inertia and motor"];
         said += u32::from(unattributed.is_some_and(|event| both.iter().any(|both| event.text.contains(both))));
         named += usize::from(found.iter().any(|event| event.cause != Cause::Unattributed));
         assert!(found.iter().all(|event| event.severity < Severity::Critical), "seed {seed}");
