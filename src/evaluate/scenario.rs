@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::diagnose::Cause;
+use crate::{diagnose::Cause, simulate::Parameters};
 
 /// How deep a life is simulated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
@@ -129,8 +129,8 @@ const PLAIN_FROM: f64 = 2.0;
 
 /// Size of the friction fault of the rows with leakage.
 const LEAKING_FRICTION: f64 = 0.54;
-/// Size of the friction fault of the row with a soft toe drive: what a slide-chair friction of 0.15 adds to a1.
-const SOFT_TOE_FRICTION: f64 = 0.99;
+/// Friction coefficient of the slide chairs in the row with a soft toe drive.
+const SOFT_TOE_MU: f64 = 0.15;
 
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq)]
@@ -225,8 +225,22 @@ fn trace_rows(limits: Limits) -> Vec<Scenario> {
     for (part, limit) in PARTS.into_iter().zip(limits) {
         rows.push(row(Situation::Slow, (part, PLAIN_FROM * limit), Shape::Step));
     }
-    rows.push(row(Situation::SoftToe, (Cause::Friction, SOFT_TOE_FRICTION), Shape::Step));
+    rows.push(row(Situation::SoftToe, (Cause::Friction, added_by_dry_chairs(SOFT_TOE_MU)), Shape::Step));
     rows
+}
+
+/// What slide chairs of this friction coefficient add to a1 of the simulated machine, as a fraction.
+#[expect(
+    clippy::expect_used,
+    reason = "the default machine is within its ranges, and so is every friction coefficient used here"
+)]
+fn added_by_dry_chairs(mu: f64) -> f64 {
+    let a1 = |mu| {
+        let mut machine = Parameters::default();
+        machine.rails.slide_friction = mu;
+        machine.coefficients().expect("a machine within its ranges").a1
+    };
+    a1(mu) / a1(Parameters::default().rails.slide_friction) - 1.0
 }
 
 /// The displacement of (ln b0, ln a1, ln a0) when `part` changes by the fraction `size` of its nominal value: equation
