@@ -1,4 +1,4 @@
-//! Builds the library that is preloaded into a process which writes a database.
+//! Builds the libraries that are preloaded into a process: one for all that it writes into a database, and others.
 
 use std::{
     path::{Path, PathBuf},
@@ -9,18 +9,21 @@ use std::{
 /// The shim as a shared library; `None`, with a message, where there is no C compiler.
 pub(crate) fn library() -> Option<&'static Path> {
     static LIBRARY: OnceLock<Option<PathBuf>> = OnceLock::new();
-    let build = || {
-        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/disk/shim.c");
-        let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("shim-{}.so", std::process::id()));
-        let mut compiler = Command::new("cc");
-        compiler.args(["-shared", "-fPIC", "-O1", "-o"]).arg(&library).arg(source).arg("-ldl");
-        match compiler.status() {
-            Ok(status) if status.success() => Some(library),
-            other => {
-                println!("skipped: no C compiler for the shim ({other:?})");
-                None
-            }
+    LIBRARY.get_or_init(|| built("tests/disk/shim.c")).as_deref()
+}
+
+/// A C file of this package as a shared library; `None`, with a message, where there is no C compiler.
+pub(crate) fn built(source: &str) -> Option<PathBuf> {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join(source);
+    let name = source.file_stem()?.to_str()?;
+    let library = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{}.so", std::process::id()));
+    let mut compiler = Command::new("cc");
+    compiler.args(["-shared", "-fPIC", "-O1", "-o"]).arg(&library).arg(&source).args(["-ldl", "-lpthread"]);
+    match compiler.status() {
+        Ok(status) if status.success() => Some(library),
+        other => {
+            println!("skipped: no C compiler for {} ({other:?})", source.display());
+            None
         }
-    };
-    LIBRARY.get_or_init(build).as_deref()
+    }
 }

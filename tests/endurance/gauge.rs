@@ -35,6 +35,24 @@ impl Usage {
     }
 }
 
+/// What the allocator of a process holds, as `heap.c` tells.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Heap {
+    /// Handed out and not given back \[MiB\]: this is what a leak makes grow.
+    pub(crate) live_mib: f64,
+    /// Given back, and kept by the allocator for the next request \[MiB\].
+    pub(crate) free_mib: f64,
+}
+
+impl Heap {
+    /// Of a process that tells it to this file; `None` while there is no such file.
+    pub(crate) fn told_to(file: &Path) -> Option<Self> {
+        let text = fs::read_to_string(file).ok()?;
+        let mut mib = text.split_whitespace().map_while(|bytes| Some(bytes.parse::<f64>().ok()? / f64::from(1 << 20)));
+        Some(Self { live_mib: mib.next()?, free_mib: mib.next()? })
+    }
+}
+
 /// Size of a file \[MiB\]; 0 where there is none.
 pub(crate) fn mib(file: &Path) -> f64 {
     fs::metadata(file).map_or(0.0, |file| file.len() as f64 / f64::from(1 << 20))
