@@ -14,6 +14,8 @@ const LEAST_TRAVEL_MM: f64 = 2.0;
 /// Share of the stroke that a complete throw covers, and that it cannot exceed.
 const COMPLETE_SHARE: f64 = 0.95;
 const TOO_LONG_SHARE: f64 = 1.15;
+/// Longest movement \[s\]: machines take 0.5 to 10 s, and their own overload protection ends what takes much longer.
+const LONGEST_MOVEMENT_S: f64 = 30.0;
 /// The motor may stay on this long after the toe arrived \[s\].
 const LONGEST_STALL_S: f64 = 0.5;
 /// Measured noise beyond this many times the configured sensor's is a fault of the sensor or its wiring. Noise in the
@@ -152,6 +154,10 @@ pub(super) fn course(
             }
             return Err(Rejection::Obstructed { position_mm: movement.end_mm, stalled_s });
         }
+    }
+    let duration_s = at(movement.near_end.saturating_sub(start));
+    if duration_s > LONGEST_MOVEMENT_S {
+        return Err(Rejection::TooSlow { duration_s, longest_s: LONGEST_MOVEMENT_S, rate_hz: 1.0 / interval_s });
     }
     let first_a = current[0] - movement.current.mean;
     if movement.quiet < MIN_QUIET && first_a.abs() > 0.25 * movement.peak_a {

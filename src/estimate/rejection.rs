@@ -104,6 +104,18 @@ pub enum Rejection {
         /// The configured stroke \[mm\].
         stroke_mm: f64,
     },
+    /// The movement took longer than any point machine's.
+    #[error(
+        "the toe moved for {duration_s:.0} s, a point machine needs {longest_s:.0} s at most: check sample_rate_hz, {rate_hz} Hz"
+    )]
+    TooSlow {
+        /// From the motor's start to 95 % of the travel \[s\].
+        duration_s: f64,
+        /// The limit \[s\].
+        longest_s: f64,
+        /// The rate that the message gives, after decimation \[Hz\].
+        rate_hz: f64,
+    },
     /// The toe moved back on its way.
     #[error("the toe moved back by {back_mm:.1} mm on its way")]
     MovedBackwards {
@@ -296,6 +308,7 @@ impl Rejection {
             Self::Incomplete { .. } => "incomplete",
             Self::Obstructed { .. } => "obstructed",
             Self::TravelTooLong { .. } => "travel_too_long",
+            Self::TooSlow { .. } => "too_slow",
             Self::MovedBackwards { .. } => "moved_backwards",
             Self::Clipped { .. } => "clipped",
             Self::Stuck { .. } => "stuck",

@@ -1,4 +1,4 @@
-//! Damaged traces: each is refused with its reason, and random damage never passes as a sound estimate far from the truth.
+//! Damaged traces: each is refused with its reason.
 
 use pointsd::estimate::{Identification, Identifier, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, Sensors};
@@ -9,21 +9,21 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use super::identify::{settings_of, simulated, throw_with};
 
 #[derive(Clone)]
-struct Channels {
+pub(crate) struct Channels {
     rate_hz: f64,
     current: Vec<f64>,
     position: Vec<f64>,
 }
 
 impl Channels {
-    fn healthy(sensors: &Sensors, direction: Direction, seed: u64) -> Self {
+    pub(crate) fn healthy(sensors: &Sensors, direction: Direction, seed: u64) -> Self {
         let throw = simulated(&Parameters::default(), sensors, direction, seed);
         let rate_hz = throw.trace.sample_rate_hz();
         let (current, position) = throw.trace.into_channels();
         Self { rate_hz, current, position }
     }
 
-    fn identify(&self, identifier: &mut Identifier, settings: &Settings) -> Identification {
+    pub(crate) fn identify(&self, identifier: &mut Identifier, settings: &Settings) -> Identification {
         let trace = Trace::new(self.rate_hz, self.current.clone(), self.position.clone()).unwrap();
         identifier.identify(&throw_with(trace, None), settings)
     }
@@ -31,7 +31,7 @@ impl Channels {
 
 /// One random injury. The word says which, for the report.
 #[expect(clippy::too_many_lines, reason = "one arm for each kind of injury")]
-fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static str {
+pub(crate) fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static str {
     let len = channels.current.len();
     let from = rng.random_range(0..len);
     let to = (from + rng.random_range(1..=len / 4)).min(len);
@@ -138,40 +138,6 @@ fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static str {
     }
 }
 
-#[test]
-fn random_damage_never_passes_for_a_sound_estimate_far_from_the_truth() {
-    let runs: u64 = std::env::var("POINTSD_MUTATIONS").ok().and_then(|text| text.parse().ok()).unwrap_or(4000);
-    let settings = settings_of(&Parameters::default());
-    let mut identifier = Identifier::default();
-    let healthy: Vec<Channels> = (0..16)
-        .map(|seed| Channels::healthy(&Sensors::default(), Direction::BOTH[usize::from(seed % 2 == 0)], seed))
-        .collect();
-    let whole: Vec<_> =
-        healthy.iter().map(|channels| channels.identify(&mut identifier, &settings).outcome.unwrap()).collect();
-    let (mut accepted, mut nonsense) = (0, Vec::new());
-    for run in 0..runs {
-        let mut rng = ChaCha8Rng::seed_from_u64(run);
-        let pick = rng.random_range(0..healthy.len());
-        let (whole, mut channels) = (&whole[pick], healthy[pick].clone());
-        let kind = mutate(&mut channels, &mut rng);
-        if let Ok(estimate) = channels.identify(&mut identifier, &settings).outcome {
-            accepted += 1;
-            let change = [estimate.b0 / whole.b0, estimate.a1 / whole.a1, estimate.a0 / whole.a0]
-                .into_iter()
-                .fold(0.0, |most: f64, ratio| most.max((ratio - 1.0).abs()));
-            if change > 0.05 {
-                nonsense.push((kind, run, (1e4 * change).round() / 100.0, estimate.fit_pct));
-            }
-        }
-    }
-    println!("{runs} mutations, {accepted} accepted, {} of them more than 5 % away", nonsense.len());
-    nonsense.sort_by(|a, b| a.0.cmp(b.0).then(a.2.total_cmp(&b.2)));
-    for n in &nonsense {
-        println!("{n:?}");
-    }
-    assert!(nonsense.len() as u64 <= 1 + runs / 4_000, "{nonsense:?}");
-}
-
 /// What is done to a healthy trace, and the word, or one of the words, that must come out.
 type Damage = (&'static str, &'static str, fn(&mut Channels));
 
@@ -218,6 +184,7 @@ const TABLE: &[Damage] = &[
     ("a lone position 0.3 mm off", "spike|position_jump", |c| c.position[1500] += 0.3),
     ("1 A of noise in the current", "noisy", |c| c.noise(true, 1.0)),
     ("2 mm of noise in the position", "noisy", |c| c.noise(false, 2.0)),
+    ("a tenth of the true sampling rate", "too_slow", |c| c.rate_hz = 100.0),
     ("every tenth sample only, unfiltered", "undersampled", |c| {
         c.rate_hz = 100.0;
         c.current = c.current.iter().step_by(10).copied().collect();

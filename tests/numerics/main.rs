@@ -14,6 +14,7 @@ mod identify_cli;
 mod limits;
 mod machine;
 mod mains;
+mod mutated;
 mod refined;
 mod sriv;
 mod table1;
