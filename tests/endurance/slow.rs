@@ -2,11 +2,12 @@
 //! neither memory nor the write-ahead log grows beyond its bound. `POINTSD_SLOW_THROWS` sets how many throws.
 
 use std::{
-    fs,
+    env, fs,
+    io::{BufRead, BufReader, Lines},
+    process::{Child, ChildStdout, Command, Stdio},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering::Relaxed},
-        mpsc,
     },
     thread,
     time::{Duration, Instant},
@@ -22,7 +23,7 @@ use zenoh::{Session, pubsub::Publisher};
 
 use crate::{
     gauge::{Usage, mib, status},
-    rig::{PATIENCE, Rig, matched, throws},
+    rig::{self, PATIENCE, Rig, matched, throws},
     size,
 };
 
@@ -36,6 +37,59 @@ const MEMORY_MIB: f64 = 64.0;
 const AHEAD: u64 = 1_000;
 /// Rates of one run differ by this factor on a busy computer.
 const NOISE: f64 = 3.0;
+
+/// Set: this process is the subscriber that hangs, and this is where the daemon listens.
+const HANGING_AT: &str = "POINTSD_HANGING_AT";
+const LISTENS: &str = "it listens";
+const HEARS: &str = "it hears";
+
+/// A subscriber to every throw, alarm and health message that stays in its first callback. It is a process of its own:
+/// zenoh's sessions share their threads, and a callback that hangs would hang the other tests' sessions too.
+struct Hanging {
+    child: Child,
+    said: Lines<BufReader<ChildStdout>>,
+}
+
+impl Hanging {
+    fn start(endpoint: &str) -> Self {
+        let mut child = Command::new(env::current_exe().unwrap())
+            .args(["--exact", "slow::hang", "--nocapture"])
+            .env(HANGING_AT, endpoint)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let said = BufReader::new(child.stdout.take().unwrap()).lines();
+        Self { child, said }
+    }
+
+    fn until(&mut self, said: &str) {
+        assert!(self.said.any(|line| line.unwrap().contains(said)), "the subscriber ended before {said:?}");
+    }
+}
+
+impl Drop for Hanging {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn hang() {
+    let Ok(endpoint) = env::var(HANGING_AT) else { return };
+    let session = rig::client_of(&endpoint).await;
+    let hangs = |_| {
+        println!("{HEARS}");
+        loop {
+            thread::park();
+        }
+    };
+    let _subscriber = session.declare_subscriber("points/v1/**").callback(hangs).await.unwrap();
+    println!("{LISTENS}");
+    // Until it is killed; or longer than any test, should nobody be left to do so.
+    tokio::time::sleep(20 * PATIENCE).await;
+    std::process::exit(1);
+}
 
 /// The most that was seen while throws went in.
 #[derive(Debug, Default, Clone, Copy)]
@@ -121,24 +175,11 @@ async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
     stop.store(true, Relaxed);
     let before = watching.join().unwrap();
 
-    // One gets every throw, alarm and health message, and stays in its first callback.
-    let hanging = daemon.client().await;
-    let (release, held) = mpsc::channel::<()>();
-    let held = std::sync::Mutex::new(held);
-    let (entered, is_in) = mpsc::channel();
-    let _subscriber = hanging
-        .declare_subscriber("points/v1/**")
-        .callback(move |_| {
-            let _ = entered.send(());
-            let _ = held.lock().unwrap().recv();
-        })
-        .await
-        .unwrap();
-    // Dropped before the subscriber, however the test ends: that waits for its callback.
-    let release = release;
+    let mut hanging = Hanging::start(&daemon.endpoint);
+    hanging.until(LISTENS);
     source.rates(20).await;
-    is_in.recv_timeout(PATIENCE).expect("the subscriber hears the first throw");
-    // The other has begun a transaction and looks at the database as it was then.
+    hanging.until(HEARS);
+    // Another has begun a transaction and looks at the database as it was then.
     let options = SqliteConnectOptions::new().filename(rig.database()).read_only(true);
     let mut reader = SqliteConnection::connect_with(&options).await.unwrap();
     let mut transaction = reader.begin().await.unwrap();
@@ -152,7 +193,7 @@ async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
     let after = watching.join().unwrap();
     let seen: i64 =
         sqlx::query_scalar("SELECT count(*) FROM health_history").fetch_one(&mut *transaction).await.unwrap();
-    drop(release);
+    drop(hanging);
     transaction.rollback().await.unwrap();
     let end = status(&session).await.unwrap();
     assert!(daemon.terminate().success());

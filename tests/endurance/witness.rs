@@ -89,12 +89,8 @@ impl Witness {
             }
         };
         let waited = tokio::time::timeout(rig::PATIENCE, waiting).await;
-        assert!(
-            waited.is_ok(),
-            "{what} is not heard; {} throws and {:?}",
-            self.heard().health.len(),
-            self.heard().events
-        );
+        let heard = self.heard();
+        assert!(waited.is_ok(), "{what} is not heard; {} throws and {:?}", heard.health.len(), heard.events);
     }
 }
 
