@@ -20,6 +20,8 @@ use crate::throw::{Direction, ThrowRef};
 /// The causes that come from a drift, in the order of the monitor's conditions.
 const DRIFTS: [Cause; 5] = [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
 
+/// Throws by which an alarm waits longer while its name could still be another: the next ones settle it.
+const DOUBTED_PATIENCE: u32 = 2;
 /// Throws by which an alarm without a single name waits longer: the first throws after a step are few, and what they
 /// leave open the next ones usually settle.
 const UNNAMED_PATIENCE: u32 = 6;
@@ -88,7 +90,8 @@ impl Drift {
             raised_above: if self.provisional { PROVISIONAL_WIDENING } else { 1.0 },
             undoubted: undoubted.map_or(0.0, |finding| finding.relevance),
             patience: named.map_or(0, |finding| match (finding.naming, finding.rival) {
-                (Naming::One(_), _) => 0,
+                (Naming::One(_), _) if finding.lead >= DECISIVE => 0,
+                (Naming::One(_), _) => DOUBTED_PATIENCE,
                 (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
                 (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
             }),
