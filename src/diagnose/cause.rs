@@ -236,16 +236,14 @@ fn ranked<const N: usize, const K: usize>(
     fits
 }
 
-/// The lead that one name needs over another. The cross-correlation rule tells inertia from the rest, and nothing else.
+/// The lead that one name needs over another. The cross-correlation rule tells inertia from the rest, and nothing else: a
+/// name that it takes for inertia has to be beyond doubt.
 fn close(best: Cause, next: Cause, correlation: Option<Correlation>, settings: &Settings) -> f64 {
-    match correlation.map(|c| c.agrees_with(best, settings.correlation_limit)) {
-        Some(agrees) if best == Cause::Inertia || next == Cause::Inertia => {
-            if agrees {
-                CLOSE / RULE_WEIGHT
-            } else {
-                CLOSE * RULE_WEIGHT
-            }
-        }
+    let agrees = correlation.map(|c| c.agrees_with(best, settings.correlation_limit));
+    match agrees {
+        Some(true) if best == Cause::Inertia || next == Cause::Inertia => CLOSE / RULE_WEIGHT,
+        Some(false) if best == Cause::Inertia => CLOSE * RULE_WEIGHT,
+        Some(false) if next == Cause::Inertia => DECISIVE,
         _ => CLOSE,
     }
 }

@@ -20,6 +20,8 @@ use crate::throw::{Direction, ThrowRef};
 /// The causes that come from a drift, in the order of the monitor's conditions.
 const DRIFTS: [Cause; 5] = [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
 
+/// A lead from which an alarm with one name waits no longer: odds of 150 to 1.
+const SAFE: f64 = 10.0;
 /// Throws by which an alarm waits longer while its name could still be another: the next ones settle it.
 const DOUBTED_PATIENCE: u32 = 2;
 /// Throws by which an alarm without a single name waits longer: the first throws after a step are few, and what they
@@ -90,7 +92,7 @@ impl Drift {
             raised_above: if self.provisional { PROVISIONAL_WIDENING } else { 1.0 },
             undoubted: undoubted.map_or(0.0, |finding| finding.relevance),
             patience: named.map_or(0, |finding| match (finding.naming, finding.rival) {
-                (Naming::One(_), _) if finding.lead >= DECISIVE => 0,
+                (Naming::One(_), _) if finding.lead >= SAFE => 0,
                 (Naming::One(_), _) => DOUBTED_PATIENCE,
                 (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
                 (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
