@@ -4,8 +4,10 @@ use std::f64::consts::TAU;
 
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::simulate::{Conditions, Parameters, Rails, STEP_S, Sensors, Waveform};
-use pointsd::throw::{Direction, Throw, ThrowRef};
+use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
+
+use super::identify::throw_with;
 
 /// Current and screw speed \[A, rad/s\] at which the motor turns against the slipping clutch: armature and shaft in
 /// steady state, by fixed-point iteration.
@@ -49,15 +51,7 @@ fn an_obstruction_anywhere_shows_the_current_of_the_slipping_clutch() {
                 "{direction}, obstacle at {at_mm} mm: {current_a} A, the clutch takes {expected_a} A"
             );
             let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
-            let throw = Throw {
-                id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
-                started_at: jiff::Timestamp::UNIX_EPOCH,
-                direction: Some(direction),
-                trace,
-                temperature_c: None,
-                supply_v: None,
-                anti_alias_hz: None,
-            };
+            let throw = Throw { direction: Some(direction), ..throw_with(trace, None) };
             let refused = identifier.identify(&throw, &Settings::default()).outcome.unwrap_err();
             assert!(refused.is_incomplete(), "{direction}, obstacle at {at_mm} mm: {refused}");
         }
@@ -145,15 +139,7 @@ fn a_series_motor_slips_its_clutch_too() {
         let refused = {
             let sensors = Sensors::default();
             let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(4)).unwrap().trace;
-            let throw = Throw {
-                id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
-                started_at: jiff::Timestamp::UNIX_EPOCH,
-                direction: Some(direction),
-                trace,
-                temperature_c: None,
-                supply_v: None,
-                anti_alias_hz: None,
-            };
+            let throw = Throw { direction: Some(direction), ..throw_with(trace, None) };
             let settings = Settings { motor: Motor::Series, ..Settings::default() };
             Identifier::default().identify(&throw, &settings).outcome.unwrap_err()
         };

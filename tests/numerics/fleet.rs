@@ -5,8 +5,10 @@ use pointsd::simulate::{
     Channel, Climate, Condition, Conditions, Fault, Fleet, FleetFault, FleetSettings, Incident, IncidentKind,
     Parameters, Part, RailModel, Rails, Scatter, Sensors, Shape, Stuck, Waveform, Which,
 };
-use pointsd::throw::{Direction, Throw, ThrowRef, Trace};
+use pointsd::throw::{Direction, Trace};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
+
+use super::identify::throw_with;
 
 fn lumped() -> Parameters {
     let rails = Rails { model: RailModel::Lumped, ..Rails::default() };
@@ -19,15 +21,7 @@ fn record(machine: &Parameters, sensors: &Sensors, direction: Direction) -> Trac
 }
 
 fn identify(trace: Trace, anti_alias_hz: Option<f64>, settings: &Settings) -> [f64; 3] {
-    let throw = Throw {
-        id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
-        started_at: jiff::Timestamp::UNIX_EPOCH,
-        direction: None,
-        trace,
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz,
-    };
+    let throw = throw_with(trace, anti_alias_hz);
     let estimate = Identifier::default().identify(&throw, settings).outcome.unwrap();
     [estimate.b0, estimate.a1, estimate.a0]
 }

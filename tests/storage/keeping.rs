@@ -100,17 +100,23 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
     }
 }
 
-#[tokio::test]
-async fn a_database_that_breaks_under_way_ends_the_writer_and_the_next_start_sets_it_aside() {
+/// A database with 1,500 throws that was stopped cleanly, so that nothing is checked, and whose pages were then overwritten
+/// but for the first 60: it shows only when they are needed.
+async fn broken_after_a_clean_stop() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path()).await.store;
     let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
     store.spool_all(&batch).await;
     store.close().await.unwrap();
-    // After a clean stop nothing is checked, so that this shows only when the pages are needed.
     let file = fs::OpenOptions::new().write(true).open(folder.path().join("points.db")).unwrap();
     let pages = usize::try_from(file.metadata().unwrap().len() / 4096).unwrap();
     file.write_all_at(&vec![0x5a; (pages - 60) * 4096], 60 * 4096).unwrap();
+    folder
+}
+
+#[tokio::test]
+async fn a_database_that_breaks_under_way_ends_the_writer_and_the_next_start_sets_it_aside() {
+    let folder = broken_after_a_clean_stop().await;
     let opened = open(folder.path()).await;
     assert_eq!(opened.report.found, Found::Clean);
     let store = opened.store;
@@ -162,14 +168,7 @@ async fn a_database_that_an_older_program_must_not_write_to_is_refused_and_left_
 
 #[tokio::test]
 async fn a_database_that_a_query_finds_broken_is_set_aside_at_the_next_start() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
-    let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
-    store.spool_all(&batch).await;
-    store.close().await.unwrap();
-    let file = fs::OpenOptions::new().write(true).open(folder.path().join("points.db")).unwrap();
-    let pages = usize::try_from(file.metadata().unwrap().len() / 4096).unwrap();
-    file.write_all_at(&vec![0x5a; (pages - 60) * 4096], 60 * 4096).unwrap();
+    let folder = broken_after_a_clean_stop().await;
     let store = open(folder.path()).await.store;
     let error = store.reader().throws(ThrowRow::START, 10_000).await.unwrap_err();
     assert!(error.to_string().contains("malformed"), "{error}");
