@@ -4,7 +4,7 @@
 use std::{
     collections::{HashSet, VecDeque},
     sync::{Arc, atomic::Ordering::Relaxed},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use jiff::{SignedDuration, Timestamp};
@@ -35,6 +35,9 @@ const GAP_GRACE: SignedDuration = SignedDuration::from_secs(60);
 const GAPS: u32 = 1_000;
 /// Pause after a failure of the database.
 const PAUSE: Duration = Duration::from_millis(500);
+/// An alarm that cannot be committed for so long is told all the same. What the ballast or a new connection mends takes
+/// less; longer silence would pass for health.
+const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 
 /// A judged throw, for those who watch in the same process.
 #[derive(Debug, Clone)]
@@ -65,6 +68,8 @@ pub(super) struct Own {
     machine: MachineId,
     events: Vec<AlarmEvent>,
     outcome: Outcome,
+    /// Since when it could have been stored.
+    since: Instant,
     /// It was published before it could be stored.
     told: bool,
 }
@@ -257,12 +262,13 @@ impl Judge {
         Ok(())
     }
 
-    /// Sees to the daemon's own alarms. That nothing can be stored cannot be stored either: such an alarm is told before
-    /// it is committed, and told again once it is.
+    /// Sees to the daemon's own alarms. That nothing can be stored for long cannot be stored either: such an alarm is told
+    /// before it is committed, and told again once it is.
     async fn look_after_itself(&mut self) -> Result<(), StoreError> {
         let (config, now) = (Arc::clone(&self.config.borrow()), clock::now());
         let news = self.fleet.trouble(&self.itself, self.store.trouble().as_ref(), now, &config.diagnosis);
-        self.own.extend(news.map(|(machine, events, outcome)| Own { machine, events, outcome, told: false }));
+        let since = Instant::now();
+        self.own.extend(news.map(|(machine, events, outcome)| Own { machine, events, outcome, since, told: false }));
         while let Some(own) = self.own.pop_front() {
             match self.store.record(&own.machine, now, own.outcome.clone()).await {
                 Ok(()) => self.announce(&own.machine, &own.events),
@@ -279,7 +285,7 @@ impl Judge {
 
     async fn tell_uncommitted(&mut self) {
         let Some(outlet) = &self.outlet else { return };
-        for own in self.own.iter_mut().filter(|own| !own.told) {
+        for own in self.own.iter_mut().filter(|own| !own.told && own.since.elapsed() >= LONGEST_SILENCE) {
             own.told = true;
             for Message { key, payload } in &own.outcome.outbox {
                 tracing::error!(key, "an alarm cannot be stored yet and is told all the same");

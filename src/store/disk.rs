@@ -51,11 +51,17 @@ impl Disk {
         }
     }
 
-    /// Free space for an unprivileged process \[bytes\]; `None` when the system does not say.
-    pub(super) fn free_bytes(&self) -> Option<u64> {
+    /// Free space for an unprivileged process, and the whole disk \[bytes\]; `None` when the system does not say.
+    fn space(&self) -> Option<(u64, u64)> {
         let folder = self.database.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let space = rustix::fs::statvfs(folder).ok()?;
-        Some(space.f_bavail.saturating_mul(space.f_frsize))
+        let bytes = |blocks: u64| blocks.saturating_mul(space.f_frsize);
+        Some((bytes(space.f_bavail), bytes(space.f_blocks)))
+    }
+
+    /// Free space for an unprivileged process \[bytes\]; `None` when the system does not say.
+    pub(super) fn free_bytes(&self) -> Option<u64> {
+        self.space().map(|(free, _)| free)
     }
 
     pub(super) fn note_success(&self) {
@@ -108,23 +114,25 @@ impl Disk {
 
     /// Puts the ballast (back) in place when there is plenty of space for it. Returns whether it is there.
     pub(super) fn restore_ballast(&self) -> Result<bool, StoreError> {
-        if self.ballast_bytes == 0 {
+        let Some((free, whole)) = self.space() else { return Ok(false) };
+        // A small disk has a small one: without any, the alarm that the disk is full could not be committed.
+        let bytes = self.ballast_bytes.min(whole / 8);
+        if bytes == 0 {
             return Ok(false);
         }
-        if std::fs::metadata(&self.ballast).is_ok_and(|file| file.len() == self.ballast_bytes) {
+        if std::fs::metadata(&self.ballast).is_ok_and(|file| file.len() == bytes) {
             return Ok(true);
         }
-        let plenty = self.free_bytes().is_some_and(|free| free > self.low_bytes + 2 * self.ballast_bytes);
-        if !plenty {
+        if free <= self.low_bytes.min(whole / 4) + 2 * bytes {
             return Ok(false);
         }
         let file = |action, source| StoreError::File { action, path: self.ballast.clone(), source };
-        self.allocate().map(|()| true).map_err(|source| file("preallocate", source))
+        self.allocate(bytes).map(|()| true).map_err(|source| file("preallocate", source))
     }
 
-    fn allocate(&self) -> io::Result<()> {
+    fn allocate(&self, bytes: u64) -> io::Result<()> {
         let file: File = OpenOptions::new().create(true).truncate(true).write(true).open(&self.ballast)?;
-        match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, self.ballast_bytes) {
+        match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes) {
             Ok(()) => file.sync_all(),
             Err(error) => {
                 drop(file);

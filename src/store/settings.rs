@@ -27,7 +27,7 @@ pub struct Settings {
     /// Below this free space on the disk, traces are dropped \[MiB\], 0 to 1,048,576.
     pub low_disk_mib: u64,
     /// A file of this size beside the database is given up when the disk is full, so that there is room to clear up
-    /// \[MiB\], 0 to 1,024; 0 keeps none.
+    /// \[MiB\], 0 to 1,024, at most an eighth of the disk; 0 keeps none.
     pub ballast_mib: u64,
     /// Largest write-ahead log \[MiB\], 32 to 65,536. A program that keeps reading one old state of the database stops
     /// the log from being reused; at this size the database moves to a new file and leaves the reader the old one.

@@ -1,6 +1,6 @@
 //! A disk without space, for real.
 
-use std::process::Command;
+use std::{fs, process::Command};
 
 use pointsd::store::{DiskLevel, Settings, Spooled, Store, StoreError, ThrowRow};
 
@@ -39,8 +39,11 @@ async fn spool_until_full(store: &Store, first: u64) -> u64 {
 #[tokio::test]
 async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
     let Some(disk) = SmallDisk::mount() else { return };
-    let store = Store::open(&settings(disk.folder()), at(0)).await.unwrap().store;
-    assert!(disk.folder().join("points.db-ballast").exists());
+    // A ballast larger than the disk becomes a part of it.
+    let bounds = Settings { ballast_mib: 16, ..settings(disk.folder()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let ballast = fs::metadata(disk.folder().join("points.db-ballast")).unwrap().len();
+    assert_eq!(ballast, (12 << 20) / 8);
     for throw_no in 1..=20 {
         spooled(&store, "21B", "b1", throw_no).await;
     }
