@@ -3,7 +3,7 @@
 use std::{
     sync::{
         Arc,
-        atomic::{AtomicU64, AtomicUsize, Ordering::Relaxed},
+        atomic::{AtomicU64, Ordering::Relaxed},
     },
     time::Duration,
 };
@@ -15,13 +15,13 @@ use zenoh::{
 };
 use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, Miss, RecoveryConfig};
 
-use super::BusError;
+use super::{
+    BusError,
+    room::{self, Room},
+};
 
-/// Messages that may wait to be stored. At 20 kB each this is the byte limit; smaller ones come in bursts after a cut
-/// link, 64 of each machine's cache at once.
-const QUEUE: usize = 8_192;
-/// Bytes that may wait to be stored: about a second of the database's measured rate of 40 kB throws.
-const QUEUE_BYTES: usize = 128 << 20;
+/// Payloads of one batch: what is decoded takes up to four times as much \[bytes\].
+const BATCH_BYTES: usize = 8 << 20;
 /// How long the caches of loggers are given to answer for missed throws.
 const RECOVERY_TIMEOUT: Duration = Duration::from_secs(20);
 
@@ -56,13 +56,13 @@ pub struct InboxCounters {
     pub dropped: AtomicU64,
     /// Samples that zenoh reports as missed beyond recovery.
     pub missed: AtomicU64,
-    queued_bytes: AtomicUsize,
 }
 
 /// The subscription and its queue.
 pub struct Inbox {
     subscriber: Option<AdvancedSubscriber<()>>,
     messages: mpsc::Receiver<Message>,
+    room: Arc<Room>,
     counters: Arc<InboxCounters>,
 }
 
@@ -72,12 +72,13 @@ impl Inbox {
     /// # Errors
     /// When zenoh refuses the subscription.
     pub async fn subscribe(session: &Session, key_expression: &str, limits: Limits) -> Result<Self, BusError> {
-        let (sender, messages) = mpsc::channel(QUEUE);
+        let (sender, messages) = mpsc::channel(room::MESSAGES);
+        let room = Arc::new(Room::new());
         let counters = Arc::new(InboxCounters::default());
-        let counting = Arc::clone(&counters);
+        let (taking, counting) = (Arc::clone(&room), Arc::clone(&counters));
         let subscriber = session
             .declare_subscriber(key_expression.to_owned())
-            .callback(move |sample| take(&sample, &sender, &counting, limits))
+            .callback(move |sample| take(&sample, &sender, &taking, &counting, limits))
             .history(HistoryConfig::default().detect_late_publishers())
             .recovery(RecoveryConfig::default().heartbeat())
             .query_timeout(RECOVERY_TIMEOUT)
@@ -92,7 +93,7 @@ impl Inbox {
             .background()
             .await
             .map_err(BusError::new("listen for missed samples"))?;
-        Ok(Self { subscriber: Some(subscriber), messages, counters })
+        Ok(Self { subscriber: Some(subscriber), messages, room, counters })
     }
 
     /// The counts.
@@ -101,14 +102,20 @@ impl Inbox {
         Arc::clone(&self.counters)
     }
 
-    /// Waits for messages and moves up to `limit` of them into `batch`; returns how many. 0 after [`Self::close`],
-    /// once the queue is empty.
+    /// Waits for messages and moves up to `limit` of them into `batch`, fewer when they are large; returns how many. 0
+    /// after [`Self::close`], once the queue is empty.
     pub async fn receive(&mut self, batch: &mut Vec<Message>, limit: usize) -> usize {
         let before = batch.len();
-        let count = self.messages.recv_many(batch, limit).await;
-        let bytes: usize = batch[before..].iter().map(|message| message.payload.len()).sum();
-        self.counters.queued_bytes.fetch_sub(bytes, Relaxed);
-        count
+        let mut next = self.messages.recv().await;
+        let mut bytes = 0;
+        while let Some(message) = next {
+            self.room.give_back(&message.key, message.payload.len());
+            bytes += message.payload.len();
+            batch.push(message);
+            let is_full = batch.len() - before >= limit || bytes >= BATCH_BYTES;
+            next = if is_full { None } else { self.messages.try_recv().ok() };
+        }
+        batch.len() - before
     }
 
     /// Messages that wait.
@@ -129,29 +136,25 @@ impl Inbox {
 }
 
 /// Runs in zenoh's thread: counts, copies, hands over, returns.
-fn take(sample: &Sample, queue: &mpsc::Sender<Message>, counters: &InboxCounters, limits: Limits) {
+fn take(sample: &Sample, queue: &mpsc::Sender<Message>, room: &Room, counters: &InboxCounters, limits: Limits) {
     if sample.kind() != SampleKind::Put {
         return;
     }
     counters.received.fetch_add(1, Relaxed);
-    let bytes = sample.payload().len();
+    let (key, bytes) = (sample.key_expr().as_str(), sample.payload().len());
     let kept = if bytes > limits.max_payload_bytes { limits.kept_of_larger_bytes } else { bytes };
-    let queued = counters.queued_bytes.fetch_add(kept, Relaxed) + kept;
-    let place = if queued > QUEUE_BYTES { None } else { queue.try_reserve().ok() };
-    let Some(place) = place else {
-        counters.queued_bytes.fetch_sub(kept, Relaxed);
+    if !room.take(key, kept) {
         counters.dropped.fetch_add(1, Relaxed);
         return;
-    };
+    }
     let mut payload = Vec::with_capacity(kept);
     for slice in sample.payload().slices() {
         let left = kept - payload.len();
         payload.extend_from_slice(&slice[..slice.len().min(left)]);
     }
-    place.send(Message {
-        key: sample.key_expr().to_string(),
-        content_type: sample.encoding().to_string(),
-        payload,
-        bytes,
-    });
+    let message = Message { key: key.to_owned(), content_type: sample.encoding().to_string(), payload, bytes };
+    if queue.try_send(message).is_err() {
+        room.give_back(key, kept);
+        counters.dropped.fetch_add(1, Relaxed);
+    }
 }

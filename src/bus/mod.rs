@@ -8,11 +8,12 @@ mod operator;
 mod outlet;
 mod presence;
 mod queries;
+mod room;
 
 use zenoh::{Config, Session, key_expr::keyexpr};
 
 pub use inbox::{Inbox, InboxCounters, Limits, Message};
-pub use operator::{OperatorError, ask, command, monitors};
+pub use operator::{OperatorError, ask, command, is_watched, monitors};
 pub use outlet::{Outlet, OutletCounters};
 pub use presence::{Audience, Presence, PresenceWatch};
 pub use queries::{Question, Questions, answer};

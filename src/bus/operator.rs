@@ -11,7 +11,7 @@ use zenoh::{
 use super::BusError;
 use crate::{
     throw::MachineId,
-    wire::{Kind, machine_key},
+    wire::{Kind, machine_key, monitor_alive_key},
 };
 
 /// Why there is no answer.
@@ -30,6 +30,12 @@ pub enum OperatorError {
         "no daemon serves {0}: is the name right, does a running pointsd's subscribe.key hold it, and may your certificate command it?"
     )]
     NotServed(String),
+    /// Daemons are there, and none of them has heard of the machine.
+    #[error(
+        "no daemon knows {0}, which is not the same as no alarms: is the name right, has it sent a throw, and does a running \
+         pointsd's subscribe.key hold it?"
+    )]
+    Unknown(String),
     /// The daemon says no.
     #[error("{0}")]
     Refused(String),
@@ -94,8 +100,35 @@ pub async fn command(
 /// # Errors
 /// When zenoh refuses the question.
 pub async fn monitors(session: &Session) -> Result<usize, OperatorError> {
+    alive(session, "points/v1/*/monitor/*/alive").await
+}
+
+/// Makes sure that an empty answer about alarms is none of silence: that daemons run and, where it is about one machine,
+/// that one of them knows it.
+///
+/// # Errors
+/// When no daemon is there, or none has heard of the machine.
+pub async fn is_watched(
+    session: &Session,
+    machine: Option<&MachineId>,
+    timeout: Duration,
+) -> Result<(), OperatorError> {
+    if monitors(session).await? == 0 {
+        return Err(OperatorError::NoDaemon);
+    }
+    let Some(machine) = machine else { return Ok(()) };
+    let health = ask(session, &machine_key(machine, Kind::Health), None, timeout).await?;
+    // A daemon's own alarms stand under its own name.
+    if health.is_empty() && alive(session, &monitor_alive_key(&machine.site, &machine.machine)).await? == 0 {
+        return Err(OperatorError::Unknown(machine.to_string()));
+    }
+    Ok(())
+}
+
+/// How many liveliness tokens there are on a key expression.
+async fn alive(session: &Session, key: &str) -> Result<usize, OperatorError> {
     let asked = BusError::new("ask for liveliness tokens");
-    let replies = session.liveliness().get("points/v1/*/monitor/*/alive").await.map_err(asked)?;
+    let replies = session.liveliness().get(key).await.map_err(asked)?;
     let mut count = 0;
     while replies.recv_async().await.is_ok() {
         count += 1;

@@ -15,7 +15,7 @@ use crate::{
 
 /// Shows the open alarms of all running daemons; with --since or --limit the events of all alarms.
 ///
-/// Exit codes: 0 shown; 69 no daemon answers.
+/// Exit codes: 0 shown; 69 no daemon answers, or none knows the machine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01T00:00:00Z --json")]
 pub(super) struct Arguments {
@@ -39,16 +39,16 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(async {
         let session = arguments.connection.open().await?;
         let answer = bus::ask(&session, &selector(arguments), None, ANSWER_LIMIT).await;
-        // An empty answer may mean that nobody is there.
-        let somebody = match &answer {
-            Ok(replies) if replies.is_empty() => bus::monitors(&session).await,
-            _ => Ok(1),
+        let watched = match &answer {
+            Ok(replies) if replies.is_empty() => {
+                let machine = arguments.machine.as_ref().map(|MachineArgument(machine)| machine);
+                bus::is_watched(&session, machine, ANSWER_LIMIT).await
+            }
+            _ => Ok(()),
         };
         operator::close(session).await;
         let replies = answer.map_err(operator::failure)?;
-        if somebody.map_err(operator::failure)? == 0 {
-            return Err(operator::failure(bus::OperatorError::NoDaemon));
-        }
+        watched.map_err(operator::failure)?;
         Ok(print(&replies, arguments.json))
     })
 }

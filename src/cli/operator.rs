@@ -67,7 +67,9 @@ pub(super) async fn close(session: Session) {
 /// The exit code for an answer that did not come.
 pub(super) fn failure(error: OperatorError) -> Failure {
     let exit = match &error {
-        OperatorError::Bus(_) | OperatorError::NoDaemon | OperatorError::NotServed(_) => Exit::Unavailable,
+        OperatorError::Bus(_) | OperatorError::NoDaemon | OperatorError::NotServed(_) | OperatorError::Unknown(_) => {
+            Exit::Unavailable
+        }
         OperatorError::Refused(_) => Exit::Negative,
     };
     Failure { exit, error: error.into() }

@@ -6,7 +6,10 @@ use super::{
     Exit, Failure, Outcome, ResultExt,
     runtime::{self, Asked, Signals},
 };
-use crate::daemon::{Daemon, Ended, LockError, StartError, config::Config};
+use crate::{
+    daemon::{Daemon, Ended, LockError, StartError, config::Config},
+    store::StoreError,
+};
 
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP makes it read its configuration again.
 ///
@@ -39,9 +42,9 @@ pub(super) fn load(file: Option<&Path>) -> Result<Config, Failure> {
 /// The exit code for a daemon that cannot start.
 pub(super) fn start_failure(error: StartError) -> Failure {
     let exit = match &error {
-        StartError::Store(_) => Exit::Io,
+        StartError::Store(StoreError::Foreign { .. }) => Exit::Config,
+        StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
         StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
-        StartError::Lock(LockError::File { .. }) => Exit::CannotCreate,
         StartError::Thread(_) => Exit::Software,
     };
     Failure { exit, error: error.into() }

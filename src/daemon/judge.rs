@@ -2,7 +2,8 @@
 //! It alone owns the monitors, so operators' commands and the passing of time go through it too.
 
 use std::{
-    collections::{HashSet, VecDeque},
+    collections::{HashMap, HashSet, VecDeque},
+    future,
     sync::{Arc, atomic::Ordering::Relaxed},
     time::{Duration, Instant},
 };
@@ -18,7 +19,7 @@ use super::{clock, config::Config, fleet::Fleet, heartbeat::Organ, identify::Poo
 use crate::{
     bus::Outlet,
     diagnose::{AlarmEvent, Command},
-    store::{Gap, Judgement, Message, Outcome, Store, StoreError, StoredThrow, ThrowRow},
+    store::{GapRow, Judgement, Message, Outcome, Store, StoreError, StoredThrow, ThrowRow},
     throw::{Direction, MachineId, ThrowRef},
     wire::{self, Health, Kind, Reply},
 };
@@ -31,8 +32,8 @@ const TICK: Duration = Duration::from_secs(5);
 const TICKS_AN_HOUR: u32 = 720;
 /// Missing throws may still come from the logger's cache: a gap is told to the monitor after this time.
 const GAP_GRACE: SignedDuration = SignedDuration::from_secs(60);
-/// Gaps that are looked at in one go.
-const GAPS: u32 = 1_000;
+/// Gaps that are looked at in one go; those of one machine are one event.
+const GAPS: u32 = 10_000;
 /// Pause after a failure of the database.
 const PAUSE: Duration = Duration::from_millis(500);
 /// An alarm that cannot be committed for so long is told all the same. What the ballast or a new connection mends takes
@@ -109,8 +110,10 @@ impl Judge {
     ) -> Result<(), StoreError> {
         let mut tick = time::interval(TICK);
         let mut beat = time::interval(Duration::from_secs(1));
+        let mut more_waits = true;
         loop {
             self.status.heartbeats.beat(Organ::Identify);
+            // One batch at a time: operators and the passing of time take turns with a long queue of throws.
             tokio::select! {
                 () = stop.cancelled() => {
                     self.drain().await?;
@@ -118,33 +121,34 @@ impl Judge {
                 }
                 Some(order) = orders.recv() => self.obey(order).await?,
                 _ = tick.tick() => self.let_time_pass().await?,
-                () = self.spooled.notified() => self.drain().await?,
-                _ = beat.tick() => self.drain().await?,
+                () = future::ready(()), if more_waits => more_waits = self.judge_next().await?,
+                () = self.spooled.notified() => more_waits = true,
+                _ = beat.tick() => more_waits = true,
             }
         }
     }
 
     /// Judges everything that waits, and stores what was told before it could be.
     pub(super) async fn drain(&mut self) -> Result<(), StoreError> {
+        while !self.give_up.is_cancelled() && self.judge_next().await? {}
+        Ok(())
+    }
+
+    /// Judges the next batch of what waits. Returns whether there was any.
+    async fn judge_next(&mut self) -> Result<bool, StoreError> {
         if !self.own.is_empty() {
             self.look_after_itself().await?;
         }
-        while !self.give_up.is_cancelled() {
-            let waiting = match self.store.reader().pending(ThrowRow::START, BATCH).await {
-                Ok(waiting) => waiting,
-                Err(StoreError::Closed) => return Err(StoreError::Closed),
-                Err(error) => {
-                    tracing::error!(%error, "the spool cannot be read; it is tried again");
-                    self.pause().await;
-                    return Ok(());
-                }
-            };
-            if waiting.is_empty() {
-                return Ok(());
+        match self.store.reader().pending(ThrowRow::START, BATCH).await {
+            Ok(waiting) if waiting.is_empty() => Ok(false),
+            Ok(waiting) => self.judge(waiting).await.map(|()| true),
+            Err(StoreError::Closed) => Err(StoreError::Closed),
+            Err(error) => {
+                tracing::error!(%error, "the spool cannot be read; it is tried again");
+                self.pause().await;
+                Ok(false)
             }
-            self.judge(waiting).await?;
         }
-        Ok(())
     }
 
     async fn judge(&mut self, waiting: Vec<StoredThrow>) -> Result<(), StoreError> {
@@ -251,12 +255,11 @@ impl Judge {
                 self.announce(&machine, &events);
             }
         }
-        for gap in self.ripe_gaps(now).await {
-            let lost = gap.last_no - gap.first_no + 1;
-            let (events, mut outcome) = self.fleet.gap(&gap.machine, lost, now, &config.diagnosis);
-            outcome.told_gaps.push(gap.row);
-            if self.record(&gap.machine, outcome, now).await? {
-                self.announce(&gap.machine, &events);
+        for (machine, (lost, rows)) in self.ripe_gaps(now).await {
+            let (events, mut outcome) = self.fleet.gap(&machine, lost, now, &config.diagnosis);
+            outcome.told_gaps = rows;
+            if self.record(&machine, outcome, now).await? {
+                self.announce(&machine, &events);
             }
         }
         Ok(())
@@ -295,17 +298,20 @@ impl Judge {
         }
     }
 
-    /// Gaps that nobody will fill any more, and that the monitors do not know of.
-    async fn ripe_gaps(&self, now: Timestamp) -> Vec<Gap> {
-        let gaps = match self.store.reader().untold_gaps(GAPS).await {
-            Ok(gaps) => gaps,
-            Err(error) => {
-                tracing::warn!(%error, "gaps cannot be read; they are looked at again");
-                return Vec::new();
-            }
-        };
-        let ripe = |gap: &Gap| now.duration_since(gap.detected_at).abs() >= GAP_GRACE;
-        gaps.into_iter().filter(ripe).collect()
+    /// Gaps that nobody will fill any more, and that the monitors do not know of: of each machine the number of throws
+    /// that are missing, and the rows.
+    async fn ripe_gaps(&self, now: Timestamp) -> HashMap<MachineId, (u64, Vec<GapRow>)> {
+        let mut ripe = HashMap::<_, (u64, Vec<_>)>::new();
+        let gaps = self.store.reader().untold_gaps(GAPS).await.unwrap_or_else(|error| {
+            tracing::warn!(%error, "gaps cannot be read; they are looked at again");
+            Vec::new()
+        });
+        for gap in gaps.into_iter().filter(|gap| now.duration_since(gap.detected_at).abs() >= GAP_GRACE) {
+            let (lost, rows) = ripe.entry(gap.machine).or_default();
+            *lost = lost.saturating_add(gap.last_no - gap.first_no + 1);
+            rows.push(gap.row);
+        }
+        ripe
     }
 
     async fn obey(&mut self, order: Order) -> Result<(), StoreError> {

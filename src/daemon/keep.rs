@@ -13,23 +13,29 @@ use crate::store::{Housekeeping, Store, StoreError};
 
 /// How often. Between two rounds a full cabinet stores a megabyte, far less than the ballast.
 const PACE: Duration = Duration::from_secs(10);
-/// systemd-timesyncd makes this file when the clock was set from a time server. Without it age drops nothing; bytes and
-/// rows still do.
+/// systemd-timesyncd makes this file when the clock was set from a time server. Other time services leave no trace that a
+/// process without privileges could see: the kernel's own word needs a system call that the unit forbids.
 const CLOCK_IS_SET: &str = "/run/systemd/timesync/synchronized";
+/// Without that file the clock is believed while it continues the database's own time: longer than this between the
+/// newest throw and the start, or in one jump, may be a clock that is wrong. Then age drops nothing; bytes and rows
+/// still do.
+const CONTINUES: SignedDuration = SignedDuration::from_hours(31 * 24);
 /// The wall clock must have kept in step with the monotonic one for so long, or age drops nothing either: a clock that
 /// jumps ten years ahead must not take all traces with it.
 const STEADY: Duration = Duration::from_hours(24);
 /// More than this between two rounds is a jump; a time server moves a running clock by milliseconds.
 const JUMP: SignedDuration = SignedDuration::from_secs(1);
 
-pub(super) async fn run(store: Store) {
+/// Runs until the store is closed. `last_heard`: the newest time in the database.
+pub(super) async fn run(store: Store, last_heard: Option<Timestamp>) {
     let mut pace = time::interval(PACE);
     pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut clocks = Clocks::new(clock::now(), clock::monotonic());
+    let mut clocks = Clocks::new(clock::now(), clock::monotonic(), last_heard);
     loop {
         pace.tick().await;
         let now = clock::now();
-        let clock_trusted = clocks.are_steady(now, clock::monotonic()) && Path::new(CLOCK_IS_SET).exists();
+        let is_steady = clocks.are_steady(now, clock::monotonic());
+        let clock_trusted = is_steady && (clocks.continue_time || Path::new(CLOCK_IS_SET).exists());
         match store.keep_house(now, clock_trusted).await {
             Ok(Housekeeping { traces: 0, throws: 0, alarms: 0, messages: 0 }) => {}
             Ok(Housekeeping { traces, throws, alarms, messages }) => {
@@ -53,18 +59,23 @@ struct Clocks {
     monotonic: Instant,
     /// Since when they have kept in step.
     since: Instant,
+    /// Whether the wall clock goes on from the times in the database.
+    continue_time: bool,
 }
 
 impl Clocks {
-    fn new(wall: Timestamp, monotonic: Instant) -> Self {
-        Self { wall, monotonic, since: monotonic }
+    fn new(wall: Timestamp, monotonic: Instant, last_heard: Option<Timestamp>) -> Self {
+        let continue_time = last_heard.is_none_or(|last| wall.duration_since(last) <= CONTINUES);
+        Self { wall, monotonic, since: monotonic, continue_time }
     }
 
     /// Whether they have kept in step for long enough, up to now.
     fn are_steady(&mut self, wall: Timestamp, monotonic: Instant) -> bool {
         let passed = SignedDuration::try_from(monotonic.duration_since(self.monotonic)).unwrap_or(SignedDuration::MAX);
-        if wall.duration_since(self.wall).saturating_sub(passed).abs() > JUMP {
+        let jump = wall.duration_since(self.wall).saturating_sub(passed);
+        if jump.abs() > JUMP {
             self.since = monotonic;
+            self.continue_time &= jump <= CONTINUES;
         }
         (self.wall, self.monotonic) = (wall, monotonic);
         monotonic.duration_since(self.since) >= STEADY
@@ -79,7 +90,7 @@ mod tests {
     fn a_day(wall: impl Fn(i64) -> i64) -> Vec<bool> {
         let start = clock::monotonic();
         let at = |seconds| Timestamp::UNIX_EPOCH + SignedDuration::from_secs(seconds);
-        let mut clocks = Clocks::new(at(wall(0)), start);
+        let mut clocks = Clocks::new(at(wall(0)), start, None);
         (0..=8641u32).map(|round| clocks.are_steady(at(wall(round.into())), start + round * PACE)).collect()
     }
 
@@ -93,5 +104,20 @@ mod tests {
         }
         // A clock that is slewed by 500 ppm is not one that jumps.
         assert!(a_day(|round| 10 * round + round / 200).contains(&true));
+    }
+
+    #[test]
+    fn a_clock_that_does_not_go_on_from_the_newest_throw_is_not_believed() {
+        let (start, now) = (clock::monotonic(), Timestamp::UNIX_EPOCH + SignedDuration::from_hours(24 * 20_000));
+        let days = |days: i64| SignedDuration::from_hours(24 * days);
+        let continues = |last_heard| Clocks::new(now, start, last_heard).continue_time;
+        assert!(continues(None) && continues(Some(now - days(30))) && continues(Some(now + days(3650))));
+        assert!(!continues(Some(now - days(32))) && !continues(Some(now - days(3650))));
+
+        for (jump, believed) in [(-3650, true), (1, true), (32, false), (3650, false)] {
+            let mut clocks = Clocks::new(now, start, Some(now));
+            clocks.are_steady(now + days(jump), start);
+            assert_eq!(clocks.continue_time, believed, "after a jump of {jump} days");
+        }
     }
 }

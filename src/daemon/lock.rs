@@ -15,7 +15,7 @@ pub enum LockError {
         database: PathBuf,
     },
     /// The lock file cannot be used.
-    #[error("cannot use the lock file {}: {source}", path.display())]
+    #[error("cannot use the lock file {} beside the database: may this user write to its folder?", path.display())]
     File {
         /// The lock file.
         path: PathBuf,

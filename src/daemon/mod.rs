@@ -127,6 +127,7 @@ impl Daemon {
         let (alive_loggers, loggers) = watch::channel(HashSet::new());
 
         let fleet = Fleet::restore(store.reader().monitors().await?);
+        let last_heard = store.reader().last_heard().await?;
         let machines = store.reader().machines().await?.into_iter().collect();
         let judge = Judge {
             store: store.clone(),
@@ -160,7 +161,7 @@ impl Daemon {
         answer_questions(&config, &session, &store, &tasks, orders).await?;
         let tokens = PresenceWatch::subscribe(&session, &config.scope.key_expression(Kind::Alive)).await?;
         tasks.spawn("presence", presence::run(tokens, Arc::clone(&status), alive_loggers));
-        tasks.spawn("keep house", keep::run(store.clone()));
+        tasks.spawn("keep house", keep::run(store.clone(), last_heard));
 
         let limits = Limits {
             max_payload_bytes: config.subscribe.max_payload_bytes,
@@ -181,6 +182,7 @@ impl Daemon {
             machines,
             max_machines: config.subscribe.max_machines,
             max_payload_bytes: config.subscribe.max_payload_bytes,
+            itself: config.monitor.as_machine(),
             give_up: stops.give_up.clone(),
         };
         let receive = tasks.spawn("receive", receiver.run(stops.receive.clone()));

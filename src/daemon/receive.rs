@@ -13,26 +13,20 @@ use tokio_util::sync::CancellationToken;
 use super::{clock, heartbeat::Organ, status::Status};
 use crate::{
     bus::{Inbox, Message},
-    store::{Spooled, Store, StoreError},
+    store::{QUARANTINED_BYTES, Refused, Spooled, Store, StoreError},
     throw::{MachineId, Throw},
-    wire::{self, Encoding, Kind},
+    wire::{self, Encoding},
 };
 
-/// Messages that are decoded and stored together; the store commits in groups of this size.
-const BATCH: usize = 64;
+/// Messages that are taken together. Many, because all that must be refused of them costs the disk one sync: a flood of
+/// bad messages must not hold good ones up.
+const BATCH: usize = 1_024;
 /// First pause after a failed write; doubled up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
 /// A disk that was freed is noticed within this time.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
 type Received = (MachineId, Throw, jiff::Timestamp);
-
-/// A message that cannot be taken.
-struct Refused {
-    key: String,
-    payload: Vec<u8>,
-    reason: String,
-}
 
 /// The loop that receives.
 pub(super) struct Receiver {
@@ -45,6 +39,8 @@ pub(super) struct Receiver {
     pub(super) machines: HashSet<MachineId>,
     pub(super) max_machines: usize,
     pub(super) max_payload_bytes: usize,
+    /// The name under which the daemon's own alarms stand: no machine may speak under it.
+    pub(super) itself: MachineId,
     /// The daemon must end now: what could not be stored until then is lost, and said to be.
     pub(super) give_up: CancellationToken,
 }
@@ -78,7 +74,7 @@ impl Receiver {
     }
 
     async fn take(&mut self, batch: Vec<Message>) {
-        let limit = self.max_payload_bytes;
+        let (limit, count) = (self.max_payload_bytes, batch.len() as u64);
         // Decoding a large message takes milliseconds, which an async worker must not spend.
         let decoded = task::spawn_blocking(move || {
             let received_at = clock::now();
@@ -87,36 +83,36 @@ impl Receiver {
         let decoded = match decoded.await {
             Ok(decoded) => decoded,
             Err(error) => {
-                tracing::error!(%error, "decoding failed: a batch of messages is lost");
-                self.status.lost.fetch_add(1, Relaxed);
+                tracing::error!(%error, messages = count, "decoding failed: a batch of messages is LOST");
+                self.status.lost.fetch_add(count, Relaxed);
                 return;
             }
         };
-        let mut throws = Vec::with_capacity(decoded.len());
+        let (mut throws, mut refused) = (Vec::with_capacity(decoded.len()), Vec::new());
         for outcome in decoded {
-            match outcome {
-                Ok(received) if self.admits(&received.0) => throws.push(received),
-                Ok((machine, throw, _)) => {
-                    let reason = format!("more than {} machines: raise subscribe.max_machines", self.max_machines);
-                    let key = wire::machine_key(&machine, Kind::Throw);
-                    let payload = wire::encode_throw(Encoding::Cbor, &throw);
-                    self.quarantine(Refused { key, payload, reason }).await;
-                }
-                Err(refused) => self.quarantine(refused).await,
+            match outcome.and_then(|received| self.admit(received)) {
+                Ok(received) => throws.push(received),
+                Err(why) => refused.push(why),
             }
         }
+        self.quarantine(refused).await;
         self.spool(throws).await;
     }
 
-    fn admits(&mut self, machine: &MachineId) -> bool {
-        if self.machines.contains(machine) {
-            return true;
+    /// Lets a throw pass whose machine is known or may become so.
+    fn admit(&mut self, (machine, throw, received_at): Received) -> Result<Received, Refused> {
+        if self.machines.contains(&machine) {
+            return Ok((machine, throw, received_at));
         }
-        let room = self.machines.len() < self.max_machines;
-        if room {
+        let reason = if machine == self.itself {
+            "this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned()
+        } else if self.machines.len() >= self.max_machines {
+            format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
+        } else {
             self.machines.insert(machine.clone());
-        }
-        room
+            return Ok((machine, throw, received_at));
+        };
+        Err(Refused::throw(&machine, &throw, reason, received_at))
     }
 
     /// Stores throws; tries again what fails.
@@ -195,11 +191,9 @@ impl Receiver {
             match self.store.spool(&received.0, &received.1, received.2).await {
                 Ok(spooled) => self.count(spooled),
                 Err(error @ (StoreError::Write(_) | StoreError::ThrowNumber(_))) => {
-                    let key = wire::machine_key(&received.0, Kind::Throw);
-                    let payload = wire::encode_throw(Encoding::Cbor, &received.1);
                     let reason = format!("the database does not take it: {error}");
-                    let noted = self.store.quarantine(&key, &payload, &reason, clock::now()).await;
-                    match noted {
+                    let refused = Refused::throw(&received.0, &received.1, reason, received.2);
+                    match self.store.quarantine(vec![refused]).await {
                         Ok(()) => drop(self.status.quarantined.fetch_add(1, Relaxed)),
                         Err(_) => storable.push(received),
                     }
@@ -210,14 +204,16 @@ impl Receiver {
         storable
     }
 
-    async fn quarantine(&self, refused: Refused) {
-        let Refused { key, payload, reason } = refused;
-        tracing::warn!(key, reason, bytes = payload.len(), "a message goes to quarantine");
-        match self.store.quarantine(&key, &payload, &reason, clock::now()).await {
-            Ok(()) => self.status.quarantined.fetch_add(1, Relaxed),
+    async fn quarantine(&self, refused: Vec<Refused>) {
+        let Some(Refused { key, reason, bytes, .. }) = refused.first().cloned() else { return };
+        // One line for all of them, or a flood of messages becomes one of the log.
+        let count = refused.len() as u64;
+        tracing::warn!(key, reason, bytes, and_others = count - 1, "a message goes to quarantine");
+        match self.store.quarantine(refused).await {
+            Ok(()) => self.status.quarantined.fetch_add(count, Relaxed),
             Err(error) => {
-                tracing::error!(%error, key, reason, "a message could not even be put in quarantine");
-                self.status.lost.fetch_add(1, Relaxed)
+                tracing::error!(%error, messages = count, "messages could not even be put in quarantine");
+                self.status.lost.fetch_add(count, Relaxed)
             }
         };
     }
@@ -230,13 +226,14 @@ fn decode(message: Message, received_at: jiff::Timestamp, limit: usize) -> Resul
     } else {
         match wire::parse_key(&key) {
             Ok((machine, _)) => wire::decode_throw(Encoding::of(&content_type, &payload), &payload)
-                .map(|throw| (machine, throw))
+                .map(|throw| (machine, throw, received_at))
                 .map_err(|error| error.to_string()),
             Err(error) => Err(error.to_string()),
         }
     };
-    match read {
-        Ok((machine, throw)) => Ok((machine, throw, received_at)),
-        Err(reason) => Err(Refused { key, payload, reason }),
-    }
+    read.map_err(|reason| {
+        let mut beginning = payload;
+        beginning.truncate(QUARANTINED_BYTES);
+        Refused { key, reason, bytes, beginning, at: received_at }
+    })
 }

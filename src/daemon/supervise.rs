@@ -28,6 +28,8 @@ const LEAVE_LIMIT: Duration = Duration::from_millis(700);
 const PUBLISH_LIMIT: Duration = Duration::from_secs(1);
 /// Closing the session.
 const SESSION_LIMIT: Duration = Duration::from_secs(1);
+/// Closing the database, which may copy its whole log: a disk that hangs must not keep the process.
+const CLOSE_LIMIT: Duration = Duration::from_secs(10);
 
 /// How often systemd is asked for more time while the daemon starts, for how long each time, and how often at most:
 /// after an hour something hangs that a restart may mend.
@@ -93,7 +95,7 @@ impl Tasks {
 
 impl Daemon {
     /// Stops in the order of the throws: takes in what has arrived, judges and publishes what it can in a few
-    /// seconds, closes the session and the database. Ends within 10 s, whatever hangs.
+    /// seconds, closes the session and the database. Ends within 20 s, whatever hangs.
     ///
     /// # Errors
     /// When the database could not be closed in good order; nothing acknowledged is lost.
@@ -126,7 +128,8 @@ impl Daemon {
             Ok(Err(error)) => tracing::warn!(%error, "the zenoh session was not closed in good order"),
             Err(_) => tracing::warn!("the zenoh session takes too long to close"),
         }
-        let closed = store.close().await;
+        // What is committed is durable, closed or not: the next start checks it.
+        let closed = time::timeout(CLOSE_LIMIT, store.close()).await.unwrap_or(Err(StoreError::CloseTimeout));
         drop(lock);
         closed
     }

@@ -13,6 +13,14 @@ pub enum StoreError {
         /// Why.
         source: Box<sqlx::Error>,
     },
+    /// The file belongs to another program.
+    #[error("{} is the database of another program (it has the table {table}): name another file in store.path", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// One of its tables.
+        table: String,
+    },
     /// The schema cannot be brought up to date.
     #[error("cannot bring the schema of {} up to date: {source}", path.display())]
     Migrate {
@@ -34,6 +42,11 @@ pub enum StoreError {
     /// A query took longer than [`Reader::TIME_LIMIT`](super::Reader::TIME_LIMIT).
     #[error("reading the database took too long and was given up")]
     ReadTimeout,
+    /// The files were not closed in time.
+    #[error(
+        "the database takes too long to close: does its disk hang? Nothing acknowledged is lost; the next start checks it"
+    )]
+    CloseTimeout,
     /// The content of the file is broken.
     #[error("the database is broken; the next start sets it aside and begins a fresh one")]
     Broken,

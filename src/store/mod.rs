@@ -32,7 +32,7 @@ pub use housekeeping::Housekeeping;
 pub use judge::{AlarmRecord, BaselineRecord, Judgement, Message, Outcome};
 pub use open::{Found, Report};
 pub use outside::{Backup, Value, ask};
-pub use quarantine::QUARANTINED_BYTES;
+pub use quarantine::{QUARANTINED_BYTES, Refused};
 pub use reader::{AlarmRow, Gap, HealthRow, OutboxRow, Quarantined, Reader, Selector, StoredThrow};
 pub use settings::{OutOfRange, Settings, Synchronous};
 pub use spool::{GapKind, GapRow, Spooled, ThrowRow};
@@ -119,8 +119,11 @@ impl Store {
         throw: &Throw,
         received_at: Timestamp,
     ) -> Result<Spooled, StoreError> {
-        let answer = self.submit(machine, throw, received_at).await?;
-        self.spooled(answer, machine, throw, received_at).await
+        let spooled = self.submit(machine, throw, received_at).await?.await.map_err(|_| StoreError::Closed)??;
+        if spooled == (Spooled::Duplicate { differs: true }) {
+            self.quarantine(vec![contradiction(machine, throw, received_at)]).await?;
+        }
+        Ok(spooled)
     }
 
     /// Stores several throws in as few commits as possible; the answers are in their order.
@@ -130,11 +133,25 @@ impl Store {
             submitted.push(self.submit(machine, throw, *received_at).await);
         }
         let mut answers = Vec::with_capacity(throws.len());
-        for (answer, (machine, throw, received_at)) in submitted.into_iter().zip(throws) {
-            answers.push(match answer {
-                Ok(answer) => self.spooled(answer, machine, throw, *received_at).await,
+        let mut contradictions = Vec::new();
+        for (submitted, (machine, throw, received_at)) in submitted.into_iter().zip(throws) {
+            let answer = match submitted {
+                Ok(answer) => answer.await.unwrap_or(Err(StoreError::Closed)),
                 Err(error) => Err(error),
-            });
+            };
+            if let Ok(Spooled::Duplicate { differs: true }) = answer {
+                contradictions.push(contradiction(machine, throw, *received_at));
+            }
+            answers.push(answer);
+        }
+        if !contradictions.is_empty()
+            && let Err(error) = self.quarantine(contradictions).await
+        {
+            for answer in &mut answers {
+                if let Ok(Spooled::Duplicate { differs: true }) = answer {
+                    *answer = Err(StoreError::Write(error.to_string()));
+                }
+            }
         }
         answers
     }
@@ -149,28 +166,6 @@ impl Store {
         let room = Arc::clone(&self.room).acquire_many_owned(write.kib());
         write.room = Some(room.await.map_err(|_| StoreError::Closed)?);
         self.writer.submit(write).await
-    }
-
-    async fn spooled(
-        &self,
-        answer: Answer<Spooled>,
-        machine: &MachineId,
-        throw: &Throw,
-        received_at: Timestamp,
-    ) -> Result<Spooled, StoreError> {
-        let spooled = answer.await.map_err(|_| StoreError::Closed)??;
-        if spooled == (Spooled::Duplicate { differs: true }) {
-            self.note_contradiction(machine, throw, received_at).await?;
-        }
-        Ok(spooled)
-    }
-
-    async fn note_contradiction(&self, machine: &MachineId, throw: &Throw, at: Timestamp) -> Result<(), StoreError> {
-        let reason = format!(
-            "throw_no {} of boot {:?} was stored before with another content; this one is not kept",
-            throw.id.throw_no, throw.id.boot_id
-        );
-        self.quarantine(&machine.to_string(), &[], &reason, at).await
     }
 
     /// Stores a judgement: estimate, monitor, baselines, alarms and messages, all or nothing. Returns false when the
@@ -199,31 +194,6 @@ impl Store {
         self.writer.write(judge::Record { machine: machine.clone(), at_us: at.as_microsecond(), outcome }).await
     }
 
-    /// Records that throws `first_no` to `last_no` are missing. Numbers that are stored, or known to be missing,
-    /// change nothing.
-    ///
-    /// # Errors
-    /// When it could not be stored, or a number is out of range.
-    pub async fn record_gap(
-        &self,
-        machine: &MachineId,
-        boot_id: &str,
-        (first_no, last_no): (u64, u64),
-        kind: GapKind,
-        at: Timestamp,
-    ) -> Result<(), StoreError> {
-        let number = |no: u64| i64::try_from(no).map_err(|_| StoreError::ThrowNumber(no));
-        let gap = spool::RecordGap {
-            machine: machine.clone(),
-            boot_id: boot_id.to_owned(),
-            first_no: number(first_no)?,
-            last_no: number(last_no)?,
-            kind,
-            at_us: at.as_microsecond(),
-        };
-        self.writer.write(gap).await
-    }
-
     /// Forgets messages that zenoh took.
     ///
     /// # Errors
@@ -232,12 +202,12 @@ impl Store {
         self.writer.write(quarantine::Sent(rows.to_vec())).await
     }
 
-    /// Keeps the beginning of a message that could not be taken, with the reason.
+    /// Keeps the beginnings of messages that could not be taken, each with its reason, in one commit.
     ///
     /// # Errors
-    /// When it could not be stored.
-    pub async fn quarantine(&self, key: &str, payload: &[u8], reason: &str, at: Timestamp) -> Result<(), StoreError> {
-        self.writer.write(quarantine::Quarantine::new(key, payload, reason, at, self.settings.max_quarantined)).await
+    /// When they could not be stored.
+    pub async fn quarantine(&self, refused: Vec<Refused>) -> Result<(), StoreError> {
+        self.writer.write(quarantine::Quarantine { refused, keep: self.settings.max_quarantined }).await
     }
 
     /// Resolves when the writer is gone, after [`close`](Self::close) or because it died, or when the file turned out
@@ -259,4 +229,13 @@ impl Store {
         self.reader.close().await;
         self.writer.close().await
     }
+}
+
+/// A throw under the number of another one that is stored: the logger counts wrongly.
+fn contradiction(machine: &MachineId, throw: &Throw, at: Timestamp) -> Refused {
+    let reason = format!(
+        "throw_no {} of boot {:?} was stored before with another content; this one is not kept",
+        throw.id.throw_no, throw.id.boot_id
+    );
+    Refused::throw(machine, throw, reason, at)
 }

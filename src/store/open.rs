@@ -90,6 +90,17 @@ pub(super) async fn open(
     now: Timestamp,
 ) -> Result<(SqliteConnection, Report), StoreError> {
     place.clear_leftovers()?;
+    if let Some(table) = foreign_table(place).await {
+        return Err(StoreError::Foreign { path: settings.path.clone(), table });
+    }
+    if place.is_fresh() && place.log_bytes() > 0 {
+        // SQLite would delete it, and with it what was committed last.
+        let why = "the database is gone, and its write-ahead log is still there".to_owned();
+        let to = place.set_log_aside(now)?;
+        tracing::error!(to = %to.display(), %why, "the log was set aside; a fresh database begins");
+        let (connection, report) = prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
+        return Ok((connection, Report { found: Found::SetAside { to, why }, ..report }));
+    }
     match prepare(settings, disk, place.is_fresh()).await {
         Err(Trouble::Broken(why)) => {
             let to = place.set_aside(now)?;
@@ -99,6 +110,19 @@ pub(super) async fn open(
         }
         outcome => outcome.map_err(|trouble| trouble.told(settings)),
     }
+}
+
+/// A table by which the file is the database of another program, which must not be written to. What cannot be read here
+/// is looked into when it is opened for writing.
+async fn foreign_table(place: &Place) -> Option<String> {
+    if place.is_fresh() {
+        return None;
+    }
+    let mut connection = SqliteConnection::connect_with(&reading(place.path())).await.ok()?;
+    let table = sqlx::query_scalar(sql::FOREIGN_TABLE).fetch_optional(&mut connection).await.ok()?;
+    // It was read; how the file is let go changes nothing.
+    let _ = connection.close().await;
+    table
 }
 
 enum Trouble {

@@ -108,22 +108,29 @@ impl Place {
         (1..=2).filter(|&number| number != current).try_for_each(|number| remove(&self.number(number)))
     }
 
-    /// Renames the database with its log, under a name that is not taken.
-    pub(super) fn set_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
-        let file = self.file();
+    /// A name for what is set aside that is not taken.
+    fn aside(&self, now: Timestamp) -> PathBuf {
         let stamp = now.strftime("%Y%m%dT%H%M%SZ");
         let mut to = beside(&self.path, &format!("{BROKEN}{stamp}"));
         while to.exists() {
             to = beside(&to, "-again");
         }
+        to
+    }
+
+    /// Renames a log that has no database any more.
+    pub(super) fn set_log_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
+        // Not `-wal`: it would look like the log of a database that was set aside too.
+        let to = beside(&self.aside(now), "-log");
+        rename(&beside(&self.file(), "-wal"), &to)?;
+        Ok(to)
+    }
+
+    /// Renames the database with its log.
+    pub(super) fn set_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
+        let (file, to) = (self.file(), self.aside(now));
         for suffix in SUFFIXES {
-            let (from, to) = (beside(&file, suffix), beside(&to, suffix));
-            match std::fs::rename(&from, &to) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                    return Err(StoreError::File { action: "rename", path: from, source: error });
-                }
-                _ => {}
-            }
+            rename(&beside(&file, suffix), &beside(&to, suffix))?;
         }
         if self.path.is_symlink() {
             remove_one(&self.path)?;
@@ -145,6 +152,16 @@ impl Place {
     fn sync_folder(&self) -> io::Result<()> {
         let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         File::open(folder)?.sync_all()
+    }
+}
+
+/// Renames a file, if it is there.
+fn rename(from: &Path, to: &Path) -> Result<(), StoreError> {
+    match std::fs::rename(from, to) {
+        Err(source) if source.kind() != io::ErrorKind::NotFound => {
+            Err(StoreError::File { action: "rename", path: from.to_owned(), source })
+        }
+        _ => Ok(()),
     }
 }
 

@@ -4,49 +4,67 @@ use jiff::Timestamp;
 use sqlx::SqliteConnection;
 
 use super::{spool::count, statements as sql, writer::Write};
+use crate::{
+    throw::{MachineId, Throw},
+    wire::{Encoding, Kind, encode_throw, machine_key},
+};
 
 /// Longest beginning of a message that is kept \[bytes\]: enough to recognise its format and sender.
 pub const QUARANTINED_BYTES: usize = 1024;
+/// Most that are kept of one commit, the newest: a flood is known by a sample of it.
+const SAMPLE: usize = 256;
 /// Longest key and reason that are kept \[characters\].
 const TEXT: usize = 512;
 
 /// A message that could not be taken.
-pub(super) struct Quarantine {
-    key: String,
-    reason: String,
-    payload_bytes: i64,
-    payload_start: Vec<u8>,
-    at_us: i64,
-    keep: u32,
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refused {
+    /// On which key it came.
+    pub key: String,
+    /// What is wrong with it.
+    pub reason: String,
+    /// The size of the whole message \[bytes\].
+    pub bytes: usize,
+    /// The message or its beginning; what is longer than [`QUARANTINED_BYTES`] is cut off.
+    pub beginning: Vec<u8>,
+    /// When it came.
+    pub at: Timestamp,
 }
 
-impl Quarantine {
-    pub(super) fn new(key: &str, payload: &[u8], reason: &str, at: Timestamp, keep: u32) -> Self {
-        Self {
-            key: key.chars().take(TEXT).collect(),
-            reason: reason.chars().take(TEXT).collect(),
-            payload_bytes: i64::try_from(payload.len()).unwrap_or(i64::MAX),
-            payload_start: payload[..payload.len().min(QUARANTINED_BYTES)].to_vec(),
-            at_us: at.as_microsecond(),
-            keep,
-        }
+impl Refused {
+    /// A throw that can be read and is not kept.
+    #[must_use]
+    pub fn throw(machine: &MachineId, throw: &Throw, reason: String, at: Timestamp) -> Self {
+        let beginning = encode_throw(Encoding::Cbor, throw);
+        Self { key: machine_key(machine, Kind::Throw), reason, bytes: beginning.len(), beginning, at }
     }
+}
+
+/// Messages that could not be taken, in the order in which they came.
+pub(super) struct Quarantine {
+    pub(super) refused: Vec<Refused>,
+    /// Most messages that are kept, the newest.
+    pub(super) keep: u32,
 }
 
 impl Write for Quarantine {
     type Output = ();
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
-        sqlx::query(sql::ADD_QUARANTINE)
-            .bind(self.at_us)
-            .bind(&self.key)
-            .bind(&self.reason)
-            .bind(self.payload_bytes)
-            .bind(&self.payload_start)
-            .execute(&mut *connection)
-            .await?;
+        let kept = self.refused.len().min(self.keep as usize).min(SAMPLE);
+        for refused in &self.refused[self.refused.len() - kept..] {
+            let short = |text: &str| text.chars().take(TEXT).collect::<String>();
+            sqlx::query(sql::ADD_QUARANTINE)
+                .bind(refused.at.as_microsecond())
+                .bind(short(&refused.key))
+                .bind(short(&refused.reason))
+                .bind(i64::try_from(refused.bytes).unwrap_or(i64::MAX))
+                .bind(&refused.beginning[..refused.beginning.len().min(QUARANTINED_BYTES)])
+                .execute(&mut *connection)
+                .await?;
+        }
         sqlx::query(sql::TRIM_QUARANTINE).bind(self.keep).execute(&mut *connection).await?;
-        count(connection, "quarantined_messages", 1).await
+        count(connection, "quarantined_messages", i64::try_from(self.refused.len()).unwrap_or(i64::MAX)).await
     }
 }
 

@@ -13,6 +13,7 @@ use sqlx::{
     query::QueryAs,
     sqlite::{SqliteArguments, SqlitePoolOptions, SqliteRow},
 };
+use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
 
 use super::{
@@ -24,8 +25,12 @@ use super::{
 };
 use crate::throw::{Direction, MachineId, Name, Throw, ThrowRef, Trace};
 
-/// Connections for reading. They never wait for the writer, nor it for them.
+/// Connections for the daemon's own reading. They never wait for the writer, nor it for them.
 const CONNECTIONS: u32 = 2;
+/// Connections for questions from outside, of which no more are answered at once.
+const QUESTIONS: u32 = 3;
+/// Steps of SQLite's machine between two looks at the clock: some milliseconds.
+const STEPS: i32 = 100_000;
 
 /// Which machines a query is about; `None` means all.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -161,9 +166,16 @@ pub struct Quarantined {
 #[derive(Debug, Clone)]
 pub struct Reader {
     /// Replaced when the database moves to another file.
-    pool: Arc<RwLock<SqlitePool>>,
+    pools: Arc<RwLock<Pools>>,
     /// Cancelled when a query finds the content of the file broken.
     broken: CancellationToken,
+}
+
+/// Questions from outside have connections of their own: whoever asks much must not hold the pipeline up.
+#[derive(Debug, Clone)]
+struct Pools {
+    own: SqlitePool,
+    questions: SqlitePool,
 }
 
 impl Reader {
@@ -175,26 +187,28 @@ impl Reader {
     /// # Errors
     /// When there is no database, or it cannot be read.
     pub async fn open(path: &Path) -> Result<Self, StoreError> {
-        let pool = connect(path)
+        let pools = Pools::connect(path)
             .await
             .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
-        Ok(Self { pool: Arc::new(RwLock::new(pool)), broken: CancellationToken::new() })
+        Ok(Self { pools: Arc::new(RwLock::new(pools)), broken: CancellationToken::new() })
     }
 
     pub(super) async fn close(&self) {
-        self.pool().close().await;
+        let Pools { own, questions } = self.pools();
+        own.close().await;
+        questions.close().await;
     }
 
     /// Reads the file that `path` leads to now. Queries that run keep the old one to their end: it is not closed but
     /// dropped, so that none of them fails.
     pub(super) async fn reopen(&self, path: &Path) -> sqlx::Result<()> {
-        let pool = connect(path).await?;
-        *self.pool.write().unwrap_or_else(PoisonError::into_inner) = pool;
+        let pools = Pools::connect(path).await?;
+        *self.pools.write().unwrap_or_else(PoisonError::into_inner) = pools;
         Ok(())
     }
 
     pub(super) async fn limited<T>(&self, query: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
-        let answer = tokio::time::timeout(Self::TIME_LIMIT, query).await.map_err(|_| StoreError::ReadTimeout)?;
+        let answer = timeout(Self::TIME_LIMIT, query).await.map_err(|_| StoreError::ReadTimeout)?;
         if let Err(error) = &answer
             && is_corrupt(error)
             && !self.broken.is_cancelled()
@@ -216,7 +230,11 @@ impl Reader {
     }
 
     pub(super) fn pool(&self) -> SqlitePool {
-        self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.pools().own
+    }
+
+    fn pools(&self) -> Pools {
+        self.pools.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     async fn rows<'q, Row, T>(
@@ -228,6 +246,26 @@ impl Reader {
         Row: Send + Unpin + for<'r> sqlx::FromRow<'r, SqliteRow>,
     {
         let rows = self.limited(query.fetch_all(&self.pool())).await?;
+        rows.into_iter().map(read).collect::<sqlx::Result<_>>().map_err(StoreError::read)
+    }
+
+    /// The rows of a question from outside. SQLite itself ends a query that takes too long: one that nobody waits for any
+    /// more would go on and keep its connection.
+    async fn asked<'q, Row, T>(
+        &self,
+        query: QueryAs<'q, Sqlite, Row, SqliteArguments>,
+        read: impl Fn(Row) -> sqlx::Result<T>,
+    ) -> Result<Vec<T>, StoreError>
+    where
+        Row: Send + Unpin + for<'r> sqlx::FromRow<'r, SqliteRow>,
+    {
+        let answer = async {
+            let mut connection = self.pools().questions.acquire().await?;
+            let end = Instant::now() + Self::TIME_LIMIT;
+            connection.lock_handle().await?.set_progress_handler(STEPS, move || Instant::now() < end);
+            query.fetch_all(&mut *connection).await
+        };
+        let rows = self.limited(answer).await?;
         rows.into_iter().map(read).collect::<sqlx::Result<_>>().map_err(StoreError::read)
     }
 
@@ -265,13 +303,22 @@ impl Reader {
         self.rows(sqlx::query_as(sql::MACHINES), read).await
     }
 
+    /// When the newest throw arrived.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn last_heard(&self) -> Result<Option<Timestamp>, StoreError> {
+        let at_us = self.limited(sqlx::query_scalar(sql::LAST_HEARD).fetch_optional(&self.pool())).await?;
+        Ok(at_us.map(timestamp))
+    }
+
     /// The latest health of each selected machine and direction.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn latest_health(&self, which: &Selector) -> Result<Vec<HealthRow>, StoreError> {
         let query = sqlx::query_as(sql::LATEST_HEALTH).bind(which.site()).bind(which.machine());
-        self.rows(query, HealthColumns::read).await
+        self.asked(query, HealthColumns::read).await
     }
 
     /// The newest `limit` rows of the health history that started at `since` or later, oldest first. 1970 and before
@@ -285,11 +332,13 @@ impl Reader {
         since: Timestamp,
         limit: u32,
     ) -> Result<Vec<HealthRow>, StoreError> {
-        let whenever = since <= Timestamp::UNIX_EPOCH;
-        let query = sqlx::query_as(if whenever { sql::NEWEST_HEALTH } else { sql::HEALTH_SINCE });
-        let query = query.bind(which.site()).bind(which.machine()).bind(limit);
-        let query = if whenever { query } else { query.bind(since.as_microsecond()) };
-        let mut rows = self.rows(query, HealthColumns::read).await?;
+        let since_us = if since <= Timestamp::UNIX_EPOCH { i64::MIN } else { since.as_microsecond() };
+        let query = if since_us == i64::MIN && *which == Selector::default() {
+            sqlx::query_as(sql::NEWEST_HEALTH).bind(limit)
+        } else {
+            sqlx::query_as(sql::HEALTH_SINCE).bind(limit).bind(which.site()).bind(which.machine()).bind(since_us)
+        };
+        let mut rows = self.asked(query, HealthColumns::read).await?;
         rows.reverse();
         Ok(rows)
     }
@@ -300,7 +349,7 @@ impl Reader {
     /// When the database cannot be read.
     pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<AlarmRow>, StoreError> {
         let query = sqlx::query_as(sql::OPEN_ALARMS).bind(which.site()).bind(which.machine());
-        self.rows(query, AlarmColumns::read).await
+        self.asked(query, AlarmColumns::read).await
     }
 
     /// The newest `limit` alarm events at `since` or later, oldest first.
@@ -314,7 +363,7 @@ impl Reader {
         limit: u32,
     ) -> Result<Vec<AlarmRow>, StoreError> {
         let query = sqlx::query_as(sql::ALARM_HISTORY).bind(which.site()).bind(which.machine());
-        let mut rows = self.rows(query.bind(since.as_microsecond()).bind(limit), AlarmColumns::read).await?;
+        let mut rows = self.asked(query.bind(since.as_microsecond()).bind(limit), AlarmColumns::read).await?;
         rows.reverse();
         Ok(rows)
     }
@@ -357,9 +406,13 @@ impl Reader {
     }
 }
 
-async fn connect(path: &Path) -> sqlx::Result<SqlitePool> {
-    let options = SqlitePoolOptions::new().max_connections(CONNECTIONS).max_lifetime(None).idle_timeout(None);
-    options.connect_with(open::reading(path)).await
+impl Pools {
+    async fn connect(path: &Path) -> sqlx::Result<Self> {
+        let options = SqlitePoolOptions::new().max_lifetime(None).idle_timeout(None);
+        let questions = options.clone().max_connections(QUESTIONS).connect_lazy_with(open::reading(path));
+        let own = options.max_connections(CONNECTIONS).connect_with(open::reading(path)).await?;
+        Ok(Self { own, questions })
+    }
 }
 
 fn decode_error(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::Error {

@@ -44,13 +44,11 @@ pub enum GapKind {
     Missed,
     /// The logger made them before this daemon first heard of the machine.
     BeforeFirstContact,
-    /// They came and could not be stored.
-    NotStored,
 }
 
 impl GapKind {
     /// All kinds.
-    pub const ALL: [Self; 3] = [Self::Missed, Self::BeforeFirstContact, Self::NotStored];
+    pub const ALL: [Self; 2] = [Self::Missed, Self::BeforeFirstContact];
 
     /// The word in the view `data_gaps`.
     #[must_use]
@@ -58,7 +56,6 @@ impl GapKind {
         match self {
             Self::Missed => "missed",
             Self::BeforeFirstContact => "before_first_contact",
-            Self::NotStored => "not_stored",
         }
     }
 }
@@ -219,33 +216,6 @@ impl Write for Spool {
             return Ok(Spooled::Duplicate { differs: false });
         }
         self.insert(connection, machine_row, boot.boot_row).await.map(Spooled::New)
-    }
-}
-
-/// Throw numbers that are known to be missing.
-pub(super) struct RecordGap {
-    pub(super) machine: MachineId,
-    pub(super) boot_id: String,
-    pub(super) first_no: i64,
-    pub(super) last_no: i64,
-    pub(super) kind: GapKind,
-    pub(super) at_us: i64,
-}
-
-impl Write for RecordGap {
-    type Output = ();
-
-    /// Only numbers above the highest known one are news: all others are stored or in a gap already.
-    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
-        let (machine_row, known) = machine_row(connection, &self.machine).await?;
-        let (boot_row, news_from) = if let Some(boot) = boot(connection, machine_row, &self.boot_id).await? {
-            (boot.boot_row, boot.highest_no.saturating_add(1))
-        } else {
-            let boot = NewBoot { machine_row, known, boot_id: &self.boot_id, at_us: self.at_us };
-            (boot.begin(connection, self.first_no).await?, self.first_no)
-        };
-        add_gap(connection, boot_row, (self.first_no.max(news_from), self.last_no), self.kind, self.at_us).await?;
-        set_highest(connection, boot_row, self.last_no).await
     }
 }
 

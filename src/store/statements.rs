@@ -11,6 +11,8 @@ macro_rules! statements {
 
 statements! {
     // Opening and closing.
+    FOREIGN_TABLE = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite@_%' ESCAPE '@' \
+        AND name <> '_sqlx_migrations' AND NOT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'trace') LIMIT 1";
     CLEAN = "SELECT clean FROM shutdown";
     SET_CLEAN = "UPDATE shutdown SET clean = ?1 WHERE clean <> ?1";
     COUNT = "INSERT INTO counter (name, value) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET value = value + ?2";
@@ -99,18 +101,20 @@ statements! {
     TRIM_COMMANDS = "DELETE FROM command WHERE command_row <= (SELECT max(command_row) FROM command) - ?1";
 
     // Health.
-    // The newest rows are at the end of the table; rows since a time are found by their machine and time.
+    // The newest rows are at the end of the table.
     NEWEST_HEALTH = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
         quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
         baseline_throws, baseline_needed, throws_since_baseline \
         FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) ORDER BY throw_row DESC LIMIT ?3";
+        ORDER BY throw_row DESC LIMIT ?1";
+    // Those of some machines, or since a time, are chosen in an index alone before their wide rows are read.
     HEALTH_SINCE = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
         quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
         baseline_throws, baseline_needed, throws_since_baseline \
         FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        WHERE throw.machine_row IN (SELECT machine_row FROM machine WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2)) \
-        AND started_at_us >= ?4 ORDER BY throw_row DESC LIMIT ?3";
+        WHERE throw_row IN (SELECT throw_row FROM throw \
+        WHERE machine_row IN (SELECT machine_row FROM machine WHERE (?2 IS NULL OR site = ?2) AND (?3 IS NULL OR machine = ?3)) \
+        AND started_at_us >= ?4 ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC";
     LATEST_HEALTH = "SELECT site, machine, boot_id, throw_no, started_at_us, way.direction AS direction, \
         quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
         baseline_throws, baseline_needed, throws_since_baseline \
@@ -128,6 +132,7 @@ statements! {
     TELL_GAP = "UPDATE gap SET told_at_us = ?2 WHERE gap_row = ?1";
 
     // Retention.
+    LAST_HEARD = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";
     OLDEST_TRACES = "SELECT throw_row FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT ?1";
     AGED_TRACES = "SELECT throw_row FROM trace JOIN throw USING (throw_row) \
         WHERE judged_at_us IS NOT NULL AND received_at_us < ?2 ORDER BY throw_row LIMIT ?1";

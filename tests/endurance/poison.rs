@@ -19,6 +19,7 @@ use pointsd::{
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
+use tokio::io::AsyncWriteExt;
 use zenoh::{Session, bytes::Encoding as ContentType, qos::CongestionControl};
 
 use crate::{
@@ -259,5 +260,39 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
     assert!(end.quarantined > messages as u64 / 3 && end.silent.is_empty(), "{end:?}");
     assert!(quarantined <= QUARANTINE, "{quarantined} messages in quarantine");
     assert!(most < MEMORY_MIB, "{most:.0} MiB");
+    assert!(daemon.terminate().success());
+}
+
+/// Links that are used once, sockets that say nothing, sockets that say noise.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn links_that_come_and_go_leave_no_memory_behind() {
+    const LINKS: u64 = 200;
+    const SOCKETS: usize = 2_000;
+    /// What the first links, and the memory that the allocator keeps, take \[MiB\].
+    const GROWTH_MIB: f64 = 24.0;
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let before = Usage::of(daemon.id()).rss_mib;
+    for throw_no in 1..=LINKS {
+        let session = daemon.client().await;
+        let publisher = matched(&session, GOOD).await;
+        publisher.put(wire::encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
+        session.close().await.unwrap();
+    }
+    let address = daemon.endpoint.trim_start_matches("tcp/");
+    let mut rng = ChaCha8Rng::seed_from_u64(15);
+    for number in 0..SOCKETS {
+        let mut socket = tokio::net::TcpStream::connect(address).await.unwrap();
+        if number % 2 == 0 {
+            let mut noise = [0; 100];
+            rng.fill_bytes(&mut noise);
+            // It may be closed already.
+            let _ = socket.write_all(&noise).await;
+        }
+    }
+    rig.judged(usize::try_from(LINKS).unwrap()).await;
+    let growth = Usage::of(daemon.id()).rss_mib - before;
+    println!("{LINKS} links and {SOCKETS} sockets: {growth:+.1} MiB");
+    assert!(growth < GROWTH_MIB, "{growth:.1} MiB");
     assert!(daemon.terminate().success());
 }

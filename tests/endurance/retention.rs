@@ -89,3 +89,32 @@ async fn bytes_are_bounded_and_estimates_outlive_their_traces() {
     assert!(kept.alarms > 0);
     assert!(daemon.terminate().success());
 }
+
+/// Three hundred alarms that came and went, with two events each, written by SQL: a machine needs weeks for that.
+const OLD_ALARMS: &str = "
+    INSERT INTO machine (site, machine) VALUES ('north', '21B');
+    INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
+    WITH RECURSIVE number (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM number WHERE n < 300)
+    SELECT 'north.21B.friction.' || n, 1, 'friction', n, 2, CASE n WHEN 1 THEN 'active_unacknowledged' ELSE 'normal' END FROM number;
+    INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, text, payload)
+    SELECT alarm_row, event_no, raised_at_us, 'warning', state, '', '{}'
+      FROM alarm, (SELECT 1 AS event_no UNION ALL SELECT 2)";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn closed_alarms_are_bounded_and_go_with_their_events_and_open_ones_stay() {
+    let rig = Rig::new().store("max_alarms = 100\nballast_mib = 0\nlow_disk_mib = 0\n");
+    assert!(rig.start().terminate().success());
+    for statement in OLD_ALARMS.split(';') {
+        rig.change(statement).await;
+    }
+    let daemon = rig.start();
+    daemon.until_log("dropped the oldest");
+    let left =
+        "SELECT count(*) AS alarms, min(alarm_row) AS oldest, (SELECT count(*) FROM alarm_event) AS events FROM alarm";
+    rig.until_sql(&format!("SELECT 1 FROM ({left}) WHERE alarms <= 101")).await;
+    let left = &rig.sql(left)[0];
+    assert_eq!((&left["alarms"], &left["oldest"], &left["events"]), (&101.into(), &1.into(), &202.into()), "{left}");
+    let oldest_closed = &rig.sql("SELECT min(alarm_row) AS oldest FROM alarm WHERE state = 'normal'")[0];
+    assert_eq!(oldest_closed["oldest"], 201);
+    assert!(daemon.terminate().success());
+}

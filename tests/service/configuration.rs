@@ -29,6 +29,18 @@ fn a_wrong_configuration_is_named_with_file_line_and_key() {
     assert_eq!(output.status.code(), Some(78));
 }
 
+/// Nothing of the file is changed, and a restart would not help.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_database_of_another_program_is_a_wrong_configuration() {
+    let rig = Rig::new();
+    fs::write(rig.database(), []).unwrap();
+    rig.change("CREATE TABLE users (name TEXT)").await;
+    let output = pointsd(&["run", "--config"]).arg(rig.config()).output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(78), "{error}");
+    assert!(error.contains("the database of another program") && error.contains("store.path"), "{error}");
+}
+
 #[test]
 fn a_wrong_fleet_is_named_too() {
     let folder = tempfile::tempdir().unwrap();

@@ -134,8 +134,10 @@ async fn a_machine_that_no_daemon_serves_is_told_apart_from_no_daemon() {
     let (code, said) = daemon.operate(&["ack", "south/21B", "kt", "--by", "tester"]);
     assert_eq!(code, Some(1), "{said}");
     assert!(said.contains("no machine south/21B is known here"), "{said}");
+    // Silence is not health.
     let (code, said) = daemon.operate(&["alarms", "north/21B"]);
-    assert_eq!((code, said.trim()), (Some(0), "no alarms"));
+    assert_eq!(code, Some(69), "{said}");
+    assert!(said.contains("no daemon knows north/21B"), "{said}");
     assert!(daemon.terminate().success());
 }
 
@@ -145,5 +147,22 @@ async fn sighup_takes_over_what_is_safe() {
     let daemon = rig.start();
     daemon.signal("-HUP");
     daemon.until_log("was read again");
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_alarms_is_not_said_of_a_machine_that_nobody_knows() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    logger(&daemon.endpoint, &["--machines", "1", "--throws", "2"]);
+    for (machine, code, says) in [
+        ("north/machine-1", 0, "no alarms"),
+        ("fleet/pointsd", 0, "no alarms"),
+        ("north/machine-7", 69, "no daemon knows north/machine-7"),
+    ] {
+        let (exit, text) = daemon.operate(&["alarms", machine]);
+        assert_eq!(exit, Some(code), "{machine}: {text}");
+        assert!(text.contains(says), "{machine}: {text}");
+    }
     assert!(daemon.terminate().success());
 }

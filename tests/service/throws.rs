@@ -102,6 +102,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     put(&session, KEY, ContentType::APPLICATION_CBOR, vec![0x9f; 50_000]).await;
     put(&session, KEY, ContentType::APPLICATION_CBOR, vec![b'x'; 2_000_000]).await;
     put(&session, "points/v1/north/no name!/throw", json(), good(1)).await;
+    put(&session, "points/v1/fleet/pointsd/throw", json(), good(1)).await;
     put(&session, "points/v1/north/second/throw", json(), good(1)).await;
     put(&session, "points/v1/north/third/throw", json(), good(1)).await;
     publisher.put(good(2)).await.unwrap();
@@ -110,18 +111,49 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     assert!(daemon.terminate().success());
     let reasons = rig.sql("SELECT reason FROM quarantine ORDER BY quarantine_row");
     let reasons: Vec<&str> = reasons.iter().map(|row| row["reason"].as_str().unwrap()).collect();
-    assert_eq!(reasons.len(), 5, "{reasons:?}");
+    assert_eq!(reasons.len(), 6, "{reasons:?}");
     let says = [
         "not a throw in JSON",
         "not valid CBOR",
         "2000000 bytes",
         "is no site or machine name",
+        "the name of pointsd itself",
         "more than 2 machines",
     ];
     for word in says {
         assert!(reasons.iter().any(|reason| reason.contains(word)), "{word}: {reasons:?}");
     }
-    assert!(status.contains("\"quarantined\":5"), "{status}");
+    assert!(status.contains("\"quarantined\":6"), "{status}");
+    let sizes =
+        rig.sql("SELECT payload_bytes, length(payload_start) AS kept FROM quarantine WHERE reason LIKE '2000000%'");
+    assert_eq!((&sizes[0]["payload_bytes"], &sizes[0]["kept"]), (&2_000_000.into(), &1024.into()));
+}
+
+/// Far more than the daemon takes in, as fast as one link carries it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_flood_from_one_sender_leaves_room_for_the_throws_of_others() {
+    const GOOD: u64 = 60;
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let (mad, sound) = (daemon.client().await, daemon.client().await);
+    let (flood, publisher) = (matched(&mad, "points/v1/north/mad/throw").await, matched(&sound, KEY).await);
+    for throw_no in 1..=GOOD {
+        for _ in 0..2_000 {
+            flood.put(vec![0xff; 40]).await.unwrap();
+        }
+        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
+    }
+    let rows = rig.judged(usize::try_from(GOOD).unwrap()).await;
+    assert!(rows.iter().map(|row| row.throw.throw_no).eq(1..=GOOD));
+    // What there was no room for is counted.
+    let sent = GOOD * 2_000 + GOOD;
+    let count = |status: &serde_json::Value, what: &str| status[what].as_u64().unwrap();
+    daemon
+        .until_status("everything is accounted for", |status| {
+            ["stored", "quarantined", "dropped"].iter().map(|what| count(status, what)).sum::<u64>() == sent
+        })
+        .await;
+    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

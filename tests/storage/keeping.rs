@@ -100,6 +100,40 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
     }
 }
 
+/// What was committed last may be in the log alone, which SQLite deletes when its database is gone.
+#[tokio::test]
+async fn a_log_without_its_database_is_set_aside() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("points.db");
+    let store = open(folder.path()).await.store;
+    judged(&store, 1, 10).await;
+    // As a kill leaves them, for the files of a store that is not closed.
+    let left = tempfile::tempdir().unwrap();
+    fs::copy(folder.path().join("points.db-wal"), left.path().join("points.db-wal")).unwrap();
+    let log = fs::read(left.path().join("points.db-wal")).unwrap();
+    assert!(!log.is_empty() && path.exists());
+
+    let opened = open(left.path()).await;
+    let Found::SetAside { to, .. } = &opened.report.found else { panic!("{:?}", opened.report) };
+    assert_eq!(fs::read(to).unwrap(), log);
+    assert!(opened.store.trouble().unwrap().1.contains("set aside"), "no alarm would be raised");
+}
+
+#[tokio::test]
+async fn the_database_of_another_program_is_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("points.db");
+    let outside = SqliteConnectOptions::new().filename(&path).create_if_missing(true);
+    let mut other = SqliteConnection::connect_with(&outside).await.unwrap();
+    sqlx::query("CREATE TABLE users (name TEXT)").execute(&mut other).await.unwrap();
+    other.close().await.unwrap();
+    let before = fs::read(&path).unwrap();
+    let refused = Store::open(&settings(folder.path()), at(0)).await.err().unwrap();
+    assert!(matches!(&refused, StoreError::Foreign { table, .. } if table == "users"), "{refused}");
+    assert_eq!(fs::read(&path).unwrap(), before);
+    assert!(!folder.path().join("points.db-wal").exists());
+}
+
 /// A database with 1,500 throws that was stopped cleanly, so that nothing is checked, and whose pages were then overwritten
 /// but for the first 60: it shows only when they are needed.
 async fn broken_after_a_clean_stop() -> tempfile::TempDir {

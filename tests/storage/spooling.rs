@@ -41,6 +41,9 @@ async fn another_throw_under_a_stored_number_is_refused_counted_and_quarantined(
     assert_eq!(store.statistics().await.unwrap().counters["contradicted_throws"], 1);
     let noted = store.reader().quarantined(10).await.unwrap();
     assert!(noted[0].reason.contains("throw_no 1 of boot \"b1\""), "{}", noted[0].reason);
+    // As it came: on which key, and how it begins.
+    assert_eq!(noted[0].key, "points/v1/north/21B/throw");
+    assert!(noted[0].payload_bytes > 1024 && noted[0].payload_start.len() == 1024, "{:?}", noted[0]);
 }
 
 #[tokio::test]
@@ -74,20 +77,6 @@ async fn throws_before_the_first_one_heard_are_a_gap_of_their_own_kind() {
 }
 
 #[tokio::test]
-async fn a_reported_gap_tells_only_what_is_news() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
-    spooled(&store, "21B", "b1", 1).await;
-    for _ in 0..2 {
-        store.record_gap(&machine("21B"), "b1", (1, 4), GapKind::NotStored, at(2)).await.unwrap();
-    }
-    spooled(&store, "21B", "b1", 6).await;
-    let gaps = store.reader().open_gaps(10).await.unwrap();
-    let found: Vec<_> = gaps.iter().map(|gap| (gap.first_no, gap.last_no, gap.kind)).collect();
-    assert_eq!(found, [(2, 4, GapKind::NotStored), (5, 5, GapKind::Missed)]);
-}
-
-#[tokio::test]
 async fn a_batch_is_answered_in_its_order() {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path()).await.store;
@@ -114,7 +103,6 @@ async fn the_largest_numbers_and_oddest_times_are_taken() {
         odd.id.throw_no = largest;
         odd.started_at = if boot_id.is_empty() { jiff::Timestamp::MIN } else { jiff::Timestamp::MAX };
         assert!(matches!(store.spool(&machine("21B"), &odd, at(0)).await.unwrap(), Spooled::New(_)));
-        store.record_gap(&machine("21B"), boot_id, (3, largest), GapKind::Missed, at(0)).await.unwrap();
         spooled(&store, "21B", boot_id, 3).await;
     }
     assert_eq!(store.reader().pending(ThrowRow::START, 100).await.unwrap().len(), 9);

@@ -1,9 +1,9 @@
 //! Every statement of the store fits the schema.
 
-use pointsd::store::statements;
+use pointsd::store::{Selector, statements};
 use sqlx::{Connection, Executor, SqlSafeStr, SqliteConnection};
 
-use crate::given::{judgement, open, spooled};
+use crate::given::{at, judgement, open, spooled};
 
 #[tokio::test]
 async fn every_statement_prepares_against_the_migrated_schema() {
@@ -33,7 +33,7 @@ async fn the_statements_of_every_throw_find_their_rows_by_index() {
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path()).read_only(true);
     let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
     // Ordered by row and limited, so that they stop after a few rows; or of a small table.
-    let reads_from_the_start = ["THROWS", "NEWEST_HEALTH"];
+    let reads_from_the_start = ["THROWS", "NEWEST_HEALTH", "LAST_HEARD"];
     for &(name, sql) in statements::ALL {
         let housekeeping = sql.starts_with("SELECT count") || name.contains("OLDEST") || name.contains("SPAN");
         if housekeeping || reads_from_the_start.contains(&name) || name.starts_with("AGED") || name.contains("EMPTY") {
@@ -47,4 +47,49 @@ async fn the_statements_of_every_throw_find_their_rows_by_index() {
             assert!(!scans || step.contains("throw_waiting"), "{name}: {step}");
         }
     }
+}
+
+/// A question about the history must not sort the whole of it: rows are chosen in an index alone, then read.
+#[tokio::test]
+async fn a_question_about_the_history_chooses_its_rows_in_an_index() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path()).read_only(true);
+    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
+    let (_, sql) = statements::ALL.iter().find(|(name, _)| *name == "HEALTH_SINCE").unwrap();
+    let question = sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {sql}"));
+    let plan: Vec<(i64, i64, i64, String)> = sqlx::query_as(question).fetch_all(&mut connection).await.unwrap();
+    let has = |words: &str| plan.iter().any(|(.., step)| step.starts_with(words));
+    assert!(has("SEARCH throw USING COVERING INDEX throw_by_time"), "{plan:?}");
+    assert!(has("SEARCH estimate USING INTEGER PRIMARY KEY"), "{plan:?}");
+}
+
+/// The same rows, whichever way they are asked for.
+#[tokio::test]
+async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    for throw_no in 1..=6 {
+        for name in ["21B", "22A"] {
+            let row = spooled(&store, name, "b1", throw_no).await;
+            store.judge(judgement(row, name)).await.unwrap();
+        }
+    }
+    let numbers = async |which: &Selector, since, limit| {
+        let rows = store.reader().health_history(which, since, limit).await.unwrap();
+        rows.into_iter().map(|row| (row.machine.machine.to_string(), row.throw.throw_no)).collect::<Vec<_>>()
+    };
+    let pairs = |machines: &[&str], from: u64| {
+        let of = |no| machines.iter().map(move |name| ((*name).to_owned(), no));
+        (from..=6).flat_map(of).collect::<Vec<_>>()
+    };
+    let (all, whenever) = (Selector::default(), jiff::Timestamp::UNIX_EPOCH);
+    let one = Selector { machine: Some("22A".parse().unwrap()), ..Selector::default() };
+    let none = Selector { site: Some("south".parse().unwrap()), ..Selector::default() };
+    assert_eq!(numbers(&all, whenever, 4).await, pairs(&["21B", "22A"], 5));
+    assert_eq!(numbers(&one, whenever, 2).await, pairs(&["22A"], 5));
+    // Throw n begins n minutes after the tests' time.
+    assert_eq!(numbers(&all, at(60 * 4), 100).await, pairs(&["21B", "22A"], 4));
+    assert_eq!(numbers(&one, at(60 * 4), 100).await, pairs(&["22A"], 4));
+    assert_eq!(numbers(&none, whenever, 100).await, []);
 }

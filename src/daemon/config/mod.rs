@@ -10,6 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use rustix::fs::Access;
 use serde::{Deserialize, Serialize};
 
 pub use document::{ConfigError, Document};
@@ -247,8 +248,8 @@ fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigErr
     };
     match fs::metadata(&parent) {
         Ok(folder) if !folder.is_dir() => complain(format!("{} is no folder", parent.display())),
-        Ok(folder) if folder.permissions().readonly() => {
-            complain(format!("the folder {} cannot be written to", parent.display()))
+        Ok(_) if rustix::fs::access(&parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
+            complain(format!("this user cannot write to the folder {}", parent.display()))
         }
         Ok(_) => Ok(()),
         Err(error) => complain(format!("the folder {} of the database: {error}", parent.display())),

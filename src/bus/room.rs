@@ -1,0 +1,87 @@
+//! Room for messages that wait, shared so that whoever fills it leaves some for the others.
+
+use std::{
+    hash::{BuildHasher, RandomState},
+    sync::atomic::{AtomicUsize, Ordering::Relaxed},
+};
+
+/// All there is \[bytes\]: about a second of the database's measured rate of 40 kB throws.
+const ROOM: usize = 128 << 20;
+/// What a message takes at least \[bytes\]: bounds the number of small ones.
+const LEAST: usize = 8 << 10;
+/// Most messages that there can be.
+pub(super) const MESSAGES: usize = ROOM / LEAST;
+/// Above half of the room, what one key may take \[bytes\]: 64 throws of 64 kB, as a logger's cache sends them after a
+/// cut.
+const SHARE: usize = ROOM / 32;
+/// Keys are told apart by their hash: two that fall together share their part.
+const PARTS: usize = 1_024;
+
+/// The room and who has how much of it.
+pub(super) struct Room {
+    taken: AtomicUsize,
+    parts: Vec<AtomicUsize>,
+    /// Keyed at random, so that nobody can choose a key that falls together with another's.
+    hasher: RandomState,
+}
+
+impl Room {
+    pub(super) fn new() -> Self {
+        let parts = (0..PARTS).map(|_| AtomicUsize::new(0)).collect();
+        Self { taken: AtomicUsize::new(0), parts, hasher: RandomState::new() }
+    }
+
+    /// Takes room for a message. False when there is none, or none for more messages of this key.
+    pub(super) fn take(&self, key: &str, bytes: usize) -> bool {
+        let cost = bytes.max(LEAST);
+        let all = self.taken.fetch_add(cost, Relaxed) + cost;
+        let own = self.part(key).fetch_add(cost, Relaxed) + cost;
+        let fair = all <= ROOM / 2 || own <= SHARE || own == cost;
+        if all <= ROOM && fair {
+            return true;
+        }
+        self.give_back(key, bytes);
+        false
+    }
+
+    /// Gives back what was taken for a message.
+    pub(super) fn give_back(&self, key: &str, bytes: usize) {
+        let cost = bytes.max(LEAST);
+        self.taken.fetch_sub(cost, Relaxed);
+        self.part(key).fetch_sub(cost, Relaxed);
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "a remainder below PARTS")]
+    fn part(&self, key: &str) -> &AtomicUsize {
+        &self.parts[(self.hasher.hash_one(key) % PARTS as u64) as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_key_leaves_half_of_the_room_to_the_others() {
+        let room = Room::new();
+        let flood = (0..2 * MESSAGES).filter(|_| room.take("flood", 40)).count();
+        assert_eq!(flood, MESSAGES / 2);
+        let others = (0..8).map(|other| (0..1_000).filter(|_| room.take(&format!("other {other}"), 40)).count());
+        // All but those who fall together with the flood have their share.
+        assert!(others.filter(|&taken| taken == SHARE / LEAST).count() >= 6);
+        room.give_back("flood", 40);
+        assert!(!room.take("flood", 40), "it still has more than its share");
+    }
+
+    #[test]
+    fn the_room_has_an_end_and_what_is_given_back_can_be_taken_again() {
+        let room = Room::new();
+        let taken = (0..10 * MESSAGES).filter(|number| room.take(&number.to_string(), 0)).count();
+        assert!(taken <= MESSAGES && taken > MESSAGES / 2, "{taken} messages");
+        let large = Room::new();
+        let sizes = [ROOM / 2, ROOM / 4, ROOM / 4, 1];
+        assert_eq!(sizes.map(|bytes| large.take(&bytes.to_string(), bytes)), [true, true, false, false]);
+        large.give_back(&(ROOM / 4).to_string(), ROOM / 4);
+        assert!(large.take("1", 1));
+    }
+}
