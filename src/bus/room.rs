@@ -79,9 +79,9 @@ mod tests {
         let taken = (0..10 * MESSAGES).filter(|number| room.take(&number.to_string(), 0)).count();
         assert!(taken <= MESSAGES && taken > MESSAGES / 2, "{taken} messages");
         let large = Room::new();
-        let sizes = [ROOM / 2, ROOM / 4, ROOM / 4, 1];
-        assert_eq!(sizes.map(|bytes| large.take(&bytes.to_string(), bytes)), [true, true, false, false]);
-        large.give_back(&(ROOM / 4).to_string(), ROOM / 4);
-        assert!(large.take("1", 1));
+        let sizes = [("a", ROOM / 2), ("b", ROOM / 4), ("c", ROOM / 4), ("d", 1)];
+        assert_eq!(sizes.map(|(key, bytes)| large.take(key, bytes)), [true, true, true, false]);
+        large.give_back("c", ROOM / 4);
+        assert!(large.take("d", 1));
     }
 }

@@ -3,10 +3,18 @@
 use std::io::IsTerminal;
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tracing_subscriber::{Layer, filter::Targets, layer::SubscriberExt, util::SubscriberInitExt};
+use tracing_subscriber::{
+    Layer,
+    filter::{LevelFilter, Targets},
+    layer::SubscriberExt,
+    util::SubscriberInitExt,
+};
 
 use super::{Exit, Failure, Outcome, ResultExt};
 use crate::daemon::config::{Log, LogFormat};
+
+/// Here zenoh warns of each reply for an asker who has gone: ten thousand lines for one question about the history.
+const ABOUT_QUERIES: &str = "zenoh::net::routing::dispatcher::queries";
 
 /// Runs a command on a runtime of several threads, which zenoh needs.
 pub(super) fn block_on(command: impl Future<Output = Outcome>) -> Outcome {
@@ -20,6 +28,7 @@ pub(super) fn block_on(command: impl Future<Output = Outcome>) -> Outcome {
 /// Writes log lines to stderr as configured.
 pub(super) fn log(settings: &Log) -> Result<(), Failure> {
     let targets: Targets = settings.level.parse().or_exit(Exit::Config)?;
+    let targets = targets.with_target(ABOUT_QUERIES, LevelFilter::ERROR);
     let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
     let lines = match settings.format {
         LogFormat::Json => lines.json().boxed(),

@@ -270,7 +270,7 @@ impl Judge {
     async fn look_after_itself(&mut self) -> Result<(), StoreError> {
         let (config, now) = (Arc::clone(&self.config.borrow()), clock::now());
         let news = self.fleet.trouble(&self.itself, self.store.trouble().as_ref(), now, &config.diagnosis);
-        let since = Instant::now();
+        let since = clock::monotonic();
         self.own.extend(news.map(|(machine, events, outcome)| Own { machine, events, outcome, since, told: false }));
         while let Some(own) = self.own.pop_front() {
             match self.store.record(&own.machine, now, own.outcome.clone()).await {
@@ -288,7 +288,11 @@ impl Judge {
 
     async fn tell_uncommitted(&mut self) {
         let Some(outlet) = &self.outlet else { return };
-        for own in self.own.iter_mut().filter(|own| !own.told && own.since.elapsed() >= LONGEST_SILENCE) {
+        for own in self
+            .own
+            .iter_mut()
+            .filter(|own| !own.told && clock::monotonic().duration_since(own.since) >= LONGEST_SILENCE)
+        {
             own.told = true;
             for Message { key, payload } in &own.outcome.outbox {
                 tracing::error!(key, "an alarm cannot be stored yet and is told all the same");

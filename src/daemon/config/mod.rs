@@ -94,9 +94,7 @@ impl Default for Subscribe {
 
 impl Default for Log {
     fn default() -> Self {
-        // Zenoh warns of each reply for an asker who has gone: ten thousand lines for one question about the history.
-        let level = "info,zenoh=warn,zenoh::net::routing::dispatcher::queries=error".to_owned();
-        Self { level, format: LogFormat::Text }
+        Self { level: "info,zenoh=warn".to_owned(), format: LogFormat::Text }
     }
 }
 
