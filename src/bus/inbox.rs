@@ -24,6 +24,9 @@ use super::{
 const BATCH_BYTES: usize = 8 << 20;
 /// How long the caches of loggers are given to answer for missed throws.
 const RECOVERY_TIMEOUT: Duration = Duration::from_secs(20);
+/// What is known of a publisher that went, some kilobytes, is kept for so long. After a longer absence it is asked for all
+/// that it has cached; what was stored before counts as a duplicate.
+const PUBLISHER_MEMORY: Duration = Duration::from_mins(10);
 
 /// One message as it arrived.
 #[derive(Debug)]
@@ -80,7 +83,7 @@ impl Inbox {
             .declare_subscriber(key_expression.to_owned())
             .callback(move |sample| take(&sample, &sender, &taking, &counting, limits))
             .history(HistoryConfig::default().detect_late_publishers())
-            .recovery(RecoveryConfig::default().heartbeat())
+            .recovery(RecoveryConfig::default().heartbeat().retention_period(PUBLISHER_MEMORY))
             .query_timeout(RECOVERY_TIMEOUT)
             .await
             .map_err(BusError::new(format!("subscribe to {key_expression}")))?;
