@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use super::{Exit, Outcome, ResultExt};
-use crate::daemon::config::Config;
+use super::{Exit, Outcome, ResultExt, database};
+use crate::{daemon::config::Config, store};
 
-/// Checks a configuration: every key, type, range, path and the zenoh section.
+/// Checks a configuration: every key, type, range, path and the zenoh section, and that the database is no other program's.
 ///
 /// Exit codes: 0 it can be used; 78 it cannot, and one line on stderr says file, line, key and why.
 #[derive(Debug, clap::Args)]
@@ -17,7 +17,8 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
-    Config::load(&arguments.config).or_exit(Exit::Config)?;
+    let config = Config::load(&arguments.config).or_exit(Exit::Config)?;
+    database::block_on(async { store::refuse_foreign(&config.store.path).await.or_exit(Exit::Config) })?;
     println!("{}: right", arguments.config.display());
     Ok(Exit::Ok)
 }

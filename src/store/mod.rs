@@ -30,7 +30,7 @@ pub use disk::DiskLevel;
 pub use error::StoreError;
 pub use housekeeping::Housekeeping;
 pub use judge::{AlarmRecord, BaselineRecord, Judgement, Message, Outcome};
-pub use open::{Found, Report};
+pub use open::{Found, Report, refuse_foreign};
 pub use outside::{Backup, Value, ask};
 pub use quarantine::{QUARANTINED_BYTES, Refused};
 pub use reader::{AlarmRow, Gap, HealthRow, OutboxRow, Quarantined, Reader, Selector, StoredThrow};

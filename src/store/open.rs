@@ -90,9 +90,7 @@ pub(super) async fn open(
     now: Timestamp,
 ) -> Result<(SqliteConnection, Report), StoreError> {
     place.clear_leftovers()?;
-    if let Some(table) = foreign_table(place).await {
-        return Err(StoreError::Foreign { path: settings.path.clone(), table });
-    }
+    refuse_foreign(&settings.path).await?;
     if place.is_fresh() && place.log_bytes() > 0 {
         // SQLite would delete it, and with it what was committed last.
         let why = "the database is gone, and its write-ahead log is still there".to_owned();
@@ -112,17 +110,24 @@ pub(super) async fn open(
     }
 }
 
-/// A table by which the file is the database of another program, which must not be written to. What cannot be read here
-/// is looked into when it is opened for writing.
-async fn foreign_table(place: &Place) -> Option<String> {
-    if place.is_fresh() {
-        return None;
+/// Makes sure that a file, where there is one, is not the database of another program, which must not be written to. What
+/// cannot be read here is looked into when it is opened for writing.
+///
+/// # Errors
+/// When it is.
+pub async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
+    if Place::new(path).is_fresh() {
+        return Ok(());
     }
-    let mut connection = SqliteConnection::connect_with(&reading(place.path())).await.ok()?;
-    let table = sqlx::query_scalar(sql::FOREIGN_TABLE).fetch_optional(&mut connection).await.ok()?;
+    let Ok(mut connection) = SqliteConnection::connect_with(&reading(path)).await else { return Ok(()) };
+    let table: sqlx::Result<Option<String>> =
+        sqlx::query_scalar(sql::FOREIGN_TABLE).fetch_optional(&mut connection).await;
     // It was read; how the file is let go changes nothing.
     let _ = connection.close().await;
-    table
+    match table {
+        Ok(Some(table)) => Err(StoreError::Foreign { path: path.to_owned(), table }),
+        _ => Ok(()),
+    }
 }
 
 enum Trouble {

@@ -35,10 +35,15 @@ async fn the_database_of_another_program_is_a_wrong_configuration() {
     let rig = Rig::new();
     fs::write(rig.database(), []).unwrap();
     rig.change("CREATE TABLE users (name TEXT)").await;
-    let output = pointsd(&["run", "--config"]).arg(rig.config()).output().unwrap();
-    let error = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(78), "{error}");
-    assert!(error.contains("the database of another program") && error.contains("store.path"), "{error}");
+    for command in ["check", "run"] {
+        let output = pointsd(&[command, "--config"]).arg(rig.config()).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(78), "{command}: {error}");
+        assert!(
+            error.contains("the database of another program") && error.contains("store.path"),
+            "{command}: {error}"
+        );
+    }
 }
 
 #[test]
