@@ -1,7 +1,7 @@
 //! When a drift alarm is raised, gets critical, and is cleared: on and off delays and the deadband, counted in throws.
 //!
-//! An alarm is raised when the diagnosis names its cause, above its limit, for `on_delay_throws` in a row. It is
-//! cleared when one of these has lasted:
+//! An alarm is raised when the diagnosis names its cause, above its limit, for `on_delay_throws` in a row; without a single
+//! name, when the drift has waited longer for one. It is cleared when one of these has lasted:
 //! - plain health, `off_delay_throws`: the size with two standard deviations on top is below half of the limit;
 //! - hovering, `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
 //! - another name, one longest window: the drift is there, and something else explains it.
@@ -15,11 +15,12 @@ use super::{Settings, event::Severity, threshold::WINDOWS};
 /// What one throw says about one cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reading {
-    /// The diagnosis names the cause, and its size is this many times the warning limit; zero when it does not.
-    pub(super) relevance: f64,
-    /// How many times the warning limit the size must be for an alarm to be raised.
-    pub(super) raised_above: f64,
-    /// `relevance` where the name is beyond doubt, zero where it is not: a critical alarm must not have the wrong name.
+    /// The diagnosis names the cause, above its limit.
+    pub(super) named: bool,
+    /// Beside `named`, what counts as a throw of the on delay.
+    pub(super) pending: bool,
+    /// The size over the warning limit where the name is beyond doubt, zero where it is not: a critical alarm must not
+    /// have the wrong name.
     pub(super) undoubted: f64,
     /// Throws by which the alarm waits longer than the on delay.
     pub(super) patience: u32,
@@ -74,7 +75,7 @@ impl Condition {
     /// Takes in one throw, while the alarm has the severity `active`.
     pub(super) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Step {
         let count = |streak: &mut u32, holds: bool| *streak = if holds { streak.saturating_add(1) } else { 0 };
-        count(&mut self.on, reading.relevance > reading.raised_above);
+        count(&mut self.on, reading.named || reading.pending);
         count(&mut self.critical, reading.undoubted > settings.critical_factor);
         count(&mut self.healthy, reading.plain_health);
         count(&mut self.below, reading.below);
@@ -83,7 +84,7 @@ impl Condition {
         let delay = settings.on_delay_throws + reading.patience;
         let is_critical = self.critical >= delay;
         match active {
-            None if self.on >= delay => {
+            None if reading.named && self.on >= delay => {
                 self.restless = self.since_raised.is_some_and(|throws| throws < settings.hold_throws);
                 self.since_raised = Some(0);
                 // What held before the alarm does not end it: the levels lag behind a step by a few throws.

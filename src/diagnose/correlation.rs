@@ -5,10 +5,8 @@
 //! correlation of at least 0.8. It is taken over the baseline and the recent window together, each with the same
 //! weight, so that a drift shows in it as between the paper's tests.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
-
-use super::{drift::Window, event::Cause};
 
 /// The paper's cross-correlation of the three inertia estimates, pairwise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -22,12 +20,12 @@ pub struct Correlation {
 }
 
 impl Correlation {
-    /// Over a baseline in which one throw scatters with `of_one_throw` and a `window` of throws around its mean,
-    /// half and half. J = exp(-residual): for small residuals its covariance is that of the logarithms, and the shift
+    /// Over a baseline in which one throw scatters with `of_one_throw` and throws that scatter in the same way
+    /// around `mean`, half and half. J = exp(-residual): for small residuals its covariance is that of the logarithms, and the shift
     /// between the halves is taken in J itself.
-    pub(super) fn of(of_one_throw: &Matrix3<f64>, window: &Window) -> Self {
-        let shift = window.mean.map(|log| (-log).exp() - 1.0);
-        let level = window.mean.map(|log| (-log).exp());
+    pub(super) fn of(of_one_throw: &Matrix3<f64>, mean: &Vector3<f64>) -> Self {
+        let shift = mean.map(|log| (-log).exp() - 1.0);
+        let level = mean.map(|log| (-log).exp());
         let scatter = of_one_throw.component_mul(&(level * level.transpose()));
         let pooled = 0.5 * (of_one_throw + scatter) + 0.25 * shift * shift.transpose();
         let between = |i: usize, j: usize| {
@@ -41,10 +39,5 @@ impl Correlation {
     #[must_use]
     pub fn tells_inertia(&self, limit: f64) -> bool {
         [self.b0_a1, self.b0_a0, self.a1_a0].into_iter().all(|pair| pair >= limit)
-    }
-
-    /// Whether the rule says the same as the name of a drift.
-    pub(super) fn agrees_with(&self, cause: Cause, limit: f64) -> bool {
-        self.tells_inertia(limit) == (cause == Cause::Inertia)
     }
 }

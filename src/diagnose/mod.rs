@@ -8,6 +8,7 @@ mod condition;
 mod correlation;
 mod drift;
 mod event;
+mod explain;
 mod monitor;
 mod operational;
 mod robust;

@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 use super::{
     AlarmEvent, BaselineRecord, Cause, Command, CommandError, Observation, Settings, Severity, Verdict,
     alarm::{Actor, Board},
-    cause::percent,
     condition::Condition,
+    explain::percent,
     operational::{Operation, Scene},
     track::{Standing, Tracks},
     trend::History,
-    verdict::Onset,
+    verdict::{Drift, Onset},
 };
 use crate::throw::Direction;
 
@@ -127,6 +127,8 @@ impl MachineMonitor {
             }
             let standing = if self.board.active().any(is_drift) {
                 Standing::Alarmed
+            } else if drift.as_ref().is_some_and(Drift::matters) {
+                Standing::Shown
             } else if self.onset.is_some() {
                 Standing::Suspected
             } else {

@@ -1,8 +1,9 @@
 //! Alarm texts: one plain sentence of what and how sure, one of what to look at, one of when.
 
 use super::{
-    cause::{Explanation, Finding, Naming, Rival, percent},
+    cause::{Finding, Naming, Rival},
     event::{Cause, RunnerUp},
+    explain::{Explanation, percent},
     trend::LimitForecast,
 };
 use crate::throw::Direction;
@@ -16,13 +17,7 @@ pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
 }
 
 /// What a drift is, how sure, what to look at, and when it gets critical.
-pub(super) fn drift(
-    subject: &str,
-    finding: &Finding,
-    throws: u64,
-    correlation_agrees: bool,
-    forecast: Option<&LimitForecast>,
-) -> String {
+pub(super) fn drift(subject: &str, finding: &Finding, throws: u64, forecast: Option<&LimitForecast>) -> String {
     let over = if throws == 1 { "1 throw".to_owned() } else { format!("{throws} throws") };
     let what = match &finding.naming {
         Naming::One(one) => format!("{} over {over}{}", change(one), runner_up(finding.runner_up.as_ref())),
@@ -35,11 +30,11 @@ pub(super) fn drift(
         }
         Naming::Neither => format!("a change that no cause explains over {over}: {}", coefficients(finding)),
     };
-    let rule = match finding.correlation {
-        Some(c) if !correlation_agrees => {
-            format!(" The cross-correlation rule disagrees ({:.2}, {:.2}, {:.2}).", c.b0_a1, c.b0_a0, c.a1_a0)
-        }
-        _ => String::new(),
+    let c = finding.correlation;
+    let rule = if finding.is_contradicted() {
+        format!(" The cross-correlation rule disagrees ({:.2}, {:.2}, {:.2}).", c.b0_a1, c.b0_a0, c.a1_a0)
+    } else {
+        String::new()
     };
     let when = forecast.map_or_else(String::new, |f| {
         format!(" Reaches the critical limit in about {} throws ({} to {}).", round(f.mid), round(f.low), round(f.high))

@@ -26,6 +26,8 @@ pub(super) enum Standing {
     Plain,
     /// The last throws may show a drift.
     Suspected,
+    /// They do, above its limit, and its alarm waits for its name.
+    Shown,
     /// A drift is alarmed.
     Alarmed,
 }
@@ -141,7 +143,7 @@ impl Tracks {
     ///
     /// A fault must not become normal, nor may an unlucky first dozen end the learning: while a drift is suspected,
     /// throws are set aside. They are dropped when it is alarmed, and taken when it passes, or when a longest window of
-    /// them has shown no drift that matters.
+    /// them has not shown it above its limit.
     pub(super) fn learn(
         &mut self,
         throw: &Evaluated,
@@ -162,7 +164,10 @@ impl Tracks {
         let mean = Matrix3::from(track.sensor);
         let count = track.learned.len() + track.aside.len();
         track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
-        if standing == Standing::Suspected && track.aside.len() < MOST_ASIDE {
+        if standing == Standing::Shown && track.aside.len() > MOST_ASIDE {
+            track.aside.remove(0);
+        }
+        if standing == Standing::Shown || standing == Standing::Suspected && track.aside.len() < MOST_ASIDE {
             return None;
         }
         track.learned.append(&mut track.aside);

@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::{
     AlarmEvent, Cause, MachineMonitor, Settings, Severity,
     alarm::{Actor, Evidence},
-    cause::{DECISIVE, Explanation, Finding, Naming, Rival, direction_of, percent, relevance, single},
+    cause::{DECISIVE, Finding, Naming, Rival},
     condition::{Reading, Step},
-    correlation::Correlation,
     drift::Window,
+    explain::{Explanation, direction_of, percent, relevance, single},
     scatter::Scatter,
     text,
     trend::{LimitForecast, forecast},
@@ -49,6 +49,8 @@ pub(super) struct Drift {
     provisional: bool,
     /// Named, when detected.
     finding: Option<Finding>,
+    /// Its name has an active alarm.
+    is_alarmed: bool,
     /// Present level of each direction.
     levels: [Option<Window>; 2],
     /// Side of the latest throw, and the level of its last few throws.
@@ -65,11 +67,17 @@ impl Drift {
         settings: &Settings,
     ) -> Self {
         let excess = strongest.map_or(0.0, |(window, _)| window.excess);
-        let finding = strongest.filter(|_| excess > 1.0).map(|(window, scatter)| {
-            let correlation = Correlation::of(&scatter.of_one_throw(), &window);
-            Finding::of(&window, Some(correlation), open, settings)
-        });
-        Self { excess, provisional, finding, levels, latest }
+        let finding = strongest
+            .filter(|_| excess > 1.0)
+            .map(|(window, scatter)| Finding::of(&window, &scatter.of_one_throw(), open, settings));
+        let is_alarmed = finding.as_ref().is_some_and(|finding| open.contains(&finding.cause()));
+        Self { excess, provisional, finding, is_alarmed, levels, latest }
+    }
+
+    /// Whether a drift is detected and above its limit, whatever its name.
+    pub(super) fn matters(&self) -> bool {
+        let limit = if self.provisional { PROVISIONAL_WIDENING } else { 1.0 };
+        self.finding.as_ref().is_some_and(|finding| finding.relevance > limit)
     }
 
     /// What the throw says about `cause`.
@@ -88,8 +96,9 @@ impl Drift {
         let latest = latest.map(|window| extent(cause, window, settings).0);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         Reading {
-            relevance: named.map_or(0.0, |finding| finding.relevance),
-            raised_above: if self.provisional { PROVISIONAL_WIDENING } else { 1.0 },
+            named: named.is_some() && self.matters(),
+            // No name has settled, whatever the throws in between were taken for.
+            pending: cause == Cause::Unattributed && self.matters() && !self.is_alarmed,
             undoubted: undoubted.map_or(0.0, |finding| finding.relevance),
             patience: named.map_or(0, |finding| match (finding.naming, finding.rival) {
                 (Naming::One(_), _) if finding.lead >= SAFE => 0,
@@ -195,19 +204,13 @@ impl MachineMonitor {
         settings: &Settings,
     ) -> Option<Evidence> {
         let finding = drift.finding.as_ref()?;
-        let main = match &finding.naming {
-            Naming::One(main) | Naming::Either(main, _) | Naming::Both(main, _) => Some(main),
-            Naming::Neither => None,
-        };
+        let main = finding.main();
         let direction = drift.direction(cause, settings);
         let limit_in_throws = match (severity, &finding.naming) {
             (Severity::Warning, Naming::One(main)) => self.forecast(main, direction, settings),
             _ => None,
         };
         let throws = self.onset.as_ref().map_or(1, |onset| self.order - onset.order + 1);
-        let agrees = finding
-            .correlation
-            .is_none_or(|c| c.agrees_with(main.map_or(Cause::Unattributed, |m| m.cause), settings.correlation_limit));
         let subject = text::subject(&self.name, direction);
         Some(Evidence {
             severity,
@@ -215,11 +218,11 @@ impl MachineMonitor {
             change_pct_sd: main.map(text::sd_pct),
             direction,
             runner_up: finding.runner_up,
-            correlation: finding.correlation,
+            correlation: Some(finding.correlation),
             first_throw: self.onset.as_ref().map(|onset| onset.first.clone()),
             last_throw: Some(id.clone()),
             limit_in_throws,
-            text: text::drift(&subject, finding, throws, agrees, limit_in_throws.as_ref()),
+            text: text::drift(&subject, finding, throws, limit_in_throws.as_ref()),
         })
     }
 

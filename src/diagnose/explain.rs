@@ -1,0 +1,174 @@
+//! How well causes explain a drift: their directions in the space of the three logarithms.
+//!
+//! b0 = KT/J, a1 = Kf/J, a0 = Kspr/J (equation 13), so in (ln b0, ln a1, ln a0) the four causes are directions: motor
+//! (1,0,0), friction (0,1,0), stiffness (0,0,1), inertia (-1,-1,-1). For a drift m with covariance V, causes with the
+//! directions D explain it with sizes f = (D'U^-1 D)^-1 D'U^-1 m and leave the misfit (m - D f)' U^-1 (m - D f). U adds
+//! to V the model's own error, in proportion to f.
+//!
+//! # The model's own error
+//! Simulated throws through the estimator: a change of the motor, stiffness or inertia moves each other coefficient by
+//! less than a tenth of itself. Dry friction leaks: fitted with a viscous model, a rise moves along (g, 1, g) with g
+//! from 0 (viscous) over 0.22 (stiff toe drive) to 0.4 (soft toe drive); a fall hardly leaks. What g a machine has is not
+//! known, so its probabilities under each are averaged.
+//!
+//! # Score
+//! -2 ln of the probability of m under a wide prior on the sizes (Laplace), misfit + ln det U + ln det(D'U^-1 D) + k ln
+//! s^2, so that more causes have to earn what they explain; and coinciding faults are rarer than single ones.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{Settings, event::Cause};
+
+/// Prior scale s of a size, in logarithms: faults that matter are from a few percent to a doubling.
+const SIZE_SCALE: f64 = 0.5;
+/// What each cause beside the first costs: one in a dozen faults comes with a second one.
+const SECOND_CAUSE: f64 = 5.0;
+/// Part g of a rise of friction by which b0 and a0 move too: viscous, with a stiff and with a soft toe drive. Which one a
+/// machine has is not known, and each is as likely.
+const FRICTION_LEAKS: [f64; 3] = [0.0, 0.2, 0.4];
+/// Standard deviation around each: together they cover the range between them evenly.
+const FRICTION_LEAK_SD: f64 = 0.08;
+/// Standard deviations that the setting `model_error` stands for: "up to".
+const MODEL_ERROR_SD: f64 = 3.0;
+/// Beside its leak friction hardly moves the others: this part of what the other causes do.
+const FRICTION_ERROR: f64 = 0.3;
+
+/// A drift, or a part of it, as one cause explains it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Explanation {
+    pub(super) cause: Cause,
+    /// Size in logarithms.
+    pub(super) size: f64,
+    /// Its standard deviation.
+    pub(super) size_sd: f64,
+}
+
+/// How well some causes together explain a drift.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Fit<const K: usize> {
+    pub(super) parts: [Explanation; K],
+    /// Twice the negative logarithm of its probability.
+    pub(super) score: f64,
+}
+
+/// The direction of a cause.
+pub(super) fn direction_of(cause: Cause) -> Option<Vector3<f64>> {
+    match cause {
+        Cause::Kt => Some(Vector3::new(1.0, 0.0, 0.0)),
+        Cause::Friction => Some(Vector3::new(0.0, 1.0, 0.0)),
+        Cause::Stiffness => Some(Vector3::new(0.0, 0.0, 1.0)),
+        Cause::Inertia => Some(Vector3::new(-1.0, -1.0, -1.0)),
+        _ => None,
+    }
+}
+
+/// Size of a change in percent.
+pub(super) fn percent(log: f64) -> f64 {
+    100.0 * log.exp_m1()
+}
+
+/// Size of a change over the warning limit of its cause.
+pub(super) fn relevance(cause: Cause, size: f64, settings: &Settings) -> f64 {
+    settings.limit_pct(cause).map_or(0.0, |limit| percent(size).abs() / limit)
+}
+
+/// How one cause explains the drift `m` with covariance `v`.
+pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> Explanation {
+    fit([cause], m, v, settings).parts[0]
+}
+
+impl Explanation {
+    /// Its size over the warning limit of its cause.
+    pub(super) fn relevance(&self, settings: &Settings) -> f64 {
+        relevance(self.cause, self.size, settings)
+    }
+}
+
+impl<const K: usize> Fit<K> {
+    /// Whether `cause` is one of its parts.
+    pub(super) fn includes(&self, cause: Cause) -> bool {
+        self.parts.iter().any(|part| part.cause == cause)
+    }
+
+    /// The largest part over its limit.
+    pub(super) fn relevance(&self, settings: &Settings) -> f64 {
+        self.parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max)
+    }
+}
+
+/// How `causes` together explain the drift `m` with covariance `v`; at most three causes.
+pub(super) fn fit<const K: usize>(
+    causes: [Cause; K],
+    m: &Vector3<f64>,
+    v: &Matrix3<f64>,
+    settings: &Settings,
+) -> Fit<K> {
+    let [mut best, rest @ ..] = FRICTION_LEAKS.map(|leak| fit_with_leak(leak, causes, m, v, settings));
+    let scores = [best.score, rest[0].score, rest[1].score];
+    for fit in rest {
+        if fit.score < best.score {
+            best = fit;
+        }
+    }
+    let evidence: f64 = scores.iter().map(|score| (0.5 * (best.score - score)).exp()).sum();
+    best.score -= 2.0 * (evidence / scores.len() as f64).ln();
+    best
+}
+
+/// The same when friction leaks by `leak`.
+fn fit_with_leak<const K: usize>(
+    leak: f64,
+    causes: [Cause; K],
+    m: &Vector3<f64>,
+    v: &Matrix3<f64>,
+    settings: &Settings,
+) -> Fit<K> {
+    const ROUNDS: usize = 3;
+    let parts = causes.map(|cause| Explanation { cause, size: 0.0, size_sd: f64::INFINITY });
+    let mut fit = Fit { parts, score: f64::INFINITY };
+    for _ in 0..ROUNDS {
+        let mut u = *v;
+        let mut d = Matrix3::zeros();
+        // Places without a cause have no effect and the size zero.
+        let mut information = Matrix3::identity();
+        for (at, part) in fit.parts.iter().enumerate() {
+            u += model_error(part, settings);
+            d.set_column(at, &effect(part, leak));
+            information[(at, at)] = 0.0;
+        }
+        let Some(inverse) = u.try_inverse() else { return fit };
+        information += d.transpose() * inverse * d;
+        let Some(spread) = information.try_inverse() else { return fit };
+        let gain = spread * d.transpose() * inverse;
+        let sizes = gain * m;
+        let rest = m - d * sizes;
+        let misfit = (rest.transpose() * inverse * rest).x;
+        let sd = (gain * v * gain.transpose()).diagonal().map(|variance| variance.max(0.0).sqrt());
+        for (at, part) in fit.parts.iter_mut().enumerate() {
+            (part.size, part.size_sd) = (sizes[at], sd[at]);
+        }
+        let prior = 2.0 * K as f64 * SIZE_SCALE.ln() + SECOND_CAUSE * (K as f64 - 1.0);
+        fit.score = misfit + u.determinant().ln() + information.determinant().ln() + prior;
+    }
+    fit
+}
+
+/// What a cause of this size does to the coefficients, for each unit of its size, when friction leaks by `leak`.
+fn effect(part: &Explanation, leak: f64) -> Vector3<f64> {
+    if part.cause == Cause::Friction && part.size > 0.0 {
+        return Vector3::new(leak, 1.0, leak);
+    }
+    direction_of(part.cause).unwrap_or_else(Vector3::zeros)
+}
+
+/// Covariance of what a cause of this size may do beside its effect.
+fn model_error(part: &Explanation, settings: &Settings) -> Matrix3<f64> {
+    let sd = settings.model_error / MODEL_ERROR_SD * part.size;
+    if part.cause == Cause::Friction {
+        let together = Vector3::new(1.0, 0.0, 1.0) * FRICTION_LEAK_SD * part.size.max(0.0);
+        let rest = Vector3::new(1.0, 0.0, 1.0) * (FRICTION_ERROR * sd).powi(2);
+        return together * together.transpose() + Matrix3::from_diagonal(&rest);
+    }
+    let own = |i: usize| [Cause::Kt, Cause::Friction, Cause::Stiffness][i] == part.cause;
+    Matrix3::from_diagonal(&Vector3::from_fn(|i, _| if own(i) { 0.0 } else { sd * sd }))
+}
