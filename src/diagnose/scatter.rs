@@ -14,6 +14,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
+use statrs::function::beta::ln_beta;
 
 use super::sym3::Sym3;
 
@@ -22,12 +23,16 @@ use super::sym3::Sym3;
 struct Prior {
     /// Weight of the lag-1 correlation, in throws, and its centre.
     lag1: (f64, f64),
-    /// Weight of `TYPICAL_SD`, in independent throws.
-    scatter: f64,
+    /// Whether it leans on `TYPICAL_SD`.
+    leans: bool,
 }
 
-const PROVISIONAL: Prior = Prior { lag1: (20.0, 0.35), scatter: 15.0 };
-const COMPLETE: Prior = Prior { lag1: (4.0, 0.2), scatter: 0.0 };
+const PROVISIONAL: Prior = Prior { lag1: (20.0, 0.35), leans: true };
+const COMPLETE: Prior = Prior { lag1: (4.0, 0.2), leans: false };
+/// Independent throws that `TYPICAL_SD` is worth: on a machine that is like most, and on one that is not.
+const TYPICAL_WORTH: (f64, f64) = (15.0, 2.0);
+/// Machines that are like most, for each that is not.
+const LIKE_MOST: f64 = 4.0;
 /// Standard deviations of ln b0, ln a1, ln a0 from weather and load.
 const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
 /// Lag-1 correlations that are believed. Above, the variance of a mean cannot be told from a few throws; the lower
@@ -51,6 +56,9 @@ pub(super) struct Scatter {
     lag1: [f64; 3],
     throws: f64,
     complete: bool,
+    /// Independent throws that the typical scatter was worth in it.
+    #[serde(default)]
+    leaning: f64,
 }
 
 impl Scatter {
@@ -82,8 +90,9 @@ impl Scatter {
         let total = scale * zero * scale;
         let own = effective(throws, lag1.iter().sum::<f64>() / 3.0);
         let typical = Matrix3::from_diagonal(&Vector3::from(TYPICAL_SD).map(|sd| sd * sd));
-        let natural = (natural_part(total, sensor) * own + typical * prior.scatter) / (own + prior.scatter);
-        Self { natural: natural.into(), sensor: sensor.into(), lag1, throws, complete }
+        let leaning = if prior.leans { worth_of_typical(total, typical + sensor, own) } else { 0.0 };
+        let natural = (natural_part(total, sensor) * own + typical * leaning) / (own + leaning);
+        Self { natural: natural.into(), sensor: sensor.into(), lag1, throws, complete, leaning }
     }
 
     /// Covariance of the machine's own scatter plus the estimator's in the baseline: of one throw.
@@ -135,7 +144,7 @@ impl Scatter {
             // Skewed: a strong correlation taken too low does more harm than one taken too high does good. The weight
             // is measured on simulated healthy fleets with phi from 0 to 0.6.
             let skew = 1.0 + 2.0 * phi.max(0.0);
-            variance += 2.0 / (effective(self.throws, phi) + prior.scatter) / 3.0;
+            variance += 2.0 / (effective(self.throws, phi) + self.leaning) / 3.0;
             log_variance += skew * of_lag1 / 3.0;
         }
         Doubt { degrees_of_freedom: 2.0 / variance, log_variance }
@@ -144,6 +153,20 @@ impl Scatter {
 
 fn prior(complete: bool) -> Prior {
     if complete { COMPLETE } else { PROVISIONAL }
+}
+
+/// Independent throws that the typical scatter is worth on a machine with the variances of `total` from `own` independent
+/// throws, where `typical` ones are expected: as many as on a machine like most when it looks like one, few when it does
+/// not. The evidence for either is that of a variance under an inverse chi-square prior of that worth.
+fn worth_of_typical(total: Matrix3<f64>, typical: Matrix3<f64>, own: f64) -> f64 {
+    let ratios = total.diagonal().component_div(&typical.diagonal());
+    let evidence = |worth: f64| -> f64 {
+        let of = |ratio: f64| 0.5 * (worth * worth.ln() - (own + worth) * (worth + own * ratio).ln());
+        ratios.iter().map(|ratio| of(*ratio) - ln_beta(0.5 * own, 0.5 * worth)).sum()
+    };
+    let (most, other) = TYPICAL_WORTH;
+    let unlike = ((evidence(other) - evidence(most)).exp() / LIKE_MOST).min(f64::MAX);
+    (most + other * unlike) / (1.0 + unlike)
 }
 
 /// Independent throws that tell a variance as well as `throws` with the lag-1 correlation `phi`.
