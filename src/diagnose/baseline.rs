@@ -185,7 +185,7 @@ impl Baseline {
             taken_at,
             temperature,
             duration_s: (!durations.is_empty()).then(|| median(&mut durations)),
-            scatter: Scatter::learn(&residuals, sensor.into(), 1, throws.len() >= settings.baseline_throws),
+            scatter: Scatter::learn(&residuals, sensor.into(), 1),
         }
     }
 
@@ -250,7 +250,7 @@ pub(super) fn learn_mixed(learned: [&[Learned]; 2], baselines: [&Baseline; 2]) -
     residuals.sort_unstable_by_key(|(order, _)| *order);
     sensor /= residuals.len() as f64;
     let ordered: Vec<Vector3<f64>> = residuals.into_iter().map(|(_, r)| r).collect();
-    Scatter::learn(&ordered, sensor, 2, baselines.iter().all(|baseline| baseline.complete))
+    Scatter::learn(&ordered, sensor, 2)
 }
 
 fn clip(residual: Vector3<f64>, robust: [(f64, f64); 3]) -> Vector3<f64> {

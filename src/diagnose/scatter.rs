@@ -18,17 +18,11 @@ use statrs::function::beta::ln_beta;
 
 use super::sym3::Sym3;
 
-/// What is known of a machine before its first throw, from machines of its kind. A dozen correlated throws alone hardly
-/// know a covariance and its serial correlation: a provisional baseline leans on this, a complete one on itself.
-struct Prior {
-    /// Weight of the lag-1 correlation, in throws, and its centre.
-    lag1: (f64, f64),
-    /// Whether it leans on `TYPICAL_SD`.
-    leans: bool,
-}
-
-const PROVISIONAL: Prior = Prior { lag1: (20.0, 0.35), leans: true };
-const COMPLETE: Prior = Prior { lag1: (4.0, 0.2), leans: false };
+/// Throws of a direction from which a baseline leans on itself alone. A dozen correlated throws hardly know a covariance and
+/// its serial correlation: fewer lean on what is known of machines of their kind.
+const ENOUGH_THROWS: f64 = 50.0;
+/// Lag-1 correlation of machines of their kind: its weight in throws, and its centre, for few throws and for enough.
+const USUAL_LAG1: [(f64, f64); 2] = [(20.0, 0.35), (4.0, 0.2)];
 /// Independent throws that `TYPICAL_SD` is worth: on a machine that is like most, and on one that is not.
 const TYPICAL_WORTH: (f64, f64) = (15.0, 2.0);
 /// Machines that are like most, for each that is not.
@@ -55,23 +49,22 @@ pub(super) struct Scatter {
     sensor: Sym3,
     lag1: [f64; 3],
     throws: f64,
-    complete: bool,
-    /// Independent throws that the typical scatter was worth in it.
+    /// Independent throws that the typical scatter was worth in it; none in a baseline of enough throws.
     #[serde(default)]
     leaning: f64,
 }
 
 impl Scatter {
     /// Learns from the residuals of throws in the order in which they happened. `sensor` is the mean covariance of
-    /// the estimates; `centres` is how many means were removed from the residuals; `complete` whether these are all the
-    /// throws that a baseline is made of.
-    pub(super) fn learn(residuals: &[Vector3<f64>], sensor: Matrix3<f64>, centres: usize, complete: bool) -> Self {
-        let prior = prior(complete);
+    /// the estimates; `centres` is how many means were removed from the residuals, one for each direction.
+    pub(super) fn learn(residuals: &[Vector3<f64>], sensor: Matrix3<f64>, centres: usize) -> Self {
         let throws = residuals.len() as f64;
         let moment = |lag: usize| -> Matrix3<f64> {
             residuals.iter().zip(&residuals[lag..]).map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>() / throws
         };
         let (zero, one) = (moment(0), moment(1));
+        let few = throws < ENOUGH_THROWS * centres as f64;
+        let (usual_weight, usual) = usual_lag1(few);
         let mut lag1 = [0.0; 3];
         let mut grow = Vector3::zeros();
         for i in 0..3 {
@@ -80,8 +73,7 @@ impl Scatter {
             let raw = if share > 0.0 { one[(i, i)] / (zero[(i, i)] * share.max(0.2)) } else { 0.0 };
             let unbiased = (raw + centres as f64 / throws) / (1.0 - 3.0 * centres as f64 / throws);
             let weight = throws * share;
-            let (prior_weight, typical) = prior.lag1;
-            lag1[i] = ((weight * unbiased + prior_weight * typical) / (weight + prior_weight))
+            lag1[i] = ((weight * unbiased + usual_weight * usual) / (weight + usual_weight))
                 .clamp(LAG1_RANGE.0, LAG1_RANGE.1);
             let lost = centres as f64 * (1.0 + share * (inflation(lag1[i], throws) - 1.0)) / throws;
             grow[i] = (1.0 / (1.0 - lost.min(0.5))).sqrt();
@@ -90,9 +82,9 @@ impl Scatter {
         let total = scale * zero * scale;
         let own = effective(throws, lag1.iter().sum::<f64>() / 3.0);
         let typical = Matrix3::from_diagonal(&Vector3::from(TYPICAL_SD).map(|sd| sd * sd));
-        let leaning = if prior.leans { worth_of_typical(total, typical + sensor, own) } else { 0.0 };
+        let leaning = if few { worth_of_typical(total, typical + sensor, own) } else { 0.0 };
         let natural = (natural_part(total, sensor) * own + typical * leaning) / (own + leaning);
-        Self { natural: natural.into(), sensor: sensor.into(), lag1, throws, complete, leaning }
+        Self { natural: natural.into(), sensor: sensor.into(), lag1, throws, leaning }
     }
 
     /// Covariance of the machine's own scatter plus the estimator's in the baseline: of one throw.
@@ -131,7 +123,7 @@ impl Scatter {
     /// correlation, both from a finite number of dependent throws; the mean over the coefficients.
     pub(super) fn doubt(&self, w: usize) -> Doubt {
         const STEP: f64 = 1e-4;
-        let prior = prior(self.complete);
+        let (usual_weight, _) = usual_lag1(self.leaning > 0.0);
         let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
         let factor = |phi: f64| inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws;
         let (mut variance, mut log_variance) = (0.0, 0.0);
@@ -139,7 +131,7 @@ impl Scatter {
             let phi = self.lag1[i];
             let share = natural[(i, i)] / (natural[(i, i)] + sensor[(i, i)]).max(f64::MIN_POSITIVE);
             let slope = (factor(phi + STEP).ln() - factor(phi - STEP).ln()) / (2.0 * STEP);
-            let weight = (self.throws * share).max(1.0) + prior.lag1.0;
+            let weight = (self.throws * share).max(1.0) + usual_weight;
             let of_lag1 = share * slope * slope * (1.0 - phi * phi) / weight;
             // Skewed: a strong correlation taken too low does more harm than one taken too high does good. The weight
             // is measured on simulated healthy fleets with phi from 0 to 0.6.
@@ -151,8 +143,9 @@ impl Scatter {
     }
 }
 
-fn prior(complete: bool) -> Prior {
-    if complete { COMPLETE } else { PROVISIONAL }
+/// Weight and centre of the usual lag-1 correlation.
+fn usual_lag1(few: bool) -> (f64, f64) {
+    USUAL_LAG1[usize::from(!few)]
 }
 
 /// Independent throws that the typical scatter is worth on a machine with the variances of `total` from `own` independent

@@ -69,3 +69,20 @@ fn an_unlucky_first_dozen_does_not_end_the_learning() {
         assert_eq!(found.last().map(|event| event.severity), Some(Severity::Critical), "seed {seed}");
     }
 }
+
+/// Fewer throws than usual make a complete baseline: it knows its scatter no better than one that still fills.
+#[test]
+fn a_small_complete_baseline_names_every_cause() {
+    const TRIALS: u64 = 10;
+    for baseline_throws in [12, 25] {
+        let settings = Settings { baseline_throws, ..Settings::default() };
+        for (cause, seed) in Cause::PHYSICAL.into_iter().flat_map(|cause| (0..TRIALS).map(move |seed| (cause, seed))) {
+            let mut machine = Machine::new(8_000 + seed, Nature::default());
+            let mut monitor = machine.learned(&settings);
+            let sign = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
+            let fault = shift(cause, sign * 2.0 * settings.limit_pct(cause).unwrap());
+            let found = (0..60).find_map(|_| machine.feed(&mut monitor, fault, &settings).events.first().cloned());
+            assert_eq!(found.map(|event| event.cause), Some(cause), "{baseline_throws} throws, seed {seed}");
+        }
+    }
+}
