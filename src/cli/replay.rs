@@ -103,6 +103,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     config.store.path.clone_from(&into);
     runtime::block_on(async {
         let old = Reader::open(&from).await.or_exit(Exit::Io)?;
+        // Before the new database is made: a failure must not leave one behind.
+        let first = old.throws(ThrowRow::START, 1).await.or_exit(Exit::Io)?;
+        must_be(!first.is_empty(), Exit::Data, || format!("{} holds no throw: nothing to run", from.display()))?;
         let mut new = Offline::open(config).await.map_err(start_failure)?;
         let replayed = replay(&old, &mut new).await.or_exit(Exit::Io)?;
         new.close().await.or_exit(Exit::Io)?;

@@ -12,13 +12,22 @@ use serde::{Deserialize, Serialize};
 
 use super::{Settings, event::Severity, threshold::WINDOWS};
 
+/// What one throw says for an alarm about one cause.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Claim {
+    /// Nothing.
+    None,
+    /// It counts as a throw of the on delay, but raises nothing.
+    Counts,
+    /// The diagnosis names the cause, above its limit.
+    Named,
+}
+
 /// What one throw says about one cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reading {
-    /// The diagnosis names the cause, above its limit.
-    pub(super) named: bool,
-    /// Beside `named`, what counts as a throw of the on delay.
-    pub(super) pending: bool,
+    /// What it says for an alarm.
+    pub(super) claim: Claim,
     /// The size over the warning limit where the name is beyond doubt, zero where it is not: a critical alarm must not
     /// have the wrong name.
     pub(super) undoubted: f64,
@@ -75,7 +84,7 @@ impl Condition {
     /// Takes in one throw, while the alarm has the severity `active`.
     pub(super) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Step {
         let count = |streak: &mut u32, holds: bool| *streak = if holds { streak.saturating_add(1) } else { 0 };
-        count(&mut self.on, reading.named || reading.pending);
+        count(&mut self.on, reading.claim != Claim::None);
         count(&mut self.critical, reading.undoubted > settings.critical_factor);
         count(&mut self.healthy, reading.plain_health);
         count(&mut self.below, reading.below);
@@ -84,7 +93,7 @@ impl Condition {
         let delay = settings.on_delay_throws + reading.patience;
         let is_critical = self.critical >= delay;
         match active {
-            None if reading.named && self.on >= delay => {
+            None if reading.claim == Claim::Named && self.on >= delay => {
                 self.restless = self.since_raised.is_some_and(|throws| throws < settings.hold_throws);
                 self.since_raised = Some(0);
                 // What held before the alarm does not end it: the levels lag behind a step by a few throws.

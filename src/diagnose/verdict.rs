@@ -8,7 +8,7 @@ use super::{
     AlarmEvent, Cause, MachineMonitor, Settings, Severity,
     alarm::{Actor, Evidence},
     cause::{DECISIVE, Finding, Naming, Rival},
-    condition::{Reading, Step},
+    condition::{Claim, Reading, Step},
     drift::Window,
     explain::{Explanation, direction_of, percent, relevance, single},
     scatter::Scatter,
@@ -95,10 +95,14 @@ impl Drift {
         let latest = last_few.as_ref().filter(|_| concerned && alarmed.is_some());
         let latest = latest.map(|window| extent(cause, window, settings).0);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
-        Reading {
-            named: named.is_some() && self.matters(),
+        let claim = match named {
+            Some(_) if self.matters() => Claim::Named,
             // No name has settled, whatever the throws in between were taken for.
-            pending: cause == Cause::Unattributed && self.matters() && !self.is_alarmed,
+            _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed => Claim::Counts,
+            _ => Claim::None,
+        };
+        Reading {
+            claim,
             undoubted: undoubted.map_or(0.0, |finding| finding.relevance),
             patience: named.map_or(0, |finding| match (finding.naming, finding.rival) {
                 (Naming::One(_), _) if finding.lead >= SAFE => 0,

@@ -95,7 +95,9 @@ async fn what_is_missing_or_in_the_way_is_said() {
     Offline::open(Config::load(&config).unwrap()).await.unwrap().close().await.unwrap();
     let empty = replay(&config, &into, &[]);
     assert_eq!(empty.status.code(), Some(65), "{}", String::from_utf8_lossy(&empty.stderr));
+    assert!(!into.exists(), "a database is left behind");
 
+    fs::write(&into, "somebody's").unwrap();
     let taken = replay(&config, &into, &[]);
     assert_eq!(taken.status.code(), Some(73));
     assert!(String::from_utf8_lossy(&taken.stderr).contains("--into"));
