@@ -101,12 +101,10 @@ impl Receiver {
 
     /// Lets a throw pass whose machine is known or may become so.
     fn admit(&mut self, (machine, throw, received_at): Received) -> Result<Received, Refused> {
-        if self.machines.contains(&machine) {
-            return Ok((machine, throw, received_at));
-        }
+        // Asked first: after an alarm of its own the daemon is among the machines of the database.
         let reason = if machine == self.itself {
             "this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned()
-        } else if self.machines.len() >= self.max_machines {
+        } else if self.machines.len() >= self.max_machines && !self.machines.contains(&machine) {
             format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
         } else {
             self.machines.insert(machine.clone());
@@ -205,7 +203,7 @@ impl Receiver {
     }
 
     async fn quarantine(&self, refused: Vec<Refused>) {
-        let Some(Refused { key, reason, bytes, .. }) = refused.first().cloned() else { return };
+        let Some(Refused { key, reason, bytes, .. }) = refused.first() else { return };
         // One line for all of them, or a flood of messages becomes one of the log.
         let count = refused.len() as u64;
         tracing::warn!(key, reason, bytes, and_others = count - 1, "a message goes to quarantine");

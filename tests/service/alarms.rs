@@ -132,6 +132,22 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
     assert_eq!(states, ["active_unacknowledged", "active_acknowledged"]);
 }
 
+/// Or a logger of that name could clear the daemon's own alarms. After the first of them it is a machine in the database.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_logger_speaks_in_the_name_of_the_daemon() {
+    let rig = Rig::new();
+    std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
+    let daemon = rig.start();
+    rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE machine = 'pointsd' AND cause = 'data_loss'").await;
+    assert!(daemon.terminate().success());
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, "points/v1/fleet/pointsd/throw").await;
+    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
+    rig.until_sql("SELECT 1 AS n FROM quarantine WHERE reason LIKE '%the name of pointsd itself%'").await;
+    assert!(daemon.terminate().success());
+}
+
 #[test]
 fn while_it_starts_systemd_is_asked_for_more_time() {
     let rig = Rig::new();
