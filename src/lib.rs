@@ -16,6 +16,7 @@
 //! | [`bus`] | zenoh sessions, publishers, subscribers, queries | core, `wire` |
 //! | [`logger`] | the device at the machine that publishes its throws, with simulated machines behind it | core, `wire`, `bus`, the daemon's clock |
 //! | [`daemon`] | the running monitor: pipeline, supervision, configuration | everything above |
+//! | [`web`] | the dashboard and the metrics, for reading only | core, `store`, `daemon` |
 //! | [`cli`] | the commands of `pointsd` and `pointsim` | everything above |
 
 pub mod bus;
@@ -29,4 +30,5 @@ pub mod report;
 pub mod simulate;
 pub mod store;
 pub mod throw;
+pub mod web;
 pub mod wire;

@@ -61,6 +61,14 @@ pub struct InboxCounters {
     pub missed: AtomicU64,
 }
 
+impl InboxCounters {
+    /// Bytes that wait to be stored.
+    #[must_use]
+    pub fn queued_bytes(&self) -> usize {
+        self.queued_bytes.load(Relaxed)
+    }
+}
+
 /// The subscription and its queue.
 pub struct Inbox {
     subscriber: Option<AdvancedSubscriber<()>>,

@@ -9,11 +9,12 @@ use super::{
 use crate::{
     daemon::{Daemon, Ended, LockError, StartError, config::Config},
     store::StoreError,
+    web::{self, Place},
 };
 
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP makes it read its configuration again.
 ///
-/// Exit codes: 0 stopped in good order; 69 zenoh cannot be used (is the port taken?), or another
+/// Exit codes: 0 stopped in good order; 69 zenoh or the dashboard cannot be used (is the port taken?), or another
 /// pointsd works on the database; 70 a part of the daemon died;
 /// 74 the database cannot be used; 78 the configuration is wrong.
 #[derive(Debug, clap::Args)]
@@ -52,7 +53,14 @@ pub(super) fn start_failure(error: StartError) -> Failure {
 
 async fn run(arguments: &Arguments, config: Config) -> Outcome {
     let mut signals = Signals::listen()?;
+    let place = match config.web.listen {
+        Some(address) => Some(Place::bind(address).await.or_exit(Exit::Unavailable)?),
+        None => None,
+    };
     let mut daemon = Daemon::start(config).await.map_err(start_failure)?;
+    if let Some(place) = place {
+        daemon.adopt("the dashboard", web::serve(place, daemon.view()));
+    }
     daemon.announce_ready();
     tracing::info!(database = %daemon.store().path().display(), listens_on = ?daemon.locators().await, "ready");
     let died = loop {

@@ -199,7 +199,7 @@ impl Judge {
     fn tell(&self, stored: &StoredThrow, judgement: &Judgement, events: Vec<AlarmEvent>) {
         self.status.judged.fetch_add(1, Relaxed);
         if judgement.quality != wire::GOOD {
-            self.status.not_evaluated.fetch_add(1, Relaxed);
+            self.status.refuse(&judgement.quality);
         }
         if let Some(outlet) = &self.outlet {
             outlet.health(wire::machine_key(&stored.machine, Kind::Health), health(stored, judgement).to_json());

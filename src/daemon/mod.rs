@@ -22,6 +22,7 @@ mod publish;
 mod receive;
 mod status;
 mod supervise;
+mod view;
 
 use std::{
     collections::{HashSet, VecDeque},
@@ -43,6 +44,7 @@ pub use lock::{DatabaseLock, LockError};
 pub use offline::Offline;
 pub use status::{Status, StatusReport};
 pub use supervise::Ended;
+pub use view::View;
 
 use crate::{
     bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, PresenceWatch, Questions},
@@ -237,6 +239,17 @@ impl Daemon {
         self.gauges.report()
     }
 
+    /// A look at it for what else runs in this process.
+    #[must_use]
+    pub fn view(&self) -> View {
+        View { gauges: self.gauges.clone(), config: self.config.subscribe() }
+    }
+
+    /// Runs a task of another room under the daemon's rule: when it ends on its own, so does the daemon.
+    pub fn adopt<T>(&self, name: &'static str, task: impl Future<Output = T> + Send + 'static) {
+        self.tasks.spawn(name, task);
+    }
+
     /// Waits until a task ends on its own, which none should.
     pub async fn ended(&mut self) -> Ended {
         tokio::select! {
@@ -254,6 +267,7 @@ impl Daemon {
             ("subscribe", old.subscribe != new.subscribe),
             ("identify", old.identify != new.identify),
             ("store", old.store != new.store),
+            ("web", old.web != new.web),
             ("log", old.log != new.log),
             ("zenoh", old.zenoh_text() != new.zenoh_text()),
         ];

@@ -1,8 +1,9 @@
 //! How the daemon stands: counts that only grow, and one line for people.
 
 use std::{
+    collections::BTreeMap,
     sync::{
-        Arc,
+        Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed},
     },
     time::Instant,
@@ -33,6 +34,8 @@ pub struct Status {
     pub judged: AtomicU64,
     /// Of these, throws that gave no estimate.
     pub not_evaluated: AtomicU64,
+    /// The same by the code of the reason: a few, as the estimator has them.
+    refused: Mutex<BTreeMap<String, u64>>,
     /// Alarm events.
     pub alarm_events: AtomicU64,
     /// Loggers that are connected now.
@@ -101,12 +104,26 @@ impl Status {
             lost: AtomicU64::new(0),
             judged: AtomicU64::new(0),
             not_evaluated: AtomicU64::new(0),
+            refused: Mutex::default(),
             alarm_events: AtomicU64::new(0),
             loggers: AtomicUsize::new(0),
             connected: AtomicBool::new(false),
             storing_fails: AtomicBool::new(false),
             started: clock::monotonic(),
         }
+    }
+}
+
+impl Status {
+    /// Counts a throw that gave no estimate, with the code of the reason.
+    pub(super) fn refuse(&self, reason: &str) {
+        self.not_evaluated.fetch_add(1, Relaxed);
+        *self.refused.lock().unwrap_or_else(PoisonError::into_inner).entry(reason.to_owned()).or_default() += 1;
+    }
+
+    /// Throws that gave no estimate, by the code of the reason.
+    pub(super) fn refused(&self) -> BTreeMap<String, u64> {
+        self.refused.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 

@@ -28,14 +28,22 @@ const TITLE_HEIGHT: f64 = 44.0;
 pub struct Sheet {
     title: String,
     columns: usize,
+    panel_size: (f64, f64),
     panels: Vec<Panel>,
 }
 
 impl Sheet {
-    /// An empty sheet, one column wide.
+    /// An empty sheet, one column wide. Without a title there is no room for one.
     #[must_use]
     pub fn new(title: impl Into<String>) -> Self {
-        Self { title: title.into(), columns: 1, panels: Vec::new() }
+        Self { title: title.into(), columns: 1, panel_size: (PANEL_WIDTH, PANEL_HEIGHT), panels: Vec::new() }
+    }
+
+    /// Gives every panel this width and height \[px\].
+    #[must_use]
+    pub fn panel_size(mut self, width: f64, height: f64) -> Self {
+        self.panel_size = (width, height);
+        self
     }
 
     /// Puts this many panels beside each other, at least one.
@@ -57,13 +65,17 @@ impl Sheet {
     pub fn to_svg(&self) -> String {
         let columns = self.columns.min(self.panels.len().max(1));
         let rows = self.panels.len().div_ceil(columns);
-        let width = PANEL_WIDTH * columns as f64;
-        let mut canvas = Canvas::new(width, TITLE_HEIGHT + PANEL_HEIGHT * rows as f64);
-        canvas.text(width / 2.0, 30.0, 20.0, svg::Anchor::Middle, &self.title);
+        let (panel_width, panel_height) = self.panel_size;
+        let title_height = if self.title.is_empty() { 0.0 } else { TITLE_HEIGHT };
+        let width = panel_width * columns as f64;
+        let mut canvas = Canvas::new(width, title_height + panel_height * rows as f64);
+        if !self.title.is_empty() {
+            canvas.text(width / 2.0, 30.0, 20.0, svg::Anchor::Middle, &self.title);
+        }
         for (at, panel) in self.panels.iter().enumerate() {
-            let left = PANEL_WIDTH * (at % columns) as f64;
-            let top = TITLE_HEIGHT + PANEL_HEIGHT * (at / columns) as f64;
-            panel.draw(&mut canvas, left, top, PANEL_WIDTH, PANEL_HEIGHT);
+            let left = panel_width * (at % columns) as f64;
+            let top = title_height + panel_height * (at / columns) as f64;
+            panel.draw(&mut canvas, left, top, panel_width, panel_height);
         }
         canvas.finish()
     }

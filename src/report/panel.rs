@@ -22,6 +22,8 @@ enum Content {
 struct Curve {
     name: String,
     points: Vec<(f64, f64)>,
+    /// How far the band around the curve reaches to each side, one value a point; empty for none.
+    reach: Vec<f64>,
     dots: bool,
 }
 
@@ -33,6 +35,8 @@ pub struct Panel {
     log_y: bool,
     /// Dashed horizontal lines: value and label.
     levels: Vec<(f64, String)>,
+    /// Dashed vertical lines of a chart of curves: x and label.
+    marks: Vec<(f64, String)>,
     content: Content,
 }
 
@@ -70,24 +74,41 @@ impl Panel {
     }
 
     fn with(title: impl Into<String>, y_label: impl Into<String>, content: Content) -> Self {
-        Self { title: title.into(), y_label: y_label.into(), log_y: false, levels: Vec::new(), content }
+        Self { title: title.into(), y_label: y_label.into(), log_y: false, levels: Vec::new(), marks: Vec::new(), content }
     }
 
     /// Adds a curve; a value that is not finite interrupts it. Ignored by a chart of bars.
     #[must_use]
     pub fn line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
-        self.curve(name, points, false)
+        self.curve(name, points.into_iter().map(|(x, y)| (x, y, None)), false)
     }
 
     /// Adds a curve with a dot at every point. Ignored by a chart of bars.
     #[must_use]
     pub fn dotted_line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
-        self.curve(name, points, true)
+        self.curve(name, points.into_iter().map(|(x, y)| (x, y, None)), true)
     }
 
-    fn curve(mut self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64)>, dots: bool) -> Self {
+    /// Adds a curve inside a band: each point is x, y and how far the band reaches above and below. Ignored by a chart
+    /// of bars.
+    #[must_use]
+    pub fn banded_line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
+        self.curve(name, points.into_iter().map(|(x, y, reach)| (x, y, Some(reach))), false)
+    }
+
+    fn curve(
+        mut self,
+        name: impl Into<String>,
+        points: impl Iterator<Item = (f64, f64, Option<f64>)>,
+        dots: bool,
+    ) -> Self {
         if let Content::Curves { curves, .. } = &mut self.content {
-            curves.push(Curve { name: name.into(), points: points.into_iter().collect(), dots });
+            let mut curve = Curve { name: name.into(), points: Vec::new(), reach: Vec::new(), dots };
+            for (x, y, reach) in points {
+                curve.points.push((x, y));
+                curve.reach.extend(reach);
+            }
+            curves.push(curve);
         }
         self
     }
@@ -105,6 +126,13 @@ impl Panel {
     #[must_use]
     pub fn level(mut self, value: f64, label: impl Into<String>) -> Self {
         self.levels.push((value, label.into()));
+        self
+    }
+
+    /// Adds a dashed vertical line with a label, where the x axis shows its place. Ignored by a chart of bars.
+    #[must_use]
+    pub fn mark(mut self, x: f64, label: impl Into<String>) -> Self {
+        self.marks.push((x, label.into()));
         self
     }
 
@@ -131,7 +159,7 @@ impl Panel {
             canvas.text(frame.left - 8.0, y + 4.0, 12.0, Anchor::End, &frame.y.label(tick));
         }
         match &self.content {
-            Content::Curves { x_label, curves } => draw_curves(canvas, &frame, x_label, curves),
+            Content::Curves { x_label, curves } => draw_curves(canvas, &frame, x_label, curves, &self.marks),
             Content::Bars { categories, groups } => {
                 let slanted = self.slant(frame.width) > 0.0;
                 draw_bars(canvas, &frame, categories, groups, self.log_y, slanted);
@@ -160,7 +188,8 @@ impl Panel {
         match &self.content {
             Content::Curves { curves, .. } => {
                 let values = curves.iter().flat_map(|curve| &curve.points).map(|point| point.1);
-                Axis::over(values.chain(levels), self.log_y, false)
+                let edges = curves.iter().flat_map(Curve::band).flat_map(|(_, low, high)| [low, high]);
+                Axis::over(values.chain(edges).chain(levels), self.log_y, false)
             }
             Content::Bars { groups, .. } => {
                 let values = groups.iter().flat_map(|(_, values)| values).copied();
@@ -183,7 +212,17 @@ impl Panel {
     }
 }
 
-fn draw_curves(canvas: &mut Canvas, frame: &Frame, x_label: &str, curves: &[Curve]) {
+impl Curve {
+    /// The band: x, lower and upper edge.
+    fn band(&self) -> impl Iterator<Item = (f64, f64, f64)> {
+        self.points.iter().zip(&self.reach).map(|((x, y), reach)| (*x, y - reach, y + reach))
+    }
+}
+
+/// The most labels of marks that stand below each other before they begin at the top again.
+const MARK_ROWS: usize = 4;
+
+fn draw_curves(canvas: &mut Canvas, frame: &Frame, x_label: &str, curves: &[Curve], marks: &[(f64, String)]) {
     let x = Axis::tight(&curves.iter().flat_map(|curve| &curve.points).map(|point| point.0));
     let x_of = |value: f64| x.place(value).map(|place| frame.left + frame.width * place);
     let bottom = frame.top + frame.height;
@@ -193,6 +232,22 @@ fn draw_curves(canvas: &mut Canvas, frame: &Frame, x_label: &str, curves: &[Curv
         canvas.text(at, bottom + 18.0, 12.0, Anchor::Middle, &x.label(tick));
     }
     canvas.text(frame.left + frame.width / 2.0, bottom + 40.0, 13.0, Anchor::Middle, x_label);
+    for (curve, colour) in curves.iter().zip(COLOURS.iter().cycle()) {
+        let edge = |x: f64, y: f64| x_of(x).zip(frame.y_of(y));
+        let (upper, lower): (Vec<_>, Vec<_>) =
+            curve.band().filter_map(|(x, low, high)| Some((edge(x, high)?, edge(x, low)?))).unzip();
+        if upper.len() > 1 {
+            canvas.area(upper.into_iter().chain(lower.into_iter().rev()), colour);
+        }
+    }
+    let shown = |at: &f64| (frame.left - 0.5..=frame.left + frame.width + 0.5).contains(at);
+    for (row, (value, label)) in marks.iter().enumerate() {
+        let Some(at) = x_of(*value).filter(shown) else { continue };
+        canvas.line((at, frame.top), (at, bottom), FRAME, 1.2, true);
+        let y = frame.top + 14.0 + 15.0 * (row % MARK_ROWS) as f64;
+        let (at, anchor) = if at > frame.left + 0.6 * frame.width { (at - 5.0, Anchor::End) } else { (at + 5.0, Anchor::Start) };
+        canvas.outlined_text(at, y, 12.0, anchor, label);
+    }
     for (curve, colour) in curves.iter().zip(COLOURS.iter().cycle()) {
         let places: Vec<Option<(f64, f64)>> =
             curve.points.iter().map(|point| x_of(point.0).zip(frame.y_of(point.1))).collect();
@@ -255,6 +310,17 @@ mod tests {
         assert!(svg.contains("limit"));
         assert!(!svg.contains("NaN"));
         assert_eq!(svg.matches('<').count(), svg.matches('>').count());
+    }
+
+    #[test]
+    fn a_band_widens_the_axis_and_a_mark_stands_only_where_the_axis_is() {
+        let chart = |panel: Panel| Sheet::new("").panel(panel).to_svg();
+        let plain = Panel::curves("", "x", "y").line("one", [(0.0, 1.0), (1.0, 2.0)]);
+        let banded = Panel::curves("", "x", "y").banded_line("one", [(0.0, 1.0, 50.0), (1.0, 2.0, f64::NAN), (2.0, 3.0, 9.0)]);
+        assert!(!chart(plain.clone()).contains("<polygon") && !chart(plain.clone()).contains(">40<"));
+        let svg = chart(banded.mark(1.0, "raised").mark(9.0, "beyond"));
+        assert_eq!(svg.matches("<polygon").count(), 1);
+        assert!(svg.contains(">40<") && svg.contains("raised") && !svg.contains("beyond") && !svg.contains("NaN"));
     }
 
     #[test]

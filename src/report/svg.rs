@@ -85,13 +85,14 @@ impl Canvas {
         self.push(format_args!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{fill}\"/>"));
     }
 
+    /// A closed area, so thin in colour that what lies on it can be read.
+    pub(super) fn area(&mut self, corners: impl Iterator<Item = (f64, f64)>, colour: &str) {
+        let list = places(corners);
+        self.push(format_args!("<polygon points=\"{list}\" fill=\"{colour}\" fill-opacity=\"0.2\"/>"));
+    }
+
     pub(super) fn polyline(&mut self, points: &[(f64, f64)], colour: &str) {
-        let mut list = String::with_capacity(points.len() * 14);
-        for (x, y) in points {
-            // Writing to a string cannot fail.
-            let _ = write!(list, "{x:.1},{y:.1} ");
-        }
-        let list = list.trim_end();
+        let list = places(points.iter().copied());
         self.push(format_args!(
             "<polyline points=\"{list}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.8\" stroke-linejoin=\"round\"/>"
         ));
@@ -106,6 +107,16 @@ impl Canvas {
         // Writing to a string cannot fail.
         let _ = writeln!(self.text, "{element}");
     }
+}
+
+fn places(points: impl Iterator<Item = (f64, f64)>) -> String {
+    let mut list = String::new();
+    for (x, y) in points {
+        // Writing to a string cannot fail.
+        let _ = write!(list, "{x:.1},{y:.1} ");
+    }
+    list.truncate(list.trim_end().len());
+    list
 }
 
 fn escape(text: &str) -> String {

@@ -237,7 +237,7 @@ impl Reader {
         self.pools.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    async fn rows<'q, Row, T>(
+    pub(super) async fn rows<'q, Row, T>(
         &self,
         query: QueryAs<'q, Sqlite, Row, SqliteArguments>,
         read: impl Fn(Row) -> sqlx::Result<T>,
@@ -435,7 +435,7 @@ fn three(values: [Option<f64>; 3]) -> Option<[f64; 3]> {
 }
 
 #[derive(sqlx::FromRow)]
-struct ThrowColumns {
+pub(super) struct ThrowColumns {
     throw_row: i64,
     site: String,
     machine: String,
@@ -467,7 +467,7 @@ impl ThrowColumns {
         codec::trace(self.sample_rate_hz, samples, &current, &position, self.crc32.unwrap_or_default())
     }
 
-    fn read(mut self) -> sqlx::Result<StoredThrow> {
+    pub(super) fn read(mut self) -> sqlx::Result<StoredThrow> {
         let machine = machine_id(&self.site, &self.machine)?;
         let started_at = timestamp(self.started_at_us);
         let received_at = timestamp(self.received_at_us);
@@ -486,7 +486,7 @@ impl ThrowColumns {
 }
 
 #[derive(sqlx::FromRow)]
-struct HealthColumns {
+pub(super) struct HealthColumns {
     site: String,
     machine: String,
     boot_id: String,
@@ -514,7 +514,7 @@ struct HealthColumns {
 }
 
 impl HealthColumns {
-    fn read(self) -> sqlx::Result<HealthRow> {
+    pub(super) fn read(self) -> sqlx::Result<HealthRow> {
         let baseline = self.baseline_throws.zip(self.baseline_needed);
         Ok(HealthRow {
             machine: machine_id(&self.site, &self.machine)?,
@@ -537,7 +537,7 @@ impl HealthColumns {
 }
 
 #[derive(sqlx::FromRow)]
-struct AlarmColumns {
+pub(super) struct AlarmColumns {
     site: String,
     machine: String,
     alarm_id: String,
@@ -546,7 +546,7 @@ struct AlarmColumns {
 }
 
 impl AlarmColumns {
-    fn read(self) -> sqlx::Result<AlarmRow> {
+    pub(super) fn read(self) -> sqlx::Result<AlarmRow> {
         let machine = machine_id(&self.site, &self.machine)?;
         Ok(AlarmRow { machine, alarm_id: self.alarm_id, event_no: self.event_no, payload: self.payload })
     }

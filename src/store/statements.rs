@@ -131,6 +131,67 @@ statements! {
         WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' ORDER BY gap_row LIMIT ?1";
     TELL_GAP = "UPDATE gap SET told_at_us = ?2 WHERE gap_row = ?1";
 
+    // The dashboard. Each reads a bounded number of rows, however long the history.
+    FLEET_HEALTH = "SELECT site, machine, boot_id, throw_no, started_at_us, way.direction AS direction, \
+        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
+        baseline_throws, baseline_needed, throws_since_baseline \
+        FROM (SELECT machine_row, site, machine, coalesce((SELECT max(last.severity = 'critical') + 1 \
+        FROM alarm JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no \
+        WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'), 0) AS worst \
+        FROM machine ORDER BY worst DESC, site, machine LIMIT ?1) AS shown \
+        CROSS JOIN (SELECT 'normal_to_reverse' AS direction UNION ALL SELECT 'reverse_to_normal' UNION ALL SELECT NULL) AS way \
+        JOIN estimate ON estimate.throw_row = (SELECT max(latest.throw_row) FROM estimate AS latest \
+        WHERE latest.machine_row = shown.machine_row AND latest.direction IS way.direction) \
+        JOIN throw USING (throw_row) JOIN boot USING (boot_row) ORDER BY worst DESC, site, machine, way.direction";
+    MACHINE_COUNT = "SELECT count(*) FROM machine";
+    WORST_ALARMS = "SELECT site, machine, alarm_id, event_no, payload \
+        FROM alarm JOIN machine USING (machine_row) \
+        JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
+        WHERE alarm.state <> 'normal' ORDER BY severity = 'critical' DESC, raised_at_us DESC, alarm.alarm_row DESC LIMIT ?1";
+    OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) FROM active_alarms GROUP BY cause, severity ORDER BY cause, severity";
+    WAY_NEWEST = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
+        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
+        baseline_throws, baseline_needed, throws_since_baseline \
+        FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+        WHERE estimate.machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) \
+        AND estimate.direction = ?3 ORDER BY estimate.throw_row DESC LIMIT ?4";
+    WAY_SPREAD = "WITH RECURSIVE span AS (SELECT \
+        (SELECT min(throw_row) FROM estimate WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction = ?3) AS low, \
+        (SELECT max(throw_row) FROM estimate WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction = ?3) AS high), \
+        spot(at) AS (SELECT 0 UNION ALL SELECT at + 1 FROM spot WHERE at < ?4 - 1) \
+        SELECT DISTINCT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
+        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
+        baseline_throws, baseline_needed, throws_since_baseline \
+        FROM spot CROSS JOIN span JOIN estimate ON estimate.throw_row = (SELECT min(near.throw_row) FROM estimate AS near \
+        WHERE near.machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND near.direction = ?3 \
+        AND near.throw_row >= low + (high - low) * at / max(?4 - 1, 1)) \
+        JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+        ORDER BY estimate.throw_row DESC";
+    MACHINE_NEWEST = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
+        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
+        baseline_throws, baseline_needed, throws_since_baseline \
+        FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+        WHERE estimate.throw_row IN (SELECT * FROM (SELECT throw_row FROM estimate \
+        WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction = 'normal_to_reverse' ORDER BY throw_row DESC LIMIT ?3) \
+        UNION ALL SELECT * FROM (SELECT throw_row FROM estimate \
+        WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction = 'reverse_to_normal' ORDER BY throw_row DESC LIMIT ?3) \
+        UNION ALL SELECT * FROM (SELECT throw_row FROM estimate \
+        WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction IS NULL ORDER BY throw_row DESC LIMIT ?3)) \
+        ORDER BY estimate.throw_row DESC LIMIT ?3";
+    MACHINE_ALARM_EVENTS = "SELECT payload, by_whom, why FROM alarm_event WHERE alarm_row IN (SELECT alarm_row FROM alarm \
+        WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) ORDER BY raised_at_us DESC LIMIT ?3) \
+        ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?3";
+    THROW_AT = "SELECT throw_row, site, machine, boot_id, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, \
+        samples, temperature_c, supply_v, anti_alias_hz, current_codec, current_data, position_codec, position_data, crc32 \
+        FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+        LEFT JOIN trace USING (throw_row) WHERE throw.throw_row = (SELECT throw_row FROM throw JOIN boot USING (boot_row) \
+        WHERE boot.machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND boot_id = ?3 AND throw_no = ?4)";
+    HEALTH_AT = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
+        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
+        baseline_throws, baseline_needed, throws_since_baseline \
+        FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+        WHERE estimate.throw_row = ?1";
+
     // Retention.
     LAST_HEARD = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";
     OLDEST_TRACES = "SELECT throw_row FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT ?1";

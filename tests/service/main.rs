@@ -9,3 +9,4 @@ mod operators;
 mod python;
 mod rig;
 mod throws;
+mod web;

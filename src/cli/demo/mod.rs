@@ -1,9 +1,9 @@
-//! `pointsd demo`: daemon, simulated fleet and database in one process, over loopback.
+//! `pointsd demo`: daemon, simulated fleet, database and dashboard in one process, over loopback.
 
 mod outcome;
 mod screen;
 
-use std::{fs, path::PathBuf};
+use std::{fs, net::Ipv4Addr, path::PathBuf};
 
 use anyhow::Context;
 use jiff::SignedDuration;
@@ -18,11 +18,12 @@ use super::{
 use crate::{
     bus,
     daemon::{
-        Daemon, clock,
+        Daemon, Ended, clock,
         config::{Config, Document, client_session},
     },
     logger::{Logger, LoggerSettings},
     simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    web::{self, Place},
 };
 use screen::Screen;
 
@@ -35,18 +36,18 @@ const INTERVAL_S: f64 = 1200.0;
 
 /// Shows what pointsd does, in about half a minute: five simulated machines, four of which wear out.
 ///
-/// Daemon, machines and database run in this process and talk over loopback. The database is kept for a look
+/// Daemon, machines, database and dashboard run in this process and talk over loopback. The database is kept for a look
 /// afterwards.
 ///
-/// Exit codes: 0 all four faults were named right and the healthy machine raised no alarm; 1 not so; 69 zenoh cannot
-/// be used; 73 the database cannot be created.
+/// Exit codes: 0 all four faults were named right and the healthy machine raised no alarm; 1 not so; 69 zenoh or the
+/// dashboard cannot be used; 73 the database cannot be created.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd demo --seed 7")]
 pub(super) struct Arguments {
     /// Seed of everything random.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Leave the daemon running at the end, until Ctrl-C.
+    /// Leave the daemon and its dashboard running at the end, until Ctrl-C.
     #[arg(long)]
     keep: bool,
     /// Folder for the database; without it, a new one among the temporary files.
@@ -80,13 +81,17 @@ async fn demo(arguments: &Arguments) -> Outcome {
     let began = clock::monotonic();
     let mut signals = Signals::listen()?;
     let database = database(arguments)?;
+    let place = Place::bind((Ipv4Addr::LOCALHOST, 0).into()).await.or_exit(Exit::Unavailable)?;
+    let url = place.url();
     let mut daemon = Daemon::start(config(&database)?).await.map_err(start_failure)?;
+    daemon.adopt("the dashboard", web::serve(place, daemon.view()));
     let endpoint = daemon.locators().await.into_iter().next().unwrap_or_default();
     println!(
         "A daemon that listens on {endpoint}, and {} simulated point machines that connect to it.",
         MACHINES.len()
     );
-    println!("Each throws {THROWS} times. The first 50 throws a direction become its baseline; then four wear out.\n");
+    println!("Each throws {THROWS} times. The first 50 throws a direction become its baseline; then four wear out.");
+    println!("In a browser: {url}\n");
 
     let mut screen = Screen::new(MACHINES.len(), THROWS);
     let mut judged = daemon.watch();
@@ -107,9 +112,7 @@ async fn demo(arguments: &Arguments) -> Outcome {
                 Err(RecvError::Lagged(missed)) => seen += missed,
                 Err(RecvError::Closed) => break,
             },
-            ended = daemon.ended() => {
-                return Err(Failure { exit: Exit::Software, error: anyhow::anyhow!("{} has ended on its own", ended.0) });
-            }
+            ended = daemon.ended() => return Err(died(ended)),
             () = signals.stop() => {
                 println!("stopped");
                 return Ok(Exit::Negative);
@@ -123,14 +126,24 @@ async fn demo(arguments: &Arguments) -> Outcome {
     let right = rows.iter().all(outcome::Row::is_right);
     println!("{}\n", outcome::sentence(&rows, clock::monotonic().duration_since(began)));
     outcome::print_queries(&database);
+    if !arguments.keep {
+        println!("With --keep the dashboard at {url} stays up; it ends now.");
+    }
     if arguments.keep {
-        println!("\nThe daemon goes on, at {endpoint}, until Ctrl-C.");
-        signals.stop().await;
+        println!("\nThe daemon goes on, at {endpoint}, and its dashboard, at {url}, until Ctrl-C.");
+        tokio::select! {
+            () = signals.stop() => {}
+            ended = daemon.ended() => return Err(died(ended)),
+        }
     }
     drop(logger);
     session.close().await.map_err(|error| Failure { exit: Exit::Unavailable, error: anyhow::anyhow!(error) })?;
     daemon.stop().await.or_exit(Exit::Io)?;
     Ok(if right { Exit::Ok } else { Exit::Negative })
+}
+
+fn died(Ended(task): Ended) -> Failure {
+    Failure { exit: Exit::Software, error: anyhow::anyhow!("{task} has ended on its own") }
 }
 
 /// The path of a database that does not exist yet.

@@ -7,6 +7,7 @@ mod zenoh;
 use std::{
     collections::HashSet,
     fs,
+    net::SocketAddr,
     path::{Path, PathBuf},
 };
 
@@ -58,6 +59,16 @@ pub struct Subscribe {
 pub struct Identify {
     /// Threads, 0 to 64; 0 for as many as there are processors, at most 8.
     pub threads: usize,
+}
+
+/// The `[web]` section: the dashboard and the metrics.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Web {
+    /// Address and port to listen on; without it there is no dashboard. Whoever reaches it can read.
+    pub listen: Option<SocketAddr>,
+    /// Names, beside IP addresses and `localhost`, under which browsers may ask for it.
+    pub hosts: Vec<String>,
 }
 
 /// How log lines are written.
@@ -114,6 +125,7 @@ struct File {
     diagnosis: diagnose::Settings,
     machines: MachineDefaults,
     machine: Vec<MachineEntry>,
+    web: Web,
     log: Log,
     // Read as zenoh's own type so that its complaints carry the place; used as a table, to be laid over our defaults.
     #[serde(rename = "zenoh")]
@@ -137,6 +149,8 @@ pub struct Config {
     pub diagnosis: diagnose::Settings,
     /// What the estimator has to know of each machine.
     pub machines: Machines,
+    /// The dashboard.
+    pub web: Web,
     /// Log lines.
     pub log: Log,
     /// The zenoh session.
@@ -176,6 +190,7 @@ impl Config {
             Scope::parse(&file.subscribe.key).map_err(|error| document.complain("subscribe.key", error.to_string()))?;
         check_ranges(&file, document)?;
         check_machines(&file, document)?;
+        check_web(&file.web, document)?;
         check_log(&file.log, document)?;
         check_database_path(&file.store.path, document)?;
         Ok(Self {
@@ -187,6 +202,7 @@ impl Config {
             identify: file.identify,
             store: file.store,
             diagnosis: file.diagnosis,
+            web: file.web,
             log: file.log,
         })
     }
@@ -219,6 +235,20 @@ fn check_machines(file: &File, document: &Document) -> Result<(), ConfigError> {
         if !seen.insert(entry.id()) {
             let problem = format!("{} is described a second time", entry.id());
             return Err(document.complain(&format!("machine[{index}].machine"), problem));
+        }
+    }
+    Ok(())
+}
+
+/// Longest name of a host.
+const HOST_LENGTH: usize = 253;
+
+fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
+    let fits = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '.';
+    for (index, host) in web.hosts.iter().enumerate() {
+        if host.is_empty() || host.len() > HOST_LENGTH || !host.chars().all(fits) {
+            let problem = format!("{host:?} is no name of a host: letters, digits, - and . without port");
+            return Err(document.complain(&format!("web.hosts[{index}]"), problem));
         }
     }
     Ok(())

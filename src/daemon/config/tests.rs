@@ -38,6 +38,7 @@ fn the_shipped_file_is_the_built_in_defaults() {
     assert_eq!(shipped.store, built_in.store);
     assert_eq!(shipped.diagnosis, built_in.diagnosis);
     assert_eq!(shipped.machines, built_in.machines);
+    assert_eq!(shipped.web, built_in.web);
     assert_eq!(shipped.log, built_in.log);
     assert_eq!(shipped.machine, []);
     let empty = Document::parse(Path::new("empty"), String::new()).unwrap();
@@ -54,6 +55,7 @@ fn the_shipped_file_shows_every_key() {
         store: store::Settings,
         diagnosis: diagnose::Settings,
         machines: MachineDefaults,
+        web: Web,
         log: Log,
     }
     let file = File::default();
@@ -64,10 +66,11 @@ fn the_shipped_file_shows_every_key() {
         store: file.store,
         diagnosis: file.diagnosis,
         machines: MachineDefaults { stroke_mm: Some(115.0), ..file.machines },
+        web: Web { listen: Some("127.0.0.1:7480".parse().unwrap()), hosts: Vec::new() },
         log: file.log,
     };
     // Keys without a default are shown as comments.
-    let text = shipped().replace("# stroke_mm", "stroke_mm");
+    let text = shipped().replace("# stroke_mm", "stroke_mm").replace("# listen", "listen");
     let table: toml::Table = toml::from_str(&text).unwrap();
     let shown = keys(&table, "");
     for key in keys(&toml::Table::try_from(sections).unwrap(), "") {
@@ -100,6 +103,9 @@ fn what_is_wrong_is_named_with_line_and_key() {
             "pointsd.toml:6: machine[1].machine: a/1 is described a second time",
         ),
         ("[log]\nlevel = \"loud=very\"", "pointsd.toml:2: log.level: "),
+        ("[web]\nlisten = \"localhost:7480\"", "pointsd.toml:2: web.listen: invalid socket address syntax"),
+        ("[web]\nlisten = \"127.0.0.1\"", "pointsd.toml:2: web.listen: invalid socket address syntax"),
+        ("[web]\nhosts = [\"a\", \"b:80\"]", "pointsd.toml:2: web.hosts[1]: \"b:80\" is no name of a host"),
         ("[zenoh]\nmode = \"rooter\"", "pointsd.toml:2: zenoh.mode: "),
         ("[zenoh]\nlisten.endpoint = []", "pointsd.toml:2: zenoh.listen.endpoint: unknown field"),
         ("[zenoh]\nlisten.endpoints = [\"7447\"]", "pointsd.toml:2: zenoh.listen.endpoints"),

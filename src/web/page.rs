@@ -1,0 +1,134 @@
+//! What all pages share: how they are answered, failures in plain words, numbers and times as text.
+
+use askama::Template;
+use axum::{
+    extract::rejection::PathRejection,
+    http::{HeaderValue, StatusCode, header},
+    response::{Html, IntoResponse, Response},
+};
+use jiff::Timestamp;
+
+use crate::store::StoreError;
+
+/// A page instead of the one that was asked for.
+#[derive(Debug)]
+pub(super) struct Failure {
+    status: StatusCode,
+    says: String,
+}
+
+#[derive(Template)]
+#[template(path = "failure.html", config = "src/web/askama.toml")]
+struct FailurePage<'a> {
+    title: &'a str,
+    says: &'a str,
+}
+
+impl Failure {
+    pub(super) fn new(status: StatusCode, says: impl Into<String>) -> Self {
+        Self { status, says: says.into() }
+    }
+
+    pub(super) fn not_found(says: impl Into<String>) -> Self {
+        Self::new(StatusCode::NOT_FOUND, says)
+    }
+
+    pub(super) fn bad_request(says: impl Into<String>) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, says)
+    }
+
+    pub(super) fn busy() -> Self {
+        let says = "The daemon has more important things to do, or its database does not answer. Try again in a moment; \
+                    pointsd status shows how it stands.";
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, says)
+    }
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Self {
+        tracing::debug!(%error, "a page cannot be answered");
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, format!("The database cannot be read: {error}."))
+    }
+}
+
+impl From<PathRejection> for Failure {
+    fn from(_: PathRejection) -> Self {
+        Self::bad_request("This address cannot be understood.")
+    }
+}
+
+impl IntoResponse for Failure {
+    fn into_response(self) -> Response {
+        let page = FailurePage { title: self.status.canonical_reason().unwrap_or("Failure"), says: &self.says };
+        let mut response = (self.status, html(&page)).into_response();
+        if self.status == StatusCode::METHOD_NOT_ALLOWED {
+            response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET, HEAD"));
+        }
+        response
+    }
+}
+
+/// A page as a response.
+pub(super) fn html(page: &impl Template) -> Response {
+    match page.render() {
+        Ok(text) => Html(text).into_response(),
+        // A template that is checked when compiled and writes into memory.
+        Err(error) => text(StatusCode::INTERNAL_SERVER_ERROR, format!("the page cannot be written: {error}\n")),
+    }
+}
+
+pub(super) fn text(status: StatusCode, text: String) -> Response {
+    (status, text).into_response()
+}
+
+pub(super) fn asset(kind: &'static str, content: &'static str) -> Response {
+    ([(header::CONTENT_TYPE, HeaderValue::from_static(kind))], content).into_response()
+}
+
+/// "2026-11-21 19:30:12 UTC".
+pub(super) fn time(at: Timestamp) -> String {
+    at.strftime("%Y-%m-%d %H:%M:%S UTC").to_string()
+}
+
+/// "3 d 4 h", "4 h 5 min", "5 min" or "6 s".
+pub(super) fn duration(seconds: u64) -> String {
+    let (days, hours, minutes) = (seconds / 86_400, seconds / 3_600 % 24, seconds / 60 % 60);
+    match (days, hours, minutes) {
+        (0, 0, 0) => format!("{seconds} s"),
+        (0, 0, _) => format!("{minutes} min"),
+        (0, ..) => format!("{hours} h {minutes} min"),
+        _ => format!("{days} d {hours} h"),
+    }
+}
+
+/// "1.5 MiB".
+pub(super) fn size(bytes: u64) -> String {
+    let kib = bytes as f64 / 1024.0;
+    if kib < 1024.0 { format!("{kib:.0} KiB") } else { format!("{:.1} MiB", kib / 1024.0) }
+}
+
+/// "1,234,567".
+pub(super) fn count(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (at, digit) in digits.chars().enumerate() {
+        if at > 0 && (digits.len() - at).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_well() {
+        assert_eq!([0, 999, 1_000, 1_234_567].map(count), ["0", "999", "1,000", "1,234,567"]);
+        assert_eq!([59, 60, 7_500, 270_000].map(duration), ["59 s", "1 min", "2 h 5 min", "3 d 3 h"]);
+        assert_eq!([2_048, 3 << 19].map(size), ["2 KiB", "1.5 MiB"]);
+        assert_eq!(time(Timestamp::UNIX_EPOCH), "1970-01-01 00:00:00 UTC");
+    }
+}

@@ -1,0 +1,430 @@
+//! The dashboard of the real daemon over real HTTP: what it shows, what it refuses, and that who reads, slowly, often or
+//! with bad intent, does not hold up the daemon.
+
+use std::{
+    io::{Read, Write},
+    net::TcpStream,
+    process::{Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use pointsd::{
+    throw::ThrowRef,
+    wire::{Encoding, encode_throw},
+};
+
+use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsd, stub, throws};
+
+const KEY: &str = "points/v1/north/21B/throw";
+const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
+/// A boot_id that a browser would run, were it not escaped.
+const HOSTILE: &str = "<script>alert(1)</script>\"'&";
+
+/// What was answered.
+#[derive(Debug)]
+struct Answer {
+    status: u16,
+    head: String,
+    body: String,
+}
+
+impl Answer {
+    fn header(&self, name: &str) -> Option<&str> {
+        self.head.lines().find_map(|line| {
+            let (key, value) = line.split_once(':')?;
+            key.eq_ignore_ascii_case(name).then(|| value.trim())
+        })
+    }
+}
+
+/// `127.0.0.1:PORT` of the daemon's dashboard.
+fn address(daemon: &Daemon) -> String {
+    let line = daemon.log().into_iter().find(|line| line.contains("the dashboard is at")).unwrap();
+    line.split("http://").nth(1).unwrap().trim_end_matches('/').to_owned()
+}
+
+/// Sends these bytes and returns all that is answered until the other side closes.
+fn exchange(address: &str, request: &str) -> String {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    // A connection that is cut has answered what it had.
+    let _ = stream.read_to_end(&mut answer);
+    String::from_utf8(answer).unwrap()
+}
+
+fn ask(address: &str, method: &str, path: &str, host: &str) -> Answer {
+    let text = exchange(address, &format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{method} {path}: {text:?}"));
+    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+    Answer { status, head: head.to_owned(), body: body.to_owned() }
+}
+
+fn get(address: &str, path: &str) -> Answer {
+    ask(address, "GET", path, address)
+}
+
+/// Every element that is opened is closed, in order.
+fn check_nesting(html: &str) {
+    const VOID: [&str; 3] = ["meta", "link", "!doctype"];
+    let mut open = Vec::new();
+    for tag in html.split('<').skip(1) {
+        let (tag, _) = tag.split_once('>').unwrap_or_else(|| panic!("a < that begins no element: {tag:.60}"));
+        let name = tag.split([' ', '\n', '/']).next().unwrap();
+        match tag.strip_prefix('/') {
+            Some(closed) => assert_eq!(open.pop(), Some(closed), "in {html}"),
+            None if VOID.contains(&name) || tag.ends_with('/') => {}
+            None => open.push(name),
+        }
+    }
+    assert!(open.is_empty(), "{open:?} stay open");
+}
+
+/// A daemon with throws of one machine: two good ones, and one with a hostile name that is refused.
+async fn small_history() -> (Rig, Daemon, String) {
+    let rig = Rig::with(WEB);
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    for throw in throws("boot", 2).iter().chain([&stub(HOSTILE, 1)]) {
+        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+    }
+    rig.judged(3).await;
+    let address = address(&daemon);
+    (rig, daemon, address)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
+    let (_rig, daemon, address) = small_history().await;
+    let fleet = get(&address, "/");
+    assert_eq!(fleet.status, 200, "{fleet:?}");
+    assert!(fleet.body.contains("<html lang=\"en\">") && fleet.body.contains("href=\"/machines/north/21B\""), "{}", fleet.body);
+    assert!(fleet.body.contains("baseline 1 of 50"), "{}", fleet.body);
+    // Nobody shows a liveliness token: silence is not health.
+    assert!(fleet.body.contains("No logger is connected"), "{}", fleet.body);
+    let machine = get(&address, "/machines/north/21B");
+    let throw = get(&address, "/machines/north/21B/throws/boot/2");
+    assert!(throw.body.contains("Motor current") && throw.body.matches("<svg").count() == 2, "{}", throw.body);
+    for span in ["100", "1000", "all"] {
+        assert_eq!(get(&address, &format!("/machines/north/21B?span={span}")).status, 200);
+    }
+    for page in [&fleet, &machine, &throw] {
+        check_nesting(&page.body);
+        let policy = page.header("content-security-policy").unwrap();
+        assert!(policy.starts_with("default-src 'none';") && !policy.contains("unsafe"), "{policy}");
+        assert_eq!(page.header("x-content-type-options"), Some("nosniff"));
+        assert_eq!(page.header("cache-control"), Some("no-store"));
+        assert_eq!(page.header("referrer-policy"), Some("no-referrer"));
+        assert_eq!(page.header("set-cookie"), None);
+        assert!(!page.body.contains(" style=") && !page.body.contains("onclick"), "the policy forbids inline style and script");
+    }
+    for asset in ["/style.css", "/refresh.js"] {
+        assert_eq!(get(&address, asset).status, 200);
+    }
+
+    for method in ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE"] {
+        let refused = ask(&address, method, "/", &address);
+        assert_eq!((refused.status, refused.header("allow")), (405, Some("GET, HEAD")), "{method}");
+        assert!(refused.body.contains("can only be read"), "{method}: {}", refused.body);
+    }
+    let head = ask(&address, "HEAD", "/", &address);
+    assert_eq!((head.status, head.body.as_str()), (200, ""));
+    for (path, status, says) in [
+        ("/nowhere", 404, "There is no such page"),
+        ("/machines/north/99", 404, "No throw of a machine north/99 is known"),
+        ("/machines/no%20rth/99", 404, "There is no such machine"),
+        ("/machines/north/21B/throws/boot/3", 404, "has no such throw"),
+        ("/machines/north/21B/throws/boot/18446744073709551615", 404, "has no such throw"),
+        ("/machines/north/21B/throws/boot/three", 400, "the number of the throw"),
+        ("/machines/north/21B?span=7", 400, "span=1000"),
+        ("/machines/north/%FF", 400, "cannot be understood"),
+    ] {
+        let answer = get(&address, path);
+        assert_eq!(answer.status, status, "{path}: {answer:?}");
+        assert!(answer.body.contains(says), "{path}: {}", answer.body);
+        check_nesting(&answer.body);
+        assert!(answer.header("content-security-policy").is_some(), "{path}");
+    }
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn hostile_names_and_reasons_are_text_and_lead_where_they_say() {
+    let (rig, daemon, _) = small_history().await;
+    assert!(daemon.terminate().success());
+    rig.change("UPDATE estimate SET detail = '<img src=x onerror=alert(2)>' WHERE quality <> 'good'").await;
+    let daemon = rig.start();
+    let address = address(&daemon);
+    let machine = get(&address, "/machines/north/21B");
+    let at = machine.body.find("/throws/%3Cscript").unwrap_or_else(|| panic!("no link: {}", machine.body));
+    let link = format!("/machines/north/21B{}", machine.body[at..].split('"').next().unwrap());
+    let throw = get(&address, &link);
+    assert_eq!(throw.status, 200, "{link}: {throw:?}");
+    assert!(throw.body.contains("alert(1)") && throw.body.contains("alert(2)"), "{}", throw.body);
+    for page in [get(&address, "/"), machine, throw] {
+        assert!(!page.body.contains("<script>") && !page.body.contains("<img"), "{}", page.body);
+        check_nesting(&page.body);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_page_that_makes_its_name_lead_here_gets_nothing() {
+    let rig = Rig::with(&format!("{WEB}hosts = [\"cabinet.north\"]\n"));
+    let daemon = rig.start();
+    let address = address(&daemon);
+    for ours in [address.as_str(), "localhost", "[::1]:80", "cabinet.north:7480"] {
+        assert_eq!(ask(&address, "GET", "/", ours).status, 200, "{ours}");
+    }
+    for other in ["rebound.example", "127.0.0.1.rebound.example", ""] {
+        let refused = ask(&address, "GET", "/metrics", other);
+        assert_eq!(refused.status, 421, "{other}");
+        assert!(!refused.body.contains("pointsd_throws"), "{}", refused.body);
+    }
+    for none in ["GET / HTTP/1.1\r\n\r\n", "GET / HTTP/1.1\r\nHost: a\r\nHost: 127.0.0.1\r\n\r\n"] {
+        assert!(exchange(&address, none).starts_with("HTTP/1.1 400"), "{none}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_metrics_count_what_the_daemon_did() {
+    let (_rig, daemon, address) = small_history().await;
+    daemon.until_status("three judged throws", |status| status["judged"] == 3).await;
+    let answer = get(&address, "/metrics");
+    assert!(answer.header("content-type").unwrap().starts_with("application/openmetrics-text"), "{answer:?}");
+    assert!(answer.body.ends_with("# EOF\n"), "{}", answer.body);
+    let value = |name: &str| answer.body.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+    for (name, expected) in [
+        ("pointsd_throws_received_total", "3"),
+        ("pointsd_throws_stored_total", "3"),
+        ("pointsd_throws_judged_total", "3"),
+        ("pointsd_messages_lost_total", "0"),
+        ("pointsd_throws_waiting", "0"),
+        ("pointsd_loggers", "0"),
+        ("pointsd_machines", "1"),
+        ("pointsd_disk_state{state=\"ok\"}", "1"),
+        ("pointsd_disk_state{state=\"full\"}", "0"),
+        ("pointsd_loop_alive{loop=\"write\"}", "1"),
+        ("pointsd_alarms_open{cause=\"kt\",severity=\"critical\"}", "0"),
+    ] {
+        assert_eq!(value(name), Some(expected), "{name} in {}", answer.body);
+    }
+    let refused: Vec<&str> = answer.body.lines().filter(|line| line.starts_with("pointsd_throws_not_evaluated_total{")).collect();
+    assert_eq!(refused.len(), 1, "{refused:?}");
+    assert!(refused[0].ends_with("\"} 1"), "{refused:?}");
+    assert!(value("pointsd_database_bytes").unwrap().parse::<u64>().unwrap() > 4096);
+    assert!(answer.body.contains("pointsd_build_info{version=\""), "{}", answer.body);
+    assert!(!answer.body.contains("21B"), "no label grows with the fleet");
+    assert_eq!(get(&address, "/healthz").status, 200);
+}
+
+#[test]
+fn without_its_section_there_is_no_dashboard_and_a_taken_port_is_said() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    assert!(!daemon.log().iter().any(|line| line.contains("dashboard")), "{:?}", daemon.log());
+    drop(daemon);
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let failed = Rig::with(&format!("[web]\nlisten = \"127.0.0.1:{port}\"\n")).try_start().err().unwrap();
+    assert_eq!(failed.status.code(), Some(69), "{failed:?}");
+    let says = format!("the dashboard cannot listen on 127.0.0.1:{port} (web.listen): Address already in use");
+    assert!(failed.log.iter().any(|line| line.contains(&says)), "{failed:?}");
+}
+
+/// 150,000 throws of one machine and 3,000 machines: what is answered stays small.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_big_history_gives_bounded_pages() {
+    let (rig, daemon, address) = small_history().await;
+    let fresh = get(&address, "/machines/north/21B?span=all").body.len();
+    assert!(daemon.terminate().success());
+    rig.change(
+        "WITH RECURSIVE n(i) AS (SELECT 1000 UNION ALL SELECT i + 1 FROM n WHERE i < 151000)
+         INSERT INTO throw (throw_row, machine_row, boot_row, throw_no, started_at_us, received_at_us, direction,
+                            sample_rate_hz, samples, content_crc32, judged_at_us)
+         SELECT i, machine_row, boot_row, i, started_at_us + 60000000 * i, received_at_us, direction, sample_rate_hz,
+                samples, content_crc32, judged_at_us
+         FROM n, (SELECT * FROM throw WHERE throw_row = 1)",
+    )
+    .await;
+    rig.change(
+        "WITH RECURSIVE n(i) AS (SELECT 1000 UNION ALL SELECT i + 1 FROM n WHERE i < 151000)
+         INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, b0, a1, a0, b0_sd,
+                               a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, throws_since_baseline)
+         SELECT i, machine_row, CASE i % 2 WHEN 0 THEN 'normal_to_reverse' ELSE 'reverse_to_normal' END, 0, 'good', b0,
+                a1, a0, b0_sd, a1_sd, a0_sd, i % 7, i % 11, -(i % 5), fit_pct, i
+         FROM n, (SELECT * FROM estimate WHERE throw_row = 1)",
+    )
+    .await;
+    rig.change(
+        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 3000)
+         INSERT INTO machine (site, machine) SELECT 'south', 'M' || i FROM n",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no)
+         SELECT machine_row, 'b', 0, 1 FROM machine WHERE site = 'south'",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO throw (throw_row, machine_row, boot_row, throw_no, started_at_us, received_at_us, sample_rate_hz,
+                            samples, content_crc32, judged_at_us)
+         SELECT 200000 + machine_row, machine_row, boot_row, 1, 0, 0, 1000, 0, 0, 1
+         FROM machine JOIN boot USING (machine_row) WHERE site = 'south'",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, throws_since_baseline)
+         SELECT 200000 + machine_row, machine_row, 'normal_to_reverse', 0, 'good', 1 FROM machine WHERE site = 'south'",
+    )
+    .await;
+    let daemon = rig.start();
+    let address = self::address(&daemon);
+    let mut said = Vec::new();
+    for (path, most) in [
+        ("/", 400_000),
+        ("/machines/north/21B?span=100", 250_000),
+        ("/machines/north/21B?span=1000", 250_000),
+        ("/machines/north/21B?span=all", 250_000),
+        ("/metrics", 20_000),
+    ] {
+        let began = Instant::now();
+        let answer = get(&address, path);
+        said.push(format!("{path}: {} bytes, {:.1} ms", answer.body.len(), began.elapsed().as_secs_f64() * 1e3));
+        assert_eq!(answer.status, 200, "{path}: {}", answer.body);
+        assert!(answer.body.len() < most, "{path}: {} bytes", answer.body.len());
+    }
+    println!("with 150,000 throws more (before: {fresh} bytes): {}", said.join("; "));
+    let fleet = get(&address, "/").body;
+    assert_eq!(fleet.matches("<li class=\"tile ").count(), 200);
+    assert!(fleet.contains("2,801 more machines are not shown"), "{fleet:.3000}");
+    // Spread over the whole life, not only its end: the axis reaches back a hundred days.
+    let all = get(&address, "/machines/north/21B?span=all").body;
+    assert!(all.contains("days from the last throw") && all.contains("drawn are 250 throws normal to reverse and 250 back"), "{all:.3000}");
+    check_nesting(&all);
+    assert!(daemon.terminate().success());
+}
+
+/// Resident memory of a process \[KiB\].
+fn resident_kib(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+    line.split_whitespace().next().unwrap().parse().unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
+    const CLIENTS: usize = 200;
+    let (rig, daemon, address) = small_history().await;
+    let before = resident_kib(daemon.id());
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let paths = ["/", "/machines/north/21B?span=all", "/machines/north/21B/throws/boot/2", "/metrics"];
+    let readers: Vec<_> = (0..CLIENTS)
+        .map(|client| {
+            let address = address.clone();
+            thread::spawn(move || [0, 1, 2].map(|turn| get(&address, paths[(client + turn) % paths.len()]).status))
+        })
+        .collect();
+    let made = throws("during", 40);
+    for throw in &made {
+        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+    }
+    rig.judged(3 + made.len()).await;
+    let mut busy = 0;
+    for reader in readers {
+        for status in reader.join().unwrap() {
+            assert!(status == 200 || status == 503, "{status}");
+            busy += usize::from(status == 503);
+        }
+    }
+    let grown = resident_kib(daemon.id()).saturating_sub(before);
+    println!("{CLIENTS} readers, {busy} of {} answers were busy; memory {before} KiB + {grown} KiB", 3 * CLIENTS);
+    // 64 connections, each with a page and its buffers, and the throws themselves.
+    assert!(grown < 64 << 10, "{grown} KiB more");
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_asks_slowly_or_without_end_is_cut_and_the_daemon_goes_on() {
+    let (rig, daemon, address) = small_history().await;
+    // More than there are places, each of which begins to ask and never ends.
+    let mut slow: Vec<TcpStream> = (0..100)
+        .map(|_| {
+            let mut stream = TcpStream::connect(&address).unwrap();
+            stream.write_all(b"GET / HTTP/1.1\r\nHost: ").unwrap();
+            stream
+        })
+        .collect();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    publisher.put(encode_throw(Encoding::Cbor, &throws("after", 1)[0])).await.unwrap();
+    assert_eq!(rig.judged(4).await.last().unwrap().throw, ThrowRef { boot_id: "after".to_owned(), throw_no: 1 });
+    // The page comes once the first of them are cut.
+    assert_eq!(get(&address, "/").status, 200);
+    for stream in &mut slow {
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        // All of them are let go: an end, a reset, or an answer that says so.
+        let gone = stream.read_to_end(&mut Vec::new());
+        assert!(gone.as_ref().err().is_none_or(|error| error.kind() == std::io::ErrorKind::ConnectionReset), "{gone:?}");
+    }
+    // A request without end is cut long before it fills memory.
+    let mut endless = TcpStream::connect(&address).unwrap();
+    endless.set_write_timeout(Some(PATIENCE)).unwrap();
+    endless.write_all(b"GET / HTTP/1.1\r\n").unwrap();
+    let cut = (0..100_000).find(|_| endless.write_all(b"X-Filler: aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa\r\n").is_err());
+    assert!(cut.is_some(), "5 MB of headers were taken");
+    assert_eq!(get(&address, "/healthz").status, 200);
+    assert!(daemon.terminate().success());
+}
+
+/// A real browser builds the page, and runs our script under our policy: when the daemon is gone, it says so.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_real_browser_shows_the_pages() {
+    if Command::new("chromium").arg("--version").stdout(Stdio::null()).status().is_err() {
+        println!("skipped: there is no chromium");
+        return;
+    }
+    let (rig, daemon, address) = small_history().await;
+    let profile = rig.folder().join("browser");
+    let browse = |path: &str, time_ms: u32| {
+        let mut command = Command::new("chromium");
+        command.args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--enable-logging=stderr"]);
+        command.args([format!("--user-data-dir={}", profile.display()), format!("--virtual-time-budget={time_ms}")]);
+        let output = command.args(["--dump-dom", &format!("http://{address}{path}")]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!said.contains("Content Security Policy"), "{said}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let fleet = browse("/", 2_000);
+    assert!(fleet.contains("north") && fleet.contains("baseline 1 of 50"), "{fleet}");
+    let machine = browse("/machines/north/21B", 2_000);
+    // The hostile name is a text node, no element.
+    assert!(machine.contains("throws/%3Cscript%3E") && !machine.contains("<script>alert"), "{machine}");
+    // Twelve seconds of the browser's time: the page has been fetched again, and is whole.
+    let refreshed = browse("/", 12_000);
+    assert!(refreshed.contains("<p id=\"silence\" class=\"trouble\" role=\"status\" hidden") && refreshed.contains("</main>"), "{refreshed}");
+    assert!(daemon.terminate().success());
+}
+
+#[test]
+fn the_demo_names_its_dashboard() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut demo = pointsd(&["demo", "--folder"]).arg(folder.path()).stdout(Stdio::piped()).spawn().unwrap();
+    let mut output = std::io::BufReader::new(demo.stdout.take().unwrap());
+    let mut line = String::new();
+    while !line.starts_with("In a browser: ") {
+        line.clear();
+        assert_ne!(std::io::BufRead::read_line(&mut output, &mut line).unwrap(), 0, "it never names it");
+    }
+    let address = line.trim().strip_prefix("In a browser: http://").unwrap().trim_end_matches('/');
+    let deadline = Instant::now() + PATIENCE;
+    while !get(address, "/").body.contains("baseline") {
+        assert!(Instant::now() < deadline, "no throw is shown");
+        thread::sleep(Duration::from_millis(50));
+    }
+    demo.kill().unwrap();
+    demo.wait().unwrap();
+}
