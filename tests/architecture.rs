@@ -17,8 +17,19 @@ const CORE: &[(&str, &[&str])] = &[
 
 const ROOMS: &[&str] = &[
     "bus", "cli", "daemon", "diagnose", "estimate", "evaluate", "logger", "report", "simulate", "store", "throw",
-    "wire",
+    "web", "wire",
 ];
+
+/// Rooms of the shell with the rooms of this crate that each may name.
+const SHELL: &[(&str, &[&str])] = &[
+    ("store", &["diagnose", "estimate", "throw", "wire"]),
+    ("bus", &["diagnose", "throw", "wire"]),
+    ("daemon", &["bus", "diagnose", "estimate", "store", "throw", "wire"]),
+    ("web", &["daemon", "diagnose", "report", "store", "throw", "wire"]),
+];
+
+/// What the dashboard may not name, as it only reads: all that could write, publish or command.
+const WRITING_WORDS: &[&str] = &["Store", "Daemon", "zenoh::", "sqlx::", "Command", "std::fs", "std::process"];
 
 /// Words that only the shell may use.
 const SHELL_WORDS: &[&str] = &[
@@ -88,9 +99,39 @@ fn the_core_is_pure_and_its_arrows_point_one_way() {
     assert!(offences.is_empty(), "{}", offences.join("\n"));
 }
 
+/// The rooms of this crate, other than its own, that a line of a room names and may not.
+fn foreign<'a>(line: &'a str, room: &'a str, allowed: &'a [&str]) -> impl Iterator<Item = &'a &'a str> {
+    let named = move |other: &&&str| line.contains(&format!("crate::{other}")) || line.contains(&format!("crate::{{{other}"));
+    // Inside `use crate::{ … }` a room stands at the beginning of its line.
+    let listed = move |other: &&&str| line.strip_prefix("    ").is_some_and(|line| line.starts_with(&format!("{other}::")));
+    ROOMS.iter().filter(move |other| **other != room && !allowed.contains(other)).filter(move |other| named(other) || listed(other))
+}
+
+#[test]
+fn the_shell_has_layers_and_the_dashboard_only_reads() {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut offences = Vec::new();
+    for (room, allowed) in SHELL {
+        visit(&source.join(room), &mut |path, text| {
+            for (line_no, line) in code_lines(text) {
+                for other in foreign(line, room, allowed) {
+                    offences.push(format!("{}:{line_no}: {room} names the room {other}", path.display()));
+                }
+                for word in WRITING_WORDS.iter().filter(|word| *room == "web" && names(line, word)) {
+                    offences.push(format!("{}:{line_no}: {room} names {word}", path.display()));
+                }
+            }
+        });
+    }
+    assert!(offences.is_empty(), "{}", offences.join("\n"));
+}
+
 #[test]
 fn the_check_can_fail() {
     assert!(names("use tokio::sync;", "tokio"));
     assert!(!names("// my_tokio", "tokio"));
+    assert_eq!(foreign("use crate::daemon::View;", "store", &["wire"]).count(), 1);
+    assert_eq!(foreign("    daemon::View,", "store", &["wire"]).count(), 1);
+    assert_eq!(foreign("    daemon::View,", "web", &["daemon"]).count(), 0);
     assert_eq!(code_lines("a\n#[cfg(test)]\nb").count(), 1);
 }

@@ -166,7 +166,7 @@ pub(super) fn ways(latest: &[HealthRow], alarms: &[&Alarm]) -> Vec<Way> {
                 Direction::NormalToReverse => "normal to reverse",
                 Direction::ReverseToNormal => "reverse to normal",
             },
-            standing: Standing::of_direction(Some(direction), row, alarms.iter().copied()),
+            standing: Standing::of_direction(row, alarms.iter().copied()),
             progress: standing::progress(row),
             changes: row.and_then(standing::changes),
         }

@@ -104,7 +104,11 @@ pub(super) fn duration(seconds: u64) -> String {
 /// "1.5 MiB".
 pub(super) fn size(bytes: u64) -> String {
     let kib = bytes as f64 / 1024.0;
-    if kib < 1024.0 { format!("{kib:.0} KiB") } else { format!("{:.1} MiB", kib / 1024.0) }
+    match kib {
+        ..1024.0 => format!("{kib:.0} KiB"),
+        ..1_048_576.0 => format!("{:.1} MiB", kib / 1024.0),
+        _ => format!("{:.1} GiB", kib / 1_048_576.0),
+    }
 }
 
 /// "1,234,567".
@@ -128,7 +132,7 @@ mod tests {
     fn numbers_read_well() {
         assert_eq!([0, 999, 1_000, 1_234_567].map(count), ["0", "999", "1,000", "1,234,567"]);
         assert_eq!([59, 60, 7_500, 270_000].map(duration), ["59 s", "1 min", "2 h 5 min", "3 d 3 h"]);
-        assert_eq!([2_048, 3 << 19].map(size), ["2 KiB", "1.5 MiB"]);
+        assert_eq!([2_048, 3 << 19, 5 << 29].map(size), ["2 KiB", "1.5 MiB", "2.5 GiB"]);
         assert_eq!(time(Timestamp::UNIX_EPOCH), "1970-01-01 00:00:00 UTC");
     }
 }

@@ -3,7 +3,6 @@
 use crate::{
     diagnose::{Cause, Severity},
     store::HealthRow,
-    throw::Direction,
     wire::Alarm,
 };
 
@@ -59,19 +58,13 @@ impl Standing {
         }
     }
 
-    /// Of one direction: the worst of its machine's alarms that concern it, else how far its baseline is.
-    pub(super) fn of_direction<'a>(
-        direction: Option<Direction>,
-        latest: Option<&HealthRow>,
-        alarms: impl IntoIterator<Item = &'a Alarm>,
-    ) -> Self {
-        let concerns = |alarm: &&Alarm| alarm.direction.is_none() || alarm.direction == direction;
-        if let Some(worst) = alarms.into_iter().filter(concerns).map(Self::of_alarm).min() {
-            return worst;
-        }
-        match latest {
-            Some(latest) if latest.throws_since_baseline > 0 => Self::Good,
-            _ => Self::Filling,
+    /// Of one direction: the worst of its machine's alarms, which both directions feed, as in the view
+    /// `machine_health`; else how far its baseline is.
+    pub(super) fn of_direction<'a>(latest: Option<&HealthRow>, alarms: impl IntoIterator<Item = &'a Alarm>) -> Self {
+        match (alarms.into_iter().map(Self::of_alarm).min(), latest) {
+            (Some(worst), _) => worst,
+            (None, Some(latest)) if latest.throws_since_baseline > 0 => Self::Good,
+            (None, _) => Self::Filling,
         }
     }
 }
@@ -82,10 +75,12 @@ pub(super) fn progress(latest: Option<&HealthRow>) -> Option<String> {
     (so_far < needed).then(|| format!("{so_far} of {needed}"))
 }
 
-/// "+3.2 ± 0.8": the change of each coefficient from its baseline and two standard deviations \[%\].
+/// "+3.2 ± 0.8", with a true minus: the change of each coefficient from its baseline and two standard deviations \[%\].
 pub(super) fn changes(row: &HealthRow) -> Option<[String; 3]> {
     let (change, reach) = (row.change_pct?, reach_pct(row)?);
-    Some([0, 1, 2].map(|at| format!("{:+.1} ± {:.1}", change[at], reach[at])))
+    // No "-0.0".
+    let rounded = change.map(|change| (change * 10.0).round() / 10.0 + 0.0);
+    Some([0, 1, 2].map(|at| format!("{:+.1} ± {:.1}", rounded[at], reach[at]).replace('-', "−")))
 }
 
 /// Two standard deviations of each coefficient \[% of it\].

@@ -15,7 +15,7 @@ pub(super) const POINTS: usize = 250;
 /// Samples of a trace are drawn as the least and the greatest of so many stretches.
 const STRETCHES: usize = 300;
 /// Size of a picture \[px\].
-const SIZE: (f64, f64) = (520.0, 320.0);
+const SIZE: (f64, f64) = (440.0, 300.0);
 
 /// The units of time that an axis may have \[s\], each from so many of the one before.
 const UNITS: [(f64, &str); 3] = [(60.0, "minutes"), (3_600.0, "hours"), (86_400.0, "days")];
