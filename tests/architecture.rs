@@ -101,10 +101,15 @@ fn the_core_is_pure_and_its_arrows_point_one_way() {
 
 /// The rooms of this crate, other than its own, that a line of a room names and may not.
 fn foreign<'a>(line: &'a str, room: &'a str, allowed: &'a [&str]) -> impl Iterator<Item = &'a &'a str> {
-    let named = move |other: &&&str| line.contains(&format!("crate::{other}")) || line.contains(&format!("crate::{{{other}"));
+    let named =
+        move |other: &&&str| line.contains(&format!("crate::{other}")) || line.contains(&format!("crate::{{{other}"));
     // Inside `use crate::{ … }` a room stands at the beginning of its line.
-    let listed = move |other: &&&str| line.strip_prefix("    ").is_some_and(|line| line.starts_with(&format!("{other}::")));
-    ROOMS.iter().filter(move |other| **other != room && !allowed.contains(other)).filter(move |other| named(other) || listed(other))
+    let listed =
+        move |other: &&&str| line.strip_prefix("    ").is_some_and(|line| line.starts_with(&format!("{other}::")));
+    ROOMS
+        .iter()
+        .filter(move |other| **other != room && !allowed.contains(other))
+        .filter(move |other| named(other) || listed(other))
 }
 
 #[test]

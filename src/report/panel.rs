@@ -74,7 +74,14 @@ impl Panel {
     }
 
     fn with(title: impl Into<String>, y_label: impl Into<String>, content: Content) -> Self {
-        Self { title: title.into(), y_label: y_label.into(), log_y: false, levels: Vec::new(), marks: Vec::new(), content }
+        Self {
+            title: title.into(),
+            y_label: y_label.into(),
+            log_y: false,
+            levels: Vec::new(),
+            marks: Vec::new(),
+            content,
+        }
     }
 
     /// Adds a curve; a value that is not finite interrupts it. Ignored by a chart of bars.
@@ -245,7 +252,8 @@ fn draw_curves(canvas: &mut Canvas, frame: &Frame, x_label: &str, curves: &[Curv
         let Some(at) = x_of(*value).filter(shown) else { continue };
         canvas.line((at, frame.top), (at, bottom), FRAME, 1.2, true);
         let y = frame.top + 14.0 + 15.0 * (row % MARK_ROWS) as f64;
-        let (at, anchor) = if at > frame.left + 0.6 * frame.width { (at - 5.0, Anchor::End) } else { (at + 5.0, Anchor::Start) };
+        let (at, anchor) =
+            if at > frame.left + 0.6 * frame.width { (at - 5.0, Anchor::End) } else { (at + 5.0, Anchor::Start) };
         canvas.outlined_text(at, y, 12.0, anchor, label);
     }
     for (curve, colour) in curves.iter().zip(COLOURS.iter().cycle()) {
@@ -316,7 +324,8 @@ mod tests {
     fn a_band_widens_the_axis_and_a_mark_stands_only_where_the_axis_is() {
         let chart = |panel: Panel| Sheet::new("").panel(panel).to_svg();
         let plain = Panel::curves("", "x", "y").line("one", [(0.0, 1.0), (1.0, 2.0)]);
-        let banded = Panel::curves("", "x", "y").banded_line("one", [(0.0, 1.0, 50.0), (1.0, 2.0, f64::NAN), (2.0, 3.0, 9.0)]);
+        let banded =
+            Panel::curves("", "x", "y").banded_line("one", [(0.0, 1.0, 50.0), (1.0, 2.0, f64::NAN), (2.0, 3.0, 9.0)]);
         assert!(!chart(plain.clone()).contains("<polygon") && !chart(plain.clone()).contains(">40<"));
         let svg = chart(banded.mark(1.0, "raised").mark(9.0, "beyond"));
         assert_eq!(svg.matches("<polygon").count(), 1);

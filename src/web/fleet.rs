@@ -94,9 +94,13 @@ fn trouble(view: &View, overview: &Overview) -> Vec<String> {
     let mut trouble = Vec::new();
     match report.disk.as_str() {
         "ok" => {}
-        "low" => trouble.push("The disk is nearly full: the traces of judged throws are dropped. Free some space.".to_owned()),
-        "full" => trouble.push("The disk is full: nothing can be stored, and what you see is from before. Free some space now.".to_owned()),
-        _ => trouble.push("Writing to the database fails: nothing can be stored, and what you see is from before.".to_owned()),
+        "low" => trouble
+            .push("The disk is nearly full: the traces of judged throws are dropped. Free some space.".to_owned()),
+        "full" => trouble.push(
+            "The disk is full: nothing can be stored, and what you see is from before. Free some space now.".to_owned(),
+        ),
+        _ => trouble
+            .push("Writing to the database fails: nothing can be stored, and what you see is from before.".to_owned()),
     }
     if !report.silent.is_empty() {
         trouble.push(format!("Parts of the daemon hang ({}): what you see may be old.", report.silent.join(", ")));

@@ -47,7 +47,10 @@ fn refusal(request: &Request, names: &[String]) -> Option<Failure> {
         return Some(Failure::new(StatusCode::METHOD_NOT_ALLOWED, "The dashboard can only be read: ask with GET."));
     }
     match asked_host(request.headers()) {
-        None => Some(Failure::new(StatusCode::BAD_REQUEST, "The request does not say whom it asks: it needs one header Host.")),
+        None => Some(Failure::new(
+            StatusCode::BAD_REQUEST,
+            "The request does not say whom it asks: it needs one header Host.",
+        )),
         Some(host) if is_ours(host, names) => None,
         Some(_) => Some(Failure::new(
             StatusCode::MISDIRECTED_REQUEST,
@@ -80,10 +83,27 @@ mod tests {
     #[test]
     fn only_addresses_localhost_and_configured_names_are_ours() {
         let names = ["cabinet.north".to_owned()];
-        for ours in ["127.0.0.1", "127.0.0.1:7480", "[::1]:7480", "[::1]", "localhost:1", "LocalHost", "10.1.2.3", "Cabinet.North:80"] {
+        for ours in [
+            "127.0.0.1",
+            "127.0.0.1:7480",
+            "[::1]:7480",
+            "[::1]",
+            "localhost:1",
+            "LocalHost",
+            "10.1.2.3",
+            "Cabinet.North:80",
+        ] {
             assert!(is_ours(ours, &names), "{ours}");
         }
-        for other in ["", "evil.example", "127.0.0.1.evil.example", "localhost.evil.example:7480", "cabinet", "[evil]", "@127.0.0.1"] {
+        for other in [
+            "",
+            "evil.example",
+            "127.0.0.1.evil.example",
+            "localhost.evil.example:7480",
+            "cabinet",
+            "[evil]",
+            "@127.0.0.1",
+        ] {
             assert!(!is_ours(other, &names), "{other}");
         }
     }

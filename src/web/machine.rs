@@ -46,7 +46,8 @@ impl Span {
     fn from_query(query: Option<&str>) -> Result<Self, Failure> {
         let Some(word) = query.filter(|query| !query.is_empty()) else { return Ok(Self::Newest(100)) };
         let choice = Self::CHOICES.into_iter().find(|(_, choice, _)| word.strip_prefix("span=") == Some(choice));
-        let wrong = || Failure::bad_request("The address may end in ?span=100, ?span=1000 or ?span=all, and nothing else.");
+        let wrong =
+            || Failure::bad_request("The address may end in ?span=100, ?span=1000 or ?span=all, and nothing else.");
         choice.map(|(span, ..)| span).ok_or_else(wrong)
     }
 }
@@ -153,7 +154,11 @@ fn drawn(ways: &Ways) -> String {
         return "No throw whose direction is known.".to_owned();
     };
     let [there, back] = ways.each_ref().map(|(_, rows)| rows.len());
-    format!("{} to {}; drawn are {there} throws normal to reverse and {back} back.", page::time(first), page::time(last))
+    format!(
+        "{} to {}; drawn are {there} throws normal to reverse and {back} back.",
+        page::time(first),
+        page::time(last)
+    )
 }
 
 /// When alarms were raised, within what is shown; oldest first.
@@ -164,10 +169,7 @@ fn marks(ways: &Ways, events: &[(Alarm, AlarmEventRow)]) -> Vec<Mark> {
     let shown = |at: Timestamp| first.is_some_and(|first| first <= at);
     raised
         .filter(|(alarm, _)| shown(alarm.event_at) && alarm.state == AlarmState::ActiveUnacknowledged)
-        .map(|(alarm, _)| Mark {
-            at: alarm.event_at,
-            label: format!("{}, {}", alarm.cause, alarm.severity.as_str()),
-        })
+        .map(|(alarm, _)| Mark { at: alarm.event_at, label: format!("{}, {}", alarm.cause, alarm.severity.as_str()) })
         .collect()
 }
 
@@ -188,7 +190,8 @@ fn event(alarm: &Alarm, row: &AlarmEventRow) -> Event {
 }
 
 pub(super) fn row(health: &HealthRow) -> Row {
-    let with = |value: Option<f64>, decimals: usize| value.map(|value| format!("{value:.decimals$}")).unwrap_or_default();
+    let with =
+        |value: Option<f64>, decimals: usize| value.map(|value| format!("{value:.decimals$}")).unwrap_or_default();
     Row {
         boot_id: health.throw.boot_id.clone(),
         throw_no: health.throw.throw_no,

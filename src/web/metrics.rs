@@ -3,7 +3,7 @@
 //! Label sets are bounded by the program: causes and severities of alarms, reasons of refusal, states of the disk. None
 //! grows with the fleet.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use axum::{
     extract::State,
@@ -20,12 +20,9 @@ use prometheus_client::{
     },
     registry::{Registry, Unit},
 };
+use tokio::time;
 
-use super::{
-    Web,
-    overview::Overview,
-    page::{self, Failure},
-};
+use super::{Web, overview::Overview, page};
 use crate::{
     daemon::{Organ, StatusReport, View},
     diagnose::{Cause, Severity},
@@ -38,18 +35,24 @@ const DISK_STATES: [&str; 4] = ["ok", "low", "full", "failing"];
 
 type Labels<const N: usize> = [(&'static str, String); N];
 
-pub(super) async fn page(State(web): State<Arc<Web>>) -> Result<Response, Failure> {
-    let overview = web.overview().await?;
+/// Longest wait for the database: what the daemon itself counts is told without it.
+const LIMIT: Duration = Duration::from_secs(2);
+
+pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
     let mut registry = Registry::with_prefix("pointsd");
     throws(&mut registry, &web.view);
-    database(&mut registry, &overview);
     daemon(&mut registry, &web.view.report());
-    alarms(&mut registry, &overview);
+    if let Ok(Ok(overview)) = time::timeout(LIMIT, web.overview()).await {
+        database(&mut registry, &overview);
+        alarms(&mut registry, &overview);
+    }
     let mut text = String::new();
-    Ok(match encode(&mut text, &registry) {
+    match encode(&mut text, &registry) {
         Ok(()) => ([(header::CONTENT_TYPE, HeaderValue::from_static(KIND))], text).into_response(),
-        Err(error) => page::text(StatusCode::INTERNAL_SERVER_ERROR, format!("the metrics cannot be written: {error}\n")),
-    })
+        Err(error) => {
+            page::text(StatusCode::INTERNAL_SERVER_ERROR, format!("the metrics cannot be written: {error}\n"))
+        }
+    }
 }
 
 fn throws(registry: &mut Registry, view: &View) {
@@ -65,7 +68,11 @@ fn throws(registry: &mut Registry, view: &View) {
         ("messages_lost", "Messages that arrived and could not be kept at all", report.lost),
         ("alarm_events", "Events in the life of alarms", report.alarm_events),
         ("messages_published", "Messages that were published", report.published),
-        ("messages_unpublished", "Messages about health that were dropped because zenoh did not take them", report.unpublished),
+        (
+            "messages_unpublished",
+            "Messages about health that were dropped because zenoh did not take them",
+            report.unpublished,
+        ),
     ] {
         registry.register(name, help, ConstCounter::new(value));
     }
@@ -104,7 +111,7 @@ fn daemon(registry: &mut Registry, report: &StatusReport) {
     gauge(registry, "uptime", "Time since the daemon started", Unit::Seconds, report.uptime_s);
     let connected = ConstGauge::new(i64::from(report.connected));
     registry.register("connected", "Whether a link to others is up", connected);
-    let loggers = ConstGauge::new(report.loggers as u64 as i64);
+    let loggers = ConstGauge::new(i64::try_from(report.loggers).unwrap_or(i64::MAX));
     registry.register("loggers", "Loggers that are connected", loggers);
     let disk = Family::<Labels<1>, Gauge>::default();
     for state in DISK_STATES {

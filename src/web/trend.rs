@@ -105,7 +105,11 @@ pub(super) fn trace(trace: &Trace) -> [Picture; 2] {
         let panel = Panel::curves(title, "s", unit).line("", drawn(trace.sample_rate_hz(), values));
         Picture {
             svg: Sheet::new("").panel_size(SIZE.0, SIZE.1).panel(panel).to_svg(),
-            says: format!("{title} over the time of the throw, {} samples at {} Hz.", values.len(), trace.sample_rate_hz()),
+            says: format!(
+                "{title} over the time of the throw, {} samples at {} Hz.",
+                values.len(),
+                trace.sample_rate_hz()
+            ),
         }
     };
     [picture("Motor current", "A", trace.current_a()), picture("Toe position from normal", "mm", trace.position_mm())]

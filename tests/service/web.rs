@@ -3,8 +3,12 @@
 
 use std::{
     io::{Read, Write},
-    net::TcpStream,
+    net::{TcpListener, TcpStream},
     process::{Command, Stdio},
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering::Relaxed},
+    },
     thread,
     time::{Duration, Instant},
 };
@@ -18,7 +22,7 @@ use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsd, stub, throws};
 
 const KEY: &str = "points/v1/north/21B/throw";
 const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
-/// A boot_id that a browser would run, were it not escaped.
+/// A boot that a browser would run, were it not escaped.
 const HOSTILE: &str = "<script>alert(1)</script>\"'&";
 
 /// What was answered.
@@ -102,7 +106,11 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
     let (_rig, daemon, address) = small_history().await;
     let fleet = get(&address, "/");
     assert_eq!(fleet.status, 200, "{fleet:?}");
-    assert!(fleet.body.contains("<html lang=\"en\">") && fleet.body.contains("href=\"/machines/north/21B\""), "{}", fleet.body);
+    assert!(
+        fleet.body.contains("<html lang=\"en\">") && fleet.body.contains("href=\"/machines/north/21B\""),
+        "{}",
+        fleet.body
+    );
     assert!(fleet.body.contains(">1 of 50<"), "{}", fleet.body);
     // Nobody shows a liveliness token: silence is not health.
     assert!(fleet.body.contains("No logger is connected"), "{}", fleet.body);
@@ -120,7 +128,10 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         assert_eq!(page.header("cache-control"), Some("no-store"));
         assert_eq!(page.header("referrer-policy"), Some("no-referrer"));
         assert_eq!(page.header("set-cookie"), None);
-        assert!(!page.body.contains(" style=") && !page.body.contains("onclick"), "the policy forbids inline style and script");
+        assert!(
+            !page.body.contains(" style=") && !page.body.contains("onclick"),
+            "the policy forbids inline style and script"
+        );
     }
     for asset in ["/style.css", "/refresh.js"] {
         assert_eq!(get(&address, asset).status, 200);
@@ -212,7 +223,8 @@ async fn the_metrics_count_what_the_daemon_did() {
     ] {
         assert_eq!(value(name), Some(expected), "{name} in {}", answer.body);
     }
-    let refused: Vec<&str> = answer.body.lines().filter(|line| line.starts_with("pointsd_throws_not_evaluated_total{")).collect();
+    let refused: Vec<&str> =
+        answer.body.lines().filter(|line| line.starts_with("pointsd_throws_not_evaluated_total{")).collect();
     assert_eq!(refused.len(), 1, "{refused:?}");
     assert!(refused[0].ends_with("\"} 1"), "{refused:?}");
     assert!(value("pointsd_database_bytes").unwrap().parse::<u64>().unwrap() > 4096);
@@ -227,7 +239,7 @@ fn without_its_section_there_is_no_dashboard_and_a_taken_port_is_said() {
     let daemon = rig.start();
     assert!(!daemon.log().iter().any(|line| line.contains("dashboard")), "{:?}", daemon.log());
     drop(daemon);
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
     let failed = Rig::with(&format!("[web]\nlisten = \"127.0.0.1:{port}\"\n")).try_start().err().unwrap();
     assert_eq!(failed.status.code(), Some(69), "{failed:?}");
@@ -303,7 +315,10 @@ async fn a_big_history_gives_bounded_pages() {
     assert!(fleet.contains("2,801 more machines are not shown"), "{fleet:.3000}");
     // Spread over the whole life, not only its end: the axis reaches back a hundred days.
     let all = get(&address, "/machines/north/21B?span=all").body;
-    assert!(all.contains("days from the last throw") && all.contains("drawn are 250 throws normal to reverse and 250 back"), "{all:.3000}");
+    assert!(
+        all.contains("days from the last throw") && all.contains("drawn are 250 throws normal to reverse and 250 back"),
+        "{all:.3000}"
+    );
     check_nesting(&all);
     assert!(daemon.terminate().success());
 }
@@ -369,44 +384,81 @@ async fn who_asks_slowly_or_without_end_is_cut_and_the_daemon_goes_on() {
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         // All of them are let go: an end, a reset, or an answer that says so.
         let gone = stream.read_to_end(&mut Vec::new());
-        assert!(gone.as_ref().err().is_none_or(|error| error.kind() == std::io::ErrorKind::ConnectionReset), "{gone:?}");
+        assert!(
+            gone.as_ref().err().is_none_or(|error| error.kind() == std::io::ErrorKind::ConnectionReset),
+            "{gone:?}"
+        );
     }
     // A request without end is cut long before it fills memory.
     let mut endless = TcpStream::connect(&address).unwrap();
     endless.set_write_timeout(Some(PATIENCE)).unwrap();
     endless.write_all(b"GET / HTTP/1.1\r\n").unwrap();
-    let cut = (0..100_000).find(|_| endless.write_all(b"X-Filler: aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa\r\n").is_err());
+    let cut = (0..100_000)
+        .find(|_| endless.write_all(b"X-Filler: aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa\r\n").is_err());
     assert!(cut.is_some(), "5 MB of headers were taken");
     assert_eq!(get(&address, "/healthz").status, 200);
     assert!(daemon.terminate().success());
 }
 
-/// A real browser builds the page, and runs our script under our policy: when the daemon is gone, it says so.
+/// Passes requests on to the dashboard, the first `pages` for the fleet's page; to later ones nobody answers. Returns
+/// where it listens, and counts the requests for that page.
+fn relay(dashboard: &str, pages: usize) -> (String, Arc<AtomicUsize>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let (place, dashboard) = (listener.local_addr().unwrap().to_string(), dashboard.to_owned());
+    let asked = Arc::new(AtomicUsize::new(0));
+    let counted = Arc::clone(&asked);
+    thread::spawn(move || {
+        for mut stream in listener.incoming().map_while(Result::ok) {
+            let mut request = Vec::new();
+            let mut buffer = [0; 4096];
+            while !request.ends_with(b"\r\n\r\n") {
+                match stream.read(&mut buffer) {
+                    Ok(read) if read > 0 => request.extend(&buffer[..read]),
+                    // A connection that the browser opened in advance.
+                    _ => break,
+                }
+            }
+            if request.starts_with(b"GET / ") && counted.fetch_add(1, Relaxed) >= pages || request.is_empty() {
+                continue;
+            }
+            let answer = exchange(&dashboard, &String::from_utf8(request).unwrap());
+            // The browser may have gone.
+            let _ = stream.write_all(answer.as_bytes());
+        }
+    });
+    (place, asked)
+}
+
+/// A real browser builds the pages, and runs our script under our policy: it fetches the page again, and says so when
+/// nobody answers any more.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_real_browser_shows_the_pages() {
+async fn a_real_browser_shows_the_pages_and_keeps_them_fresh() {
     if Command::new("chromium").arg("--version").stdout(Stdio::null()).status().is_err() {
         println!("skipped: there is no chromium");
         return;
     }
     let (rig, daemon, address) = small_history().await;
     let profile = rig.folder().join("browser");
-    let browse = |path: &str, time_ms: u32| {
+    let browse = |address: &str, path: &str, time_ms: u32| {
         let mut command = Command::new("chromium");
         command.args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--enable-logging=stderr"]);
         command.args([format!("--user-data-dir={}", profile.display()), format!("--virtual-time-budget={time_ms}")]);
         let output = command.args(["--dump-dom", &format!("http://{address}{path}")]).output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!said.contains("Content Security Policy"), "{said}");
+        assert!(!said.contains("Content Security Policy") && !said.contains("Uncaught"), "{said}");
         String::from_utf8(output.stdout).unwrap()
     };
-    let fleet = browse("/", 2_000);
-    assert!(fleet.contains("north") && fleet.contains(">1 of 50<"), "{fleet}");
-    let machine = browse("/machines/north/21B", 2_000);
+    let machine = browse(&address, "/machines/north/21B", 2_000);
     // The hostile name is a text node, no element.
     assert!(machine.contains("throws/%3Cscript%3E") && !machine.contains("<script>alert"), "{machine}");
-    // Twelve seconds of the browser's time: the page has been fetched again, and is whole.
-    let refreshed = browse("/", 12_000);
-    assert!(refreshed.contains("<p id=\"silence\" class=\"trouble\" role=\"status\" hidden") && refreshed.contains("</main>"), "{refreshed}");
+
+    let (place, asked) = relay(&address, usize::MAX);
+    let fresh = browse(&place, "/", 12_000);
+    assert!(asked.load(Relaxed) >= 3, "it asked {asked:?} times in twelve seconds of the browser's time");
+    assert!(fresh.contains("role=\"status\" hidden") && fresh.contains(">1 of 50<"), "{fresh}");
+    let (place, _) = relay(&address, 1);
+    let old = browse(&place, "/", 12_000);
+    assert!(old.contains("No answer since") && old.contains(">1 of 50<"), "{old}");
     assert!(daemon.terminate().success());
 }
 

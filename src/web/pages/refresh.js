@@ -5,10 +5,21 @@ const EVERY_MS = 5000;
 const PATIENCE_MS = 10000;
 let answered = new Date();
 
-function silence(text) {
+function say(text) {
   const note = document.getElementById("silence");
   note.hidden = text === "";
   if (note.textContent !== text) note.textContent = text;
+}
+
+// Keeps the place of the page, of its tables and of the keyboard.
+function replace(main, fresh) {
+  const place = [scrollX, scrollY];
+  const wide = [...main.querySelectorAll(".scroll")].map((box) => box.scrollLeft);
+  const focused = [...main.querySelectorAll("a, [tabindex]")].indexOf(document.activeElement);
+  main.replaceChildren(...fresh.childNodes);
+  main.querySelectorAll(".scroll").forEach((box, at) => { box.scrollLeft = wide[at] || 0; });
+  if (focused >= 0) main.querySelectorAll("a, [tabindex]")[focused]?.focus({ preventScroll: true });
+  scrollTo(...place);
 }
 
 async function refresh() {
@@ -16,20 +27,15 @@ async function refresh() {
     const answer = await fetch(location.href, { cache: "no-store", signal: AbortSignal.timeout(PATIENCE_MS) });
     const fresh = new DOMParser().parseFromString(await answer.text(), "text/html").querySelector("main");
     if (!answer.ok || !fresh) throw new Error(answer.statusText);
-    const main = document.querySelector("main");
-    // Neither the reader's selection nor the place of the keyboard is taken away.
-    const busy = getSelection().type === "Range" || main.contains(document.activeElement);
-    if (!busy) {
-      const place = [scrollX, scrollY];
-      const wide = [...main.querySelectorAll(".scroll")].map((box) => box.scrollLeft);
-      main.replaceChildren(...fresh.childNodes);
-      main.querySelectorAll(".scroll").forEach((box, at) => { box.scrollLeft = wide[at] || 0; });
-      scrollTo(...place);
+    if (getSelection().type === "Range") {
+      say(`Not refreshed while text is selected: what you see is from ${answered.toLocaleTimeString()}.`);
+    } else {
+      replace(document.querySelector("main"), fresh);
+      answered = new Date();
+      say("");
     }
-    answered = new Date();
-    silence("");
   } catch {
-    silence(`No answer since ${answered.toLocaleTimeString()}: what you see is from then.`);
+    say(`No answer since ${answered.toLocaleTimeString()}: what you see is from then.`);
   }
   setTimeout(refresh, EVERY_MS);
 }
