@@ -118,9 +118,24 @@ fn router(web: Arc<Web>) -> Router {
 }
 
 async fn healthz(State(web): State<Arc<Web>>) -> Response {
-    let silent = web.view.report().silent;
+    health(&web.view.report().silent)
+}
+
+/// The answer when these loops do not beat.
+fn health(silent: &[String]) -> Response {
     if silent.is_empty() {
         return page::text(StatusCode::OK, "every loop of the daemon beats\n".to_owned());
     }
     page::text(StatusCode::SERVICE_UNAVAILABLE, format!("these loops of the daemon hang: {}\n", silent.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loop_that_hangs_is_no_health() {
+        assert_eq!(health(&[]).status(), StatusCode::OK);
+        assert_eq!(health(&["write".to_owned()]).status(), StatusCode::SERVICE_UNAVAILABLE);
+    }
 }
