@@ -62,7 +62,7 @@ fn throws(registry: &mut Registry, view: &View) {
         ("throws_stored", "Throws that were stored", report.stored),
         ("throws_judged", "Throws that were identified and diagnosed", report.judged),
         ("throws_duplicate", "Throws that were stored before", report.duplicates),
-        ("throws_missed", "Throws that zenoh reported as missed beyond recovery", report.missed),
+        ("throws_missed", "Throws that were missed beyond recovery", report.missed),
         ("messages_quarantined", "Messages that were no throw, or could not be kept as one", report.quarantined),
         ("messages_dropped", "Messages that were dropped because too many waited to be stored", report.dropped),
         ("messages_lost", "Messages that arrived and could not be kept at all", report.lost),
@@ -70,7 +70,7 @@ fn throws(registry: &mut Registry, view: &View) {
         ("messages_published", "Messages that were published", report.published),
         (
             "messages_unpublished",
-            "Messages about health that were dropped because zenoh did not take them",
+            "Messages about health that were dropped because nobody took them in time",
             report.unpublished,
         ),
     ] {

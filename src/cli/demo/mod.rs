@@ -126,15 +126,14 @@ async fn demo(arguments: &Arguments) -> Outcome {
     let right = rows.iter().all(outcome::Row::is_right);
     println!("{}\n", outcome::sentence(&rows, clock::monotonic().duration_since(began)));
     outcome::print_queries(&database);
-    if !arguments.keep {
-        println!("With --keep the dashboard at {url} stays up; it ends now.");
-    }
     if arguments.keep {
         println!("\nThe daemon goes on, at {endpoint}, and its dashboard, at {url}, until Ctrl-C.");
         tokio::select! {
             () = signals.stop() => {}
             ended = daemon.ended() => return Err(died(ended)),
         }
+    } else {
+        println!("The dashboard at {url} ends now; with --keep it stays.");
     }
     drop(logger);
     session.close().await.map_err(|error| Failure { exit: Exit::Unavailable, error: anyhow::anyhow!(error) })?;
