@@ -59,13 +59,14 @@ pub struct InboxCounters {
     pub dropped: AtomicU64,
     /// Samples that zenoh reports as missed beyond recovery.
     pub missed: AtomicU64,
+    room: Arc<Room>,
 }
 
 impl InboxCounters {
-    /// Bytes that wait to be stored.
+    /// Room that the messages take that wait to be stored \[bytes\].
     #[must_use]
     pub fn queued_bytes(&self) -> usize {
-        self.queued_bytes.load(Relaxed)
+        self.room.taken()
     }
 }
 
@@ -85,7 +86,7 @@ impl Inbox {
     pub async fn subscribe(session: &Session, key_expression: &str, limits: Limits) -> Result<Self, BusError> {
         let (sender, messages) = mpsc::channel(room::MESSAGES);
         let room = Arc::new(Room::new());
-        let counters = Arc::new(InboxCounters::default());
+        let counters = Arc::new(InboxCounters { room: Arc::clone(&room), ..InboxCounters::default() });
         let (taking, counting) = (Arc::clone(&room), Arc::clone(&counters));
         let subscriber = session
             .declare_subscriber(key_expression.to_owned())

@@ -18,6 +18,7 @@ const SHARE: usize = ROOM / 32;
 const PARTS: usize = 1_024;
 
 /// The room and who has how much of it.
+#[derive(Debug)]
 pub(super) struct Room {
     taken: AtomicUsize,
     parts: Vec<AtomicUsize>,
@@ -29,6 +30,11 @@ impl Room {
     pub(super) fn new() -> Self {
         let parts = (0..PARTS).map(|_| AtomicUsize::new(0)).collect();
         Self { taken: AtomicUsize::new(0), parts, hasher: RandomState::new() }
+    }
+
+    /// What is taken \[bytes\].
+    pub(super) fn taken(&self) -> usize {
+        self.taken.load(Relaxed)
     }
 
     /// Takes room for a message. False when there is none, or none for more messages of this key.
@@ -54,6 +60,12 @@ impl Room {
     #[expect(clippy::cast_possible_truncation, reason = "a remainder below PARTS")]
     fn part(&self, key: &str) -> &AtomicUsize {
         &self.parts[(self.hasher.hash_one(key) % PARTS as u64) as usize]
+    }
+}
+
+impl Default for Room {
+    fn default() -> Self {
+        Self::new()
     }
 }
 
@@ -83,5 +95,6 @@ mod tests {
         assert_eq!(sizes.map(|(key, bytes)| large.take(key, bytes)), [true, true, true, false]);
         large.give_back("c", ROOM / 4);
         assert!(large.take("d", 1));
+        assert_eq!(large.taken(), ROOM / 4 * 3 + LEAST);
     }
 }

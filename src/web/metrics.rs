@@ -81,7 +81,13 @@ fn throws(registry: &mut Registry, view: &View) {
         refused.get_or_create(&[("reason", reason)]).inc_by(number);
     }
     registry.register("throws_not_evaluated", "Judged throws that gave no estimate, by reason", refused);
-    gauge(registry, "inbox", "Messages that arrived and wait to be stored", Unit::Bytes, view.queued_bytes() as u64);
+    gauge(
+        registry,
+        "inbox",
+        "Room taken by messages that arrived and wait to be stored",
+        Unit::Bytes,
+        view.queued_bytes() as u64,
+    );
 }
 
 fn database(registry: &mut Registry, overview: &Overview) {
