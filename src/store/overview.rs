@@ -38,12 +38,13 @@ impl Reader {
         Ok(count.cast_unsigned())
     }
 
-    /// The last event of up to `limit` open alarms, critical ones first, then the newest.
+    /// The last event of every open alarm of the same machines as [`fleet_health`](Self::fleet_health): at most one a
+    /// cause each. Critical ones first, then the newest.
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn worst_alarms(&self, limit: u32) -> Result<Vec<AlarmRow>, StoreError> {
-        self.rows(sqlx::query_as(sql::WORST_ALARMS).bind(limit), AlarmColumns::read).await
+    pub async fn fleet_alarms(&self, machines: u32) -> Result<Vec<AlarmRow>, StoreError> {
+        self.rows(sqlx::query_as(sql::FLEET_ALARMS).bind(machines), AlarmColumns::read).await
     }
 
     /// The number of open alarms of each cause and severity that there is.

@@ -144,10 +144,14 @@ statements! {
         WHERE latest.machine_row = shown.machine_row AND latest.direction IS way.direction) \
         JOIN throw USING (throw_row) JOIN boot USING (boot_row) ORDER BY worst DESC, site, machine, way.direction";
     MACHINE_COUNT = "SELECT count(*) FROM machine";
-    WORST_ALARMS = "SELECT site, machine, alarm_id, event_no, payload \
-        FROM alarm JOIN machine USING (machine_row) \
+    FLEET_ALARMS = "SELECT site, machine, alarm_id, event_no, payload \
+        FROM (SELECT machine_row, coalesce((SELECT max(last.severity = 'critical') + 1 \
+        FROM alarm JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no \
+        WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'), 0) AS worst \
+        FROM machine ORDER BY worst DESC, site, machine LIMIT ?1) AS shown \
+        JOIN alarm ON alarm.machine_row = shown.machine_row JOIN machine ON machine.machine_row = shown.machine_row \
         JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
-        WHERE alarm.state <> 'normal' ORDER BY severity = 'critical' DESC, raised_at_us DESC, alarm.alarm_row DESC LIMIT ?1";
+        WHERE alarm.state <> 'normal' ORDER BY severity = 'critical' DESC, raised_at_us DESC, alarm.alarm_row DESC";
     OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) FROM active_alarms GROUP BY cause, severity ORDER BY cause, severity";
     WAY_NEWEST = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
         quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \

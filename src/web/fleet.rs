@@ -7,7 +7,7 @@ use axum::{extract::State, response::Response};
 
 use super::{
     Web,
-    overview::{ALARMS, MACHINES, Overview},
+    overview::{MACHINES, Overview},
     page::{self, Failure},
     standing::{self, Standing},
 };
@@ -20,6 +20,9 @@ use crate::{
 
 /// Throws that may wait to be judged before the page says that it is behind: half a minute's work.
 const BACKLOG: u64 = 1_000;
+
+/// Open alarms on the page, the worst ones where there are more.
+const ALARMS: usize = 200;
 
 #[derive(Template)]
 #[template(path = "fleet.html", config = "src/web/askama.toml")]
@@ -77,8 +80,8 @@ pub(super) async fn page(State(web): State<Arc<Web>>) -> Result<Response, Failur
         never_heard: if shown_all { never_heard(&web.view, &overview) } else { Vec::new() },
         machines_not_shown: not_shown(overview.machines, u64::from(MACHINES)),
         machines,
-        alarms: overview.alarms.iter().filter_map(alarm_line).collect(),
-        alarms_not_shown: not_shown(open, u64::from(ALARMS)),
+        alarms: overview.alarms.iter().take(ALARMS).filter_map(alarm_line).collect(),
+        alarms_not_shown: not_shown(open, ALARMS as u64),
         now: page::time(clock::now()),
     }))
 }
@@ -111,6 +114,12 @@ fn trouble(view: &View, overview: &Overview) -> Vec<String> {
     if report.dropped + report.lost > 0 {
         let lost = page::count(report.dropped + report.lost);
         trouble.push(format!("{lost} messages that arrived since the start could not be kept."));
+    }
+    if overview.unreadable > 0 {
+        let unknown = overview.unreadable;
+        trouble.push(format!(
+            "{unknown} open alarms were raised by another version in words unknown here: pointsd sql shows them."
+        ));
     }
     if overview.statistics.pending > BACKLOG {
         let waiting = page::count(overview.statistics.pending);
@@ -183,7 +192,7 @@ pub(super) fn reason(row: &HealthRow) -> String {
     row.detail.clone().unwrap_or_else(|| row.quality.replace('_', " "))
 }
 
-pub(super) fn is_of(alarm: &Alarm, machine: &MachineId) -> bool {
+fn is_of(alarm: &Alarm, machine: &MachineId) -> bool {
     alarm.site == machine.site.as_str() && alarm.machine == machine.machine.as_str()
 }
 

@@ -11,7 +11,7 @@ use jiff::Timestamp;
 
 use super::{
     Web,
-    fleet::{Way, is_of, reason, ways},
+    fleet::{Way, reason, ways},
     page::{self, Failure},
     standing::{self, Standing},
     trend::{self, Mark, Picture, Ways},
@@ -19,7 +19,7 @@ use super::{
 use crate::{
     daemon::clock,
     diagnose::AlarmState,
-    store::{AlarmEventRow, HealthRow, Reader, StoreError},
+    store::{AlarmEventRow, HealthRow, Reader, Selector, StoreError},
     throw::{Direction, MachineId},
     wire::{self, Alarm},
 };
@@ -98,7 +98,6 @@ pub(super) async fn page(
     let Path((site, machine)) = names?;
     let machine = known_name(&site, &machine)?;
     let span = Span::from_query(query.as_deref())?;
-    let overview = web.overview().await?;
     let _turn = web.turn().await?;
     let reader = web.view.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;
@@ -110,7 +109,10 @@ pub(super) async fn page(
         (Direction::NormalToReverse, rows(reader, &machine, Direction::NormalToReverse, span).await?),
         (Direction::ReverseToNormal, rows(reader, &machine, Direction::ReverseToNormal, span).await?),
     ];
-    let alarms: Vec<&Alarm> = overview.alarms.iter().filter(|alarm| is_of(alarm, &machine)).collect();
+    let which = Selector { site: Some(machine.site.clone()), machine: Some(machine.machine.clone()) };
+    let open = reader.open_alarms(&which).await?;
+    let alarms: Vec<Alarm> = open.iter().filter_map(|row| serde_json::from_str(&row.payload).ok()).collect();
+    let alarms: Vec<&Alarm> = alarms.iter().collect();
     let latest: Vec<HealthRow> = both.iter().filter_map(|(_, rows)| rows.last().cloned()).collect();
     let ways = ways(&latest, &alarms);
     let events: Vec<(Alarm, AlarmEventRow)> =

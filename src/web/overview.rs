@@ -18,8 +18,6 @@ use crate::{
 const FRESH: Duration = Duration::from_secs(1);
 /// Machines on the fleet's page, the worst ones where there are more.
 pub(super) const MACHINES: u32 = 200;
-/// Open alarms on the fleet's page, the worst ones where there are more.
-pub(super) const ALARMS: u32 = 200;
 
 /// The whole at one moment.
 #[derive(Debug)]
@@ -27,7 +25,10 @@ pub(super) struct Overview {
     /// The latest throw of each direction of the machines shown, in their order.
     pub(super) health: Vec<HealthRow>,
     pub(super) machines: u64,
+    /// Every open alarm of the machines shown, the worst first.
     pub(super) alarms: Vec<Alarm>,
+    /// Those that another version wrote in words unknown here.
+    pub(super) unreadable: usize,
     /// Open alarms by cause and severity.
     pub(super) alarms_by_kind: Vec<(String, String, u64)>,
     pub(super) statistics: Statistics,
@@ -47,12 +48,14 @@ impl Web {
         }
         let _turn = self.turn().await?;
         let reader = self.view.reader();
-        let alarms = reader.worst_alarms(ALARMS).await?;
+        let alarms = reader.fleet_alarms(MACHINES).await?;
+        let found = alarms.len();
+        let alarms: Vec<Alarm> = alarms.iter().filter_map(|row| serde_json::from_str(&row.payload).ok()).collect();
         let overview = Arc::new(Overview {
             health: reader.fleet_health(MACHINES).await?,
             machines: reader.machine_count().await?,
-            // What cannot be read as an alarm was written by another version, and is counted all the same.
-            alarms: alarms.iter().filter_map(|row| serde_json::from_str(&row.payload).ok()).collect(),
+            unreadable: found - alarms.len(),
+            alarms,
             alarms_by_kind: reader.open_alarms_by_kind().await?,
             statistics: self.view.statistics().await?,
         });

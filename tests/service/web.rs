@@ -247,7 +247,7 @@ fn without_its_section_there_is_no_dashboard_and_a_taken_port_is_said() {
     assert!(failed.log.iter().any(|line| line.contains(&says)), "{failed:?}");
 }
 
-/// 150,000 throws of one machine and 3,000 machines: what is answered stays small.
+/// 150,000 throws of one machine, 3,000 machines, 600 alarms: what is answered stays small.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_big_history_gives_bounded_pages() {
     let (rig, daemon, address) = small_history().await;
@@ -293,6 +293,20 @@ async fn a_big_history_gives_bounded_pages() {
          SELECT 200000 + machine_row, machine_row, 'normal_to_reverse', 0, 'good', 1 FROM machine WHERE site = 'south'",
     )
     .await;
+    rig.change(
+        "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
+         SELECT machine, machine_row, 'kt', machine_row, 1, 'active_unacknowledged'
+         FROM machine WHERE site = 'south' AND machine_row % 5 = 0",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, text, payload)
+         SELECT alarm_row, 1, 0, 'critical', state, 'weak', json_object('schema', 'points.alarm/1', 'alarm_id', alarm_id,
+                'event_no', 1, 'site', site, 'machine', machine, 'cause', 'kt', 'severity', 'critical', 'state', state,
+                'raised_at', '2026-05-04T10:00:00Z', 'event_at', '2026-05-04T10:00:00Z', 'text', 'weak')
+         FROM alarm JOIN machine USING (machine_row)",
+    )
+    .await;
     let daemon = rig.start();
     let address = self::address(&daemon);
     let mut said = Vec::new();
@@ -311,8 +325,14 @@ async fn a_big_history_gives_bounded_pages() {
     }
     println!("with 150,000 throws more (before: {fresh} bytes): {}", said.join("; "));
     let fleet = get(&address, "/").body;
-    assert_eq!(fleet.matches("<li class=\"tile ").count(), 200);
+    // 600 machines have a critical alarm: none of those shown looks better than it is, and none is shown before them.
+    assert_eq!(fleet.matches("<li class=\"tile critical\"").count(), 200);
+    assert!(fleet.contains("400 more alarms are not shown"), "{fleet:.3000}");
     assert!(fleet.contains("2,801 more machines are not shown"), "{fleet:.3000}");
+    let beyond =
+        rig.sql("SELECT machine FROM active_alarms ORDER BY site DESC, machine DESC LIMIT 1")[0]["machine"].clone();
+    let beyond = get(&address, &format!("/machines/south/{}", beyond.as_str().unwrap())).body;
+    assert!(beyond.contains(", critical · pointsd</title>"), "{beyond:.3000}");
     // Spread over the whole life, not only its end: the axis reaches back a hundred days.
     let all = get(&address, "/machines/north/21B?span=all").body;
     assert!(
