@@ -8,10 +8,10 @@
 //! | `/metrics` | `OpenMetrics` text |
 //! | `/healthz` | 200 while every loop of the daemon beats, else 503 with the reason |
 //!
-//! The daemon comes first, whoever asks: connections, their bytes and their life are bounded ([`connection`]), so are
-//! the time of a request ([`guard`]) and the rows it reads; one request at a time reads the database, which leaves the
+//! The daemon comes first, whoever asks: connections, their bytes and their life are bounded (`connection`), so are
+//! the time of a request (`guard`) and the rows it reads; one request at a time reads the database, which leaves the
 //! other of the two reading connections to the judge; and what every page shows is read at most once a second
-//! ([`overview`]). The room sees the daemon through a [`View`], which cannot write.
+//! (`overview`). The room sees the daemon through a [`View`], which cannot write.
 
 mod connection;
 mod fleet;
