@@ -103,15 +103,19 @@ pub(super) fn fit<const K: usize>(
     v: &Matrix3<f64>,
     settings: &Settings,
 ) -> Fit<K> {
-    let [mut best, rest @ ..] = FRICTION_LEAKS.map(|leak| fit_with_leak(leak, causes, m, v, settings));
-    let scores = [best.score, rest[0].score, rest[1].score];
-    for fit in rest {
+    let with_leak = |leak| fit_with_leak(leak, causes, m, v, settings);
+    if !causes.contains(&Cause::Friction) {
+        return with_leak(0.0);
+    }
+    let fits = FRICTION_LEAKS.map(with_leak);
+    let mut best = fits[0];
+    for fit in fits {
         if fit.score < best.score {
             best = fit;
         }
     }
-    let evidence: f64 = scores.iter().map(|score| (0.5 * (best.score - score)).exp()).sum();
-    best.score -= 2.0 * (evidence / scores.len() as f64).ln();
+    let evidence: f64 = fits.iter().map(|fit| (0.5 * (best.score - fit.score)).exp()).sum();
+    best.score -= 2.0 * (evidence / fits.len() as f64).ln();
     best
 }
 
