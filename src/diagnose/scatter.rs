@@ -26,7 +26,7 @@ const USUAL_LAG1: [(f64, f64); 2] = [(20.0, 0.35), (4.0, 0.2)];
 /// Independent throws that `TYPICAL_SD` is worth: on a machine that is like most, and on one that is not.
 const TYPICAL_WORTH: (f64, f64) = (15.0, 2.0);
 /// Machines that are like most, for each that is not.
-const LIKE_MOST: f64 = 4.0;
+const LIKE_MOST: f64 = 50.0;
 /// Standard deviations of ln b0, ln a1, ln a0 from weather and load.
 const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
 /// Lag-1 correlations that are believed. Above, the variance of a mean cannot be told from a few throws; the lower
