@@ -14,7 +14,7 @@ use zenoh::{Config, Session, key_expr::keyexpr};
 
 pub use inbox::{Inbox, InboxCounters, Limits, Message};
 pub use operator::{OperatorError, ask, command, is_watched, monitors};
-pub use outlet::{Outlet, OutletCounters};
+pub use outlet::{Outlet, OutletCounters, OutletEnd};
 pub use presence::{Audience, Presence, PresenceWatch};
 pub use queries::{Question, Questions, answer};
 pub use zenoh::liveliness::LivelinessToken;

@@ -2,6 +2,7 @@
 
 use std::{
     collections::HashMap,
+    convert::Infallible,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
@@ -48,17 +49,33 @@ pub struct Outlet {
     counters: Arc<OutletCounters>,
 }
 
+/// The end of the publishing thread.
+#[derive(Debug)]
+pub struct OutletEnd(oneshot::Receiver<Infallible>);
+
+impl OutletEnd {
+    /// Waits until the thread has published what was handed to it and is gone.
+    pub async fn reached(self) {
+        // An error is all that can come: the thread drops its end and never sends.
+        let _ = self.0.await;
+    }
+}
+
 impl Outlet {
-    /// Starts the thread.
+    /// Starts the thread. The session may be closed after its end: zenoh panics in a put to a session that closes.
     ///
     /// # Errors
     /// When the system gives no thread.
-    pub fn start(session: Session) -> std::io::Result<Self> {
+    pub fn start(session: Session) -> std::io::Result<(Self, OutletEnd)> {
         let (jobs, inbox) = mpsc::channel(QUEUE);
+        let (running, end) = oneshot::channel();
         let counters = Arc::new(OutletCounters::default());
         let counting = Arc::clone(&counters);
-        thread::Builder::new().name("publish".into()).spawn(move || run(&session, inbox, &counting))?;
-        Ok(Self { jobs, counters })
+        thread::Builder::new().name("publish".into()).spawn(move || {
+            run(&session, inbox, &counting);
+            drop(running);
+        })?;
+        Ok((Self { jobs, counters }, OutletEnd(end)))
     }
 
     /// The counts.

@@ -47,7 +47,7 @@ pub use supervise::Ended;
 pub use view::View;
 
 use crate::{
-    bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, PresenceWatch, Questions},
+    bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, OutletEnd, PresenceWatch, Questions},
     store::{self, Found, Store, StoreError},
     wire::{Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
@@ -92,6 +92,7 @@ pub struct Daemon {
     receive: JoinHandle<()>,
     judge: JoinHandle<()>,
     publish: JoinHandle<()>,
+    outlet_end: OutletEnd,
     alive: LivelinessToken,
     lock: DatabaseLock,
 }
@@ -124,7 +125,7 @@ impl Daemon {
         let (spooled, outbox) = (Arc::new(Notify::new()), Arc::new(Notify::new()));
         let (watchers, _) = broadcast::channel(WATCHED);
         let (config_sender, config_receiver) = watch::channel(Arc::clone(&config));
-        let outlet = Outlet::start(session.clone())?;
+        let (outlet, outlet_end) = Outlet::start(session.clone())?;
         let (orders, inbox_of_orders) = mpsc::channel(ORDERS);
         let (alive_loggers, loggers) = watch::channel(HashSet::new());
 
@@ -205,6 +206,7 @@ impl Daemon {
             receive,
             judge,
             publish,
+            outlet_end,
             alive,
             lock,
         })

@@ -100,7 +100,7 @@ impl Daemon {
     /// # Errors
     /// When the database could not be closed in good order; nothing acknowledged is lost.
     pub async fn stop(self) -> Result<(), StoreError> {
-        let Self { session, store, tasks, stops, receive, judge, publish, alive, gauges, lock, .. } = self;
+        let Self { session, store, tasks, stops, receive, judge, publish, outlet_end, alive, gauges, lock, .. } = self;
         notify(&[NotifyState::Stopping, NotifyState::Status("storing what has arrived")]);
         stops.receive.cancel();
         let mut receive = receive;
@@ -123,6 +123,9 @@ impl Daemon {
         tracing::info!("{}", gauges.report().line());
         drop(alive);
         tasks.abort();
+        if time::timeout(LEAVE_LIMIT, outlet_end.reached()).await.is_err() {
+            tracing::warn!("the publishing thread hangs in zenoh");
+        }
         match time::timeout(SESSION_LIMIT, session.close()).await {
             Ok(Ok(())) => {}
             Ok(Err(error)) => tracing::warn!(%error, "the zenoh session was not closed in good order"),
