@@ -29,7 +29,7 @@ impl Call {
 pub(super) enum Judgement {
     /// Named right, this many throws after the onset (1: at the first throw with the fault).
     Right(usize),
-    /// Named wrong, or alarmed before there was a fault.
+    /// Named wrong, or alarmed before there was a fault, or by chance where the baseline has learned it.
     Wrong,
     /// Alarmed and named nothing.
     Ambiguous,
@@ -43,6 +43,9 @@ fn is_part(cause: Cause) -> bool {
 
 /// Judges the calls made over a life, in the order in which they were made. The definitions are in [`super`].
 pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
+    if life.is_learned() && !calls.is_empty() {
+        return Judgement::Wrong;
+    }
     let before = calls.iter().take_while(|call| call.at < life.onset);
     let after = &calls[before.clone().count()..];
     if before.into_iter().any(|call| Some(call.cause) != life.repaired()) {
@@ -127,6 +130,15 @@ mod tests {
         ];
         for (calls, expected) in cases {
             assert_eq!(judged(&life, calls), *expected, "{calls:?}");
+        }
+    }
+
+    #[test]
+    fn an_alarm_about_a_fault_that_the_baseline_has_learned_is_a_false_alarm_that_may_hit() {
+        let life = life(Situation::FromFirstThrow, &[Cause::Kt]);
+        assert_eq!(judged(&life, &[]), Judgement::Missed);
+        for cause in [Cause::Kt, Cause::Inertia, Cause::Unattributed] {
+            assert_eq!(judged(&life, &[(112, cause, false)]), Judgement::Wrong);
         }
     }
 

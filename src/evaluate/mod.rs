@@ -11,7 +11,8 @@
 //!   critical severity. Of two causes at once: no first or critical name outside the two, and either both are named or
 //!   the alarm says that no single cause explains the drift.
 //! - **wrong**: the first name is another part, or another part is named at critical severity later, or there was an
-//!   alarm before there was a fault.
+//!   alarm before there was a fault, or any alarm where the fault was there from the first throw: nothing departs from
+//!   the baseline then, and a right name is a false alarm that hit.
 //! - **ambiguous**: an alarm, but no name.
 //! - **missed**: no alarm at all; of two causes, only one.
 //!

@@ -94,7 +94,7 @@ pub struct Row {
 pub struct Tally {
     /// Named right.
     pub right: usize,
-    /// Named wrong, or alarmed before there was a fault.
+    /// Named wrong, or alarmed before there was a fault, or by chance where the baseline has learned it.
     pub wrong: usize,
     /// Alarmed without a name.
     pub ambiguous: usize,

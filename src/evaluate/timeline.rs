@@ -92,6 +92,12 @@ impl Climate {
 }
 
 impl Timeline {
+    /// Whether the fault is there from the first throw: nothing departs from a baseline that has learned it, so an alarm
+    /// comes from the scatter, whatever it names.
+    pub(super) fn is_learned(&self) -> bool {
+        self.onset == 0
+    }
+
     /// A healthy life of `throws` throws.
     pub(super) fn healthy(throws: usize) -> Self {
         Self { faults: Vec::new(), onset: throws, throws, climate: None, leakage: 0.0 }
