@@ -147,7 +147,7 @@ impl Inbox {
     }
 }
 
-/// Runs in zenoh's thread: counts, copies, hands over, returns.
+/// Runs in zenoh's thread: counts, copies, hands over, returns; in a burst, as soon as there is room.
 fn take(sample: &Sample, queue: &mpsc::Sender<Message>, room: &Room, counters: &InboxCounters, limits: Limits) {
     if sample.kind() != SampleKind::Put {
         return;
@@ -155,7 +155,7 @@ fn take(sample: &Sample, queue: &mpsc::Sender<Message>, room: &Room, counters: &
     counters.received.fetch_add(1, Relaxed);
     let (key, bytes) = (sample.key_expr().as_str(), sample.payload().len());
     let kept = if bytes > limits.max_payload_bytes { limits.kept_of_larger_bytes } else { bytes };
-    if !room.take(key, kept) {
+    if !room.wait_for(key, kept) {
         counters.dropped.fetch_add(1, Relaxed);
         return;
     }
