@@ -148,18 +148,7 @@ impl Daemon {
             own: VecDeque::new(),
             ticks: 0,
         };
-        let publisher = Publisher {
-            store: store.clone(),
-            session: session.clone(),
-            outlet: outlet.clone(),
-            status: Arc::clone(&status),
-            outbox,
-            audience: Audience::of(&session, &config.scope.key_expression(Kind::Alarm)).await?,
-            is_first,
-            is_client: config.zenoh.get_json("mode").is_ok_and(|mode| mode.contains("client")),
-        };
         let judge = tasks.spawn("judge", judge.run(inbox_of_orders, stops.judge.clone()));
-        let publish = tasks.spawn("publish", publisher.run(stops.publish.clone()));
 
         answer_questions(&config, &session, &store, &tasks, orders).await?;
         let tokens = PresenceWatch::subscribe(&session, &config.scope.key_expression(Kind::Alive)).await?;
@@ -171,6 +160,18 @@ impl Daemon {
             kept_of_larger_bytes: store::QUARANTINED_BYTES,
         };
         let inbox = Inbox::subscribe(&session, &config.scope.key_expression(Kind::Throw), limits).await?;
+        let publisher = Publisher {
+            store: store.clone(),
+            session: session.clone(),
+            outlet: outlet.clone(),
+            status: Arc::clone(&status),
+            outbox,
+            inbox: inbox.counters(),
+            audience: Audience::of(&session, &config.scope.key_expression(Kind::Alarm)).await?,
+            is_first,
+            is_client: config.zenoh.get_json("mode").is_ok_and(|mode| mode.contains("client")),
+        };
+        let publish = tasks.spawn("publish", publisher.run(stops.publish.clone()));
         let gauges = Gauges {
             status: Arc::clone(&status),
             inbox: inbox.counters(),
