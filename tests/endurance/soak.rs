@@ -6,8 +6,9 @@
 //!
 //! After ten minutes memory, files, threads and database may not grow any more. A long run begins with many long cuts:
 //! after each of them loggers send all that they have cached, so that queues and buffers have had their largest burst, and
-//! caches are small enough to be full, when growth is judged. What is allocated, as the allocator tells, shows a leak sooner
-//! than the memory that it takes from the system; it is judged from when the monitors have all the throws that they keep.
+//! caches are small enough to be full, when growth is judged. What is allocated of this memory, as the allocator tells, shows
+//! a leak sooner than what it takes from the system. It grows by the first alarm of a machine and the like too, and is judged
+//! as a part of the whole, from when the monitors have all the throws that they keep.
 
 use std::{
     fs,
@@ -329,14 +330,14 @@ impl Recording {
         println!("{} samples: {}", self.samples.len(), path.display());
     }
 
-    /// Growth in an hour by least squares, as a part of the mean \[%\].
-    fn growth_pct(samples: &[Sample], of: impl Fn(&Sample) -> f64) -> f64 {
+    /// Growth in an hour by least squares, as a part of the mean of the `whole` \[%\].
+    fn growth_pct(samples: &[Sample], of: Figure, whole: Figure) -> f64 {
         let count = samples.len() as f64;
         let mean = |value: &dyn Fn(&Sample) -> f64| samples.iter().map(value).sum::<f64>() / count;
         let (at, level) = (mean(&|sample| sample.at_s), mean(&of));
         let covariance: f64 = samples.iter().map(|sample| (sample.at_s - at) * (of(sample) - level)).sum();
         let variance: f64 = samples.iter().map(|sample| (sample.at_s - at).powi(2)).sum();
-        100.0 * 3600.0 * covariance / variance / level
+        100.0 * 3600.0 * covariance / variance / mean(&whole)
     }
 
     fn judge(&self) {
@@ -350,21 +351,26 @@ impl Recording {
             println!("too short to say whether anything grows: POINTSD_SOAK_SECONDS=3600 does");
             return;
         }
-        let figures: [(&str, &[Sample], Figure); 6] = [
-            ("resident memory [MiB]", &settled, |sample| sample.usage.rss_mib),
-            ("its own of this [MiB]", &settled, |sample| sample.usage.own_mib),
-            ("allocated memory [MiB]", &full, Sample::live_mib),
-            ("open files", &settled, |sample| sample.usage.files as f64),
-            ("threads", &settled, |sample| f64::from(sample.usage.threads)),
-            ("database [MiB]", &settled, |sample| sample.database_mib),
+        let resident: Figure = |sample| sample.usage.rss_mib;
+        let own: Figure = |sample| sample.usage.own_mib;
+        let files: Figure = |sample| sample.usage.files as f64;
+        let threads: Figure = |sample| f64::from(sample.usage.threads);
+        let database: Figure = |sample| sample.database_mib;
+        let figures: [(&str, &[Sample], Figure, Figure); 6] = [
+            ("resident memory [MiB]", &settled, resident, resident),
+            ("its own of this [MiB]", &settled, own, own),
+            ("allocated memory [MiB]", &full, Sample::live_mib, resident),
+            ("open files", &settled, files, files),
+            ("threads", &settled, threads, threads),
+            ("database [MiB]", &settled, database, database),
         ];
         let mut grows = Vec::new();
-        for (name, samples, of) in figures {
-            let growth = Self::growth_pct(samples, of);
+        for (name, samples, of, whole) in figures {
+            let growth = Self::growth_pct(samples, of, whole);
             let (low, high) =
                 samples.iter().map(of).fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
             let from = samples[0].at_s;
-            println!("{name}: {low:.1} to {high:.1} after the first {from:.0} s, {growth:+.2} % an hour");
+            println!("{name}: {low:.1} to {high:.1} after the first {from:.0} s, {growth:+.2} % of the whole an hour");
             if growth > FLAT_PCT {
                 grows.push(name);
             }
