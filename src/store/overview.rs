@@ -26,7 +26,7 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn fleet_health(&self, machines: u32) -> Result<Vec<HealthRow>, StoreError> {
-        self.rows(sqlx::query_as(sql::FLEET_HEALTH).bind(machines), HealthColumns::read).await
+        self.asked(sqlx::query_as(sql::FLEET_HEALTH).bind(machines), HealthColumns::read).await
     }
 
     /// How many machines were ever heard, the daemon itself included where it had alarms.
@@ -44,7 +44,7 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn fleet_alarms(&self, machines: u32) -> Result<Vec<AlarmRow>, StoreError> {
-        self.rows(sqlx::query_as(sql::FLEET_ALARMS).bind(machines), AlarmColumns::read).await
+        self.asked(sqlx::query_as(sql::FLEET_ALARMS).bind(machines), AlarmColumns::read).await
     }
 
     /// The number of open alarms of each cause and severity that there is.
@@ -53,7 +53,7 @@ impl Reader {
     /// When the database cannot be read.
     pub async fn open_alarms_by_kind(&self) -> Result<Vec<(String, String, u64)>, StoreError> {
         let read = |(cause, severity, count): (String, String, i64)| Ok((cause, severity, count.cast_unsigned()));
-        self.rows(sqlx::query_as(sql::OPEN_ALARMS_BY_KIND), read).await
+        self.asked(sqlx::query_as(sql::OPEN_ALARMS_BY_KIND), read).await
     }
 
     /// The newest `limit` throws of a machine in one direction, oldest first.
@@ -90,7 +90,7 @@ impl Reader {
         limit: u32,
     ) -> Result<Vec<HealthRow>, StoreError> {
         let query = sqlx::query_as(statement).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        let mut rows = self.rows(query.bind(direction.as_str()).bind(limit), HealthColumns::read).await?;
+        let mut rows = self.asked(query.bind(direction.as_str()).bind(limit), HealthColumns::read).await?;
         rows.reverse();
         Ok(rows)
     }
@@ -101,7 +101,7 @@ impl Reader {
     /// When the database cannot be read.
     pub async fn newest_throws_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<HealthRow>, StoreError> {
         let query = sqlx::query_as(sql::MACHINE_NEWEST).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        self.rows(query.bind(limit), HealthColumns::read).await
+        self.asked(query.bind(limit), HealthColumns::read).await
     }
 
     /// The newest `limit` alarm events of a machine, of its newest `limit` alarms, newest first.
@@ -110,7 +110,7 @@ impl Reader {
     /// When the database cannot be read.
     pub async fn alarm_events_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<AlarmEventRow>, StoreError> {
         let query = sqlx::query_as(sql::MACHINE_ALARM_EVENTS);
-        self.rows(query.bind(machine.site.as_str()).bind(machine.machine.as_str()).bind(limit), Ok).await
+        self.asked(query.bind(machine.site.as_str()).bind(machine.machine.as_str()).bind(limit), Ok).await
     }
 
     /// One throw of a machine with what was made of it, which is `None` while it waits to be judged. `None` when there
@@ -126,9 +126,9 @@ impl Reader {
         // SQLite has no larger numbers, so there is no such throw.
         let Ok(throw_no) = i64::try_from(throw.throw_no) else { return Ok(None) };
         let query = sqlx::query_as(sql::THROW_AT).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        let stored = self.rows(query.bind(throw.boot_id.as_str()).bind(throw_no), ThrowColumns::read).await?;
+        let stored = self.asked(query.bind(throw.boot_id.as_str()).bind(throw_no), ThrowColumns::read).await?;
         let Some(stored) = stored.into_iter().next() else { return Ok(None) };
-        let health = self.rows(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0), HealthColumns::read).await?;
+        let health = self.asked(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0), HealthColumns::read).await?;
         Ok(Some((stored, health.into_iter().next())))
     }
 }

@@ -237,7 +237,7 @@ impl Reader {
         self.pools.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    pub(super) async fn rows<'q, Row, T>(
+    async fn rows<'q, Row, T>(
         &self,
         query: QueryAs<'q, Sqlite, Row, SqliteArguments>,
         read: impl Fn(Row) -> sqlx::Result<T>,
@@ -251,7 +251,7 @@ impl Reader {
 
     /// The rows of a question from outside. SQLite itself ends a query that takes too long: one that nobody waits for any
     /// more would go on and keep its connection.
-    async fn asked<'q, Row, T>(
+    pub(super) async fn asked<'q, Row, T>(
         &self,
         query: QueryAs<'q, Sqlite, Row, SqliteArguments>,
         read: impl Fn(Row) -> sqlx::Result<T>,

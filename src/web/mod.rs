@@ -9,9 +9,9 @@
 //! | `/healthz` | 200 while every loop of the daemon beats, else 503 with the reason |
 //!
 //! The daemon comes first, whoever asks: connections, their bytes and their life are bounded (`connection`), so are
-//! the time of a request (`guard`) and the rows it reads; one request at a time reads the database, which leaves the
-//! other of the two reading connections to the judge; and what every page shows is read at most once a second
-//! (`overview`). The room sees the daemon through a [`View`], which cannot write.
+//! the time of a request (`guard`) and the rows it reads; one request at a time reads the database, on the
+//! connections for questions from outside, so that the judge has its own; and what every page shows is read at most once a
+//! second (`overview`). The room sees the daemon through a [`View`], which cannot write.
 
 mod connection;
 mod fleet;
@@ -37,7 +37,7 @@ use connection::Bounded;
 use overview::Cache;
 use page::{Failure, asset};
 
-/// Requests that read the database at the same time: the judge has the other connection for itself.
+/// Requests that read the database at the same time: the other connections for questions are left to those on zenoh.
 const READING: usize = 1;
 
 const STYLE: &str = include_str!("pages/style.css");
