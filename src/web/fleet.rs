@@ -10,6 +10,7 @@ use super::{
     overview::{MACHINES, Overview},
     page::{self, Failure},
     standing::{self, Standing},
+    trouble,
 };
 use crate::{
     daemon::{View, clock},
@@ -17,9 +18,6 @@ use crate::{
     throw::{Direction, MachineId},
     wire::{self, Alarm},
 };
-
-/// Throws that may wait to be judged before the page says that it is behind: half a minute's work.
-const BACKLOG: u64 = 1_000;
 
 /// Open alarms on the page, the worst ones where there are more.
 const ALARMS: usize = 200;
@@ -74,7 +72,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>) -> Result<Response, Failur
     let open: u64 = overview.alarms_by_kind.iter().map(|(_, _, number)| number).sum();
     let shown_all = overview.machines <= u64::from(MACHINES);
     Ok(page::html(&Page {
-        trouble: trouble(&web.view, &overview),
+        trouble: trouble::all(&web.view, &overview),
         daemon: daemon(&web.view, &overview),
         tally: tally.into_iter().filter(|(_, number)| *number > 0).collect(),
         never_heard: if shown_all { never_heard(&web.view, &overview) } else { Vec::new() },
@@ -89,43 +87,6 @@ pub(super) async fn page(State(web): State<Arc<Web>>) -> Result<Response, Failur
 /// How many of `all` are beyond `most`; empty for none.
 fn not_shown(all: u64, most: u64) -> String {
     if all > most { page::count(all - most) } else { String::new() }
-}
-
-/// What keeps the page from telling the truth about the machines.
-fn trouble(view: &View, overview: &Overview) -> Vec<String> {
-    let report = view.report();
-    let mut trouble = Vec::new();
-    match report.disk.as_str() {
-        "ok" => {}
-        "low" => trouble
-            .push("The disk is nearly full: the traces of judged throws are dropped. Free some space.".to_owned()),
-        "full" => trouble.push(
-            "The disk is full: nothing can be stored, and what you see is from before. Free some space now.".to_owned(),
-        ),
-        _ => trouble
-            .push("Writing to the database fails: nothing can be stored, and what you see is from before.".to_owned()),
-    }
-    if !report.silent.is_empty() {
-        trouble.push(format!("Parts of the daemon hang ({}): what you see may be old.", report.silent.join(", ")));
-    }
-    if report.loggers == 0 {
-        trouble.push("No logger is connected, so nobody tells of throws. Silence is not health.".to_owned());
-    }
-    if report.dropped + report.lost > 0 {
-        let lost = page::count(report.dropped + report.lost);
-        trouble.push(format!("{lost} messages that arrived since the start could not be kept."));
-    }
-    if overview.unreadable > 0 {
-        let unknown = overview.unreadable;
-        trouble.push(format!(
-            "{unknown} open alarms were raised by another version in words unknown here: pointsd sql shows them."
-        ));
-    }
-    if overview.statistics.pending > BACKLOG {
-        let waiting = page::count(overview.statistics.pending);
-        trouble.push(format!("{waiting} throws wait to be judged: what you see is behind."));
-    }
-    trouble
 }
 
 fn daemon(view: &View, overview: &Overview) -> Vec<(&'static str, String)> {

@@ -11,7 +11,7 @@ use axum::{
 };
 use tokio::time;
 
-use super::{Web, page::Failure};
+use super::{Web, page::Failure, trouble};
 
 /// Longest wait for an answer, less than a browser's patience and the daemon's limit for one query.
 const LIMIT: Duration = Duration::from_secs(4);
@@ -22,11 +22,16 @@ const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; c
 
 pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: Next) -> Response {
     let mut response = match refusal(&request, &web.view.config().web.hosts) {
-        Some(refusal) => refusal.into_response(),
-        None => match time::timeout(LIMIT, next.run(request)).await {
-            Ok(response) => response,
-            Err(_) => Failure::busy().into_response(),
-        },
+        // Who asks wrongly may be anybody, and is told nothing of the daemon.
+        Some(refusal) => refusal.page(Vec::new()),
+        None => {
+            let answer = time::timeout(LIMIT, next.run(request)).await;
+            let mut response = answer.unwrap_or_else(|_| Failure::busy().into_response());
+            match response.extensions_mut().remove::<Failure>() {
+                Some(failure) => failure.page(trouble::of_daemon(&web.view)),
+                None => response,
+            }
+        }
     };
     let headers = response.headers_mut();
     for (name, value) in [

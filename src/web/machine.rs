@@ -12,6 +12,7 @@ use jiff::Timestamp;
 use super::{
     Web,
     fleet::{Way, reason, ways},
+    overview::readable,
     page::{self, Failure},
     standing::{self, Standing},
     trend::{self, Mark, Picture, Ways},
@@ -55,6 +56,7 @@ impl Span {
 #[derive(Template)]
 #[template(path = "machine.html", config = "src/web/askama.toml")]
 struct Page {
+    trouble: Vec<String>,
     machine: MachineId,
     standing: Standing,
     ways: Vec<Way>,
@@ -98,6 +100,7 @@ pub(super) async fn page(
     let Path((site, machine)) = names?;
     let machine = known_name(&site, &machine)?;
     let span = Span::from_query(query.as_deref())?;
+    let trouble = web.trouble().await;
     let _turn = web.turn().await?;
     let reader = web.view.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;
@@ -110,8 +113,7 @@ pub(super) async fn page(
         (Direction::ReverseToNormal, rows(reader, &machine, Direction::ReverseToNormal, span).await?),
     ];
     let which = Selector { site: Some(machine.site.clone()), machine: Some(machine.machine.clone()) };
-    let open = reader.open_alarms(&which).await?;
-    let alarms: Vec<Alarm> = open.iter().filter_map(|row| serde_json::from_str(&row.payload).ok()).collect();
+    let alarms = readable(&reader.open_alarms(&which).await?);
     let alarms: Vec<&Alarm> = alarms.iter().collect();
     let latest: Vec<HealthRow> = both.iter().filter_map(|(_, rows)| rows.last().cloned()).collect();
     let ways = ways(&latest, &alarms);
@@ -119,6 +121,7 @@ pub(super) async fn page(
         events.into_iter().filter_map(|row| Some((serde_json::from_str(&row.payload).ok()?, row))).collect();
     let worst = ways.iter().map(|way| way.standing).chain(alarms.iter().map(|alarm| Standing::of_alarm(alarm))).min();
     Ok(page::html(&Page {
+        trouble,
         standing: worst.unwrap_or(Standing::Filling),
         ways,
         spans: Span::CHOICES.into_iter().map(|(choice, word, says)| (word, says, choice == span)).collect(),

@@ -11,7 +11,7 @@
 //! The daemon comes first, whoever asks: connections, their bytes and their life are bounded (`connection`), so are
 //! the time of a request (`guard`) and the rows it reads; one request at a time reads the database, on the
 //! connections for questions from outside, so that the judge has its own; and what every page shows is read at most once a
-//! second (`overview`). The room sees the daemon through a [`View`], which cannot write.
+//! second (`overview`). Every page begins with what keeps it from telling the truth (`trouble`). The room sees the daemon through a [`View`], which cannot write.
 
 mod connection;
 mod fleet;
@@ -23,6 +23,7 @@ mod page;
 mod standing;
 mod throw;
 mod trend;
+mod trouble;
 
 use std::{net::SocketAddr, sync::Arc};
 

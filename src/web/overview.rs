@@ -10,7 +10,8 @@ use tokio::sync::Mutex;
 use super::Web;
 use crate::{
     daemon::clock,
-    store::{HealthRow, Statistics, StoreError},
+    store::{AlarmRow, HealthRow, Selector, Statistics, StoreError},
+    throw::MachineId,
     wire::Alarm,
 };
 
@@ -27,6 +28,8 @@ pub(super) struct Overview {
     pub(super) machines: u64,
     /// Every open alarm of the machines shown, the worst first.
     pub(super) alarms: Vec<Alarm>,
+    /// The daemon's own open alarms, also where there are more machines than are shown.
+    pub(super) own_alarms: Vec<Alarm>,
     /// Those that another version wrote in words unknown here.
     pub(super) unreadable: usize,
     /// Open alarms by cause and severity.
@@ -50,16 +53,24 @@ impl Web {
         let reader = self.view.reader();
         let alarms = reader.fleet_alarms(MACHINES).await?;
         let found = alarms.len();
-        let alarms: Vec<Alarm> = alarms.iter().filter_map(|row| serde_json::from_str(&row.payload).ok()).collect();
+        let alarms = readable(&alarms);
+        let MachineId { site, machine } = self.view.config().monitor.as_machine();
+        let itself = Selector { site: Some(site), machine: Some(machine) };
         let overview = Arc::new(Overview {
             health: reader.fleet_health(MACHINES).await?,
             machines: reader.machine_count().await?,
             unreadable: found - alarms.len(),
             alarms,
+            own_alarms: readable(&reader.open_alarms(&itself).await?),
             alarms_by_kind: reader.open_alarms_by_kind().await?,
             statistics: self.view.statistics().await?,
         });
         *last = Some((clock::monotonic(), Arc::clone(&overview)));
         Ok(overview)
     }
+}
+
+/// Those alarms whose words are known.
+pub(super) fn readable(rows: &[AlarmRow]) -> Vec<Alarm> {
+    rows.iter().filter_map(|row| serde_json::from_str(&row.payload).ok()).collect()
 }

@@ -10,8 +10,8 @@ use jiff::Timestamp;
 
 use crate::store::StoreError;
 
-/// A page instead of the one that was asked for.
-#[derive(Debug)]
+/// A page instead of the one that was asked for. As a response it is bare: whoever answers gives it its page.
+#[derive(Debug, Clone)]
 pub(super) struct Failure {
     status: StatusCode,
     says: String,
@@ -20,6 +20,7 @@ pub(super) struct Failure {
 #[derive(Template)]
 #[template(path = "failure.html", config = "src/web/askama.toml")]
 struct FailurePage<'a> {
+    trouble: Vec<String>,
     title: &'a str,
     says: &'a str,
 }
@@ -57,13 +58,22 @@ impl From<PathRejection> for Failure {
     }
 }
 
-impl IntoResponse for Failure {
-    fn into_response(self) -> Response {
-        let page = FailurePage { title: self.status.canonical_reason().unwrap_or("Failure"), says: &self.says };
-        let mut response = (self.status, html(&page)).into_response();
+impl Failure {
+    /// Its page, under a banner of this trouble.
+    pub(super) fn page(&self, trouble: Vec<String>) -> Response {
+        let title = self.status.canonical_reason().unwrap_or("Failure");
+        let mut response = (self.status, html(&FailurePage { trouble, title, says: &self.says })).into_response();
         if self.status == StatusCode::METHOD_NOT_ALLOWED {
             response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET, HEAD"));
         }
+        response
+    }
+}
+
+impl IntoResponse for Failure {
+    fn into_response(self) -> Response {
+        let mut response = self.status.into_response();
+        response.extensions_mut().insert(self);
         response
     }
 }

@@ -22,6 +22,7 @@ use crate::{
 #[derive(Template)]
 #[template(path = "throw.html", config = "src/web/askama.toml")]
 struct Page {
+    trouble: Vec<String>,
     machine: MachineId,
     boot_id: String,
     throw_no: u64,
@@ -44,19 +45,21 @@ pub(super) async fn page(
     let machine = known_name(&site, &machine)?;
     let wrong = |_| Failure::bad_request("The address must end in the number of the throw.");
     let throw_no = throw_no.parse().map_err(wrong)?;
+    let trouble = web.trouble().await;
     let _turn = web.turn().await?;
     let found = web.view.reader().throw_of(&machine, &ThrowRef { boot_id, throw_no }).await?;
     let (stored, health) = found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw here.")))?;
-    Ok(page::html(&shown(stored, health.as_ref())))
+    Ok(page::html(&shown(trouble, stored, health.as_ref())))
 }
 
-fn shown(stored: StoredThrow, health: Option<&HealthRow>) -> Page {
+fn shown(trouble: Vec<String>, stored: StoredThrow, health: Option<&HealthRow>) -> Page {
     let (pictures, no_trace) = match &stored.throw {
         Ok(throw) => (trend::trace(&throw.trace).into(), None),
         Err(unreadable) => (Vec::new(), Some(unreadable.to_string())),
     };
     let temperature = stored.throw.as_ref().ok().and_then(|throw| throw.temperature_c);
     Page {
+        trouble,
         machine: stored.machine,
         boot_id: stored.id.boot_id,
         throw_no: stored.id.throw_no,

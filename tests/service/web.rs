@@ -89,7 +89,10 @@ fn check_nesting(html: &str) {
 
 /// A daemon with throws of one machine: two good ones, and one with a hostile name that is refused.
 async fn small_history() -> (Rig, Daemon, String) {
-    let rig = Rig::with(WEB);
+    history_in(Rig::with(WEB)).await
+}
+
+async fn history_in(rig: Rig) -> (Rig, Daemon, String) {
     let daemon = rig.start();
     let session = daemon.client().await;
     let publisher = matched(&session, KEY).await;
@@ -112,8 +115,6 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         fleet.body
     );
     assert!(fleet.body.contains(">1 of 50<"), "{}", fleet.body);
-    // Nobody shows a liveliness token: silence is not health.
-    assert!(fleet.body.contains("No logger is connected"), "{}", fleet.body);
     let machine = get(&address, "/machines/north/21B");
     let throw = get(&address, "/machines/north/21B/throws/boot/2");
     assert!(throw.body.contains("Motor current") && throw.body.matches("<svg").count() == 2, "{}", throw.body);
@@ -160,6 +161,34 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         check_nesting(&answer.body);
         assert!(answer.header("content-security-policy").is_some(), "{path}");
     }
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_page_tells_what_is_wrong_with_the_daemon() {
+    let rig = Rig::with(WEB);
+    std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
+    let (rig, daemon, address) = history_in(rig).await;
+    rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE machine = 'pointsd' AND cause = 'data_loss'").await;
+    // Nobody shows a liveliness token: silence is not health.
+    let silence = "No logger is connected";
+    let own_alarm = "The daemon&#39;s own alarm: pointsd loses data: its database was broken and was set aside";
+    let fresh = "/machines/north/21B?span=all";
+    let deadline = Instant::now() + PATIENCE;
+    while !get(&address, fresh).body.contains(own_alarm) {
+        assert!(Instant::now() < deadline, "{}", get(&address, fresh).body);
+        thread::sleep(Duration::from_millis(50));
+    }
+    for path in ["/", "/machines/north/21B", "/machines/north/21B/throws/boot/2", "/machines/fleet/pointsd"] {
+        let page = get(&address, path);
+        let banner = page.body.split("<main>").next().unwrap();
+        assert!(page.status == 200 && banner.contains(silence) && banner.contains(own_alarm), "{path}: {page:?}");
+    }
+    // A failure tells what the daemon knows without its database.
+    let failure = get(&address, "/machines/north/99");
+    assert!(failure.status == 404 && failure.body.contains(silence), "{failure:?}");
+    let stranger = ask(&address, "GET", "/", "rebound.example");
+    assert!(stranger.status == 421 && !stranger.body.contains(silence), "{stranger:?}");
     assert!(daemon.terminate().success());
 }
 
