@@ -179,6 +179,11 @@ impl Store {
         Ok((figures.disk_low && figures.free_pages > PAGES).then_some(Drop::Pages))
     }
 
+    async fn figure(&self, query: &'static str) -> Result<u64, StoreError> {
+        let figure: i64 = self.reader.limited(sqlx::query_scalar(query).fetch_one(&self.reader.pool())).await?;
+        Ok(figure.cast_unsigned())
+    }
+
     async fn any(&self, choice: &'static str) -> Result<bool, StoreError> {
         let rows = sqlx::query_scalar::<_, i64>(choice).bind(1);
         Ok(!self.reader.limited(rows.fetch_all(&self.reader.pool())).await?.is_empty())

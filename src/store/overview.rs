@@ -34,8 +34,7 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn machine_count(&self) -> Result<u64, StoreError> {
-        let count: i64 = self.limited(sqlx::query_scalar(sql::MACHINE_COUNT).fetch_one(&self.pool())).await?;
-        Ok(count.cast_unsigned())
+        self.asked_figure(sql::MACHINE_COUNT).await
     }
 
     /// The last event of every open alarm of the same machines as [`fleet_health`](Self::fleet_health): at most one a

@@ -269,6 +269,12 @@ impl Reader {
         rows.into_iter().map(read).collect::<sqlx::Result<_>>().map_err(StoreError::read)
     }
 
+    /// The number that a question from outside is answered with.
+    pub(super) async fn asked_figure(&self, query: &'static str) -> Result<u64, StoreError> {
+        let figures = self.asked(sqlx::query_as(query), |(figure,): (i64,)| Ok(figure.cast_unsigned())).await?;
+        figures.into_iter().next().ok_or_else(|| StoreError::read(sqlx::Error::RowNotFound))
+    }
+
     /// Up to `limit` throws after `after` that wait to be judged, in the order of arrival.
     ///
     /// # Errors

@@ -38,24 +38,24 @@ pub struct Statistics {
 }
 
 impl Store {
-    /// Reads the figures. Counts rows: not for every second.
+    /// Reads the figures, on the connections for questions from outside. Counts rows: not for every second.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
-        let counters: Vec<(String, i64)> =
-            self.reader.limited(sqlx::query_as(sql::COUNTERS).fetch_all(&self.reader.pool())).await?;
-        let page_size = self.figure("PRAGMA page_size").await?;
-        let pages = self.figure("PRAGMA page_count").await?;
-        let free_pages = self.figure("PRAGMA freelist_count").await?;
+        let reader = &self.reader;
+        let counters: Vec<(String, i64)> = reader.asked(sqlx::query_as(sql::COUNTERS), Ok).await?;
+        let page_size = reader.asked_figure("PRAGMA page_size").await?;
+        let pages = reader.asked_figure("PRAGMA page_count").await?;
+        let free_pages = reader.asked_figure("PRAGMA freelist_count").await?;
         Ok(Statistics {
-            throws: self.figure(sql::THROW_SPAN).await?,
-            traces: self.figure(sql::TRACE_SPAN).await?,
-            pending: self.figure(sql::WAITING_COUNT).await?,
-            outbox: self.figure(sql::OUTBOX_COUNT).await?,
-            open_alarms: self.figure(sql::OPEN_ALARM_COUNT).await?,
-            missing_throws: self.figure(sql::OPEN_GAP_COUNT).await?,
-            quarantined: self.figure(sql::QUARANTINE_COUNT).await?,
+            throws: reader.asked_figure(sql::THROW_SPAN).await?,
+            traces: reader.asked_figure(sql::TRACE_SPAN).await?,
+            pending: reader.asked_figure(sql::WAITING_COUNT).await?,
+            outbox: reader.asked_figure(sql::OUTBOX_COUNT).await?,
+            open_alarms: reader.asked_figure(sql::OPEN_ALARM_COUNT).await?,
+            missing_throws: reader.asked_figure(sql::OPEN_GAP_COUNT).await?,
+            quarantined: reader.asked_figure(sql::QUARANTINE_COUNT).await?,
             data_bytes: pages.saturating_sub(free_pages) * page_size,
             free_bytes: free_pages * page_size,
             wal_bytes: self.wal_bytes(),
@@ -76,10 +76,5 @@ impl Store {
     #[must_use]
     pub fn wal_bytes(&self) -> u64 {
         self.place.log_bytes()
-    }
-
-    pub(super) async fn figure(&self, query: &'static str) -> Result<u64, StoreError> {
-        let figure: i64 = self.reader.limited(sqlx::query_scalar(query).fetch_one(&self.reader.pool())).await?;
-        Ok(figure.cast_unsigned())
     }
 }

@@ -10,8 +10,9 @@
 //!
 //! The daemon comes first, whoever asks: connections, their bytes and their life are bounded (`connection`), so are
 //! the time of a request (`guard`) and the rows it reads; one request at a time reads the database, on the
-//! connections for questions from outside, so that the judge has its own; and what every page shows is read at most once a
-//! second (`overview`). Every page begins with what keeps it from telling the truth (`trouble`). The room sees the daemon through a [`View`], which cannot write.
+//! connections for questions from outside, so that the judge has its own; and what every page shows is read at most
+//! once a second (`overview`). Every page begins with what keeps it from telling the truth (`trouble`). The room sees
+//! the daemon through a [`View`], which cannot write.
 
 mod connection;
 mod fleet;
