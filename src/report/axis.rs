@@ -1,5 +1,18 @@
 //! Axes: the range shown, round ticks, and where a value lands.
 
+use super::calendar;
+
+/// Shortest span of an axis of time \[s\]: one throw alone has none.
+const LEAST_TIME: f64 = 60.0;
+
+/// A value that gets a line and a label, and a second label below where that is another than before.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Tick {
+    pub(super) value: f64,
+    pub(super) label: String,
+    pub(super) below: Option<String>,
+}
+
 /// One axis with its range, linear or logarithmic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Axis {
@@ -41,6 +54,18 @@ impl Axis {
         if high > low { Self { low, high, log: false } } else { rounded }
     }
 
+    /// As tight, for moments \[s since 1970\].
+    pub(super) fn of_time(values: &(impl Iterator<Item = f64> + Clone)) -> Self {
+        let Self { low, high, log } = Self::tight(values);
+        let widen = 0.5 * (LEAST_TIME - (high - low)).max(0.0);
+        Self { low: low - widen, high: high + widen, log }
+    }
+
+    /// Dates and times on an axis as long as `characters` of a label.
+    pub(super) fn dates(&self, characters: f64) -> Vec<Tick> {
+        calendar::ticks(self.low, self.high, characters)
+    }
+
     /// Where a value lies, 0 at the low end to 1 at the high end; `None` when it cannot be shown.
     pub(super) fn place(&self, value: f64) -> Option<f64> {
         let place = if self.log {
@@ -51,8 +76,13 @@ impl Axis {
         place.is_finite().then_some(place)
     }
 
-    /// Values that get a line and a label.
-    pub(super) fn ticks(&self) -> Vec<f64> {
+    /// Round numbers, with their labels.
+    pub(super) fn numbers(&self) -> Vec<Tick> {
+        let tick = |value| Tick { value, label: self.label(value), below: None };
+        self.ticks().into_iter().map(tick).collect()
+    }
+
+    fn ticks(&self) -> Vec<f64> {
         if self.log {
             let decades = (self.high / self.low).log10().round();
             return (0..=30)
@@ -68,7 +98,7 @@ impl Axis {
     }
 
     /// A tick's label, with as many decimals as its neighbours need.
-    pub(super) fn label(&self, tick: f64) -> String {
+    fn label(&self, tick: f64) -> String {
         if self.log {
             return format!("{tick}");
         }

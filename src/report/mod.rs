@@ -9,6 +9,7 @@
 //! ```
 
 mod axis;
+mod calendar;
 mod panel;
 mod svg;
 

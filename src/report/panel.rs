@@ -9,12 +9,14 @@ const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00
 const CHARACTER: f64 = 6.8;
 /// Least space between two names beside each other \[px\].
 const GAP: f64 = 10.0;
+/// Empty space right of the axes \[px\].
+const MARGIN: f64 = 24.0;
 const GRID: &str = "#dddddd";
 const FRAME: &str = "#444444";
 
 #[derive(Debug, Clone)]
 enum Content {
-    Curves { x_label: String, curves: Vec<Curve> },
+    Curves { x_label: String, times: bool, curves: Vec<Curve> },
     Bars { categories: Vec<String>, groups: Vec<(String, Vec<f64>)> },
 }
 
@@ -59,7 +61,13 @@ impl Panel {
     /// An empty chart of curves.
     #[must_use]
     pub fn curves(title: impl Into<String>, x_label: impl Into<String>, y_label: impl Into<String>) -> Self {
-        Self::with(title, y_label, Content::Curves { x_label: x_label.into(), curves: Vec::new() })
+        Self::with(title, y_label, Content::Curves { x_label: x_label.into(), times: false, curves: Vec::new() })
+    }
+
+    /// An empty chart of curves over moments \[s since 1970\], with dates and times in UTC on the axis.
+    #[must_use]
+    pub fn history(title: impl Into<String>, y_label: impl Into<String>) -> Self {
+        Self::with(title, y_label, Content::Curves { x_label: "UTC".to_owned(), times: true, curves: Vec::new() })
     }
 
     /// An empty chart of bars; each group of bars has one bar for each of the `categories`, which are the colours.
@@ -154,29 +162,39 @@ impl Panel {
         let frame = Frame {
             left: left + 72.0,
             top: top + 56.0,
-            width: width - 72.0 - 24.0,
-            height: height - 56.0 - 54.0 - self.slant(width - 72.0 - 24.0),
+            width: width - 72.0 - MARGIN,
+            height: height - 56.0 - 54.0 - self.slant(width - 72.0 - MARGIN),
             y: self.y_axis(),
         };
         canvas.text(left + width / 2.0, top + 20.0, 15.0, Anchor::Middle, &self.title);
         canvas.upright_text(left + 20.0, frame.top + frame.height / 2.0, 13.0, &self.y_label);
-        for tick in frame.y.ticks() {
-            let Some(y) = frame.y_of(tick) else { continue };
+        for tick in frame.y.numbers() {
+            let Some(y) = frame.y_of(tick.value) else { continue };
             canvas.line((frame.left, y), (frame.left + frame.width, y), GRID, 1.0, false);
-            canvas.text(frame.left - 8.0, y + 4.0, 12.0, Anchor::End, &frame.y.label(tick));
+            canvas.text(frame.left - 8.0, y + 4.0, 12.0, Anchor::End, &tick.label);
         }
         match &self.content {
-            Content::Curves { x_label, curves } => draw_curves(canvas, &frame, x_label, curves, &self.marks),
+            Content::Curves { x_label, times, curves } => {
+                let x = x_axis(canvas, &frame, x_label, *times, curves);
+                draw_curves(canvas, &frame, x, curves, &self.marks);
+            }
             Content::Bars { categories, groups } => {
                 let slanted = self.slant(frame.width) > 0.0;
                 draw_bars(canvas, &frame, categories, groups, self.log_y, slanted);
             }
         }
         let (right, bottom) = (frame.left + frame.width, frame.top + frame.height);
+        // At the end of a history is what matters most.
+        let (label_at, anchor) = match self.content {
+            Content::Curves { times: true, .. } => (frame.left + 4.0, Anchor::Start),
+            _ => (right - 4.0, Anchor::End),
+        };
         for (value, label) in &self.levels {
             let Some(y) = frame.y_of(*value) else { continue };
             canvas.line((frame.left, y), (right, y), FRAME, 1.2, true);
-            canvas.outlined_text(right - 4.0, y - 5.0, 12.0, Anchor::End, label);
+            // Above the axes is the legend.
+            let down = if y < frame.top + 16.0 { 14.0 } else { -5.0 };
+            canvas.outlined_text(label_at, y + down, 12.0, anchor, label);
         }
         canvas.line((frame.left, frame.top), (frame.left, bottom), FRAME, 1.2, false);
         canvas.line((frame.left, bottom), (right, bottom), FRAME, 1.2, false);
@@ -229,16 +247,29 @@ impl Curve {
 /// The most labels of marks that stand below each other before they begin at the top again.
 const MARK_ROWS: usize = 4;
 
-fn draw_curves(canvas: &mut Canvas, frame: &Frame, x_label: &str, curves: &[Curve], marks: &[(f64, String)]) {
-    let x = Axis::tight(&curves.iter().flat_map(|curve| &curve.points).map(|point| point.0));
+/// Draws the axis below the curves.
+fn x_axis(canvas: &mut Canvas, frame: &Frame, label: &str, times: bool, curves: &[Curve]) -> Axis {
+    let values = curves.iter().flat_map(|curve| &curve.points).map(|point| point.0);
+    let x = if times { Axis::of_time(&values) } else { Axis::tight(&values) };
+    let ticks = if times { x.dates(frame.width / CHARACTER) } else { x.numbers() };
+    let (right, bottom) = (frame.left + frame.width, frame.top + frame.height);
+    for tick in ticks {
+        let Some(at) = x.place(tick.value).map(|place| frame.left + frame.width * place) else { continue };
+        canvas.line((at, frame.top), (at, bottom), GRID, 1.0, false);
+        canvas.text(at, bottom + 18.0, 12.0, Anchor::Middle, &tick.label);
+        if let Some(below) = tick.below {
+            let half = 0.5 * CHARACTER * below.chars().count() as f64;
+            canvas.text(at.min(right + MARGIN - half), bottom + 33.0, 12.0, Anchor::Middle, &below);
+        }
+    }
+    let down = if times { 48.0 } else { 40.0 };
+    canvas.text(frame.left + frame.width / 2.0, bottom + down, 13.0, Anchor::Middle, label);
+    x
+}
+
+fn draw_curves(canvas: &mut Canvas, frame: &Frame, x: Axis, curves: &[Curve], marks: &[(f64, String)]) {
     let x_of = |value: f64| x.place(value).map(|place| frame.left + frame.width * place);
     let bottom = frame.top + frame.height;
-    for tick in x.ticks() {
-        let Some(at) = x_of(tick) else { continue };
-        canvas.line((at, frame.top), (at, bottom), GRID, 1.0, false);
-        canvas.text(at, bottom + 18.0, 12.0, Anchor::Middle, &x.label(tick));
-    }
-    canvas.text(frame.left + frame.width / 2.0, bottom + 40.0, 13.0, Anchor::Middle, x_label);
     for (curve, colour) in curves.iter().zip(COLOURS.iter().cycle()) {
         let edge = |x: f64, y: f64| x_of(x).zip(frame.y_of(y));
         let (upper, lower): (Vec<_>, Vec<_>) =
@@ -330,6 +361,17 @@ mod tests {
         let svg = chart(banded.mark(1.0, "raised").mark(9.0, "beyond"));
         assert_eq!(svg.matches("<polygon").count(), 1);
         assert!(svg.contains(">40<") && svg.contains("raised") && !svg.contains("beyond") && !svg.contains("NaN"));
+    }
+
+    #[test]
+    fn a_history_tells_the_date_of_even_one_point() {
+        let chart = |points: &[(f64, f64)]| {
+            Sheet::new("").panel(Panel::history("", "y").line("one", points.iter().copied())).to_svg()
+        };
+        let noon = 1_795_262_400.0;
+        assert!(chart(&[(noon, 1.0)]).contains(">21 Nov 2026<"));
+        assert!(chart(&[(noon, 1.0), (noon + 40.0 * 86_400.0, 2.0)]).contains(">23 Nov<"));
+        assert!(!chart(&[]).contains("NaN"));
     }
 
     #[test]

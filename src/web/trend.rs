@@ -15,12 +15,7 @@ pub(super) const POINTS: usize = 250;
 /// Samples of a trace are drawn as the least and the greatest of so many stretches.
 const STRETCHES: usize = 300;
 /// Size of a picture \[px\].
-const SIZE: (f64, f64) = (440.0, 300.0);
-
-/// The units of time that an axis may have \[s\], each from so many of the one before.
-const UNITS: [(f64, &str); 3] = [(60.0, "minutes"), (3_600.0, "hours"), (86_400.0, "days")];
-/// So many of a unit are shown before the next larger one is taken.
-const MOST_OF_A_UNIT: f64 = 72.0;
+const SIZE: (f64, f64) = (380.0, 290.0);
 
 /// A picture with what it shows in words.
 pub(super) struct Picture {
@@ -69,14 +64,9 @@ pub(super) fn trends(ways: &Ways, marks: &[Mark], settings: &Settings) -> Vec<Pi
 }
 
 fn trend(coefficient: usize, title: &str, (warning, critical): (f64, f64), ways: &Ways, marks: &[Mark]) -> String {
-    let times = ways.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
-    let (first, last) = times.fold((Timestamp::MAX, Timestamp::MIN), |(low, high), at| (low.min(at), high.max(at)));
-    let span_s = last.duration_since(first).as_secs_f64();
-    let unit = UNITS.into_iter().find(|(length, _)| span_s / length <= MOST_OF_A_UNIT);
-    let (length, unit) = unit.unwrap_or(UNITS[UNITS.len() - 1]);
-    let x = |at: Timestamp| at.duration_since(last).as_secs_f64() / length;
+    let x = |at: Timestamp| at.as_duration().as_secs_f64();
 
-    let mut panel = Panel::curves(title, format!("{unit} from the last throw"), "% from the baseline");
+    let mut panel = Panel::history(title, "% from the baseline");
     let mut furthest = (0.0_f64, 0.0_f64);
     for (direction, rows) in ways {
         let point = |row: &HealthRow| {

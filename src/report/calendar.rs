@@ -1,0 +1,169 @@
+//! The ticks of an axis of time: dates and times in UTC at round moments, as many as there is room for.
+
+use jiff::{SignedDuration, Timestamp, civil::Date, tz::TimeZone};
+
+use super::axis::Tick;
+
+const DAY: i64 = 86_400;
+/// A Monday, and the midnight from which steps of fixed length count \[s since 1970\].
+const MONDAY: i64 = 4 * DAY;
+/// Steps of fixed length, of up to two weeks \[s\].
+const FIXED: [i64; 22] = [
+    1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1_800, 3_600, 7_200, 10_800, 21_600, 43_200, 86_400, 172_800, 345_600,
+    604_800, 1_209_600,
+];
+/// Longer steps \[months\].
+const MONTHS: [i64; 15] = [1, 3, 6, 12, 24, 60, 120, 240, 600, 1_200, 2_400, 6_000, 12_000, 24_000, 60_000];
+/// Least space between two labels beside each other \[characters\].
+const GAP: f64 = 1.5;
+
+/// From one tick to the next.
+#[derive(Debug, Clone, Copy)]
+enum Step {
+    Seconds(i64),
+    Months(i64),
+}
+
+impl Step {
+    /// At least so long.
+    fn length_s(self) -> f64 {
+        match self {
+            Self::Seconds(seconds) => seconds as f64,
+            // As if all were Februaries, the shortest.
+            Self::Months(months) => (months * 28 * DAY) as f64,
+        }
+    }
+
+    /// The format of a tick's label, its width \[characters\], and the format of what is said below it where that changes.
+    const fn labels(self) -> (&'static str, f64, &'static str) {
+        match self {
+            Self::Seconds(..60) => ("%H:%M:%S", 8.0, "%-d %b %Y"),
+            Self::Seconds(..DAY) => ("%H:%M", 5.0, "%-d %b %Y"),
+            Self::Seconds(_) => ("%-d %b", 6.0, "%Y"),
+            Self::Months(..12) => ("%b", 3.0, "%Y"),
+            Self::Months(_) => ("%Y", 4.0, ""),
+        }
+    }
+
+    /// Whether its labels have room where `characters` stand for `span_s`.
+    fn fits(self, span_s: f64, characters: f64) -> bool {
+        let (_, width, _) = self.labels();
+        self.length_s() / span_s * characters >= width + GAP
+    }
+
+    /// The tick after so many from the first one at or before `low`.
+    fn moment(self, low: Timestamp, count: i64) -> Option<Timestamp> {
+        match self {
+            Self::Seconds(step) => {
+                let first = (low.as_second() - MONDAY).div_euclid(step) + count;
+                Timestamp::from_second(first * step + MONDAY).ok()
+            }
+            Self::Months(step) => {
+                let low = TimeZone::UTC.to_datetime(low);
+                let month = ((i64::from(low.year()) * 12 + i64::from(low.month()) - 1).div_euclid(step) + count) * step;
+                let year = i16::try_from(month.div_euclid(12)).ok()?;
+                let month = i8::try_from(month.rem_euclid(12) + 1).ok()?;
+                Some(Date::new(year, month, 1).ok()?.to_zoned(TimeZone::UTC).ok()?.timestamp())
+            }
+        }
+    }
+}
+
+/// Ticks between two moments \[s since 1970\] on an axis as long as `characters` of a label.
+pub(super) fn ticks(low: f64, high: f64, characters: f64) -> Vec<Tick> {
+    let mut steps = FIXED.into_iter().map(Step::Seconds).chain(MONTHS.into_iter().map(Step::Months));
+    let Some(step) = steps.find(|step| step.fits(high - low, characters)) else { return Vec::new() };
+    let Some(start) = timestamp(low) else { return Vec::new() };
+    let (label, _, below) = step.labels();
+    let mut ticks: Vec<Tick> = Vec::new();
+    let mut last = String::new();
+    for at in (0..).map_while(|count| step.moment(start, count)) {
+        let value = at.as_second() as f64;
+        if value > high {
+            break;
+        }
+        if value >= low {
+            let now = at.strftime(below).to_string();
+            let below = (now != last).then(|| now.clone());
+            ticks.push(Tick { value, label: at.strftime(label).to_string(), below });
+            last = now;
+        }
+    }
+    // The first date may be about to change.
+    let next = ticks.iter().skip(1).find(|tick| tick.below.is_some()).map(|tick| tick.value);
+    if let (Some(first), Some(next)) = (ticks.first_mut(), next) {
+        let width = first.below.as_ref().map_or(0, String::len) as f64;
+        if (next - first.value) / (high - low) * characters < width + GAP {
+            first.below = None;
+        }
+    }
+    ticks
+}
+
+fn timestamp(second: f64) -> Option<Timestamp> {
+    Timestamp::from_duration(SignedDuration::try_from_secs_f64(second).ok()?).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A picture of the dashboard.
+    const CHARACTERS: f64 = 42.0;
+
+    fn said(from: &str, to: &str) -> Vec<String> {
+        let second = |text: &str| text.parse::<Timestamp>().unwrap().as_second() as f64;
+        let say = |tick: Tick| match tick.below {
+            Some(below) => format!("{}/{below}", tick.label),
+            None => tick.label,
+        };
+        ticks(second(from), second(to), CHARACTERS).into_iter().map(say).collect()
+    }
+
+    #[test]
+    fn each_span_has_its_own_labels() {
+        assert_eq!(
+            said("2026-11-21T10:00:07Z", "2026-11-21T10:01:00Z"),
+            ["10:00:15/21 Nov 2026", "10:00:30", "10:00:45", "10:01:00"]
+        );
+        assert_eq!(
+            said("2026-11-21T21:10:00Z", "2026-11-22T02:00:00Z"),
+            ["22:00/21 Nov 2026", "23:00", "00:00/22 Nov 2026", "01:00", "02:00"]
+        );
+        assert_eq!(
+            said("2026-12-20T10:00:00Z", "2027-01-20T10:00:00Z"),
+            ["21 Dec/2026", "28 Dec", "4 Jan/2027", "11 Jan", "18 Jan"]
+        );
+        assert_eq!(
+            said("2026-08-05T02:50:00Z", "2027-03-17T19:50:00Z"),
+            ["Sep/2026", "Oct", "Nov", "Dec", "Jan/2027", "Feb", "Mar"]
+        );
+        assert_eq!(
+            said("1969-12-31T23:00:00Z", "2026-11-21T10:00:00Z"),
+            ["1970", "1980", "1990", "2000", "2010", "2020"]
+        );
+    }
+
+    #[test]
+    fn labels_never_overlap_and_always_tell_the_date() {
+        // From a minute to eight hundred years, beginning anywhere.
+        for power in 0..110 {
+            for shift in 0..40 {
+                let span = 60.0 * 1.2_f64.powi(power) + f64::from(shift);
+                let low = -2e9 + 1.234_567e8 * f64::from(shift);
+                let ticks = ticks(low, low + span, CHARACTERS);
+                assert!(ticks.len() >= 2, "{span} s from {low}: {ticks:?}");
+                let place = |tick: &Tick| (tick.value - low) / span * CHARACTERS;
+                let apart = |row: Vec<(f64, usize)>| {
+                    row.windows(2).all(|two| two[1].0 - two[0].0 >= (two[0].1 + two[1].1) as f64 / 2.0 + 1.0)
+                };
+                assert!(ticks.iter().all(|tick| (0.0..=CHARACTERS).contains(&place(tick))), "{ticks:?}");
+                assert!(apart(ticks.iter().map(|tick| (place(tick), tick.label.len())).collect()), "{span}: {ticks:?}");
+                let below: Vec<_> =
+                    ticks.iter().filter_map(|tick| Some((place(tick), tick.below.as_ref()?.len()))).collect();
+                let tells = ticks[0].label.len() == 4 || !below.is_empty();
+                assert!(tells && apart(below), "{span} s from {low}: {ticks:?}");
+            }
+        }
+    }
+}
