@@ -278,15 +278,6 @@ fn draw_curves(canvas: &mut Canvas, frame: &Frame, x: Axis, curves: &[Curve], ma
             canvas.area(upper.into_iter().chain(lower.into_iter().rev()), colour);
         }
     }
-    let shown = |at: &f64| (frame.left - 0.5..=frame.left + frame.width + 0.5).contains(at);
-    for (row, (value, label)) in marks.iter().enumerate() {
-        let Some(at) = x_of(*value).filter(shown) else { continue };
-        canvas.line((at, frame.top), (at, bottom), FRAME, 1.2, true);
-        let y = frame.top + 14.0 + 15.0 * (row % MARK_ROWS) as f64;
-        let (at, anchor) =
-            if at > frame.left + 0.6 * frame.width { (at - 5.0, Anchor::End) } else { (at + 5.0, Anchor::Start) };
-        canvas.outlined_text(at, y, 12.0, anchor, label);
-    }
     for (curve, colour) in curves.iter().zip(COLOURS.iter().cycle()) {
         let places: Vec<Option<(f64, f64)>> =
             curve.points.iter().map(|point| x_of(point.0).zip(frame.y_of(point.1))).collect();
@@ -299,6 +290,15 @@ fn draw_curves(canvas: &mut Canvas, frame: &Frame, x: Axis, curves: &[Curve], ma
                 canvas.circle(*x, *y, 3.2, colour);
             }
         }
+    }
+    let shown = |at: &f64| (frame.left - 0.5..=frame.left + frame.width + 0.5).contains(at);
+    for (row, (value, label)) in marks.iter().enumerate() {
+        let Some(at) = x_of(*value).filter(shown) else { continue };
+        canvas.line((at, frame.top), (at, bottom), FRAME, 1.2, true);
+        let y = frame.top + 14.0 + 15.0 * (row % MARK_ROWS) as f64;
+        let (at, anchor) =
+            if at > frame.left + 0.6 * frame.width { (at - 5.0, Anchor::End) } else { (at + 5.0, Anchor::Start) };
+        canvas.outlined_text(at, y, 12.0, anchor, label);
     }
 }
 

@@ -73,8 +73,27 @@ fn shown(trouble: Vec<String>, stored: StoredThrow, health: Option<&HealthRow>) 
     }
 }
 
-/// Each coefficient with two standard deviations.
+/// Each coefficient with two standard deviations, to the second digit of these.
 fn coefficients(health: &HealthRow) -> Option<[String; 3]> {
     let (values, sd) = (health.coefficients?, health.sd?);
-    Some([0, 1, 2].map(|at| format!("{:.4} ± {:.4}", values[at], 2.0 * sd[at])))
+    Some([0, 1, 2].map(|at| rounded(values[at], 2.0 * sd[at])))
+}
+
+fn rounded(value: f64, reach: f64) -> String {
+    let enough = |decimals: &u8| reach * 10.0_f64.powi(i32::from(*decimals)) >= 9.95;
+    let decimals = usize::from((0..9).find(enough).unwrap_or(9));
+    format!("{value:.decimals$} ± {reach:.decimals$}").replace('-', "−")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_coefficient_has_the_digits_that_are_known() {
+        assert_eq!(rounded(204.755, 1.9957), "204.8 ± 2.0");
+        assert_eq!(rounded(-1.6769, 0.0151), "−1.677 ± 0.015");
+        assert_eq!(rounded(204.755, 37.0), "205 ± 37");
+        assert_eq!(rounded(1.0, 0.0), "1.000000000 ± 0.000000000");
+    }
 }

@@ -2,7 +2,7 @@
 
 use jiff::Timestamp;
 
-use super::standing;
+use super::{page, standing};
 use crate::{
     diagnose::Settings,
     report::{Panel, Sheet},
@@ -97,7 +97,7 @@ pub(super) fn trace(trace: &Trace) -> [Picture; 2] {
             svg: Sheet::new("").panel_size(SIZE.0, SIZE.1).panel(panel).to_svg(),
             says: format!(
                 "{title} over the time of the throw, {} samples at {} Hz.",
-                values.len(),
+                page::count(values.len() as u64),
                 trace.sample_rate_hz()
             ),
         }
@@ -105,22 +105,19 @@ pub(super) fn trace(trace: &Trace) -> [Picture; 2] {
     [picture("Motor current", "A", trace.current_a()), picture("Toe position from normal", "mm", trace.position_mm())]
 }
 
-/// The samples, or of many the least and the greatest of each stretch.
+/// The samples, or of many the first, the last, and the least and the greatest of each stretch.
 fn drawn(sample_rate_hz: f64, values: &[f64]) -> Vec<(f64, f64)> {
     let stretch = values.len().div_ceil(STRETCHES).max(2);
-    let time = |at: usize| at as f64 / sample_rate_hz;
-    let mut points = Vec::with_capacity(2 * STRETCHES);
+    let mut kept = vec![0];
     for (number, chunk) in values.chunks(stretch).enumerate() {
-        let extremes = (0..chunk.len()).fold((0, 0), |(low, high), at| {
+        let (low, high) = (0..chunk.len()).fold((0, 0), |(low, high), at| {
             (if chunk[at] < chunk[low] { at } else { low }, if chunk[at] > chunk[high] { at } else { high })
         });
-        let (one, other) = (extremes.0.min(extremes.1), extremes.0.max(extremes.1));
-        points.push((time(number * stretch + one), chunk[one]));
-        if other != one {
-            points.push((time(number * stretch + other), chunk[other]));
-        }
+        kept.extend([low.min(high), low.max(high)].map(|at| number * stretch + at));
     }
-    points
+    kept.push(values.len().saturating_sub(1));
+    kept.dedup();
+    kept.into_iter().filter_map(|at| Some((at as f64 / sample_rate_hz, *values.get(at)?))).collect()
 }
 
 #[cfg(test)]
@@ -132,9 +129,12 @@ mod tests {
         let mut values: Vec<f64> = (0..100_000).map(|at| f64::from(at % 1_000)).collect();
         values[54_321] = 1e6;
         let points = drawn(1_000.0, &values);
-        assert!(points.len() <= 2 * STRETCHES);
+        assert!(points.len() <= 2 * STRETCHES + 2);
         assert!(points.contains(&(54.321, 1e6)));
         assert!(points.is_sorted_by(|one, next| one.0 < next.0));
+        values[0] = 500.5;
+        assert_eq!(drawn(1_000.0, &values)[0], (0.0, 500.5), "the axis begins with the first sample");
+        assert_eq!(drawn(10.0, &[]), []);
         assert_eq!(drawn(10.0, &[1.0, 2.0, 3.0]), [(0.0, 1.0), (0.1, 2.0), (0.2, 3.0)]);
     }
 }
