@@ -184,6 +184,10 @@ async fn every_page_tells_what_is_wrong_with_the_daemon() {
         let banner = page.body.split("<main>").next().unwrap();
         assert!(page.status == 200 && banner.contains(silence) && banner.contains(own_alarm), "{path}: {page:?}");
     }
+    // The daemon is no machine: it has neither directions nor throws.
+    let itself = get(&address, "/machines/fleet/pointsd").body;
+    assert!(!itself.contains("baseline") && !itself.contains("Last throws"), "{itself}");
+    check_nesting(&itself);
     // A failure tells what the daemon knows without its database.
     let failure = get(&address, "/machines/north/99");
     assert!(failure.status == 404 && failure.body.contains(silence), "{failure:?}");
