@@ -3,6 +3,8 @@
 //! What zenoh calls back does a bounded `try_send` and returns: a callback that waits would stall the whole link.
 //! What may block on zenoh runs on a thread of its own: a put waits for the link when the link is slow.
 
+mod cache;
+mod follow;
 mod inbox;
 mod operator;
 mod outlet;

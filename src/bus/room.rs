@@ -2,11 +2,7 @@
 
 use std::{
     hash::{BuildHasher, RandomState},
-    sync::{
-        Condvar, Mutex, PoisonError,
-        atomic::{AtomicUsize, Ordering::Relaxed},
-    },
-    time::Duration,
+    sync::atomic::{AtomicUsize, Ordering::Relaxed},
 };
 
 /// All there is \[bytes\]: about a second of the database's measured rate of 40 kB throws.
@@ -21,20 +17,11 @@ const SHARE: usize = ROOM / 32;
 /// Keys are told apart by their hash: two that fall together share their part.
 const PARTS: usize = 1_024;
 
-/// When nothing is given back for so long, the database takes nothing, and waiting is of no use.
-const STALLED: Duration = Duration::from_millis(500);
-/// How often a message may wait for room until all of it is free again: several times what the caches of a cabinet's
-/// loggers send to a daemon that starts. Who sends without end is not waited for any longer than that.
-const PATIENCE: usize = 100_000;
-
 /// The room and who has how much of it.
 #[derive(Debug)]
 pub(super) struct Room {
     taken: AtomicUsize,
     parts: Vec<AtomicUsize>,
-    patience: AtomicUsize,
-    waiting: Mutex<()>,
-    freed: Condvar,
     /// Keyed at random, so that nobody can choose a key that falls together with another's.
     hasher: RandomState,
 }
@@ -42,14 +29,7 @@ pub(super) struct Room {
 impl Room {
     pub(super) fn new() -> Self {
         let parts = (0..PARTS).map(|_| AtomicUsize::new(0)).collect();
-        Self {
-            taken: AtomicUsize::new(0),
-            parts,
-            patience: AtomicUsize::new(PATIENCE),
-            waiting: Mutex::new(()),
-            freed: Condvar::new(),
-            hasher: RandomState::new(),
-        }
+        Self { taken: AtomicUsize::new(0), parts, hasher: RandomState::new() }
     }
 
     /// What is taken \[bytes\].
@@ -57,27 +37,8 @@ impl Room {
         self.taken.load(Relaxed)
     }
 
-    /// Takes room for a message, and waits for it while the database takes messages: a logger's link slows down then, and
-    /// nothing of a burst is lost. False when there is none, or none for more messages of this key.
-    pub(super) fn wait_for(&self, key: &str, bytes: usize) -> bool {
-        if self.take(key, bytes) {
-            return true;
-        }
-        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
-        while !self.take(key, bytes) {
-            if self.patience.try_update(Relaxed, Relaxed, |left| left.checked_sub(1)).is_err() {
-                return false;
-            }
-            let (still, timeout) = self.freed.wait_timeout(waiting, STALLED).unwrap_or_else(PoisonError::into_inner);
-            if timeout.timed_out() {
-                self.patience.store(0, Relaxed);
-            }
-            waiting = still;
-        }
-        true
-    }
-
-    fn take(&self, key: &str, bytes: usize) -> bool {
+    /// Takes room for a message. False when there is none, or none for more messages of this key.
+    pub(super) fn take(&self, key: &str, bytes: usize) -> bool {
         let cost = bytes.max(LEAST);
         let all = self.taken.fetch_add(cost, Relaxed) + cost;
         let own = self.part(key).fetch_add(cost, Relaxed) + cost;
@@ -94,12 +55,7 @@ impl Room {
     pub(super) fn give_back(&self, key: &str, bytes: usize) {
         let cost = bytes.max(LEAST);
         self.part(key).fetch_sub(cost, Relaxed);
-        if self.taken.fetch_sub(cost, Relaxed) == cost {
-            self.patience.store(PATIENCE, Relaxed);
-        }
-        // Whoever looked just before this waits by now.
-        drop(self.waiting.lock());
-        self.freed.notify_all();
+        self.taken.fetch_sub(cost, Relaxed);
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "a remainder below PARTS")]
@@ -116,8 +72,6 @@ impl Default for Room {
 
 #[cfg(test)]
 mod tests {
-    use std::thread;
-
     use super::*;
 
     #[test]
@@ -143,26 +97,5 @@ mod tests {
         large.give_back("c", ROOM / 4);
         assert!(large.take("d", 1));
         assert_eq!(large.taken(), ROOM / 4 * 3 + LEAST);
-    }
-
-    #[test]
-    fn a_message_waits_for_room_that_is_given_back_and_not_for_a_store_that_hangs() {
-        let room = Room::new();
-        assert!(room.wait_for("a", ROOM / 2) && room.wait_for("b", ROOM / 2));
-        thread::scope(|scope| {
-            let waits = scope.spawn(|| room.wait_for("c", 1));
-            while room.patience.load(Relaxed) == PATIENCE {
-                thread::yield_now();
-            }
-            room.give_back("b", ROOM / 2);
-            assert!(waits.join().unwrap());
-        });
-        assert!(room.wait_for("b", ROOM / 2 - LEAST));
-        assert!(!room.wait_for("d", 1), "nothing is given back");
-        assert_eq!(room.patience.load(Relaxed), 0, "the next one does not wait");
-        room.give_back("a", ROOM / 2);
-        room.give_back("b", ROOM / 2 - LEAST);
-        room.give_back("c", 1);
-        assert_eq!((room.taken(), room.patience.load(Relaxed)), (0, PATIENCE));
     }
 }

@@ -159,17 +159,17 @@ impl Daemon {
             max_payload_bytes: config.subscribe.max_payload_bytes,
             kept_of_larger_bytes: store::QUARANTINED_BYTES,
         };
-        let inbox = Inbox::subscribe(&session, &config.scope.key_expression(Kind::Throw), limits).await?;
+        let is_client = config.zenoh.get_json("mode").is_ok_and(|mode| mode.contains("client"));
+        let inbox = Inbox::subscribe(&session, &config.scope.key_expression(Kind::Throw), limits, is_client).await?;
         let publisher = Publisher {
             store: store.clone(),
             session: session.clone(),
             outlet: outlet.clone(),
             status: Arc::clone(&status),
             outbox,
-            inbox: inbox.counters(),
             audience: Audience::of(&session, &config.scope.key_expression(Kind::Alarm)).await?,
             is_first,
-            is_client: config.zenoh.get_json("mode").is_ok_and(|mode| mode.contains("client")),
+            is_client,
         };
         let publish = tasks.spawn("publish", publisher.run(stops.publish.clone()));
         let gauges = Gauges {

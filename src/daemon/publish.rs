@@ -12,7 +12,7 @@ use zenoh::Session;
 
 use super::{clock, heartbeat::Organ, status::Status};
 use crate::{
-    bus::{self, Audience, InboxCounters, Outlet},
+    bus::{self, Audience, Outlet},
     store::Store,
 };
 
@@ -24,9 +24,6 @@ const SETTLED: Duration = Duration::from_secs(2);
 /// On a database that was used before nothing is published for so long after the start: subscribers have to find the new
 /// process first, for which zenoh tries every 4 s at least. One that came later would get old events after new ones.
 const RETURN: Duration = Duration::from_secs(6);
-/// More than this waits to be stored in the burst of the loggers' caches at a start: links that are held back until it is
-/// over cannot tell who listens \[bytes\].
-const BURST_BYTES: usize = 16 << 20;
 /// For so long after the start messages wait for somebody who listens.
 const AUDIENCE_LIMIT: Duration = Duration::from_secs(30);
 /// A put that takes longer hangs; zenoh itself gives a stalled link up after 5 s.
@@ -39,8 +36,6 @@ pub(super) struct Publisher {
     pub(super) outlet: Outlet,
     pub(super) status: Arc<Status>,
     pub(super) outbox: Arc<Notify>,
-    /// What arrives.
-    pub(super) inbox: Arc<InboxCounters>,
     /// Those who listen to alarms.
     pub(super) audience: Audience,
     /// Whether the database is new, so that nobody has listened to a process before this one.
@@ -56,19 +51,15 @@ impl Publisher {
         let mut taken: VecDeque<(i64, Instant)> = VecDeque::new();
         let mut last = 0;
         let start = clock::monotonic();
-        let mut busy = start;
         loop {
             let stopping = stop.is_cancelled();
             let connected = bus::is_connected(&self.session).await;
             self.status.connected.store(connected, Relaxed);
             // A client without its router would talk into the void.
             let reaches = connected || !self.is_client;
-            let now = clock::monotonic();
-            if self.inbox.queued_bytes() > BURST_BYTES {
-                busy = now;
-            }
-            let waited = now.duration_since(start) >= AUDIENCE_LIMIT;
-            let returned = self.is_first || waited || now.duration_since(busy) >= RETURN;
+            let since = clock::monotonic().duration_since(start);
+            let waited = since >= AUDIENCE_LIMIT;
+            let returned = self.is_first || since >= RETURN;
             if reaches && returned && (stopping || waited || self.audience.is_there().await) {
                 last = self.publish(last, &mut taken).await;
             }
