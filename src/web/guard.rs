@@ -21,16 +21,15 @@ const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; c
                       form-action 'none'; frame-ancestors 'none'";
 
 pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: Next) -> Response {
-    let mut response = match refusal(&request, &web.view.config().web.hosts) {
+    let mut response = if let Some(refusal) = refusal(&request, &web.view.config().web.hosts) {
         // Who asks wrongly may be anybody, and is told nothing of the daemon.
-        Some(refusal) => refusal.page(Vec::new()),
-        None => {
-            let answer = time::timeout(LIMIT, next.run(request)).await;
-            let mut response = answer.unwrap_or_else(|_| Failure::busy().into_response());
-            match response.extensions_mut().remove::<Failure>() {
-                Some(failure) => failure.page(trouble::of_daemon(&web.view)),
-                None => response,
-            }
+        refusal.page(Vec::new())
+    } else {
+        let answer = time::timeout(LIMIT, next.run(request)).await;
+        let mut response = answer.unwrap_or_else(|_| Failure::busy().into_response());
+        match response.extensions_mut().remove::<Failure>() {
+            Some(failure) => failure.page(trouble::of_daemon(&web.view)),
+            None => response,
         }
     };
     let headers = response.headers_mut();
