@@ -1,10 +1,7 @@
 //! A wall clock that jumps under the running daemon: back a day, ahead ten years, and right again. Alarms and their
 //! order are those of a clock that does not jump, and nothing is dropped for its age.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{fs, path::Path};
 
 use serde_json::Value;
 
@@ -14,24 +11,11 @@ use crate::{
     witness::Witness,
 };
 
-/// Where Debian, Fedora and Arch put the library that fakes the clock.
-const LIBRARIES: [&str; 4] = [
-    "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1",
-    "/usr/lib/aarch64-linux-gnu/faketime/libfaketimeMT.so.1",
-    "/usr/lib64/faketime/libfaketimeMT.so.1",
-    "/usr/lib/faketime/libfaketimeMT.so.1",
-];
+#[path = "../service/faketime.rs"]
+mod faketime;
 
 /// Throws between two jumps, of each of two machines.
 const THROWS: u64 = 30;
-
-fn library() -> Option<PathBuf> {
-    let library = LIBRARIES.iter().map(PathBuf::from).find(|path| path.exists());
-    if library.is_none() {
-        println!("skipped: libfaketime is not installed");
-    }
-    library
-}
 
 /// A life of the daemon in which the clock jumps before each of its parts; all its alarm events were heard.
 async fn life(library: &Path, jumps: &[&str]) -> Rig {
@@ -69,7 +53,7 @@ fn told(rig: &Rig) -> Vec<Value> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_clock_that_jumps_harms_neither_order_nor_alarms_nor_what_is_kept() {
-    let Some(library) = library() else { return };
+    let Some(library) = faketime::library() else { return };
     let steady = life(&library, &["+0", "+0", "+0", "+0", "+0"]).await;
     let jumped = life(&library, &["+0", "-1d", "+3650d", "-1d", "+0"]).await;
     assert!(!told(&steady).is_empty());

@@ -4,6 +4,7 @@
 
 mod alarms;
 mod configuration;
+mod faketime;
 mod import;
 mod operators;
 mod python;

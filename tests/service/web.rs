@@ -17,8 +17,12 @@ use pointsd::{
     throw::ThrowRef,
     wire::{Encoding, encode_throw},
 };
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
-use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsd, stub, throws};
+use crate::{
+    faketime,
+    rig::{Daemon, PATIENCE, Rig, matched, pointsd, stub, throws},
+};
 
 const KEY: &str = "points/v1/north/21B/throw";
 const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
@@ -264,6 +268,53 @@ async fn the_metrics_count_what_the_daemon_did() {
     assert!(answer.body.contains("pointsd_build_info{version=\""), "{}", answer.body);
     assert!(!answer.body.contains("21B"), "no label grows with the fleet");
     assert_eq!(get(&address, "/healthz").status, 200);
+}
+
+/// Another process holds the database while minutes pass on the daemon's clock.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
+    let Some(library) = faketime::library() else { return };
+    let mut rig = Rig::with(WEB);
+    let clock = rig.folder().join("clock");
+    std::fs::write(&clock, "+0").unwrap();
+    rig.set("LD_PRELOAD", library);
+    rig.set("FAKETIME_TIMESTAMP_FILE", &clock);
+    rig.set("FAKETIME_NO_CACHE", "1");
+    let daemon = rig.start();
+    let address = address(&daemon);
+    let until = |status: u16, says: &str, meanwhile: &mut dyn FnMut(&Answer)| {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let health = get(&address, "/healthz");
+            if health.status == status && health.body == says {
+                return;
+            }
+            assert!(Instant::now() < deadline, "no {status} {says:?}: {health:?}; {:?}", daemon.log());
+            meanwhile(&health);
+            thread::sleep(Duration::from_millis(20));
+        }
+    };
+    until(200, "every loop of the daemon beats\n", &mut |_| {});
+    let mut other =
+        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(rig.database())).await.unwrap();
+    sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
+    // A write that was under way may answer yet: then the next one waits, and another minute passes.
+    let mut seconds = 0;
+    let mut a_minute_passes = |health: &Answer| {
+        if health.status == 200 {
+            seconds += 60;
+            std::fs::write(&clock, format!("+{seconds}")).unwrap();
+        }
+    };
+    // The other loops beat again at once. By the time of the page the write may have given up, until the next one.
+    let is_told = (0..3).any(|_| {
+        until(503, "these loops of the daemon hang: write\n", &mut a_minute_passes);
+        get(&address, "/").body.contains("Parts of the daemon hang (write)")
+    });
+    assert!(is_told, "no page tells of it");
+    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+    until(200, "every loop of the daemon beats\n", &mut |_| {});
+    assert!(daemon.terminate().success());
 }
 
 #[test]
