@@ -20,12 +20,19 @@ use zenoh::{
 };
 
 use super::{
-    follow::{Origin, PAGE, Question},
+    follow::{Ending, Origin, PAGE, Question},
     inbox::{Limits, Message},
 };
 
 /// What comes of a page is kept up to here \[bytes\]; the rest is asked for again.
-const PAGE_BYTES: usize = 8 << 20;
+const PAGE_BYTES: usize = 4 << 20;
+/// What comes of a cache that cannot be asked in pages is kept up to here \[bytes\].
+const WHOLE_BYTES: usize = 64 << 20;
+/// What a message counts at least \[bytes\].
+const LEAST: usize = 8 << 10;
+/// Longest key of the data: longer ones are of no machine. Zenoh's ids have up to 32 digits.
+const KEY: usize = 256;
+const ID: usize = 32;
 /// Zenoh ends a question when the link of the one who is asked is given up, after 10 s; one that has not ended then never
 /// will.
 const ANSWERED: Duration = Duration::from_secs(15);
@@ -44,12 +51,20 @@ pub(super) enum Cache {
 }
 
 /// What a cache answered.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Answer {
     /// The samples and their numbers; of one that has none, 0.
     pub(super) samples: Vec<(u32, Message)>,
-    /// Whether it came to its end.
-    pub(super) complete: bool,
+    /// Samples that came and were not kept.
+    pub(super) left: u64,
+    pub(super) ending: Ending,
+}
+
+impl Answer {
+    /// To a question that could not be asked.
+    pub(super) fn none() -> Self {
+        Self { samples: Vec::new(), left: 0, ending: Ending::Unasked }
+    }
 }
 
 /// The key expression on which all caches for a key expression are found, and those that are there tell about themselves.
@@ -62,15 +77,23 @@ pub(super) fn parse(key: &str) -> Option<Cache> {
     let (key, added) = key.split_once(ADDED)?;
     let mut chunks = added.split('/');
     let (zid, eid) = (chunks.next()?, chunks.next()?);
+    if !is_concrete(key) || zid.len() > ID || !zid.bytes().all(|digit| digit.is_ascii_hexdigit()) {
+        return None;
+    }
     if eid == BY_TIME {
         return Some(Cache::Unnumbered(key.to_owned()));
     }
     Some(Cache::Numbered(Origin { key: key.to_owned(), zid: zid.to_owned(), eid: eid.parse().ok()? }))
 }
 
+/// Whether it is one key, of a length that a machine's has.
+fn is_concrete(key: &str) -> bool {
+    key.len() <= KEY && !key.contains(['*', '$', '?', '#'])
+}
+
 /// Who published a sample, and its number; nothing for one that has none.
 pub(super) fn origin(sample: &Sample) -> Option<(Origin, u32)> {
-    let source = sample.source_info()?;
+    let source = sample.source_info().filter(|_| is_concrete(sample.key_expr().as_str()))?;
     let id = source.source_id();
     let origin = Origin { key: sample.key_expr().to_string(), zid: id.zid().to_string(), eid: id.eid() };
     Some((origin, source.source_sn()))
@@ -82,7 +105,7 @@ pub(super) async fn find(
     key_expression: &str,
     found: impl Fn(&Sample) + Send + Sync + 'static,
 ) -> bool {
-    ask(session, format!("{}?_max=1", all(key_expression)), found).await
+    ask(session, format!("{}?_max=1", all(key_expression)), found).await == Ending::Complete
 }
 
 /// Asks the question of a follower. Of the newest sample only its number is brought.
@@ -94,9 +117,9 @@ pub(super) async fn page(session: &Session, question: &Question, limits: Limits)
     let newest = if question.newest { ";_max=1" } else { "" };
     let selector = format!("{key}{ADDED}{zid}/{eid}/**?_sn={first}..{last}{newest}");
     let (asked, newest) = (question.origin.clone(), question.newest);
-    collect(session, selector, PAGE as usize, move |sample| {
+    collect(session, selector, PAGE as usize, PAGE_BYTES, move |sample| {
         let (_, number) = origin(sample).filter(|(origin, _)| *origin == asked)?;
-        let limits = if newest { Limits { max_payload_bytes: 0, kept_of_larger_bytes: 0 } } else { limits };
+        let limits = if newest { Limits { max_payload_bytes: 0, kept_of_larger_bytes: 0, ..limits } } else { limits };
         Some((number, Message::of(sample, limits)))
     })
     .await
@@ -106,36 +129,36 @@ pub(super) async fn page(session: &Session, question: &Question, limits: Limits)
 pub(super) async fn everything(session: &Session, key: &str, limits: Limits) -> Answer {
     let (selector, asked) = (format!("{key}{ADDED}*/{BY_TIME}/**"), key.to_owned());
     let read = move |sample: &Sample| (sample.key_expr().as_str() == asked).then(|| (0, Message::of(sample, limits)));
-    collect(session, selector, usize::MAX, read).await
+    collect(session, selector, usize::MAX, WHOLE_BYTES, read).await
 }
 
-/// Collects what is answered, up to some samples and [`PAGE_BYTES`].
+/// Collects what is answered, up to some samples and bytes.
 async fn collect(
     session: &Session,
     selector: String,
     most: usize,
+    most_bytes: usize,
     read: impl Fn(&Sample) -> Option<(u32, Message)> + Send + Sync + 'static,
 ) -> Answer {
-    let collected = Arc::new(Mutex::new((Vec::new(), 0)));
+    let collected = Arc::new(Mutex::new((Vec::new(), 0, 0)));
     let collecting = Arc::clone(&collected);
-    let complete = ask(session, selector, move |sample| {
+    let ending = ask(session, selector, move |sample| {
         let mut collecting = collecting.lock().unwrap_or_else(PoisonError::into_inner);
-        let (samples, bytes) = &mut *collecting;
-        if samples.len() < most
-            && *bytes < PAGE_BYTES
-            && let Some((number, message)) = read(sample)
-        {
-            *bytes += message.payload.len();
+        let (samples, bytes, left) = &mut *collecting;
+        if samples.len() >= most || *bytes >= most_bytes {
+            *left += 1;
+        } else if let Some((number, message)) = read(sample) {
+            *bytes += message.room().max(LEAST);
             samples.push((number, message));
         }
     });
-    let complete = complete.await;
+    let ending = ending.await;
     let mut collected = collected.lock().unwrap_or_else(PoisonError::into_inner);
-    Answer { samples: std::mem::take(&mut collected.0), complete }
+    Answer { samples: std::mem::take(&mut collected.0), left: collected.2, ending }
 }
 
-/// Asks, and hands what is answered to `take`. Whether the answer came to its end.
-async fn ask(session: &Session, selector: String, take: impl Fn(&Sample) + Send + Sync + 'static) -> bool {
+/// Asks, and hands what is answered to `take`.
+async fn ask(session: &Session, selector: String, take: impl Fn(&Sample) + Send + Sync + 'static) -> Ending {
     let failed = Arc::new(AtomicBool::new(false));
     // Zenoh drops the callback, and the sender with it, when nothing more will come.
     let (open, ended) = oneshot::channel::<()>();
@@ -160,6 +183,9 @@ async fn ask(session: &Session, selector: String, take: impl Fn(&Sample) + Send 
             .callback(on_reply)
             .wait()
     });
-    let asked = matches!(asked.await, Ok(Ok(())));
-    asked && time::timeout(2 * ANSWERED, ended).await.is_ok() && !failed.load(Relaxed)
+    if !matches!(asked.await, Ok(Ok(()))) {
+        return Ending::Unasked;
+    }
+    let has_ended = time::timeout(2 * ANSWERED, ended).await.is_ok();
+    if has_ended && !failed.load(Relaxed) { Ending::Complete } else { Ending::Broken }
 }

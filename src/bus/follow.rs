@@ -9,7 +9,7 @@
 //! It takes events and returns samples and questions; whoever holds it asks them and brings the answers.
 
 use std::{
-    collections::{BTreeMap, HashMap, VecDeque},
+    collections::{BTreeMap, HashMap, HashSet, VecDeque},
     ops::RangeInclusive,
     time::{Duration, Instant},
 };
@@ -18,10 +18,13 @@ use super::room;
 
 /// Samples that are asked for together.
 pub(super) const PAGE: u32 = 32;
-/// Samples of a publisher that came before their turn and are kept until it is.
+/// Samples of a publisher that came before their turn and are kept until it is. The next are handed on at once.
 const HELD: usize = 64;
-/// Together they take at most this \[bytes\]. What is not kept is asked for when its turn comes.
+/// Together they take at most this \[bytes\].
 const HELD_BYTES: usize = 32 << 20;
+/// Runs of numbers that were handed on before their turn. What is in more of them is asked for again, and counts as missed
+/// when it is not there.
+const RUNS: usize = 64;
 /// A sample that is further behind than this tells that its publisher counts from 0 again: pages overtake no more live
 /// samples than can wait in the queue.
 #[expect(clippy::cast_possible_truncation, reason = "16,384")]
@@ -32,8 +35,8 @@ const PAUSE: Duration = Duration::from_secs(1);
 const TRIES: u32 = 4;
 /// Publishers of one key that are remembered: the last starts of its logger.
 const ORIGINS: usize = 8;
-/// Keys whose publishers are remembered. Of one that was forgotten all is asked for that it has cached.
-const KEYS: usize = 4_096;
+/// Entries that wait and may be of publishers that were forgotten, before they are looked through.
+const STALE: usize = 1_024;
 
 /// A publisher: what it publishes on, its session and its number in it.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -50,8 +53,18 @@ pub(super) struct Question {
     pub(super) numbers: RangeInclusive<u32>,
     /// Only the newest of them.
     pub(super) newest: bool,
-    /// Since when the publisher was there.
-    visit: u32,
+    id: u64,
+}
+
+/// How a question ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ending {
+    /// All that there is has come.
+    Complete,
+    /// The time was up first, or something failed: what did not come may still be there.
+    Broken,
+    /// It could not be asked at all.
+    Unasked,
 }
 
 /// What follows of an event.
@@ -74,12 +87,16 @@ impl<T> Outcome<T> {
 pub(super) struct Follower<T> {
     /// The publishers of each key.
     tracks: HashMap<String, Vec<Track<T>>>,
+    /// Keys whose publishers are remembered. Of one that was forgotten all is asked for that it has cached.
+    keys: usize,
     /// Those with something to ask, in turn.
     asking: VecDeque<Origin>,
     /// Those that were asked and did not answer.
     resting: Vec<(Instant, Origin)>,
     held_bytes: usize,
     clock: u64,
+    /// When there was nobody to forget: not before this it is tried again.
+    full_until: u64,
 }
 
 #[derive(Debug)]
@@ -90,16 +107,17 @@ struct Track<T> {
     next: u32,
     /// One more than the highest number that is known to be published.
     end: u32,
-    /// What is skipped before the first sample was never ours to miss.
-    begun: bool,
+    /// The lowest number that was handed on: what was before it is none of ours to miss.
+    first: u32,
     held: BTreeMap<u32, (usize, T)>,
+    /// What was handed on before its turn: from a number up to another.
+    ahead: BTreeMap<u32, u32>,
     /// Whether its liveliness token is there; none was ever seen of some.
     alive: Option<bool>,
-    /// Counts its comings and goings: an answer from before one says nothing about afterwards.
-    visit: u32,
+    /// One more than the highest number that came on its own.
+    seen: u32,
     step: Step,
-    /// It waits for its turn, for an answer, or until it is asked again.
-    is_busy: bool,
+    turn: Turn,
     tries: u32,
     used: u64,
 }
@@ -115,27 +133,53 @@ enum Step {
     Newest,
     /// Which is the oldest? Not below `low`, not above `high`, which is there.
     Oldest { low: u32, high: u32 },
+    /// This is the oldest, it seems: the page from there on. When it comes, nothing before it does.
+    From(u32),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Turn {
+    /// Nothing to ask.
+    Idle,
+    /// It waits for its turn.
+    Waits,
+    /// This question is on its way.
+    Asked(u64),
+    /// It did not answer, and is asked again later.
+    Rests,
 }
 
 impl<T> Follower<T> {
-    pub(super) fn new() -> Self {
-        Self { tracks: HashMap::new(), asking: VecDeque::new(), resting: Vec::new(), held_bytes: 0, clock: 0 }
+    pub(super) fn new(keys: usize) -> Self {
+        Self {
+            tracks: HashMap::new(),
+            keys,
+            asking: VecDeque::new(),
+            resting: Vec::new(),
+            held_bytes: 0,
+            clock: 0,
+            full_until: 0,
+        }
     }
 
     /// A sample came on its own. One from before its turn may be new all the same: the database knows.
     pub(super) fn live(&mut self, origin: &Origin, number: u32, bytes: usize, sample: T) -> Outcome<T> {
-        let room = self.held_bytes + bytes <= HELD_BYTES;
+        let has_room = self.held_bytes + bytes <= HELD_BYTES;
         self.change(origin, |track, outcome| {
+            let Some(track) = track else { return outcome.samples.push(sample) };
             if number.saturating_add(RESTART) < track.next || number == 0 && track.next > 1 {
                 track.restart(outcome);
             }
-            track.is_there_up_to(number);
-            if number < track.next {
-                outcome.samples.push(sample);
-            } else if number == track.next {
+            track.end = track.end.max(number.saturating_add(1));
+            track.seen = track.seen.max(number.saturating_add(1));
+            // One that waited in the queue while its publisher went says nothing about the publisher.
+            let can_wait = has_room && track.held.len() < HELD && track.alive != Some(false);
+            if number == track.next {
                 track.hand_on(number, sample, outcome);
-            } else if room && track.held.len() < HELD {
+            } else if number > track.next && can_wait {
                 track.held.insert(number, (bytes, sample));
+            } else {
+                track.hand_on_ahead(number, sample, outcome);
             }
         })
     }
@@ -143,46 +187,54 @@ impl<T> Follower<T> {
     /// It has published up to this number.
     pub(super) fn reached(&mut self, origin: &Origin, number: u32) -> Outcome<T> {
         self.change(origin, |track, outcome| {
+            let Some(track) = track else { return };
             if number.saturating_add(RESTART) < track.next {
                 track.restart(outcome);
             }
-            track.is_there_up_to(number);
+            track.end = track.end.max(number.saturating_add(1));
+            if track.alive == Some(false) {
+                track.alive = None;
+            }
         })
     }
 
     /// It has come, or come back: it may have published since.
     pub(super) fn appeared(&mut self, origin: &Origin) -> Outcome<T> {
-        let resting = self.resting.len();
-        self.resting.retain(|(_, resting)| resting != origin);
-        let has_rested = self.resting.len() < resting;
         self.change(origin, |track, _| {
-            (track.alive, track.step, track.tries) = (Some(true), Step::Probe, 0);
-            track.is_busy &= !has_rested;
-            track.visit += 1;
+            if let Some(track) = track {
+                track.visit(true, Step::Probe);
+            }
         })
     }
 
     /// It cannot be reached. What it has cached is asked for when it is back, if it ever is; what is here is handed on.
     pub(super) fn gone(&mut self, origin: &Origin) -> Outcome<T> {
         self.change(origin, |track, outcome| {
-            (track.alive, track.step, track.tries) = (Some(false), Step::Page, 0);
-            track.visit += 1;
-            track.hand_on_held(outcome);
+            if let Some(track) = track {
+                track.visit(false, Step::Page);
+                track.hand_on_held(outcome);
+            }
         })
     }
 
     /// The next question, if there is one now.
     pub(super) fn question(&mut self, now: Instant) -> Option<Question> {
         for (_, origin) in self.resting.extract_if(.., |(until, _)| *until <= now) {
-            self.asking.push_back(origin);
+            if let Some(track) = of(&mut self.tracks, &origin)
+                && track.turn == Turn::Rests
+            {
+                track.turn = Turn::Waits;
+                self.asking.push_back(origin);
+            }
         }
         while let Some(origin) = self.asking.pop_front() {
-            let Some(track) = of(&mut self.tracks, &origin) else { continue };
+            let Some(track) = of(&mut self.tracks, &origin).filter(|track| track.turn == Turn::Waits) else { continue };
             if let Some((numbers, newest)) = track.question() {
-                track.is_busy = true;
-                return Some(Question { origin, numbers, newest, visit: track.visit });
+                self.clock += 1;
+                track.turn = Turn::Asked(self.clock);
+                return Some(Question { origin, numbers, newest, id: self.clock });
             }
-            track.is_busy = false;
+            track.turn = Turn::Idle;
         }
         None
     }
@@ -192,46 +244,46 @@ impl<T> Follower<T> {
         self.resting.iter().map(|(until, _)| *until).min()
     }
 
-    /// The answer to a question: the samples with their numbers, in any order. `complete`, unless the time was up first:
-    /// then what did not come may still be there.
+    /// The answer to a question: the samples with their numbers, in any order.
     pub(super) fn answered(
         &mut self,
         question: &Question,
         answer: Vec<(u32, T)>,
-        complete: bool,
+        ending: Ending,
         now: Instant,
     ) -> Outcome<T> {
         let answer: BTreeMap<u32, T> =
             answer.into_iter().filter(|(number, _)| question.numbers.contains(number)).collect();
-        let known = of(&mut self.tracks, &question.origin).is_some_and(|track| {
-            track.is_busy = false;
-            track.visit == question.visit
-        });
-        if !known {
-            // It went or came meanwhile, or was forgotten: what is missing here may not be missing there.
-            let mut outcome = self.change(&question.origin, |_, _| ());
-            if !question.newest {
-                outcome.samples.extend(answer.into_values());
-            }
-            return outcome;
-        }
-        let mut pause = None;
+        let mut rests_for = None;
         let outcome = self.change(&question.origin, |track, outcome| {
+            let Some(track) = track.filter(|track| track.turn == Turn::Asked(question.id)) else {
+                // It went or came meanwhile, or was forgotten: what is missing here may not be missing now.
+                if !question.newest {
+                    outcome.samples.extend(answer.into_values());
+                }
+                return;
+            };
+            track.turn = Turn::Idle;
             let is_known = if question.newest {
-                track.learn(answer.into_keys().next_back(), complete, outcome)
+                track.learn(answer.into_keys().next_back(), ending, outcome)
             } else {
-                track.turn(answer, complete, outcome)
+                track.turn_page(answer, ending, outcome)
             };
             if is_known {
                 track.tries = 0;
+            } else if ending == Ending::Unasked {
+                rests_for = Some(PAUSE);
             } else {
-                pause = track.unanswered(outcome);
-                track.is_busy = pause.is_some();
+                rests_for = track.unanswered(outcome);
+            }
+            if rests_for.is_some() {
+                track.turn = Turn::Rests;
             }
         });
-        if let Some(pause) = pause {
+        if let Some(pause) = rests_for {
             self.resting.push((now + pause, question.origin.clone()));
         }
+        self.sweep();
         outcome
     }
 
@@ -245,49 +297,88 @@ impl<T> Follower<T> {
         outcome.samples
     }
 
-    /// Does something to a publisher, and gives it its turn when it has something to ask then.
-    fn change(&mut self, origin: &Origin, to_do: impl FnOnce(&mut Track<T>, &mut Outcome<T>)) -> Outcome<T> {
+    /// Does something to a publisher, if it is or can be remembered, and gives it its turn when it has something to ask.
+    fn change(&mut self, origin: &Origin, to_do: impl FnOnce(Option<&mut Track<T>>, &mut Outcome<T>)) -> Outcome<T> {
         let mut outcome = Outcome::none();
-        self.know(origin);
         self.clock += 1;
-        if let Some(track) = of(&mut self.tracks, origin) {
-            let before = track.held_bytes();
-            track.used = self.clock;
-            to_do(track, &mut outcome);
-            track.hand_on_ready(&mut outcome);
-            self.held_bytes = self.held_bytes + track.held_bytes() - before;
-            if !track.is_busy && track.question().is_some() {
-                track.is_busy = true;
-                self.asking.push_back(origin.clone());
-            }
+        self.remember(origin, &mut outcome);
+        let Some(track) = of(&mut self.tracks, origin) else {
+            to_do(None, &mut outcome);
+            return outcome;
+        };
+        let before = track.held_bytes();
+        track.used = self.clock;
+        to_do(Some(track), &mut outcome);
+        track.hand_on_ready(&mut outcome);
+        self.held_bytes = self.held_bytes + track.held_bytes() - before;
+        if track.turn == Turn::Idle && track.question().is_some() {
+            track.turn = Turn::Waits;
+            self.asking.push_back(origin.clone());
+            self.sweep();
         }
         outcome
     }
 
-    /// Makes a publisher known. Whoever invents many makes its own forgotten.
-    fn know(&mut self, origin: &Origin) {
+    /// Remembers a publisher. Whoever invents many makes its own forgotten.
+    fn remember(&mut self, origin: &Origin, outcome: &mut Outcome<T>) {
         if of(&mut self.tracks, origin).is_some() {
             return;
         }
-        if self.tracks.len() >= KEYS && !self.tracks.contains_key(&origin.key) {
-            self.forget_half();
+        if self.tracks.len() >= self.keys && !self.tracks.contains_key(&origin.key) {
+            if self.clock >= self.full_until {
+                self.forget_half(outcome);
+            }
+            if self.tracks.len() >= self.keys {
+                return;
+            }
         }
         let tracks = self.tracks.entry(origin.key.clone()).or_default();
         if tracks.len() >= ORIGINS
-            && let Some(oldest) = (0..tracks.len()).min_by_key(|&at| tracks[at].worth())
+            && let Some(oldest) = (0..tracks.len()).min_by_key(|&at| (tracks[at].alive == Some(true), tracks[at].used))
         {
-            self.held_bytes -= tracks.swap_remove(oldest).held_bytes();
+            let mut forgotten = tracks.swap_remove(oldest);
+            self.held_bytes -= forgotten.held_bytes();
+            forgotten.hand_on_held(outcome);
         }
         tracks.push(Track::new(origin));
     }
 
-    fn forget_half(&mut self) {
-        let worth = |tracks: &Vec<Track<T>>| tracks.iter().map(Track::worth).max().unwrap_or_default();
-        let mut worths: Vec<_> = self.tracks.values().map(worth).collect();
-        let (_, median, _) = worths.select_nth_unstable(KEYS / 2);
+    /// Forgets those that were not heard of for longest, of those that do not show that they are there.
+    fn forget_half(&mut self, outcome: &mut Outcome<T>) {
+        let shows = |tracks: &Vec<Track<T>>| tracks.iter().any(|track| track.alive == Some(true));
+        let used = |tracks: &Vec<Track<T>>| tracks.iter().map(|track| track.used).max().unwrap_or(0);
+        let mut candidates: Vec<_> = self.tracks.values().filter(|tracks| !shows(tracks)).map(used).collect();
+        self.full_until = self.clock + self.keys as u64 / 2;
+        if candidates.is_empty() {
+            return;
+        }
+        let middle = candidates.len() / 2;
+        let (_, median, _) = candidates.select_nth_unstable(middle);
         let median = *median;
-        self.tracks.retain(|_, tracks| worth(tracks) >= median);
-        self.held_bytes = self.tracks.values().flatten().map(Track::held_bytes).sum();
+        for (_, tracks) in self.tracks.extract_if(|_, tracks| !shows(tracks) && used(tracks) <= median) {
+            for mut track in tracks {
+                self.held_bytes -= track.held_bytes();
+                track.hand_on_held(outcome);
+            }
+        }
+    }
+
+    /// Drops what waits of publishers that were forgotten.
+    fn sweep(&mut self) {
+        let tracks = &mut self.tracks;
+        let most = STALE + 2 * ORIGINS * tracks.len();
+        if self.asking.len() > most {
+            let mut seen = HashSet::new();
+            self.asking.retain(|origin| {
+                of(tracks, origin).is_some_and(|track| track.turn == Turn::Waits) && seen.insert(origin.clone())
+            });
+        }
+        if self.resting.len() > most {
+            let mut seen = HashSet::new();
+            self.resting.retain(|(_, origin)| {
+                of(tracks, origin).is_some_and(|track| track.turn == Turn::Rests) && seen.insert(origin.clone())
+            });
+        }
     }
 }
 
@@ -302,20 +393,16 @@ impl<T> Track<T> {
             eid: origin.eid,
             next: 0,
             end: 0,
-            begun: false,
+            first: u32::MAX,
             held: BTreeMap::new(),
+            ahead: BTreeMap::new(),
             alive: None,
-            visit: 0,
+            seen: 0,
             step: Step::Page,
-            is_busy: false,
+            turn: Turn::Idle,
             tries: 0,
             used: 0,
         }
-    }
-
-    /// What is alive and was heard of lately is the last to be forgotten.
-    fn worth(&self) -> (bool, u64) {
-        (self.alive == Some(true), self.used)
     }
 
     fn held_bytes(&self) -> usize {
@@ -326,47 +413,55 @@ impl<T> Track<T> {
     fn question(&self) -> Option<(RangeInclusive<u32>, bool)> {
         match self.step {
             _ if self.alive == Some(false) => None,
-            Step::Probe => Some((self.next..=u32::MAX, true)),
+            Step::Probe => Some((0..=u32::MAX, true)),
             _ if self.next >= self.end => None,
-            Step::Page => {
-                let held = self.held.keys().next().copied().unwrap_or(self.end);
-                let end = self.end.min(held).min(self.next.saturating_add(PAGE));
-                Some((self.next..=end - 1, false))
-            }
+            Step::Page => Some((self.page(self.next), false)),
+            Step::From(first) => Some((self.page(first), false)),
             Step::Newest => Some((self.next..=self.end - 1, true)),
             Step::Oldest { low, high } => Some((low..=middle(low, high), true)),
         }
     }
 
+    fn page(&self, first: u32) -> RangeInclusive<u32> {
+        let held = self.held.range(first..).next().map_or(self.end, |(held, _)| *held);
+        let ahead = self.ahead.range(first..).next().map_or(self.end, |(from, _)| *from);
+        let last = self.end.min(held).min(ahead).min(first.saturating_add(PAGE)).saturating_sub(1);
+        first..=last.max(first)
+    }
+
+    /// Its token came or went: a question that is on its way says nothing any more.
+    fn visit(&mut self, is_there: bool, step: Step) {
+        (self.alive, self.step, self.turn, self.tries) = (Some(is_there), step, Turn::Idle, 0);
+    }
+
     /// The answer to a question for the newest. Whether there was one.
-    fn learn(&mut self, newest: Option<u32>, complete: bool, outcome: &mut Outcome<T>) -> bool {
+    fn learn(&mut self, newest: Option<u32>, ending: Ending, outcome: &mut Outcome<T>) -> bool {
         match (self.step, newest) {
-            (_, None) if !complete => return false,
+            (_, None) if ending != Ending::Complete => return false,
+            (Step::Newest, None) => return false,
             (Step::Probe, newest) => {
-                self.end = self.end.max(newest.map_or(0, |newest| newest.saturating_add(1)));
+                let end = newest.map_or(0, |newest| newest.saturating_add(1));
+                if newest.is_some() && end < self.next {
+                    self.restart(outcome);
+                }
+                self.end = self.end.max(end);
                 self.step = Step::Page;
             }
-            (Step::Newest, None) => return false,
-            (Step::Newest, Some(newest)) => self.narrow(self.next, newest, outcome),
-            (Step::Oldest { low, .. }, Some(newest)) => self.narrow(low, newest, outcome),
-            (Step::Oldest { low, high }, None) => self.narrow(middle(low, high) + 1, high, outcome),
-            (Step::Page, _) => {}
+            (Step::Newest, Some(newest)) => self.narrow(self.next, newest),
+            (Step::Oldest { low, .. }, Some(newest)) => self.narrow(low, newest),
+            (Step::Oldest { low, high }, None) => self.narrow(middle(low, high) + 1, high),
+            (Step::Page | Step::From(_), _) => {}
         }
         true
     }
 
     /// The oldest is between these, both included, and the higher one is there.
-    fn narrow(&mut self, low: u32, high: u32, outcome: &mut Outcome<T>) {
-        if low < high {
-            self.step = Step::Oldest { low, high };
-        } else {
-            self.step = Step::Page;
-            self.skip_to(high, outcome);
-        }
+    fn narrow(&mut self, low: u32, high: u32) {
+        self.step = if low < high { Step::Oldest { low, high } } else { Step::From(high) };
     }
 
     /// The answer to a question for a page. Whether there was one.
-    fn turn(&mut self, answer: BTreeMap<u32, T>, complete: bool, outcome: &mut Outcome<T>) -> bool {
+    fn turn_page(&mut self, answer: BTreeMap<u32, T>, ending: Ending, outcome: &mut Outcome<T>) -> bool {
         let before = self.next;
         for (number, sample) in answer {
             if number >= self.next {
@@ -375,51 +470,66 @@ impl<T> Track<T> {
                 self.hand_on(number, sample, outcome);
             }
         }
+        let complete = ending == Ending::Complete;
         if self.next == before && complete {
             self.step = Step::Newest;
         }
         self.next > before || complete
     }
 
-    /// Notes that a number is published, by somebody who is there whatever its token says.
-    fn is_there_up_to(&mut self, number: u32) {
-        self.end = self.end.max(number.saturating_add(1));
-        if self.alive == Some(false) {
-            self.alive = None;
-        }
-    }
-
     /// It counts from 0 again, as a publisher with a fixed session id does after its restart.
     fn restart(&mut self, outcome: &mut Outcome<T>) {
         self.hand_on_held(outcome);
-        (self.next, self.end, self.begun, self.step, self.tries) = (0, 0, false, Step::Page, 0);
-        self.visit += 1;
+        self.ahead.clear();
+        (self.next, self.end, self.seen, self.first) = (0, 0, 0, u32::MAX);
+        (self.step, self.turn, self.tries) = (Step::Page, Turn::Idle, 0);
     }
 
     fn hand_on(&mut self, number: u32, sample: T, outcome: &mut Outcome<T>) {
         outcome.samples.push(sample);
         self.next = number.saturating_add(1);
-        self.begun = true;
+        self.first = self.first.min(number);
         if self.step != Step::Probe {
             self.step = Step::Page;
         }
     }
 
+    /// Hands on a sample before its turn.
+    fn hand_on_ahead(&mut self, number: u32, sample: T, outcome: &mut Outcome<T>) {
+        outcome.samples.push(sample);
+        self.first = self.first.min(number);
+        let has_room = self.ahead.len() < RUNS;
+        match self.ahead.range_mut(..=number).next_back() {
+            Some((_, to)) if number < *to => {}
+            Some((_, to)) if number == *to => *to = number.saturating_add(1),
+            _ if number > self.next && has_room => {
+                self.ahead.insert(number, number.saturating_add(1));
+            }
+            _ => {}
+        }
+    }
+
     /// Hands on what is held and has its turn.
     fn hand_on_ready(&mut self, outcome: &mut Outcome<T>) {
-        while let Some(first) = self.held.first_entry().filter(|first| *first.key() <= self.next) {
-            let (number, (_, sample)) = first.remove_entry();
-            if number == self.next {
-                self.hand_on(number, sample, outcome);
+        loop {
+            if let Some(run) = self.ahead.first_entry().filter(|run| *run.key() <= self.next) {
+                self.next = self.next.max(run.remove());
+            } else if let Some(first) = self.held.first_entry().filter(|first| *first.key() <= self.next) {
+                let (number, (_, sample)) = first.remove_entry();
+                if number == self.next {
+                    self.hand_on(number, sample, outcome);
+                }
+            } else {
+                return;
             }
         }
     }
 
-    /// Hands on all that is held, before its turn. What is then asked for and is no longer there counts as missed, these
-    /// with it.
+    /// Hands on all that is held, before its turn.
     fn hand_on_held(&mut self, outcome: &mut Outcome<T>) {
-        self.begun |= !self.held.is_empty();
-        outcome.samples.extend(std::mem::take(&mut self.held).into_values().map(|(_, sample)| sample));
+        for (number, (_, sample)) in std::mem::take(&mut self.held) {
+            self.hand_on_ahead(number, sample, outcome);
+        }
     }
 
     /// Goes on with a number: between, there is only what is held.
@@ -433,21 +543,23 @@ impl<T> Track<T> {
     }
 
     fn miss_until(&mut self, number: u32, outcome: &mut Outcome<T>) {
-        if self.begun {
-            outcome.missed += u64::from(number.saturating_sub(self.next));
-        }
+        let between = self.next.max(self.first)..number;
+        let common = |from: u32, to: u32| to.min(between.end).saturating_sub(from.max(between.start));
+        let came: u32 = self.ahead.iter().map(|(from, to)| common(*from, *to)).sum();
+        outcome.missed += u64::from(common(between.start, between.end) - came);
         self.next = self.next.max(number);
     }
 
-    /// Nobody answered: when to ask again. After many times there is no cache, and it goes on with what is held.
+    /// Nobody answered: when to ask again. After many times there is no cache, and it goes on with what came on its own.
     fn unanswered(&mut self, outcome: &mut Outcome<T>) -> Option<Duration> {
         self.tries += 1;
         if self.tries < TRIES {
             return Some(PAUSE * (1 << (self.tries - 1)));
         }
         (self.tries, self.step) = (0, Step::Page);
-        self.skip_to(self.end, outcome);
-        self.begun = true;
+        self.skip_to(self.seen, outcome);
+        // What was only told of may never have been.
+        self.end = self.next;
         None
     }
 }
@@ -482,8 +594,8 @@ mod tests {
     impl World {
         fn new(cached: u32, has_token: bool) -> Self {
             let mut world = Self {
-                follower: Follower::new(),
-                now: Instant::now(),
+                follower: Follower::new(100),
+                now: tokio::time::Instant::now().into_std(),
                 published: 0,
                 cached,
                 is_up: true,
@@ -528,6 +640,11 @@ mod tests {
         /// Asks one question; false when there is none.
         fn ask(&mut self) -> bool {
             let Some(question) = self.follower.question(self.now) else { return false };
+            self.answer(&question);
+            true
+        }
+
+        fn answer(&mut self, question: &Question) {
             self.questions += 1;
             let oldest = self.published.saturating_sub(self.cached);
             let there = (oldest..self.published).filter(|number| self.is_up && question.numbers.contains(number));
@@ -537,9 +654,8 @@ mod tests {
             } else {
                 assert!(question.numbers.clone().count() <= PAGE as usize);
             }
-            let outcome = self.follower.answered(&question, answer, true, self.now);
+            let outcome = self.follower.answered(question, answer, Ending::Complete, self.now);
             self.accept(outcome);
-            true
         }
 
         /// Until nothing is asked any more, whatever the time.
@@ -625,18 +741,116 @@ mod tests {
 
     #[test]
     fn invented_publishers_take_bounded_memory_and_leave_those_that_are_there() {
-        let mut follower = Follower::new();
+        let mut follower = Follower::new(100);
         follower.appeared(&origin());
-        for number in 0..5_000_u32 {
+        let mut handed_on = Vec::new();
+        for number in 0..20_000_u32 {
             let of_a_key = Origin { key: "points/v1/x/y/throw".to_owned(), zid: number.to_string(), eid: 0 };
             let of_keys = Origin { key: format!("points/v1/x/{number}/throw"), zid: "b".to_owned(), eid: 0 };
-            follower.live(&of_a_key, 5, HELD_BYTES / 4, ());
-            follower.live(&of_keys, 5, HELD_BYTES / 4, ());
+            handed_on.extend(follower.live(&of_a_key, 5, HELD_BYTES / 9, 2 * number).samples);
+            handed_on.extend(follower.live(&of_keys, 5, HELD_BYTES / 9, 2 * number + 1).samples);
+            follower.reached(&of_keys, 6);
+            assert!(follower.held_bytes <= HELD_BYTES);
         }
-        assert!(follower.tracks.len() <= KEYS && follower.tracks["points/v1/x/y/throw"].len() <= ORIGINS);
-        assert!(follower.held_bytes <= HELD_BYTES);
+        assert!(follower.tracks.len() <= 100 && follower.tracks["points/v1/x/y/throw"].len() <= ORIGINS);
+        assert!(follower.asking.len() <= STALE + 2 * ORIGINS * 100, "{}", follower.asking.len());
         assert_eq!(follower.held_bytes, follower.tracks.values().flatten().map(Track::held_bytes).sum::<usize>());
         assert!(of(&mut follower.tracks, &origin()).is_some());
+        handed_on.extend(follower.finish());
+        handed_on.sort_unstable();
+        assert_eq!(handed_on, (0..40_000).collect::<Vec<_>>(), "each message that came, once");
+    }
+
+    #[test]
+    fn when_all_publishers_show_that_they_are_there_another_is_not_followed_but_heard() {
+        let mut follower = Follower::new(100);
+        for number in 0..100 {
+            follower.appeared(&Origin { key: number.to_string(), ..origin() });
+        }
+        assert_eq!(follower.live(&origin(), 5, 10, "sample").samples, ["sample"]);
+        assert_eq!(follower.tracks.len(), 100);
+    }
+
+    #[test]
+    fn a_sample_that_waited_in_the_queue_does_not_bring_its_publisher_back() {
+        let mut world = World::new(1_000, true);
+        (0..21).for_each(|_| world.publish(false));
+        world.presence(false);
+        let outcome = world.follower.live(&origin(), 21, 10, 21);
+        assert_eq!(outcome.samples, [21], "it is handed on");
+        world.accept(outcome);
+        world.settle();
+        assert_eq!((world.questions, world.missed), (0, 0));
+        world.published = 22;
+        world.presence(true);
+        world.settle();
+        assert_eq!((world.distinct(), world.missed), ((0..22).collect(), 0));
+    }
+
+    #[test]
+    fn a_cut_in_the_midst_of_the_search_skips_nothing() {
+        for cut_at in 1..40 {
+            let mut world = World::new(1_000, true);
+            world.is_up = false;
+            (0..3_000).for_each(|_| world.publish(false));
+            world.presence(true);
+            for _ in 0..cut_at {
+                world.ask();
+            }
+            // The end of the answers is heard before the token goes.
+            world.is_up = false;
+            for _ in 0..2 {
+                world.ask();
+            }
+            world.presence(false);
+            world.presence(true);
+            world.settle();
+            assert_eq!((world.distinct(), world.missed), ((2_000..3_000).collect(), 0), "cut at {cut_at}");
+        }
+    }
+
+    #[test]
+    fn an_old_answer_says_nothing_about_a_publisher_that_is_asked_again() {
+        let mut world = World::new(1_000, true);
+        (0..40).for_each(|_| world.publish(false));
+        world.ask();
+        let old = world.follower.question(world.now).unwrap();
+        world.presence(false);
+        world.presence(true);
+        world.is_up = false;
+        world.answer(&old);
+        world.is_up = true;
+        world.settle();
+        assert_eq!((world.distinct(), world.missed), ((0..40).collect(), 0));
+    }
+
+    #[test]
+    fn what_is_only_claimed_is_not_missed() {
+        let mut world = World::new(8, true);
+        (0..3).for_each(|_| world.publish(true));
+        for claimed in [16_000, u32::MAX - 1, u32::MAX] {
+            let outcome = world.follower.reached(&origin(), claimed);
+            world.accept(outcome);
+            world.settle();
+        }
+        (0..3).for_each(|_| world.publish(true));
+        world.settle();
+        assert_eq!((world.distinct(), world.missed), ((0..6).collect(), 0));
+    }
+
+    #[test]
+    fn without_a_router_nothing_is_given_up() {
+        let mut world = World::new(100, false);
+        (0..5).for_each(|_| world.publish(false));
+        world.publish(true);
+        for _ in 0..100 {
+            let question = world.follower.question(world.now).unwrap();
+            let outcome = world.follower.answered(&question, Vec::new(), Ending::Unasked, world.now);
+            world.accept(outcome);
+            world.now = world.follower.rests_until().unwrap();
+        }
+        world.settle();
+        assert_eq!(world.handed_on, [0, 1, 2, 3, 4, 5]);
     }
 
     #[derive(Debug, Clone)]
@@ -659,7 +873,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever happens to the link: all that arrived or is cached in the end is handed on, and what is missing then
+        /// Whatever happens to the link: all that arrived or is cached in the end is handed on, and what is missing between
         /// was counted.
         #[test]
         fn nothing_is_lost_that_arrived_or_is_cached(
@@ -671,9 +885,7 @@ mod tests {
             for happening in happenings {
                 match happening {
                     Happening::Publish { count, arrives } => for _ in 0..count {
-                        // More than can be held is left to the cache, when there is one.
-                        let is_kept = world.follower.tracks.values().flatten().all(|track| track.held.len() < HELD);
-                        if arrives && world.is_up && is_kept {
+                        if arrives && world.is_up {
                             arrived.push(world.published);
                         }
                         world.publish(arrives);
@@ -693,9 +905,8 @@ mod tests {
             for number in arrived.into_iter().chain(cached) {
                 prop_assert!(distinct.binary_search(&number).is_ok(), "{number} is lost");
             }
-            let first = distinct.first().copied().unwrap_or(world.published);
-            let absent = u64::from(world.published - first) - distinct.len() as u64;
-            prop_assert!(world.missed >= absent, "{} missed, {absent} absent", world.missed);
+            let absent = distinct.windows(2).map(|pair| u64::from(pair[1] - pair[0] - 1)).sum::<u64>();
+            prop_assert_eq!(world.missed, absent, "missed, and absent");
             prop_assert_eq!(world.follower.held_bytes, 0);
         }
     }

@@ -24,25 +24,27 @@ use zenoh_ext::z_deserialize;
 use super::{
     BusError,
     cache::{self, Answer, Cache},
-    follow::{Follower, Origin, Outcome, Question},
+    follow::{Ending, Follower, Origin, Outcome, Question},
     is_connected,
     room::{self, Room},
 };
 
 /// Payloads of one batch: what is decoded takes up to four times as much \[bytes\].
 const BATCH_BYTES: usize = 8 << 20;
-/// Publishers that come, go, or tell how far they are, and wait to be heard. More than that, and all are asked anew.
+/// Besides one for each machine, publishers that come, go, or tell how far they are, and wait to be heard. More than that,
+/// and all are asked anew.
 const SIGNALS: usize = 4_096;
-/// Pages that are on their way or wait to be stored.
-const PAGES: usize = 4;
+/// Besides those of the machines, keys whose publishers are remembered.
+const KEYS: usize = 1_024;
+/// Questions that are on their way, and answers that wait to be stored.
+const QUESTIONS: usize = 16;
 /// Keys with caches that cannot be asked by number, and wait to be asked for everything.
 const UNNUMBERED: usize = 1_024;
-/// Least time from one question to all caches to the next.
-const ALL_AGAIN: Duration = Duration::from_secs(5);
-/// For so long a question waits for a router.
-const ROUTER_LIMIT: Duration = Duration::from_secs(15);
-/// How often a client looks whether its router is there.
-const LOOK: Duration = Duration::from_millis(200);
+/// How often such a cache is asked until its answer comes to its end.
+const TRIES: u32 = 4;
+/// From one question to all caches to the next; doubled after one that failed, up to [`LONGEST_PAUSE`].
+const FIRST_PAUSE: Duration = Duration::from_secs(5);
+const LONGEST_PAUSE: Duration = Duration::from_mins(1);
 
 /// One message as it arrived.
 #[derive(Debug)]
@@ -58,6 +60,11 @@ pub struct Message {
 }
 
 impl Message {
+    /// The room that it takes while it waits \[bytes\].
+    pub(super) fn room(&self) -> usize {
+        self.payload.len() + self.key.len() + self.content_type.len()
+    }
+
     pub(super) fn of(sample: &Sample, limits: Limits) -> Self {
         let bytes = sample.payload().len();
         let kept = limits.kept(bytes);
@@ -74,6 +81,8 @@ impl Message {
 /// What bounds the inbox.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
+    /// Machines that may be known.
+    pub max_machines: usize,
     /// Largest payload that is taken whole \[bytes\].
     pub max_payload_bytes: usize,
     /// How much of a larger one is kept as a sample \[bytes\].
@@ -130,10 +139,20 @@ pub struct Inbox {
     messages: mpsc::Receiver<Arrived>,
     signals: mpsc::Receiver<Signal>,
     follower: Follower<Message>,
-    unnumbered: VecDeque<String>,
-    asked: HashMap<task::Id, Question>,
+    /// Keys whose caches are to be asked for everything, and how often they were.
+    unnumbered: VecDeque<(String, u32)>,
+    asked: HashMap<task::Id, Asked>,
     answers: JoinSet<Answer>,
-    all_asked_at: Option<Instant>,
+    /// The question to all caches how far they are: whether it came to its end.
+    all: JoinSet<bool>,
+    all_from: Instant,
+    all_pause: Duration,
+}
+
+/// What an answer is about.
+enum Asked {
+    Numbers(Question),
+    Everything(String, u32),
 }
 
 impl Inbox {
@@ -148,7 +167,7 @@ impl Inbox {
         is_client: bool,
     ) -> Result<Self, BusError> {
         let (message_sender, messages) = mpsc::channel(room::MESSAGES);
-        let (signal_sender, signals) = mpsc::channel(SIGNALS);
+        let (signal_sender, signals) = mpsc::channel(limits.max_machines + SIGNALS);
         let callbacks = Callbacks {
             messages: message_sender,
             signals: signal_sender,
@@ -165,11 +184,13 @@ impl Inbox {
             callbacks,
             messages,
             signals,
-            follower: Follower::new(),
+            follower: Follower::new(limits.max_machines + KEYS),
             unnumbered: VecDeque::new(),
             asked: HashMap::new(),
             answers: JoinSet::new(),
-            all_asked_at: None,
+            all: JoinSet::new(),
+            all_from: Instant::now(),
+            all_pause: FIRST_PAUSE,
         };
         inbox.listen().await.map_err(BusError::new(format!("subscribe to {key_expression}")))?;
         Ok(inbox)
@@ -211,12 +232,21 @@ impl Inbox {
                     }
                 },
                 Some(signal) = self.signals.recv() => self.heed(signal, batch),
-                Some(answer) = self.answers.join_next_with_id() => self.hear(answer, batch),
+                Some(answer) = self.answers.join_next_with_id() => {
+                    // That its publisher has gone may be why an answer is empty.
+                    for _ in 0..self.signals.len() {
+                        let Ok(signal) = self.signals.try_recv() else { break };
+                        self.heed(signal, batch);
+                    }
+                    self.hear(answer, batch);
+                }
+                Some(answer) = self.all.join_next() => self.hear_all(answer.is_ok_and(|is_whole| is_whole)),
                 () = time::sleep_until(wakes_at.unwrap_or_else(Instant::now)), if wakes_at.is_some() => {}
             }
-            let (mut counted, mut bytes) = (before, 0);
-            loop {
-                bytes += batch[counted..].iter().map(|message| message.payload.len()).sum::<usize>();
+            let mut counted = before;
+            let mut bytes = 0;
+            for _ in 1..limit {
+                bytes += batch[counted..].iter().map(Message::room).sum::<usize>();
                 counted = batch.len();
                 if counted - before >= limit || bytes >= BATCH_BYTES {
                     break;
@@ -235,61 +265,75 @@ impl Inbox {
                 tracing::warn!(%error, "the subscription could not be ended in good order");
             }
         }
-        self.answers.abort_all();
+        self.answers.shutdown().await;
+        self.all.shutdown().await;
         self.messages.close();
         self.signals.close();
     }
 
     /// When something is to be asked, if nothing happens before.
     fn wakes_at(&self) -> Option<Instant> {
-        let all_again = self.all_asked_at.filter(|_| self.callbacks.lost_track.load(Relaxed)).map(|at| at + ALL_AGAIN);
-        self.follower.rests_until().map(Instant::from_std).into_iter().chain(all_again).min()
+        let rests_until = self.follower.rests_until().filter(|_| self.answers.len() < QUESTIONS).map(Instant::from_std);
+        let has_lost_track = self.callbacks.lost_track.load(Relaxed) && self.all.is_empty();
+        rests_until.into_iter().chain(has_lost_track.then_some(self.all_from)).min()
     }
 
     /// Asks what is to be asked, as long as the answers are taken.
     fn ask(&mut self) {
-        let is_closed = self.subscriptions.is_empty();
-        while !is_closed && self.answers.len() < PAGES {
+        if self.subscriptions.is_empty() {
+            return;
+        }
+        let now = Instant::now();
+        while self.answers.len() < QUESTIONS {
             let (session, limits, is_client) = (self.session.clone(), self.callbacks.limits, self.is_client);
-            if let Some(question) = self.follower.question(Instant::now().into_std()) {
+            if let Some(question) = self.follower.question(now.into_std()) {
                 let asked = question.clone();
-                let task = self.answers.spawn(async move {
-                    if !is_reachable(&session, is_client).await {
-                        return Answer::default();
+                let answer = async move {
+                    if is_reachable(&session, is_client).await {
+                        cache::page(&session, &asked, limits).await
+                    } else {
+                        Answer::none()
                     }
-                    cache::page(&session, &asked, limits).await
-                });
-                self.asked.insert(task.id(), question);
-            } else if let Some(key) = self.unnumbered.pop_front() {
-                self.answers.spawn(async move { cache::everything(&session, &key, limits).await });
+                };
+                self.asked.insert(self.answers.spawn(answer).id(), Asked::Numbers(question));
+            } else if let Some((key, tries)) = self.unnumbered.pop_front() {
+                let asked = key.clone();
+                let answer = async move { cache::everything(&session, &asked, limits).await };
+                self.asked.insert(self.answers.spawn(answer).id(), Asked::Everything(key, tries + 1));
             } else {
                 break;
             }
         }
-        let is_time = self.all_asked_at.is_none_or(|at| at.elapsed() >= ALL_AGAIN);
-        if !is_closed && is_time && self.callbacks.lost_track.swap(false, Relaxed) {
-            self.all_asked_at = Some(Instant::now());
+        if self.all.is_empty() && now >= self.all_from && self.callbacks.lost_track.swap(false, Relaxed) {
             self.ask_all();
         }
     }
 
     /// Asks all publishers how far they are, also those whose comings and goings are not seen.
-    fn ask_all(&self) {
-        let (session, callbacks, key_expression) =
-            (self.session.clone(), self.callbacks.clone(), self.key_expression.clone());
-        task::spawn(async move {
-            let finder = callbacks.clone();
-            if !cache::find(&session, &key_expression, move |sample| finder.found(sample)).await {
-                callbacks.lost_track.store(true, Relaxed);
-            }
+    fn ask_all(&mut self) {
+        let (session, callbacks, is_client) = (self.session.clone(), self.callbacks.clone(), self.is_client);
+        let key_expression = self.key_expression.clone();
+        self.all.spawn(async move {
+            let found = move |sample: &Sample| callbacks.found(sample);
+            is_reachable(&session, is_client).await && cache::find(&session, &key_expression, found).await
         });
     }
 
+    fn hear_all(&mut self, is_whole: bool) {
+        self.all_from = Instant::now() + self.all_pause;
+        if is_whole {
+            self.all_pause = FIRST_PAUSE;
+        } else {
+            self.all_pause = (2 * self.all_pause).min(LONGEST_PAUSE);
+            self.callbacks.lost_track.store(true, Relaxed);
+        }
+    }
+
     fn take(&mut self, (message, number): Arrived, batch: &mut Vec<Message>) {
-        self.callbacks.counters.room.give_back(&message.key, message.payload.len());
+        self.callbacks.counters.room.give_back(&message.key, message.room());
         match number {
             Some((origin, number)) => {
-                let bytes = message.payload.len();
+                let bytes = message.room();
                 let outcome = self.follower.live(&origin, number, bytes, message);
                 self.hand_on(outcome, batch);
             }
@@ -303,35 +347,47 @@ impl Inbox {
             Signal::Presence(origin, true) => self.follower.appeared(&origin),
             Signal::Presence(origin, false) => self.follower.gone(&origin),
             Signal::Unnumbered(key) => {
-                if !self.unnumbered.contains(&key) && self.unnumbered.len() < UNNUMBERED {
-                    self.unnumbered.push_back(key);
-                }
+                self.ask_for_everything(key, 0);
                 return;
             }
         };
         self.hand_on(outcome, batch);
     }
 
+    fn ask_for_everything(&mut self, key: String, tries: u32) {
+        if self.unnumbered.iter().any(|(other, _)| *other == key) {
+            return;
+        }
+        if self.unnumbered.len() < UNNUMBERED {
+            self.unnumbered.push_back((key, tries));
+        } else {
+            self.callbacks.lost_track.store(true, Relaxed);
+        }
+    }
+
     fn hear(&mut self, answer: Result<(task::Id, Answer), JoinError>, batch: &mut Vec<Message>) {
-        let (id, answer) = match answer {
-            Ok(answered) => answered,
-            Err(error) => {
-                tracing::error!(%error, "asking a logger's cache failed");
-                (error.id(), Answer::default())
-            }
-        };
+        let (id, answer) = answer.unwrap_or_else(|error| {
+            tracing::error!(%error, "asking a logger's cache failed");
+            (error.id(), Answer::none())
+        });
+        let counters = &self.callbacks.counters;
         match self.asked.remove(&id) {
-            Some(question) => {
-                let now = Instant::now().into_std();
+            Some(Asked::Numbers(question)) => {
                 let came = if question.newest { 0 } else { answer.samples.len() as u64 };
-                self.callbacks.counters.received.fetch_add(came, Relaxed);
-                let outcome = self.follower.answered(&question, answer.samples, answer.complete, now);
+                counters.received.fetch_add(came, Relaxed);
+                let now = Instant::now().into_std();
+                let outcome = self.follower.answered(&question, answer.samples, answer.ending, now);
                 self.hand_on(outcome, batch);
             }
-            None => {
-                self.callbacks.counters.received.fetch_add(answer.samples.len() as u64, Relaxed);
+            Some(Asked::Everything(key, tries)) => {
+                counters.received.fetch_add(answer.samples.len() as u64 + answer.left, Relaxed);
+                counters.dropped.fetch_add(answer.left, Relaxed);
                 batch.extend(answer.samples.into_iter().map(|(_, message)| message));
+                if answer.ending != Ending::Complete && tries < TRIES {
+                    self.ask_for_everything(key, tries);
+                }
             }
+            None => {}
         }
     }
 
@@ -341,14 +397,9 @@ impl Inbox {
     }
 }
 
-/// Waits for the router of a client: without it, nobody answers at once, as if nobody had anything.
+/// Whether there is somebody to ask. To a client without its router, the answer is as empty as of those who have nothing.
 async fn is_reachable(session: &Session, is_client: bool) -> bool {
-    let router = async {
-        while !is_connected(session).await {
-            time::sleep(LOOK).await;
-        }
-    };
-    !is_client || time::timeout(ROUTER_LIMIT, router).await.is_ok()
+    !is_client || is_connected(session).await
 }
 
 /// Runs in zenoh's threads: counts, copies, hands over, returns.
@@ -367,13 +418,14 @@ impl Callbacks {
         if sample.kind() != SampleKind::Put {
             return;
         }
-        let (key, kept) = (sample.key_expr().as_str(), self.limits.kept(sample.payload().len()));
+        let (key, content_type) = (sample.key_expr().as_str(), sample.encoding().to_string());
+        let room = self.limits.kept(sample.payload().len()) + key.len() + content_type.len();
         let number = cache::origin(sample);
-        if !self.counters.room.take(key, kept) {
+        if !self.counters.room.take(key, room) {
             return self.refuse(number);
         }
         if let Err(error) = self.messages.try_send((Message::of(sample, self.limits), number)) {
-            self.counters.room.give_back(key, kept);
+            self.counters.room.give_back(key, room);
             return self.refuse(error.into_inner().1);
         }
         self.counters.received.fetch_add(1, Relaxed);

@@ -156,6 +156,7 @@ impl Daemon {
         tasks.spawn("keep house", keep::run(store.clone(), last_heard));
 
         let limits = Limits {
+            max_machines: config.subscribe.max_machines,
             max_payload_bytes: config.subscribe.max_payload_bytes,
             kept_of_larger_bytes: store::QUARANTINED_BYTES,
         };

@@ -21,18 +21,24 @@ pub(crate) struct Usage {
 impl Usage {
     /// Of a process that runs.
     pub(crate) fn of(process: u32) -> Self {
-        let status = fs::read_to_string(format!("/proc/{process}/status")).expect("it runs");
-        let figure = |key: &str| -> u32 {
-            let line = status.lines().find_map(|line| line.strip_prefix(key)).expect(key);
-            line.split_whitespace().next().unwrap().parse().unwrap()
-        };
         Self {
-            rss_mib: f64::from(figure("VmRSS:")) / 1024.0,
-            own_mib: f64::from(figure("RssAnon:")) / 1024.0,
+            rss_mib: f64::from(figure(process, "VmRSS:")) / 1024.0,
+            own_mib: f64::from(figure(process, "RssAnon:")) / 1024.0,
             files: fs::read_dir(format!("/proc/{process}/fd")).unwrap().count(),
-            threads: figure("Threads:"),
+            threads: figure(process, "Threads:"),
         }
     }
+}
+
+/// The most memory that a process has had in use \[MiB\].
+pub(crate) fn peak_mib(process: u32) -> f64 {
+    f64::from(figure(process, "VmHWM:")) / 1024.0
+}
+
+fn figure(process: u32, key: &str) -> u32 {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).expect("it runs");
+    let line = status.lines().find_map(|line| line.strip_prefix(key)).expect(key);
+    line.split_whitespace().next().unwrap().parse().unwrap()
 }
 
 /// What the allocator of a process holds, as `heap.c` tells.

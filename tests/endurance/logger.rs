@@ -128,6 +128,11 @@ impl Logger {
     /// Stops after the throws at hand.
     pub(crate) fn stop(self) -> Silent {
         self.stop.store(true, Relaxed);
+        self.finish()
+    }
+
+    /// Publishes all that it has to.
+    pub(crate) fn finish(self) -> Silent {
         let publishers = self.thread.join().unwrap();
         let published = *self.rounds.lock().unwrap();
         Silent { published, _publishers: publishers, _session: self.session }

@@ -23,6 +23,7 @@ mod shim;
 mod small_disk;
 mod witness;
 
+mod caches;
 mod clock;
 mod cuts;
 mod faults;
