@@ -4,7 +4,7 @@
 //! tells now and then how far it is. The follower holds the number that comes next: what is there in order is handed on;
 //! what is missing is asked for in pages, the oldest first, as fast as the asker takes them. So no more than a page of a
 //! publisher is ever on its way, however much it has cached and however long it was out of reach, and nothing is given up
-//! while the publisher cannot be reached.
+//! while its liveliness token is away.
 //!
 //! It takes events and returns samples and questions; whoever holds it asks them and brings the answers.
 
@@ -109,6 +109,7 @@ struct Track<T> {
     end: u32,
     /// The lowest number that was handed on: what was before it is none of ours to miss.
     first: u32,
+    /// Samples that wait for their turn, with their bytes.
     held: BTreeMap<u32, (usize, T)>,
     /// What was handed on before its turn: from a number up to another.
     ahead: BTreeMap<u32, u32>,
@@ -118,7 +119,9 @@ struct Track<T> {
     seen: u32,
     step: Step,
     turn: Turn,
+    /// Questions in a row that nobody answered.
     tries: u32,
+    /// When it was last heard of, by the follower's clock.
     used: u64,
 }
 
