@@ -224,13 +224,13 @@ impl Inbox {
             self.ask();
             let wakes_at = self.wakes_at();
             tokio::select! {
-                message = self.messages.recv() => match message {
-                    Some(message) => self.take(message, batch),
-                    None => {
+                message = self.messages.recv() => {
+                    let Some(message) = message else {
                         batch.extend(self.follower.finish());
                         break;
-                    }
-                },
+                    };
+                    self.take(message, batch);
+                }
                 Some(signal) = self.signals.recv() => self.heed(signal, batch),
                 Some(answer) = self.answers.join_next_with_id() => {
                     // That its publisher has gone may be why an answer is empty.
