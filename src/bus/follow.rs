@@ -33,8 +33,8 @@ const RESTART: u32 = room::MESSAGES as u32;
 const PAUSE: Duration = Duration::from_secs(1);
 /// So many questions in a row without an answer, in 7 s, and what they asked for is given up: there is no such cache.
 const TRIES: u32 = 4;
-/// Publishers of one key that are remembered: the last starts of its logger.
-const ORIGINS: usize = 8;
+/// Publishers of one key that are remembered: those that are there, and the last starts of its logger.
+const ORIGINS: usize = 32;
 /// Entries that wait and may be of publishers that were forgotten, before they are looked through.
 const STALE: usize = 1_024;
 
@@ -121,6 +121,8 @@ struct Track<T> {
     turn: Turn,
     /// Questions in a row that nobody answered.
     tries: u32,
+    /// Whether it has a cache: it has answered.
+    has_cache: bool,
     /// When it was last heard of, by the follower's clock.
     used: u64,
 }
@@ -267,6 +269,7 @@ impl<T> Follower<T> {
                 return;
             };
             track.turn = Turn::Idle;
+            track.has_cache |= !answer.is_empty();
             let is_known = if question.newest {
                 track.learn(answer.into_keys().next_back(), ending, outcome)
             } else {
@@ -277,7 +280,7 @@ impl<T> Follower<T> {
             } else if ending == Ending::Unasked {
                 rests_for = Some(PAUSE);
             } else {
-                rests_for = track.unanswered(outcome);
+                rests_for = track.unanswered(ending, outcome);
             }
             if rests_for.is_some() {
                 track.turn = Turn::Rests;
@@ -404,6 +407,7 @@ impl<T> Track<T> {
             step: Step::Page,
             turn: Turn::Idle,
             tries: 0,
+            has_cache: false,
             used: 0,
         }
     }
@@ -554,9 +558,11 @@ impl<T> Track<T> {
     }
 
     /// Nobody answered: when to ask again. After many times there is no cache, and it goes on with what came on its own.
-    fn unanswered(&mut self, outcome: &mut Outcome<T>) -> Option<Duration> {
+    /// Of one that shows nothing that hints at a cache, once is enough: what came is not to wait for nothing.
+    fn unanswered(&mut self, ending: Ending, outcome: &mut Outcome<T>) -> Option<Duration> {
         self.tries += 1;
-        if self.tries < TRIES {
+        let hints_at_cache = self.has_cache || self.alive.is_some() || ending == Ending::Broken;
+        if hints_at_cache && self.tries < TRIES {
             return Some(PAUSE * (1 << (self.tries - 1)));
         }
         (self.tries, self.step) = (0, Step::Page);
@@ -710,7 +716,8 @@ mod tests {
             world.publish(number != 3);
         }
         assert_eq!(world.handed_on, [0, 1, 2], "the others wait for the one before them");
-        world.settle();
+        while world.ask() {}
+        assert_eq!(world.follower.rests_until(), None, "they wait no longer than for one answer");
         assert_eq!((world.distinct(), world.missed), (vec![0, 1, 2, 4, 5, 6, 7, 8, 9], 1));
         world.publish(true);
         assert_eq!(world.handed_on.last(), Some(&10));
