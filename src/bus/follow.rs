@@ -16,8 +16,12 @@ use std::{
 
 use super::room;
 
-/// Samples that are asked for together.
+/// Samples that are asked for together, fewer when they are large or their link is slow.
 pub(super) const PAGE: u32 = 32;
+/// What a page is meant to have \[bytes\]: with 70 kB a second it comes before its time is up.
+const PAGE_BYTES: usize = 1 << 20;
+/// Samples of the first page of a publisher, whose size is not known.
+const FIRST_PAGE: u32 = 4;
 /// Samples of a publisher that came before their turn and are kept until it is. The next are handed on at once.
 const HELD: usize = 64;
 /// Together they take at most this \[bytes\].
@@ -31,8 +35,10 @@ const RUNS: usize = 64;
 const RESTART: u32 = room::MESSAGES as u32;
 /// After a question that nobody answered comes this pause, doubled each time.
 const PAUSE: Duration = Duration::from_secs(1);
-/// So many questions in a row without an answer, in 7 s, and what they asked for is given up: there is no such cache.
+/// So many questions in a row without an answer, in 7 s, and what they asked for is given up.
 const TRIES: u32 = 4;
+/// The same for one that never answered, but shows a token: it has no cache, and what came is not to wait for nothing.
+const TRIES_WITHOUT_CACHE: u32 = 2;
 /// Publishers of one key that are remembered: those that are there, and the last starts of its logger.
 const ORIGINS: usize = 32;
 /// Entries that wait and may be of publishers that were forgotten, before they are looked through.
@@ -91,6 +97,8 @@ pub(super) struct Follower<T> {
     keys: usize,
     /// Those with something to ask, in turn.
     asking: VecDeque<Origin>,
+    /// The size of a sample \[bytes\].
+    bytes_of: fn(&T) -> usize,
     /// Those that were asked and did not answer.
     resting: Vec<(Instant, Origin)>,
     held_bytes: usize,
@@ -119,6 +127,10 @@ struct Track<T> {
     seen: u32,
     step: Step,
     turn: Turn,
+    /// The size of its last sample \[bytes\]; 0 before the first.
+    bytes: usize,
+    /// Samples that its link brings in time.
+    page: u32,
     /// Questions in a row that nobody answered.
     tries: u32,
     /// Whether it has a cache: it has answered.
@@ -155,10 +167,11 @@ enum Turn {
 }
 
 impl<T> Follower<T> {
-    pub(super) fn new(keys: usize) -> Self {
+    pub(super) fn new(keys: usize, bytes_of: fn(&T) -> usize) -> Self {
         Self {
             tracks: HashMap::new(),
             keys,
+            bytes_of,
             asking: VecDeque::new(),
             resting: Vec::new(),
             held_bytes: 0,
@@ -168,7 +181,8 @@ impl<T> Follower<T> {
     }
 
     /// A sample came on its own. One from before its turn may be new all the same: the database knows.
-    pub(super) fn live(&mut self, origin: &Origin, number: u32, bytes: usize, sample: T) -> Outcome<T> {
+    pub(super) fn live(&mut self, origin: &Origin, number: u32, sample: T) -> Outcome<T> {
+        let bytes = (self.bytes_of)(&sample);
         let has_room = self.held_bytes + bytes <= HELD_BYTES;
         self.change(origin, |track, outcome| {
             let Some(track) = track else { return outcome.samples.push(sample) };
@@ -177,6 +191,7 @@ impl<T> Follower<T> {
             }
             track.end = track.end.max(number.saturating_add(1));
             track.seen = track.seen.max(number.saturating_add(1));
+            track.bytes = bytes;
             // One that waited in the queue while its publisher went says nothing about the publisher.
             let can_wait = has_room && track.held.len() < HELD && track.alive != Some(false);
             if number == track.next {
@@ -201,6 +216,23 @@ impl<T> Follower<T> {
                 track.alive = None;
             }
         })
+    }
+
+    /// A sample came on its own, and there was no room for it.
+    pub(super) fn refused(&mut self, origin: &Origin, number: u32) -> Outcome<T> {
+        let mut outcome = self.change(origin, |track, outcome| match track {
+            Some(track) => track.seen = track.seen.max(number.saturating_add(1)),
+            None => outcome.missed += 1,
+        });
+        let reached = self.reached(origin, number);
+        outcome.missed += reached.missed;
+        outcome.samples.extend(reached.samples);
+        outcome
+    }
+
+    /// How many samples are known to be published, are not here, and are not given up.
+    pub(super) fn behind(&self) -> u64 {
+        self.tracks.values().flatten().map(Track::behind).sum()
     }
 
     /// It has come, or come back: it may have published since.
@@ -259,6 +291,7 @@ impl<T> Follower<T> {
     ) -> Outcome<T> {
         let answer: BTreeMap<u32, T> =
             answer.into_iter().filter(|(number, _)| question.numbers.contains(number)).collect();
+        let bytes = answer.values().last().map(self.bytes_of).filter(|_| !question.newest);
         let mut rests_for = None;
         let outcome = self.change(&question.origin, |track, outcome| {
             let Some(track) = track.filter(|track| track.turn == Turn::Asked(question.id)) else {
@@ -270,6 +303,8 @@ impl<T> Follower<T> {
             };
             track.turn = Turn::Idle;
             track.has_cache |= !answer.is_empty();
+            track.bytes = bytes.unwrap_or(track.bytes);
+            track.page = if ending == Ending::Broken { track.page / 2 } else { 2 * track.page }.clamp(1, PAGE);
             let is_known = if question.newest {
                 track.learn(answer.into_keys().next_back(), ending, outcome)
             } else {
@@ -344,7 +379,7 @@ impl<T> Follower<T> {
         {
             let mut forgotten = tracks.swap_remove(oldest);
             self.held_bytes -= forgotten.held_bytes();
-            forgotten.hand_on_held(outcome);
+            forgotten.skip_to(forgotten.seen, outcome);
         }
         tracks.push(Track::new(origin));
     }
@@ -364,7 +399,7 @@ impl<T> Follower<T> {
         for (_, tracks) in self.tracks.extract_if(|_, tracks| !shows(tracks) && used(tracks) <= median) {
             for mut track in tracks {
                 self.held_bytes -= track.held_bytes();
-                track.hand_on_held(outcome);
+                track.skip_to(track.seen, outcome);
             }
         }
     }
@@ -406,6 +441,8 @@ impl<T> Track<T> {
             seen: 0,
             step: Step::Page,
             turn: Turn::Idle,
+            bytes: 0,
+            page: PAGE,
             tries: 0,
             has_cache: false,
             used: 0,
@@ -432,7 +469,9 @@ impl<T> Track<T> {
     fn page(&self, first: u32) -> RangeInclusive<u32> {
         let held = self.held.range(first..).next().map_or(self.end, |(held, _)| *held);
         let ahead = self.ahead.range(first..).next().map_or(self.end, |(from, _)| *from);
-        let last = self.end.min(held).min(ahead).min(first.saturating_add(PAGE)).saturating_sub(1);
+        let fit = PAGE_BYTES.checked_div(self.bytes).and_then(|fit| u32::try_from(fit).ok()).unwrap_or(FIRST_PAGE);
+        let page = fit.clamp(1, self.page);
+        let last = self.end.min(held).min(ahead).min(first.saturating_add(page)).saturating_sub(1);
         first..=last.max(first)
     }
 
@@ -550,19 +589,32 @@ impl<T> Track<T> {
     }
 
     fn miss_until(&mut self, number: u32, outcome: &mut Outcome<T>) {
-        let between = self.next.max(self.first)..number;
-        let common = |from: u32, to: u32| to.min(between.end).saturating_sub(from.max(between.start));
-        let came: u32 = self.ahead.iter().map(|(from, to)| common(*from, *to)).sum();
-        outcome.missed += u64::from(common(between.start, between.end) - came);
+        outcome.missed += u64::from(self.absent_below(number));
         self.next = self.next.max(number);
     }
 
+    /// How many before this number did not come, of those that are ours to miss.
+    fn absent_below(&self, number: u32) -> u32 {
+        let between = self.next.max(self.first)..number;
+        let common = |from: u32, to: u32| to.min(between.end).saturating_sub(from.max(between.start));
+        let came: u32 = self.ahead.iter().map(|(from, to)| common(*from, *to)).sum();
+        common(between.start, between.end) - came
+    }
+
+    fn behind(&self) -> u64 {
+        let held = self.held.range(self.next.max(self.first)..).count();
+        u64::from(self.absent_below(self.end)).saturating_sub(held as u64)
+    }
+
     /// Nobody answered: when to ask again. After many times there is no cache, and it goes on with what came on its own.
-    /// Of one that shows nothing that hints at a cache, once is enough: what came is not to wait for nothing.
     fn unanswered(&mut self, ending: Ending, outcome: &mut Outcome<T>) -> Option<Duration> {
         self.tries += 1;
-        let hints_at_cache = self.has_cache || self.alive.is_some() || ending == Ending::Broken;
-        if hints_at_cache && self.tries < TRIES {
+        let tries = match self.alive {
+            _ if self.has_cache || ending == Ending::Broken => TRIES,
+            Some(_) => TRIES_WITHOUT_CACHE,
+            None => 1,
+        };
+        if self.tries < tries {
             return Some(PAUSE * (1 << (self.tries - 1)));
         }
         (self.tries, self.step) = (0, Step::Page);
@@ -603,7 +655,7 @@ mod tests {
     impl World {
         fn new(cached: u32, has_token: bool) -> Self {
             let mut world = Self {
-                follower: Follower::new(100),
+                follower: Follower::new(100, |_| 10),
                 now: tokio::time::Instant::now().into_std(),
                 published: 0,
                 cached,
@@ -634,7 +686,7 @@ mod tests {
             let number = self.published;
             self.published += 1;
             if arrives && self.is_up {
-                let outcome = self.follower.live(&origin(), number, 10, number);
+                let outcome = self.follower.live(&origin(), number, number);
                 self.accept(outcome);
             }
         }
@@ -751,14 +803,14 @@ mod tests {
 
     #[test]
     fn invented_publishers_take_bounded_memory_and_leave_those_that_are_there() {
-        let mut follower = Follower::new(100);
+        let mut follower = Follower::new(100, |_| HELD_BYTES / 9);
         follower.appeared(&origin());
         let mut handed_on = Vec::new();
         for number in 0..20_000_u32 {
             let of_a_key = Origin { key: "points/v1/x/y/throw".to_owned(), zid: number.to_string(), eid: 0 };
             let of_keys = Origin { key: format!("points/v1/x/{number}/throw"), zid: "b".to_owned(), eid: 0 };
-            handed_on.extend(follower.live(&of_a_key, 5, HELD_BYTES / 9, 2 * number).samples);
-            handed_on.extend(follower.live(&of_keys, 5, HELD_BYTES / 9, 2 * number + 1).samples);
+            handed_on.extend(follower.live(&of_a_key, 5, 2 * number).samples);
+            handed_on.extend(follower.live(&of_keys, 5, 2 * number + 1).samples);
             follower.reached(&of_keys, 6);
             assert!(follower.held_bytes <= HELD_BYTES);
         }
@@ -773,11 +825,11 @@ mod tests {
 
     #[test]
     fn when_all_publishers_show_that_they_are_there_another_is_not_followed_but_heard() {
-        let mut follower = Follower::new(100);
+        let mut follower = Follower::new(100, |_| 10);
         for number in 0..100 {
             follower.appeared(&Origin { key: number.to_string(), ..origin() });
         }
-        assert_eq!(follower.live(&origin(), 5, 10, "sample").samples, ["sample"]);
+        assert_eq!(follower.live(&origin(), 5, "sample").samples, ["sample"]);
         assert_eq!(follower.tracks.len(), 100);
     }
 
@@ -786,7 +838,7 @@ mod tests {
         let mut world = World::new(1_000, true);
         (0..21).for_each(|_| world.publish(false));
         world.presence(false);
-        let outcome = world.follower.live(&origin(), 21, 10, 21);
+        let outcome = world.follower.live(&origin(), 21, 21);
         assert_eq!(outcome.samples, [21], "it is handed on");
         world.accept(outcome);
         world.settle();
@@ -846,6 +898,58 @@ mod tests {
         (0..3).for_each(|_| world.publish(true));
         world.settle();
         assert_eq!((world.distinct(), world.missed), ((0..6).collect(), 0));
+    }
+
+    #[test]
+    fn large_samples_and_slow_links_make_small_pages() {
+        let mut world = World::new(1_000, true);
+        (0..200).for_each(|_| world.publish(false));
+        world.pulse();
+        let mut page = |bytes_of: fn(&u32) -> usize, ending| {
+            world.follower.bytes_of = bytes_of;
+            let question = loop {
+                let question = world.follower.question(world.now).unwrap();
+                if !question.newest {
+                    break question;
+                }
+                world.answer(&question);
+            };
+            let answer = question.numbers.clone().map(|number| (number, number)).collect();
+            world.follower.answered(&question, answer, ending, world.now);
+            question.numbers.count()
+        };
+        let small = |_: &u32| 40_000;
+        let large = |_: &u32| 1_500_000;
+        assert_eq!([page(small, Ending::Complete), page(small, Ending::Complete)], [4, 26]);
+        assert_eq!([page(large, Ending::Complete), page(small, Ending::Broken)], [26, 1]);
+        assert_eq!([page(small, Ending::Broken), page(small, Ending::Complete)], [16, 8]);
+        assert_eq!(page(small, Ending::Complete), 16);
+    }
+
+    #[test]
+    fn what_found_no_room_is_behind_until_it_is_asked_for_and_missed_when_it_cannot_be() {
+        let mut world = World::new(100, true);
+        world.publish(true);
+        let refuse = |world: &mut World| {
+            (0..10).for_each(|_| world.publish(false));
+            (world.published - 10..world.published).for_each(|number| {
+                let outcome = world.follower.refused(&origin(), number);
+                world.accept(outcome);
+            });
+        };
+        refuse(&mut world);
+        assert_eq!(world.follower.behind(), 10);
+        world.settle();
+        assert_eq!((world.distinct(), world.follower.behind(), world.missed), ((0..11).collect(), 0, 0));
+        refuse(&mut world);
+        world.presence(false);
+        world.settle();
+        assert_eq!((world.follower.behind(), world.missed), (10, 0), "it may come back");
+        for other in (0..ORIGINS).map(|other| Origin { zid: format!("b{other}"), ..origin() }) {
+            let outcome = world.follower.appeared(&other);
+            world.accept(outcome);
+        }
+        assert_eq!((world.follower.behind(), world.missed), (0, 10), "others came in its place");
     }
 
     #[test]

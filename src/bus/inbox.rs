@@ -45,6 +45,8 @@ const TRIES: u32 = 4;
 /// From one question to all caches to the next; doubled after one that failed, up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_secs(5);
 const LONGEST_PAUSE: Duration = Duration::from_mins(1);
+/// How often it is counted what is behind.
+const LOOK: Duration = Duration::from_secs(1);
 
 /// One message as it arrived.
 #[derive(Debug)]
@@ -100,10 +102,14 @@ impl Limits {
 pub struct InboxCounters {
     /// Messages that arrived, on their own or from a cache.
     pub received: AtomicU64,
-    /// Messages that were dropped because the queue was full, and that no cache can be asked for.
+    /// Messages without a number that were dropped because the queue was full.
     pub dropped: AtomicU64,
-    /// Messages that were published and did not arrive, and that no cache has any more.
+    /// Messages that were published and did not arrive, and that no cache has any more. While the queue overflows, some that
+    /// wait in it are counted with them.
     pub missed: AtomicU64,
+    /// Messages that were published and are not here yet: they are in the caches of their publishers, which are asked, or
+    /// cannot be reached now. As of a second ago.
+    pub behind: AtomicU64,
     room: Room,
 }
 
@@ -119,6 +125,8 @@ impl InboxCounters {
 enum Signal {
     /// It is so far.
     Reached(Origin, u32),
+    /// This sample came and found no room.
+    Refused(Origin, u32),
     /// It is there, or is there no longer.
     Presence(Origin, bool),
     /// On this key there is a cache without numbers.
@@ -147,6 +155,7 @@ pub struct Inbox {
     all: JoinSet<bool>,
     all_from: Instant,
     all_pause: Duration,
+    looked_at: Instant,
 }
 
 /// What an answer is about.
@@ -184,13 +193,14 @@ impl Inbox {
             callbacks,
             messages,
             signals,
-            follower: Follower::new(limits.max_machines + KEYS),
+            follower: Follower::new(limits.max_machines + KEYS, Message::room),
             unnumbered: VecDeque::new(),
             asked: HashMap::new(),
             answers: JoinSet::new(),
             all: JoinSet::new(),
             all_from: Instant::now(),
             all_pause: FIRST_PAUSE,
+            looked_at: Instant::now(),
         };
         inbox.listen().await.map_err(BusError::new(format!("subscribe to {key_expression}")))?;
         Ok(inbox)
@@ -220,6 +230,10 @@ impl Inbox {
     /// after [`Self::close`], once the queue is empty. When it is dropped while it waits, nothing is lost.
     pub async fn receive(&mut self, batch: &mut Vec<Message>, limit: usize) -> usize {
         let before = batch.len();
+        if self.looked_at.elapsed() >= LOOK {
+            self.looked_at = Instant::now();
+            self.callbacks.counters.behind.store(self.follower.behind(), Relaxed);
+        }
         while batch.len() == before {
             self.ask();
             let wakes_at = self.wakes_at();
@@ -333,8 +347,7 @@ impl Inbox {
         self.callbacks.counters.room.give_back(&message.key, message.room());
         match number {
             Some((origin, number)) => {
-                let bytes = message.room();
-                let outcome = self.follower.live(&origin, number, bytes, message);
+                let outcome = self.follower.live(&origin, number, message);
                 self.hand_on(outcome, batch);
             }
             None => batch.push(message),
@@ -344,6 +357,7 @@ impl Inbox {
     fn heed(&mut self, signal: Signal, batch: &mut Vec<Message>) {
         let outcome = match signal {
             Signal::Reached(origin, number) => self.follower.reached(&origin, number),
+            Signal::Refused(origin, number) => self.follower.refused(&origin, number),
             Signal::Presence(origin, true) => self.follower.appeared(&origin),
             Signal::Presence(origin, false) => self.follower.gone(&origin),
             Signal::Unnumbered(key) => {
@@ -422,22 +436,25 @@ impl Callbacks {
         let room = self.limits.kept(sample.payload().len()) + key.len() + content_type.len();
         let number = cache::origin(sample);
         if !self.counters.room.take(key, room) {
-            return self.refuse(number);
+            return self.refuse(sample, number);
         }
         if let Err(error) = self.messages.try_send((Message::of(sample, self.limits), number)) {
             self.counters.room.give_back(key, room);
-            return self.refuse(error.into_inner().1);
+            return self.refuse(sample, error.into_inner().1);
         }
         self.counters.received.fetch_add(1, Relaxed);
     }
 
-    /// There is no room: what has a number is asked for later.
-    fn refuse(&self, number: Option<(Origin, u32)>) {
+    /// There is no room. What has a number is asked for later, and missed when it is not there; of the others some may be
+    /// in a cache.
+    fn refuse(&self, sample: &Sample, number: Option<(Origin, u32)>) {
         if let Some((origin, number)) = number {
-            self.signal(Signal::Reached(origin, number));
-        } else {
-            self.counters.received.fetch_add(1, Relaxed);
-            self.counters.dropped.fetch_add(1, Relaxed);
+            return self.signal(Signal::Refused(origin, number));
+        }
+        self.counters.received.fetch_add(1, Relaxed);
+        self.counters.dropped.fetch_add(1, Relaxed);
+        if sample.timestamp().is_some() {
+            self.lost_track.store(true, Relaxed);
         }
     }
 

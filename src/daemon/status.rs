@@ -68,8 +68,11 @@ pub struct StatusReport {
     pub received: u64,
     /// Messages dropped before storing because too many waited.
     pub dropped: u64,
-    /// Samples that zenoh reports as missed beyond recovery.
+    /// Messages that were published and did not come, and that no cache has any more.
     pub missed: u64,
+    /// Messages that were published and are not here yet: they are in the caches of their loggers.
+    #[serde(default)]
+    pub behind: u64,
     /// Throws stored.
     pub stored: u64,
     /// Throws that were stored before.
@@ -162,6 +165,7 @@ impl Gauges {
             received: self.inbox.received.load(Relaxed),
             dropped: self.inbox.dropped.load(Relaxed),
             missed: self.inbox.missed.load(Relaxed),
+            behind: self.inbox.behind.load(Relaxed),
             stored: status.stored.load(Relaxed),
             duplicates: status.duplicates.load(Relaxed),
             quarantined: status.quarantined.load(Relaxed),
@@ -201,6 +205,9 @@ impl StatusReport {
         }
         if self.dropped + self.lost > 0 {
             parts.push(format!("{} messages LOST", self.dropped + self.lost));
+        }
+        if self.behind > 0 {
+            parts.push(format!("{} messages are still in the caches of loggers", self.behind));
         }
         parts.push(format!(
             "{} loggers, {} throws stored, {} judged ({} not evaluated), {} in quarantine",

@@ -81,6 +81,8 @@ fn throws(registry: &mut Registry, view: &View) {
         refused.get_or_create(&[("reason", reason)]).inc_by(number);
     }
     registry.register("throws_not_evaluated", "Judged throws that gave no estimate, by reason", refused);
+    let behind = ConstGauge::new(report.behind.cast_signed());
+    registry.register("throws_behind", "Throws that are still in the caches of their loggers", behind);
     gauge(
         registry,
         "inbox",

