@@ -97,7 +97,7 @@ impl Limits {
     }
 }
 
-/// Counts that only grow.
+/// Counts that only grow, and what is behind.
 #[derive(Debug, Default)]
 pub struct InboxCounters {
     /// Messages that arrived, on their own or from a cache.
