@@ -87,7 +87,7 @@ pub(super) fn parse(key: &str) -> Option<Cache> {
 }
 
 /// Whether it is one key, of a length that a machine's has.
-fn is_concrete(key: &str) -> bool {
+pub(super) fn is_concrete(key: &str) -> bool {
     key.len() <= KEY && !key.contains(['*', '$', '?', '#'])
 }
 

@@ -59,6 +59,8 @@ pub(super) struct Question {
     pub(super) numbers: RangeInclusive<u32>,
     /// Only the newest of them.
     pub(super) newest: bool,
+    /// The number that came next when it was asked.
+    next: u32,
     id: u64,
 }
 
@@ -137,6 +139,8 @@ struct Track<T> {
     has_cache: bool,
     /// When it was last heard of, by the follower's clock.
     used: u64,
+    /// Since when its numbers are those of now.
+    since: u64,
 }
 
 /// Where the asking is.
@@ -187,7 +191,9 @@ impl<T> Follower<T> {
         self.change(origin, |track, outcome| {
             let Some(track) = track else { return outcome.samples.push(sample) };
             if number.saturating_add(RESTART) < track.next || number == 0 && track.next > 1 {
+                // Or pages overtook one that waited in the queue: the probe tells.
                 track.restart(outcome);
+                track.step = Step::Probe;
             }
             track.end = track.end.max(number.saturating_add(1));
             track.seen = track.seen.max(number.saturating_add(1));
@@ -197,7 +203,7 @@ impl<T> Follower<T> {
             if number == track.next {
                 track.hand_on(number, sample, outcome);
             } else if number > track.next && can_wait {
-                track.held.insert(number, (bytes, sample));
+                outcome.samples.extend(track.held.insert(number, (bytes, sample)).map(|(_, displaced)| displaced));
             } else {
                 track.hand_on_ahead(number, sample, outcome);
             }
@@ -220,13 +226,16 @@ impl<T> Follower<T> {
 
     /// A sample came on its own, and there was no room for it.
     pub(super) fn refused(&mut self, origin: &Origin, number: u32) -> Outcome<T> {
-        let mut outcome = self.change(origin, |track, outcome| match track {
-            Some(track) => track.seen = track.seen.max(number.saturating_add(1)),
+        let mut outcome = self.reached(origin, number);
+        let refused = self.change(origin, |track, outcome| match track {
+            Some(track) => {
+                track.seen = track.seen.max(number.saturating_add(1));
+                track.first = track.first.min(number);
+            }
             None => outcome.missed += 1,
         });
-        let reached = self.reached(origin, number);
-        outcome.missed += reached.missed;
-        outcome.samples.extend(reached.samples);
+        outcome.missed += refused.missed;
+        outcome.samples.extend(refused.samples);
         outcome
     }
 
@@ -269,7 +278,8 @@ impl<T> Follower<T> {
             if let Some((numbers, newest)) = track.question() {
                 self.clock += 1;
                 track.turn = Turn::Asked(self.clock);
-                return Some(Question { origin, numbers, newest, id: self.clock });
+                let next = track.next;
+                return Some(Question { origin, numbers, newest, next, id: self.clock });
             }
             track.turn = Turn::Idle;
         }
@@ -294,25 +304,29 @@ impl<T> Follower<T> {
         let bytes = answer.values().last().map(self.bytes_of).filter(|_| !question.newest);
         let mut rests_for = None;
         let outcome = self.change(&question.origin, |track, outcome| {
-            let Some(track) = track.filter(|track| track.turn == Turn::Asked(question.id)) else {
-                // It went or came meanwhile, or was forgotten: what is missing here may not be missing now.
-                if !question.newest {
-                    outcome.samples.extend(answer.into_values());
-                }
-                return;
+            let Some(track) = track else {
+                return outcome.samples.extend(answer.into_values().filter(|_| !question.newest));
             };
+            if track.turn != Turn::Asked(question.id) {
+                return track.hear_late(question, answer, outcome);
+            }
             track.turn = Turn::Idle;
             track.has_cache |= !answer.is_empty();
             track.bytes = bytes.unwrap_or(track.bytes);
-            track.page = if ending == Ending::Broken { track.page / 2 } else { 2 * track.page }.clamp(1, PAGE);
+            let page = track.page;
             let is_known = if question.newest {
-                track.learn(answer.into_keys().next_back(), ending, outcome)
+                track.learn(answer.into_keys().next_back(), question.next, ending, outcome)
             } else {
+                track.page = match ending {
+                    Ending::Complete => (2 * page).min(PAGE),
+                    Ending::Broken => (page / 2).max(1),
+                    Ending::Unasked => page,
+                };
                 track.turn_page(answer, ending, outcome)
             };
             if is_known {
                 track.tries = 0;
-            } else if ending == Ending::Unasked {
+            } else if ending == Ending::Unasked || track.page < page {
                 rests_for = Some(PAUSE);
             } else {
                 rests_for = track.unanswered(ending, outcome);
@@ -380,8 +394,9 @@ impl<T> Follower<T> {
             let mut forgotten = tracks.swap_remove(oldest);
             self.held_bytes -= forgotten.held_bytes();
             forgotten.skip_to(forgotten.seen, outcome);
+            forgotten.hand_on_held(outcome);
         }
-        tracks.push(Track::new(origin));
+        tracks.push(Track::new(origin, self.clock));
     }
 
     /// Forgets those that were not heard of for longest, of those that do not show that they are there.
@@ -400,6 +415,7 @@ impl<T> Follower<T> {
             for mut track in tracks {
                 self.held_bytes -= track.held_bytes();
                 track.skip_to(track.seen, outcome);
+                track.hand_on_held(outcome);
             }
         }
     }
@@ -428,7 +444,7 @@ fn of<'a, T>(tracks: &'a mut HashMap<String, Vec<Track<T>>>, origin: &Origin) ->
 }
 
 impl<T> Track<T> {
-    fn new(origin: &Origin) -> Self {
+    fn new(origin: &Origin, since: u64) -> Self {
         Self {
             zid: origin.zid.clone(),
             eid: origin.eid,
@@ -446,6 +462,7 @@ impl<T> Track<T> {
             tries: 0,
             has_cache: false,
             used: 0,
+            since,
         }
     }
 
@@ -461,7 +478,7 @@ impl<T> Track<T> {
             _ if self.next >= self.end => None,
             Step::Page => Some((self.page(self.next), false)),
             Step::From(first) => Some((self.page(first), false)),
-            Step::Newest => Some((self.next..=self.end - 1, true)),
+            Step::Newest => Some((self.next..=u32::MAX, true)),
             Step::Oldest { low, high } => Some((low..=middle(low, high), true)),
         }
     }
@@ -480,20 +497,37 @@ impl<T> Track<T> {
         (self.alive, self.step, self.turn, self.tries) = (Some(is_there), step, Turn::Idle, 0);
     }
 
-    /// The answer to a question for the newest. Whether there was one.
-    fn learn(&mut self, newest: Option<u32>, ending: Ending, outcome: &mut Outcome<T>) -> bool {
+    /// The answer to a question that is no longer the one that is asked: it went, came or began anew meanwhile, and what is
+    /// missing in it may not be missing now.
+    fn hear_late(&mut self, question: &Question, answer: BTreeMap<u32, T>, outcome: &mut Outcome<T>) {
+        for (number, sample) in answer.into_iter().filter(|_| !question.newest) {
+            if self.since > question.id {
+                outcome.samples.push(sample);
+            } else if number == self.next {
+                self.hand_on(number, sample, outcome);
+            } else {
+                self.hand_on_ahead(number, sample, outcome);
+            }
+        }
+    }
+
+    /// The answer to a question for the newest, and the number that came next when it was asked. Whether there was one.
+    fn learn(&mut self, newest: Option<u32>, next: u32, ending: Ending, outcome: &mut Outcome<T>) -> bool {
         match (self.step, newest) {
             (_, None) if ending != Ending::Complete => return false,
             (Step::Newest, None) => return false,
             (Step::Probe, newest) => {
                 let end = newest.map_or(0, |newest| newest.saturating_add(1));
-                if newest.is_some() && end < self.next {
+                if newest.is_some() && end < next {
                     self.restart(outcome);
                 }
                 self.end = self.end.max(end);
                 self.step = Step::Page;
             }
-            (Step::Newest, Some(newest)) => self.narrow(self.next, newest),
+            (Step::Newest, Some(newest)) => {
+                self.end = self.end.max(newest.saturating_add(1));
+                self.narrow(self.next, newest);
+            }
             (Step::Oldest { low, .. }, Some(newest)) => self.narrow(low, newest),
             (Step::Oldest { low, high }, None) => self.narrow(middle(low, high) + 1, high),
             (Step::Page | Step::From(_), _) => {}
@@ -527,6 +561,7 @@ impl<T> Track<T> {
     fn restart(&mut self, outcome: &mut Outcome<T>) {
         self.hand_on_held(outcome);
         self.ahead.clear();
+        self.since = self.used;
         (self.next, self.end, self.seen, self.first) = (0, 0, 0, u32::MAX);
         (self.step, self.turn, self.tries) = (Step::Page, Turn::Idle, 0);
     }
@@ -687,6 +722,15 @@ mod tests {
             self.published += 1;
             if arrives && self.is_up {
                 let outcome = self.follower.live(&origin(), number, number);
+                self.accept(outcome);
+            }
+        }
+
+        /// Publishes what arrives and finds no room.
+        fn refuse(&mut self, count: u32) {
+            for _ in 0..count {
+                let outcome = self.follower.refused(&origin(), self.published);
+                self.published += 1;
                 self.accept(outcome);
             }
         }
@@ -887,6 +931,33 @@ mod tests {
     }
 
     #[test]
+    fn a_late_answer_to_a_probe_is_no_restart() {
+        let mut world = World::new(100, true);
+        world.publish(true);
+        let probe = world.follower.question(world.now).unwrap();
+        world.publish(true);
+        world.refuse(2);
+        let outcome = world.follower.answered(&probe, vec![(0, 0)], Ending::Complete, world.now);
+        world.accept(outcome);
+        world.settle();
+        assert_eq!((world.handed_on.clone(), world.missed), (vec![0, 1, 2, 3], 0));
+    }
+
+    #[test]
+    fn a_first_sample_that_waited_while_pages_overtook_it_leaves_nothing_behind() {
+        let mut world = World::new(100, true);
+        (0..4).for_each(|_| world.publish(false));
+        world.pulse();
+        world.settle();
+        world.publish(true);
+        world.refuse(1);
+        let outcome = world.follower.live(&origin(), 0, 0);
+        world.accept(outcome);
+        world.settle();
+        assert_eq!((world.distinct(), world.follower.behind(), world.missed), ((0..6).collect(), 0, 0));
+    }
+
+    #[test]
     fn what_is_only_claimed_is_not_missed() {
         let mut world = World::new(8, true);
         (0..3).for_each(|_| world.publish(true));
@@ -929,19 +1000,11 @@ mod tests {
     #[test]
     fn what_found_no_room_is_behind_until_it_is_asked_for_and_missed_when_it_cannot_be() {
         let mut world = World::new(100, true);
-        world.publish(true);
-        let refuse = |world: &mut World| {
-            (0..10).for_each(|_| world.publish(false));
-            (world.published - 10..world.published).for_each(|number| {
-                let outcome = world.follower.refused(&origin(), number);
-                world.accept(outcome);
-            });
-        };
-        refuse(&mut world);
+        world.refuse(10);
         assert_eq!(world.follower.behind(), 10);
         world.settle();
-        assert_eq!((world.distinct(), world.follower.behind(), world.missed), ((0..11).collect(), 0, 0));
-        refuse(&mut world);
+        assert_eq!((world.distinct(), world.follower.behind(), world.missed), ((0..10).collect(), 0, 0));
+        world.refuse(10);
         world.presence(false);
         world.settle();
         assert_eq!((world.follower.behind(), world.missed), (10, 0), "it may come back");

@@ -477,10 +477,12 @@ impl Callbacks {
     }
 
     fn found(&self, sample: &Sample) {
-        self.signal(match cache::origin(sample) {
-            Some((origin, number)) => Signal::Reached(origin, number),
-            None => Signal::Unnumbered(sample.key_expr().as_str().to_owned()),
-        });
+        let key = sample.key_expr().as_str();
+        match cache::origin(sample) {
+            Some((origin, number)) => self.signal(Signal::Reached(origin, number)),
+            None if cache::is_concrete(key) => self.signal(Signal::Unnumbered(key.to_owned())),
+            None => {}
+        }
     }
 
     fn signal(&self, signal: Signal) {
