@@ -22,14 +22,13 @@ use zenoh::{
 use super::{
     follow::{Ending, Origin, PAGE, Question},
     inbox::{Limits, Message},
+    room,
 };
 
 /// What comes of a page is kept up to here \[bytes\]; the rest is asked for again.
 const PAGE_BYTES: usize = 4 << 20;
 /// What comes of a cache that cannot be asked in pages is kept up to here \[bytes\].
 const WHOLE_BYTES: usize = 64 << 20;
-/// What a message counts at least \[bytes\].
-const LEAST: usize = 8 << 10;
 /// Longest key of the data: longer ones are of no machine. Zenoh's ids have up to 32 digits.
 const KEY: usize = 256;
 const ID: usize = 32;
@@ -148,7 +147,7 @@ async fn collect(
         if samples.len() >= most || *bytes >= most_bytes {
             *left += 1;
         } else if let Some((number, message)) = read(sample) {
-            *bytes += message.room().max(LEAST);
+            *bytes += message.room().max(room::LEAST);
             samples.push((number, message));
         }
     });

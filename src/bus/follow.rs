@@ -195,8 +195,8 @@ impl<T> Follower<T> {
                 track.restart(outcome);
                 track.step = Step::Probe;
             }
-            track.end = track.end.max(number.saturating_add(1));
-            track.seen = track.seen.max(number.saturating_add(1));
+            track.knows_of(number);
+            track.has_seen(number);
             track.bytes = bytes;
             // One that waited in the queue while its publisher went says nothing about the publisher.
             let can_wait = has_room && track.held.len() < HELD && track.alive != Some(false);
@@ -213,30 +213,22 @@ impl<T> Follower<T> {
     /// It has published up to this number.
     pub(super) fn reached(&mut self, origin: &Origin, number: u32) -> Outcome<T> {
         self.change(origin, |track, outcome| {
-            let Some(track) = track else { return };
-            if number.saturating_add(RESTART) < track.next {
-                track.restart(outcome);
-            }
-            track.end = track.end.max(number.saturating_add(1));
-            if track.alive == Some(false) {
-                track.alive = None;
+            if let Some(track) = track {
+                track.reach(number, outcome);
             }
         })
     }
 
     /// A sample came on its own, and there was no room for it.
     pub(super) fn refused(&mut self, origin: &Origin, number: u32) -> Outcome<T> {
-        let mut outcome = self.reached(origin, number);
-        let refused = self.change(origin, |track, outcome| match track {
+        self.change(origin, |track, outcome| match track {
             Some(track) => {
-                track.seen = track.seen.max(number.saturating_add(1));
+                track.reach(number, outcome);
+                track.has_seen(number);
                 track.first = track.first.min(number);
             }
             None => outcome.missed += 1,
-        });
-        outcome.missed += refused.missed;
-        outcome.samples.extend(refused.samples);
-        outcome
+        })
     }
 
     /// How many samples are known to be published, are not here, and are not given up.
@@ -391,10 +383,7 @@ impl<T> Follower<T> {
         if tracks.len() >= ORIGINS
             && let Some(oldest) = (0..tracks.len()).min_by_key(|&at| (tracks[at].alive == Some(true), tracks[at].used))
         {
-            let mut forgotten = tracks.swap_remove(oldest);
-            self.held_bytes -= forgotten.held_bytes();
-            forgotten.skip_to(forgotten.seen, outcome);
-            forgotten.hand_on_held(outcome);
+            self.held_bytes -= tracks.swap_remove(oldest).forgotten(outcome);
         }
         tracks.push(Track::new(origin, self.clock));
     }
@@ -412,10 +401,8 @@ impl<T> Follower<T> {
         let (_, median, _) = candidates.select_nth_unstable(middle);
         let median = *median;
         for (_, tracks) in self.tracks.extract_if(|_, tracks| !shows(tracks) && used(tracks) <= median) {
-            for mut track in tracks {
-                self.held_bytes -= track.held_bytes();
-                track.skip_to(track.seen, outcome);
-                track.hand_on_held(outcome);
+            for track in tracks {
+                self.held_bytes -= track.forgotten(outcome);
             }
         }
     }
@@ -492,6 +479,33 @@ impl<T> Track<T> {
         first..=last.max(first)
     }
 
+    /// It is forgotten: hands on what is held, and misses what was seen and is not here. Returns the bytes that were held.
+    fn forgotten(mut self, outcome: &mut Outcome<T>) -> usize {
+        let freed = self.held_bytes();
+        self.skip_to(self.seen, outcome);
+        self.hand_on_held(outcome);
+        freed
+    }
+
+    /// It has published up to a number, and so is there, whatever its token says.
+    fn reach(&mut self, number: u32, outcome: &mut Outcome<T>) {
+        if number.saturating_add(RESTART) < self.next {
+            self.restart(outcome);
+        }
+        self.knows_of(number);
+        if self.alive == Some(false) {
+            self.alive = None;
+        }
+    }
+
+    fn knows_of(&mut self, number: u32) {
+        self.end = self.end.max(number.saturating_add(1));
+    }
+
+    fn has_seen(&mut self, number: u32) {
+        self.seen = self.seen.max(number.saturating_add(1));
+    }
+
     /// Its token came or went: a question that is on its way says nothing any more.
     fn visit(&mut self, is_there: bool, step: Step) {
         (self.alive, self.step, self.turn, self.tries) = (Some(is_there), step, Turn::Idle, 0);
@@ -525,7 +539,7 @@ impl<T> Track<T> {
                 self.step = Step::Page;
             }
             (Step::Newest, Some(newest)) => {
-                self.end = self.end.max(newest.saturating_add(1));
+                self.knows_of(newest);
                 self.narrow(self.next, newest);
             }
             (Step::Oldest { low, .. }, Some(newest)) => self.narrow(low, newest),

@@ -8,11 +8,10 @@ use std::{
 /// All there is \[bytes\]: about a second of the database's measured rate of 40 kB throws.
 const ROOM: usize = 128 << 20;
 /// What a message takes at least \[bytes\]: bounds the number of small ones.
-const LEAST: usize = 8 << 10;
+pub(super) const LEAST: usize = 8 << 10;
 /// Most messages that there can be.
 pub(super) const MESSAGES: usize = ROOM / LEAST;
-/// Above half of the room, what one key may take \[bytes\]: 64 throws of 64 kB, as a logger's cache sends them after a
-/// cut.
+/// Above half of the room, what one key may take \[bytes\]: 64 throws of 64 kB.
 const SHARE: usize = ROOM / 32;
 /// Keys are told apart by their hash: two that fall together share their part.
 const PARTS: usize = 1_024;
