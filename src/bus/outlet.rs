@@ -1,35 +1,25 @@
-//! What the daemon publishes, from a thread of its own: a put waits inside zenoh while a link is slow.
+//! Publishes alarms and health from a thread of its own: a put waits inside zenoh while a link is slow.
 
 use std::{
-    collections::HashMap,
     convert::Infallible,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
     },
     thread,
-    time::Duration,
 };
 
 use tokio::sync::{mpsc, oneshot};
 use zenoh::{Session, Wait, bytes::Encoding, qos::CongestionControl};
-use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
-use super::BusError;
+use super::error::BusError;
 
 /// Messages that may wait for the thread: health of a burst of throws. Alarms wait for their answer and are few.
 const QUEUE: usize = 1_024;
-/// Events of one machine's alarms that its publisher keeps for those who come late or missed some.
-const CACHE: usize = 64;
-/// How often a publisher tells what it sent last, so that a lost last event is noticed.
-const HEARTBEAT: Duration = Duration::from_secs(1);
-/// Machines with an alarm publisher of their own; alarms of further ones are published without a cache.
-const MAX_PUBLISHERS: usize = 4_096;
-
 /// Counts that only grow.
 #[derive(Debug, Default)]
 pub struct OutletCounters {
-    /// Messages that zenoh took.
+    /// Messages that zenoh accepted.
     pub published: AtomicU64,
     /// Health messages that were dropped because the thread was busy. They stay in the database.
     pub dropped: AtomicU64,
@@ -42,7 +32,7 @@ enum Job {
     Health { key: String, payload: Vec<u8> },
 }
 
-/// The way to the publishing thread. It ends when the last of these is dropped.
+/// A handle to the publishing thread. It ends when the last of these is dropped.
 #[derive(Clone)]
 pub struct Outlet {
     jobs: mpsc::Sender<Job>,
@@ -110,52 +100,24 @@ impl Outlet {
 }
 
 fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, counters: &OutletCounters) {
-    let mut publishers = HashMap::new();
     while let Some(job) = jobs.blocking_recv() {
-        let result = match job {
+        let is_published = match job {
             Job::Alarm { key, payload, done } => {
-                let result = put_alarm(session, &mut publishers, &key, payload);
-                let taken = result.is_ok();
-                // Whoever asked may have given up; the event is published all the same.
+                // Alarms wait for a slow link.
+                let result = put(session, key, payload, CongestionControl::Block);
+                let is_published = result.is_ok();
+                // The asker may have given up; the event is published all the same.
                 let _ = done.send(result);
-                taken
+                is_published
             }
-            Job::Health { key, payload } => session
-                .put(key, payload)
-                .encoding(Encoding::APPLICATION_JSON)
-                .congestion_control(CongestionControl::Drop)
-                .wait()
-                .is_ok(),
+            Job::Health { key, payload } => put(session, key, payload, CongestionControl::Drop).is_ok(),
         };
-        let counter = if result { &counters.published } else { &counters.refused };
+        let counter = if is_published { &counters.published } else { &counters.refused };
         counter.fetch_add(1, Relaxed);
     }
 }
 
-fn put_alarm(
-    session: &Session,
-    publishers: &mut HashMap<String, AdvancedPublisher<'static>>,
-    key: &str,
-    payload: Vec<u8>,
-) -> Result<(), BusError> {
-    if !publishers.contains_key(key) && publishers.len() < MAX_PUBLISHERS {
-        let publisher = declare(session, key).map_err(BusError::new(format!("declare a publisher on {key}")))?;
-        publishers.insert(key.to_owned(), publisher);
-    }
-    let put = match publishers.get(key) {
-        Some(publisher) => publisher.put(payload).wait(),
-        None => session.put(key.to_owned(), payload).encoding(Encoding::APPLICATION_JSON).wait(),
-    };
-    put.map_err(BusError::new(format!("publish on {key}")))
-}
-
-fn declare(session: &Session, key: &str) -> zenoh::Result<AdvancedPublisher<'static>> {
-    session
-        .declare_publisher(key.to_owned())
-        .encoding(Encoding::APPLICATION_JSON)
-        .congestion_control(CongestionControl::Block)
-        .cache(CacheConfig::default().max_samples(CACHE))
-        .sample_miss_detection(MissDetectionConfig::default().sporadic_heartbeat(HEARTBEAT))
-        .publisher_detection()
-        .wait()
+fn put(session: &Session, key: String, payload: Vec<u8>, congestion: CongestionControl) -> Result<(), BusError> {
+    let failed = BusError::new(format!("publish on {key}"));
+    session.put(key, payload).encoding(Encoding::APPLICATION_JSON).congestion_control(congestion).wait().map_err(failed)
 }

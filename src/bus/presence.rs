@@ -1,4 +1,4 @@
-//! Who is there: loggers, whose liveliness tokens come and go, and those who listen to what is published.
+//! Liveliness tokens of loggers, and whether a subscriber matches what is published.
 
 use tokio::sync::mpsc;
 use zenoh::{
@@ -7,17 +7,17 @@ use zenoh::{
     sample::{Sample, SampleKind},
 };
 
-use super::BusError;
+use super::error::BusError;
 
-/// Changes that may wait: a cut link takes all tokens of a region away at once.
+/// Capacity of the queue of changes: a cut link takes all tokens of a region away at once.
 const QUEUE: usize = 16_384;
 
-/// A logger came or went.
+/// A liveliness token appeared or went.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Presence {
     /// The key of its token.
     pub key: String,
-    /// Whether it is there.
+    /// Whether the token is there.
     pub alive: bool,
 }
 
@@ -41,7 +41,7 @@ impl PresenceWatch {
             .callback(move |sample: Sample| {
                 let presence = Presence { key: sample.key_expr().to_string(), alive: sample.kind() == SampleKind::Put };
                 if sender.try_send(presence).is_err() {
-                    tracing::warn!(key = %sample.key_expr(), "too many loggers come and go: one change was not seen");
+                    tracing::warn!(key = %sample.key_expr(), "too many changes of liveliness at once: one is lost");
                 }
             })
             .await
@@ -55,20 +55,20 @@ impl PresenceWatch {
     }
 }
 
-/// Those who listen on a key expression.
+/// Subscribers to a key expression.
 pub struct Audience(Publisher<'static>);
 
 impl Audience {
-    /// Whoever subscribes to something in the key expression.
+    /// Watches the subscribers to any key in the key expression.
     ///
     /// # Errors
     /// When zenoh refuses it.
     pub async fn of(session: &Session, key_expression: &str) -> Result<Self, BusError> {
         let publisher = session.declare_publisher(key_expression.to_owned()).await;
-        publisher.map(Self).map_err(BusError::new(format!("see who listens on {key_expression}")))
+        publisher.map(Self).map_err(BusError::new(format!("see the subscribers to {key_expression}")))
     }
 
-    /// Whether anybody listens now.
+    /// Whether a subscriber is connected now.
     pub async fn is_there(&self) -> bool {
         self.0.matching_status().await.is_ok_and(|status| status.matching())
     }

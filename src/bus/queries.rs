@@ -1,4 +1,4 @@
-//! Questions that others ask: queries on health, alarms and commands, through a bounded queue.
+//! Queries on health, alarms and commands, through a bounded queue.
 
 use tokio::{sync::mpsc, task};
 use zenoh::{
@@ -7,11 +7,11 @@ use zenoh::{
     query::{Query, Queryable},
 };
 
-use super::BusError;
+use super::{error::BusError, session::intersect};
 
-/// Questions that may wait; a dashboard asks a few a second. Whoever asks beyond that gets no answer and asks again.
+/// Capacity of the queue: a dashboard asks a few times a second. A query above it gets no answer; its sender asks again.
 const QUEUE: usize = 64;
-/// How much of a question's payload is read: commands are a few hundred bytes.
+/// Bytes of a payload that are read: commands are a few hundred bytes.
 const MAX_PAYLOAD: usize = 64 << 10;
 
 /// One question.
@@ -32,6 +32,12 @@ impl Question {
         self.query.parameters().as_str()
     }
 
+    /// A value among the parameters, as `?name=value`.
+    #[must_use]
+    pub fn parameter(&self, name: &str) -> Option<&str> {
+        self.query.parameters().get(name)
+    }
+
     /// The payload, cut to what a command can hold.
     #[must_use]
     pub fn payload(&self) -> Vec<u8> {
@@ -47,18 +53,18 @@ impl Question {
     /// Whether a key is among those asked about.
     #[must_use]
     pub fn asks_about(&self, key: &str) -> bool {
-        super::intersect(self.key(), key)
+        intersect(self.key(), key)
     }
 }
 
-/// A queryable and the questions that wait.
+/// A queryable and its queue.
 pub struct Questions {
     waiting: mpsc::Receiver<Question>,
     _queryable: Queryable<()>,
 }
 
 impl Questions {
-    /// Declares that questions on a key expression are answered here.
+    /// Declares the queryable.
     ///
     /// # Errors
     /// When zenoh refuses the key expression.

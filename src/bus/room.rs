@@ -1,27 +1,27 @@
-//! Room for messages that wait, shared so that whoever fills it leaves some for the others.
+//! The memory of the inbox, shared so that one sender leaves room for the others.
 
 use std::{
     hash::{BuildHasher, RandomState},
     sync::atomic::{AtomicUsize, Ordering::Relaxed},
 };
 
-/// All there is \[bytes\]: about a second of the database's measured rate of 40 kB throws.
+/// Capacity \[bytes\]: about a second of the database's measured rate of 40 kB throws.
 const ROOM: usize = 128 << 20;
-/// What a message takes at least \[bytes\]: bounds the number of small ones.
+/// Least size that a message counts with \[bytes\]: bounds the number of small messages.
 pub(super) const LEAST: usize = 8 << 10;
-/// Most messages that there can be.
+/// Most messages in the inbox.
 pub(super) const MESSAGES: usize = ROOM / LEAST;
-/// Above half of the room, what one key may take \[bytes\]: 64 throws of 64 kB.
+/// Share of one key once half of the capacity is taken \[bytes\]: 64 throws of 64 kB.
 const SHARE: usize = ROOM / 32;
-/// Keys are told apart by their hash: two that fall together share their part.
+/// Keys are counted by their hash: two keys with the same hash share one part.
 const PARTS: usize = 1_024;
 
-/// The room and who has how much of it.
+/// The capacity, and how much of it each key has taken.
 #[derive(Debug)]
 pub(super) struct Room {
     taken: AtomicUsize,
     parts: Vec<AtomicUsize>,
-    /// Keyed at random, so that nobody can choose a key that falls together with another's.
+    /// Keyed at random, so that a sender cannot choose a key with the hash of another.
     hasher: RandomState,
 }
 
@@ -31,12 +31,12 @@ impl Room {
         Self { taken: AtomicUsize::new(0), parts, hasher: RandomState::new() }
     }
 
-    /// What is taken \[bytes\].
+    /// Bytes that are taken.
     pub(super) fn taken(&self) -> usize {
         self.taken.load(Relaxed)
     }
 
-    /// Takes room for a message. False when there is none, or none for more messages of this key.
+    /// Takes room for a message. False when all is taken, or this key has its share.
     pub(super) fn take(&self, key: &str, bytes: usize) -> bool {
         let cost = bytes.max(LEAST);
         let all = self.taken.fetch_add(cost, Relaxed) + cost;
@@ -50,7 +50,7 @@ impl Room {
         false
     }
 
-    /// Gives back what was taken for a message.
+    /// Gives the room of a message back.
     pub(super) fn give_back(&self, key: &str, bytes: usize) {
         let cost = bytes.max(LEAST);
         self.part(key).fetch_sub(cost, Relaxed);

@@ -1,33 +1,53 @@
 //! `pointsd alarms`: the open alarms, or the history of their events.
 
-use comfy_table::{Table, presets::UTF8_FULL_CONDENSED};
+use std::collections::BTreeMap;
+
 use jiff::Timestamp;
 
 use super::{
-    Exit, Outcome,
-    operator::{self, ANSWER_LIMIT, Connection, MachineArgument},
-    runtime,
+    Exit, Failure, Outcome,
+    operator::{self, ANSWER_LIMIT, CauseArgument, Client, Connection, MachineArgument, Moment},
+    output, runtime,
 };
 use crate::{
     bus,
-    wire::{self, Alarm, Kind},
+    daemon::StatusReport,
+    diagnose::{AlarmState, Cause, Severity},
+    store::Window,
+    wire::{self, Alarm, Health, Kind},
 };
 
-/// Shows the open alarms of all running daemons; with --since or --limit the events of all alarms.
+/// So many open alarms of a common cause are printed as one entry with their number.
+const MANY: usize = 5;
+
+/// Shows the open alarms of all running daemons, the worst first; with --since or --limit the events of all alarms.
 ///
-/// Exit codes: 0 shown; 69 no daemon answers, or none knows the machine.
+/// Exit codes: 0 shown; 1 with --check: an alarm is open; 69 no daemon answers, or none knows the machine.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01T00:00:00Z --json")]
+#[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01 --json\n  \
+                        pointsd alarms --severity critical --check || mail -s 'points' duty@example.org")]
 pub(super) struct Arguments {
     /// Only this machine.
     #[arg(value_name = "SITE/MACHINE")]
     machine: Option<MachineArgument>,
-    /// Events from this time on, RFC 3339.
+    /// Only alarms of this cause.
+    #[arg(long)]
+    cause: Option<CauseArgument>,
+    /// Only alarms of this severity: warning or critical.
+    #[arg(long, value_parser = severity)]
+    severity: Option<Severity>,
+    /// Events from this time on: a date, or a time as 2026-05-04T06:00:00Z.
     #[arg(long, value_name = "TIME")]
-    since: Option<Timestamp>,
+    since: Option<Moment>,
     /// At most so many events, the newest.
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
+    /// Print each alarm of a common cause on its own, however many there are.
+    #[arg(long)]
+    all: bool,
+    /// Exit with 1 when an alarm is open.
+    #[arg(long, conflicts_with_all = ["since", "limit"])]
+    check: bool,
     #[command(flatten)]
     connection: Connection,
     /// Print the messages as JSON, one a line.
@@ -35,10 +55,17 @@ pub(super) struct Arguments {
     json: bool,
 }
 
+fn severity(word: &str) -> Result<Severity, String> {
+    let known = [Severity::Warning, Severity::Critical];
+    known.into_iter().find(|known| known.as_str() == word).ok_or_else(|| "must be warning or critical".to_owned())
+}
+
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(async {
-        let session = arguments.connection.open().await?;
+        let Client { session, .. } = arguments.connection.open().await?;
         let answer = bus::ask(&session, &selector(arguments), None, ANSWER_LIMIT).await;
+        let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, ANSWER_LIMIT).await;
+        let health = bus::ask(&session, "points/v1/*/*/health", None, ANSWER_LIMIT).await;
         let watched = match &answer {
             Ok(replies) if replies.is_empty() => {
                 let machine = arguments.machine.as_ref().map(|MachineArgument(machine)| machine);
@@ -49,8 +76,37 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         operator::close(session).await;
         let replies = answer.map_err(operator::failure)?;
         watched.map_err(operator::failure)?;
-        Ok(print(&replies, arguments.json))
+        let (daemons, health) = (daemons.map_err(operator::failure)?, health.map_err(operator::failure)?);
+        let found = replies.iter().filter_map(|(_, payload)| Some((serde_json::from_slice(payload).ok()?, payload)));
+        let found: Vec<(Alarm, &Vec<u8>)> = found.filter(|(alarm, _)| is_asked(alarm, arguments)).collect();
+        if arguments.json {
+            for (_, payload) in &found {
+                output::line(String::from_utf8_lossy(payload))?;
+            }
+        } else {
+            let alarms: Vec<Alarm> = found.iter().map(|(alarm, _)| alarm.clone()).collect();
+            if arguments.since.is_some() || arguments.limit.is_some() {
+                print_events(&alarms)?;
+            } else {
+                let windows =
+                    daemons.iter().filter_map(|(_, report)| serde_json::from_slice::<StatusReport>(report).ok());
+                let windows: Vec<Window> = windows.flat_map(|report| report.windows).collect();
+                let health: Vec<Health> =
+                    health.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect();
+                print_open(alarms, &health, &windows, arguments.all)?;
+            }
+            let names = daemons.iter().map(|(key, _)| {
+                key.trim_start_matches("points/v1/").trim_end_matches("/status").replace("/monitor/", "/")
+            });
+            output::line(format_args!("answered by {}", names.collect::<Vec<_>>().join(", ")))?;
+        }
+        Ok(if arguments.check && !found.is_empty() { Exit::Negative } else { Exit::Ok })
     })
+}
+
+fn is_asked(alarm: &Alarm, arguments: &Arguments) -> bool {
+    arguments.cause.is_none_or(|CauseArgument(cause)| cause == alarm.cause)
+        && arguments.severity.is_none_or(|severity| severity == alarm.severity)
 }
 
 fn selector(arguments: &Arguments) -> String {
@@ -58,42 +114,114 @@ fn selector(arguments: &Arguments) -> String {
         Some(MachineArgument(machine)) => wire::machine_key(machine, Kind::Alarm),
         None => "points/v1/*/*/alarm".to_owned(),
     };
-    let since = arguments.since.map(|since| format!("since={since}"));
+    let since = arguments.since.map(|Moment(since)| format!("since={since}"));
     let limit = arguments.limit.map(|limit| format!("limit={limit}"));
     let parameters: Vec<String> = since.into_iter().chain(limit).collect();
     if parameters.is_empty() { key } else { format!("{key}?{}", parameters.join(";")) }
 }
 
-fn print(replies: &[(String, Vec<u8>)], json: bool) -> Exit {
-    if json {
-        for (_, payload) in replies {
-            println!("{}", String::from_utf8_lossy(payload));
-        }
-        return Exit::Ok;
-    }
-    let alarms: Vec<Alarm> = replies.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect();
+/// Prints the open alarms: faults of machines first, with their size now, then what keeps machines from being monitored.
+pub(super) fn print_open(
+    mut alarms: Vec<Alarm>,
+    health: &[Health],
+    windows: &[Window],
+    all: bool,
+) -> Result<(), Failure> {
     if alarms.is_empty() {
-        println!("no alarms");
-        return Exit::Ok;
+        return output::line("no alarms");
     }
-    println!("{}", table(&alarms));
-    Exit::Ok
+    let common = |alarm: &Alarm| matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss);
+    alarms.sort_by_key(|alarm| (common(alarm), std::cmp::Reverse(alarm.severity), std::cmp::Reverse(alarm.raised_at)));
+    let mut groups: BTreeMap<Cause, Vec<&Alarm>> = BTreeMap::new();
+    for alarm in &alarms {
+        let group = groups.entry(alarm.cause).or_default();
+        group.push(alarm);
+    }
+    for alarm in &alarms {
+        let group = &groups[&alarm.cause];
+        if all || !common(alarm) || group.len() < MANY {
+            print_alarm(alarm, health, windows)?;
+        } else if std::ptr::eq(group[0], alarm) {
+            print_group(group)?;
+        }
+    }
+    Ok(())
 }
 
-/// Alarms as a table for people.
-pub(super) fn table(alarms: &[Alarm]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header(["machine", "cause", "severity", "state", "since", "what"]);
-    for alarm in alarms {
-        table.add_row([
-            format!("{}/{}", alarm.site, alarm.machine),
-            alarm.cause.as_str().to_owned(),
-            alarm.severity.as_str().to_owned(),
-            alarm.state.as_str().to_owned(),
-            format!("{:.0}", alarm.raised_at),
-            alarm.text.clone(),
-        ]);
+fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(), Failure> {
+    let machine = &alarm.machine;
+    output::line(format_args!("{:8}  {machine}  {}", alarm.severity.as_str().to_uppercase(), alarm.cause))?;
+    let of = |cause| windows.iter().find(|window| window.machine == alarm.machine && window.cause == cause);
+    let window = match alarm.state {
+        AlarmState::Shelved => of(Some(alarm.cause)),
+        AlarmState::OutOfService => of(None),
+        _ => None,
+    };
+    let window = window.map(|window| format!(" {}", window.sentence())).unwrap_or_default();
+    indented(&format!("raised {}, {}{window}", time(alarm.raised_at), alarm.state.words()))?;
+    let drifts = health.iter().filter(|health| health.machine == alarm.machine).filter_map(|health| health.drift);
+    if let Some(drift) = drifts.into_iter().find(|drift| drift.cause == alarm.cause) {
+        let limit = drift.limit_in_throws.map(|limit| format!("; critical in about {:.0} throws", limit.mid));
+        let (size, sd) = (drift.change_pct, drift.change_pct_sd);
+        indented(&format!("now {size:+.0} % ± {:.0} (95 %){}", 2.0 * sd, limit.unwrap_or_default()))?;
     }
-    table
+    indented(&alarm.text)
+}
+
+/// One entry for many alarms of a common cause.
+fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
+    let Some(newest) = alarms.first() else { return Ok(()) };
+    let mut sites: BTreeMap<&str, usize> = BTreeMap::new();
+    for alarm in alarms {
+        *sites.entry(alarm.machine.site.as_str()).or_default() += 1;
+    }
+    let sites: Vec<String> = sites.iter().map(|(site, count)| format!("{site} {count}")).collect();
+    let raised = || alarms.iter().map(|alarm| alarm.raised_at);
+    let worst = alarms.iter().map(|alarm| alarm.severity).max().unwrap_or(newest.severity);
+    output::line(format_args!("{:8}  {} machines  {}", worst.as_str().to_uppercase(), alarms.len(), newest.cause))?;
+    let (first, last) = (raised().min().unwrap_or(newest.raised_at), raised().max().unwrap_or(newest.raised_at));
+    indented(&format!("raised {} to {}; by site: {}", time(first), time(last), sites.join(", ")))?;
+    indented(&format!("for example: {}", newest.text))?;
+    indented("pointsd alarms --all lists each of them")
+}
+
+/// One line an event, oldest first.
+fn print_events(alarms: &[Alarm]) -> Result<(), Failure> {
+    if alarms.is_empty() {
+        return output::line("no alarms");
+    }
+    for alarm in alarms {
+        output::line(format_args!(
+            "{}  {}  {}, {}: {}",
+            time(alarm.event_at),
+            alarm.machine,
+            alarm.cause,
+            alarm.severity.as_str(),
+            alarm.state.words()
+        ))?;
+        indented(&alarm.text)?;
+    }
+    Ok(())
+}
+
+/// "2026-05-04 06:00:00 UTC".
+pub(super) fn time(at: Timestamp) -> impl std::fmt::Display {
+    at.strftime("%Y-%m-%d %H:%M:%S UTC")
+}
+
+/// Prints a text below its heading, in lines that fit the terminal.
+fn indented(text: &str) -> Result<(), Failure> {
+    let width = usize::from(output::width());
+    let mut line = String::new();
+    for word in text.split_whitespace() {
+        if !line.is_empty() && line.chars().count() + word.chars().count() + 3 > width {
+            output::line(format_args!("  {line}"))?;
+            line.clear();
+        }
+        if !line.is_empty() {
+            line.push(' ');
+        }
+        line.push_str(word);
+    }
+    output::line(format_args!("  {line}"))
 }

@@ -8,6 +8,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::{
     Exit, Failure, Outcome,
     database::{Location, block_on},
+    output,
 };
 use crate::store::{Backup, StoreError};
 
@@ -56,7 +57,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         }
     })?;
     bar.finish_and_clear();
-    println!("{} copied to {}: {bytes} bytes, checked", from.display(), arguments.to.display());
+    output::line(format_args!("{} copied to {}: {bytes} bytes, checked", from.display(), arguments.to.display()))?;
     Ok(Exit::Ok)
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{Exit, Outcome, ResultExt, database};
+use super::{Exit, Outcome, ResultExt, database, output};
 use crate::{daemon::config::Config, store};
 
 /// Checks a configuration: every key, type, range, path and the zenoh section, and that the database is no other program's.
@@ -19,6 +19,6 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let config = Config::load(&arguments.config).or_exit(Exit::Config)?;
     database::block_on(async { store::refuse_foreign(&config.store.path).await.or_exit(Exit::Config) })?;
-    println!("{}: right", arguments.config.display());
+    output::line(format_args!("{}: right", arguments.config.display()))?;
     Ok(Exit::Ok)
 }

@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    io::{self, IsTerminal as _, Write as _},
+    io::{self, IsTerminal as _},
     num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::atomic::{AtomicUsize, Ordering},
@@ -11,10 +11,10 @@ use std::{
 
 use anyhow::Context as _;
 use clap::Args;
-use comfy_table::{Cell, CellAlignment, Table, presets};
+use comfy_table::{Cell, CellAlignment, Table};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::{Exit, Outcome, ResultExt as _};
+use super::{Exit, Outcome, ResultExt as _, output};
 use crate::{
     diagnose::Settings,
     evaluate::{self, Amount, Depth, Plan, Report, Row, Tally},
@@ -84,12 +84,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     if let Some(path) = &arguments.out {
         write_picture(path, &report).or_exit(Exit::CannotCreate)?;
     }
-    let text = if arguments.json {
-        serde_json::to_string_pretty(&report).context("cannot write the report as JSON").or_exit(Exit::Software)?
+    if arguments.json {
+        output::json(&report)?;
     } else {
-        tables(&report)
-    };
-    writeln!(io::stdout().lock(), "{text}").context("cannot write the report").or_exit(Exit::Io)?;
+        output::line(tables(&report))?;
+    }
     let shortfalls = report.shortfalls();
     for shortfall in &shortfalls {
         eprintln!("short of the goal: {shortfall}");
@@ -166,9 +165,9 @@ fn tables(report: &Report) -> String {
     sections.join("\n\n")
 }
 
-fn table(header: &[&str], texts: usize) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING).set_header(header.iter().map(Cell::new));
+/// A table whose first `texts` columns hold text, and the others numbers.
+fn table<const N: usize>(header: [&str; N], texts: usize) -> Table {
+    let mut table = output::plain_table(header);
     for (at, column) in table.column_iter_mut().enumerate() {
         column.set_cell_alignment(if at < texts { CellAlignment::Left } else { CellAlignment::Right });
     }
@@ -176,7 +175,7 @@ fn table(header: &[&str], texts: usize) -> Table {
 }
 
 fn healthy_table(report: &Report) -> Table {
-    let mut table = table(&["depth", "throws", "false alarms", "paper", "CUSUM"], 1);
+    let mut table = table(["depth", "throws", "false alarms", "paper", "CUSUM"], 1);
     for healthy in &report.healthy {
         let counts = [healthy.throws, healthy.false_alarms, healthy.paper_false_alarms, healthy.cusum_false_alarms];
         table.add_row([vec![healthy.depth.as_str().to_owned()], counts.map(|n| n.to_string()).to_vec()].concat());
@@ -189,7 +188,7 @@ fn rows_table(report: &Report, depth: Depth) -> Table {
         "case", "cause", "shape", "noise", "size %", "lives", "right %", "wrong", "critical", "ambig.", "missed",
         "delay", "p95", "paper %", "wrong", "CUSUM %", "wrong",
     ];
-    let mut table = table(&header, 4);
+    let mut table = table(header, 4);
     for row in report.rows.iter().filter(|row| row.depth == depth) {
         table.add_row(row_cells(row));
     }
@@ -215,7 +214,7 @@ fn row_cells(row: &Row) -> Vec<Cell> {
 }
 
 fn budget_table(report: &Report) -> Table {
-    let mut table = table(&["phi", "throws", "alarms", "expected", "measured / configured"], 0);
+    let mut table = table(["phi", "throws", "alarms", "expected", "measured / configured"], 0);
     for budget in &report.budget {
         let expected = budget.throws as f64 / budget.throws_per_false_alarm;
         table.add_row([

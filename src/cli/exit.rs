@@ -1,6 +1,6 @@
 //! Exit codes, after BSD `sysexits.h` where it has a word for the case.
 
-use std::process::ExitCode;
+use std::{io::Write as _, process::ExitCode};
 
 /// How a command ended. The numbers are a promise to scripts and to systemd.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,10 +54,14 @@ impl<T, E: Into<anyhow::Error>> ResultExt<T> for Result<T, E> {
     }
 }
 
-/// Prints a failure as one line on stderr and returns the process's exit code.
+/// Prints a failure as one line on stderr and returns the process's exit code. A failure with [`Exit::Ok`] is silent:
+/// the reader of standard output has gone.
 pub(super) fn finish(outcome: Outcome) -> ExitCode {
     let exit = outcome.unwrap_or_else(|failure| {
-        eprintln!("error: {:#}", failure.error);
+        if failure.exit != Exit::Ok {
+            // Nothing is left to do when stderr itself cannot be written to.
+            let _ = writeln!(std::io::stderr(), "error: {}", sentence(&failure.error));
+        }
         failure.exit
     });
     ExitCode::from(exit as u8)
@@ -71,4 +75,42 @@ pub(super) fn parse<C: clap::Parser>() -> Result<C, Exit> {
         let _ = error.print();
         exit
     })
+}
+
+/// The error with its causes in one line: no cause twice, and without places in the source code of libraries.
+fn sentence(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    let is_place = |word: &str| word.contains(".rs:");
+    let mut words: Vec<&str> = Vec::new();
+    for word in text.split_whitespace() {
+        if !is_place(word) {
+            words.push(word);
+        } else if words.last() == Some(&"at") {
+            words.pop();
+        }
+    }
+    words.join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_one_sentence_that_says_nothing_twice() {
+        let error = anyhow::anyhow!("no such column: b9 at /root/.cargo/registry/x-1.0/src/orchestrator.rs:12. (x)")
+            .context("reading the database failed: no such column: b9 at /root/.cargo/registry/x-1.0/src/orchestrator.rs:12. (x)")
+            .context("the question\n  cannot be answered");
+        assert_eq!(
+            sentence(&error),
+            "the question cannot be answered: reading the database failed: no such column: b9 (x)"
+        );
+    }
 }

@@ -6,10 +6,10 @@ use clap::{Args, ValueEnum};
 use jiff::Timestamp;
 use serde_json::{Value, json};
 
-use super::{Exit, Outcome, ResultExt, recording};
+use super::{Exit, Outcome, ResultExt, output, recording};
 use crate::{
     estimate::{Estimate, Identification, Identifier, Motor, Rejection, Settings},
-    throw::{Throw, ThrowRef},
+    throw::{Direction, Throw, ThrowRef},
 };
 
 /// Identify b0, a1 and a0 from one recorded throw.
@@ -35,6 +35,9 @@ pub(super) struct Arguments {
     /// Nominal stroke in mm; without it only the trace itself tells an incomplete throw.
     #[arg(long, value_name = "MM")]
     stroke_mm: Option<f64>,
+    /// Supply voltage in V: adds energy, resistance and back-EMF, and with --stroke-mm identifies a throw without position.
+    #[arg(long, value_name = "V")]
+    supply_v: Option<f64>,
     /// Kind of motor.
     #[arg(long, default_value = "permanent-magnet")]
     motor: MotorArgument,
@@ -70,26 +73,22 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         direction: None,
         trace: recording.trace,
         temperature_c: None,
-        supply_v: None,
+        supply_v: arguments.supply_v,
         anti_alias_hz: arguments.anti_alias_hz,
     };
     let found = Identifier::default().identify(&throw, &settings);
     let reason = found.outcome.as_ref().err().map(|rejection| reason(rejection, &recording.lines));
     if arguments.json {
-        println!(
-            "{}",
-            serde_json::to_string_pretty(&report(&found, reason.as_deref(), recording.resampled))
-                .or_exit(Exit::Software)?
-        );
-    } else if let Ok(estimate) = &found.outcome {
-        print!("{}", text(&found, estimate));
+        output::json(&report(&found, reason.as_deref(), recording.resampled).or_exit(Exit::Software)?)?;
+    } else {
+        output::line(match &found.outcome {
+            Ok(estimate) => text(&found, estimate),
+            Err(_) => features_text(&found),
+        })?;
     }
     match reason {
         None => Ok(Exit::Ok),
         Some(reason) => {
-            if !arguments.json {
-                print!("{}", features_text(&found));
-            }
             eprintln!("refused: {}: {reason}", arguments.file.display());
             Ok(Exit::Negative)
         }
@@ -124,46 +123,57 @@ fn reason(rejection: &Rejection, lines: &[u64]) -> String {
     }
 }
 
-fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> Value {
+fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> serde_json::Result<Value> {
     let estimate = found.outcome.as_ref().ok();
-    let of = |value: fn(&Estimate) -> f64| estimate.map(value);
-    let covariance =
-        estimate.map(|e| (0..3).map(|i| (0..3).map(|j| e.covariance[(i, j)]).collect()).collect::<Vec<Vec<f64>>>());
-    json!({
+    let scaled = estimate.filter(|estimate| !estimate.ratios_only);
+    let coefficients = scaled.map_or([None; 3], |estimate| estimate.coefficients().map(Some));
+    let sd = scaled.map_or([None; 3], |estimate| estimate.sd().map(Some));
+    let covariance = scaled.map(|estimate| <[[f64; 3]; 3]>::from(estimate.total_covariance()));
+    let ratios = estimate.map_or([None; 2], |estimate| estimate.ratios().map(Some));
+    let ratios_sd = estimate.map_or([None; 2], |estimate| estimate.ratios_sd().map(Some));
+    let mut report = json!({
         "accepted": estimate.is_some(),
         "reason": reason,
-        "quality": found.outcome.as_ref().map_or_else(Rejection::code, |_| "good"),
-        "b0": of(|e| e.b0),
-        "a1": of(|e| e.a1),
-        "a0": of(|e| e.a0),
-        "b0_sd": of(|e| e.covariance[(0, 0)].sqrt()),
-        "a1_sd": of(|e| e.covariance[(1, 1)].sqrt()),
-        "a0_sd": of(|e| e.covariance[(2, 2)].sqrt()),
+        "quality": found.quality(),
+        "b0": coefficients[0],
+        "a1": coefficients[1],
+        "a0": coefficients[2],
+        "b0_sd": sd[0],
+        "a1_sd": sd[1],
+        "a0_sd": sd[2],
         "covariance": covariance,
-        "fit_pct": of(|e| e.fit_pct),
+        "a1_per_b0": ratios[0],
+        "a1_per_b0_sd": ratios_sd[0],
+        "a0_per_b0": ratios[1],
+        "a0_per_b0_sd": ratios_sd[1],
+        "fit_pct": estimate.map(|e| e.fit_pct),
         "iterations": estimate.map(|e| e.iterations),
-        "start_s": of(|e| e.start_s),
-        "end_s": of(|e| e.end_s),
-        "direction": found.direction.map(super::super::throw::Direction::as_str),
-        "duration_s": found.features.duration_s,
-        "peak_current_a": found.features.peak_current_a,
-        "mean_current_a": found.features.mean_current_a,
-        "charge_as": found.features.charge_as,
-        "travel_mm": found.features.travel_mm,
-        "end_position_mm": found.features.end_position_mm,
+        "start_s": estimate.map(|e| e.start_s),
+        "end_s": estimate.map(|e| e.end_s),
+        "direction": found.direction.map(Direction::as_str),
         "resampled": resampled,
-    })
+    });
+    if let (Some(report), Value::Object(features)) = (report.as_object_mut(), serde_json::to_value(&found.features)?) {
+        report.extend(features);
+    }
+    Ok(report)
 }
 
 fn text(found: &Identification, estimate: &Estimate) -> String {
-    let row = |name: &str, value: f64, at: usize, unit: &str| {
-        let sd = estimate.covariance[(at, at)].sqrt();
-        format!("{name}  {value:>10.4} ± {sd:.4} {unit}  ({:.2} %)\n", 100.0 * sd / value)
+    let row = |name: &str, value: f64, sd: f64, unit: &str| {
+        format!("{name:<5}  {value:>10.5} ± {sd:.5} {unit}  ({:.2} %)\n", 100.0 * sd / value)
     };
+    let ([b0, a1, a0], [b0_sd, a1_sd, a0_sd]) = (estimate.coefficients(), estimate.sd());
+    let coefficients = if estimate.ratios_only {
+        "rough: the start of the throw is unusable, only the ratios are known\n".to_owned()
+    } else {
+        row("b0", b0, b0_sd, "rad/s²/A") + &row("a1", a1, a1_sd, "1/s") + &row("a0", a0, a0_sd, "1/s²")
+    };
+    let (ratios, ratios_sd) = (estimate.ratios(), estimate.ratios_sd());
     [
-        row("b0", estimate.b0, 0, "rad/s²/A"),
-        row("a1", estimate.a1, 1, "1/s"),
-        row("a0", estimate.a0, 2, "1/s²"),
+        coefficients,
+        row("a1/b0", ratios[0], ratios_sd[0], "A s/rad"),
+        row("a0/b0", ratios[1], ratios_sd[1], "A/rad"),
         format!(
             "fit {:.4} % in {} iterations, from {:.3} s to {:.3} s\n",
             estimate.fit_pct, estimate.iterations, estimate.start_s, estimate.end_s
@@ -179,7 +189,7 @@ fn features_text(found: &Identification) -> String {
         value.map_or_else(|| "unknown".to_owned(), |value| format!("{value:.3} {unit}"))
     };
     format!(
-        "{}: duration {}, peak current {}, mean current {}, travel {}\n",
+        "{}: duration {}, peak current {}, mean current {}, travel {}",
         found.direction.map_or_else(|| "direction unknown".to_owned(), |direction| direction.to_string()),
         value(features.duration_s, "s"),
         value(features.peak_current_a, "A"),

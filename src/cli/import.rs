@@ -12,7 +12,7 @@ use serde_json::json;
 use super::{
     Exit, Failure, Outcome, ResultExt,
     operator::MachineArgument,
-    recording,
+    output, recording,
     run::{load, start_failure},
     runtime,
 };
@@ -20,7 +20,7 @@ use crate::{
     daemon::{Judged, Offline},
     store::Spooled,
     throw::{Throw, ThrowRef},
-    wire::{self, Encoding},
+    wire::{self, Encoding, Health},
 };
 
 /// Feeds recorded throws of one machine through spool, identification and diagnosis into the database, in the order
@@ -66,11 +66,14 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let mut count = Count::default();
         let outcome = import(arguments, &mut pipeline, &mut count).await;
         let rest = pipeline.judge().await.or_exit(Exit::Io)?;
-        report(arguments, &rest, &mut count);
+        let printed = report(arguments, &rest, &mut count);
         pipeline.close().await.or_exit(Exit::Io)?;
+        printed?;
         if !arguments.json {
             let Count { new, known, refused, alarms } = count;
-            println!("{new} throws imported ({refused} not evaluated), {known} known before, {alarms} alarm events");
+            output::line(format_args!(
+                "{new} throws imported ({refused} not evaluated), {known} known before, {alarms} alarm events"
+            ))?;
         }
         outcome
     })
@@ -82,9 +85,9 @@ async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count
             let (spooled, judged) = pipeline.take(&arguments.machine.0, &throw).await.or_exit(Exit::Io)?;
             match spooled {
                 Spooled::New(_) => count.new += 1,
-                Spooled::Duplicate { .. } => count.known += 1,
+                Spooled::Duplicate => count.known += 1,
             }
-            report(arguments, &judged, count);
+            report(arguments, &judged, count)?;
         }
     }
     Ok(Exit::Ok)
@@ -133,21 +136,23 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path) -> Result<Throw, 
     })
 }
 
-fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) {
+fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) -> Result<(), Failure> {
     for throw in judged {
-        count.refused += u64::from(throw.quality != wire::GOOD);
+        count.refused += u64::from(throw.health.coefficients.is_none());
         count.alarms += throw.events.len() as u64;
         if arguments.json {
-            let events: Vec<_> = throw.events.iter().map(|event| wire::Alarm::new(&throw.machine, event)).collect();
-            println!(
-                "{}",
-                json!({"boot_id": throw.throw.boot_id, "throw_no": throw.throw.throw_no, "quality": throw.quality,
-                       "direction": throw.direction, "alarms": events})
-            );
+            let Health { machine, throw: id, quality, direction, .. } = &throw.health;
+            let events: Vec<_> =
+                throw.events.iter().map(|event| wire::Alarm::new(machine, event).published()).collect();
+            output::line(
+                json!({"boot_id": id.boot_id, "throw_no": id.throw_no, "quality": quality, "direction": direction,
+                       "alarms": events}),
+            )?;
         } else {
             for event in &throw.events {
-                println!("{}", event.text);
+                output::line(&event.text)?;
             }
         }
     }
+    Ok(())
 }

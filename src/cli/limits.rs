@@ -1,12 +1,10 @@
 //! `pointsim limits`: what the method can and cannot tell, from runs of the simulated machine through the estimator.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::Context;
 use comfy_table::{CellAlignment, Table, presets};
 
-use super::{Exit, Outcome, ResultExt};
+use super::{Exit, Outcome, ResultExt, output};
 use crate::evaluate::limits::{Finding, NAMES, Row, Runs, run};
 use crate::report::{Panel, Sheet};
 
@@ -38,20 +36,18 @@ pub(super) struct Arguments {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let findings = run(Runs { throws: arguments.throws.into(), seed: arguments.seed }).or_exit(Exit::Software)?;
-    if let Some(directory) = &arguments.out {
-        draw(directory, &findings).or_exit(Exit::CannotCreate)?;
+    if let Some(folder) = &arguments.out {
+        output::figures(folder, findings.iter().map(|finding| (format!("limits_{}", finding.name), picture(finding))))?;
     }
-    let mut out = std::io::stdout().lock();
     if arguments.json {
-        serde_json::to_writer_pretty(&mut out, &findings).or_exit(Exit::Io)?;
-        writeln!(out).or_exit(Exit::Io)?;
+        output::json(&findings)?;
     } else {
-        findings.iter().try_for_each(|finding| print(&mut out, finding)).or_exit(Exit::Io)?;
+        findings.iter().try_for_each(|finding| output::line(text(finding)))?;
     }
     Ok(Exit::Ok)
 }
 
-fn print(out: &mut impl Write, finding: &Finding) -> std::io::Result<()> {
+fn text(finding: &Finding) -> String {
     let mut table = Table::new();
     table.load_style(presets::ASCII_MARKDOWN);
     table.set_header([finding.label, "b0 [%]", "a1 [%]", "a0 [%]", "refused"]);
@@ -64,7 +60,7 @@ fn print(out: &mut impl Write, finding: &Finding) -> std::io::Result<()> {
     for column in table.column_iter_mut() {
         column.set_cell_alignment(CellAlignment::Right);
     }
-    writeln!(out, "### {}\n\n{}\n\n{table}\n", finding.title, finding.about)
+    format!("### {}\n\n{}\n\n{table}\n", finding.title, finding.about)
 }
 
 fn cell(row: &Row, at: usize) -> String {
@@ -79,16 +75,6 @@ fn refused(row: &Row) -> String {
     let Some(reason) = &row.refusal else { return String::new() };
     let refused = row.throws - row.errors_pct.len();
     if refused == row.throws { format!("`{reason}`") } else { format!("{refused} of {}: `{reason}`", row.throws) }
-}
-
-fn draw(directory: &Path, findings: &[Finding]) -> anyhow::Result<()> {
-    std::fs::create_dir_all(directory).with_context(|| format!("{} cannot be created", directory.display()))?;
-    for finding in findings {
-        let path = directory.join(format!("limits_{}.svg", finding.name));
-        std::fs::write(&path, picture(finding).to_svg())
-            .with_context(|| format!("{} cannot be written", path.display()))?;
-    }
-    Ok(())
 }
 
 /// Root mean square errors as bars, beside the line of 1 %.

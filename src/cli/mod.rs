@@ -13,6 +13,7 @@ mod import;
 mod limits;
 mod maintenance;
 mod operator;
+mod output;
 mod pointsd;
 mod pointsim;
 mod rebaseline;

@@ -56,12 +56,15 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).flexible(true).from_reader(text.as_bytes());
     let header = reader.headers().context("line 1: no header")?.clone();
     let at = |name: &str| header.iter().position(|column| column == name).ok_or_else(|| missing(name, &header));
-    let places = [(TIME, at(TIME)?), (CURRENT, at(CURRENT)?), (POSITION, at(POSITION)?)];
+    let places = [(TIME, at(TIME)?), (CURRENT, at(CURRENT)?)];
+    // A machine with a current sensor only has no such column.
+    let position = at(POSITION).ok();
     let mut columns = Columns { time_s: vec![], current_a: vec![], position_mm: vec![], lines: vec![] };
     for record in reader.records() {
         let record = record.context("not readable as CSV")?;
         let line = record.position().map_or(0, csv::Position::line);
-        let [time_s, current_a, position_mm] = places.map(|(name, place)| number(record.get(place), line, name));
+        let [time_s, current_a] = places.map(|(name, place)| number(record.get(place), line, name));
+        let position_mm = position.map_or(Ok(f64::NAN), |place| number(record.get(place), line, POSITION));
         let time_s = time_s?;
         if !time_s.is_finite() {
             bail!("line {line}, column {TIME}: {time_s} is no time");
@@ -84,7 +87,9 @@ fn missing(name: &str, header: &csv::StringRecord) -> anyhow::Error {
     let found = header.iter().collect::<Vec<_>>().join(",");
     let found: String = found.chars().take(100).collect();
     let hint = if found.contains(';') { "; separate the columns by commas, not semicolons" } else { "" };
-    anyhow!("line 1: column {name} is missing: the header must name {TIME},{CURRENT},{POSITION} and is {found:?}{hint}")
+    anyhow!(
+        "line 1: column {name} is missing: the header must name {TIME},{CURRENT} and, with a toe sensor, {POSITION}, and is {found:?}{hint}"
+    )
 }
 
 fn number(cell: Option<&str>, line: u64, column: &str) -> anyhow::Result<f64> {

@@ -2,18 +2,17 @@
 
 use std::{
     collections::BTreeMap,
-    io::{self, IsTerminal as _, Write as _},
+    io::{self, IsTerminal as _},
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context as _, anyhow};
-use comfy_table::{Table, presets};
+use anyhow::anyhow;
 use indicatif::ProgressBar;
 use jiff::Timestamp;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::{
-    Exit, Failure, Outcome, ResultExt as _,
+    Exit, Failure, Outcome, ResultExt as _, output,
     run::{load, start_failure},
     runtime,
 };
@@ -38,7 +37,7 @@ const BATCH: u32 = 16;
 /// database is already there; 74 a database cannot be used; 78 the configuration is wrong.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
-                        --from /var/lib/pointsd/pointsd.db --into /tmp/stricter.db --json")]
+                        --from /var/lib/pointsd/points.db --into /tmp/stricter.db --json")]
 pub(super) struct Arguments {
     /// The configuration to try.
     #[arg(long, value_name = "NEW")]
@@ -83,15 +82,6 @@ struct Report {
     alarms: Vec<Comparison>,
 }
 
-/// What is read of an alarm's message.
-#[derive(Debug, Deserialize)]
-struct Message {
-    cause: Cause,
-    severity: Severity,
-    raised_at: Timestamp,
-    last_throw_no: Option<u64>,
-}
-
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let mut config = load(Some(&arguments.config))?;
     let from = arguments.from.clone().unwrap_or_else(|| config.store.path.clone());
@@ -111,12 +101,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         new.close().await.or_exit(Exit::Io)?;
         let new = Reader::open(&into).await.or_exit(Exit::Io)?;
         let report = compare(&old, &new, replayed, into).await?;
-        let text = if arguments.json {
-            serde_json::to_string_pretty(&report).context("cannot write the report as JSON").or_exit(Exit::Software)?
+        if arguments.json {
+            output::json(&report)?;
         } else {
-            sentences(&report)
-        };
-        writeln!(io::stdout().lock(), "{text}").context("cannot write the report").or_exit(Exit::Io)?;
+            output::line(sentences(&report))?;
+        }
         Ok(Exit::Ok)
     })
 }
@@ -192,19 +181,17 @@ async fn occurrences(
 ) -> Result<BTreeMap<(MachineId, Cause), Vec<Occurrence>>, Failure> {
     let rows = database.alarm_history(&Selector::default(), since, u32::MAX).await.or_exit(Exit::Io)?;
     let mut alarms: BTreeMap<_, Vec<Occurrence>> = BTreeMap::new();
-    for row in rows {
-        let unreadable = || format!("alarm {}, event {} cannot be read", row.alarm_id, row.event_no);
-        let message: Message = serde_json::from_str(&row.payload).with_context(unreadable).or_exit(Exit::Data)?;
-        if message.raised_at < since || matches!(message.cause, Cause::NotMonitored | Cause::DataLoss) {
+    for alarm in rows {
+        if alarm.raised_at < since || matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss) {
             continue;
         }
-        let occurrences = alarms.entry((row.machine, message.cause)).or_default();
-        match occurrences.iter_mut().find(|occurrence| occurrence.raised_at == message.raised_at) {
-            Some(known) => known.severity = known.severity.max(message.severity),
+        let occurrences = alarms.entry((alarm.machine.clone(), alarm.cause)).or_default();
+        match occurrences.iter_mut().find(|occurrence| occurrence.raised_at == alarm.raised_at) {
+            Some(known) => known.severity = known.severity.max(alarm.severity),
             None => occurrences.push(Occurrence {
-                raised_at: message.raised_at,
-                throw_no: message.last_throw_no,
-                severity: message.severity,
+                raised_at: alarm.raised_at,
+                throw_no: alarm.last_throw.as_ref().map(|throw| throw.throw_no),
+                severity: alarm.severity,
             }),
         }
     }
@@ -250,8 +237,7 @@ fn sentences(report: &Report) -> String {
         lines.push("no alarm, before or now".to_owned());
         return lines.join("\n");
     }
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING).set_header(["machine", "cause", "before", "now", "difference"]);
+    let mut table = output::plain_table(["machine", "cause", "before", "now", "difference"]);
     for alarm in &report.alarms {
         table.add_row([
             format!("{}/{}", alarm.site, alarm.machine),

@@ -1,12 +1,10 @@
 //! `pointsd shelve`: silence an open alarm for a while.
 
-use jiff::{SignedDuration, Timestamp};
-
 use super::{
-    Exit, Failure, Outcome,
-    operator::{CauseArgument, MachineArgument, Sender},
+    Outcome,
+    operator::{CauseArgument, End, MachineArgument, Sender},
 };
-use crate::{daemon::clock, diagnose::Command};
+use crate::diagnose::Command;
 
 /// Shelves an open alarm until a time, for a reason; or ends that.
 ///
@@ -19,17 +17,13 @@ pub(super) struct Arguments {
     machine: MachineArgument,
     /// The alarm's cause, as `pointsd alarms` shows it.
     cause: CauseArgument,
-    /// How long, as 90m, 8h or 72h.
-    #[arg(long = "for", value_name = "DURATION", conflicts_with = "until")]
-    duration: Option<SignedDuration>,
-    /// Until when, RFC 3339, as 2026-05-04T06:00:00Z.
-    #[arg(long, value_name = "TIME")]
-    until: Option<Timestamp>,
+    #[command(flatten)]
+    end_at: End,
     /// Why.
     #[arg(long, value_name = "TEXT", required_unless_present = "end")]
     why: Option<String>,
     /// End the shelving now.
-    #[arg(long, conflicts_with_all = ["duration", "until", "why"])]
+    #[arg(long, conflicts_with_all = ["length", "until", "why"])]
     end: bool,
     #[command(flatten)]
     sender: Sender,
@@ -40,16 +34,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let command = if arguments.end {
         Command::Unshelve { cause, by }
     } else {
-        Command::Shelve { cause, until: until(arguments)?, by, why: arguments.why.clone().unwrap_or_default() }
+        let until = arguments.end_at.at(None)?;
+        Command::Shelve { cause, until, by, why: arguments.why.clone().unwrap_or_default() }
     };
     arguments.sender.send(&arguments.machine.0, &command)
-}
-
-fn until(arguments: &Arguments) -> Result<Timestamp, Failure> {
-    let usage = |problem: &str| Failure { exit: Exit::Usage, error: anyhow::anyhow!(problem.to_owned()) };
-    match (arguments.until, arguments.duration) {
-        (Some(until), _) => Ok(until),
-        (None, Some(duration)) => clock::now().checked_add(duration).map_err(|_| usage("--for is too long")),
-        (None, None) => Err(usage("until when? --for 8h, or --until 2026-05-04T06:00:00Z")),
-    }
 }

@@ -113,9 +113,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 fn read(document: &Document) -> Result<Plan, ConfigError> {
     let file: File = document.deserialize()?;
     file.logger.validate().map_err(|error| document.complain(&format!("logger.{}", error.key), error.to_string()))?;
-    file.fleet.check().map_err(|error| {
-        document.complain(&format!("fleet.{}", error.name), format!("is {}, {}", error.value, error.must))
-    })?;
+    file.fleet.check().map_err(|error| document.complain(&format!("fleet.{}", error.key), error.problem()))?;
     check_log(&file.log, document)?;
     Ok(Plan { logger: file.logger, fleet: file.fleet, log: file.log, zenoh: client_session(document)? })
 }
@@ -291,7 +289,7 @@ mod tests {
             ),
             (
                 "[[fleet.incidents]]\nmachine = 0\nkind = { obstruction = { at_mm = 200.0 } }\nfrom_throw = 0\nthrows = 1",
-                "must be 0 to the stroke",
+                "must be 0 to 115 mm",
             ),
         ] {
             let error = plan(text).err().map(|error| error.to_string()).unwrap_or_default();

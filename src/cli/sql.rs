@@ -4,7 +4,7 @@ use std::io::{self, BufWriter, Write};
 
 use anyhow::Context;
 use clap::Args;
-use comfy_table::{Table, presets};
+use comfy_table::{ContentArrangement, Table, presets};
 use serde_json::json;
 
 use super::{
@@ -13,19 +13,21 @@ use super::{
 };
 use crate::store::{StoreError, Value, ask};
 
-/// Ask the database in SQL, read-only, while the daemon runs or not.
+/// Asks the database in SQL, read-only, while the daemon runs or not. Without a question: lists the views and their columns.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Views made for it: health_history, machine_health, alarm_history, active_alarms, alarm_events, \
-    data_gaps, throws_not_evaluated.\n\n\
+    data_gaps, throws_not_evaluated, operator_commands; `pointsd sql` lists all of them with their columns.\n\n\
     Examples:\n  \
+    pointsd sql\n  \
     pointsd sql 'SELECT * FROM machine_health'\n  \
     pointsd sql --csv \"SELECT started_at, b0 FROM health_history WHERE machine = '21B'\" > b0.csv\n\n\
     Exit codes: 0 answered, 65 no valid SQL or it would write, 66 there is no database."
 )]
 pub(super) struct Arguments {
-    /// The question.
-    #[arg(value_name = "SQL")]
+    /// The question; without it, or with `.tables`, the list of views.
+    // A question may begin with a comment.
+    #[arg(value_name = "SQL", default_value = ".tables", hide_default_value = true, allow_hyphen_values = true)]
     question: String,
     /// Print a JSON array with one object a row.
     #[arg(long, conflicts_with = "csv")]
@@ -42,13 +44,14 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let mut answer: Box<dyn Answer> = match (arguments.json, arguments.csv) {
         (true, _) => Box::new(Json::new(BufWriter::new(io::stdout().lock()))),
         (_, true) => Box::new(Csv(csv::Writer::from_writer(io::stdout().lock()))),
-        _ => Box::new(Plain(Table::new())),
+        _ => Box::new(Plain(None)),
     };
     let answer = std::cell::RefCell::new(answer.as_mut());
     let asked = block_on(async {
         let columns = |names: &[String]| answer.borrow_mut().columns(names).map_err(Trouble::Output);
         let row = |values| answer.borrow_mut().row(values).map_err(Trouble::Output);
-        Ok(ask(&path, &arguments.question, columns, row).await)
+        let question = if arguments.question.trim() == ".tables" { VIEWS } else { &arguments.question };
+        Ok(ask(&path, question, columns, row).await)
     })?;
     match asked.and_then(|()| answer.borrow_mut().end().map_err(Trouble::Output)) {
         Ok(()) => Ok(Exit::Ok),
@@ -59,6 +62,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         Err(Trouble::Store(error)) => Err(Failure { exit: Exit::NoInput, error: error.into() }),
     }
 }
+
+/// Every view with its columns.
+const VIEWS: &str = "SELECT schema.name AS view, group_concat(info.name, ', ') AS columns
+                     FROM sqlite_schema AS schema, pragma_table_info(schema.name) AS info
+                     WHERE schema.type = 'view' GROUP BY schema.name ORDER BY schema.name";
 
 enum Trouble {
     Store(StoreError),
@@ -78,22 +86,27 @@ trait Answer {
     fn end(&mut self) -> io::Result<()>;
 }
 
-/// A table for people; as wide as its content needs, so that it is all there before the first line.
-struct Plain(Table);
+/// A table for people, as wide as its content needs; on a terminal at most as wide as that. Printed when it is complete.
+struct Plain(Option<Table>);
 
 impl Answer for Plain {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
-        self.0.load_style(presets::NOTHING).set_header(names);
+        // Of a second statement: the first one's answer is complete.
+        self.end()?;
+        let table = self.0.insert(Table::new());
+        table.load_style(presets::NOTHING).set_content_arrangement(ContentArrangement::Dynamic).set_header(names);
         Ok(())
     }
 
     fn row(&mut self, values: Vec<Value>) -> io::Result<()> {
-        self.0.add_row(values.iter().map(text));
+        if let Some(table) = &mut self.0 {
+            table.add_row(values.iter().map(short));
+        }
         Ok(())
     }
 
     fn end(&mut self) -> io::Result<()> {
-        writeln!(io::stdout(), "{}", self.0)
+        self.0.take().map_or(Ok(()), |table| writeln!(io::stdout(), "{table}"))
     }
 }
 
@@ -127,6 +140,9 @@ impl<W> Json<W> {
 
 impl<W: Write> Answer for Json<W> {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
+        if !self.names.is_empty() {
+            return Err(io::Error::other("--json takes one statement at a time"));
+        }
         names.clone_into(&mut self.names);
         write!(self.out, "[")
     }
@@ -151,6 +167,14 @@ fn plain(value: Value) -> serde_json::Value {
         Value::Real(number) => json!(number),
         Value::Text(text) => json!(text),
         Value::Blob(bytes) => json!(hexadecimal(&bytes)),
+    }
+}
+
+/// For people: numbers to six significant digits.
+fn short(value: &Value) -> String {
+    match value {
+        Value::Real(number) => format!("{number:.5e}").parse::<f64>().map_or_else(|_| text(value), |it| it.to_string()),
+        _ => text(value),
     }
 }
 

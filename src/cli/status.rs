@@ -1,91 +1,199 @@
-//! `pointsd status`: how the daemons, their machines and their alarms stand.
+//! `pointsd status`: the daemons, their machines and their alarms.
 
-use comfy_table::{Table, presets::UTF8_FULL_CONDENSED};
+use std::{collections::BTreeMap, time::Duration};
+
+use jiff::SignedDuration;
 use serde_json::{Value, json};
 
 use super::{
-    Exit, Outcome, alarms,
-    operator::{self, ANSWER_LIMIT, Connection},
-    runtime,
+    Exit, Failure, Outcome, alarms,
+    operator::{self, ANSWER_LIMIT, Client, Connection},
+    output,
+    runtime::{self, Signals},
 };
 use crate::{
     bus::{self, OperatorError},
-    daemon::StatusReport,
+    daemon::{StatusReport, clock},
+    diagnose::MachineState,
+    store::Window,
+    throw::{Direction, MachineId, Name},
     wire::{Alarm, Health},
 };
 
-/// Shows all running daemons, the latest health of each machine and direction, and the open alarms.
+/// Most machines that are listed when all of them are healthy or learning: a screen.
+const SCREEN: usize = 40;
+/// Time between two pictures of `--watch`.
+const EVERY: Duration = Duration::from_secs(5);
+
+/// Shows all running daemons, the state of each machine with its last throws, and the open alarms. Of a large fleet only the
+/// machines that are neither healthy nor learning are listed, unless --all, --site or --state asks for more.
 ///
-/// Exit codes: 0 all is well; 1 a daemon is in trouble (disk, a loop that hangs, lost messages); 69 no daemon answers.
+/// Exit codes: 0 all is well; 1 a daemon is in trouble (disk, a task that hangs, lost messages), a machine has an alarm, is
+/// not monitored or in maintenance, or an alarm is shelved; 69 no daemon answers.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  pointsd status\n  pointsd status --connect tcp/cabinet-7:7447 --json")]
+#[command(after_help = "Examples:\n  pointsd status\n  pointsd status --watch\n  \
+                        pointsd status --connect tcp/cabinet-7:7447 --json")]
 pub(super) struct Arguments {
     #[command(flatten)]
     connection: Connection,
+    /// Only machines of this site.
+    #[arg(long)]
+    site: Option<Name>,
+    /// Only machines in this state: learning, healthy, warning, critical, `not_monitored` or maintenance.
+    #[arg(long, value_parser = machine_state)]
+    state: Option<MachineState>,
+    /// List every machine.
+    #[arg(long)]
+    all: bool,
+    /// Show it again every five seconds, until Ctrl-C.
+    #[arg(long, conflicts_with = "json")]
+    watch: bool,
     /// Print one JSON object with daemons, health and alarms.
     #[arg(long)]
     json: bool,
 }
 
+fn machine_state(word: &str) -> Result<MachineState, String> {
+    let wrong = |_| "must be learning, healthy, warning, critical, not_monitored or maintenance".to_owned();
+    word.replace([' ', '-'], "_").parse().map_err(wrong)
+}
+
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(async {
-        let session = arguments.connection.open().await?;
-        let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, ANSWER_LIMIT).await;
-        let health = bus::ask(&session, "points/v1/*/*/health", None, ANSWER_LIMIT).await;
-        let alarms = bus::ask(&session, "points/v1/*/*/alarm", None, ANSWER_LIMIT).await;
+        let mut signals = Signals::listen()?;
+        let Client { session, .. } = arguments.connection.open().await?;
+        let outcome = loop {
+            if arguments.watch {
+                // Home, and an empty screen.
+                output::line("\x1b[H\x1b[2J")?;
+            }
+            let outcome = show(&session, arguments).await;
+            if !arguments.watch || outcome.is_err() {
+                break outcome;
+            }
+            tokio::select! {
+                () = tokio::time::sleep(EVERY) => {}
+                () = signals.stop() => break Ok(Exit::Ok),
+            }
+        };
         operator::close(session).await;
-        let daemons = daemons.map_err(operator::failure)?;
-        if daemons.is_empty() {
-            return Err(operator::failure(OperatorError::NoDaemon));
-        }
-        let (health, alarms) = (health.map_err(operator::failure)?, alarms.map_err(operator::failure)?);
-        if arguments.json {
-            let values = |replies: &[(String, Vec<u8>)]| -> Vec<Value> {
-                replies.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect()
-            };
-            println!("{}", json!({"daemons": values(&daemons), "health": values(&health), "alarms": values(&alarms)}));
-        }
-        let reports: Vec<(String, StatusReport)> = read(&daemons);
-        if !arguments.json {
-            print(&reports, &read(&health), &read(&alarms));
-        }
-        let well = reports.iter().all(|(_, report)| report.is_well());
-        Ok(if well { Exit::Ok } else { Exit::Negative })
+        outcome
     })
 }
 
-fn read<T: serde::de::DeserializeOwned>(replies: &[(String, Vec<u8>)]) -> Vec<(String, T)> {
-    let read = |(key, payload): &(String, Vec<u8>)| Some((key.clone(), serde_json::from_slice(payload).ok()?));
-    replies.iter().filter_map(read).collect()
+async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
+    let ask = |selector| bus::ask(session, selector, None, ANSWER_LIMIT);
+    let daemons = ask("points/v1/*/monitor/*/status").await.map_err(operator::failure)?;
+    let health = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
+    let alarms = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
+    if daemons.is_empty() {
+        return Err(operator::failure(OperatorError::NoDaemon));
+    }
+    let reports: Vec<StatusReport> = read(&daemons);
+    if arguments.json {
+        let values = |replies: &[(String, Vec<u8>)]| -> Vec<Value> { read(replies) };
+        output::line(json!({"daemons": values(&daemons), "health": values(&health), "alarms": values(&alarms)}))?;
+    } else {
+        for ((key, _), report) in daemons.iter().zip(&reports) {
+            print_daemon(key, report)?;
+        }
+        let windows: Vec<Window> = reports.iter().flat_map(|report| report.windows.clone()).collect();
+        let (health, mut alarms): (Vec<Health>, Vec<Alarm>) = (read(&health), read(&alarms));
+        alarms.retain(|alarm| arguments.site.as_ref().is_none_or(|site| *site == alarm.machine.site));
+        print_machines(&health, &windows, arguments)?;
+        alarms::print_open(alarms, &health, &windows, false)?;
+    }
+    let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
+    Ok(if reports.iter().all(is_well) { Exit::Ok } else { Exit::Negative })
 }
 
-fn print(daemons: &[(String, StatusReport)], health: &[(String, Health)], alarms: &[(String, Alarm)]) {
-    for (key, report) in daemons {
-        let name = key.trim_start_matches("points/v1/").trim_end_matches("/status");
-        println!("{name}: version {}, up {} s, database {}", report.version, report.uptime_s, report.database);
-        println!("  {}", report.line());
+fn read<T: serde::de::DeserializeOwned>(replies: &[(String, Vec<u8>)]) -> Vec<T> {
+    replies.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect()
+}
+
+fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {
+    let name = key.trim_start_matches("points/v1/").trim_end_matches("/status").replace("/monitor/", "/");
+    let StatusReport { version, uptime_s, database, .. } = report;
+    output::line(format_args!("{name}: version {version}, up {uptime_s} s, database {database}"))?;
+    output::line(format_args!("  {}", report.line()))
+}
+
+fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) -> Result<(), Failure> {
+    let mut machines: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
+    for row in health {
+        machines.entry(&row.machine).or_default().push(row);
     }
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header(["machine", "direction", "last throw", "quality", "b0", "a1", "a0", "fit"]);
-    let change = |pct: Option<f64>| pct.map(|pct| format!("{pct:+.1} %")).unwrap_or_default();
-    for (_, health) in health {
-        table.add_row([
-            format!("{}/{}", health.site, health.machine),
-            health.direction.clone(),
-            format!("{} at {:.0}", health.throw_no, health.started_at),
-            health.quality.clone(),
-            change(health.b0_pct),
-            change(health.a1_pct),
-            change(health.a0_pct),
-            health.fit_pct.map(|fit| format!("{fit:.2} %")).unwrap_or_default(),
-        ]);
+    let state = |rows: &[&Health]| rows.iter().find_map(|row| row.state).unwrap_or_default();
+    let mut tally: BTreeMap<u8, (MachineState, usize)> = BTreeMap::new();
+    for rows in machines.values() {
+        tally.entry(rank(state(rows))).or_insert((state(rows), 0)).1 += 1;
     }
-    println!("{table}");
-    if alarms.is_empty() {
-        println!("no alarms");
-    } else {
-        let alarms: Vec<Alarm> = alarms.iter().map(|(_, alarm)| alarm.clone()).collect();
-        println!("{}", alarms::table(&alarms));
+    let tally: Vec<String> =
+        tally.values().map(|(state, count)| format!("{count} {}", state.as_str().replace('_', " "))).collect();
+    output::line(format_args!("{} machines: {}", machines.len(), tally.join(", ")))?;
+    let asked = |machine: &MachineId, rows: &[&Health]| {
+        arguments.site.as_ref().is_none_or(|site| *site == machine.site)
+            && arguments.state.is_none_or(|wanted| wanted == state(rows))
+    };
+    let is_short = arguments.all || arguments.state.is_some() || arguments.site.is_some() || machines.len() <= SCREEN;
+    let quiet = [MachineState::Healthy, MachineState::Learning];
+    let mut shown: Vec<_> = machines
+        .iter()
+        .filter(|(machine, rows)| asked(machine, rows) && (is_short || !quiet.contains(&state(rows))))
+        .collect();
+    shown.sort_by_key(|(machine, rows)| (rank(state(rows)), **machine));
+    let mut table = output::table(["machine", "state", "moves to", "motor", "friction", "stiffness", "last throw"]);
+    for (machine, rows) in &shown {
+        for (at, row) in rows.iter().enumerate() {
+            let first = |text: String| if at == 0 { text } else { String::new() };
+            let change = |of: usize| row.change_pct.map(|pct| format!("{:+.1} %", pct[of])).unwrap_or_default();
+            let rejected = if row.is_rejected() { ", rejected" } else { "" };
+            table.add_row([
+                first(machine.to_string()),
+                first(state(rows).as_str().replace('_', " ")),
+                target(row.direction).to_owned(),
+                change(0),
+                change(1),
+                change(2),
+                format!("{} ago{rejected}", age(clock::now().duration_since(row.started_at))),
+            ]);
+        }
+    }
+    if !shown.is_empty() {
+        output::line(table)?;
+    }
+    for window in windows.iter().filter(|window| window.cause.is_none()) {
+        output::line(format_args!("{} is in maintenance {}", window.machine, window.sentence()))?;
+    }
+    Ok(())
+}
+
+/// From the worst state to the best.
+fn rank(state: MachineState) -> u8 {
+    match state {
+        MachineState::Critical => 0,
+        MachineState::NotMonitored => 1,
+        MachineState::Warning => 2,
+        MachineState::Maintenance => 3,
+        MachineState::Learning => 4,
+        MachineState::Healthy => 5,
+    }
+}
+
+fn target(direction: Option<Direction>) -> &'static str {
+    match direction {
+        Some(Direction::NormalToReverse) => "reverse",
+        Some(Direction::ReverseToNormal) => "normal",
+        None => "",
+    }
+}
+
+/// "12 s", "5 min", "3 h" or "4 d": as coarse as a glance needs.
+fn age(age: SignedDuration) -> String {
+    match age.as_secs() {
+        seconds @ ..120 => format!("{seconds} s"),
+        seconds @ ..7_200 => format!("{} min", seconds / 60),
+        seconds @ ..172_800 => format!("{} h", seconds / 3_600),
+        seconds => format!("{} d", seconds / 86_400),
     }
 }

@@ -1,13 +1,11 @@
 //! `pointsim table1`: the study's 4 cases x 6 tests, ours beside what is expected, as a table and as pictures.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::Context;
-use comfy_table::{CellAlignment, Table, presets};
+use comfy_table::CellAlignment;
 use serde_json::json;
 
-use super::{Exit, Outcome, ResultExt};
+use super::{Exit, Outcome, ResultExt, output};
 use crate::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, Test, run};
 use crate::report::{Panel, Sheet};
 use crate::simulate::RailModel;
@@ -46,17 +44,16 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let rails = if arguments.lumped { RailModel::Lumped } else { RailModel::Beam };
     let study = Study { rails, throws: arguments.throws.into(), seed: arguments.seed, ..Study::default() };
     let results = run(&study).or_exit(Exit::Software)?;
-    if let Some(directory) = &arguments.out {
-        draw(directory, &results).or_exit(Exit::CannotCreate)?;
+    if let Some(folder) = &arguments.out {
+        output::figures(folder, figures(&results))?;
     }
     let as_expected = results.iter().all(|result| {
         result.verdict() == result.case.cause && result.tests.iter().all(|test| (0..3).all(|at| holds(test, at)))
     });
-    let mut out = std::io::stdout().lock();
     if arguments.json {
-        print_json(&mut out, &results).or_exit(Exit::Io)?;
+        output::json(&report(&results))?;
     } else {
-        print_tables(&mut out, &results, &study).or_exit(Exit::Io)?;
+        output::line(tables(&results, &study))?;
     }
     Ok(if as_expected { Exit::Ok } else { Exit::Negative })
 }
@@ -65,18 +62,16 @@ fn holds(test: &Test, at: usize) -> bool {
     test.expected.is_none_or(|expected| expected[at].holds(test.change_pct[at]))
 }
 
-fn print_tables(out: &mut impl Write, results: &[CaseResult], study: &Study) -> anyhow::Result<()> {
+fn tables(results: &[CaseResult], study: &Study) -> String {
     let rails = if study.rails == RailModel::Lumped { "lumped rails" } else { "finite-element rails" };
-    writeln!(out, "Change of the coefficients from test 1 [%], {rails}, mean of {} throws a test.", study.throws)?;
-    writeln!(
-        out,
-        "Each cell: ours (standard deviation) | expected; * where they differ by more than 2 points or 3 %.\n"
-    )?;
+    let mut text = format!(
+        "Change of the coefficients from test 1 [%], {rails}, mean of {} throws a test.\n\
+         Each cell: ours (standard deviation) | expected; * where they differ by more than 2 points or 3 %.\n",
+        study.throws
+    );
     for result in results {
-        let mut table = Table::new();
-        table.load_style(presets::UTF8_FULL_CONDENSED);
-        let unit = if result.case.unit.is_empty() { String::new() } else { format!(" [{}]", result.case.unit) };
-        table.set_header(["test", &format!("{}{unit}", result.case.symbol), NAMES[0], NAMES[1], NAMES[2]]);
+        let parameter = format!("{}{}", result.case.symbol, unit(result));
+        let mut table = output::table(["test", &parameter, NAMES[0], NAMES[1], NAMES[2]]);
         for (at, test) in result.tests.iter().enumerate() {
             let mut row = vec![format!("{}", at + 1), format!("{}", test.value)];
             row.extend((0..3).map(|coefficient| cell(test, coefficient)));
@@ -85,13 +80,20 @@ fn print_tables(out: &mut impl Write, results: &[CaseResult], study: &Study) -> 
         for column in table.column_iter_mut() {
             column.set_cell_alignment(CellAlignment::Right);
         }
-        writeln!(out, "{table}")?;
         let line = |[b0_a1, b0_a0, a1_a0]: [f64; 3]| format!("b0, a1 {b0_a1:.2}; b0, a0 {b0_a0:.2}; a1, a0 {a1_a0:.2}");
-        writeln!(out, "correlation of the inertia estimates: {}", line(result.correlation))?;
-        writeln!(out, "of the means, beyond a scatter of 1 %: {}", line(result.correlation_beyond_scatter))?;
-        writeln!(out, "verdict: {} (changed: {})\n", result.verdict(), result.case.cause)?;
+        let verdict = format!("verdict: {} (changed: {})", result.verdict(), result.case.cause);
+        let [scatter, beyond] = [result.correlation, result.correlation_beyond_scatter].map(line);
+        text.extend([
+            format!("\n{table}\ncorrelation of the inertia estimates: {scatter}\n"),
+            format!("of the means, beyond a scatter of 1 %: {beyond}\n{verdict}\n"),
+        ]);
     }
-    Ok(())
+    text
+}
+
+/// " [N/m]", or nothing for a number without unit.
+fn unit(result: &CaseResult) -> String {
+    if result.case.unit.is_empty() { String::new() } else { format!(" [{}]", result.case.unit) }
 }
 
 fn cell(test: &Test, at: usize) -> String {
@@ -105,7 +107,7 @@ fn cell(test: &Test, at: usize) -> String {
     format!("{:+.1} ({sd_pct:.1}) | {expected}{mark}", test.change_pct[at])
 }
 
-fn print_json(out: &mut impl Write, results: &[CaseResult]) -> anyhow::Result<()> {
+fn report(results: &[CaseResult]) -> Vec<serde_json::Value> {
     let test = |test: &Test| {
         json!({
             "value": test.value, "b0": test.coefficients[0], "a1": test.coefficients[1], "a0": test.coefficients[2],
@@ -122,25 +124,19 @@ fn print_json(out: &mut impl Write, results: &[CaseResult]) -> anyhow::Result<()
             "tests": result.tests.iter().map(test).collect::<Vec<_>>(),
         })
     };
-    serde_json::to_writer_pretty(&mut *out, &results.iter().map(case).collect::<Vec<_>>())?;
-    writeln!(out)?;
-    Ok(())
+    results.iter().map(case).collect()
 }
 
-fn draw(directory: &Path, results: &[CaseResult]) -> anyhow::Result<()> {
-    std::fs::create_dir_all(directory).with_context(|| format!("{} cannot be created", directory.display()))?;
-    let mut figures = vec![("figure05_pulse_response.svg".to_owned(), pulse_response(&results[0].tests[0]))];
+/// The figures of the study, with the names of their files.
+fn figures(results: &[CaseResult]) -> Vec<(String, Sheet)> {
+    let mut figures = vec![("figure05_pulse_response".to_owned(), pulse_response(&results[0].tests[0]))];
     for (at, result) in results.iter().enumerate() {
-        let name = format!("figure{:02}_case_{}.svg", at + 6, result.case.symbol.to_lowercase());
+        let name = format!("figure{:02}_case_{}", at + 6, result.case.symbol.to_lowercase());
         figures.push((name, estimates(result)));
     }
-    figures.push(("figure10_inertia_estimates.svg".to_owned(), inertia_estimates(results)));
-    figures.push(("figure11_correlations.svg".to_owned(), correlations(results)));
-    for (name, sheet) in figures {
-        let path = directory.join(name);
-        std::fs::write(&path, sheet.to_svg()).with_context(|| format!("{} cannot be written", path.display()))?;
-    }
-    Ok(())
+    figures.push(("figure10_inertia_estimates".to_owned(), inertia_estimates(results)));
+    figures.push(("figure11_correlations".to_owned(), correlations(results)));
+    figures
 }
 
 /// The nominal throw as recorded, and the position that the identified model gives for the recorded current.
@@ -174,9 +170,9 @@ fn pulse_response(test: &Test) -> Sheet {
 fn estimates(result: &CaseResult) -> Sheet {
     let nominal = result.tests[0].coefficients;
     let label = |test: &Test| format!("{}", test.value);
-    let unit = if result.case.unit.is_empty() { String::new() } else { format!(" [{}]", result.case.unit) };
     let empty = |title: &str| {
-        Panel::bars(title, format!("% of nominal, over {}{unit}", result.case.symbol), NAMES).level(100.0, "")
+        let axis = format!("% of nominal, over {}{}", result.case.symbol, unit(result));
+        Panel::bars(title, axis, NAMES).level(100.0, "")
     };
     let (mut ours, mut expected) = (empty("This run"), empty("Expected (no more than 2.5 % where flat)"));
     for test in &result.tests {

@@ -1,6 +1,5 @@
 //! `pointsim throw`: one simulated throw as a CSV file, and what the physics says of it.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
@@ -9,7 +8,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
-use super::{Exit, Outcome, ResultExt};
+use super::{Exit, Outcome, ResultExt, output};
 use crate::simulate::{Coefficients, Condition, Conditions, Motion, Parameters, Part, Recording, Sensors};
 use crate::throw::Direction;
 
@@ -108,7 +107,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     };
     sensors.check().map_err(|error| error.within("sensors")).or_exit(Exit::Config)?;
     let motion = worn.simulate(direction, &conditions, sensors.step_s()).map_err(|error| {
-        let from_command_line = ["obstruction_mm", "temperature_c"].contains(&error.name.as_str());
+        let from_command_line = ["obstruction_mm", "temperature_c"].contains(&error.key.as_str());
         let exit = if from_command_line { Exit::Usage } else { Exit::Config };
         super::Failure { exit, error: error.into() }
     })?;
@@ -131,27 +130,30 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         samples: recording.trace.len(),
         temperature_c: arguments.temperature_c,
     };
-    report(&truth, arguments).or_exit(Exit::Io)
+    if arguments.json {
+        output::json(&truth)?;
+    } else {
+        output::line(text(&truth, &arguments.out))?;
+    }
+    Ok(Exit::Ok)
 }
 
 fn peak(motion: &Motion) -> f64 {
     motion.current_a.iter().fold(0.0, |most, current| current.abs().max(most))
 }
 
-fn report(truth: &Truth, arguments: &Arguments) -> anyhow::Result<Exit> {
-    let mut out = std::io::stdout().lock();
-    if arguments.json {
-        serde_json::to_writer_pretty(&mut out, truth)?;
-        writeln!(out)?;
-        return Ok(Exit::Ok);
-    }
+fn text(truth: &Truth, file: &Path) -> String {
     let Coefficients { b0, a1, a0, .. } = truth.coefficients;
-    writeln!(out, "{}: {} samples at {} Hz", arguments.out.display(), truth.samples, truth.sample_rate_hz)?;
     let end = if truth.completed { "completed" } else { "not completed" };
     let (duration, peak) = (truth.duration_s, truth.peak_current_a);
-    writeln!(out, "{}, {end} in {duration:.2} s, peak current {peak:.1} A", truth.direction)?;
-    writeln!(out, "the physics says b0 = {b0:.2}, a1 = {a1:.3}, a0 = {a0:.4}")?;
-    Ok(Exit::Ok)
+    format!(
+        "{}: {} samples at {} Hz\n{}, {end} in {duration:.2} s, peak current {peak:.1} A\n\
+         the physics says b0 = {b0:.2}, a1 = {a1:.3}, a0 = {a0:.4}",
+        file.display(),
+        truth.samples,
+        truth.sample_rate_hz,
+        truth.direction
+    )
 }
 
 fn settings(arguments: &Arguments) -> Result<Settings, super::Failure> {

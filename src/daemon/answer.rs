@@ -1,23 +1,13 @@
 //! Answers questions from the database, and hands operators' commands to the loop that judges.
 
-use std::time::Duration;
-
 use jiff::Timestamp;
-use tokio::{
-    sync::{mpsc, oneshot},
-    time,
-};
 
-use super::{judge::Order, status::Gauges};
+use super::{orders::Orders, status::Gauges};
 use crate::{
     bus::{self, Question, Questions},
-    store::{HealthRow, Reader, Selector, StoreError},
-    throw::Direction,
-    wire::{self, Health, HistoryQuery, Kind, Reply},
+    store::{Reader, Selector, StoreError},
+    wire::{self, Commander, HistoryQuery, Kind},
 };
-
-/// Longest wait for a command: the loop that judges may be in the middle of a batch.
-const COMMAND_LIMIT: Duration = Duration::from_secs(20);
 
 type Replies = Result<Vec<(String, Vec<u8>)>, String>;
 
@@ -37,8 +27,7 @@ async fn health_replies(question: &Question, reader: &Reader) -> Replies {
         }
     };
     let rows = rows.map_err(|error| unavailable(&error))?;
-    let messages =
-        rows.iter().map(|row| (wire::machine_key(&row.machine, Kind::Health), health_message(row).to_json()));
+    let messages = rows.iter().map(|health| (wire::machine_key(&health.machine, Kind::Health), health.to_json()));
     Ok(messages.filter(|(key, _)| question.asks_about(key)).collect())
 }
 
@@ -61,38 +50,44 @@ async fn alarm_replies(question: &Question, reader: &Reader) -> Replies {
         }
     };
     let rows = rows.map_err(|error| unavailable(&error))?;
-    let messages = rows.into_iter().map(|row| (wire::machine_key(&row.machine, Kind::Alarm), row.payload.into_bytes()));
+    let messages = rows.into_iter().map(|alarm| (wire::machine_key(&alarm.machine, Kind::Alarm), alarm.into_message()));
     Ok(messages.filter(|(key, _)| question.asks_about(key)).collect())
 }
 
-/// Takes operators' commands.
-pub(super) async fn commands(mut questions: Questions, orders: mpsc::Sender<Order>) {
+/// Takes operators' commands, and says who does so: `itself`. A command for another daemon gets no reply.
+pub(super) async fn commands(mut questions: Questions, orders: Orders, itself: Commander) {
     while let Some(question) = questions.next().await {
-        let replies = command_reply(&question, &orders).await;
+        let replies = match question.parameter("session") {
+            Some(other) if other != itself.session => Ok(Vec::new()),
+            _ => command_reply(&question, &orders, &itself).await,
+        };
         bus::answer(question, replies).await;
     }
 }
 
-async fn command_reply(question: &Question, orders: &mpsc::Sender<Order>) -> Replies {
+async fn command_reply(question: &Question, orders: &Orders, itself: &Commander) -> Replies {
     let (machine, _) = wire::parse_key(question.key())
         .map_err(|error| format!("a command goes to one machine, so its key has no wildcard: {error}"))?;
-    let command = wire::decode_command(&question.payload()).map_err(|error| error.to_string())?;
-    let (reply, answer) = oneshot::channel();
-    let order = Order { machine: machine.clone(), command, reply };
-    let busy = || "the daemon is busy: ask again".to_owned();
-    let answer = time::timeout(COMMAND_LIMIT, async {
-        orders.send(order).await.map_err(|_| busy())?;
-        answer.await.map_err(|_| busy())
-    });
-    let reply: Reply = answer.await.map_err(|_| busy())??;
-    Ok(vec![(wire::machine_key(&machine, Kind::Command), reply.to_json())])
+    let key = wire::machine_key(&machine, Kind::Command);
+    let payload = question.payload();
+    if payload.is_empty() {
+        let reply = serde_json::to_vec(itself).map_err(|error| error.to_string())?;
+        return Ok(vec![(key, reply)]);
+    }
+    let command = wire::decode_command(&payload).map_err(|error| error.to_string())?;
+    Ok(vec![(key, orders.carry_out(machine, command).await?.to_json())])
 }
 
 /// Answers questions about the daemon itself.
 pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges) {
     while let Some(question) = questions.next().await {
-        let replies = serde_json::to_vec(&gauges.report()).map(|report| vec![(key.clone(), report)]);
-        bus::answer(question, replies.map_err(|error| error.to_string())).await;
+        let mut report = gauges.report();
+        match gauges.store.reader().windows(None).await {
+            Ok(windows) => report.windows = windows,
+            // The rest of the status is wanted most when the database does not answer.
+            Err(error) => tracing::warn!(%error, "the status has no maintenance windows: the database does not answer"),
+        }
+        bus::answer(question, Ok(vec![(key.clone(), wire::json(&report))])).await;
     }
 }
 
@@ -113,31 +108,4 @@ fn selector(question: &Question) -> Selector {
         return Selector::default();
     }
     Selector { site: name(), machine: name() }
-}
-
-fn health_message(row: &HealthRow) -> Health {
-    let of = |three: Option<[f64; 3]>, at: usize| three.map(|three| three[at]);
-    Health {
-        schema: Health::SCHEMA.to_owned(),
-        site: row.machine.site.to_string(),
-        machine: row.machine.machine.to_string(),
-        boot_id: row.throw.boot_id.clone(),
-        throw_no: row.throw.throw_no,
-        started_at: row.started_at,
-        direction: row.direction.map_or("unknown", Direction::as_str).to_owned(),
-        quality: row.quality.clone(),
-        b0: of(row.coefficients, 0),
-        a1: of(row.coefficients, 1),
-        a0: of(row.coefficients, 2),
-        b0_sd: of(row.sd, 0),
-        a1_sd: of(row.sd, 1),
-        a0_sd: of(row.sd, 2),
-        b0_pct: of(row.change_pct, 0),
-        a1_pct: of(row.change_pct, 1),
-        a0_pct: of(row.change_pct, 2),
-        fit_pct: row.fit_pct,
-        duration_s: row.duration_s,
-        peak_current_a: row.peak_current_a,
-        mean_current_a: row.mean_current_a,
-    }
 }

@@ -1,4 +1,4 @@
-//! The only place that reads the clocks.
+//! The clocks of the shell. The dashboard, the commands and the loggers use it too; the core gets the time as a parameter.
 
 use std::time::Instant;
 

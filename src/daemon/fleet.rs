@@ -1,46 +1,66 @@
-//! The monitors of all machines, and what follows from what they see: pure bookkeeping between core and database.
+//! The monitors of all machines, and what is to be stored of their changes: pure bookkeeping between core and database.
 
 use std::collections::{HashMap, HashSet};
 
 use jiff::Timestamp;
 
+use super::status::Standing;
 use crate::{
-    diagnose::{AlarmEvent, Command, CommandError, MachineMonitor, Observation, Settings, Severity, Verdict},
-    estimate::Identification,
-    store::{AlarmRecord, BaselineRecord, Judgement, Message, Outcome, StoredThrow},
+    diagnose::{
+        AlarmEvent, AlarmState, Command, CommandError, Irregularity, MachineMonitor, Observation, Settings, Severity,
+        Verdict,
+    },
+    estimate::{Estimate, Identification, Rejection},
+    store::{Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
     throw::MachineId,
-    wire::{self, Alarm, Kind},
+    wire::{Health, json},
 };
 
 /// `quality` of a throw whose stored trace cannot be read.
 const UNREADABLE: &str = "unreadable_trace";
+/// `quality` of a throw whose trace the machine sent before.
+const REPEATED: &str = "repeated_trace";
 /// `quality` of a throw on which the estimator itself failed.
 const ESTIMATOR_FAILED: &str = "estimator_failed";
 
 /// The monitors of all machines.
 #[derive(Default)]
-pub struct Fleet {
+pub(super) struct Fleet {
     monitors: HashMap<MachineId, MachineMonitor>,
+    /// Machines whose stored state is not that of their monitor: an earlier version wrote it.
+    to_store: HashSet<MachineId>,
 }
 
 impl Fleet {
-    /// The monitors as the database kept them. A snapshot that cannot be read is left out, and said: its machine
-    /// learns anew.
-    #[must_use]
-    pub fn restore(snapshots: Vec<(MachineId, String)>) -> Self {
+    /// The monitors as the database has them. A snapshot that cannot be read is left out and logged: its machine learns
+    /// a new baseline.
+    pub(super) fn restore(stored: Vec<StoredMonitor>) -> Self {
         let mut fleet = Self::default();
-        for (machine, json) in snapshots {
-            match serde_json::from_str(&json) {
-                Ok(monitor) => drop(fleet.monitors.insert(machine, monitor)),
-                Err(error) => tracing::error!(%machine, %error, "its monitor cannot be read and begins anew"),
+        for StoredMonitor { machine, snapshot, state } in stored {
+            match MachineMonitor::from_snapshot(&snapshot) {
+                Ok(monitor) => {
+                    if state != Some(monitor.state()) {
+                        fleet.to_store.insert(machine.clone());
+                    }
+                    fleet.monitors.insert(machine, monitor);
+                }
+                Err(error) => {
+                    tracing::error!(%machine, %error, "its monitor cannot be read: a new baseline is learned");
+                }
             }
         }
         fleet
     }
 
-    /// The machines that are monitored.
-    pub fn machines(&self) -> impl Iterator<Item = &MachineId> {
-        self.monitors.keys()
+    /// Machines in each state, and shelved alarms, without the daemon's own.
+    pub(super) fn standing(&self, own_machine: &MachineId) -> Standing {
+        let mut standing = Standing::default();
+        for (_, monitor) in self.monitors.iter().filter(|(machine, _)| *machine != own_machine) {
+            *standing.machines.entry(monitor.state()).or_default() += 1;
+            let shelved = monitor.open_alarms().iter().filter(|alarm| alarm.state == AlarmState::Shelved).count();
+            standing.shelved_alarms += shelved as u64;
+        }
+        standing
     }
 
     fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {
@@ -48,113 +68,95 @@ impl Fleet {
     }
 
     /// Judges a throw: its diagnosis, and all that is to be committed with it.
-    pub fn judge(
+    pub(super) fn judge(
         &mut self,
         stored: &StoredThrow,
-        found: Option<Identification>,
+        identification: Option<Identification>,
         settings: &Settings,
-        judged_at: Timestamp,
-    ) -> (Judgement, Verdict) {
-        let (quality, detail) = quality(stored, found.as_ref());
+        at: Timestamp,
+    ) -> Judgement {
+        // A trace that was sent before says nothing new: it is no evidence, neither of health nor of a drift.
+        let repeats = stored.repeats && identification.as_ref().is_some_and(|found| found.outcome.is_ok());
+        let identification = identification.filter(|_| !repeats);
         let monitor = self.monitor(&stored.machine);
-        let verdict = monitor.observe(&observation(stored, found.as_ref()), settings);
-        let judgement = Judgement {
-            row: stored.row,
-            machine: stored.machine.clone(),
-            judged_at,
-            identification: found,
-            quality,
-            detail,
-            change_pct: verdict.change_pct,
-            baseline: verdict.baseline,
-            baselines: verdict.baselines_taken.iter().map(baseline_record).collect(),
-            outcome: outcome(&stored.machine, monitor, &verdict.events),
-        };
-        (judgement, verdict)
+        let observation = observation(stored, identification.as_ref());
+        let mut verdict = monitor.observe(&observation, settings);
+        let irregularities =
+            [(repeats, Irregularity::RepeatedTrace), (stored.renumbered, Irregularity::RepeatedNumber)];
+        for (_, irregularity) in irregularities.into_iter().filter(|(is_so, _)| *is_so) {
+            let event = monitor.irregular(irregularity, &stored.id, stored.started_at, settings);
+            verdict.events.extend(event);
+            verdict.state = monitor.state();
+        }
+        let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
+        let mut outcome = outcome(&stored.machine, monitor, at, Vec::new());
+        let health = health(stored, identification.as_ref(), &verdict, since_baseline);
+        outcome.events = verdict.events;
+        Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
 
-    /// Lets time pass for every machine, with the loggers that show that they are alive: what is to be recorded, per
-    /// machine; with `keep_all` also where nothing happened.
-    pub fn tick(
+    /// Lets time pass for every machine, with the loggers that have a liveliness token: what is to be stored; with
+    /// `all` also of machines that did not change.
+    pub(super) fn tick(
         &mut self,
         now: Timestamp,
         settings: &Settings,
         loggers: &HashSet<MachineId>,
-        keep_all: bool,
-    ) -> Vec<(MachineId, Vec<AlarmEvent>, Outcome)> {
+        all: bool,
+    ) -> Vec<Outcome> {
         let mut changed = Vec::new();
         for (machine, monitor) in &mut self.monitors {
-            let announced = monitor.is_announced();
+            let before = (monitor.is_announced(), monitor.state());
             let mut events: Vec<_> = monitor.logger(loggers.contains(machine), now, settings).into_iter().collect();
             events.extend(monitor.tick(now, settings));
-            // A logger that is known to show itself is missed after a restart too.
-            let first_seen = monitor.is_announced() != announced;
-            if keep_all || first_seen || !events.is_empty() {
-                let outcome = outcome(machine, monitor, &events);
-                changed.push((machine.clone(), events, outcome));
+            // That a logger has a token is stored at once, so that it is missed after a restart too.
+            let changes = before != (monitor.is_announced(), monitor.state()) || !events.is_empty();
+            if all || changes || self.to_store.contains(machine) {
+                changed.push(outcome(machine, monitor, now, events));
             }
         }
+        self.to_store.clear();
         changed
     }
 
-    /// Takes in what keeps the daemon from keeping data: its own alarm, as if it were a machine.
-    pub fn trouble(
+    /// Updates the alarm of the daemon itself, which stands under its own name as if it were a machine.
+    pub(super) fn trouble(
         &mut self,
-        itself: &MachineId,
+        own_machine: &MachineId,
         trouble: Option<&(Severity, String)>,
         now: Timestamp,
         settings: &Settings,
-    ) -> Option<(MachineId, Vec<AlarmEvent>, Outcome)> {
-        if trouble.is_none() && !self.monitors.contains_key(itself) {
+    ) -> Option<Outcome> {
+        if trouble.is_none() && !self.monitors.contains_key(own_machine) {
             return None;
         }
-        let monitor = self.monitor(itself);
-        let trouble = trouble.map(|(severity, said)| (*severity, said.as_str()));
+        let monitor = self.monitor(own_machine);
+        let trouble = trouble.map(|(severity, text)| (*severity, text.as_str()));
         let event = monitor.trouble(trouble, now, settings)?;
-        let outcome = outcome(itself, monitor, std::slice::from_ref(&event));
-        Some((itself.clone(), vec![event], outcome))
+        Some(outcome(own_machine, monitor, now, vec![event]))
     }
 
-    /// Takes in that throws of a machine never came.
-    pub fn gap(
-        &mut self,
-        machine: &MachineId,
-        lost: u64,
-        at: Timestamp,
-        settings: &Settings,
-    ) -> (Vec<AlarmEvent>, Outcome) {
+    /// Reports to a machine's monitor that throws never arrived.
+    pub(super) fn gap(&mut self, machine: &MachineId, lost: u64, at: Timestamp, settings: &Settings) -> Outcome {
         let monitor = self.monitor(machine);
         let events = monitor.gap(lost, at, settings);
-        let outcome = outcome(machine, monitor, &events);
-        (events, outcome)
+        outcome(machine, monitor, at, events)
     }
 
     /// Carries out an operator's command. `None` when no such machine is monitored.
-    pub fn command(
+    pub(super) fn command(
         &mut self,
         machine: &MachineId,
         command: &Command,
         now: Timestamp,
         settings: &Settings,
-    ) -> Option<Result<(Vec<AlarmEvent>, Outcome), CommandError>> {
+    ) -> Option<Result<Outcome, CommandError>> {
         let monitor = self.monitors.get_mut(machine)?;
         let result = monitor.command(command, now, settings);
         Some(result.map(|events| {
-            let outcome = outcome(machine, monitor, &events);
-            (events, Outcome { command: Some(command.clone()), ..outcome })
+            let outcome = outcome(machine, monitor, now, events);
+            Outcome { command: Some(command.clone()), ..outcome }
         }))
-    }
-}
-
-fn quality(stored: &StoredThrow, found: Option<&Identification>) -> (String, Option<String>) {
-    match (&stored.throw, found.map(|found| &found.outcome)) {
-        (_, Some(Ok(_))) => (wire::GOOD.to_owned(), None),
-        (_, Some(Err(rejection))) => (rejection.code().to_owned(), Some(rejection.to_string())),
-        (Err(unreadable), None) => (UNREADABLE.to_owned(), Some(unreadable.to_string())),
-        (Ok(_), None) => {
-            let detail = "the estimator failed on this throw: please report it, with the throw".to_owned();
-            (ESTIMATOR_FAILED.to_owned(), Some(detail))
-        }
     }
 }
 
@@ -167,40 +169,68 @@ fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observat
         throw: stored.id.clone(),
         started_at: stored.started_at,
         direction: found.and_then(|found| found.direction).or(declared.and_then(|throw| throw.direction)),
-        estimate: estimate.map(|e| ([e.b0, e.a1, e.a0], e.covariance)),
-        incomplete: rejection.is_some_and(crate::estimate::Rejection::is_incomplete),
+        estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
+        grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
+        ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
+        incomplete: rejection.is_some_and(Rejection::is_incomplete),
         features: found.map(|found| found.features.clone()).unwrap_or_default(),
         temperature_c: declared.and_then(|throw| throw.temperature_c),
     }
 }
 
-/// The monitor as it is now, the events, and the messages that tell the world.
-fn outcome(machine: &MachineId, monitor: &MachineMonitor, events: &[AlarmEvent]) -> Outcome {
-    let key = wire::machine_key(machine, Kind::Alarm);
-    let mut outcome = Outcome { snapshot: snapshot(machine, monitor), ..Outcome::default() };
-    for event in events {
-        let payload = Alarm::new(machine, event).to_json();
-        let text = String::from_utf8_lossy(&payload).into_owned();
-        outcome.alarms.push(AlarmRecord { event: event.clone(), payload: text });
-        outcome.outbox.push(Message { key: key.clone(), payload });
+fn health(
+    stored: &StoredThrow,
+    found: Option<&Identification>,
+    verdict: &Verdict,
+    throws_since_baseline: u64,
+) -> Health {
+    let (quality, detail) = match (&stored.throw, found) {
+        (_, Some(found)) => (found.quality(), found.outcome.as_ref().err().map(ToString::to_string)),
+        (Ok(_), None) if stored.repeats => {
+            let detail = "the machine sent the same trace before: a throw never repeats to the last digit";
+            (REPEATED, Some(detail.to_owned()))
+        }
+        (Err(unreadable), None) => (UNREADABLE, Some(unreadable.to_string())),
+        (Ok(_), None) => {
+            let detail = "the estimator failed on this throw: please report it, with the throw";
+            (ESTIMATOR_FAILED, Some(detail.to_owned()))
+        }
+    };
+    let estimate = found.and_then(|found| found.outcome.as_ref().ok());
+    let scaled = estimate.filter(|estimate| !estimate.ratios_only);
+    let features = found.map(|found| found.features.clone()).unwrap_or_default();
+    Health {
+        schema: Health::SCHEMA.to_owned(),
+        machine: stored.machine.clone(),
+        throw: stored.id.clone(),
+        started_at: stored.started_at,
+        direction: found.and_then(|found| found.direction),
+        quality: quality.to_owned(),
+        coefficients: scaled.map(Estimate::coefficients),
+        sd: scaled.map(Estimate::sd),
+        change_pct: verdict.change_pct,
+        fit_pct: estimate.map(|estimate| estimate.fit_pct),
+        a1_per_b0: estimate.map(|estimate| estimate.ratios()[0]),
+        a1_per_b0_sd: estimate.map(|estimate| estimate.ratios_sd()[0]),
+        a0_per_b0: estimate.map(|estimate| estimate.ratios()[1]),
+        a0_per_b0_sd: estimate.map(|estimate| estimate.ratios_sd()[1]),
+        duration_s: features.duration_s,
+        peak_current_a: features.peak_current_a,
+        mean_current_a: features.mean_current_a,
+        state: Some(verdict.state),
+        drift: verdict.drifts.first().copied(),
+        detail,
+        baseline: verdict.baseline.map(|(so_far, needed)| (so_far as u64, needed as u64)),
+        throws_since_baseline,
     }
-    outcome
 }
 
-fn snapshot(machine: &MachineId, monitor: &MachineMonitor) -> Option<String> {
-    serde_json::to_string(monitor)
-        .inspect_err(|error| tracing::error!(%machine, %error, "its monitor cannot be kept: a restart would forget"))
-        .ok()
-}
-
-fn baseline_record(record: &crate::diagnose::BaselineRecord) -> BaselineRecord {
-    BaselineRecord {
-        direction: record.direction,
-        throws: record.throws,
-        centre: record.center,
-        // Numbers and words into memory: nothing in it can fail.
-        details: serde_json::to_string(record).unwrap_or_default(),
-        by: None,
-        why: None,
-    }
+/// The monitor as it is now, with the events that led to it.
+fn outcome(machine: &MachineId, monitor: &MachineMonitor, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
+    let record = MonitorRecord {
+        snapshot: String::from_utf8_lossy(&json(monitor)).into_owned(),
+        state: monitor.state(),
+        drifts: monitor.drifts().to_vec(),
+    };
+    Outcome { machine: machine.clone(), at, monitor: Some(record), events, reported_gaps: Vec::new(), command: None }
 }

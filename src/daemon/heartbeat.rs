@@ -5,16 +5,19 @@ use std::{
     time::{Duration, Instant},
 };
 
+use strum::VariantArray;
+
 use super::clock;
 
 /// A loop whose last beat is older than this hangs. The longest thing that any of them waits for is a link that zenoh
 /// gives up after 5 s, a query of 10 s, or the identification of 16 of the longest traces.
 const FRESH: Duration = Duration::from_secs(30);
 
-/// What must beat.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Organ {
-    /// Takes messages in and hands them to the database.
+/// A loop that must beat.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::AsRefStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
+pub enum TaskName {
+    /// Receives messages and stores them.
     Receive,
     /// Identifies and diagnoses.
     Identify,
@@ -24,50 +27,34 @@ pub enum Organ {
     Publish,
 }
 
-impl Organ {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Receive, Self::Identify, Self::Write, Self::Publish];
-
-    /// Its name, for people.
-    #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Receive => "receive",
-            Self::Identify => "identify",
-            Self::Write => "write",
-            Self::Publish => "publish",
-        }
-    }
-}
-
-/// The last beat of each.
+/// The time of the last beat of each loop.
 #[derive(Debug)]
 pub struct Heartbeats {
     start: Instant,
-    last_ms: [AtomicU64; Organ::ALL.len()],
+    last_ms: [AtomicU64; TaskName::VARIANTS.len()],
 }
 
 impl Heartbeats {
-    /// All beat now.
+    /// Heartbeats with a beat of each loop now.
     #[must_use]
     pub fn new() -> Self {
-        Self { start: clock::monotonic(), last_ms: [const { AtomicU64::new(0) }; Organ::ALL.len()] }
+        Self { start: clock::monotonic(), last_ms: [const { AtomicU64::new(0) }; TaskName::VARIANTS.len()] }
     }
 
-    /// It lives.
-    pub fn beat(&self, organ: Organ) {
-        self.last_ms[organ as usize].store(self.elapsed_ms(), Relaxed);
+    /// Notes a beat of a loop.
+    pub fn beat(&self, task: TaskName) {
+        self.last_ms[task as usize].store(self.elapsed_ms(), Relaxed);
     }
 
-    /// Those that have not beaten for too long.
+    /// Loops whose last beat is too old.
     #[must_use]
-    pub fn silent(&self) -> Vec<Organ> {
+    pub fn silent(&self) -> Vec<TaskName> {
         let now = self.elapsed_ms();
-        let silent = |organ: &Organ| {
-            let age = now.saturating_sub(self.last_ms[*organ as usize].load(Relaxed));
+        let silent = |task: &TaskName| {
+            let age = now.saturating_sub(self.last_ms[*task as usize].load(Relaxed));
             Duration::from_millis(age) > FRESH
         };
-        Organ::ALL.into_iter().filter(silent).collect()
+        TaskName::VARIANTS.iter().copied().filter(silent).collect()
     }
 
     fn elapsed_ms(&self) -> u64 {

@@ -11,14 +11,14 @@ use crate::{
 const MOST_THREADS: usize = 8;
 
 /// Identifiers, one a thread, each with its work buffers.
-pub struct Pool {
+pub(super) struct Pool {
     idle: Vec<Identifier>,
 }
 
 impl Pool {
     /// A pool of so many threads; 0 for as many as there are processors, at most `MOST_THREADS`.
     #[must_use]
-    pub fn new(threads: usize) -> Self {
+    pub(super) fn new(threads: usize) -> Self {
         let available = || std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
         let threads = if threads == 0 { available() } else { threads };
         Self { idle: (0..threads).map(|_| Identifier::default()).collect() }
@@ -26,7 +26,7 @@ impl Pool {
 
     /// Identifies each throw with its settings. `None` where the estimator itself failed on a throw, which is a fault
     /// of the program that must not keep the other throws from being judged.
-    pub async fn identify(&mut self, throws: Vec<(Throw, Settings)>) -> Vec<Option<Identification>> {
+    pub(super) async fn identify(&mut self, throws: Vec<(Throw, Settings)>) -> Vec<Option<Identification>> {
         let threads = self.idle.len().max(1);
         let share = throws.len().div_ceil(threads).max(1);
         let mut throws = throws.into_iter();

@@ -1,11 +1,19 @@
-//! One process at a time judges what is in a database: two would each keep monitors that the other does not see.
+//! One process at a time uses a database: two would each keep monitors that the other does not see.
 
 use std::{
     fs::{File, TryLockError},
+    io::{self, ErrorKind},
+    os::{
+        linux::net::SocketAddrExt,
+        unix::{
+            ffi::OsStrExt,
+            net::{SocketAddr, UnixListener},
+        },
+    },
     path::{Path, PathBuf},
 };
 
-/// Why the database is not ours.
+/// Why the lock of a database could not be taken.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
     /// Another process has it.
@@ -28,6 +36,8 @@ pub enum LockError {
 #[derive(Debug)]
 pub struct DatabaseLock {
     _file: File,
+    /// A lock file can be removed, and a second process would make another one. This name has no file.
+    _name: UnixListener,
 }
 
 impl DatabaseLock {
@@ -42,9 +52,42 @@ impl DatabaseLock {
         let failed = |source| LockError::File { path: path.clone(), source };
         let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
         match file.try_lock() {
-            Ok(()) => Ok(Self { _file: file }),
+            Ok(()) => match UnixListener::bind_addr(&name_of(database).map_err(failed)?) {
+                Ok(name) => Ok(Self { _file: file, _name: name }),
+                Err(error) if error.kind() == ErrorKind::AddrInUse => {
+                    Err(LockError::Taken { database: database.to_owned() })
+                }
+                Err(source) => Err(failed(source)),
+            },
             Err(TryLockError::WouldBlock) => Err(LockError::Taken { database: database.to_owned() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
+    }
+}
+
+/// A name in Linux's abstract namespace, the same for every path that leads to the database's folder.
+fn name_of(database: &Path) -> io::Result<SocketAddr> {
+    let folder = database.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let path = std::fs::canonicalize(folder)?.join(database.file_name().unwrap_or_default());
+    // A path may be longer than such a name: its checksums tell paths apart well enough.
+    let (bytes, reversed) = (path.as_os_str().as_bytes(), path.as_os_str().as_bytes().iter().rev().copied());
+    let checksums = (crc32fast::hash(bytes), crc32fast::hash(&reversed.collect::<Vec<_>>()));
+    SocketAddr::from_abstract_name(format!("pointsd-{:08x}{:08x}-{}", checksums.0, checksums.1, bytes.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_removed_lock_file_lets_no_second_process_in() {
+        let folder = tempfile::tempdir().unwrap();
+        let database = folder.path().join("points.db");
+        let first = DatabaseLock::take(&database).unwrap();
+        assert!(matches!(DatabaseLock::take(&database), Err(LockError::Taken { .. })));
+        std::fs::remove_file(folder.path().join("points.db.lock")).unwrap();
+        assert!(matches!(DatabaseLock::take(&database), Err(LockError::Taken { .. })));
+        drop(first);
+        DatabaseLock::take(&database).unwrap();
     }
 }

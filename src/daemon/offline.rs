@@ -1,27 +1,45 @@
 //! The pipeline without zenoh: recorded throws go through spool, identification and diagnosis into the database.
 
-use std::{
-    collections::{HashSet, VecDeque},
-    sync::Arc,
+use std::sync::Arc;
+
+use tokio::sync::watch;
+
+use super::{
+    clock,
+    config::Config,
+    judge::{Judge, Judged},
+    lock::{DatabaseLock, LockError},
 };
-
-use tokio::sync::{Notify, broadcast, watch};
-use tokio_util::sync::CancellationToken;
-
-use super::{Fleet, Judged, Pool, StartError, Status, clock, config::Config, judge::Judge, lock::DatabaseLock};
 use crate::{
+    bus::BusError,
     store::{Spooled, Store, StoreError},
     throw::{MachineId, Throw},
 };
 
-/// Throws that are judged together; watchers never lag behind a group.
+/// Why the daemon cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The database cannot be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Zenoh cannot be used.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The database is not ours.
+    #[error(transparent)]
+    Lock(#[from] LockError),
+    /// The system gives no thread.
+    #[error("the system gives no thread to publish from: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// Throws that are stored before they are judged: a few commits for many throws.
 const GROUP: usize = 64;
 
 /// The pipeline of one database, without a daemon.
 pub struct Offline {
     store: Store,
     judge: Judge,
-    judged: broadcast::Receiver<Judged>,
     waiting: usize,
     _lock: DatabaseLock,
 }
@@ -31,32 +49,15 @@ impl Offline {
     ///
     /// # Errors
     /// When it cannot be used, or a daemon works on it.
-    pub async fn open(config: Config) -> Result<Self, StartError> {
+    pub async fn open(mut config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         let store = Store::open(&config.store, clock::now()).await?.store;
-        let fleet = Fleet::restore(store.reader().monitors().await?);
-        let (watchers, judged) = broadcast::channel(16 * GROUP);
-        let pool = Pool::new(config.identify.threads);
-        let itself = config.monitor.as_machine();
+        // No logger is there to be waited for.
+        config.subscribe.backlog_wait_s = 0.0;
         // The sender may go: the receiver keeps the last value.
         let (_, config) = watch::channel(Arc::new(config));
-        let judge = Judge {
-            store: store.clone(),
-            fleet,
-            pool,
-            config,
-            status: Arc::new(Status::new()),
-            outlet: None,
-            spooled: Arc::new(Notify::new()),
-            outbox: Arc::new(Notify::new()),
-            watchers,
-            give_up: CancellationToken::new(),
-            loggers: watch::channel(HashSet::new()).1,
-            itself,
-            own: VecDeque::new(),
-            ticks: 0,
-        };
-        Ok(Self { store, judge, judged, waiting: 0, _lock: lock })
+        let judge = Judge::restore(store.clone(), config).await?;
+        Ok(Self { store, judge, waiting: 0, _lock: lock })
     }
 
     /// Takes a throw in; judges from time to time. Returns what was judged meanwhile, and what became of the throw.
@@ -76,12 +77,15 @@ impl Offline {
     /// When the database cannot be written to.
     pub async fn judge(&mut self) -> Result<Vec<Judged>, StoreError> {
         self.waiting = 0;
-        self.judge.drain().await?;
         let mut all = Vec::new();
-        while let Ok(judged) = self.judged.try_recv() {
-            all.push(judged);
+        loop {
+            let judgements = self.judge.next().await?;
+            if judgements.is_empty() {
+                return Ok(all);
+            }
+            self.judge.commit(&judgements).await?;
+            all.extend(judgements.iter().map(Judged::from));
         }
-        Ok(all)
     }
 
     /// Closes the database.

@@ -1,4 +1,4 @@
-//! Which loggers are connected, for the status and for the monitors, which miss those that go.
+//! Liveliness of the loggers, for the status and for the monitors, which raise an alarm when a logger is gone.
 
 use std::{
     collections::HashSet,
@@ -14,7 +14,7 @@ use crate::{
     wire::{self, Kind},
 };
 
-/// Loggers that are remembered; tokens beyond that are not counted.
+/// Most loggers whose tokens are followed.
 const MOST: usize = 100_000;
 
 pub(super) async fn run(mut tokens: PresenceWatch, status: Arc<Status>, alive: watch::Sender<HashSet<MachineId>>) {
@@ -23,7 +23,7 @@ pub(super) async fn run(mut tokens: PresenceWatch, status: Arc<Status>, alive: w
         alive.send_modify(|alive| {
             if change.alive && alive.len() < MOST {
                 if alive.insert(machine.clone()) {
-                    tracing::info!(%machine, "its logger is there");
+                    tracing::info!(%machine, "its logger appeared");
                 }
             } else if alive.remove(&machine) {
                 tracing::warn!(%machine, "its logger is gone");

@@ -10,7 +10,7 @@ use tokio::{sync::Notify, time};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
-use super::{clock, heartbeat::Organ, status::Status};
+use super::{clock, heartbeat::TaskName, status::Status};
 use crate::{
     bus::{self, Audience, Outlet},
     store::Store,
@@ -24,7 +24,7 @@ const SETTLED: Duration = Duration::from_secs(2);
 /// On a database that was used before nothing is published for so long after the start: subscribers have to find the new
 /// process first, for which zenoh tries every 4 s at least. One that came later would get old events after new ones.
 const RETURN: Duration = Duration::from_secs(6);
-/// For so long after the start messages wait for somebody who listens.
+/// Longest wait for a first subscriber after the start.
 const AUDIENCE_LIMIT: Duration = Duration::from_secs(30);
 /// A put that takes longer hangs; zenoh itself gives a stalled link up after 5 s.
 const PUT_LIMIT: Duration = Duration::from_secs(20);
@@ -36,9 +36,9 @@ pub(super) struct Publisher {
     pub(super) outlet: Outlet,
     pub(super) status: Arc<Status>,
     pub(super) outbox: Arc<Notify>,
-    /// Those who listen to alarms.
+    /// Subscribers of alarms.
     pub(super) audience: Audience,
-    /// Whether the database is new, so that nobody has listened to a process before this one.
+    /// Whether the database is new, so that no subscriber knows a process before this one.
     pub(super) is_first: bool,
     /// Whether the session is a leaf, which reaches others through a router only.
     pub(super) is_client: bool,
@@ -55,7 +55,7 @@ impl Publisher {
             let stopping = stop.is_cancelled();
             let connected = bus::is_connected(&self.session).await;
             self.status.connected.store(connected, Relaxed);
-            // A client without its router would talk into the void.
+            // Without its router, a client reaches no subscriber.
             let reaches = connected || !self.is_client;
             let since = clock::monotonic().duration_since(start);
             let waited = since >= AUDIENCE_LIMIT;
@@ -64,7 +64,7 @@ impl Publisher {
                 last = self.publish(last, &mut taken).await;
             }
             self.settle(&mut taken).await;
-            self.status.heartbeats.beat(Organ::Publish);
+            self.status.heartbeats.beat(TaskName::Publish);
             if stopping || self.outlet.is_closed() {
                 return;
             }
@@ -103,7 +103,7 @@ impl Publisher {
                         return last;
                     }
                 }
-                self.status.heartbeats.beat(Organ::Publish);
+                self.status.heartbeats.beat(TaskName::Publish);
             }
         }
     }

@@ -1,16 +1,17 @@
-//! From zenoh to the database: decode, spool, and nothing else. What cannot be read goes to quarantine with its
-//! reason; what cannot be stored is tried again until it can, or until the daemon has to stop.
+//! From zenoh to the database: decode and store. A message that is no throw goes to quarantine with its reason; storing is
+//! retried until it works, or until the daemon has to stop.
 
 use std::{
-    collections::HashSet,
-    sync::{Arc, atomic::Ordering::Relaxed},
+    collections::HashMap,
+    sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::Ordering::Relaxed},
     time::Duration,
 };
 
+use jiff::Timestamp;
 use tokio::{sync::Notify, task, time};
 use tokio_util::sync::CancellationToken;
 
-use super::{clock, heartbeat::Organ, status::Status};
+use super::{clock, heartbeat::TaskName, status::Status};
 use crate::{
     bus::{Inbox, Message},
     store::{QUARANTINED_BYTES, Refused, Spooled, Store, StoreError},
@@ -26,27 +27,104 @@ const FIRST_PAUSE: Duration = Duration::from_millis(50);
 /// A disk that was freed is noticed within this time.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
-type Received = (MachineId, Throw, jiff::Timestamp);
+/// A decoded throw, its machine, and when it was received.
+pub(super) type Received = (MachineId, Throw, Timestamp);
 
-/// The loop that receives.
-pub(super) struct Receiver {
-    pub(super) inbox: Inbox,
+/// Decodes messages, and refuses what is no throw of a machine that may speak. Live throws and pages of backlogs share it.
+pub(super) struct Intake {
     pub(super) store: Store,
     pub(super) status: Arc<Status>,
-    /// Rung when something was stored.
-    pub(super) spooled: Arc<Notify>,
-    /// Machines that are known; no more than `max_machines` ever are.
-    pub(super) machines: HashSet<MachineId>,
+    /// Known machines, no more than `max_machines`, and whether a live throw of each was received since the start.
+    pub(super) machines: Mutex<HashMap<MachineId, bool>>,
     pub(super) max_machines: usize,
     pub(super) max_payload_bytes: usize,
-    /// The name under which the daemon's own alarms stand: no machine may speak under it.
+    /// The name under which the daemon's own alarms stand: no machine may have it.
     pub(super) itself: MachineId,
-    /// The daemon must end now: what could not be stored until then is lost, and said to be.
+}
+
+impl Intake {
+    /// The throws of the messages, in their order; what is none goes to quarantine. `live`: they were published just now.
+    pub(super) async fn read(&self, messages: Vec<Message>, live: bool) -> Vec<Received> {
+        let (limit, count) = (self.max_payload_bytes, messages.len() as u64);
+        // Decoding a large message takes milliseconds, which an async worker must not spend.
+        let decoded = task::spawn_blocking(move || {
+            let received_at = clock::now();
+            messages.into_iter().map(|message| decode(message, received_at, limit)).collect::<Vec<_>>()
+        });
+        let decoded = match decoded.await {
+            Ok(decoded) => decoded,
+            Err(error) => {
+                tracing::error!(%error, messages = count, "decoding failed: a batch of messages is LOST");
+                self.status.lost.fetch_add(count, Relaxed);
+                return Vec::new();
+            }
+        };
+        let (mut throws, mut refused) = (Vec::with_capacity(decoded.len()), Vec::new());
+        for outcome in decoded {
+            match outcome.and_then(|received| self.admit(received, live)) {
+                Ok(received) => throws.push(received),
+                Err(why) => refused.push(why),
+            }
+        }
+        self.quarantine(refused).await;
+        throws
+    }
+
+    /// Whether a live throw of a machine was received since the start.
+    pub(super) fn is_live(&self, machine: &MachineId) -> bool {
+        self.known().get(machine) == Some(&true)
+    }
+
+    fn known(&self) -> MutexGuard<'_, HashMap<MachineId, bool>> {
+        self.machines.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Lets a throw pass whose machine is known or may become so.
+    fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, Refused> {
+        let mut known = self.known();
+        // Asked first: after an alarm of its own the daemon is among the machines of the database.
+        let reason = if machine == self.itself {
+            "this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned()
+        } else if known.len() >= self.max_machines && !known.contains_key(&machine) {
+            format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
+        } else {
+            *known.entry(machine.clone()).or_default() |= live;
+            return Ok((machine, throw, received_at));
+        };
+        Err(Refused::throw(&machine, &throw, reason, received_at))
+    }
+
+    async fn quarantine(&self, refused: Vec<Refused>) {
+        let Some(Refused { key, reason, bytes, .. }) = refused.first() else { return };
+        // One line for all of them, or a flood of messages becomes one of the log.
+        let count = refused.len() as u64;
+        tracing::warn!(key, reason, bytes, and_others = count - 1, "a message goes to quarantine");
+        match self.store.quarantine(refused).await {
+            Ok(()) => self.status.quarantined.fetch_add(count, Relaxed),
+            Err(error) => {
+                tracing::error!(%error, messages = count, "messages could not even be put in quarantine");
+                self.status.lost.fetch_add(count, Relaxed)
+            }
+        };
+    }
+}
+
+/// The loop that receives live throws.
+pub(super) struct Receiver {
+    pub(super) inbox: Inbox,
+    pub(super) intake: Arc<Intake>,
+    pub(super) store: Store,
+    pub(super) status: Arc<Status>,
+    /// Rung when throws were stored.
+    pub(super) spooled: Arc<Notify>,
+    /// Rung when a throw may be missing.
+    pub(super) missing: Arc<Notify>,
+    /// The daemon must end now: what could not be stored until then is lost, and logged as lost.
     pub(super) give_up: CancellationToken,
 }
 
 impl Receiver {
-    /// Runs until `stop`, then takes in what has arrived before it.
+    /// Runs until `stop`, then stores what has arrived before it.
     pub(super) async fn run(mut self, stop: CancellationToken) {
         let mut batch = Vec::with_capacity(BATCH);
         let mut beat = time::interval(Duration::from_secs(1));
@@ -61,56 +139,18 @@ impl Receiver {
                 }
                 count = self.inbox.receive(&mut batch, BATCH) => count,
                 _ = beat.tick() => {
-                    self.status.heartbeats.beat(Organ::Receive);
+                    self.status.heartbeats.beat(TaskName::Receive);
                     continue;
                 }
             };
             if count == 0 {
                 return;
             }
-            self.take(std::mem::take(&mut batch)).await;
-            self.status.heartbeats.beat(Organ::Receive);
+            let throws = self.intake.read(std::mem::take(&mut batch), true).await;
+            self.spool(throws).await;
+            self.missing.notify_one();
+            self.status.heartbeats.beat(TaskName::Receive);
         }
-    }
-
-    async fn take(&mut self, batch: Vec<Message>) {
-        let (limit, count) = (self.max_payload_bytes, batch.len() as u64);
-        // Decoding a large message takes milliseconds, which an async worker must not spend.
-        let decoded = task::spawn_blocking(move || {
-            let received_at = clock::now();
-            batch.into_iter().map(|message| decode(message, received_at, limit)).collect::<Vec<_>>()
-        });
-        let decoded = match decoded.await {
-            Ok(decoded) => decoded,
-            Err(error) => {
-                tracing::error!(%error, messages = count, "decoding failed: a batch of messages is LOST");
-                self.status.lost.fetch_add(count, Relaxed);
-                return;
-            }
-        };
-        let (mut throws, mut refused) = (Vec::with_capacity(decoded.len()), Vec::new());
-        for outcome in decoded {
-            match outcome.and_then(|received| self.admit(received)) {
-                Ok(received) => throws.push(received),
-                Err(why) => refused.push(why),
-            }
-        }
-        self.quarantine(refused).await;
-        self.spool(throws).await;
-    }
-
-    /// Lets a throw pass whose machine is known or may become so.
-    fn admit(&mut self, (machine, throw, received_at): Received) -> Result<Received, Refused> {
-        // Asked first: after an alarm of its own the daemon is among the machines of the database.
-        let reason = if machine == self.itself {
-            "this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned()
-        } else if self.machines.len() >= self.max_machines && !self.machines.contains(&machine) {
-            format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
-        } else {
-            self.machines.insert(machine.clone());
-            return Ok((machine, throw, received_at));
-        };
-        Err(Refused::throw(&machine, &throw, reason, received_at))
     }
 
     /// Stores throws; tries again what fails.
@@ -154,7 +194,7 @@ impl Receiver {
     fn count(&self, spooled: Spooled) {
         match spooled {
             Spooled::New(_) => self.status.stored.fetch_add(1, Relaxed),
-            Spooled::Duplicate { .. } => self.status.duplicates.fetch_add(1, Relaxed),
+            Spooled::Duplicate => self.status.duplicates.fetch_add(1, Relaxed),
         };
     }
 
@@ -165,7 +205,7 @@ impl Receiver {
     }
 
     fn storing_fails(&self, error: &StoreError) {
-        self.status.heartbeats.beat(Organ::Receive);
+        self.status.heartbeats.beat(TaskName::Receive);
         if !self.status.storing_fails.swap(true, Relaxed) {
             tracing::error!(%error, "throws cannot be stored; they wait");
         }
@@ -201,23 +241,9 @@ impl Receiver {
         }
         storable
     }
-
-    async fn quarantine(&self, refused: Vec<Refused>) {
-        let Some(Refused { key, reason, bytes, .. }) = refused.first() else { return };
-        // One line for all of them, or a flood of messages becomes one of the log.
-        let count = refused.len() as u64;
-        tracing::warn!(key, reason, bytes, and_others = count - 1, "a message goes to quarantine");
-        match self.store.quarantine(refused).await {
-            Ok(()) => self.status.quarantined.fetch_add(count, Relaxed),
-            Err(error) => {
-                tracing::error!(%error, messages = count, "messages could not even be put in quarantine");
-                self.status.lost.fetch_add(count, Relaxed)
-            }
-        };
-    }
 }
 
-fn decode(message: Message, received_at: jiff::Timestamp, limit: usize) -> Result<Received, Refused> {
+fn decode(message: Message, received_at: Timestamp, limit: usize) -> Result<Received, Refused> {
     let Message { key, content_type, payload, bytes } = message;
     let read = if bytes > limit {
         Err(format!("{bytes} bytes, more than subscribe.max_payload_bytes = {limit}"))

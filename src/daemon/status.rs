@@ -14,26 +14,35 @@ use serde::{Deserialize, Serialize};
 use super::{clock, heartbeat::Heartbeats};
 use crate::{
     bus::{InboxCounters, OutletCounters},
-    store::{DiskLevel, Store},
+    diagnose::MachineState,
+    store::{DiskLevel, Store, Window},
 };
 
-/// What the loops count. Shared by all of them.
+/// Counters and states of the loops. Shared by all of them.
 #[derive(Debug)]
 pub struct Status {
-    /// Who lives.
+    /// Heartbeats of the loops.
     pub heartbeats: Heartbeats,
     /// Throws that were stored.
     pub stored: AtomicU64,
     /// Throws that were stored before.
     pub duplicates: AtomicU64,
-    /// Messages that were no throw, or could not be kept as one.
+    /// Messages in quarantine since the start.
     pub quarantined: AtomicU64,
-    /// Throws and messages that arrived and could not be kept at all.
+    /// Throws and messages that were received and could not be stored.
     pub lost: AtomicU64,
+    /// Messages that came from the backlogs of loggers.
+    pub backlog_received: AtomicU64,
+    /// Replies of loggers that were not what was asked for.
+    pub ignored: AtomicU64,
+    /// Throws that are missing and may be in a backlog.
+    pub backlog: AtomicU64,
     /// Throws that were identified and diagnosed.
     pub judged: AtomicU64,
     /// Of these, throws that gave no estimate.
     pub not_evaluated: AtomicU64,
+    /// How the machines are: renewed every few seconds and after every command.
+    standing: Mutex<Standing>,
     /// The same by the code of the reason: a few, as the estimator has them.
     refused: Mutex<BTreeMap<String, u64>>,
     /// Alarm events.
@@ -45,6 +54,30 @@ pub struct Status {
     /// Whether the database refuses writes at the moment.
     pub storing_fails: AtomicBool,
     started: Instant,
+}
+
+/// How the machines are, so that a machine in maintenance or a shelved alarm is not forgotten.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Standing {
+    /// Machines in each state that occurs.
+    pub machines: BTreeMap<MachineState, u64>,
+    /// Open alarms that are shelved.
+    pub shelved_alarms: u64,
+}
+
+impl Standing {
+    /// Machines in a state.
+    #[must_use]
+    pub fn count(&self, state: MachineState) -> u64 {
+        self.machines.get(&state).copied().unwrap_or(0)
+    }
+
+    /// Whether every machine is healthy or learns its baseline, and no alarm is shelved.
+    #[must_use]
+    pub fn is_well(&self) -> bool {
+        let well = |state: &MachineState| matches!(state, MachineState::Healthy | MachineState::Learning);
+        self.machines.keys().all(well) && self.shelved_alarms == 0
+    }
 }
 
 /// The status as `pointsd status` gets it.
@@ -68,11 +101,12 @@ pub struct StatusReport {
     pub received: u64,
     /// Messages dropped before storing because too many waited.
     pub dropped: u64,
-    /// Messages that were published and did not come, and that no cache has any more.
-    pub missed: u64,
-    /// Messages that were published and are not here yet: they are in the caches of their loggers.
+    /// Replies of loggers that were not what was asked for.
     #[serde(default)]
-    pub behind: u64,
+    pub ignored: u64,
+    /// Throws that are missing and may be in the backlogs of their loggers.
+    #[serde(default, alias = "behind")]
+    pub backlog: u64,
     /// Throws stored.
     pub stored: u64,
     /// Throws that were stored before.
@@ -93,6 +127,12 @@ pub struct StatusReport {
     pub unpublished: u64,
     /// Loops that hang.
     pub silent: Vec<String>,
+    /// How the machines are: `machines` and `shelved_alarms` in JSON.
+    #[serde(flatten)]
+    pub standing: Standing,
+    /// Machines in maintenance and shelved alarms, in the answer to a `status` query.
+    #[serde(default)]
+    pub windows: Vec<Window>,
 }
 
 impl Status {
@@ -105,8 +145,12 @@ impl Status {
             duplicates: AtomicU64::new(0),
             quarantined: AtomicU64::new(0),
             lost: AtomicU64::new(0),
+            backlog_received: AtomicU64::new(0),
+            ignored: AtomicU64::new(0),
+            backlog: AtomicU64::new(0),
             judged: AtomicU64::new(0),
             not_evaluated: AtomicU64::new(0),
+            standing: Mutex::default(),
             refused: Mutex::default(),
             alarm_events: AtomicU64::new(0),
             loggers: AtomicUsize::new(0),
@@ -124,6 +168,10 @@ impl Status {
         *self.refused.lock().unwrap_or_else(PoisonError::into_inner).entry(reason.to_owned()).or_default() += 1;
     }
 
+    pub(super) fn set_standing(&self, standing: Standing) {
+        *self.standing.lock().unwrap_or_else(PoisonError::into_inner) = standing;
+    }
+
     /// Throws that gave no estimate, by the code of the reason.
     pub(super) fn refused(&self) -> BTreeMap<String, u64> {
         self.refused.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -136,7 +184,7 @@ impl Default for Status {
     }
 }
 
-/// Everything that a report is made of.
+/// The sources of a status report.
 #[derive(Clone)]
 pub(super) struct Gauges {
     pub(super) status: Arc<Status>,
@@ -162,10 +210,10 @@ impl Gauges {
             wal_bytes: self.store.wal_bytes(),
             connected: status.connected.load(Relaxed),
             loggers: status.loggers.load(Relaxed),
-            received: self.inbox.received.load(Relaxed),
+            received: self.inbox.received.load(Relaxed) + status.backlog_received.load(Relaxed),
             dropped: self.inbox.dropped.load(Relaxed),
-            missed: self.inbox.missed.load(Relaxed),
-            behind: self.inbox.behind.load(Relaxed),
+            ignored: status.ignored.load(Relaxed),
+            backlog: status.backlog.load(Relaxed),
             stored: status.stored.load(Relaxed),
             duplicates: status.duplicates.load(Relaxed),
             quarantined: status.quarantined.load(Relaxed),
@@ -175,13 +223,15 @@ impl Gauges {
             alarm_events: status.alarm_events.load(Relaxed),
             published: self.outlet.published.load(Relaxed),
             unpublished: self.outlet.dropped.load(Relaxed),
-            silent: status.heartbeats.silent().into_iter().map(|organ| organ.as_str().to_owned()).collect(),
+            silent: status.heartbeats.silent().into_iter().map(|task| task.as_ref().to_owned()).collect(),
+            standing: status.standing.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            windows: Vec::new(),
         }
     }
 }
 
 impl StatusReport {
-    /// Whether nothing is wrong with the daemon itself.
+    /// Whether the daemon itself has no trouble: disk, loops, lost messages.
     #[must_use]
     pub fn is_well(&self) -> bool {
         self.disk == "ok" && self.silent.is_empty() && self.dropped + self.lost == 0
@@ -206,8 +256,21 @@ impl StatusReport {
         if self.dropped + self.lost > 0 {
             parts.push(format!("{} messages LOST", self.dropped + self.lost));
         }
-        if self.behind > 0 {
-            parts.push(format!("{} messages are still in the caches of loggers", self.behind));
+        let states: Vec<String> =
+            [MachineState::Critical, MachineState::Warning, MachineState::NotMonitored, MachineState::Maintenance]
+                .into_iter()
+                .map(|state| (self.standing.count(state), state.as_str().replace('_', " ")))
+                .filter(|(count, _)| *count > 0)
+                .map(|(count, state)| format!("{count} {state}"))
+                .collect();
+        if !states.is_empty() {
+            parts.push(format!("machines: {}", states.join(", ")));
+        }
+        if self.standing.shelved_alarms > 0 {
+            parts.push(format!("{} alarms shelved", self.standing.shelved_alarms));
+        }
+        if self.backlog > 0 {
+            parts.push(format!("{} throws are still in the backlogs of loggers", self.backlog));
         }
         parts.push(format!(
             "{} loggers, {} throws stored, {} judged ({} not evaluated), {} in quarantine",

@@ -1,5 +1,5 @@
-//! What other rooms of the same process may look at: how the daemon stands, its database, its limits. Nothing in it can
-//! write.
+//! The daemon as other rooms of the same process see it: its status, its database for reading, its limits, and operators'
+//! commands.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -7,19 +7,26 @@ use tokio::sync::watch;
 
 use super::{
     config::Config,
+    orders::Orders,
     status::{Gauges, StatusReport},
 };
-use crate::store::{Reader, Statistics, StoreError};
+use crate::{
+    diagnose::Command,
+    store::{Reader, Statistics, StoreError},
+    throw::MachineId,
+    wire::Reply,
+};
 
-/// A look at a running daemon. Cheap to clone.
+/// A view of a running daemon. Cheap to clone.
 #[derive(Clone)]
 pub struct View {
     pub(super) gauges: Gauges,
     pub(super) config: watch::Receiver<Arc<Config>>,
+    pub(super) orders: Orders,
 }
 
 impl View {
-    /// How the daemon stands.
+    /// The status of the daemon.
     #[must_use]
     pub fn report(&self) -> StatusReport {
         self.gauges.report()
@@ -49,6 +56,14 @@ impl View {
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
         self.gauges.store.statistics().await
+    }
+
+    /// Has an operator's command carried out and committed.
+    ///
+    /// # Errors
+    /// A sentence, when the daemon does not answer in time.
+    pub async fn carry_out(&self, machine: MachineId, command: Command) -> Result<Reply, String> {
+        self.orders.carry_out(machine, command).await
     }
 
     /// The configuration in force.

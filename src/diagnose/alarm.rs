@@ -1,20 +1,5 @@
 //! The life cycle of alarms, in the words of ISA-18.2 / IEC 62682 and OPC UA Part 9.
 //!
-//! ```text
-//!                 raise                       acknowledge
-//!   normal ---------------> active_           ----------> active_
-//!     ^  ^                  unacknowledged                acknowledged
-//!     |  |                   |   ^  ^                      |   |
-//!     |  |             clear |   |  '---- gets critical ---'   | clear
-//!     |  |                   v   | raise                       |
-//!     |  '--- acknowledge -- cleared_                          |
-//!     |                      unacknowledged                    |
-//!     '--------------------------------------------------------'
-//!
-//!   shelve: any state -> shelved, until the time, `unshelve` or rebaseline; then the state it would have without
-//!   maintenance: any state -> out_of_service, until its end; then the state it had
-//! ```
-//!
 //! One alarm per cause: raised again while `cleared_unacknowledged` it goes on; after `normal` it is a new one. An
 //! occurrence is known by its `raised_at`, which no other occurrence of the cause shares, whatever the clock does.
 
@@ -23,12 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     correlation::Correlation,
+    course::LimitForecast,
     event::{AlarmEvent, AlarmState, Cause, RunnerUp, Severity},
-    trend::LimitForecast,
 };
 use crate::throw::{Direction, ThrowRef};
 
-/// What speaks for an alarm.
+/// What an alarm is raised with: how bad, how large, which throws show it, in words.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Evidence {
     pub(super) severity: Severity,
@@ -61,56 +46,125 @@ impl Evidence {
     }
 }
 
-/// Who acted, and why.
+/// The person behind an event, and the reason that the person gave; both `None` when the monitor acts by itself.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Actor<'a> {
     pub(super) by: Option<&'a str>,
     pub(super) why: Option<&'a str>,
 }
 
-/// One occurrence of an alarm: not yet back to normal.
+/// State of one occurrence of an alarm, as the condition and the operators made it.
+///
+/// ```text
+///            raise             acknowledge
+///   Normal --------> Active --------------> Active
+///     ^  ^        (not seen) <------------  (acknowledged)
+///     |  |           |   ^    gets critical    |
+///     |  |     clear |   | raise               | clear
+///     |  |           v   |                     |
+///     |  '-------- Cleared                     |
+///     | acknowledge                            |
+///     '----------------------------------------'
+///
+///   shelve: any state -> Shelved (over that state), until the time, `unshelve` or rebaseline; events that come
+///   meanwhile change the state beneath. Maintenance shows every alarm as out_of_service, and changes none.
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Alarm {
-    active: bool,
-    acknowledged_by: Option<String>,
-    shelved_until: Option<Timestamp>,
-    /// Its latest event, which also holds cause, severity and identity.
-    last: AlarmEvent,
+#[serde(rename_all = "snake_case")]
+pub(super) enum State {
+    /// The condition is there.
+    Active {
+        /// Who has seen it since it last got worse.
+        acknowledged: Option<Acknowledgement>,
+    },
+    /// The condition went away before anybody acknowledged it.
+    Cleared,
+    /// Acknowledged and cleared: the occurrence is over.
+    Normal,
+    /// Silenced.
+    Shelved {
+        /// When the shelving ends by itself.
+        until: Timestamp,
+        /// The operator who shelved it.
+        by: String,
+        /// The operator's reason.
+        why: String,
+        /// The state without the shelving: any of the other three.
+        beneath: Box<State>,
+    },
 }
 
-/// The alarms of one machine.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub(super) struct Board {
-    alarms: Vec<Alarm>,
-    /// Latest time of raising that was ever given.
-    latest: Option<Timestamp>,
-    /// Occurrences of any alarm so far.
-    occurrences: u64,
-    out_of_service: bool,
+/// Who has seen an alarm, and when.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Acknowledgement {
+    pub(super) by: String,
+    pub(super) at: Timestamp,
 }
 
-impl Alarm {
-    fn state(&self, out_of_service: bool) -> AlarmState {
-        match (out_of_service, self.shelved_until, self.active, &self.acknowledged_by) {
-            (true, ..) => AlarmState::OutOfService,
-            (_, Some(_), ..) => AlarmState::Shelved,
-            (_, _, true, None) => AlarmState::ActiveUnacknowledged,
-            (_, _, true, Some(_)) => AlarmState::ActiveAcknowledged,
-            (_, _, false, None) => AlarmState::ClearedUnacknowledged,
-            (_, _, false, Some(_)) => AlarmState::Normal,
+impl State {
+    /// The state without shelving.
+    fn beneath(&self) -> &Self {
+        if let Self::Shelved { beneath, .. } = self { beneath } else { self }
+    }
+
+    fn beneath_mut(&mut self) -> &mut Self {
+        if let Self::Shelved { beneath, .. } = self { beneath } else { self }
+    }
+
+    fn is_active(&self) -> bool {
+        matches!(self.beneath(), Self::Active { .. })
+    }
+
+    fn word(&self) -> AlarmState {
+        match self {
+            Self::Active { acknowledged: None } => AlarmState::ActiveUnacknowledged,
+            Self::Active { acknowledged: Some(_) } => AlarmState::ActiveAcknowledged,
+            Self::Cleared => AlarmState::ClearedUnacknowledged,
+            Self::Normal => AlarmState::Normal,
+            Self::Shelved { .. } => AlarmState::Shelved,
         }
     }
 }
 
-impl Board {
+/// One occurrence of an alarm, from its raising until it is normal again.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Alarm {
+    pub(super) state: State,
+    /// Its latest event, which also holds cause, severity and identity.
+    pub(super) last: AlarmEvent,
+}
+
+/// The open alarms of one machine.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Alarms {
+    pub(super) open: Vec<Alarm>,
+    /// Latest time of raising that was ever given.
+    pub(super) latest: Option<Timestamp>,
+    /// Occurrences of any alarm so far.
+    pub(super) occurrences: u64,
+    pub(super) out_of_service: bool,
+}
+
+/// An operator's command that does not fit the alarm's state.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Unfit {
+    /// No such alarm is open.
+    NotOpen,
+    /// It was acknowledged before, by this person.
+    Acknowledged(String),
+    /// It is not shelved.
+    NotShelved,
+}
+
+impl Alarms {
     fn find(&self, cause: Cause) -> Option<usize> {
-        self.alarms.iter().position(|alarm| alarm.last.cause == cause)
+        self.open.iter().position(|alarm| alarm.last.cause == cause)
     }
 
-    /// Notes an event of the alarm at `at`; an alarm that is normal again leaves the board.
-    fn note(&mut self, index: usize, at: Timestamp, actor: Actor, text: Option<String>) -> AlarmEvent {
-        let alarm = &mut self.alarms[index];
-        let state = alarm.state(self.out_of_service);
+    /// Makes the event of a change of the alarm at `index`; an alarm that is normal again is open no longer.
+    fn event(&mut self, index: usize, at: Timestamp, actor: Actor, text: Option<String>) -> AlarmEvent {
+        let alarm = &mut self.open[index];
+        let state = if self.out_of_service { AlarmState::OutOfService } else { alarm.state.word() };
         alarm.last.event_no += 1;
         alarm.last.event_at = at;
         alarm.last.state = state;
@@ -119,7 +173,7 @@ impl Board {
         if let Some(text) = text {
             alarm.last.text = text;
         }
-        if state == AlarmState::Normal { self.alarms.remove(index).last } else { alarm.last.clone() }
+        if state == AlarmState::Normal { self.open.remove(index).last } else { alarm.last.clone() }
     }
 
     /// A time of raising that no other occurrence has: the clock's, or, when that was set back behind an earlier
@@ -141,128 +195,130 @@ impl Board {
         if self.is_active(cause) {
             return None;
         }
-        let index = if let Some(index) = self.find(cause) {
-            index
-        } else {
-            let raised_at = self.unique(at);
-            self.alarms.push(Alarm {
-                active: false,
-                acknowledged_by: None,
-                shelved_until: None,
-                last: blank(cause, raised_at),
-            });
-            self.alarms.len() - 1
-        };
-        let alarm = &mut self.alarms[index];
-        alarm.active = true;
-        alarm.acknowledged_by = None;
-        let text = take_evidence(&mut alarm.last, evidence);
-        Some(self.note(index, at, Actor::default(), Some(text)))
+        let index = self.find(cause).unwrap_or_else(|| {
+            let last = blank(cause, self.unique(at));
+            self.open.push(Alarm { state: State::Cleared, last });
+            self.open.len() - 1
+        });
+        Some(self.activate(index, evidence, at))
     }
 
     /// The condition got worse: a higher severity of an active alarm, which has to be seen again.
     pub(super) fn escalate(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
-        let index = self.find(cause)?;
-        let alarm = &mut self.alarms[index];
-        if !alarm.active || evidence.severity <= alarm.last.severity {
-            return None;
-        }
-        alarm.acknowledged_by = None;
-        let text = take_evidence(&mut alarm.last, evidence);
-        Some(self.note(index, at, Actor::default(), Some(text)))
+        let worse = self.severity(cause).is_some_and(|severity| evidence.severity > severity);
+        let index = self.find(cause).filter(|_| worse)?;
+        Some(self.activate(index, evidence, at))
     }
 
-    /// Something new about an active alarm, which stays as it is.
+    /// Raises an alarm that is not active, and escalates one that is.
+    pub(super) fn raise_or_escalate(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
+        if self.is_active(cause) { self.escalate(cause, evidence, at) } else { self.raise(cause, evidence, at) }
+    }
+
+    fn activate(&mut self, index: usize, evidence: Evidence, at: Timestamp) -> AlarmEvent {
+        let alarm = &mut self.open[index];
+        *alarm.state.beneath_mut() = State::Active { acknowledged: None };
+        let text = take_evidence(&mut alarm.last, evidence);
+        self.event(index, at, Actor::default(), Some(text))
+    }
+
+    /// Something new about an open alarm, which stays as it is.
     pub(super) fn remark(&mut self, cause: Cause, text: String, at: Timestamp) -> Option<AlarmEvent> {
         let index = self.find(cause)?;
-        Some(self.note(index, at, Actor::default(), Some(text)))
+        Some(self.event(index, at, Actor::default(), Some(text)))
     }
 
     /// The condition of `cause` went away.
-    pub(super) fn clear(&mut self, cause: Cause, text: String, actor: Actor, at: Timestamp) -> Option<AlarmEvent> {
+    pub(super) fn clear(&mut self, cause: Cause, text: String, at: Timestamp) -> Option<AlarmEvent> {
         let index = self.find(cause)?;
-        if !std::mem::replace(&mut self.alarms[index].active, false) {
-            return None;
-        }
-        self.alarms[index].last.limit_in_throws = None;
-        Some(self.note(index, at, actor, Some(text)))
+        let alarm = &mut self.open[index];
+        let State::Active { acknowledged } = alarm.state.beneath() else { return None };
+        let cleared = if acknowledged.is_some() { State::Normal } else { State::Cleared };
+        *alarm.state.beneath_mut() = cleared;
+        alarm.last.limit_in_throws = None;
+        Some(self.event(index, at, Actor::default(), Some(text)))
     }
 
-    /// Somebody has seen it. `Err` holds who did before; `None` when no such alarm is open.
-    pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Option<Result<AlarmEvent, String>> {
-        let index = self.find(cause)?;
-        if let Some(before) = &self.alarms[index].acknowledged_by {
-            return Some(Err(before.clone()));
-        }
-        self.alarms[index].acknowledged_by = Some(by.to_owned());
-        Some(Ok(self.note(index, at, Actor { by: Some(by), why: None }, None)))
+    /// An operator has seen the alarm.
+    pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<AlarmEvent, Unfit> {
+        let index = self.find(cause).ok_or(Unfit::NotOpen)?;
+        let state = self.open[index].state.beneath_mut();
+        *state = match state {
+            State::Active { acknowledged: Some(before) } => return Err(Unfit::Acknowledged(before.by.clone())),
+            State::Active { acknowledged: None } => {
+                State::Active { acknowledged: Some(Acknowledgement { by: by.to_owned(), at }) }
+            }
+            _ => State::Normal,
+        };
+        Ok(self.event(index, at, Actor { by: Some(by), why: None }, None))
     }
 
-    pub(super) fn shelve(&mut self, cause: Cause, until: Timestamp, actor: Actor, at: Timestamp) -> Option<AlarmEvent> {
-        let index = self.find(cause)?;
-        self.alarms[index].shelved_until = Some(until);
-        Some(self.note(index, at, actor, None))
+    /// Silences the alarm until a time; shelving it again moves the time.
+    pub(super) fn shelve(
+        &mut self,
+        cause: Cause,
+        until: Timestamp,
+        actor: Actor,
+        at: Timestamp,
+    ) -> Result<AlarmEvent, Unfit> {
+        let index = self.find(cause).ok_or(Unfit::NotOpen)?;
+        let state = &mut self.open[index].state;
+        let (by, why) = (actor.by.unwrap_or_default().to_owned(), actor.why.unwrap_or_default().to_owned());
+        *state = State::Shelved { until, by, why, beneath: Box::new(state.beneath().clone()) };
+        Ok(self.event(index, at, actor, None))
     }
 
-    /// Ends shelving. The inner `None`: it is not shelved.
-    #[expect(clippy::option_option, reason = "no alarm, and an alarm that is not shelved, are answered differently")]
-    pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Option<Option<AlarmEvent>> {
-        let index = self.find(cause)?;
-        Some(self.alarms[index].shelved_until.take().map(|_| self.note(index, at, actor, None)))
+    /// Ends the shelving.
+    pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Result<AlarmEvent, Unfit> {
+        let index = self.find(cause).ok_or(Unfit::NotOpen)?;
+        let state = &mut self.open[index].state;
+        let State::Shelved { beneath, .. } = state else { return Err(Unfit::NotShelved) };
+        *state = (**beneath).clone();
+        Ok(self.event(index, at, actor, None))
     }
 
     /// Ends the shelving whose time has come.
     pub(super) fn unshelve_due(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
-        let is_due = |alarm: &&Alarm| alarm.shelved_until.is_some_and(|until| until <= now);
-        let due: Vec<Cause> = self.alarms.iter().filter(is_due).map(|alarm| alarm.last.cause).collect();
-        due.into_iter().filter_map(|cause| self.unshelve(cause, Actor::default(), now).flatten()).collect()
+        let is_due = |alarm: &&Alarm| matches!(alarm.state, State::Shelved { until, .. } if until <= now);
+        let due: Vec<Cause> = self.open.iter().filter(is_due).map(|alarm| alarm.last.cause).collect();
+        due.into_iter().filter_map(|cause| self.unshelve(cause, Actor::default(), now).ok()).collect()
     }
 
     /// Takes the machine out of service or back: every open alarm shows it.
     pub(super) fn set_out_of_service(&mut self, out: bool, actor: Actor, at: Timestamp) -> Vec<AlarmEvent> {
         self.out_of_service = out;
-        let open: Vec<Cause> = self.alarms.iter().map(|alarm| alarm.last.cause).collect();
-        open.into_iter()
-            .filter_map(|cause| {
-                let index = self.find(cause)?;
-                Some(self.note(index, at, actor, None))
-            })
-            .collect()
+        let open: Vec<Cause> = self.open.iter().map(|alarm| alarm.last.cause).collect();
+        open.into_iter().filter_map(|cause| Some(self.event(self.find(cause)?, at, actor, None))).collect()
     }
 
-    /// Closes an alarm for good, acknowledged by who ended its reason.
+    /// Closes an alarm for good, acknowledged by the person who ended its reason.
     pub(super) fn close(&mut self, cause: Cause, text: String, actor: Actor, at: Timestamp) -> Option<AlarmEvent> {
         let index = self.find(cause)?;
-        let alarm = &mut self.alarms[index];
-        alarm.active = false;
-        alarm.shelved_until = None;
-        alarm.acknowledged_by = Some(actor.by.unwrap_or_default().to_owned());
-        Some(self.note(index, at, actor, Some(text)))
+        self.open[index].state = State::Normal;
+        Some(self.event(index, at, actor, Some(text)))
     }
 
     pub(super) fn is_active(&self, cause: Cause) -> bool {
-        self.alarms.iter().any(|alarm| alarm.active && alarm.last.cause == cause)
+        self.find_active(cause).is_some()
+    }
+
+    fn find_active(&self, cause: Cause) -> Option<&AlarmEvent> {
+        self.active().find(|event| event.cause == cause)
     }
 
     /// Severity of an active alarm.
     pub(super) fn severity(&self, cause: Cause) -> Option<Severity> {
-        self.alarms.iter().find(|alarm| alarm.active && alarm.last.cause == cause).map(|alarm| alarm.last.severity)
-    }
-
-    /// The direction of an active alarm: the inner `None` is both.
-    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
-    pub(super) fn direction(&self, cause: Cause) -> Option<Option<Direction>> {
-        self.alarms.iter().find(|alarm| alarm.active && alarm.last.cause == cause).map(|alarm| alarm.last.direction)
+        self.find_active(cause).map(|event| event.severity)
     }
 
     /// The active alarms, oldest first.
     pub(super) fn active(&self) -> impl Iterator<Item = &AlarmEvent> {
-        self.alarms.iter().filter(|alarm| alarm.active).map(|alarm| &alarm.last)
+        self.open.iter().filter(|alarm| alarm.state.is_active()).map(|alarm| &alarm.last)
     }
 
     /// The latest event of every open alarm, oldest first.
-    pub(super) fn open(&self) -> impl Iterator<Item = &AlarmEvent> {
-        self.alarms.iter().map(|alarm| &alarm.last)
+    pub(super) fn events(&self) -> impl Iterator<Item = &AlarmEvent> {
+        self.open.iter().map(|alarm| &alarm.last)
     }
 }
 
@@ -288,6 +344,7 @@ fn blank(cause: Cause, raised_at: Timestamp) -> AlarmEvent {
     }
 }
 
+/// Puts the evidence into the event; returns its text.
 fn take_evidence(event: &mut AlarmEvent, evidence: Evidence) -> String {
     event.severity = evidence.severity;
     event.change_pct = evidence.change_pct;

@@ -9,11 +9,11 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{
-    Settings,
     correlation::Correlation,
-    drift::Window,
     event::{Cause, RunnerUp},
     explain::{Explanation, Fit, direction_of, fit, single},
+    settings::Settings,
+    window::Window,
 };
 
 /// A lead that decides between two explanations: odds of 20 to 1, as twice the logarithm.
@@ -27,7 +27,7 @@ const STICKY: f64 = 4.0;
 /// A second movement smaller than this part of its warning limit is no second fault. Below 1, as its size is in doubt.
 const MATTERS: f64 = 0.75;
 
-/// What a drift is.
+/// The causes to which a drift is attributed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Naming {
     /// One cause explains it, and nothing else does nearly as well.
@@ -47,9 +47,9 @@ pub(super) enum Rival {
     Together(Cause, Cause),
 }
 
-/// A drift with its name and what speaks for and against it.
+/// A drift with its name, and the figures that speak for and against the name.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Finding {
+pub(super) struct Attribution {
     pub(super) naming: Naming,
     /// Beside a naming with two causes.
     pub(super) rival: Option<Rival>,
@@ -73,14 +73,14 @@ struct Explanations {
     any: Fit<3>,
 }
 
-impl Finding {
+impl Attribution {
     /// Names the drift of `window` on a machine that scatters with `of_one_throw`. `open` are the causes with an active
     /// alarm.
     pub(super) fn of(window: &Window, of_one_throw: &Matrix3<f64>, open: &[Cause], settings: &Settings) -> Self {
         let all = Explanations::of(window, open, settings);
         let [best, next, ..] = &all.singles;
         let correlation = Correlation::of(of_one_throw, &window.mean);
-        let found = Self {
+        let attribution = Self {
             naming: Naming::Neither,
             rival: None,
             runner_up: None,
@@ -91,21 +91,21 @@ impl Finding {
             lead: 0.0,
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
-            return found;
+            return attribution;
         }
-        if let Some(both) = found.both(&all, settings) {
+        if let Some(both) = attribution.both(&all, settings) {
             return both;
         }
         let margin = next.score - best.score;
         let (main, second) = (all.freed_best(), next.parts[0]);
-        let found = Self { runner_up: Some(RunnerUp { cause: second.cause, margin }), ..found };
-        if margin < found.margin_needed(main.cause, second.cause) {
+        let attribution = Self { runner_up: Some(RunnerUp { cause: second.cause, margin }), ..attribution };
+        if margin < attribution.margin_needed(main.cause, second.cause) {
             let relevance = main.relevance(settings).max(second.relevance(settings));
-            return Self { naming: Naming::Either(main, second), relevance, ..found };
+            return Self { naming: Naming::Either(main, second), relevance, ..attribution };
         }
         let strangers = all.pairs.iter().filter(|pair| !pair.includes(main.cause));
         let lead = strangers.map(|pair| pair.score - best.score).fold(margin, f64::min);
-        Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..found }
+        Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution }
     }
 
     /// The same drift as two causes together, when no single one is clearly better.
@@ -167,7 +167,7 @@ impl Finding {
         self.rule.is_some_and(|says_inertia| says_inertia != inertia)
     }
 
-    /// Whether `cause` is part of what it is.
+    /// Whether `cause` is part of the attribution.
     pub(super) fn includes(&self, cause: Cause) -> bool {
         match &self.naming {
             Naming::One(e) => e.cause == cause,

@@ -3,10 +3,12 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::{Settings, event::Cause};
+use super::{event::Cause, settings::Settings};
+use crate::throw::MachineId;
 
-/// What an operator asks of a machine's monitor.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// A command of an operator to a machine's monitor.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
+#[strum(serialize_all = "snake_case")]
 #[serde(tag = "command", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Command {
     /// Somebody has seen the alarm.
@@ -43,9 +45,8 @@ pub enum Command {
     },
     /// The machine goes out of service: its throws are not diagnosed and never enter a baseline.
     MaintenanceStart {
-        /// When the window ends by itself; `None`: it lasts until `MaintenanceEnd`.
-        #[serde(default)]
-        until: Option<Timestamp>,
+        /// When the window ends by itself: within `longest_shelving_days`.
+        until: Timestamp,
         /// Who.
         by: String,
         /// Why.
@@ -89,14 +90,14 @@ pub enum CommandError {
         /// The monitor's clock.
         now: Timestamp,
     },
-    /// Shelved for longer than the settings allow.
-    #[error("`until` is more than {days} days ahead: shelve for less (longest_shelving_days)")]
-    ShelvedTooLong {
+    /// Shelving or maintenance would last longer than the settings allow.
+    #[error("`until` is more than {days} days ahead: give an earlier time (longest_shelving_days)")]
+    UntilTooFar {
         /// The longest time allowed \[days\].
         days: u32,
     },
     /// Who, or why, is missing or too long.
-    #[error("`{field}` must hold 1 to {max} characters", max = Command::MAX_TEXT)]
+    #[error("`{field}` must hold 1 to {max} characters, no control characters among them", max = Command::MAX_TEXT)]
     Text {
         /// `by` or `why`.
         field: &'static str,
@@ -112,6 +113,12 @@ pub enum CommandError {
 impl Command {
     /// Longest `by` or `why` \[characters\]: both are kept in the monitor's state.
     pub const MAX_TEXT: usize = 200;
+
+    /// The command's word, as `ack`.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.into()
+    }
 
     /// Who asks.
     #[must_use]
@@ -135,12 +142,37 @@ impl Command {
         }
     }
 
+    /// One sentence for the operator once the command is carried out: what holds now, until when, by whom and why.
+    #[must_use]
+    pub fn confirmation(&self, machine: &MachineId) -> String {
+        let time = |at: &Timestamp| at.strftime("%Y-%m-%d %H:%M:%S UTC").to_string();
+        match self {
+            Self::Ack { cause, by } => format!("the {cause} alarm of {machine} is acknowledged by {by}"),
+            Self::Shelve { cause, until, by, why } => {
+                format!("the {cause} alarm of {machine} is shelved until {} by {by}: {why}", time(until))
+            }
+            Self::Unshelve { cause, by } => {
+                format!("the {cause} alarm of {machine} is no longer shelved, ended by {by}")
+            }
+            Self::Rebaseline { by, why } => {
+                format!("{machine} takes a new baseline from its next throws, ordered by {by}: {why}")
+            }
+            Self::MaintenanceStart { until, by, why } => {
+                format!("{machine} is in maintenance until {} by {by}: {why}", time(until))
+            }
+            Self::MaintenanceEnd { by } => format!("{machine} is in service again, ended by {by}"),
+        }
+    }
+
     /// Checks the texts and the time.
     ///
     /// # Errors
     /// When `by` or `why` is empty or too long, or `until` is past or too far ahead.
     pub fn validate(&self, now: Timestamp, settings: &Settings) -> Result<(), CommandError> {
-        let fits = |text: &str| (1..=Self::MAX_TEXT).contains(&text.trim().chars().count());
+        // A control character could rewrite the terminal on which the text is read.
+        let fits = |text: &str| {
+            (1..=Self::MAX_TEXT).contains(&text.trim().chars().count()) && !text.chars().any(char::is_control)
+        };
         if !fits(self.by()) {
             return Err(CommandError::Text { field: "by" });
         }
@@ -148,15 +180,14 @@ impl Command {
             return Err(CommandError::Text { field: "why" });
         }
         let until = match self {
-            Self::Shelve { until, .. } => Some(*until),
-            Self::MaintenanceStart { until, .. } => *until,
+            Self::Shelve { until, .. } | Self::MaintenanceStart { until, .. } => Some(*until),
             _ => None,
         };
         let days = settings.longest_shelving_days;
         match until {
             Some(until) if until <= now => Err(CommandError::UntilIsPast { until, now }),
-            Some(until) if until.duration_since(now).as_hours() > 24 * i64::from(days) => {
-                Err(CommandError::ShelvedTooLong { days })
+            Some(until) if until.duration_since(now) > settings.longest_shelving() => {
+                Err(CommandError::UntilTooFar { days })
             }
             _ => Ok(()),
         }

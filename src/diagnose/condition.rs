@@ -10,7 +10,20 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Settings, event::Severity, threshold::WINDOWS};
+use super::{event::Severity, settings::Settings, threshold::WINDOWS};
+
+/// A size from this part of the alarm's level on is still at that level: closer than scatter moves a few throws.
+const NEAR_LEVEL: f64 = 0.75;
+/// A size below this part of the level has left it: more than half of the drift went away.
+const LEFT_LEVEL: f64 = 0.5;
+/// Throws within which a repair shows: the last few throws of each direction.
+const REPAIR_SHOWS_WITHIN: u32 = 8;
+/// Least level, in multiples of the warning limit, from which a fall is taken for a repair: closer to the limit, a fall is
+/// nothing but scatter.
+const REPAIRABLE_LEVEL: f64 = 1.5;
+/// Throws of both directions that fill a longest window of each.
+const LONGEST_WINDOW: u32 = 24;
+const _: () = assert!(LONGEST_WINDOW as usize == WINDOWS[3], "the same length, in another type");
 
 /// What one throw says for an alarm about one cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,7 +58,7 @@ pub(super) struct Reading {
 
 /// What has to happen to an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Step {
+pub(super) enum Transition {
     Stay,
     Raise(Severity),
     Escalate,
@@ -59,97 +72,152 @@ pub(super) enum Step {
     Withdraw,
 }
 
-/// How long each condition of one cause has lasted \[throws\].
+/// Where the alarm about one cause stands, with the counters \[throws\] that matter there.
+///
+/// ```text
+///          named for the on delay, and its patience
+///   Quiet -----------------------------------------> Raised --- critical for as long: escalates, stays Raised
+///     ^                                                |
+///     '--- healthy, below or otherwise explained ------'
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Condition {
+    /// No alarm.
+    Quiet {
+        onset: Onset,
+        /// Throws since the alarm was last raised; `None` before the first time.
+        since_raised: Option<u32>,
+    },
+    /// The alarm is active.
+    Raised { onset: Onset, since_raised: u32, ending: Ending },
+}
+
+/// Streaks of throws that speak for an alarm, or for a critical one.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub(super) struct Condition {
-    on: u32,
-    critical: u32,
-    healthy: u32,
-    below: u32,
-    other: u32,
-    /// Throws since the alarm was last raised.
-    since_raised: Option<u32>,
-    /// Largest recent size over the limit while the alarm is active.
-    level: f64,
+pub(super) struct Onset {
+    pub(super) named: u32,
+    pub(super) critical: u32,
+}
+
+/// Streaks of throws that speak for the end of an active alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Ending {
+    pub(super) healthy: u32,
+    pub(super) below: u32,
+    pub(super) other: u32,
+    /// Largest recent size over the warning limit.
+    pub(super) level: f64,
     /// Throws since the size was near that level.
-    below_level: u32,
-    /// How many throws it took from there to less than half.
-    fell_within: Option<u32>,
-    proposed: bool,
-    /// It was raised again soon after it had cleared: from now on it stays for `hold_throws`.
-    restless: bool,
+    pub(super) since_level: u32,
+    /// Throws that the size took from the level to less than half of it.
+    pub(super) fell_within: Option<u32>,
+    /// A new baseline was proposed.
+    pub(super) proposed: bool,
+    /// The alarm was raised again soon after it had cleared: from now on it stays for `hold_throws`.
+    pub(super) restless: bool,
+}
+
+impl Default for Condition {
+    fn default() -> Self {
+        Self::Quiet { onset: Onset::default(), since_raised: None }
+    }
+}
+
+fn count(streak: &mut u32, holds: bool) {
+    *streak = if holds { streak.saturating_add(1) } else { 0 };
 }
 
 impl Condition {
     /// Takes in one throw, while the alarm has the severity `active`.
-    pub(super) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Step {
-        let count = |streak: &mut u32, holds: bool| *streak = if holds { streak.saturating_add(1) } else { 0 };
-        count(&mut self.on, reading.claim != Claim::None);
+    pub(super) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Transition {
+        let (onset, since_raised) = match *self {
+            Self::Quiet { onset, since_raised } => (onset, since_raised),
+            Self::Raised { onset, since_raised, .. } => (onset, Some(since_raised)),
+        };
+        let onset = onset.after(reading, settings);
+        let since_raised = since_raised.map(|throws| throws.saturating_add(1));
+        let delay = settings.on_delay_throws + reading.patience;
+        let is_critical = onset.critical >= delay;
+        let Some(severity) = active else {
+            if reading.claim == Claim::Named && onset.named >= delay {
+                // Streaks from before the alarm do not end it: the levels lag behind a step by a few throws.
+                let restless = since_raised.is_some_and(|throws| throws < settings.hold_throws);
+                *self = Self::Raised { onset, since_raised: 0, ending: Ending { restless, ..Ending::default() } };
+                return Transition::Raise(if is_critical { Severity::Critical } else { Severity::Warning });
+            }
+            *self = Self::Quiet { onset, since_raised };
+            return Transition::Stay;
+        };
+        let before = if let Self::Raised { ending, .. } = *self { ending } else { Ending::default() };
+        let mut ending = before.after(reading);
+        let transition = if severity == Severity::Warning && is_critical {
+            Transition::Escalate
+        } else {
+            ending.follow_level(reading.latest);
+            ending.transition(settings)
+        };
+        let since_raised = since_raised.unwrap_or_default();
+        *self = Self::Raised { onset, since_raised, ending };
+        transition
+    }
+
+    /// Forgets all streaks: the machine was in maintenance.
+    pub(super) fn reset(&mut self) {
+        let onset = Onset::default();
+        *self = match *self {
+            Self::Quiet { since_raised, .. } => Self::Quiet { onset, since_raised },
+            Self::Raised { since_raised, ending, .. } => {
+                Self::Raised { onset, since_raised, ending: Ending { restless: ending.restless, ..Ending::default() } }
+            }
+        };
+    }
+}
+
+impl Onset {
+    fn after(mut self, reading: Reading, settings: &Settings) -> Self {
+        count(&mut self.named, reading.claim != Claim::None);
         count(&mut self.critical, reading.undoubted > settings.critical_factor);
+        self
+    }
+}
+
+impl Ending {
+    fn after(mut self, reading: Reading) -> Self {
         count(&mut self.healthy, reading.plain_health);
         count(&mut self.below, reading.below);
         count(&mut self.other, reading.other_name);
-        self.since_raised = self.since_raised.map(|throws| throws.saturating_add(1));
-        let delay = settings.on_delay_throws + reading.patience;
-        let is_critical = self.critical >= delay;
-        match active {
-            None if reading.claim == Claim::Named && self.on >= delay => {
-                self.restless = self.since_raised.is_some_and(|throws| throws < settings.hold_throws);
-                self.since_raised = Some(0);
-                // What held before the alarm does not end it: the levels lag behind a step by a few throws.
-                (self.healthy, self.below, self.other) = (0, 0, 0);
-                (self.level, self.below_level, self.fell_within, self.proposed) = (0.0, 0, None, false);
-                Step::Raise(if is_critical { Severity::Critical } else { Severity::Warning })
-            }
-            Some(Severity::Warning) if is_critical => Step::Escalate,
-            Some(_) => {
-                self.follow_level(reading.latest);
-                self.ending(settings)
-            }
-            None => Step::Stay,
-        }
+        self
     }
 
     /// Follows whether the size falls at once or slowly.
     fn follow_level(&mut self, latest: Option<f64>) {
-        const NEAR: f64 = 0.75;
-        const LOW: f64 = 0.5;
-        self.below_level = self.below_level.saturating_add(1);
+        self.since_level = self.since_level.saturating_add(1);
         let Some(latest) = latest else { return };
-        if latest >= NEAR * self.level {
+        if latest >= NEAR_LEVEL * self.level {
             self.level = self.level.max(latest);
-            (self.below_level, self.fell_within) = (0, None);
-        } else if latest < LOW * self.level && self.fell_within.is_none() {
-            self.fell_within = Some(self.below_level);
+            (self.since_level, self.fell_within) = (0, None);
+        } else if latest < LEFT_LEVEL * self.level && self.fell_within.is_none() {
+            self.fell_within = Some(self.since_level);
         }
     }
 
     /// Whether the size fell as after a repair: by half within a few throws of each direction.
     fn fell_at_once(&self) -> bool {
-        const AT_ONCE: u32 = 8;
-        /// Times the limit: from closer to it, a fall is nothing but scatter.
-        const WELL_ABOVE: f64 = 1.5;
-        self.level >= WELL_ABOVE && self.fell_within.is_some_and(|throws| throws <= AT_ONCE)
+        self.level >= REPAIRABLE_LEVEL && self.fell_within.is_some_and(|throws| throws <= REPAIR_SHOWS_WITHIN)
     }
 
-    fn ending(&mut self, settings: &Settings) -> Step {
-        let longest = WINDOWS[3].try_into().unwrap_or(u32::MAX);
-        let restless = self.restless;
-        let at_least = |throws: u32| if restless { throws.max(settings.hold_throws) } else { throws };
+    fn transition(&mut self, settings: &Settings) -> Transition {
+        let at_least = |throws: u32| if self.restless { throws.max(settings.hold_throws) } else { throws };
         if self.healthy >= at_least(settings.off_delay_throws) || self.below >= settings.hold_throws {
-            Step::Clear { at_once: self.fell_at_once() }
-        } else if self.other >= at_least(longest) {
-            Step::Withdraw
-        } else if self.fell_at_once() && !self.proposed && self.below_level >= 2 * longest {
+            Transition::Clear { at_once: self.fell_at_once() }
+        } else if self.other >= at_least(LONGEST_WINDOW) {
+            Transition::Withdraw
+        } else if self.fell_at_once() && !self.proposed && self.since_level >= 2 * LONGEST_WINDOW {
             self.proposed = true;
-            Step::ProposeRebaseline
+            Transition::ProposeRebaseline
         } else {
-            Step::Stay
+            Transition::Stay
         }
-    }
-
-    /// Forgets all streaks: the machine was in maintenance.
-    pub(super) fn reset(&mut self) {
-        *self = Self { since_raised: self.since_raised, restless: self.restless, ..Self::default() };
     }
 }

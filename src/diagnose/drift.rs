@@ -1,187 +1,189 @@
-//! Whether the last throws still look like the baseline: windows of 3, 6, 12 and 24 throws, T = m' V^-1 m against its
-//! limit.
-//!
-//! Three streams are watched: each direction alone, and both together in the order of the throws. A fault of the
-//! machine shows in the mixed stream soonest, a fault of one direction only in its own.
+//! What the last throws of a machine say together: a drift, its name, and what follows for each alarm.
 
-use std::collections::VecDeque;
-
-use nalgebra::{Matrix3, Vector3};
-use serde::{Deserialize, Serialize};
+use nalgebra::Matrix3;
 
 use super::{
-    baseline::Baseline,
-    robust::clipped_mean,
+    cause::{Attribution, DECISIVE, Naming, Rival},
+    condition::{Claim, Reading},
+    event::Cause,
+    explain::{direction_of, percent, relevance, single},
     scatter::Scatter,
-    sym3::Sym3,
-    threshold::{Thresholds, WINDOWS},
+    settings::Settings,
+    temperature::doubt,
+    window::Window,
 };
+use crate::throw::Direction;
 
-/// Throws kept of each direction: the longest window.
-const KEPT: usize = WINDOWS[3];
+/// A lead from which an alarm with one name waits no longer: odds of 150 to 1.
+const SAFE: f64 = 10.0;
+/// Throws by which an alarm waits longer while its name could still be another: the next ones settle it.
+const DOUBTED_PATIENCE: u32 = 2;
+/// Throws by which an alarm without a single name waits longer: the first throws after a step are few, and what they
+/// leave open the next ones usually settle.
+const UNNAMED_PATIENCE: u32 = 6;
+/// The same when two explanations are too close to call: a longest window tells most of them apart.
+const TOO_CLOSE_PATIENCE: u32 = 24;
 
-/// One throw since the baseline, as its residual from it. Short names keep the state small.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(super) struct Recent {
-    /// Counts the machine's throws.
-    #[serde(rename = "n")]
-    order: u64,
-    #[serde(rename = "r")]
-    residual: [f32; 3],
-    #[serde(rename = "c")]
-    sensor: Sym3,
-    /// Distance from the reference temperature \[K\].
-    #[serde(rename = "k")]
-    distance_k: f32,
-}
+/// By how much warning limits are wider on a provisional baseline: it has not seen the machine's weather yet.
+const PROVISIONAL_WIDENING: f64 = 1.5;
 
-impl Recent {
-    #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
-    pub(super) fn new(order: u64, residual: Vector3<f64>, distance_k: f64, sensor: Sym3) -> Self {
-        let residual = [residual.x as f32, residual.y as f32, residual.z as f32];
-        Self { order, residual, sensor, distance_k: distance_k as f32 }
-    }
+/// A size below this part of its warning limit, two standard deviations added, is plain health.
+const HEALTHY_BELOW: f64 = 0.5;
+/// A drift is still there when the last throws show this part of its warning limit.
+const STILL_THERE: f64 = 0.5;
+/// A drift is of one direction when the other shows less than this part of it.
+const ONE_SIDED: f64 = 0.5;
+/// And by this many standard deviations of the difference.
+const ONE_SIDED_SD: f64 = 3.0;
+/// Throws of the machine with the drift, six of each direction, from which its direction is told.
+const ONE_SIDED_THROWS: u64 = 12;
 
-    pub(super) fn residual(&self) -> Vector3<f64> {
-        Vector3::from(self.residual.map(f64::from))
-    }
-}
-
-/// The last throws of one direction.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(transparent)]
-pub(super) struct Ring(VecDeque<Recent>);
-
-impl Ring {
-    pub(super) fn push(&mut self, throw: Recent) {
-        if self.0.len() == KEPT {
-            self.0.pop_front();
-        }
-        self.0.push_back(throw);
-    }
-
-    pub(super) fn clear(&mut self) {
-        self.0.clear();
-    }
-
-    /// Oldest first.
-    pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = &Recent> + ExactSizeIterator {
-        self.0.iter()
-    }
-}
-
-/// The mean of one window, with what is known of it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Window {
-    /// Throws in it.
-    pub(super) throws: usize,
-    /// Clipped mean of the residuals.
-    pub(super) mean: Vector3<f64>,
-    /// Its covariance, the baseline's own uncertainty included.
-    pub(super) covariance: Matrix3<f64>,
-    /// T over its limit: a drift is detected above 1.
+/// What the last throws say.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Drift {
+    /// T of the strongest window over its limit.
     pub(super) excess: f64,
+    /// Whether a baseline behind it is still being learned.
+    provisional: bool,
+    /// Named, when detected.
+    pub(super) attribution: Option<Attribution>,
+    /// Its name has an active alarm.
+    is_alarmed: bool,
+    /// Present level of each direction.
+    pub(super) levels: [Option<Window>; 2],
+    /// Level of each direction's last six throws.
+    last_few: [Option<Window>; 2],
+    /// Side of the latest throw, and the level of its last few throws.
+    latest: (usize, Option<Window>),
+    /// Cause and size \[%\] that the temperature hides, where it hides a warning limit.
+    pub(super) hidden: Option<(Cause, f64)>,
+    /// Throws for which a drift has to stay before it is believed.
+    caution: u32,
 }
 
-/// A stream's last throws, newest first, at most the longest window.
-pub(super) struct Tail<'a>(Vec<(usize, &'a Recent)>);
-
-impl<'a> Tail<'a> {
-    /// Of one direction.
-    pub(super) fn of(ring: &'a Ring, direction: usize) -> Self {
-        Self(ring.iter().rev().map(|throw| (direction, throw)).collect())
+impl Drift {
+    #[expect(clippy::too_many_arguments, reason = "each part of the evidence has another source")]
+    pub(super) fn new(
+        strongest: Option<(Window, &Scatter)>,
+        provisional: bool,
+        [levels, last_few]: [[Option<Window>; 2]; 2],
+        latest: (usize, Option<Window>),
+        hidden: Option<(Cause, f64)>,
+        caution: u32,
+        open: &[Cause],
+        settings: &Settings,
+    ) -> Self {
+        let excess = strongest.map_or(0.0, |(window, _)| window.excess);
+        let attribution = strongest
+            .filter(|_| excess > 1.0)
+            .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), open, settings));
+        let is_alarmed = attribution.as_ref().is_some_and(|attribution| open.contains(&attribution.cause()));
+        Self { excess, provisional, attribution, is_alarmed, levels, last_few, latest, hidden, caution }
     }
 
-    /// Of both directions, in the order of the throws.
-    pub(super) fn mixed(rings: [&'a Ring; 2]) -> Self {
-        let mut tail = Vec::with_capacity(KEPT);
-        let mut sides = rings.map(|ring| ring.iter().rev().peekable());
-        while tail.len() < KEPT {
-            let newest = sides.each_mut().map(|side| side.peek().map(|throw| throw.order));
-            let side = usize::from(newest[1] > newest[0]);
-            let Some(throw) = sides[side].next() else { break };
-            tail.push((side, throw));
-        }
-        Self(tail)
+    /// Whether a drift is detected and above its limit, whatever its name.
+    pub(super) fn matters(&self) -> bool {
+        let limit = if self.provisional { PROVISIONAL_WIDENING } else { 1.0 };
+        self.attribution.as_ref().is_some_and(|attribution| attribution.relevance > limit)
     }
 
-    /// Of both directions, all that is kept.
-    pub(super) fn all(rings: [&'a Ring; 2]) -> Self {
-        let mut tail: Vec<(usize, &Recent)> =
-            rings.into_iter().enumerate().flat_map(|(at, ring)| ring.iter().map(move |throw| (at, throw))).collect();
-        tail.sort_unstable_by_key(|(_, throw)| std::cmp::Reverse(throw.order));
-        Self(tail)
-    }
-
-    pub(super) fn len(&self) -> usize {
-        self.0.len()
-    }
-
-    /// Newest first.
-    pub(super) fn iter(&self) -> impl Iterator<Item = &'a Recent> {
-        self.0.iter().map(|(_, throw)| *throw)
-    }
-
-    /// The window of the last `throws`, without its test. `None` when there are fewer, or when a stream of two
-    /// directions holds hardly any of one.
-    pub(super) fn window(&self, throws: usize, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> Option<Window> {
-        let last = self.0.get(..throws)?;
-        let count = |side: usize| last.iter().filter(|(at, _)| *at == side).count();
-        let counts = [count(0), count(1)];
-        let mut sensor = Matrix3::zeros();
-        let mut distance = [0.0; 2];
-        for (side, throw) in last {
-            sensor += Matrix3::from(throw.sensor);
-            distance[*side] += f64::from(throw.distance_k);
-        }
-        let n = throws as f64;
-        sensor /= n;
-        let sd = scatter.sd_of_one(&sensor);
-        let mut values = [0.0; KEPT];
-        let mean = Vector3::from_fn(|i, _| {
-            for (value, (_, throw)) in values.iter_mut().zip(last) {
-                *value = f64::from(throw.residual[i]);
-            }
-            clipped_mean(&mut values[..throws], sd[i])
+    /// What the throw says about `cause`, whose alarm is active in the direction `alarmed` (inner `None`: in both).
+    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
+    pub(super) fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
+        let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause);
+        let undoubted = named.filter(|attribution| cause == Cause::Unattributed || attribution.lead >= DECISIVE);
+        let other = self.attribution.as_ref().is_some_and(|attribution| {
+            matches!(attribution.naming, Naming::One(_)) && !attribution.includes(cause) && attribution.relevance > 1.0
         });
-        // The centre of each direction errs on its own: together they are known as from this many throws.
-        let mut spread = 0.0;
-        let mut doubt = Vector3::zeros();
-        for side in 0..2 {
-            if counts[side] > 0 {
-                let part = counts[side] as f64 / n;
-                spread += part * part / baselines[side]?.throws() as f64;
-                doubt += baselines[side]?.temperature_sd(distance[side] / n);
-            }
+        let levels = self.levels.iter().flatten();
+        let (size, bound) = levels.map(|window| extent(cause, window, settings)).fold((0.0, 0.0), max_of_each);
+        let (side, last_few) = &self.latest;
+        let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
+        let latest = last_few.as_ref().filter(|_| concerned && alarmed.is_some());
+        let latest = latest.map(|window| extent(cause, window, settings).0);
+        let of_latest = |window: &Window| extent(cause, window, settings).0 > STILL_THERE;
+        let stays = self.caution == 0 || last_few.as_ref().is_some_and(of_latest);
+        let deadband = 1.0 - settings.deadband_pct / 100.0;
+        let claim = match named {
+            Some(_) if self.matters() && stays => Claim::Named,
+            // No name has settled, whatever the throws in between were taken for.
+            _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed => Claim::Counts,
+            _ => Claim::None,
+        };
+        Reading {
+            claim,
+            undoubted: undoubted.map_or(0.0, |attribution| attribution.relevance),
+            patience: self.caution
+                + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
+                    (Naming::One(_), _) if attribution.lead >= SAFE => 0,
+                    (Naming::One(_), _) => DOUBTED_PATIENCE,
+                    (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
+                    (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
+                }),
+            plain_health: bound < HEALTHY_BELOW,
+            below: self.attribution.is_none() || size < deadband,
+            other_name: other,
+            latest,
         }
-        let temperature = Matrix3::from_diagonal(&doubt.component_mul(&doubt));
-        let covariance = scatter.of_mean(throws, &sensor, 1.0 / spread) + temperature;
-        Some(Window { throws, mean, covariance, excess: 0.0 })
     }
 
-    /// The window in which the drift shows most, whether or not it is above its limit.
-    pub(super) fn strongest(
-        &self,
-        scatter: &Scatter,
-        thresholds: &Thresholds,
-        baselines: [Option<&Baseline>; 2],
-    ) -> Option<Window> {
-        let mut best: Option<Window> = None;
-        for (at, &throws) in WINDOWS.iter().enumerate() {
-            let Some(mut window) = self.window(throws, scatter, baselines) else { continue };
-            let Some(inverse) = window.covariance.try_inverse() else { continue };
-            window.excess = (window.mean.transpose() * inverse * window.mean).x / thresholds.of(at);
-            if best.is_none_or(|best| window.excess > best.excess) {
-                best = Some(window);
-            }
-        }
-        best
+    /// The direction in which `cause` shows, `throws` throws after the drift was first suspected; `None` for both, and as long
+    /// as a direction has too few throws with the drift to tell.
+    pub(super) fn direction(&self, cause: Cause, throws: u64, settings: &Settings) -> Option<Direction> {
+        let of = |window: &Window| {
+            let parts = alarm_causes(cause).map(|part| single(part, &window.mean, &window.covariance, settings));
+            parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)))
+        };
+        let side = self.leaning(cause, settings)?;
+        let [Some(normal), Some(reverse)] = self.last_few.each_ref().map(|window| window.as_ref().and_then(of)) else {
+            return Some(side);
+        };
+        let difference = (normal.size.abs() - reverse.size.abs()).abs();
+        let clear = difference > ONE_SIDED_SD * normal.size_sd.hypot(reverse.size_sd);
+        (throws >= ONE_SIDED_THROWS && clear).then_some(side)
     }
 
-    /// Whether both directions take part in the last few throws.
-    pub(super) fn is_balanced(&self) -> bool {
-        let last = self.0.iter().take(KEPT);
-        let (total, reverse) = last.fold((0, 0), |(total, reverse), (side, _)| (total + 1, reverse + side));
-        total >= WINDOWS[0] && 4 * reverse >= total && 4 * (total - reverse) >= total
+    /// The direction that shows more than twice as much of `cause` as the other: a first guess, for measuring its size.
+    pub(super) fn leaning(&self, cause: Cause, settings: &Settings) -> Option<Direction> {
+        let size = |at: usize| self.levels[at].as_ref().map(|window| extent(cause, window, settings).0);
+        match (size(0), size(1)) {
+            (Some(_), None) => Some(Direction::NormalToReverse),
+            (None, Some(_)) => Some(Direction::ReverseToNormal),
+            (Some(normal), Some(reverse)) if reverse < ONE_SIDED * normal => Some(Direction::NormalToReverse),
+            (Some(normal), Some(reverse)) if normal < ONE_SIDED * reverse => Some(Direction::ReverseToNormal),
+            _ => None,
+        }
     }
+}
+
+/// Least size of `cause` \[%\] that such a window shows when T has this limit; and the same if the temperature's effect were
+/// known.
+pub(super) fn visible_pct(cause: Cause, window: &Window, limit: f64) -> Option<(f64, f64)> {
+    let d = direction_of(cause)?;
+    let least =
+        |covariance: Matrix3<f64>| Some(percent((limit / (d.transpose() * covariance.try_inverse()? * d).x).sqrt()));
+    Some((least(window.covariance)?, least(window.covariance - doubt(window.temperature_sd))?))
+}
+
+/// Size of `cause` in a window over its warning limit; and the same with two standard deviations added.
+fn extent(cause: Cause, window: &Window, settings: &Settings) -> (f64, f64) {
+    let of = |cause: Cause| {
+        let e = single(cause, &window.mean, &window.covariance, settings);
+        let bound = e.size.abs() + 2.0 * e.size_sd;
+        (relevance(cause, e.size, settings), relevance(cause, bound, settings))
+    };
+    if cause == Cause::Unattributed {
+        Cause::PHYSICAL.into_iter().map(of).fold((0.0, 0.0), max_of_each)
+    } else {
+        of(cause)
+    }
+}
+
+/// The causes that an alarm may be about: itself, or any.
+pub(super) fn alarm_causes(cause: Cause) -> impl Iterator<Item = Cause> {
+    Cause::PHYSICAL.into_iter().filter(move |part| cause == Cause::Unattributed || *part == cause)
+}
+
+fn max_of_each(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    (a.0.max(b.0), a.1.max(b.1))
 }

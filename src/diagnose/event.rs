@@ -5,12 +5,27 @@ use std::fmt;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::{correlation::Correlation, trend::LimitForecast};
+use super::{correlation::Correlation, course::LimitForecast};
 use crate::throw::{Direction, ThrowRef};
 
 /// What an alarm is about.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Hash,
+    PartialOrd,
+    Ord,
+    Serialize,
+    Deserialize,
+    strum::IntoStaticStr,
+    strum::EnumString,
+    strum::VariantArray,
+)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Cause {
     /// The motor's torque constant.
     Kt,
@@ -30,45 +45,20 @@ pub enum Cause {
     NotMonitored,
     /// Throws were lost between the logger and the database.
     DataLoss,
+    /// A sensor says what cannot be, or explains a drift as well as the machine does.
+    Sensor,
+    /// The supply of the motor changed.
+    Supply,
 }
 
 impl Cause {
     /// The four physical causes, in the order of the diagnosis.
     pub const PHYSICAL: [Self; 4] = [Self::Kt, Self::Friction, Self::Stiffness, Self::Inertia];
 
-    /// All causes.
-    pub const ALL: [Self; 9] = [
-        Self::Kt,
-        Self::Friction,
-        Self::Stiffness,
-        Self::Inertia,
-        Self::Unattributed,
-        Self::IncompleteThrow,
-        Self::SlowThrow,
-        Self::NotMonitored,
-        Self::DataLoss,
-    ];
-
     /// The word used in messages and in the database.
     #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Kt => "kt",
-            Self::Friction => "friction",
-            Self::Stiffness => "stiffness",
-            Self::Inertia => "inertia",
-            Self::Unattributed => "unattributed",
-            Self::IncompleteThrow => "incomplete_throw",
-            Self::SlowThrow => "slow_throw",
-            Self::NotMonitored => "not_monitored",
-            Self::DataLoss => "data_loss",
-        }
-    }
-
-    /// The cause with this word in messages and in the database, if it is one.
-    #[must_use]
-    pub fn from_word(word: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|cause| cause.as_str() == word)
+    pub fn as_str(self) -> &'static str {
+        self.into()
     }
 
     /// Whether it comes from a drift of the coefficients, and not from the throws' coming and going.
@@ -91,13 +81,16 @@ impl fmt::Display for Cause {
             Self::SlowThrow => "slow throw",
             Self::NotMonitored => "not monitored",
             Self::DataLoss => "data loss",
+            Self::Sensor => "sensor",
+            Self::Supply => "supply",
         })
     }
 }
 
 /// How bad.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Severity {
     /// Plan a visit.
     Warning,
@@ -108,17 +101,15 @@ pub enum Severity {
 impl Severity {
     /// The word used in messages and in the database.
     #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Warning => "warning",
-            Self::Critical => "critical",
-        }
+    pub fn as_str(self) -> &'static str {
+        self.into()
     }
 }
 
 /// Alarm states in the words of ISA-18.2 and OPC UA Part 9.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum AlarmState {
     /// No alarm.
     Normal,
@@ -135,17 +126,23 @@ pub enum AlarmState {
 }
 
 impl AlarmState {
+    /// The state in words, the same on pages and on the command line.
+    #[must_use]
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::Normal => "over",
+            Self::ActiveUnacknowledged => "not acknowledged",
+            Self::ActiveAcknowledged => "acknowledged",
+            Self::ClearedUnacknowledged => "over, not acknowledged",
+            Self::Shelved => "shelved",
+            Self::OutOfService => "in maintenance",
+        }
+    }
+
     /// The word used in messages and in the database.
     #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Normal => "normal",
-            Self::ActiveUnacknowledged => "active_unacknowledged",
-            Self::ActiveAcknowledged => "active_acknowledged",
-            Self::ClearedUnacknowledged => "cleared_unacknowledged",
-            Self::Shelved => "shelved",
-            Self::OutOfService => "out_of_service",
-        }
+    pub fn as_str(self) -> &'static str {
+        self.into()
     }
 }
 
@@ -158,7 +155,8 @@ pub struct RunnerUp {
     pub margin: f64,
 }
 
-/// One event in the life of an alarm, with its evidence. `wire::alarm` puts it on zenoh, `store` into SQL.
+/// One event in the life of an alarm, with its evidence: the same in the monitor's snapshot, on zenoh and in SQL. Its JSON
+/// has the names of the alarm message.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AlarmEvent {
     /// What the alarm is about.
@@ -184,15 +182,55 @@ pub struct AlarmEvent {
     /// The paper's three numbers.
     pub correlation: Option<Correlation>,
     /// First throw of the evidence.
+    #[serde(flatten, with = "first_throw")]
     pub first_throw: Option<ThrowRef>,
     /// Last throw of the evidence.
+    #[serde(flatten, with = "last_throw")]
     pub last_throw: Option<ThrowRef>,
     /// One plain sentence: what, how sure, what to look at.
     pub text: String,
     /// When it reaches the next limit.
     pub limit_in_throws: Option<LimitForecast>,
-    /// Who acted (acknowledge, shelve, rebaseline), where somebody did.
+    /// Who acted (acknowledge, shelve, rebaseline), where somebody did. Not published.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
-    /// Why.
+    /// Why. Not published.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
 }
+
+/// The JSON of a throw of the evidence: its number, as published, and its boot, which is not published.
+macro_rules! evidence_throw {
+    ($name:ident, $throw_no:literal, $boot_id:literal) => {
+        mod $name {
+            use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+            use crate::throw::ThrowRef;
+
+            #[derive(Serialize, Deserialize)]
+            struct Json {
+                #[serde(rename = $throw_no)]
+                throw_no: Option<u64>,
+                #[serde(rename = $boot_id, default, skip_serializing_if = "String::is_empty")]
+                boot_id: String,
+                /// Snapshots of earlier versions have the whole reference here.
+                #[serde(default, skip_serializing)]
+                $name: Option<ThrowRef>,
+            }
+
+            #[expect(clippy::ref_option, reason = "serde gives a reference to the field")]
+            pub(super) fn serialize<S: Serializer>(throw: &Option<ThrowRef>, to: S) -> Result<S::Ok, S::Error> {
+                let boot_id = throw.as_ref().map(|throw| throw.boot_id.clone()).unwrap_or_default();
+                Json { throw_no: throw.as_ref().map(|throw| throw.throw_no), boot_id, $name: None }.serialize(to)
+            }
+
+            pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<ThrowRef>, D::Error> {
+                let Json { throw_no, boot_id, $name } = Json::deserialize(from)?;
+                Ok($name.or(throw_no.map(|throw_no| ThrowRef { boot_id, throw_no })))
+            }
+        }
+    };
+}
+
+evidence_throw!(first_throw, "first_throw_no", "first_boot_id");
+evidence_throw!(last_throw, "last_throw_no", "last_boot_id");

@@ -17,7 +17,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::{Settings, event::Cause};
+use super::{event::Cause, settings::Settings};
 
 /// Prior scale s of a size, in logarithms: faults that matter are from a few percent to a doubling.
 const SIZE_SCALE: f64 = 0.5;
@@ -41,6 +41,8 @@ pub(super) struct Explanation {
     pub(super) size: f64,
     /// Its standard deviation.
     pub(super) size_sd: f64,
+    /// What the three logarithms are multiplied with to give the size.
+    pub(super) weights: Vector3<f64>,
 }
 
 /// How well some causes together explain a drift.
@@ -128,7 +130,7 @@ fn fit_with_leak<const K: usize>(
     settings: &Settings,
 ) -> Fit<K> {
     const ROUNDS: usize = 3;
-    let parts = causes.map(|cause| Explanation { cause, size: 0.0, size_sd: f64::INFINITY });
+    let parts = causes.map(|cause| Explanation { cause, size: 0.0, size_sd: f64::INFINITY, weights: Vector3::zeros() });
     let mut fit = Fit { parts, score: f64::INFINITY };
     for _ in 0..ROUNDS {
         let mut u = *v;
@@ -150,6 +152,7 @@ fn fit_with_leak<const K: usize>(
         let sd = (gain * v * gain.transpose()).diagonal().map(|variance| variance.max(0.0).sqrt());
         for (at, part) in fit.parts.iter_mut().enumerate() {
             (part.size, part.size_sd) = (sizes[at], sd[at]);
+            part.weights = gain.row(at).transpose();
         }
         let prior = 2.0 * K as f64 * SIZE_SCALE.ln() + SECOND_CAUSE * (K as f64 - 1.0);
         fit.score = misfit + u.determinant().ln() + information.determinant().ln() + prior;

@@ -1,91 +1,92 @@
 //! The monitor of one machine: what one throw, one command or the passing of time does to it.
 
 use jiff::Timestamp;
-use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    AlarmEvent, BaselineRecord, Cause, Command, CommandError, Observation, Settings, Severity, Verdict,
-    alarm::{Actor, Board},
-    condition::Condition,
+    alarm::{Actor, Alarms, Unfit},
+    baseline::BaselineRecord,
+    command::{Command, CommandError},
+    drift_alarms::{DRIFTS, DriftAlarms, Onset},
+    event::{AlarmEvent, Cause, Severity},
     explain::percent,
-    operational::{Operation, Scene},
-    track::{Standing, Tracks},
-    trend::History,
-    verdict::{Drift, Onset},
+    observation::{Evaluated, Irregularity, Observation},
+    operational::{Context, Operation},
+    settings::Settings,
+    snapshot::VersionOne,
+    text,
+    thermometer::Thermometer,
+    track::Tracks,
+    verdict::{Blindness, Drifting, MachineState, Verdict},
 };
-use crate::throw::Direction;
-
-/// How a machine is, in one word.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MachineState {
-    /// No baseline is usable yet.
-    Learning,
-    /// Monitored, no alarm is active.
-    Healthy,
-    /// An alarm of severity warning is active.
-    Warning,
-    /// An alarm of severity critical is active.
-    Critical,
-    /// Its throws cannot be evaluated, or none come.
-    NotMonitored,
-    /// Out of service.
-    Maintenance,
-}
-
-impl MachineState {
-    /// The word used in the database.
-    #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Learning => "learning",
-            Self::Healthy => "healthy",
-            Self::Warning => "warning",
-            Self::Critical => "critical",
-            Self::NotMonitored => "not_monitored",
-            Self::Maintenance => "maintenance",
-        }
-    }
-}
+use crate::throw::{Direction, ThrowRef};
 
 /// A maintenance window.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Maintenance {
+    /// `None` only after version 1, where a window could be without end: the next tick gives it one.
     until: Option<Timestamp>,
     by: String,
     why: String,
 }
 
-/// The monitor of one machine: baselines, windows, alarms. Serialises completely, so that a restart changes nothing.
+/// The monitor of one machine: baselines, last throws, alarms. Serialises completely, so that a restart changes nothing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MachineMonitor {
-    pub(super) name: String,
+    /// Version of the snapshot.
+    version: u32,
+    name: String,
     /// Throws observed.
-    pub(super) order: u64,
-    pub(super) tracks: Tracks,
-    pub(super) history: History,
-    pub(super) onset: Option<Onset>,
-    pub(super) conditions: [Condition; 5],
-    pub(super) board: Board,
+    order: u64,
+    tracks: Tracks,
+    drift: DriftAlarms,
+    alarms: Alarms,
     operation: Operation,
+    #[serde(default)]
+    thermometer: Thermometer,
+    /// As of the last evaluated throw.
+    #[serde(default)]
+    blind: Option<Blindness>,
     maintenance: Option<Maintenance>,
 }
 
 impl MachineMonitor {
-    /// A monitor that has seen nothing; `name` is how its texts call the machine.
+    /// The version of the snapshots that this program writes.
+    const VERSION: u32 = 2;
+
+    /// A monitor without any throw; `name` is how its texts call the machine.
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self {
+            version: Self::VERSION,
             name: name.to_owned(),
             order: 0,
             tracks: Tracks::default(),
-            history: History::default(),
-            onset: None,
-            conditions: [Condition::default(); 5],
-            board: Board::default(),
+            drift: DriftAlarms::default(),
+            alarms: Alarms::default(),
             operation: Operation::default(),
+            thermometer: Thermometer::default(),
+            blind: None,
             maintenance: None,
+        }
+    }
+
+    /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program.
+    ///
+    /// # Errors
+    /// When the text is no snapshot, or one of a version that is not known.
+    pub fn from_snapshot(json: &str) -> Result<Self, serde_json::Error> {
+        #[derive(Deserialize)]
+        struct Stamp {
+            version: Option<u32>,
+        }
+        match serde_json::from_str(json)? {
+            Stamp { version: None } => serde_json::from_str::<VersionOne>(json).map(Self::from),
+            Stamp { version: Some(Self::VERSION) } => serde_json::from_str(json),
+            Stamp { version: Some(other) } => {
+                let problem = format!("snapshot version {other} is from a newer program");
+                Err(serde::de::Error::custom(problem))
+            }
         }
     }
 
@@ -93,15 +94,21 @@ impl MachineMonitor {
     pub fn observe(&mut self, observation: &Observation, settings: &Settings) -> Verdict {
         self.order += 1;
         let at = to_micros(observation.started_at);
-        let evaluated = Evaluated::of(observation);
-        let mut verdict = Verdict::default();
-        if let Some(throw) = &evaluated {
-            verdict.change_pct = self.tracks.residual(throw).map(|(residual, _)| residual.map(percent).into());
-        }
+        let temperature = self.thermometer.read(observation.temperature_c, at);
+        let evaluated =
+            Evaluated::of(observation).map(|throw| Evaluated { temperature_c: temperature.celsius, ..throw });
+        let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
+        let mut verdict =
+            Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };
         if self.maintenance.is_none() {
+            let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
+            verdict.events.extend(operation.on_temperature(temperature.disbelief, alarms, context));
             self.observe_in_service(observation, evaluated.as_ref(), at, settings, &mut verdict);
         }
         verdict.baseline = observation.direction.map(|d| self.baseline_progress(d, settings));
+        verdict.state = self.state();
+        verdict.drifts = self.drifts().to_vec();
+        verdict.blind = self.blind;
         verdict
     }
 
@@ -113,43 +120,69 @@ impl MachineMonitor {
         settings: &Settings,
         verdict: &mut Verdict,
     ) {
-        let name = self.name.clone();
-        let scene = Scene { name: &name, at, throw: Some(&observation.throw), settings };
-        verdict.events.extend(self.operation.arrived(observation.incomplete, &mut self.board, scene));
-        verdict.events.extend(self.operation.evaluated(evaluated.is_some(), &mut self.board, scene));
+        let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
+        verdict.events.extend(operation.on_throw(observation.incomplete, alarms, context));
         if let Some(throw) = evaluated {
-            let drift = self.tracks.push(throw, self.order, settings).map(|residual| {
-                self.history.push(&residual);
-                self.tracks.drift(throw.direction, &self.open_causes(), settings)
-            });
-            if let Some(drift) = &drift {
-                verdict.events.extend(self.judge(drift, &observation.throw, at, settings));
-            }
-            let standing = if self.board.active().any(is_drift) {
-                Standing::Alarmed
-            } else if drift.as_ref().is_some_and(Drift::matters) {
-                Standing::Shown
-            } else if self.onset.is_some() {
-                Standing::Suspected
-            } else {
-                Standing::Plain
-            };
-            let taken = self.tracks.learn(throw, self.order, at, standing, settings);
-            if taken.is_some() {
-                // Residuals from another centre: what came before is no history of this one.
-                self.history = History::default();
-                self.onset = None;
-            }
-            verdict.baselines_taken.extend(taken);
+            self.observe_evaluated(throw, &observation.throw, at, settings, verdict);
         }
+        let blind = self.blind;
+        let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
+        verdict.events.extend(operation.on_evaluation(evaluated.is_some(), blind.as_ref(), alarms, context));
         if let (Some(direction), Some(duration_s), false) =
             (observation.direction, observation.features.duration_s, observation.incomplete)
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {
             let longer_pct = 100.0 * (duration_s / normal_s - 1.0);
-            let explained = self.board.active().any(is_drift);
-            verdict.events.extend(self.operation.took(longer_pct, direction, explained, &mut self.board, scene));
+            let explained = self.alarms.active().any(is_drift);
+            let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
+            verdict.events.extend(operation.on_duration(longer_pct, direction, explained, alarms, context));
         }
+    }
+
+    fn observe_evaluated(
+        &mut self,
+        throw: &Evaluated,
+        id: &ThrowRef,
+        at: Timestamp,
+        settings: &Settings,
+        verdict: &mut Verdict,
+    ) {
+        let suspicious = self.drift.is_suspicious(&self.alarms);
+        let departure = self.tracks.departure(throw);
+        let residual = self.tracks.push(throw, self.order, suspicious, settings);
+        let context = Context { name: &self.name, at, throw: Some(id), settings };
+        let drift = residual.map(|residual| {
+            let open: Vec<Cause> = self.alarms.active().map(|event| event.cause).collect();
+            let caution = self.drift.intermittent.caution(self.tracks.lag1());
+            let drift = self.tracks.drift(throw.direction, caution, &open, settings);
+            let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
+            verdict.events.extend(events);
+            drift
+        });
+        if let Some(departure) = departure {
+            verdict.events.extend(self.drift.judge_departure(departure, &mut self.alarms, context));
+        }
+        let hidden = drift.as_ref().and_then(|drift| drift.hidden);
+        self.blind = hidden.and_then(|(cause, below_pct)| {
+            let baseline_c = self.tracks.reference_c(throw.direction)?;
+            Some(Blindness { cause, below_pct, temperature_c: throw.temperature_c?, baseline_c })
+        });
+        let suspicion = self.drift.suspicion(drift.as_ref(), &self.alarms);
+        let taken = self.tracks.learn(throw, self.order, at, suspicion, settings);
+        if taken.is_some() {
+            self.drift.forget_history();
+        }
+        verdict.baselines_taken.extend(taken);
+    }
+
+    /// The counters and alarms of the operational part, with the context of their events.
+    fn parts<'a>(
+        &'a mut self,
+        at: Timestamp,
+        throw: Option<&'a ThrowRef>,
+        settings: &'a Settings,
+    ) -> (&'a mut Operation, &'a mut Alarms, Context<'a>) {
+        (&mut self.operation, &mut self.alarms, Context { name: &self.name, at, throw, settings })
     }
 
     /// Lets time pass: shelving and maintenance windows end, silence is noticed. Call it at least once a minute:
@@ -157,27 +190,27 @@ impl MachineMonitor {
     /// is no silence.
     pub fn tick(&mut self, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let now = to_micros(now);
-        let mut events = self.board.unshelve_due(now);
-        if self.maintenance.as_ref().is_some_and(|m| m.until.is_some_and(|until| until <= now)) {
+        let mut events = self.alarms.unshelve_due(now);
+        let longest = settings.longest_shelving();
+        let ends = self.maintenance.as_mut().map(|maintenance| *maintenance.until.get_or_insert(now + longest));
+        if ends.is_some_and(|until| until <= now) {
             events.extend(self.end_maintenance(Actor::default(), now));
         }
         // A machine is expected to throw once it has.
-        let counts = self.maintenance.is_none() && self.order > 0;
-        let name = self.name.clone();
-        let scene = Scene { name: &name, at: now, throw: None, settings };
-        events.extend(self.operation.tick(counts, &mut self.board, scene));
+        let in_service = self.maintenance.is_none() && self.order > 0;
+        let (operation, alarms, context) = self.parts(now, None, settings);
+        events.extend(operation.on_tick(in_service, alarms, context));
         events
     }
 
-    /// Takes in whether the machine's logger shows now that it is alive. One that never has is not missed. Call it
-    /// before each [`Self::tick`].
+    /// Takes in whether the token of the machine's logger is there now. A logger that never declared one is not missed.
+    /// Call it before each [`Self::tick`].
     pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
-        let name = self.name.clone();
-        let scene = Scene { name: &name, at: to_micros(now), throw: None, settings };
-        self.operation.logger(there, &mut self.board, scene)
+        let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
+        operation.on_liveliness(there, alarms, context)
     }
 
-    /// Whether the machine's logger has ever shown that it is alive.
+    /// Whether the machine's logger ever declared a token.
     #[must_use]
     pub fn is_announced(&self) -> bool {
         self.operation.is_announced()
@@ -191,19 +224,32 @@ impl MachineMonitor {
         now: Timestamp,
         settings: &Settings,
     ) -> Option<AlarmEvent> {
-        let name = self.name.clone();
-        let scene = Scene { name: &name, at: to_micros(now), throw: None, settings };
-        self.operation.trouble(trouble, &mut self.board, scene)
+        let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
+        operation.on_daemon_trouble(trouble, alarms, context)
     }
 
     /// Takes in that `lost` throws of the machine never arrived.
     pub fn gap(&mut self, lost: u64, at: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
-        let name = self.name.clone();
-        let scene = Scene { name: &name, at: to_micros(at), throw: None, settings };
-        self.operation.gap(lost, &mut self.board, scene)
+        let (operation, alarms, context) = self.parts(to_micros(at), None, settings);
+        operation.on_gap(lost, alarms, context).into_iter().collect()
     }
 
-    /// Carries out what an operator asks. After `Rebaseline` the store ends the history rows of the baselines that
+    /// A throw came that its logger sent irregularly.
+    pub fn irregular(
+        &mut self,
+        irregularity: Irregularity,
+        throw: &ThrowRef,
+        at: Timestamp,
+        settings: &Settings,
+    ) -> Option<AlarmEvent> {
+        if self.maintenance.is_some() {
+            return None;
+        }
+        let (operation, alarms, context) = self.parts(to_micros(at), Some(throw), settings);
+        operation.on_irregularity(irregularity, alarms, context)
+    }
+
+    /// Carries out an operator's command. After `Rebaseline` the store ends the history rows of the baselines that
     /// [`Self::baseline`] gave before.
     ///
     /// # Errors
@@ -217,85 +263,93 @@ impl MachineMonitor {
         let now = to_micros(now);
         command.validate(now, settings)?;
         let actor = Actor { by: Some(command.by()), why: command.why() };
+        let unfit = |cause: Cause| {
+            move |unfit| match unfit {
+                Unfit::NotOpen => CommandError::NoSuchAlarm { cause },
+                Unfit::Acknowledged(by) => CommandError::AlreadyAcknowledged { cause, by },
+                Unfit::NotShelved => CommandError::NotShelved { cause },
+            }
+        };
         match command {
-            Command::Ack { cause, by } => match self.board.acknowledge(*cause, by, now) {
-                None => Err(CommandError::NoSuchAlarm { cause: *cause }),
-                Some(Err(by)) => Err(CommandError::AlreadyAcknowledged { cause: *cause, by }),
-                Some(Ok(event)) => Ok(vec![event]),
-            },
+            Command::Ack { cause, by } => {
+                self.alarms.acknowledge(*cause, by, now).map(|event| vec![event]).map_err(unfit(*cause))
+            }
             Command::Shelve { cause, until, .. } => {
-                let event = self.board.shelve(*cause, to_micros(*until), actor, now);
-                event.map(|event| vec![event]).ok_or(CommandError::NoSuchAlarm { cause: *cause })
+                let event = self.alarms.shelve(*cause, to_micros(*until), actor, now);
+                event.map(|event| vec![event]).map_err(unfit(*cause))
             }
-            Command::Unshelve { cause, .. } => match self.board.unshelve(*cause, actor, now) {
-                None => Err(CommandError::NoSuchAlarm { cause: *cause }),
-                Some(None) => Err(CommandError::NotShelved { cause: *cause }),
-                Some(Some(event)) => Ok(vec![event]),
-            },
+            Command::Unshelve { cause, .. } => {
+                self.alarms.unshelve(*cause, actor, now).map(|event| vec![event]).map_err(unfit(*cause))
+            }
             Command::Rebaseline { by, why } => Ok(self.rebaseline(by, why, actor, now)),
+            Command::MaintenanceStart { .. } if self.maintenance.is_some() => Err(CommandError::InMaintenance),
             Command::MaintenanceStart { until, by, why } => {
-                if self.maintenance.is_some() {
-                    return Err(CommandError::InMaintenance);
-                }
-                self.maintenance = Some(Maintenance { until: *until, by: by.clone(), why: why.clone() });
-                Ok(self.board.set_out_of_service(true, actor, now))
+                let until = Some(to_micros(*until));
+                self.maintenance = Some(Maintenance { until, by: by.clone(), why: why.clone() });
+                Ok(self.alarms.set_out_of_service(true, actor, now))
             }
-            Command::MaintenanceEnd { .. } => {
-                if self.maintenance.is_none() {
-                    return Err(CommandError::NotInMaintenance);
-                }
-                Ok(self.end_maintenance(actor, now))
-            }
+            Command::MaintenanceEnd { .. } if self.maintenance.is_none() => Err(CommandError::NotInMaintenance),
+            Command::MaintenanceEnd { .. } => Ok(self.end_maintenance(actor, now)),
         }
     }
 
     fn rebaseline(&mut self, by: &str, why: &str, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
         self.tracks = Tracks::default();
-        self.forget_recent();
-        let said = format!("Machine {}: a new baseline is being taken ({by}: {why}).", self.name);
-        let drifts: Vec<Cause> = self.board.open().filter(|event| is_drift(event)).map(|event| event.cause).collect();
-        drifts.into_iter().filter_map(|cause| self.board.close(cause, said.clone(), actor, now)).collect()
+        self.drift.reset();
+        self.drift.now.clear();
+        self.blind = None;
+        let text = text::rebaselined(&self.name, by, why);
+        let drifts: Vec<Cause> =
+            self.alarms.events().filter(|event| is_drift(event)).map(|event| event.cause).collect();
+        drifts.into_iter().filter_map(|cause| self.alarms.close(cause, text.clone(), actor, now)).collect()
     }
 
     fn end_maintenance(&mut self, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
         self.maintenance = None;
         self.tracks.forget_recent();
-        self.forget_recent();
+        self.drift.reset();
         self.operation.reset();
-        self.board.set_out_of_service(false, actor, now)
-    }
-
-    fn forget_recent(&mut self) {
-        self.history = History::default();
-        self.onset = None;
-        self.conditions.iter_mut().for_each(Condition::reset);
-    }
-
-    fn open_causes(&self) -> Vec<Cause> {
-        self.board.active().map(|event| event.cause).collect()
+        self.alarms.set_out_of_service(false, actor, now)
     }
 
     /// The latest event of every open alarm (any state but `normal`), oldest alarm first.
     #[must_use]
     pub fn open_alarms(&self) -> Vec<AlarmEvent> {
-        self.board.open().cloned().collect()
+        self.alarms.events().cloned().collect()
     }
 
-    /// How the machine is, in one word.
+    /// The drifts with an active alarm as they are now, the largest in multiples of its warning limit first.
+    #[must_use]
+    pub fn drifts(&self) -> &[Drifting] {
+        &self.drift.now
+    }
+
+    /// The fault that the machine's last throw could not show at its temperature.
+    #[must_use]
+    pub fn blind(&self) -> Option<Blindness> {
+        self.blind
+    }
+
+    /// The end of the maintenance window, while the machine is out of service.
+    #[must_use]
+    pub fn maintenance_until(&self) -> Option<Timestamp> {
+        self.maintenance.as_ref()?.until
+    }
+
+    /// The state of the machine in one word.
     #[must_use]
     pub fn state(&self) -> MachineState {
-        let worst = self.board.active().map(|event| event.severity).max();
         if self.maintenance.is_some() {
-            MachineState::Maintenance
-        } else if self.board.is_active(Cause::NotMonitored) {
-            MachineState::NotMonitored
-        } else {
-            match worst {
-                Some(Severity::Critical) => MachineState::Critical,
-                Some(Severity::Warning) => MachineState::Warning,
-                None if self.tracks.any_baseline() => MachineState::Healthy,
-                None => MachineState::Learning,
-            }
+            return MachineState::Maintenance;
+        }
+        if self.alarms.is_active(Cause::NotMonitored) {
+            return MachineState::NotMonitored;
+        }
+        match self.alarms.active().map(|event| event.severity).max() {
+            Some(Severity::Critical) => MachineState::Critical,
+            Some(Severity::Warning) => MachineState::Warning,
+            None if self.tracks.any_baseline() => MachineState::Healthy,
+            None => MachineState::Learning,
         }
     }
 
@@ -318,43 +372,32 @@ impl MachineMonitor {
     }
 }
 
+impl From<VersionOne> for MachineMonitor {
+    fn from(old: VersionOne) -> Self {
+        let alarms = Alarms::from(old.board);
+        let conditions = std::array::from_fn(|at| old.conditions[at].now(alarms.is_active(DRIFTS[at])));
+        let onset = old.onset.map(|onset| Onset { first: onset.first, order: onset.order });
+        let maintenance =
+            old.maintenance.map(|window| Maintenance { until: window.until, by: window.by, why: window.why });
+        let mut tracks = old.tracks;
+        tracks.add_temperature();
+        Self {
+            version: Self::VERSION,
+            name: old.name,
+            order: old.order,
+            tracks,
+            drift: DriftAlarms { history: old.history, onset, conditions, ..DriftAlarms::default() },
+            alarms,
+            operation: old.operation,
+            thermometer: Thermometer::default(),
+            blind: None,
+            maintenance,
+        }
+    }
+}
+
 fn is_drift(event: &AlarmEvent) -> bool {
     event.cause.is_drift()
-}
-
-/// A throw with a direction and a usable estimate, in logarithms.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Evaluated {
-    pub(super) direction: Direction,
-    pub(super) log: [f64; 3],
-    /// Covariance of the logarithms.
-    pub(super) sensor: Matrix3<f64>,
-    pub(super) temperature_c: Option<f64>,
-    pub(super) duration_s: Option<f64>,
-}
-
-impl Evaluated {
-    /// `None` unless the direction is known and the estimate is positive with a finite, positive covariance.
-    fn of(observation: &Observation) -> Option<Self> {
-        /// Relative standard deviation above which an estimate tells nothing: the logarithm is no longer linear.
-        const WORST_SD: f64 = 0.5;
-        let (estimate, covariance) = observation.estimate.as_ref()?;
-        let direction = observation.direction?;
-        if observation.incomplete || !estimate.iter().all(|v| v.is_finite() && *v > 0.0) {
-            return None;
-        }
-        let scale = Matrix3::from_diagonal(&Vector3::from(*estimate).map(f64::recip));
-        let sensor = scale * covariance * scale;
-        let usable = sensor.iter().all(|v| v.is_finite())
-            && sensor.diagonal().iter().all(|v| (0.0..WORST_SD * WORST_SD).contains(v));
-        usable.then(|| Self {
-            direction,
-            log: estimate.map(f64::ln),
-            sensor: 0.5 * (sensor + sensor.transpose()),
-            temperature_c: observation.temperature_c.filter(|t| t.is_finite()),
-            duration_s: observation.features.duration_s.filter(|d| d.is_finite() && *d > 0.0),
-        })
-    }
 }
 
 /// Microseconds, as the database keeps them: an alarm's identity must survive the way there and back.

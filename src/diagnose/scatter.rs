@@ -107,6 +107,20 @@ impl Scatter {
         (Matrix3::from(self.natural) + sensor).diagonal().map(|v| v.max(1e-12).sqrt())
     }
 
+    /// Standard deviation and lag-1 correlation of one throw along `weights`, and standard deviation of a centre that is known
+    /// as from `baseline_throws` throws.
+    pub(super) fn along(&self, weights: &Vector3<f64>, baseline_throws: f64) -> (f64, f64, f64) {
+        let variance = |m: Matrix3<f64>| (weights.transpose() * m * weights).x.max(0.0);
+        let natural = Matrix3::from(self.natural);
+        let total = variance(self.of_one_throw()).max(1e-12);
+        let lagged = natural.component_mul(&Matrix3::from_fn(|i, j| 0.5 * (self.lag1[i] + self.lag1[j])));
+        let lag1 = ((weights.transpose() * lagged * weights).x / total).clamp(LAG1_RANGE.0, LAG1_RANGE.1);
+        let base = Vector3::from_fn(|i, _| (inflation(self.lag1[i], self.throws) / baseline_throws).sqrt());
+        let centre = variance(natural.component_mul(&(base * base.transpose())))
+            + variance(Matrix3::from(self.sensor)) / baseline_throws;
+        (total.sqrt(), lag1, centre.sqrt())
+    }
+
     /// Covariance of the difference between the mean of `w` throws, whose estimates have the mean covariance
     /// `sensor`, and the baseline's centre, which is known as from `baseline_throws` throws.
     pub(super) fn of_mean(&self, w: usize, sensor: &Matrix3<f64>, baseline_throws: f64) -> Matrix3<f64> {
@@ -171,6 +185,12 @@ fn effective(throws: f64, phi: f64) -> f64 {
 pub(super) fn inflation(phi: f64, w: f64) -> f64 {
     let rest = 1.0 - phi;
     (1.0 + phi) / rest - 2.0 * phi * (1.0 - phi.powf(w)) / (w * rest * rest)
+}
+
+/// The limit of [`inflation`] for long series, for a lag-1 correlation within the range that is believed.
+pub(super) fn serial_inflation(phi: f64) -> f64 {
+    let phi = phi.clamp(0.0, LAG1_RANGE.1);
+    (1.0 + phi) / (1.0 - phi)
 }
 
 /// What of `total` the estimator's own covariance does not explain: never negative in any direction.

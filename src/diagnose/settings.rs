@@ -1,8 +1,10 @@
 //! Limits, delays and budgets of the diagnosis. Every key has a default, a unit and a range that `validate` keeps.
 
+use jiff::SignedDuration;
 use serde::{Deserialize, Serialize};
 
 use super::event::Cause;
+use crate::throw::OutOfRange;
 
 /// Limits, delays and budgets of the diagnosis, the same for every machine that has none of its own.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -71,20 +73,6 @@ pub struct TemperatureCoefficients {
     pub a0_pct_per_k: f64,
 }
 
-/// A setting that is out of its range.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{key} is {value}, must be {low} to {high}")]
-pub struct InvalidSetting {
-    /// The key at fault, as written in the configuration.
-    pub key: &'static str,
-    /// Its value.
-    pub value: f64,
-    /// Least allowed value.
-    pub low: f64,
-    /// Greatest allowed value.
-    pub high: f64,
-}
-
 impl Default for Settings {
     fn default() -> Self {
         Self {
@@ -120,7 +108,7 @@ impl Settings {
     ///
     /// # Errors
     /// The first key that is out of range, with its value and range.
-    pub fn validate(&self) -> Result<(), InvalidSetting> {
+    pub fn validate(&self) -> Result<(), OutOfRange> {
         let ranges = [
             ("baseline_throws", self.baseline_throws as f64, 12.0, 200.0),
             ("baseline_usable_throws", self.baseline_usable_throws as f64, 12.0, self.baseline_throws as f64),
@@ -152,12 +140,8 @@ impl Settings {
                 ("temperature.a0_pct_per_k", t.a0_pct_per_k, -10.0, 10.0),
             ]
         });
-        for (key, value, low, high) in ranges.into_iter().chain(temperature) {
-            if !(low..=high).contains(&value) {
-                return Err(InvalidSetting { key, value, low, high });
-            }
-        }
-        Ok(())
+        let ranges = ranges.into_iter().chain(temperature);
+        OutOfRange::check(ranges.map(|(key, value, low, high)| (key, value, low, high, "")))
     }
 
     /// False drift alarms that one throw of a machine may cause, on average.
@@ -165,6 +149,11 @@ impl Settings {
     pub fn false_alarms_per_throw(&self) -> f64 {
         const DAYS_PER_YEAR: f64 = 365.25;
         1.0 / (self.false_alarm_years * DAYS_PER_YEAR * self.throws_per_day)
+    }
+
+    /// Longest time for which an alarm can be shelved, or a machine be out of service.
+    pub(super) fn longest_shelving(&self) -> SignedDuration {
+        SignedDuration::from_hours(24 * i64::from(self.longest_shelving_days))
     }
 
     /// Warning limit of a physical cause \[%\]; `None` for those that have none of their own.

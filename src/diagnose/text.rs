@@ -1,10 +1,13 @@
-//! Alarm texts: one plain sentence of what and how sure, one of what to look at, one of when.
+//! Every sentence of an alarm: what happened and how sure, what to look at, and when it gets worse.
 
 use super::{
-    cause::{Finding, Naming, Rival},
+    cause::{Attribution, Naming, Rival},
+    course::LimitForecast,
     event::{Cause, RunnerUp},
     explain::{Explanation, percent},
-    trend::LimitForecast,
+    intermittent::Departures,
+    thermometer::Disbelief,
+    verdict::Blindness,
 };
 use crate::throw::Direction;
 
@@ -17,21 +20,21 @@ pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
 }
 
 /// What a drift is, how sure, what to look at, and when it gets critical.
-pub(super) fn drift(subject: &str, finding: &Finding, throws: u64, forecast: Option<&LimitForecast>) -> String {
+pub(super) fn drift(subject: &str, attribution: &Attribution, throws: u64, forecast: Option<&LimitForecast>) -> String {
     let over = if throws == 1 { "1 throw".to_owned() } else { format!("{throws} throws") };
-    let what = match &finding.naming {
-        Naming::One(one) => format!("{} over {over}{}", change(one), runner_up(finding.runner_up.as_ref())),
+    let what = match &attribution.naming {
+        Naming::One(one) => format!("{} over {over}{}", change(one), runner_up(attribution.runner_up.as_ref())),
         Naming::Either(a, b) => {
             format!("{} or {}, too close to call: {} or {} over {over}", a.cause, b.cause, change(a), change(b))
         }
         Naming::Both(a, b) => {
             let together = format!("{} and {} together", a.cause, b.cause);
-            format!("{together}{}: {} and {} over {over}", rival(finding.rival), change(a), change(b))
+            format!("{together}{}: {} and {} over {over}", rival(attribution.rival), change(a), change(b))
         }
-        Naming::Neither => format!("a change that no cause explains over {over}: {}", coefficients(finding)),
+        Naming::Neither => format!("a change that no cause explains over {over}: {}", coefficients(attribution)),
     };
-    let c = finding.correlation;
-    let rule = if finding.is_contradicted() {
+    let c = attribution.correlation;
+    let rule = if attribution.is_contradicted() {
         format!(" The cross-correlation rule disagrees ({:.2}, {:.2}, {:.2}).", c.b0_a1, c.b0_a0, c.a1_a0)
     } else {
         String::new()
@@ -39,31 +42,157 @@ pub(super) fn drift(subject: &str, finding: &Finding, throws: u64, forecast: Opt
     let when = forecast.map_or_else(String::new, |f| {
         format!(" Reaches the critical limit in about {} throws ({} to {}).", round(f.mid), round(f.low), round(f.high))
     });
-    format!("{subject}: {what}.{rule} {}{when}", advice(finding))
+    format!("{subject}: {what}.{rule} {}{when}", advice(attribution))
+}
+
+/// A fault that shows in some throws only.
+pub(super) fn intermittent(name: &str, found: &Departures) -> String {
+    let Departures { one_in, explanation, cause } = found;
+    let advice = match cause {
+        Cause::Unattributed => "Check the drive, its contacts and the sensors' cables.",
+        _ => look_at(explanation.cause, explanation.size),
+    };
+    format!(
+        "Machine {name}: 1 in {one_in:.0} throws: {}. The throws between are as usual. {advice}",
+        change(explanation)
+    )
+}
+
+/// A throw was not completed, for the `in_a_row`th time.
+pub(super) fn incomplete(name: &str, in_a_row: u32) -> String {
+    let what = match in_a_row {
+        1 => "a throw was not completed".to_owned(),
+        _ => format!("{in_a_row} throws in a row were not completed"),
+    };
+    format!("Machine {name}: {what}. Check for an obstruction between the rails, and detection.")
+}
+
+pub(super) fn complete_again(name: &str, in_a_row: u32) -> String {
+    format!("Machine {name}: {in_a_row} throws in a row were completed.")
+}
+
+pub(super) fn slow(name: &str, direction: Direction, longer_pct: f64) -> String {
+    format!(
+        "{}: throws take {longer_pct:.0} % longer than the baseline's. Check the supply voltage and connections, then the \
+         drive for binding.",
+        subject(name, Some(direction))
+    )
+}
+
+pub(super) fn fast_again(name: &str) -> String {
+    format!("Machine {name}: throws are as fast as the baseline's again.")
+}
+
+pub(super) fn unevaluated(name: &str, in_a_row: u32) -> String {
+    format!(
+        "Machine {name}: the last {in_a_row} throws could not be evaluated, so the machine is not monitored. Look at the \
+         reasons of the throws not evaluated, and check the sensors."
+    )
+}
+
+pub(super) fn evaluated_again(name: &str) -> String {
+    format!("Machine {name}: a throw could be evaluated again.")
+}
+
+/// Faults at their warning limit cannot be seen at this temperature.
+pub(super) fn blind(name: &str, blind: &Blindness) -> String {
+    let Blindness { cause, below_pct, temperature_c, baseline_c } = blind;
+    format!(
+        "Machine {name}: at {temperature_c:.0} °C a change of {cause} below {below_pct:.0} % cannot be told from what the \
+         temperature does, as the baseline is from {baseline_c:.0} °C; so the machine is not monitored. It learns this \
+         from its next throws. Until then inspect it, or take a new baseline (rebaseline) when it is known to be sound."
+    )
+}
+
+pub(super) fn temperature_disbelieved(name: &str, disbelief: Disbelief) -> String {
+    let what = match disbelief {
+        Disbelief::Impossible(celsius) => format!("reads {celsius:.4} °C, which cannot be"),
+        Disbelief::Jump(from, to) => format!("jumped from {from:.0} to {to:.0} °C, faster than any weather"),
+    };
+    format!(
+        "Machine {name}: the temperature sensor {what}. Its values are not used: the last good temperature counts. Check \
+         the sensor and its cable."
+    )
+}
+
+pub(super) fn temperature_believed(name: &str) -> String {
+    format!("Machine {name}: the temperature sensor can be believed again.")
+}
+
+pub(super) fn silent(name: &str, hours: f64) -> String {
+    format!(
+        "Machine {name}: no throw arrived for {hours:.0} hours, so the machine is not monitored. Check the logger and the \
+         network; if the machine was not used, acknowledge."
+    )
+}
+
+pub(super) fn logger_gone(name: &str, minutes: f64) -> String {
+    format!(
+        "Machine {name}: its logger has been gone for {minutes:.0} minutes, so the machine is not monitored. Check the \
+         logger's supply and the network."
+    )
+}
+
+pub(super) fn logger_back(name: &str) -> String {
+    format!("Machine {name}: its logger is there again.")
+}
+
+pub(super) fn daemon_calm() -> String {
+    "pointsd keeps everything again.".to_owned()
+}
+
+pub(super) fn gap(name: &str, lost: u64) -> String {
+    let throws = if lost == 1 { "1 throw".to_owned() } else { format!("{lost} throws") };
+    format!(
+        "Machine {name}: {throws} never arrived. Check the link to the logger; what happened in between is not known."
+    )
+}
+
+pub(super) fn repeated_trace(name: &str) -> String {
+    format!(
+        "Machine {name}: the logger repeats itself: it sends recordings that it sent before, so the machine itself is not \
+         seen. Check the recorder."
+    )
+}
+
+pub(super) fn repeated_number(name: &str) -> String {
+    format!(
+        "Machine {name}: its logger restarted without a new boot_id, or its counter stands: other throws come under the same \
+         numbers. They are kept and judged. Give the logger a new boot_id at each start."
+    )
+}
+
+pub(super) fn no_gap(name: &str, throws: u32) -> String {
+    format!("Machine {name}: no throw was lost in the last {throws}.")
+}
+
+/// An operator asked for a new baseline.
+pub(super) fn rebaselined(name: &str, by: &str, why: &str) -> String {
+    format!("Machine {name}: a new baseline is being taken ({by}: {why}).")
 }
 
 /// A drift that went away.
-pub(super) fn cleared(subject: &str, cause: Cause, at_once: bool) -> String {
+pub(super) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
     let repair = if at_once {
         " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
     } else {
         ""
     };
-    format!("{subject}: {cause} is back to normal.{repair}")
+    format!("Machine {name}: {cause} is back to normal.{repair}")
 }
 
 /// Most of a drift went away at once, and something is left.
-pub(super) fn maybe_repaired(subject: &str, cause: Cause) -> String {
+pub(super) fn maybe_repaired(name: &str, cause: Cause) -> String {
     format!(
-        "{subject}: most of the {} went away within a few throws, as after a repair, but the machine is not as its \
+        "Machine {name}: most of the {} went away within a few throws, as after a repair, but the machine is not as its \
          baseline. If it was repaired, take a new baseline (rebaseline).",
         if cause == Cause::Unattributed { "drift".to_owned() } else { format!("change of {cause}") }
     )
 }
 
 /// A drift that turned out to be something else.
-pub(super) fn withdrawn(subject: &str, cause: Cause, other: Cause) -> String {
-    format!("{subject}: the drift is no longer taken for {cause}, but for {other}.")
+pub(super) fn withdrawn(name: &str, cause: Cause, other: Cause) -> String {
+    format!("Machine {name}: the drift is no longer taken for {cause}, but for {other}.")
 }
 
 fn change(e: &Explanation) -> String {
@@ -94,8 +223,8 @@ fn rival(rival: Option<Rival>) -> String {
     }
 }
 
-fn coefficients(finding: &Finding) -> String {
-    let part = |name: &str, i: usize| format!("{name} {:+.1} %", percent(finding.mean[i]));
+fn coefficients(attribution: &Attribution) -> String {
+    let part = |name: &str, i: usize| format!("{name} {:+.1} %", percent(attribution.mean[i]));
     format!("{}, {}, {}", part("b0", 0), part("a1", 1), part("a0", 2))
 }
 
@@ -113,8 +242,8 @@ fn runner_up(runner_up: Option<&RunnerUp>) -> String {
     })
 }
 
-fn advice(finding: &Finding) -> String {
-    match &finding.naming {
+fn advice(attribution: &Attribution) -> String {
+    match &attribution.naming {
         Naming::One(e) => look_at(e.cause, e.size).to_owned(),
         Naming::Either(a, b) | Naming::Both(a, b) => {
             format!("{} {}", look_at(a.cause, a.size), look_at(b.cause, b.size))

@@ -5,30 +5,37 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    BaselineRecord, Cause, Settings,
-    baseline::{Baseline, Learned, learn_mixed},
-    drift::{Recent, Ring, Tail, Window},
-    monitor::Evaluated,
+    baseline::{Baseline, BaselineRecord, BaselineThrow, learn_mixed},
+    course::{Course, Noise},
+    drift::{Drift, visible_pct},
+    event::Cause,
+    history::History,
+    observation::Evaluated,
+    robust::median,
     scatter::Scatter,
+    settings::Settings,
     sym3::Sym3,
     threshold::{Thresholds, WINDOWS},
-    verdict::Drift,
+    window::{RecentThrow, RecentThrows, Stream, Window},
 };
-use crate::throw::Direction;
+use crate::{estimate::Grade, throw::Direction};
 
 /// Throws of a direction that are set aside: a longest window of them shows any drift that matters.
 const MOST_ASIDE: usize = WINDOWS[3];
 
-/// What stands when a throw is to be learned.
+/// The temperature hides a fault when the least size that shows is this many times what scatter alone makes it.
+const HIDES_FROM: f64 = 1.5;
+
+/// How much speaks against taking a throw into a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Standing {
-    /// Nothing speaks against it.
-    Plain,
+pub(super) enum Suspicion {
+    /// Nothing.
+    None,
     /// The last throws may show a drift.
     Suspected,
-    /// They do, above its limit, and its alarm waits for its name.
-    Shown,
-    /// A drift is alarmed.
+    /// The last throws show a drift above its limit, whose alarm waits for a name.
+    AboveLimit,
+    /// A drift has an active alarm.
     Alarmed,
 }
 
@@ -36,14 +43,14 @@ pub(super) enum Standing {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Track {
     /// Throws for the baseline; kept until both directions have theirs.
-    learned: Vec<Learned>,
+    learned: Vec<BaselineThrow>,
     /// Throws that may show a drift already: not yet in the baseline, nor out of it.
-    aside: Vec<Learned>,
+    aside: Vec<BaselineThrow>,
     /// Mean covariance of the estimates of both.
     sensor: Sym3,
     baseline: Option<Baseline>,
     thresholds: Option<Thresholds>,
-    recent: Ring,
+    recent: RecentThrows,
     since_baseline: u64,
 }
 
@@ -69,20 +76,93 @@ fn side(direction: Direction) -> usize {
 }
 
 impl Tracks {
-    /// Residual of a throw from its direction's baseline, and its distance from the reference temperature \[K\].
-    pub(super) fn residual(&self, throw: &Evaluated) -> Option<(Vector3<f64>, f64)> {
-        let baseline = self.sides[side(throw.direction)].baseline.as_ref()?;
-        Some(baseline.residual(&throw.log, throw.temperature_c))
+    /// Residual of a throw from its direction's baseline, temperature taken out.
+    pub(super) fn residual(&self, throw: &Evaluated) -> Option<Vector3<f64>> {
+        let baseline = self.sides[side(throw.direction)].baseline.as_ref().filter(|_| !throw.ratios_only)?;
+        Some(baseline.compensated(baseline.residual(&throw.log, throw.temperature_c)))
     }
 
-    /// Takes a throw into the last throws of its direction. `None` while it has no baseline.
-    pub(super) fn push(&mut self, throw: &Evaluated, order: u64, settings: &Settings) -> Option<Vector3<f64>> {
-        let (residual, distance) = self.residual(throw)?;
+    /// Takes a throw into the last throws of its direction; without a suspected drift, the throw that leaves them teaches
+    /// the effect of the temperature. `None` while the direction has no baseline.
+    pub(super) fn push(
+        &mut self,
+        throw: &Evaluated,
+        order: u64,
+        suspected: bool,
+        settings: &Settings,
+    ) -> Option<Vector3<f64>> {
         self.refresh_thresholds(settings);
         let track = &mut self.sides[side(throw.direction)];
+        let baseline = track.baseline.as_mut()?;
+        let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
+        if throw.ratios_only {
+            // The common scale is arbitrary: no change of it is seen.
+            raw.add_scalar_mut(-raw.mean());
+        }
         track.since_baseline += 1;
-        track.recent.push(Recent::new(order, residual, distance, throw.sensor.into()));
-        Some(residual)
+        let oldest = track.recent.push(RecentThrow::new(order, raw, distance, throw.sensor.into()));
+        if let Some(oldest) = oldest.filter(|_| !suspected) {
+            baseline.learn_temperature(oldest.raw());
+        }
+        Some(baseline.compensated((raw, distance)))
+    }
+
+    /// Side of a throw, how far it is from the median of the throws before it in its direction, the covariance of one throw,
+    /// and whether the baseline is complete. `None` as long as there are too few.
+    pub(super) fn departure(&self, throw: &Evaluated) -> Option<(usize, Vector3<f64>, Matrix3<f64>, bool)> {
+        /// Throws before it: few enough to follow the weather, with a median that a third of departures do not move.
+        const BEFORE: std::ops::RangeInclusive<usize> = 6..=12;
+        let residual = self.residual(throw)?;
+        let at = side(throw.direction);
+        let baseline = self.sides[at].baseline.as_ref()?;
+        let before: Vec<Vector3<f64>> =
+            self.sides[at].recent.iter().rev().take(*BEFORE.end()).map(|t| baseline.compensated(t.raw())).collect();
+        let middle = |i: usize| median(&mut before.iter().map(|residual| residual[i]).collect::<Vec<_>>());
+        (before.len() >= *BEFORE.start()).then(|| {
+            let departure = residual - Vector3::from_fn(|i, _| middle(i));
+            (at, departure, baseline.scatter().of_one_throw(), baseline.is_complete())
+        })
+    }
+
+    /// Version 1 kept residuals with the temperature taken out.
+    pub(super) fn add_temperature(&mut self) {
+        for track in &mut self.sides {
+            if let Some(baseline) = &track.baseline {
+                track.recent.iter_mut().for_each(|throw| throw.add_temperature(baseline));
+            }
+        }
+    }
+
+    /// The course of a drift along `weights` over the last throws of one direction or of both, `now` being the latest.
+    pub(super) fn course(
+        &self,
+        weights: &Vector3<f64>,
+        temperature_sd: &Vector3<f64>,
+        direction: Option<Direction>,
+        history: &History,
+        now: u64,
+    ) -> Option<Course> {
+        let [normal, reverse] = &self.sides;
+        let baselines = [normal.baseline.as_ref(), reverse.baseline.as_ref()];
+        let both = || Some((Stream::all([&normal.recent, &reverse.recent]), &self.mixed.as_ref()?.scatter));
+        let one = |at: usize| Some((Stream::of(&self.sides[at].recent, at), baselines[at]?.scatter()));
+        let (stream, scatter) = match direction {
+            Some(direction) => one(side(direction)),
+            None => both().or_else(|| one(0)).or_else(|| one(1)),
+        }?;
+        let throws: usize = match direction {
+            Some(direction) => baselines[side(direction)]?.throws(),
+            None => baselines.iter().flatten().map(|baseline| baseline.throws()).sum(),
+        };
+        let (sd, lag1, centre_sd) = scatter.along(weights, throws as f64);
+        let noise = Noise { sd, lag1, offset_sd: centre_sd.hypot(weights.dot(temperature_sd)) };
+        let recent = stream.points(weights, baselines, now);
+        // Blocks hold throws of both directions.
+        let oldest = recent.first()?.age;
+        let before =
+            history.along(weights).filter(|block| direction.is_none() && block.age - block.throws / 2.0 > oldest);
+        let points: Vec<_> = before.chain(recent).collect();
+        Course::of(&points, noise)
     }
 
     /// A new baseline, a new stream or a changed budget asks for new thresholds.
@@ -105,12 +185,12 @@ impl Tracks {
     }
 
     /// What the last throws say, the latest being one of `direction`. `open` are the causes with an active alarm.
-    pub(super) fn drift(&self, direction: Direction, open: &[Cause], settings: &Settings) -> Drift {
+    pub(super) fn drift(&self, direction: Direction, caution: u32, open: &[Cause], settings: &Settings) -> Drift {
         let [normal, reverse] = &self.sides;
         let baselines = [normal.baseline.as_ref(), reverse.baseline.as_ref()];
-        let tails = [Tail::of(&normal.recent, 0), Tail::of(&reverse.recent, 1)];
+        let tails = [Stream::of(&normal.recent, 0), Stream::of(&reverse.recent, 1)];
         let mut best: Option<(Window, &Scatter)> = None;
-        let mut consider = |tail: &Tail, scatter, thresholds| {
+        let mut consider = |tail: &Stream, scatter, thresholds| {
             if let Some(window) = tail.strongest(scatter, thresholds, baselines)
                 && best.is_none_or(|(best, _)| window.excess > best.excess)
             {
@@ -122,7 +202,7 @@ impl Tracks {
                 consider(tail, baseline.scatter(), thresholds);
             }
         }
-        let mixed_tail = Tail::mixed([&normal.recent, &reverse.recent]);
+        let mixed_tail = Stream::mixed([&normal.recent, &reverse.recent]);
         if let Some(mixed) = &self.mixed
             && mixed_tail.is_balanced()
         {
@@ -133,10 +213,42 @@ impl Tracks {
             let throws = WINDOWS.into_iter().rev().find(|w| *w <= longest && *w <= tails[at].len())?;
             tails[at].window(throws, scatter, baselines)
         };
-        let levels = [level(0, WINDOWS[2]), level(1, WINDOWS[2])];
+        let [levels, last_few] = [WINDOWS[2], WINDOWS[1]].map(|longest| [level(0, longest), level(1, longest)]);
         let latest = side(direction);
         let provisional = baselines.iter().flatten().any(|baseline| !baseline.is_complete());
-        Drift::new(best, provisional, levels, (latest, level(latest, WINDOWS[0])), open, settings)
+        let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
+        Drift::new(
+            best,
+            provisional,
+            [levels, last_few],
+            (latest, level(latest, WINDOWS[0])),
+            hidden,
+            caution,
+            open,
+            settings,
+        )
+    }
+
+    /// The cause, and its size \[%\], that the doubt about the temperature's effect hides most on this side, where it hides
+    /// a change at the warning limit.
+    fn hidden(&self, side: usize, level: Option<&Window>, settings: &Settings) -> Option<(Cause, f64)> {
+        let track = &self.sides[side];
+        let thresholds =
+            track.thresholds.as_ref().filter(|_| track.baseline.as_ref().is_some_and(Baseline::is_complete))?;
+        let window = level.filter(|window| window.temperature_sd != Vector3::zeros())?;
+        let limit = thresholds.of(WINDOWS.iter().position(|throws| *throws == window.throws)?);
+        let over_limit = |cause: Cause| {
+            let limit_pct = settings.limit_pct(cause)?;
+            let (visible, otherwise) = visible_pct(cause, window, limit)?;
+            (visible > limit_pct.max(HIDES_FROM * otherwise)).then_some((cause, visible, visible / limit_pct))
+        };
+        let worst = Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2));
+        worst.map(|(cause, visible, _)| (cause, visible))
+    }
+
+    /// The temperature that the baseline of a direction belongs to \[°C\].
+    pub(super) fn reference_c(&self, direction: Direction) -> Option<f64> {
+        self.sides[side(direction)].baseline.as_ref()?.temperature().reference_c()
     }
 
     /// Takes a throw into a baseline that is not complete; gives its record when it became usable, better or complete.
@@ -149,25 +261,25 @@ impl Tracks {
         throw: &Evaluated,
         order: u64,
         at: Timestamp,
-        standing: Standing,
+        suspicion: Suspicion,
         settings: &Settings,
     ) -> Option<BaselineRecord> {
-        if standing == Standing::Alarmed {
+        if suspicion == Suspicion::Alarmed {
             self.sides.iter_mut().for_each(|track| track.aside.clear());
             return None;
         }
         let track = &mut self.sides[side(throw.direction)];
-        if track.baseline.as_ref().is_some_and(Baseline::is_complete) {
+        if throw.grade == Grade::Rough || track.baseline.as_ref().is_some_and(Baseline::is_complete) {
             return None;
         }
-        track.aside.push(Learned::new(order, throw));
+        track.aside.push(BaselineThrow::new(order, throw));
         let mean = Matrix3::from(track.sensor);
         let count = track.learned.len() + track.aside.len();
         track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
-        if standing == Standing::Shown && track.aside.len() > MOST_ASIDE {
+        if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
             track.aside.remove(0);
         }
-        if standing == Standing::Shown || standing == Standing::Suspected && track.aside.len() < MOST_ASIDE {
+        if suspicion == Suspicion::AboveLimit || suspicion == Suspicion::Suspected && track.aside.len() < MOST_ASIDE {
             return None;
         }
         track.learned.append(&mut track.aside);
@@ -206,12 +318,11 @@ impl Tracks {
         self.sides.iter_mut().for_each(|track| track.recent.clear());
     }
 
-    /// All recent throws of one direction, or of both in their order, newest first.
-    pub(super) fn recent(&self, direction: Option<Direction>) -> Tail<'_> {
-        match direction {
-            Some(direction) => Tail::of(&self.sides[side(direction)].recent, side(direction)),
-            None => Tail::all([&self.sides[0].recent, &self.sides[1].recent]),
-        }
+    /// Mean lag-1 correlation of the machine's throws.
+    pub(super) fn lag1(&self) -> f64 {
+        let own = self.sides.iter().find_map(|track| track.baseline.as_ref()).map(Baseline::scatter);
+        let scatter = self.mixed.as_ref().map(|mixed| &mixed.scatter).or(own);
+        scatter.map_or(0.0, |scatter| scatter.lag1().into_iter().sum::<f64>() / 3.0)
     }
 
     pub(super) fn any_baseline(&self) -> bool {

@@ -1,29 +1,54 @@
-//! What makes a trace unfit for identification, found before any model is fitted.
+//! Checks of a trace before any model is fitted.
 
 use super::{
-    Settings,
     movement::{MIN_QUIET, Movement, mean, median},
     rejection::{Channel, Rejection},
+    settings::Settings,
 };
 
-/// Beyond these no point machine's current \[A\] or toe position \[mm\] goes.
+/// Largest current \[A\] and position \[mm\] that a sensor of a point machine can show; public recordings hold 188,776 A.
 const LARGEST_CURRENT_A: f64 = 1000.0;
 const LARGEST_POSITION_MM: f64 = 10_000.0;
-/// A movement below this is none \[mm\].
+/// Shortest movement \[mm\], and as a share of the stroke and in standard deviations of the position's noise. Less is a rail
+/// that bends while its lock holds.
 const LEAST_TRAVEL_MM: f64 = 2.0;
+const LEAST_TRAVEL_SHARE: f64 = 0.02;
+const LEAST_TRAVEL_SIGMAS: f64 = 8.0;
 /// Share of the stroke that a complete throw covers, and that it cannot exceed.
 const COMPLETE_SHARE: f64 = 0.95;
 const TOO_LONG_SHARE: f64 = 1.15;
 /// Longest movement \[s\]: machines take 0.5 to 10 s, and their own overload protection ends what takes much longer.
 const LONGEST_MOVEMENT_S: f64 = 30.0;
-/// The motor may stay on this long after the toe arrived \[s\].
+/// Longest time for which the motor may stay on after the toe arrived \[s\].
 const LONGEST_STALL_S: f64 = 0.5;
-/// Measured noise beyond this many times the configured sensor's is a fault of the sensor or its wiring. Noise in the
-/// current reaches the coefficients ten times more than noise in the position.
+/// Least current of a motor over the noise: six standard deviations come by chance once in 10^9 samples.
+const LEAST_CURRENT_SIGMAS: f64 = 6.0;
+/// Distance that the toe may move against its way, or before the motor starts: a share of the travel, for rails that spring,
+/// and standard deviations of the noise, for the largest of several thousand samples.
+const WRONG_WAY_SHARE: f64 = 0.02;
+const WRONG_WAY_SIGMAS: f64 = 10.0;
+/// Displacement of three positions at the motor's start, in standard deviations of one: 1 of 1,000,000 healthy throws.
+const EARLY_SIGMAS: f64 = 2.8;
+/// Current of the first sample, as a share of the peak, above which the recording began after the motor.
+const LATE_START_SHARE: f64 = 0.25;
+/// Largest noise over that of the configured sensor; beyond it the sensor or its wiring is at fault. Noise in the current
+/// reaches the coefficients ten times more than noise in the position; the covariance is that of the measured noise.
 const CURRENT_NOISE_FACTOR: f64 = 3.5;
 const POSITION_NOISE_FACTOR: f64 = 25.0;
-/// An energised motor starts with at least this many times its running current.
+/// Least peak over running current of a motor that starts.
 const INRUSH_FACTOR: f64 = 1.5;
+/// Samples of a plateau that is a limit of the range, and how steep its flanks are, in steps of the converter: a smooth
+/// crest falls by nine of its own depths over twice its width, and the step is the least depth.
+const CLIPPED_SAMPLES: usize = 3;
+const CLIPPED_FLANK: f64 = 30.0;
+/// Samples for which a live channel may repeat one value: noise of half a step repeats 25 values once in 10^7 samples.
+const REPEATED_SAMPLES: f64 = 25.0;
+/// The same for a position that moves slower than its converter's steps, in times of one step at mean speed, and \[s\]: the
+/// toe sets off slowly.
+const REPEATED_STEPS: f64 = 10.0;
+const REPEATED_S: f64 = 0.02;
+/// The same for a noiseless current, which may be level, as a share of the movement.
+const LEVEL_CURRENT_SHARE: f64 = 0.3;
 
 /// The first value that is no number, or that no machine gives.
 pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Result<(), Rejection> {
@@ -47,15 +72,14 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
         let limit = current.iter().fold(f64::NEG_INFINITY, |max, i| max.max(sign * i));
         let Some(from) = current.iter().position(|i| sign * i >= limit) else { continue };
         let length = current[from..].iter().take_while(|i| sign * **i >= limit).count();
-        if length < 3 || from == 0 {
+        if length < CLIPPED_SAMPLES || from == 0 {
             continue;
         }
         let drop_at = |k: usize| current.get(k).map_or(0.0, |i| limit - sign * i);
         let before = drop_at(from.saturating_sub(length));
         let after = drop_at(from + 2 * length - 1);
-        // A smooth peak falls by nine of its own depths at this distance; the quantum is the least depth.
-        let quantum = quantum(current);
-        if before.min(after).max(drop_at(from - 1)) > 30.0 * quantum && before > 30.0 * quantum {
+        let steep = CLIPPED_FLANK * quantum(current);
+        if before.min(after).max(drop_at(from - 1)) > steep && before > steep {
             return Err(Rejection::Clipped {
                 channel: Channel::Current,
                 limit: sign * limit,
@@ -69,7 +93,7 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
 /// The least difference between neighbours that differ: the step of the converter, if there is one to see.
 pub(super) fn quantum(values: &[f64]) -> f64 {
     const LANES: usize = 4;
-    // Four at a time, and no branch: it is asked of every sample, several times a throw.
+    // Four at a time and without a branch: this runs over every sample, several times a throw.
     let mut least = [f64::INFINITY; LANES];
     let mut meet = |lane: usize, before: f64, after: f64| {
         let difference = (after - before).abs();
@@ -104,32 +128,24 @@ pub(super) fn course(
     let furthest = position.iter().fold(0.0, |max: f64, x| max.max((x - position[0]).abs()));
     let noise_mm = second_difference_noise(position, scratch);
     let least =
-        settings.stroke_mm.map_or(LEAST_TRAVEL_MM, |stroke| LEAST_TRAVEL_MM.max(0.02 * stroke)).max(8.0 * noise_mm);
+        LEAST_TRAVEL_MM.max(LEAST_TRAVEL_SHARE * settings.stroke_mm.unwrap_or(0.0)).max(LEAST_TRAVEL_SIGMAS * noise_mm);
     if travel_mm.max(furthest) < least {
         return Err(Rejection::NoMovement);
     }
     // Where nothing quiet tells the noise, differences do, although they take a supply's ripple for noise.
     let quiet = movement.current;
     let noise_a = if quiet.samples >= MIN_QUIET { quiet.sd } else { first_difference_noise(current, scratch) };
-    if movement.motor_off.is_none() || movement.peak_a < 6.0 * noise_a {
+    if movement.motor_off.is_none() || movement.peak_a < LEAST_CURRENT_SIGMAS * noise_a {
         return Err(Rejection::NoCurrent { travel_mm });
     }
     let start = movement.start();
     let moved_mm = position[..=start].iter().fold(0.0, |max: f64, x| max.max((x - position[0]).abs()));
-    if moved_mm > 0.02 * travel_mm.max(furthest) + 10.0 * noise_mm {
+    if moved_mm > WRONG_WAY_SHARE * travel_mm.max(furthest) + WRONG_WAY_SIGMAS * noise_mm {
         return Err(Rejection::MovedBeforeCurrent { moved_mm });
-    }
-    if movement.quiet > 2 * MIN_QUIET {
-        // One current and one position can be off by noise; three positions in a row are a toe that moves.
-        let here = &position[start - 2..=start];
-        let moved_mm = (mean(here.iter().copied()) - movement.position.mean).abs();
-        if moved_mm > (2.8 * movement.position.sd).max(quantum(position)).max(LEAST_SLIP * travel_mm) {
-            return Err(Rejection::MovedBeforeCurrent { moved_mm });
-        }
     }
     jumps(movement, position, interval_s, noise_mm)?;
     let back_mm = backwards(movement, &position[..=movement.motor_off.unwrap_or(position.len() - 1)]);
-    if back_mm > 0.02 * travel_mm + 10.0 * noise_mm {
+    if back_mm > WRONG_WAY_SHARE * travel_mm + WRONG_WAY_SIGMAS * noise_mm {
         return Err(Rejection::MovedBackwards { back_mm });
     }
     if let Some(stroke_mm) = settings.stroke_mm {
@@ -160,8 +176,40 @@ pub(super) fn course(
         return Err(Rejection::TooSlow { duration_s, longest_s: LONGEST_MOVEMENT_S, rate_hz: 1.0 / interval_s });
     }
     let first_a = current[0] - movement.current.mean;
-    if movement.quiet < MIN_QUIET && first_a.abs() > 0.25 * movement.peak_a {
+    if movement.quiet < MIN_QUIET && first_a.abs() > LATE_START_SHARE * movement.peak_a {
         return Err(Rejection::StartMissing { current_a: first_a });
+    }
+    Ok(())
+}
+
+/// The toe at the motor's start: three positions in a row that are off are a toe that moves. (One current and one position can
+/// be off by noise.)
+pub(super) fn early(movement: &Movement, position: &[f64]) -> Result<(), Rejection> {
+    if movement.quiet <= 2 * MIN_QUIET {
+        return Ok(());
+    }
+    let start = movement.start();
+    let moved_mm = (mean(position[start - 2..=start].iter().copied()) - movement.position.mean).abs();
+    let noise_mm = (EARLY_SIGMAS * movement.position.sd).max(quantum(position));
+    if moved_mm > noise_mm.max(LEAST_SLIP * movement.travel_mm) {
+        return Err(Rejection::MovedBeforeCurrent { moved_mm });
+    }
+    Ok(())
+}
+
+/// Largest noise with which a movement can be identified, as a share of the current's peak and of the travel.
+const LARGEST_NOISE_SHARE: f64 = 0.025;
+const LARGEST_POSITION_SHARE: f64 = 0.005;
+
+/// The sensors against what they measure.
+pub(super) fn resolved(movement: &Movement) -> Result<(), Rejection> {
+    for (channel, level, expected) in [
+        (Channel::Current, movement.current, LARGEST_NOISE_SHARE * movement.peak_a),
+        (Channel::Position, movement.position, LARGEST_POSITION_SHARE * movement.travel_mm),
+    ] {
+        if level.samples >= MIN_QUIET && level.sd > expected {
+            return Err(Rejection::Noisy { channel, measured: level.sd, expected });
+        }
     }
     Ok(())
 }
@@ -196,10 +244,9 @@ pub(super) fn sticking(
     let from = if noisy { 0 } else { start };
     let values = &values[from..to];
     let longest = match channel {
-        _ if noisy => 25.0,
-        // The toe needs this many samples for one step of the converter, and several times that as it sets off.
-        Channel::Position => 25.0_f64.max(10.0 * step / mean_step).max(0.02 / interval_s),
-        Channel::Current => 25.0_f64.max(0.3 * values.len() as f64),
+        _ if noisy => REPEATED_SAMPLES,
+        Channel::Position => REPEATED_SAMPLES.max(REPEATED_STEPS * step / mean_step).max(REPEATED_S / interval_s),
+        Channel::Current => REPEATED_SAMPLES.max(LEVEL_CURRENT_SHARE * values.len() as f64),
     };
     let mut at = 0;
     for stretch in values.chunk_by(|a, b| a.to_bits() == b.to_bits()) {
@@ -212,6 +259,19 @@ pub(super) fn sticking(
     Ok(())
 }
 
+/// Least height of a spike: as a share of the current's peak and of the travel, and in standard deviations of the noise.
+const SPIKE_CURRENT_SHARE: f64 = 0.02;
+const SPIKE_TRAVEL_SHARE: f64 = 0.002;
+const SPIKE_SIGMAS: f64 = 12.0;
+/// The same shares times this at a low rate behind a filter, which shows the machine's own vibrations as lone values.
+const SPIKE_FILTERED_FACTOR: f64 = 10.0;
+/// The same in the signal's own change from sample to sample: where it is steep, a jittering instant looks like a spike.
+const SPIKE_SLOPE_SHARE: f64 = 0.4;
+/// Share of a spike's height that its neighbours show: at least half with the other sign, and two samples away nothing.
+const SPIKE_BESIDE_SHARE: f64 = 0.3;
+/// Spikes from which they are a ripple that the sampling barely resolves.
+const RIPPLE_SPIKES: usize = 6;
+
 /// Lone values far from their neighbours: the second difference is large there, half as large and opposite beside it, and
 /// small again two samples away, which it is not where an anti-alias filter rings after the inrush. A few of them are
 /// corrupt values; many are a ripple that the sampling barely resolves.
@@ -222,17 +282,19 @@ pub(super) fn spikes(
     interval_s: f64,
     filtered: bool,
 ) -> Result<(), Rejection> {
-    let range = if channel == Channel::Current { 0.02 * movement.peak_a } else { 0.002 * movement.travel_mm };
-    // A low rate shows the machine's own vibrations as lone values.
-    let range = if filtered { 10.0 * range } else { range };
-    let threshold = range.max(12.0 * movement.level(channel).sd).max(3.0 * quantum(values).min(range));
+    let range = if channel == Channel::Current {
+        SPIKE_CURRENT_SHARE * movement.peak_a
+    } else {
+        SPIKE_TRAVEL_SHARE * movement.travel_mm
+    };
+    let range = if filtered { SPIKE_FILTERED_FACTOR * range } else { range };
+    let threshold = range.max(SPIKE_SIGMAS * movement.level(channel).sd).max(3.0 * quantum(values).min(range));
     let bend = |k: usize| values[k] - 0.5 * (values[k - 1] + values[k + 1]);
-    // Where the signal is steep, a sampling instant that is a little off looks like a spike.
-    let steep = |k: usize| 0.4 * (values[k + 1] - values[k - 1]).abs();
+    let steep = |k: usize| SPIKE_SLOPE_SHARE * (values[k + 1] - values[k - 1]).abs();
     let mut spikes = (3..movement.near_end.min(values.len().saturating_sub(3))).filter(|&k| {
         let here = bend(k);
-        let opposite = |beside: f64| -beside * here.signum() > 0.3 * here.abs();
-        let quiet = |further: f64| further.abs() < 0.3 * here.abs();
+        let opposite = |beside: f64| -beside * here.signum() > SPIKE_BESIDE_SHARE * here.abs();
+        let quiet = |further: f64| further.abs() < SPIKE_BESIDE_SHARE * here.abs();
         here.abs() > threshold.max(steep(k))
             && opposite(bend(k - 1))
             && opposite(bend(k + 1))
@@ -240,13 +302,21 @@ pub(super) fn spikes(
             && quiet(bend(k + 2))
     });
     match spikes.next() {
-        Some(at) if spikes.count() < 5 => {
+        Some(at) if spikes.count() + 1 < RIPPLE_SPIKES => {
             Err(Rejection::Spike { channel, height: bend(at), at_s: at as f64 * interval_s })
         }
         _ => Ok(()),
     }
 }
 
+/// A step within the inrush, as a share of the peak and in standard deviations: means would hide it in the flank.
+const INRUSH_STEP_SHARE: f64 = 0.18;
+const INRUSH_STEP_SIGMAS: f64 = 12.0;
+/// Samples after the motor's start in which such a step is looked for.
+const INRUSH_STEP_SAMPLES: std::ops::Range<usize> = 3..19;
+/// Share of a step that means of half the length show: all of a step, an eighth of a smooth course.
+const SHORT_MEAN_SHARE: f64 = 0.6;
+const SHORT_MEAN_SIGMAS: f64 = 5.0;
 /// Length of a mean on either side of a step \[s\].
 const STEP_S: f64 = 0.008;
 /// How far above its noise a step is one: with several thousand places to look at, and a smooth signal beneath.
@@ -279,9 +349,10 @@ pub(super) fn steps(
     if channel == Channel::Current {
         let far = |k: &usize| {
             let [a, b, c, d] = [values[k - 1], values[*k], values[k + 1], values[k + 2]];
-            (0.5 * (a - d) + 1.5 * (c - b)).abs() > (12.0 * sd).max(0.18 * movement.peak_a)
+            (0.5 * (a - d) + 1.5 * (c - b)).abs() > (INRUSH_STEP_SIGMAS * sd).max(INRUSH_STEP_SHARE * movement.peak_a)
         };
-        let inrush = start + 3..(start + 19).min(values.len().saturating_sub(2));
+        let inrush =
+            start + INRUSH_STEP_SAMPLES.start..(start + INRUSH_STEP_SAMPLES.end).min(values.len().saturating_sub(2));
         let mut found = inrush.filter(far);
         // One step is seen from the places beside it; more are a supply that switches.
         if let Some(at) = found.next().filter(|_| found.count() < 3) {
@@ -315,7 +386,7 @@ pub(super) fn steps(
         let size = step(*k, wide);
         !clear.contains(k) && size.abs() > (STEP_SIGNIFICANCE * long).max(least) && {
             let near = step(*k, wide / 2) * size.signum();
-            near > (5.0 * short).max(0.6 * size.abs())
+            near > (SHORT_MEAN_SIGMAS * short).max(SHORT_MEAN_SHARE * size.abs())
         }
     });
     let Some(at) = found.next() else { return Ok(()) };
@@ -336,6 +407,10 @@ const NOISE_SAMPLES: usize = 64;
 const LEAST_NOISE: f64 = 0.5;
 /// Standard normal quantile of one wrong alarm in 3 million stretches.
 const NOISE_QUANTILE: f64 = 5.0;
+/// Noise that can be compared, in steps of the converter: below it, rounding shapes the differences.
+const NOISE_QUANTA: f64 = 8.0;
+/// Noise at rest over that of the whole trace: more is a disturbed rest, less a machine with noise of its own.
+const REST_NOISE: std::ops::Range<f64> = 0.6..1.5;
 
 /// A stretch of the current that is noisier or quieter than the rest, where the noise is that of the sensor at rest otherwise:
 /// there its gain was another one. (A supply's ripple, a commutator or a coarse converter make noise of their own, and with a
@@ -350,17 +425,19 @@ pub(super) fn noise_level(
     let last = (movement.near_end + 1).min(current.len());
     let usual = second_difference_noise(&current[..last], scratch);
     let quiet = &current[..movement.quiet];
-    if quiet.len() < NOISE_SAMPLES || usual < (8.0 * quantum(current)).max(LEAST_NOISE * settings.current_noise_a) {
+    if quiet.len() < NOISE_SAMPLES
+        || usual < (NOISE_QUANTA * quantum(current)).max(LEAST_NOISE * settings.current_noise_a)
+    {
         return Ok(());
     }
     let at_rest = second_difference_noise(quiet, scratch);
-    if at_rest > 1.5 * usual {
+    if at_rest > REST_NOISE.end * usual {
         return Err(Rejection::GainChanged { ratio: at_rest / usual });
     }
     // A disturbed stretch may hold most of one half.
     let [first, second] = [&quiet[..quiet.len() / 2], &quiet[quiet.len() / 2..]];
     let halves = second_difference_noise(first, scratch).max(second_difference_noise(second, scratch));
-    if halves < 0.6 * usual {
+    if halves < REST_NOISE.start * usual {
         return Ok(());
     }
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
@@ -405,22 +482,35 @@ pub(super) fn inrush(movement: &Movement, current: &[f64], scratch: &mut Vec<f64
     if peak_a < INRUSH_FACTOR * running_a { Err(Rejection::NoInrush { peak_a, running_a }) } else { Ok(()) }
 }
 
-/// How many samples, the last quiet one included, the current takes to its first crest: one of at least 90 % of the
-/// largest current, with the samples after it that are within 3 % of it.
+/// The first crest has at least this share of the largest current, and lasts while the current is within this share of it.
+const CREST_SHARE: f64 = 0.9;
+const CREST_FLATNESS: f64 = 0.97;
+
+/// Samples, the last quiet one included, from the motor's start to the end of the current's first crest.
 pub(super) fn rise_samples(movement: &Movement, current: &[f64]) -> usize {
     let start = movement.start();
     let level = |k: usize| (current[k] - movement.current.mean).abs();
     let falls = |k: usize| k + 1 == current.len() || level(k + 1) <= level(k);
-    let Some(crest) = (start..current.len()).find(|&k| level(k) >= 0.9 * movement.peak_a && falls(k)) else { return 0 };
-    let flat = (crest + 1..current.len()).take_while(|&k| level(k) >= 0.97 * level(crest)).count();
+    let Some(crest) = (start..current.len()).find(|&k| level(k) >= CREST_SHARE * movement.peak_a && falls(k)) else {
+        return 0;
+    };
+    let flat = (crest + 1..current.len()).take_while(|&k| level(k) >= CREST_FLATNESS * level(crest)).count();
     crest + flat - start + 1
 }
+
+/// Largest step of the position between two samples: mean steps of the movement, standard deviations of the noise, and
+/// steps of the converter, of which one counts 0.5 mm at most.
+const JUMP_MEAN_STEPS: f64 = 5.0;
+const JUMP_SIGMAS: f64 = 10.0;
+const JUMP_QUANTA: f64 = 3.0;
+const LARGEST_QUANTUM_MM: f64 = 0.5;
 
 /// A step between two samples that no speed of this machine explains.
 fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) -> Result<(), Rejection> {
     let span = movement.arrived.saturating_sub(movement.start()).max(1);
     let mean_step = movement.travel_mm / span as f64;
-    let allowed = 5.0 * mean_step + 10.0 * noise_mm + 3.0 * quantum(position).min(0.5);
+    let allowed =
+        JUMP_MEAN_STEPS * mean_step + JUMP_SIGMAS * noise_mm + JUMP_QUANTA * quantum(position).min(LARGEST_QUANTUM_MM);
     let steps = position.windows(2).map(|w| (w[1] - w[0]).abs());
     match steps.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) {
         Some((at, jump_mm)) if jump_mm > allowed => {
@@ -441,16 +531,19 @@ fn backwards(movement: &Movement, position: &[f64]) -> f64 {
     worst
 }
 
+/// Standard deviation over median magnitude of a normal variable.
+const SD_PER_MEDIAN: f64 = 1.4826;
+
 /// Standard deviation of white noise on a smooth signal, from the median of its second differences.
 pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend(values.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).abs()));
-    1.4826 * median(scratch) / 6.0_f64.sqrt()
+    SD_PER_MEDIAN * median(scratch) / 6.0_f64.sqrt()
 }
 
 /// The same from first differences, for a signal that is mostly level.
 fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));
-    1.4826 * median(scratch) / 2.0_f64.sqrt()
+    SD_PER_MEDIAN * median(scratch) / 2.0_f64.sqrt()
 }

@@ -24,8 +24,9 @@
 
 use super::{
     filter::{Discrete, Hold},
-    small::sandwich,
-    sriv::{Problem, Signal, Solution, Sriv, Workspace},
+    problem::{Problem, Signal, Sriv, Workspace},
+    small::{sandwich, times},
+    sriv::Solution,
 };
 
 /// White noise on the samples of a problem.
@@ -90,6 +91,45 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             }
         }
         sandwich(&solution.inverse, &middle)
+    }
+}
+
+/// Share of the friction that is dry, root mean square of a share between none and all.
+pub(super) const DRY_SHARE: f64 = 0.58;
+
+impl Sriv<2, 1, 3> {
+    /// The errors of (b0, a1, a0) of a machine whose friction is partly dry, one standard deviation of that part.
+    ///
+    /// Dry friction counts as the viscous friction that takes the same torque at running speed ω: a dry load F of the movement y
+    /// differs from it by F (1 - y'/ω), which disturbs the output by n = -F (1 - y'/ω)/A and the estimate by M⁻¹ Σ z n.
+    pub(super) fn load_error(
+        problem: &Problem<1>,
+        solution: &Solution<2, 1, 3>,
+        foot: usize,
+        workspace: &Workspace<3>,
+    ) -> [f64; 3] {
+        let (z, stride, model) = (&workspace.instruments, workspace.stride, &workspace.model_output);
+        let [_, a1, a0] = solution.parameters;
+        let Some(filter) = Discrete::<2>::new(&[a1, a0], problem.interval_s) else { return [0.0; 3] };
+        let row = filter.readout(Hold::Zero).state[0];
+        let (middle, last) = (model.len() / 2, model.len() - 1);
+        let per_sample = (model[last] - model[middle]) / (last - middle).max(1) as f64;
+        let (mut state, mut sum) = ([0.0; 2], [0.0; 3]);
+        let mut kept = z.iter();
+        let mut until_kept = stride / 2;
+        for k in 0..last {
+            if until_kept == 0 {
+                until_kept = stride;
+                if let Some(z) = kept.next() {
+                    add(&mut sum, z, stride as f64 * (row[0] * state[0] + row[1] * state[1]));
+                }
+            }
+            until_kept -= 1;
+            let rest = if k >= foot { 1.0 - (model[k + 1] - model[k]) / per_sample } else { 0.0 };
+            filter.advance(&mut state, rest);
+        }
+        let load = DRY_SHARE * a1 * per_sample / problem.interval_s;
+        times(&solution.inverse, &sum).map(|v| -load * v)
     }
 }
 

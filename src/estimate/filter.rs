@@ -28,7 +28,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::small::{invert, times};
+use super::{
+    polynomial::{normalised, root_radius},
+    small::{invert, times},
+};
 
 /// What a signal does between two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -223,19 +226,4 @@ fn product<const N: usize>(left: &[[f64; N]; N], right: &[[f64; N]; N]) -> [[f64
 
 fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// max |`a_i|^(1/i)`, a radius that holds the roots of A up to a factor of two; 1 when all are zero.
-pub(super) fn root_radius<const N: usize>(a: &[f64; N]) -> f64 {
-    let radius = (1..).zip(a).fold(0.0, |radius: f64, (i, a)| radius.max(a.abs().powf(1.0 / f64::from(i))));
-    if radius > 0.0 { radius } else { 1.0 }
-}
-
-/// The coefficients of A(ρ s) / ρ^N.
-pub(super) fn normalised<const N: usize>(a: &[f64; N], rho: f64) -> [f64; N] {
-    let mut power = 1.0;
-    std::array::from_fn(|i| {
-        power *= rho;
-        a[i] / power
-    })
 }

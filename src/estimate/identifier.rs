@@ -3,13 +3,19 @@
 use nalgebra::Matrix3;
 
 use super::{
-    Features, Hold, Motor, Rejection, Settings,
+    armature,
     checks::{self, quantum, second_difference_noise},
     covariance::Noise,
-    decimate,
-    movement::{Level, MIN_QUIET, Movement},
-    rejection::Channel,
+    current_only, decimate,
+    filter::Hold,
+    hum,
+    identification::{Estimate, Grade, Identification},
+    lateness,
+    movement::{Level, MIN_QUIET, Movement, start_of_motor},
+    ratios::{self, FullModel},
+    rejection::{Channel, Rejection},
     release,
+    settings::{Motor, Settings},
     sriv::{Failure, Problem, Signal, Solution, Sriv, Unsound, Workspace},
 };
 use crate::throw::{Direction, Throw};
@@ -21,6 +27,13 @@ const MIN_DURATION_S: f64 = 0.3;
 const LEAD_IN: usize = 2;
 /// Fewest samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
+/// Shortest rise of a point machine's current \[s\]: inductance over resistance is 2 ms or more.
+const SLOWEST_RISE_S: f64 = 0.008;
+/// Largest departure of the rise from a linear armature: in standard deviations of the noise and as a share of the peak.
+/// Healthy traces stay below 5 standard deviations, a rectified supply below 3 % of the peak; five lost samples make 10 %, instants that jitter by
+/// 0.3 ms 1 to 20 %.
+const ROUGH_RISE_SIGMAS: f64 = 8.0;
+const ROUGH_RISE_SHARE: f64 = 0.03;
 /// Largest standard deviations of b0, a1 and a0 that are of use \[%\]; a0 may be small.
 const MAX_SD_PCT: [f64; 3] = [6.0, 12.0, 30.0];
 /// The same for a trace that ends in the middle of the movement.
@@ -30,44 +43,28 @@ const MAX_SD_CUT_PCT: f64 = 1.2;
 const MISFIT_RMS: f64 = 4e-4;
 const MISFIT_PEAK: f64 = 1e-3;
 const MISFIT_STRETCH_S: f64 = 0.02;
+/// Largest departure of a movement whose ratios mean something, as a share of the travel: unlocking 0.5 s after the motor's start
+/// makes 4.5 %.
+const ROUGH_SHARE: f64 = 0.05;
 /// How much of the wandering that noise in the current causes is left beside a fitted model.
 const FITTED_SHARE: f64 = 0.3;
+/// Slow departures of more than this many times the variance that noise explains are a load that wanders. Healthy throws stay
+/// below it: the departure has some 15 degrees of freedom.
+const LEAST_WANDER: f64 = 4.0;
+/// Standard deviation of the quiet current over that of its second differences, above which hum is looked for.
+const HUM_FACTOR: f64 = 1.3;
+/// How long the start of the motor lasts \[s\]: then the toe has moved by 1.5 mm.
+const START_S: f64 = 0.05;
+/// Errors of the common scale for each second that the toe starts late, and for each millimetre of slow departure from the model:
+/// the inrush lasts 50 ms and a millimetre.
+const SCALE_PER_S: f64 = 20.0;
+const SCALE_PER_MM: f64 = 3.0;
+/// Error of the common scale for a departure of the rise as large as the peak, and the part of the departure that is noise, in
+/// standard deviations.
+const SCALE_PER_RISE: f64 = 2.0;
+const RISE_NOISE_SIGMAS: f64 = 4.0;
 /// Equivalent noise bandwidth of a fourth-order Butterworth low-pass over its cut-off.
 const NOISE_BANDWIDTH: f64 = 1.026;
-
-/// The coefficients of equation (12) for one throw, with their covariance.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Estimate {
-    /// KT / J \[rad s⁻² A⁻¹\] (rad s⁻² A⁻² for a series motor).
-    pub b0: f64,
-    /// Kf / J \[s⁻¹\].
-    pub a1: f64,
-    /// Kspr / J \[s⁻²\].
-    pub a0: f64,
-    /// Covariance of (b0, a1, a0), in their units.
-    pub covariance: Matrix3<f64>,
-    /// `R²_T` \[%\].
-    pub fit_pct: f64,
-    /// SRIV iterations.
-    pub iterations: usize,
-    /// First sample used, from the start of the trace \[s\].
-    pub start_s: f64,
-    /// Last sample used, from the start of the trace \[s\].
-    pub end_s: f64,
-}
-
-/// All that one throw tells.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Identification {
-    /// The direction of the movement: from the position; the declared one when the position does not tell.
-    pub direction: Option<Direction>,
-    /// The logger declared the other direction than the toe moved.
-    pub direction_contradicted: bool,
-    /// What maintainers know of a throw.
-    pub features: Features,
-    /// The estimate, or why there is none.
-    pub outcome: Result<Estimate, Rejection>,
-}
 
 /// Identifies throws one after the other, reusing its work buffers.
 #[derive(Debug, Default)]
@@ -101,11 +98,29 @@ struct Window {
     /// The input is I |I|, and its mean magnitude of I.
     series: bool,
     running: f64,
+    /// Departure of the current's rise from that of an armature, beyond noise, over the peak.
+    rise: f64,
+    /// What makes the start of the motor unusable.
+    doubt: Option<Rejection>,
+}
+
+/// How an accepted movement departs from the model.
+#[derive(Debug, Clone, Copy)]
+struct Departure {
+    /// Variance of the slow departure over the one that the current's noise explains.
+    noise_ratio: f64,
+    /// Root mean square of the slow departure beyond noise \[mm\].
+    slow_mm: f64,
+    /// Delay of the start \[s\].
+    delay_s: f64,
 }
 
 impl Identifier {
     /// Identifies one throw. Never panics, whatever the trace holds.
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
+        if !throw.trace.has_position() {
+            return self.identify_current(throw, settings);
+        }
         let trace = &throw.trace;
         let raw_interval_s = 1.0 / trace.sample_rate_hz();
         let factor = decimate::factor(trace.sample_rate_hz());
@@ -124,25 +139,69 @@ impl Identifier {
         let first = self.position[0];
         decimate::decimate(&mut self.position, factor, first);
 
+        if let Some(foot) = start_of_motor(&self.current, &mut self.scratch) {
+            let noise = second_difference_noise(&self.current[..=foot], &mut self.scratch);
+            if Level::of(&self.current[..=foot]).sd > HUM_FACTOR * noise {
+                hum::remove(&mut self.current, foot + 1, interval_s);
+            }
+        }
         let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
         let outcome = raw_checks
-            .and_then(|()| checks_of(settings))
+            .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
             .and_then(|()| {
                 checks::course(&movement, &self.current, &self.position, interval_s, settings, &mut self.scratch)
             })
-            .and_then(|()| checks::noise(&movement, settings))
-            .and_then(|()| checks::inrush(&movement, &self.current, &mut self.scratch))
             .and_then(|()| checks::sticking(&movement, Channel::Current, trace.current_a(), raw_interval_s, factor))
             .and_then(|()| checks::sticking(&movement, Channel::Position, trace.position_mm(), raw_interval_s, factor))
             .and_then(|()| self.estimate(throw, settings, &movement, interval_s, factor, released));
         let moved = direction_moved(&movement, &outcome);
+        let mut features = movement.features(&self.current, &self.position, interval_s);
+        if let Some(supply_v) = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet) {
+            let channels = (self.current.as_slice(), self.position.as_slice());
+            armature::add_supply(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
+        }
         Identification {
             direction: moved.or(throw.direction),
             direction_contradicted: moved.is_some() && throw.direction.is_some() && moved != throw.direction,
-            features: movement.features(interval_s),
+            features,
             outcome,
         }
+    }
+
+    /// A throw of a machine without a toe sensor.
+    fn identify_current(&mut self, throw: &Throw, settings: &Settings) -> Identification {
+        let trace = &throw.trace;
+        let factor = decimate::factor(trace.sample_rate_hz());
+        let interval_s = factor as f64 / trace.sample_rate_hz();
+        copy_finite(&mut self.current, trace.current_a());
+        let at_rest = if factor > 1 { level_before(&self.current) } else { 0.0 };
+        decimate::decimate(&mut self.current, factor, at_rest);
+        self.position.clear();
+        self.position.resize(self.current.len(), 0.0);
+        let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
+        let mut features = current_only::features(&movement, &self.current, interval_s);
+        features.supply_v = throw.supply_v;
+        features.energy_j = throw.supply_v.zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
+        let known = throw.supply_v.zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
+        let outcome = checks::values(trace.current_a(), &[], 1.0 / trace.sample_rate_hz())
+            .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
+            .and_then(|()| long_enough(self.current.len(), interval_s))
+            .and_then(|()| {
+                let estimate = |known| {
+                    current_only::estimate(
+                        &self.current,
+                        &movement,
+                        known,
+                        throw.direction,
+                        settings,
+                        interval_s,
+                        &mut features,
+                    )
+                };
+                known.and_then(estimate).ok_or(Rejection::NoPosition)
+            });
+        Identification { direction: throw.direction, direction_contradicted: false, features, outcome }
     }
 
     fn estimate(
@@ -156,53 +215,119 @@ impl Identifier {
     ) -> Result<Estimate, Rejection> {
         let rate_hz = 1.0 / interval_s;
         let filter_hz = throw.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001);
+        checks::resolved(movement)?;
+        let noisy = checks::noise(movement, settings).err();
+        let no_inrush = checks::inrush(movement, &self.current, &mut self.scratch);
+        let mut doubt = checks::early(movement, &self.position).err();
         let rise_samples = checks::rise_samples(movement, &self.current);
         if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
-            return Err(Rejection::Undersampled { rise_samples });
+            let undersampled = Rejection::Undersampled { rise_samples };
+            // At a rate that resolves every inductance, the samples of the rise are lost.
+            if interval_s > SLOWEST_RISE_S / MIN_RISE_SAMPLES as f64 {
+                return Err(undersampled);
+            }
+            doubt = doubt.or(Some(undersampled));
         }
         let filtered = filter_hz.is_some();
-        checks::spikes(movement, Channel::Current, &self.current, interval_s, filtered)?;
-        checks::spikes(movement, Channel::Position, &self.position, interval_s, filtered)?;
+        // A disturbance of the start spoils the scale; one of the movement spoils the ratios too.
+        let start_s = movement.start() as f64 * interval_s;
+        let released_s = movement.released(&self.position).unwrap_or(0) as f64 * interval_s;
+        let mut or_doubt = |verdict: Result<(), Rejection>| match verdict {
+            Err(reason) if reason.is_between(start_s, start_s.max(released_s) + START_S) => {
+                doubt.get_or_insert(reason);
+                Ok(())
+            }
+            verdict => verdict,
+        };
+        or_doubt(checks::spikes(movement, Channel::Current, &self.current, interval_s, filtered))?;
+        or_doubt(checks::spikes(movement, Channel::Position, &self.position, interval_s, filtered))?;
         if factor == 1 && filter_hz.is_none() {
-            checks::steps(movement, Channel::Current, &self.current, interval_s, &mut self.scratch)?;
-            checks::steps(movement, Channel::Position, &self.position, interval_s, &mut self.scratch)?;
+            or_doubt(checks::steps(movement, Channel::Current, &self.current, interval_s, &mut self.scratch))?;
+            or_doubt(checks::steps(movement, Channel::Position, &self.position, interval_s, &mut self.scratch))?;
             checks::noise_level(movement, &self.current, interval_s, settings, &mut self.scratch)?;
         }
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
-        let window = self.window(settings, movement, interval_s, filter_hz, released)?;
-        let model = ThrowModel::new([0]).map_err(|_| Rejection::Singular)?;
+        let mut window = self.window(settings, movement, interval_s, filter_hz, released)?;
+        let doubt = doubt.or(window.doubt.take());
+        let (scale, fitted) = self.fit(settings, movement, &window);
+        if fitted.is_err() || doubt.is_some() {
+            // A controlled drive has no inrush, and its throws fit; others are no throws.
+            no_inrush?;
+        }
+        let reason = match (fitted, doubt) {
+            (Ok(estimate), None) => {
+                let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
+                return Ok(Estimate { grade, ..estimate });
+            }
+            (Err(Rejection::Misfit { peak_mm, at_s }), None) if peak_mm > ROUGH_SHARE * movement.travel_mm => {
+                return Err(Rejection::Misfit { peak_mm, at_s });
+            }
+            (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
+            (_, Some(reason)) | (Err(reason), None) => reason,
+        };
+        let reason = noisy.unwrap_or(reason);
+        let equilibrium = self.equilibrium.last().copied().filter(|_| window.shifted).unwrap_or(0.0);
+        let ratios =
+            ratios::of(&self.input, &self.output, equilibrium, window.offsets[0], window.interval_s).ok_or(reason)?;
+        Ok(ratios.estimate(scale, window.from, window.to, window.interval_s))
+    }
+
+    /// The full model on the window: its fit and iterations where there is a solution, and the verdict on it.
+    fn fit(
+        &mut self,
+        settings: &Settings,
+        movement: &Movement,
+        window: &Window,
+    ) -> (Option<FullModel>, Result<Estimate, Rejection>) {
+        let Ok(model) = ThrowModel::new([0]) else { return (None, Err(Rejection::Singular)) };
         let problem = Problem {
             interval_s: window.interval_s,
             output: &self.output,
             inputs: [Signal::Sampled(&self.input, Hold::First)],
             equilibrium: window.shifted.then_some(self.equilibrium.as_slice()),
         };
-        let solution = model.identify(&problem, &mut self.workspace).map_err(|failure| match failure {
-            Failure::Singular | Failure::UnequalLengths => Rejection::Singular,
-            Failure::TooFewSamples => {
+        let solution = match model.identify(&problem, &mut self.workspace) {
+            Ok(solution) => solution,
+            Err(Failure::Singular | Failure::UnequalLengths) => return (None, Err(Rejection::Singular)),
+            Err(Failure::TooFewSamples) => {
                 let samples = window.to - window.from;
-                Rejection::TooShort { samples, duration_s: samples as f64 * window.interval_s }
+                let duration_s = samples as f64 * window.interval_s;
+                return (None, Err(Rejection::TooShort { samples, duration_s }));
             }
-        })?;
-        accept(&solution, settings)?;
+        };
+        let found = FullModel { fit_pct: 100.0 * solution.fit, iterations: solution.iterations };
         let noise = Noise {
             output: window.output_noise,
             inputs: [window.input_noise],
-            scale: (settings.motor == Motor::Series).then_some(self.input_scale.as_slice()),
+            scale: window.series.then_some(self.input_scale.as_slice()),
             offsets: window.offsets,
         };
         let travel = movement.travel_mm * std::f64::consts::TAU / settings.lead_mm;
-        misfit(&self.output, self.workspace.model_output(), &solution, &window, travel, settings.lead_mm)?;
-        let refined = if settings.refined {
-            model.refine(&problem, &solution, &noise, &mut self.workspace).map_err(|_| Rejection::Singular)?
-        } else {
-            None
-        };
-        let solution = refined.map_or(solution, |refined| refined.solution);
-        accept(&solution, settings)?;
-        let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
-        let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
-        finish(&solution, &covariance, &window, cut.then_some(movement.travel_mm))
+        let foot = movement.start() - window.from;
+        let verdict = accept(&solution, settings)
+            .and_then(|()| {
+                misfit(&self.output, self.workspace.model_output(), &solution, window, travel, settings.lead_mm)
+            })
+            .and_then(|departure| {
+                let channels = (self.input.as_slice(), self.output.as_slice(), self.workspace.model_output());
+                let noise = (window.interval_s, window.output_noise);
+                let delay_s = lateness::check(channels, problem.equilibrium, solution.parameters, foot, noise)?;
+                Ok(Departure { delay_s, ..departure })
+            })
+            .and_then(|departure| {
+                let refined = if settings.refined {
+                    model.refine(&problem, &solution, &noise, &mut self.workspace).map_err(|_| Rejection::Singular)?
+                } else {
+                    None
+                };
+                let solution = refined.map_or(solution, |refined| refined.solution);
+                accept(&solution, settings)?;
+                let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
+                let load = Sriv::load_error(&problem, &solution, foot, &self.workspace);
+                let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
+                finish(&solution, &covariance, load, departure, window, cut.then_some(movement.travel_mm))
+            });
+        (Some(found), verdict)
     }
 
     /// Cuts the window out of the trace and brings it into the model's terms: input positive when it drives the throw,
@@ -232,17 +357,29 @@ impl Identifier {
                 *i *= i.abs();
             }
         }
+        let (mut doubt, mut rise) = (None, 0.0);
         if filter_hz.is_none() && settings.motor == Motor::PermanentMagnet {
             let foot = movement.start() - from;
             match release::onset(&self.input, 0.0, foot) {
                 Some(onset) => {
+                    let rough = (ROUGH_RISE_SIGMAS * movement.current.sd).max(ROUGH_RISE_SHARE * movement.peak_a);
                     if let Some(missing) = onset.missing() {
-                        return Err(Rejection::OnsetMissing { missing_s: missing * interval_s });
+                        doubt = Some(Rejection::OnsetMissing { missing_s: missing * interval_s });
+                    } else if onset.roughness > rough {
+                        doubt = Some(Rejection::RoughRise { departure_a: onset.roughness });
+                    } else {
+                        rise = (onset.roughness - RISE_NOISE_SIGMAS * movement.current.sd).max(0.0) / movement.peak_a;
+                        onset.complete(&mut self.input, foot);
                     }
-                    onset.complete(&mut self.input, foot);
                 }
-                None if movement.quiet < MIN_QUIET || self.input[foot + 1] > 0.5 * movement.peak_a => {
+                None if movement.quiet < MIN_QUIET => {
                     return Err(Rejection::StartMissing { current_a: self.input[foot + 1] });
+                }
+                None if self.input[foot + 1] > 0.5 * movement.peak_a && movement.quiet <= 2 * MIN_QUIET => {
+                    return Err(Rejection::StartMissing { current_a: self.input[foot + 1] });
+                }
+                None if self.input[foot + 1] > 0.5 * movement.peak_a => {
+                    doubt = Some(Rejection::StartMissing { current_a: self.input[foot + 1] });
                 }
                 None => {}
             }
@@ -273,6 +410,8 @@ impl Identifier {
             ],
             series: settings.motor == Motor::Series,
             running: movement.mean_a,
+            rise,
+            doubt,
         };
         let samples = to - from;
         long_enough(samples, interval_s)?;
@@ -301,16 +440,6 @@ fn offset_variance(level: Level, values: &[f64]) -> f64 {
     if level.samples == 0 { 0.0 } else { level.sd * level.sd / level.samples as f64 + rounding }
 }
 
-/// The settings that the estimate divides by.
-fn checks_of(settings: &Settings) -> Result<(), Rejection> {
-    for (name, value) in [("lead_mm", settings.lead_mm), ("stroke_mm", settings.stroke_mm.unwrap_or(1.0))] {
-        if !(value.is_finite() && value > 0.0) {
-            return Err(Rejection::Settings { name, value });
-        }
-    }
-    Ok(())
-}
-
 fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejection> {
     let [b0, a1, a0] = solution.parameters;
     let sound = solution.sound(settings.fit_floor_pct / 100.0);
@@ -327,7 +456,8 @@ fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejec
     }
 }
 
-/// Refuses an output that departs from the model's by more than noise and the usual dry friction explain.
+/// Refuses an output that departs from the model's by more than noise and the usual dry friction explain; gives the
+/// departure of one that is accepted.
 fn misfit(
     output: &[f64],
     model: &[f64],
@@ -335,7 +465,7 @@ fn misfit(
     window: &Window,
     travel: f64,
     lead_mm: f64,
-) -> Result<(), Rejection> {
+) -> Result<Departure, Rejection> {
     let [b0, a1, a0] = solution.parameters;
     // White noise of unit variance on the input makes this variance at the model's output once it has settled.
     let settled = b0 * b0 / (2.0 * a1 * a0) * window.interval_s;
@@ -343,11 +473,12 @@ fn misfit(
     let through = FITTED_SHARE * FITTED_SHARE * settled * scale * window.input_noise;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of the samples")]
     let stretch = ((MISFIT_STRETCH_S / window.interval_s) as usize).clamp(1, output.len());
-    let (mut squares, mut peak, mut at) = (0.0, 0.0_f64, 0);
+    let (mut squares, mut slow, mut peak, mut at) = (0.0, 0.0, 0.0_f64, 0);
     for (block, (y, x)) in output.chunks(stretch).zip(model.chunks(stretch)).enumerate() {
         let sum: f64 = y.iter().zip(x).map(|(y, x)| y - x).sum();
         squares += y.iter().zip(x).map(|(y, x)| (y - x) * (y - x)).sum::<f64>();
         let mean = (sum / y.len() as f64).abs();
+        slow += mean * mean * y.len() as f64;
         if y.len() == stretch && mean > peak {
             (peak, at) = (mean, block * stretch);
         }
@@ -360,12 +491,16 @@ fn misfit(
         let at_s = (window.from + at) as f64 * window.interval_s;
         return Err(Rejection::Misfit { peak_mm: peak * lead_mm / std::f64::consts::TAU, at_s });
     }
-    Ok(())
+    let slow = slow / output.len() as f64 - window.output_noise / stretch as f64;
+    let beyond = (slow - 2.0 * through).max(0.0).sqrt() * lead_mm / std::f64::consts::TAU;
+    Ok(Departure { noise_ratio: if through > 0.0 { slow / through } else { 0.0 }, slow_mm: beyond, delay_s: 0.0 })
 }
 
 fn finish(
     solution: &Solution<2, 1, 3>,
     covariance: &[[f64; 3]; 3],
+    load: [f64; 3],
+    departure: Departure,
     window: &Window,
     cut_after_mm: Option<f64>,
 ) -> Result<Estimate, Rejection> {
@@ -376,17 +511,27 @@ fn finish(
             Some(travel_mm) if sd_pct.is_nan() || sd_pct > MAX_SD_CUT_PCT => {
                 return Err(Rejection::EndMissing { travel_mm });
             }
-            _ if sd_pct.is_nan() || sd_pct > MAX_SD_PCT[i] => {
-                return Err(Rejection::Uncertain { name, sd_pct, limit_pct: MAX_SD_PCT[i] });
+            _ if sd_pct.is_nan() => return Err(Rejection::Singular),
+            _ if sd_pct > MAX_SD_PCT[i] => {
+                return Err(Rejection::Uncertain { name: name.to_owned(), sd_pct, limit_pct: MAX_SD_PCT[i] });
             }
             _ => {}
         }
     }
+    let scale =
+        (SCALE_PER_S * departure.delay_s).hypot(SCALE_PER_MM * departure.slow_mm).hypot(SCALE_PER_RISE * window.rise);
     Ok(Estimate {
+        grade: Grade::Good,
         b0,
         a1,
         a0,
+        ratios_only: false,
         covariance: Matrix3::from_fn(|i, j| 0.5 * (covariance[i][j] + covariance[j][i])),
+        systematic: Matrix3::from_fn(|i, j| {
+            let beyond_noise = departure.noise_ratio - 1.0;
+            let wander = if departure.noise_ratio > LEAST_WANDER { beyond_noise * covariance[i][j] } else { 0.0 };
+            wander + load[i] * load[j] + scale * scale * solution.parameters[i] * solution.parameters[j]
+        }),
         fit_pct: 100.0 * solution.fit,
         iterations: solution.iterations,
         start_s: window.from as f64 * window.interval_s,

@@ -1,13 +1,21 @@
 //! From one throw to b0, a1, a0 with their covariance (SRIV, continuous time).
 
+mod armature;
 mod checks;
 mod covariance;
+mod current_only;
 mod decimate;
 mod features;
 mod filter;
+mod hum;
+mod identification;
 mod identifier;
+mod lateness;
 mod movement;
 mod pass;
+mod polynomial;
+mod problem;
+mod ratios;
 mod refined;
 mod rejection;
 mod release;
@@ -18,7 +26,8 @@ pub mod sriv;
 pub use covariance::Noise;
 pub use features::Features;
 pub use filter::Hold;
-pub use identifier::{Estimate, Identification, Identifier};
+pub use identification::{Estimate, Grade, Identification};
+pub use identifier::Identifier;
 pub use refined::Refined;
 pub use rejection::{Channel, Rejection};
 pub use settings::{Motor, Settings};

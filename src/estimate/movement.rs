@@ -1,12 +1,15 @@
-//! What happened in a throw, read from its two channels without any model: when the motor started and stopped, where
-//! the toe was before and after, and how noisy the sensors were while nothing happened.
+//! The course of a throw, read from its two channels without any model: when the motor started and stopped, where the toe
+//! was before and after, and how noisy the sensors were while nothing happened.
 
-use super::{Channel, Features};
+use super::{features::Features, rejection::Channel};
 
 /// The motor's start is looked for at this share of the largest current, above sensor noise and below the first rise.
 const START_SHARE: f64 = 0.05;
 /// The motor counts as on above this share of the largest current: a throw that its spring helps needs very little.
 const ON_SHARE: f64 = 0.005;
+/// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm is above the noise of any position sensor
+/// and is passed within the first 50 ms.
+const RELEASE_SHARE: f64 = 0.005;
 /// Fewer quiet samples than this tell neither noise nor offset.
 pub(super) const MIN_QUIET: usize = 8;
 
@@ -128,6 +131,12 @@ impl Movement {
         self.quiet.saturating_sub(1)
     }
 
+    /// First sample at which the toe has visibly left its start.
+    pub(super) fn released(&self, position: &[f64]) -> Option<usize> {
+        let least_mm = (RELEASE_SHARE * self.travel_mm).max(4.0 * self.position.sd);
+        (self.start()..position.len()).find(|&k| self.sign * (position[k] - self.position.mean) >= least_mm)
+    }
+
     /// Last sample of the window: 95 % of the travel, or the motor off when the toe slows down after that. (A spring that
     /// drives the throw takes the current through zero while the motor is on.)
     pub(super) fn end(&self, position: &[f64]) -> usize {
@@ -137,22 +146,33 @@ impl Movement {
         if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
     }
 
-    /// The figures for maintainers, at this sampling interval \[s\].
-    pub(super) fn features(&self, interval_s: f64) -> Features {
-        let on = self.motor_off.map(|off| (off.saturating_sub(self.start())) as f64 * interval_s);
+    /// The features that the two channels show, at this sampling interval \[s\].
+    pub(super) fn features(&self, current: &[f64], position: &[f64], interval_s: f64) -> Features {
+        let start = self.start();
+        let since_start_s = |k: usize| k.saturating_sub(start) as f64 * interval_s;
+        let on_s = self.motor_off.map(since_start_s);
+        let magnitude = |i: &f64| (i - self.current.mean).abs();
+        let running = self.motor_off.map(|off| start.midpoint(off)..off - (off - start) / 10);
         Features {
-            duration_s: self.motor_off.map(|_| self.arrived.saturating_sub(self.start()) as f64 * interval_s),
+            duration_s: self.motor_off.map(|_| since_start_s(self.arrived)),
+            release_s: self.motor_off.and_then(|_| self.released(position)).map(since_start_s),
             peak_current_a: Some(self.peak_a),
+            running_current_a: running
+                .filter(|running| !running.is_empty())
+                .map(|running| mean(current[running].iter().map(magnitude))),
             mean_current_a: self.motor_off.map(|_| self.mean_a),
-            charge_as: on.map(|on| on * self.mean_a),
+            charge_as: on_s.map(|on_s| on_s * self.mean_a),
+            quiet_current_a: (self.current.samples >= MIN_QUIET).then_some(self.current.mean),
             travel_mm: Some(self.travel_mm),
+            start_position_mm: Some(self.position.mean),
             end_position_mm: Some(self.end_mm),
+            ..Features::default()
         }
     }
 }
 
 impl Level {
-    fn of(values: &[f64]) -> Self {
+    pub(super) fn of(values: &[f64]) -> Self {
         if values.is_empty() {
             return Self::default();
         }

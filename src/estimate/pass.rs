@@ -11,7 +11,7 @@
 
 use super::{
     filter::{Discrete, Hold, Readout},
-    sriv::{Problem, Signal, Sriv, Workspace},
+    problem::{Problem, Signal, Sriv, Workspace},
 };
 
 /// Sums of one pass.

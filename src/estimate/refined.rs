@@ -21,8 +21,10 @@ use super::{
     covariance::Noise,
     filter::{Discrete, Hold},
     pass::Auxiliary,
-    small::{is_stable, times},
-    sriv::{Failure, Problem, Signal, Solution, Sriv, Termination, Workspace, distance, solve},
+    polynomial::is_stable,
+    problem::{Problem, Signal, Sriv, Workspace},
+    small::times,
+    sriv::{Failure, Solution, Termination, distance, solve},
 };
 
 /// A refined solution.

@@ -1,9 +1,12 @@
-//! Why a throw is not evaluated.
+//! Why a throw has no estimate.
 
 use std::fmt;
 
+use serde::{Deserialize, Serialize};
+
 /// One of the two channels of a trace.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Channel {
     /// Motor current.
     Current,
@@ -20,8 +23,10 @@ impl fmt::Display for Channel {
     }
 }
 
-/// Why a throw was not evaluated. `Display` is one sentence for a person; [`Rejection::code`] is stable for programs.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+/// Why a throw has no estimate. `Display` is one sentence for a person; [`Rejection::code`] is stable for programs, and
+/// the tag `code` in JSON.
+#[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize, Deserialize)]
+#[serde(tag = "code", rename_all = "snake_case")]
 pub enum Rejection {
     /// The trace, or the part of it in which the machine works, is too short to tell three coefficients.
     #[error("the trace is too short to tell three coefficients: {samples} samples, {duration_s:.2} s")]
@@ -41,8 +46,13 @@ pub enum Rejection {
         /// Its time from the start of the trace \[s\].
         at_s: f64,
     },
+    /// The message has no toe position, and current and supply voltage determine no coefficients.
+    #[error("there is no toe position: only the features of the current are known")]
+    #[serde(rename = "current_only")]
+    NoPosition,
     /// A value that no point machine's sensor gives.
     #[error("the {channel} at {at_s:.3} s is {value}, which no point machine gives: a corrupt value")]
+    #[serde(rename = "implausible_value")]
     Implausible {
         /// Which channel.
         channel: Channel,
@@ -180,6 +190,24 @@ pub enum Rejection {
         /// How long before \[s\].
         missing_s: f64,
     },
+    /// The current's rise is not that of an armature.
+    #[error(
+        "the current's first samples depart from an armature's rise by {departure_a:.2} A: samples are missing at the \
+         motor's start, or their instants jitter"
+    )]
+    RoughRise {
+        /// Root mean square of the departure \[A\].
+        departure_a: f64,
+    },
+    /// The toe starts later or earlier than the current says.
+    #[error(
+        "the toe starts {delay_ms:.1} ms after the current says: a brake that releases late, play, lost motion, or channels \
+         of different moments"
+    )]
+    LateStart {
+        /// Delay, negative for a toe that starts early \[ms\].
+        delay_ms: f64,
+    },
     /// A lone value far from its neighbours.
     #[error("the {channel} has a spike of {height:.2} at {at_s:.3} s")]
     Spike {
@@ -277,19 +305,18 @@ pub enum Rejection {
     )]
     Uncertain {
         /// Which coefficient.
-        name: &'static str,
+        name: String,
         /// Its standard deviation \[%\].
         sd_pct: f64,
         /// The limit \[%\].
         limit_pct: f64,
     },
-    /// The settings make no sense.
-    #[error("the setting {name} is {value}: it must be a positive number")]
+    /// A setting is out of its range.
+    #[error("the setting {problem}")]
+    #[serde(rename = "bad_settings")]
     Settings {
-        /// Which setting.
-        name: &'static str,
-        /// Its value.
-        value: f64,
+        /// The setting, its value and its range.
+        problem: String,
     },
 }
 
@@ -302,6 +329,7 @@ impl Rejection {
             Self::NotFinite { .. } => "not_finite",
             Self::Implausible { .. } => "implausible_value",
             Self::NoMovement => "no_movement",
+            Self::NoPosition => "current_only",
             Self::NoCurrent { .. } => "no_current",
             Self::MovedBeforeCurrent { .. } => "moved_before_current",
             Self::StartMissing { .. } => "start_missing",
@@ -316,6 +344,8 @@ impl Rejection {
             Self::CurrentJump { .. } => "current_jump",
             Self::GainChanged { .. } => "gain_changed",
             Self::OnsetMissing { .. } => "onset_missing",
+            Self::RoughRise { .. } => "rough_rise",
+            Self::LateStart { .. } => "late_start",
             Self::Spike { .. } => "spike",
             Self::Undersampled { .. } => "undersampled",
             Self::Noisy { .. } => "noisy",
@@ -330,6 +360,22 @@ impl Rejection {
             Self::Uncertain { .. } => "uncertain",
             Self::Settings { .. } => "bad_settings",
         }
+    }
+
+    /// Whether the reason is a place between these two times \[s\].
+    pub(super) fn is_between(&self, from_s: f64, to_s: f64) -> bool {
+        match self {
+            Self::CurrentJump { at_s, .. } | Self::PositionJump { at_s, .. } | Self::Spike { at_s, .. } => {
+                (from_s..to_s).contains(at_s)
+            }
+            _ => false,
+        }
+    }
+
+    /// Whether only the model or the start of the throw failed, so that the rest of the movement may still show the ratios of the
+    /// coefficients.
+    pub(super) fn leaves_ratios(&self) -> bool {
+        matches!(self, Self::Misfit { .. } | Self::LateStart { .. } | Self::Uncertain { .. })
     }
 
     /// Whether the machine, not the sensors, is to blame: the points did not complete their movement.

@@ -56,6 +56,8 @@ pub(super) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, f
 pub(super) struct Onset {
     at: f64,
     slope: f64,
+    /// Root mean square by which the first samples depart from a linear system of second order \[A\].
+    pub(super) roughness: f64,
 }
 
 impl Onset {
@@ -100,7 +102,10 @@ pub(super) fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> 
     let value = |t: f64| before + (t + 1.0) * (d1 + t * (d2 + (t - 1.0) * d3));
     let slope = |t: f64| d1 + t * (d2 + (t - 1.0) * d3) + (t + 1.0) * (d2 + (2.0 * t - 1.0) * d3);
     let at = (0..4).fold(0.5, |t, _| t - value(t) / slope(t));
-    let onset = Onset { at, slope: slope(at) };
+    let departure = |w: &[f64]| w[2] - offset - alpha * (w[1] - offset) - beta * (w[0] - offset);
+    let squares: f64 = rise.windows(3).map(|w| departure(w).powi(2)).sum();
+    // Four equations for two unknowns.
+    let onset = Onset { at, slope: slope(at), roughness: (0.5 * squares).sqrt() };
     let steep = onset.slope * first > 0.5 * first * first;
     (steep && (-5.0..1.1).contains(&at) && onset.slope.abs() < 4.0 * (second.abs() + first.abs())).then_some(onset)
 }

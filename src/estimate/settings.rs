@@ -1,6 +1,8 @@
-//! What the estimator has to know of a machine and its sensors.
+//! Settings of the estimator: one set for each machine.
 
 use serde::{Deserialize, Serialize};
+
+use crate::throw::OutOfRange;
 
 /// How a machine's motor turns current into torque.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -13,25 +15,43 @@ pub enum Motor {
     Series,
 }
 
-/// What the estimator has to know of a machine and its sensors.
-#[derive(Debug, Clone, PartialEq)]
+/// The machine and its sensors as the estimator sees them; the `[machines]` section of the configuration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 pub struct Settings {
-    /// Ball-screw lead \[mm per revolution\].
+    /// Ball-screw lead \[mm per revolution\], 0.5 to 500.
     pub lead_mm: f64,
-    /// Toe position at which the rails are unstressed \[mm from normal\].
+    /// Toe position at which the rails are unstressed \[mm from normal\], -1,000 to 1,000.
     pub neutral_mm: f64,
-    /// Nominal stroke \[mm\]; `None` when unknown, and then only the trace itself tells an incomplete throw.
+    /// Nominal stroke \[mm\], 1 to 1,000; `None` when unknown, and then only the trace shows an incomplete throw.
     pub stroke_mm: Option<f64>,
     /// Kind of motor.
     pub motor: Motor,
-    /// Standard deviation of the current sensor's noise \[A\], used when the trace has no quiet samples.
+    /// Standard deviation of the current sensor's noise \[A\], 0.000001 to 10; used when the trace has no quiet samples.
     pub current_noise_a: f64,
-    /// Standard deviation of the position sensor's noise \[mm\], used when the trace has no quiet samples.
+    /// Standard deviation of the position sensor's noise \[mm\], 0.000001 to 10; used when the trace has no quiet samples.
     pub position_noise_mm: f64,
-    /// Least fit `R²_T` of an accepted estimate \[%\].
+    /// Least fit `R²_T` of an accepted estimate \[%\], 0 to 100.
     pub fit_floor_pct: f64,
     /// Refine each estimate with the prefilter that matches the noise: half the scatter, where the noise is white.
     pub refined: bool,
+}
+
+impl Settings {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// The first setting outside its range.
+    pub fn check(&self) -> Result<(), OutOfRange> {
+        OutOfRange::check([
+            ("lead_mm", self.lead_mm, 0.5, 500.0, "mm"),
+            ("neutral_mm", self.neutral_mm, -1_000.0, 1_000.0, "mm"),
+            ("stroke_mm", self.stroke_mm.unwrap_or(1.0), 1.0, 1_000.0, "mm"),
+            ("current_noise_a", self.current_noise_a, 1e-6, 10.0, "A"),
+            ("position_noise_mm", self.position_noise_mm, 1e-6, 10.0, "mm"),
+            ("fit_floor_pct", self.fit_floor_pct, 0.0, 100.0, "%"),
+        ])
+    }
 }
 
 impl Default for Settings {

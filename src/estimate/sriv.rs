@@ -23,66 +23,12 @@
 //! the buffers for them live in [`Workspace`] and are reused.
 
 use super::{
-    filter::{Hold, root_radius},
     pass::{Auxiliary, Sums},
-    small::{Inverse, invert, is_stable, reflected, times},
+    polynomial::{is_stable, reflected},
+    small::{Inverse, invert, times},
 };
 
-/// One input of the model.
-#[derive(Debug, Clone, Copy)]
-pub enum Signal<'a> {
-    /// Sampled together with the output, and what it does between the samples.
-    Sampled(&'a [f64], Hold),
-    /// 1 from the first sample on: its coefficient is a constant load.
-    Constant,
-    /// A unit impulse at the first sample: its coefficients are the initial conditions.
-    Impulse,
-}
-
-/// What is to be identified.
-#[derive(Debug, Clone, Copy)]
-pub struct Problem<'a, const S: usize> {
-    /// Sampling interval \[s\].
-    pub interval_s: f64,
-    /// The output, at rest before the first sample unless an impulse input says otherwise.
-    pub output: &'a [f64],
-    /// The inputs, each sampled one as long as the output.
-    pub inputs: [Signal<'a>; S],
-    /// The output at which the term in `a_N` vanishes, its mean over the interval after each sample; 0 while something
-    /// else still holds the machine. `None` when it is 0 throughout.
-    pub equilibrium: Option<&'a [f64]>,
-}
-
-/// The model's structure and when to stop: order `N`, `S` inputs, `P` parameters in all.
-#[derive(Debug, Clone)]
-pub struct Sriv<const N: usize, const S: usize, const P: usize> {
-    /// Input and derivative of each of the first P-N columns.
-    pub(super) columns: [(usize, usize); P],
-    numerator_orders: [usize; S],
-    /// Where the iteration starts.
-    pub start: Start<N>,
-    /// Relative change of the parameters at which the iteration has converged.
-    pub tolerance: f64,
-    /// Most iterations.
-    pub max_iterations: usize,
-}
-
-/// Where the iteration starts.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Start<const N: usize> {
-    /// Least squares with the filter 1/(s+λ)^N, λ in rad/s.
-    Lag(f64),
-    /// Least squares with the filter 1/A(s), A monic with these coefficients \[`a_1` … `a_N`\].
-    Denominator([f64; N]),
-}
-
-/// The numerators do not make `P` parameters, or one of them is not of lower order than the denominator.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("numerator orders must be below {order} and give {numerator_parameters} coefficients in all")]
-pub struct InvalidStructure {
-    order: usize,
-    numerator_parameters: usize,
-}
+pub use super::problem::{InvalidStructure, Problem, Signal, Sriv, Start, Workspace};
 
 /// Why the iteration ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -178,89 +124,7 @@ pub struct Solution<const N: usize, const S: usize, const P: usize> {
     pub(super) denominator: [f64; N],
 }
 
-/// Buffers that live from one problem to the next, so that none is allocated while throws keep their length.
-#[derive(Debug, Default)]
-pub struct Workspace<const P: usize> {
-    /// The middle one of every `stride` instruments: they are smooth, and a covariance needs two digits.
-    pub(super) instruments: Vec<[f64; P]>,
-    pub(super) stride: usize,
-    pub(super) model_output: Vec<f64>,
-}
-
-/// Longest distance of the kept instruments in units of 1 / root radius of their filter.
-const KEPT_ANGLE: f64 = 0.05;
-/// Most samples from one kept instrument to the next.
-const MAX_STRIDE: f64 = 16.0;
-
-impl<const P: usize> Workspace<P> {
-    /// Makes room for a pass over `len` samples with the filter 1/C.
-    pub(super) fn prepare<const N: usize>(&mut self, len: usize, c: &[f64; N], interval_s: f64) {
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "between 1 and the maximum, also for NaN"
-        )]
-        let stride = (KEPT_ANGLE / (root_radius(c) * interval_s)).max(1.0).min(MAX_STRIDE.min(len as f64)) as usize;
-        self.stride = stride;
-        self.instruments.resize((len - stride / 2).div_ceil(stride), [0.0; P]);
-        self.model_output.resize(len, 0.0);
-    }
-
-    /// The output x̂ of the auxiliary model in the last iteration, one value a sample.
-    #[must_use]
-    pub fn model_output(&self) -> &[f64] {
-        &self.model_output
-    }
-}
-
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
-    /// A model whose input s has a numerator of order `numerator_orders[s]`.
-    ///
-    /// # Errors
-    /// When a numerator is not of lower order than N, or Σ (order + 1) + N is not P.
-    pub fn new(numerator_orders: [usize; S]) -> Result<Self, InvalidStructure> {
-        const { assert!(N > 0 && P > N, "a model has poles and at least one numerator coefficient") };
-        let invalid = InvalidStructure { order: N, numerator_parameters: P - N };
-        if numerator_orders.iter().any(|order| *order >= N) {
-            return Err(invalid);
-        }
-        let mut columns = [(0, 0); P];
-        let mut used = 0;
-        for (input, order) in numerator_orders.into_iter().enumerate() {
-            for derivative in (0..=order).rev() {
-                *columns[..P - N].get_mut(used).ok_or(invalid)? = (input, derivative);
-                used += 1;
-            }
-        }
-        if used != P - N {
-            return Err(invalid);
-        }
-        Ok(Self { columns, numerator_orders, start: Start::Lag(5.0), tolerance: 1e-6, max_iterations: 50 })
-    }
-
-    /// The denominator coefficients `a_1` … `a_N` in a parameter vector.
-    #[must_use]
-    pub fn denominator(parameters: &[f64; P]) -> [f64; N] {
-        std::array::from_fn(|i| parameters[P - N + i])
-    }
-
-    /// The numerator coefficients of one input as a polynomial, coefficient of the d-th derivative at index d.
-    pub(super) fn numerator(&self, parameters: &[f64; P], input: usize) -> [f64; N] {
-        let mut coefficients = [0.0; N];
-        for (column, (of, derivative)) in self.columns[..P - N].iter().enumerate() {
-            if *of == input {
-                coefficients[*derivative] = parameters[column];
-            }
-        }
-        coefficients
-    }
-
-    /// Order of the numerator of one input.
-    #[must_use]
-    pub fn numerator_order(&self, input: usize) -> usize {
-        self.numerator_orders[input]
-    }
-
     /// Identifies the model.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! What both comparators share: a baseline from the same throws as the monitor's, and the calls they make.
+//! Common parts of both comparators: a baseline from the same throws as the monitor's, and their calls.
 
 use nalgebra::Vector3;
 

@@ -22,7 +22,7 @@ use crate::diagnose::{Cause, Observation};
 /// Throws of a direction between a sum passing its limit and the naming.
 const CONFIRM_THROWS: usize = 3;
 
-/// How sensitive the sums are.
+/// Sensitivity of the sums.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Design {
     /// Reference values, in logarithms.
@@ -102,7 +102,7 @@ impl Cusum {
         }
     }
 
-    /// What it named.
+    /// Ends the life: the calls made so far.
     pub(super) fn into_calls(self) -> Vec<Call> {
         self.caller.calls
     }

@@ -24,7 +24,7 @@ impl Call {
     }
 }
 
-/// How a rule did on one life.
+/// Verdict on a rule over a life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Judgement {
     /// Named right, this many throws after the onset (1: at the first throw with the fault).
@@ -33,7 +33,7 @@ pub(super) enum Judgement {
     Wrong,
     /// Alarmed and named nothing.
     Ambiguous,
-    /// Nothing; of two causes, one.
+    /// The rule named nothing, or only one of two causes.
     Missed,
 }
 

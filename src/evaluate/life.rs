@@ -1,22 +1,16 @@
 //! One machine's life in front of the monitor and both comparators.
 
-use jiff::{SignedDuration, Timestamp};
-use nalgebra::Matrix3;
-
 use super::{
     cusum::{Cusum, Design},
     judge::Call,
+    observation::observation,
     paper::PaperRule,
     parameter::ParameterMachine,
     scenario::Limits,
-    timeline::{THROWS_A_DAY, Timeline},
+    timeline::Timeline,
     trace::TraceMachine,
 };
-use crate::{
-    diagnose::{MachineMonitor, Observation, Settings},
-    estimate::Features,
-    throw::{Direction, ThrowRef},
-};
+use crate::diagnose::{MachineMonitor, Observation, Settings};
 
 /// Where the throws of a life come from.
 #[derive(Debug)]
@@ -37,30 +31,6 @@ impl Source {
             }
             Self::Trace(machine) => machine.observe(at),
         }
-    }
-}
-
-/// When throw `at` starts.
-pub(super) fn started_at(at: usize) -> Timestamp {
-    #[expect(clippy::cast_possible_wrap, reason = "a life has few throws")]
-    let seconds = (at * 86_400 / THROWS_A_DAY) as i64;
-    Timestamp::UNIX_EPOCH + SignedDuration::from_secs(seconds)
-}
-
-/// Throw `at` of a machine that is thrown to and fro, at equal times through the day.
-pub(super) fn observation(
-    at: usize,
-    estimate: Option<([f64; 3], Matrix3<f64>)>,
-    temperature_c: Option<f64>,
-) -> Observation {
-    Observation {
-        throw: ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 },
-        started_at: started_at(at),
-        direction: Some(if at.is_multiple_of(2) { Direction::NormalToReverse } else { Direction::ReverseToNormal }),
-        estimate,
-        incomplete: false,
-        features: Features::default(),
-        temperature_c,
     }
 }
 

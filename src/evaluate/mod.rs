@@ -36,6 +36,7 @@ mod cusum;
 mod judge;
 mod life;
 pub mod limits;
+mod observation;
 mod paper;
 mod parameter;
 mod picture;
@@ -52,7 +53,7 @@ pub use plan::{Amount, Outcome, Plan};
 pub use report::{Budget, GOAL_BUDGET_FACTOR, GOAL_RIGHT, GOAL_STEP_DELAY, Healthy, Report, Row, Tally};
 pub use scenario::{Depth, Noise, Shape};
 
-/// Which kind of run a random stream belongs to.
+/// Kind of run that a random stream belongs to, so that no two kinds share random numbers.
 mod domain {
     pub(super) const HEALTHY: u64 = 1;
     pub(super) const ROW: u64 = 2;

@@ -54,7 +54,7 @@ impl PaperRule {
         }
     }
 
-    /// What it named.
+    /// Ends the life: the calls made so far.
     pub(super) fn into_calls(self) -> Vec<Call> {
         self.caller.calls
     }

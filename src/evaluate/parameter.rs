@@ -36,7 +36,7 @@ const fn estimator_sd(noise: Noise) -> [f64; 3] {
 /// Correlations of the estimator's errors.
 const ESTIMATOR_CORRELATION: [[f64; 3]; 3] = [[1.0, 0.97, 0.91], [0.97, 1.0, 0.79], [0.91, 0.79, 1.0]];
 
-/// One machine and its weather.
+/// A machine with drawn coefficients, and its weather.
 #[derive(Debug, Clone)]
 pub(super) struct ParameterMachine {
     random: ChaCha8Rng,

@@ -6,7 +6,8 @@ use super::{
     cusum::Design,
     domain,
     judge::{Judgement, accuses_wrongly, judge},
-    life::{Rules, Source, live, observation},
+    life::{Rules, Source, live},
+    observation::observation,
     parameter::{ParameterMachine, SCATTER_PHI},
     random::stream,
     report::{Budget, Healthy, Report, Row, Tally},
@@ -16,7 +17,7 @@ use super::{
 };
 use crate::diagnose::{MachineMonitor, Settings};
 
-/// How much to run.
+/// Number of lives and throws to simulate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Amount {
     /// Lives of each row at parameter depth.
@@ -32,7 +33,7 @@ pub struct Amount {
 }
 
 impl Amount {
-    /// What the goals are stated for.
+    /// Amount for which the goals are stated.
     pub const FULL: Self = Self {
         trials: 500,
         trace_trials: 20,
@@ -45,9 +46,9 @@ impl Amount {
         Self { trials: 50, trace_trials: 2, healthy_throws: 100_000, trace_healthy_throws: 500, budget_lives: 100 };
 }
 
-/// Monitored throws of one healthy life at each depth.
+/// Monitored throws of a healthy life with drawn coefficients.
 const HEALTHY_LIFE: usize = 10_000;
-/// The same for complete throws, which cost more.
+/// Monitored throws of a healthy life of complete throws, which cost more.
 const HEALTHY_TRACE_LIFE: usize = 500;
 
 /// Serial correlations of the budget's section.
@@ -59,7 +60,7 @@ const BUDGET_LIFE: usize = 5_000;
 /// A warning limit that no drift is below: the least that the settings allow \[%\].
 const NO_LIMIT_PCT: f64 = 0.001;
 
-/// One life to live.
+/// A life to be simulated.
 #[derive(Debug, Clone, Copy)]
 enum Task {
     Healthy { depth: Depth, machine: usize, throws: usize },
@@ -67,7 +68,7 @@ enum Task {
     Budget { phi: usize, machine: usize },
 }
 
-/// What came of one life. [`Plan::report`] puts them together.
+/// Result of a life. [`Plan::report`] combines the results.
 #[derive(Debug, Clone, Copy)]
 pub struct Outcome(Kind);
 
@@ -111,7 +112,7 @@ impl Plan {
         Self { seed, settings, budget_settings, scenarios, limits, baseline, designs, tasks }
     }
 
-    /// How many lives there are to live.
+    /// Number of lives of the plan.
     #[must_use]
     pub fn lives(&self) -> usize {
         self.tasks.len()

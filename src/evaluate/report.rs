@@ -30,7 +30,7 @@ pub struct Report {
 /// False alarms on healthy machines at one depth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Healthy {
-    /// How deep the lives were simulated.
+    /// Depth of the simulation.
     pub depth: Depth,
     /// Throws with a baseline behind them.
     pub throws: usize,
@@ -57,16 +57,16 @@ pub struct Budget {
     pub ratio: f64,
 }
 
-/// One row of the table.
+/// Results of a row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// How deep the lives were simulated.
+    /// Depth of the simulation.
     pub depth: Depth,
     /// The part at fault; two joined by `+`.
     pub cause: String,
-    /// How the fault developed.
+    /// Development of the fault.
     pub shape: Shape,
-    /// Its size \[% of nominal\], in either sign; for two, the size of the first.
+    /// Size of the fault \[% of nominal\], in either sign; with two faults, the size of the first.
     pub size_pct: f64,
     /// Noise of the current sensor.
     pub noise: Noise,
@@ -89,7 +89,7 @@ pub struct Row {
     pub cusum: Tally,
 }
 
-/// How one rule did on the lives of a row.
+/// Results of a rule on the lives of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Tally {
     /// Named right.
@@ -98,7 +98,7 @@ pub struct Tally {
     pub wrong: usize,
     /// Alarmed without a name.
     pub ambiguous: usize,
-    /// Nothing, or of two causes only one.
+    /// Lives without any name, or with only one of two causes named.
     pub missed: usize,
     /// Median throws from the onset of the fault to the right name.
     pub delay_median: Option<f64>,
@@ -107,7 +107,7 @@ pub struct Tally {
 }
 
 impl Healthy {
-    /// Nothing watched yet.
+    /// Results before any throw.
     pub(super) fn none(depth: Depth) -> Self {
         Self { depth, throws: 0, false_alarms: 0, paper_false_alarms: 0, cusum_false_alarms: 0 }
     }
@@ -179,7 +179,7 @@ impl Row {
         }
     }
 
-    /// What this row falls short of, in words; empty when it meets the goals.
+    /// Goals that this row does not meet, in words; empty when it meets all.
     #[must_use]
     pub fn shortfalls(&self) -> Vec<String> {
         let mut shortfalls = Vec::new();

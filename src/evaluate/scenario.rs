@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::{diagnose::Cause, simulate::Parameters};
 
-/// How deep a life is simulated.
+/// Depth of the simulation of a life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Depth {
@@ -15,7 +15,7 @@ pub enum Depth {
     Trace,
 }
 
-/// How a fault develops from its first throw.
+/// Development of a fault from its first throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Shape {
@@ -98,7 +98,7 @@ pub(super) enum Situation {
 }
 
 impl Situation {
-    /// What the table calls it.
+    /// Name in the table.
     pub(super) fn label(self) -> &'static str {
         match self {
             Self::Plain => "plain",
@@ -132,16 +132,16 @@ const LEAKING_FRICTION: f64 = 0.54;
 /// Friction coefficient of the slide chairs in the row with a soft toe drive.
 const SOFT_TOE_MU: f64 = 0.15;
 
-/// One row of the table.
+/// Scenario of a row of the table.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Scenario {
-    /// How deep its lives are simulated.
+    /// Depth of the simulation of its lives.
     pub(super) depth: Depth,
     /// Under which conditions.
     pub(super) situation: Situation,
     /// The part that drifts and its size as a fraction of nominal; two of them for a pair.
     pub(super) faults: Vec<(Cause, f64)>,
-    /// How the fault develops.
+    /// Development of the fault.
     pub(super) shape: Shape,
     /// Noise of the current sensor.
     pub(super) noise: Noise,
@@ -229,7 +229,7 @@ fn trace_rows(limits: Limits) -> Vec<Scenario> {
     rows
 }
 
-/// What slide chairs of this friction coefficient add to a1 of the simulated machine, as a fraction.
+/// Increase of a1 of the simulated machine by slide chairs of this friction coefficient, as a fraction.
 #[expect(
     clippy::expect_used,
     reason = "the default machine is within its ranges, and so is every friction coefficient used here"

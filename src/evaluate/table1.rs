@@ -13,8 +13,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 
 use crate::estimate::{Estimate, Identifier, Rejection, Settings};
-use crate::simulate::{Conditions, InvalidParameter, Parameters, RailModel, Sensors};
-use crate::throw::{Direction, Throw, ThrowRef, Trace};
+use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
+use crate::throw::{Direction, OutOfRange, Throw, ThrowRef, Trace};
 
 /// Correlation from which the study calls a pair of inertia estimates equal.
 pub const CORRELATION_LIMIT: f64 = 0.8;
@@ -150,7 +150,7 @@ pub struct CaseResult {
 pub enum Failure {
     /// The machine cannot be simulated.
     #[error(transparent)]
-    Machine(#[from] InvalidParameter),
+    Machine(#[from] OutOfRange),
     /// More throws were refused than accepted.
     #[error("{symbol} = {value}: {reason}")]
     Refused {
@@ -281,7 +281,11 @@ fn identify(
         supply_v: None,
         anti_alias_hz: sensors.anti_alias_hz,
     };
-    identifier.identify(&throw, &settings).outcome
+    // The table compares coefficients, and needs their common scale.
+    identifier
+        .identify(&throw, &settings)
+        .outcome
+        .and_then(|estimate| if estimate.ratios_only { Err(Rejection::Singular) } else { Ok(estimate) })
 }
 
 fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {

@@ -1,4 +1,4 @@
-//! What happens to one machine over its life, throw by throw.
+//! Life of a machine, throw by throw: weather, faults, repair.
 
 use nalgebra::Vector3;
 use rand::RngExt as _;
@@ -18,18 +18,18 @@ const HEALTHY_THROWS: std::ops::Range<usize> = 20..80;
 /// A full swing of the temperature, in throws; the healthy part of its rows lasts at least as long.
 const SWING_THROWS: usize = 240;
 
-/// One part that changes from a throw on.
+/// A part that changes from a throw on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fault {
     /// The part.
     pub(super) part: Cause,
-    /// Its final change, as a fraction of nominal.
+    /// Final change, as a fraction of nominal.
     pub(super) size: f64,
     /// First throw with the fault, from 0.
     pub(super) onset: usize,
-    /// First throw after its repair.
+    /// First throw after the repair.
     pub(super) repaired: Option<usize>,
-    /// How it develops.
+    /// Development over the throws.
     pub(super) shape: Shape,
 }
 
@@ -46,7 +46,7 @@ impl Fault {
     }
 }
 
-/// One life: its faults, and the throw from which the verdict is judged.
+/// Timeline of a life: its faults, their onset and its length.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Timeline {
     /// Everything that changes.

@@ -4,7 +4,7 @@ use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    life::{observation, started_at},
+    observation::{observation, started_at},
     scenario::{Noise, RAMP_THROWS, Shape, Situation},
     timeline::{Fault, Timeline},
 };
@@ -66,7 +66,9 @@ impl TraceMachine {
             started_at: throw.started_at,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(crate::estimate::Rejection::is_incomplete),
-            estimate: found.outcome.ok().map(|e| ([e.b0, e.a1, e.a0], e.covariance)),
+            grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
+            ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
+            estimate: found.outcome.ok().map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
             features: found.features,
             temperature_c: throw.temperature_c,
         }

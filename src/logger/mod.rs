@@ -2,6 +2,8 @@
 //!
 //! Publishing runs on a thread of its own: simulating a throw takes the processor, and a put waits for a slow link.
 
+mod backlog;
+mod error;
 mod publish;
 mod settings;
 
@@ -18,8 +20,8 @@ use tokio::{runtime::Handle, sync::oneshot, time};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
-pub use publish::LoggerError;
-pub use settings::{InvalidLogger, LoggerSettings};
+pub use error::LoggerError;
+pub use settings::LoggerSettings;
 
 use crate::{
     bus,
@@ -27,6 +29,7 @@ use crate::{
     throw::MachineId,
     wire::{self, Health, Kind},
 };
+use backlog::Answering;
 use publish::Publishing;
 
 /// How long the monitor is given to judge the last throws.
@@ -45,7 +48,7 @@ pub struct Logger {
 }
 
 impl Logger {
-    /// Starts publishing the throws of a fleet: one boot, one liveliness token and one publisher a machine.
+    /// Starts publishing the throws of a fleet: one boot; for each machine a backlog, a liveliness token and a publisher.
     ///
     /// # Errors
     /// When the fleet cannot be built, zenoh refuses a key, or the system gives no thread.
@@ -57,10 +60,6 @@ impl Logger {
     ) -> Result<Self, LoggerError> {
         let simulated = Fleet::new(fleet, settings.seed)?.into_machines();
         let machines: Vec<_> = (0..simulated.len()).map(|number| settings.machine_id(number)).collect();
-        let mut tokens = Vec::with_capacity(machines.len());
-        for machine in &machines {
-            tokens.push(bus::declare_alive(&session, &wire::machine_key(machine, Kind::Alive)).await?);
-        }
         let published = Arc::new(AtomicU64::new(0));
         let stop = CancellationToken::new();
         let publishing = Publishing {
@@ -70,18 +69,26 @@ impl Logger {
             published: Arc::clone(&published),
             stop: stop.clone(),
         };
+        let (answering, max_bytes) = (Answering::start()?, settings.backlog_mib << 20);
+        let (mut sources, mut tokens) = (Vec::with_capacity(machines.len()), Vec::with_capacity(machines.len()));
+        for (id, machine) in machines.iter().zip(simulated) {
+            let key = wire::machine_key(id, Kind::Throw);
+            let backlog = answering.declare(&session, &key, settings.backlog_throws, max_bytes)?;
+            sources.push(publishing.source(id, backlog, machine)?);
+            // After the backlog: a daemon that sees the token asks for it.
+            tokens.push(bus::declare_alive(&session, &wire::machine_key(id, Kind::Alive)).await?);
+        }
         let (sender, done) = oneshot::channel();
-        let named = machines.iter().cloned().zip(simulated).collect();
         let runtime = Handle::current();
         thread::Builder::new().name("logger".into()).spawn(move || {
-            let (outcome, publishers) = match publishing.run(named) {
-                Ok((throws, publishers)) => (Ok(throws), publishers),
+            let (outcome, sources) = match publishing.run(sources) {
+                Ok((throws, sources)) => (Ok(throws), sources),
                 Err(error) => (Err(error), Vec::new()),
             };
-            // Whoever started the logger may have gone.
+            // The owner of the logger may have dropped it.
             let _ = sender.send(outcome);
             runtime.block_on(publishing.stop.cancelled());
-            drop((publishers, tokens));
+            drop((sources, tokens));
         })?;
         Ok(Self { session, machines, boot_id, published, stop, done })
     }
@@ -92,13 +99,13 @@ impl Logger {
         &self.machines
     }
 
-    /// Throws published so far.
+    /// Throws published so far, of all machines.
     #[must_use]
     pub fn published(&self) -> u64 {
         self.published.load(Relaxed)
     }
 
-    /// Asks it to stop after the throw at hand.
+    /// Stops after the throw that is being published.
     pub fn stop(&self) {
         self.stop.cancel();
     }
@@ -112,7 +119,7 @@ impl Logger {
     }
 
     /// Waits until the monitors have judged `throws` throws of every machine. False when they take too long, or
-    /// nobody answers. Until then the session must stay open: its cache is what a monitor recovers from.
+    /// nobody answers. Until then the session must stay open: a monitor reads its backlog.
     pub async fn judged(&self, throws: u64) -> bool {
         let all = async {
             for machine in &self.machines {
@@ -126,13 +133,14 @@ impl Logger {
 
     /// The highest throw number of this boot that a monitor has judged.
     async fn latest(&self, machine: &MachineId) -> Option<u64> {
-        let key = wire::machine_key(machine, Kind::Health);
-        let replies = bus::ask(&self.session, &key, None, Duration::from_secs(5)).await.ok()?;
+        // The last throws: those that came from the backlog were stored after later ones.
+        let selector = format!("{}?limit=100", wire::machine_key(machine, Kind::Health));
+        let replies = bus::ask(&self.session, &selector, None, Duration::from_secs(5)).await.ok()?;
         replies
             .iter()
             .filter_map(|(_, payload)| serde_json::from_slice::<Health>(payload).ok())
-            .filter(|health| health.boot_id == self.boot_id)
-            .map(|health| health.throw_no)
+            .filter(|health| health.throw.boot_id == self.boot_id)
+            .map(|health| health.throw.throw_no)
             .max()
     }
 }

@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{MachineId, Name};
+use crate::throw::{MachineId, Name, OutOfRange};
 
 /// The `[logger]` section of `pointsim`'s configuration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -21,8 +21,11 @@ pub struct LoggerSettings {
     pub interval_s: f64,
     /// How many times faster than real time, 0.001 to 1,000,000. Time stamps follow the simulated time.
     pub time_scale: f64,
-    /// Last throws of each machine that are kept for monitors that missed them, 1 to 100,000.
-    pub cache: usize,
+    /// Last throws of each machine that are kept for a daemon that was away, 1 to 100,000.
+    #[serde(alias = "cache")]
+    pub backlog_throws: usize,
+    /// The same in bytes \[MiB\], 1 to 4,096.
+    pub backlog_mib: usize,
     /// Wait for a monitor before the first throw.
     pub wait_for_monitor: bool,
     /// Time of the first throw; without it, that of the start.
@@ -38,7 +41,8 @@ impl Default for LoggerSettings {
             throws: None,
             interval_s: 600.0,
             time_scale: 1.0,
-            cache: 1_000,
+            backlog_throws: 1_000,
+            backlog_mib: 64,
             wait_for_monitor: true,
             started_at: None,
         }
@@ -50,20 +54,6 @@ fn fixed_name(text: &str) -> Name {
     text.parse().expect("a valid name")
 }
 
-/// A setting out of its range.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("is {value}, must be {low} to {high}")]
-pub struct InvalidLogger {
-    /// The key in the section.
-    pub key: &'static str,
-    /// Its value.
-    pub value: f64,
-    /// Lowest value allowed.
-    pub low: f64,
-    /// Highest value allowed.
-    pub high: f64,
-}
-
 impl LoggerSettings {
     /// Longest name that leaves room for a number.
     const MAX_NAME: usize = Name::MAX_LEN - 7;
@@ -72,20 +62,15 @@ impl LoggerSettings {
     ///
     /// # Errors
     /// The first setting that is out of range.
-    pub fn validate(&self) -> Result<(), InvalidLogger> {
-        let ranges = [
-            ("machine", self.machine.as_str().len() as f64, 1.0, Self::MAX_NAME as f64),
-            ("throws", self.throws.unwrap_or(1) as f64, 1.0, 1e9),
-            ("interval_s", self.interval_s, 1.0, 1e6),
-            ("time_scale", self.time_scale, 1e-3, 1e6),
-            ("cache", self.cache as f64, 1.0, 1e5),
-        ];
-        for (key, value, low, high) in ranges {
-            if !(low..=high).contains(&value) {
-                return Err(InvalidLogger { key, value, low, high });
-            }
-        }
-        Ok(())
+    pub fn validate(&self) -> Result<(), OutOfRange> {
+        OutOfRange::check([
+            ("machine", self.machine.as_str().len() as f64, 1.0, Self::MAX_NAME as f64, "characters"),
+            ("throws", self.throws.unwrap_or(1) as f64, 1.0, 1e9, ""),
+            ("interval_s", self.interval_s, 1.0, 1e6, "s"),
+            ("time_scale", self.time_scale, 1e-3, 1e6, ""),
+            ("backlog_throws", self.backlog_throws as f64, 1.0, 1e5, "throws"),
+            ("backlog_mib", self.backlog_mib as f64, 1.0, 4096.0, "MiB"),
+        ])
     }
 
     /// The machine with this number, counted from 0.

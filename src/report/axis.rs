@@ -1,19 +1,11 @@
 //! Axes: the range shown, round ticks, and where a value lands.
 
-use super::calendar;
+use super::calendar::{self, Tick};
 
 /// Shortest span of an axis of time \[s\]: one throw alone has none.
 const LEAST_TIME: f64 = 60.0;
 
-/// A value that gets a line and a label, and a second label below where that is another than before.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Tick {
-    pub(super) value: f64,
-    pub(super) label: String,
-    pub(super) below: Option<String>,
-}
-
-/// One axis with its range, linear or logarithmic.
+/// An axis with its range, linear or logarithmic.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Axis {
     low: f64,
@@ -54,7 +46,7 @@ impl Axis {
         if high > low { Self { low, high, log: false } } else { rounded }
     }
 
-    /// As tight, for moments \[s since 1970\].
+    /// A time axis over the range of its values \[s since 1970\], without margins.
     pub(super) fn of_time(values: &(impl Iterator<Item = f64> + Clone)) -> Self {
         let Self { low, high, log } = Self::tight(values);
         let widen = 0.5 * (LEAST_TIME - (high - low)).max(0.0);
@@ -66,7 +58,8 @@ impl Axis {
         calendar::ticks(self.low, self.high, characters)
     }
 
-    /// Where a value lies, 0 at the low end to 1 at the high end; `None` when it cannot be shown.
+    /// Position of a value on the axis, from 0 at the low end to 1 at the high end; `None` for a value that the axis cannot
+    /// show (not finite, or not positive on a logarithmic axis).
     pub(super) fn place(&self, value: f64) -> Option<f64> {
         let place = if self.log {
             (value / self.low).log10() / (self.high / self.low).log10()

@@ -2,7 +2,13 @@
 
 use jiff::{SignedDuration, Timestamp, civil::Date, tz::TimeZone};
 
-use super::axis::Tick;
+/// A value that gets a line and a label, and a second label below where that is another than before.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Tick {
+    pub(super) value: f64,
+    pub(super) label: String,
+    pub(super) below: Option<String>,
+}
 
 const DAY: i64 = 86_400;
 /// A Monday, and the midnight from which steps of fixed length count \[s since 1970\].
@@ -25,11 +31,11 @@ enum Step {
 }
 
 impl Step {
-    /// At least so long.
+    /// Least length \[s\].
     fn length_s(self) -> f64 {
         match self {
             Self::Seconds(seconds) => seconds as f64,
-            // As if all were Februaries, the shortest.
+            // Of February, the shortest month.
             Self::Months(months) => (months * 28 * DAY) as f64,
         }
     }

@@ -1,4 +1,4 @@
-//! One chart: curves over an x axis, or bars in groups.
+//! A chart: curves over an x axis, or bars in groups.
 
 use super::axis::Axis;
 use super::svg::{Anchor, Canvas};
@@ -24,12 +24,12 @@ enum Content {
 struct Curve {
     name: String,
     points: Vec<(f64, f64)>,
-    /// How far the band around the curve reaches to each side, one value a point; empty for none.
+    /// Half width of the band around the curve, one value a point; empty for no band.
     reach: Vec<f64>,
     dots: bool,
 }
 
-/// One chart with its title, axes and legend.
+/// A chart with its title, axes and legend.
 #[derive(Debug, Clone)]
 pub struct Panel {
     title: String,
@@ -328,59 +328,4 @@ fn draw_bars(
         }
     }
     canvas.line((frame.left, ground), (frame.left + frame.width, ground), FRAME, 1.0, false);
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::Sheet;
-    use super::*;
-
-    #[test]
-    fn every_curve_and_bar_is_drawn_and_text_is_escaped() {
-        let curves = Panel::curves("a < b & c", "x", "y")
-            .line("one", [(0.0, 1.0), (1.0, f64::NAN), (2.0, 3.0), (3.0, 4.0)])
-            .dotted_line("two", [(0.0, 2.0), (3.0, 2.5)]);
-        let bars = Panel::bars("bars", "y", ["p", "q"]).group("g", [1.0, -2.0]).level(0.8, "limit");
-        let svg = Sheet::new("sheet").columns(2).panel(curves).panel(bars).to_svg();
-        // The NaN leaves a lone point before it and a line after it.
-        assert_eq!(svg.matches("<polyline").count(), 2);
-        assert_eq!(svg.matches("<circle").count(), 2);
-        assert!(svg.contains("a &lt; b &amp; c"));
-        assert!(svg.contains("limit"));
-        assert!(!svg.contains("NaN"));
-        assert_eq!(svg.matches('<').count(), svg.matches('>').count());
-    }
-
-    #[test]
-    fn a_band_widens_the_axis_and_a_mark_stands_only_where_the_axis_is() {
-        let chart = |panel: Panel| Sheet::new("").panel(panel).to_svg();
-        let plain = Panel::curves("", "x", "y").line("one", [(0.0, 1.0), (1.0, 2.0)]);
-        let banded =
-            Panel::curves("", "x", "y").banded_line("one", [(0.0, 1.0, 50.0), (1.0, 2.0, f64::NAN), (2.0, 3.0, 9.0)]);
-        assert!(!chart(plain.clone()).contains("<polygon") && !chart(plain.clone()).contains(">40<"));
-        let svg = chart(banded.mark(1.0, "raised").mark(9.0, "beyond"));
-        assert_eq!(svg.matches("<polygon").count(), 1);
-        assert!(svg.contains(">40<") && svg.contains("raised") && !svg.contains("beyond") && !svg.contains("NaN"));
-    }
-
-    #[test]
-    fn a_history_tells_the_date_of_even_one_point() {
-        let chart = |points: &[(f64, f64)]| {
-            Sheet::new("").panel(Panel::history("", "y").line("one", points.iter().copied())).to_svg()
-        };
-        let noon = 1_795_262_400.0;
-        assert!(chart(&[(noon, 1.0)]).contains(">21 Nov 2026<"));
-        assert!(chart(&[(noon, 1.0), (noon + 40.0 * 86_400.0, 2.0)]).contains(">23 Nov<"));
-        assert!(!chart(&[]).contains("NaN"));
-    }
-
-    #[test]
-    fn names_that_do_not_fit_are_slanted() {
-        let bars = |name: &str| {
-            let panel = (0..12).fold(Panel::bars("bars", "y", ["p"]), |panel, _| panel.group(name, [1.0]));
-            Sheet::new("sheet").panel(panel).to_svg()
-        };
-        assert!(!bars("g").contains("rotate(-35)"));
-        assert_eq!(bars("a long name").matches("rotate(-35)").count(), 12);
-    }
 }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-/// Where a text is held.
+/// Anchor of a text: the end that its coordinates give.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Anchor {
     Start,

@@ -15,7 +15,7 @@ pub(super) struct Drive {
     damping: f64,
     limit_n: f64,
     toe: Toe,
-    /// How far the clutch has slipped \[m at the toe\].
+    /// Slip of the clutch so far \[m at the toe\].
     slip_m: f64,
     /// The force of a slipping clutch, with its sign \[N\].
     slipping_n: Option<f64>,
@@ -51,7 +51,7 @@ impl Drive {
         self.stiffness * stretch + self.damping * self.relative_speed(state)
     }
 
-    /// How much faster the screw pushes than the toe goes \[m/s\].
+    /// Speed of the screw's push relative to the toe \[m/s\].
     #[inline]
     fn relative_speed(&self, state: &State) -> f64 {
         self.metres_per_radian * state[SCREW_SPEED] - self.toe.speed(state)

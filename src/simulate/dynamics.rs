@@ -40,7 +40,7 @@ const STOP_STIFFNESS_N_M: f64 = 2e7;
 /// Damping of the stop \[N s/m\].
 const STOP_DAMPING_NS_M: f64 = 1e5;
 
-/// Which of the connections that come and go there are during a step.
+/// Connections that are closed during a step: stops, clutch and chairs open and close.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Phase {
     /// The toe leans on a stop, whose spring and damper then belong to A.
@@ -49,7 +49,7 @@ pub(super) struct Phase {
     pub slipping: bool,
 }
 
-/// One exact step of the linear system.
+/// Exact step of the linear system (matrix exponential).
 #[derive(Debug, Clone)]
 pub(super) struct Step {
     /// Columns of e^(A h).

@@ -1,4 +1,4 @@
-//! What wears out: which part, how much, and how it develops over the throws.
+//! Faults: the part that wears, its size, and its development over the throws.
 //!
 //! A size is what an engineer expects at the coefficient: a torque loss of 10 % lowers b0 by 10 %, friction of +25 %
 //! raises a1 by 25 %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
@@ -9,8 +9,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::machine::{InvalidParameter, Parameters};
+use super::machine::Parameters;
 use super::rails::Modes;
+use crate::throw::OutOfRange;
 
 /// The part that a fault changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -41,7 +42,7 @@ impl Part {
     }
 }
 
-/// How a fault develops.
+/// Development of a fault over the throws.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Shape {
@@ -65,9 +66,9 @@ pub enum Shape {
 pub struct Fault {
     /// The part.
     pub part: Part,
-    /// How it develops.
+    /// Development over the throws.
     pub shape: Shape,
-    /// Its full size, as a change of the coefficient \[%\]; negative for a loss.
+    /// Full size, as a change of the coefficient \[%\]; negative for a loss.
     pub size_pct: f64,
     /// The first throw that shows it, counted from 0 over both directions.
     pub from_throw: u64,
@@ -129,7 +130,7 @@ impl Parameters {
     ///
     /// # Errors
     /// When a parameter is out of its range.
-    pub fn in_condition(&self, condition: &Condition) -> Result<Self, InvalidParameter> {
+    pub fn in_condition(&self, condition: &Condition) -> Result<Self, OutOfRange> {
         self.check()?;
         let modes = self.rails.modes();
         let loads = self.loads(&modes);

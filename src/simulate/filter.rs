@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-/// One second-order section, transposed direct form II.
+/// A second-order section in transposed direct form II.
 #[derive(Debug, Clone, Copy)]
 struct Section {
     b: [f64; 3],

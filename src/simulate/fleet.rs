@@ -7,14 +7,14 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{Direction, Trace};
+use crate::throw::{Direction, OutOfRange, Trace};
 
 use super::fault::{Condition, Fault, Part, Shape};
-use super::machine::{Coefficients, InvalidParameter, Parameters, require};
+use super::machine::{Coefficients, Parameters};
 use super::motion::Conditions;
 use super::sensors::{Sensors, Stuck, normal};
 
-/// What a fleet is made of.
+/// Composition of a fleet: its machines, their sensors and differences, faults and incidents.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FleetSettings {
@@ -126,9 +126,9 @@ impl Climate {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FleetFault {
-    /// Which machine, counted from 0.
+    /// Index of the machine, from 0.
     pub machine: usize,
-    /// What wears out.
+    /// The fault that develops.
     pub fault: Fault,
 }
 
@@ -136,9 +136,9 @@ pub struct FleetFault {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Incident {
-    /// Which machine, counted from 0.
+    /// Index of the machine, from 0.
     pub machine: usize,
-    /// What happens.
+    /// The incident.
     pub kind: IncidentKind,
     /// The first throw it happens to, counted from 0.
     pub from_throw: u64,
@@ -146,13 +146,13 @@ pub struct Incident {
     pub throws: u64,
 }
 
-/// What can happen to a throw.
+/// An incident: a single event that disturbs a throw or its recording.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum IncidentKind {
     /// An obstacle between rail and stock rail.
     Obstruction {
-        /// How far from normal \[mm\].
+        /// Distance of the obstruction from the normal position \[mm\].
         at_mm: f64,
     },
     /// The supply sags.
@@ -164,14 +164,14 @@ pub enum IncidentKind {
     StuckSensor(Stuck),
 }
 
-/// One simulated throw and the truth behind it.
+/// A simulated throw with the true coefficients behind it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedThrow {
     /// Count from 0 over both directions.
     pub throw_index: u64,
     /// The way it moved.
     pub direction: Direction,
-    /// What the logger recorded.
+    /// The recording of the logger.
     pub trace: Trace,
     /// Temperature of the machine \[°C\].
     pub temperature_c: f64,
@@ -179,9 +179,9 @@ pub struct SimulatedThrow {
     pub supply_v: f64,
     /// Cut-off of the anti-alias filter \[Hz\].
     pub anti_alias_hz: Option<f64>,
-    /// What has worn, relative to new.
+    /// Wear of each part, relative to a new machine.
     pub condition: Condition,
-    /// What the physics says of this throw.
+    /// True coefficients of this throw, equation (13).
     pub coefficients: Coefficients,
 }
 
@@ -251,7 +251,7 @@ impl SimulatedMachine {
     ///
     /// # Errors
     /// When wear and scatter have taken a parameter out of its range.
-    pub fn next_throw(&mut self) -> Result<SimulatedThrow, InvalidParameter> {
+    pub fn next_throw(&mut self) -> Result<SimulatedThrow, OutOfRange> {
         let throw_index = self.throw_index;
         self.throw_index += 1;
         let direction =
@@ -331,7 +331,7 @@ impl Fleet {
     ///
     /// # Errors
     /// When a setting is out of its range, or a fault or incident is on a machine that the fleet does not have.
-    pub fn new(settings: &FleetSettings, seed: u64) -> Result<Self, InvalidParameter> {
+    pub fn new(settings: &FleetSettings, seed: u64) -> Result<Self, OutOfRange> {
         settings.check()?;
         let machines = (0..settings.machines).map(|number| settings.build(number, seed)).collect::<Result<_, _>>()?;
         Ok(Self { machines })
@@ -354,51 +354,41 @@ impl FleetSettings {
     ///
     /// # Errors
     /// The first that is not.
-    pub fn check(&self) -> Result<(), InvalidParameter> {
-        let most = Fleet::MAX_MACHINES as f64;
-        require(&[("machines", self.machines as f64)], "must be 1 to 10000", |n| (1.0..=most).contains(&n))?;
+    pub fn check(&self) -> Result<(), OutOfRange> {
+        let Self { spread, scatter, climate, .. } = self;
+        OutOfRange::check([("machines", self.machines as f64, 1.0, Fleet::MAX_MACHINES as f64, "machines")])?;
         self.machine.check().map_err(|error| error.within("machine"))?;
         self.sensors.check().map_err(|error| error.within("sensors"))?;
-        let shares = [
-            ("spread.kt_pct", self.spread.kt_pct),
-            ("spread.friction_pct", self.spread.friction_pct),
-            ("spread.stiffness_pct", self.spread.stiffness_pct),
-            ("spread.inertia_pct", self.spread.inertia_pct),
-            ("scatter.kt_pct", self.scatter.kt_pct),
-            ("scatter.friction_pct", self.scatter.friction_pct),
-            ("scatter.stiffness_pct", self.scatter.stiffness_pct),
-            ("scatter.supply_pct", self.scatter.supply_pct),
-        ];
-        require(&shares, "must be 0 to 30", |pct| (0.0..=30.0).contains(&pct))?;
-        let correlation = [("scatter.correlation", self.scatter.correlation)];
-        require(&correlation, "must be 0 to 0.99", |phi| (0.0..=0.99).contains(&phi))?;
-        require(&[("climate.mean_c", self.climate.mean_c)], "must be -50 to 60", |c| (-50.0..=60.0).contains(&c))?;
-        let swings = [
-            ("climate.daily_swing_k", self.climate.daily_swing_k),
-            ("climate.yearly_swing_k", self.climate.yearly_swing_k),
-        ];
-        require(&swings, "must be 0 to 40", |k| (0.0..=40.0).contains(&k))?;
-        let rate = [("climate.throws_per_day", self.climate.throws_per_day)];
-        require(&rate, "must be above 0", |throws| throws > 0.0)?;
+        OutOfRange::check([
+            ("spread.kt_pct", spread.kt_pct, 0.0, 30.0, "%"),
+            ("spread.friction_pct", spread.friction_pct, 0.0, 30.0, "%"),
+            ("spread.stiffness_pct", spread.stiffness_pct, 0.0, 30.0, "%"),
+            ("spread.inertia_pct", spread.inertia_pct, 0.0, 30.0, "%"),
+            ("scatter.kt_pct", scatter.kt_pct, 0.0, 30.0, "%"),
+            ("scatter.friction_pct", scatter.friction_pct, 0.0, 30.0, "%"),
+            ("scatter.stiffness_pct", scatter.stiffness_pct, 0.0, 30.0, "%"),
+            ("scatter.supply_pct", scatter.supply_pct, 0.0, 30.0, "%"),
+            ("scatter.correlation", scatter.correlation, 0.0, 0.99, ""),
+            ("climate.mean_c", climate.mean_c, -50.0, 60.0, "°C"),
+            ("climate.daily_swing_k", climate.daily_swing_k, 0.0, 40.0, "K"),
+            ("climate.yearly_swing_k", climate.yearly_swing_k, 0.0, 40.0, "K"),
+        ])?;
+        OutOfRange::require(&[("climate.throws_per_day", climate.throws_per_day)], "above 0", |throws| throws > 0.0)?;
         for FleetFault { machine, fault } in &self.faults {
             self.check_machine("faults.machine", *machine)?;
-            let size = [("faults.fault.size_pct", fault.size_pct)];
-            require(&size, "must be -90 to 2000", |pct| (-90.0..=2000.0).contains(&pct))?;
+            OutOfRange::check([("faults.fault.size_pct", fault.size_pct, -90.0, 2000.0, "%")])?;
         }
         self.incidents.iter().try_for_each(|incident| self.check_incident(incident))
     }
 
-    fn check_incident(&self, incident: &Incident) -> Result<(), InvalidParameter> {
+    fn check_incident(&self, incident: &Incident) -> Result<(), OutOfRange> {
         self.check_machine("incidents.machine", incident.machine)?;
-        let stroke_mm = self.machine.stroke_mm;
         match incident.kind {
             IncidentKind::Obstruction { at_mm } => {
-                let place = [("incidents.kind.obstruction.at_mm", at_mm)];
-                require(&place, "must be 0 to the stroke", |mm| (0.0..=stroke_mm).contains(&mm))
+                OutOfRange::check([("incidents.kind.obstruction.at_mm", at_mm, 0.0, self.machine.stroke_mm, "mm")])
             }
             IncidentKind::WeakSupply { loss_pct } => {
-                let loss = [("incidents.kind.weak_supply.loss_pct", loss_pct)];
-                require(&loss, "must be 0 to 100", |pct| (0.0..=100.0).contains(&pct))
+                OutOfRange::check([("incidents.kind.weak_supply.loss_pct", loss_pct, 0.0, 100.0, "%")])
             }
             IncidentKind::StuckSensor(stuck) => {
                 stuck.check().map_err(|error| error.within("incidents.kind.stuck_sensor"))
@@ -406,13 +396,13 @@ impl FleetSettings {
         }
     }
 
-    fn check_machine(&self, name: &'static str, machine: usize) -> Result<(), InvalidParameter> {
-        require(&[(name, machine as f64)], "must be the number of a machine, counted from 0", |number| {
+    fn check_machine(&self, name: &'static str, machine: usize) -> Result<(), OutOfRange> {
+        OutOfRange::require(&[(name, machine as f64)], "the number of a machine, counted from 0", |number| {
             number < self.machines as f64
         })
     }
 
-    fn build(&self, number: usize, seed: u64) -> Result<SimulatedMachine, InvalidParameter> {
+    fn build(&self, number: usize, seed: u64) -> Result<SimulatedMachine, OutOfRange> {
         let mut rng = ChaCha12Rng::seed_from_u64(seed);
         rng.set_stream(number as u64);
         let mut ratio = |pct: f64| (pct / 100.0 * normal(&mut rng)).exp();

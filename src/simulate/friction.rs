@@ -12,7 +12,7 @@ use super::rails::{Chair, MAX_MODES, Modes};
 /// Most sweeps of Gauss-Seidel in a step: sticking contacts settle in a few, as they start from the step before.
 const MAX_SWEEPS: usize = 60;
 
-/// What moves at a contact.
+/// Motion of the parts at a contact.
 #[derive(Debug, Clone, Copy)]
 enum Site {
     Motor,
@@ -63,7 +63,7 @@ const LANES: usize = 8;
 /// A block of chairs; one that is not full repeats its last chair.
 #[derive(Debug, Clone, Copy)]
 struct Sliding {
-    /// How much each mode moves at each chair.
+    /// Modal displacement at each chair: one row a chair, one column a mode.
     shapes: [[f64; LANES]; MAX_MODES],
     /// The way each chair slides, against its force; 0 for one that sticks.
     ways: [f64; LANES],
@@ -102,7 +102,7 @@ impl Sliding {
 pub(super) struct Friction {
     /// Motor, screw, then the chairs.
     contacts: Vec<Contact>,
-    /// The same chairs in blocks, for the check in every step whether they still slide.
+    /// The chairs grouped in blocks, for the check at every step whether they still slide.
     sliding: Vec<Sliding>,
     stribeck: Option<Stribeck>,
     /// Effect of the present forces on the state, kept until they change.

@@ -1,16 +1,14 @@
 //! The physical parameters of one point machine, and what they say about its coefficients.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
 use super::rails::{Modes, Rails};
 use super::supply::Waveform;
+use crate::throw::OutOfRange;
 
-/// Acceleration of free fall \[m s⁻²\].
-pub(super) const GRAVITY: f64 = 9.81;
-
-/// How the motor turns current into torque.
+/// Torque law of the motor: permanent magnet or series wound.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MotorKind {
@@ -21,7 +19,8 @@ pub enum MotorKind {
     Series,
 }
 
-/// One point machine: motor, gearbox, ball screw, toe drive and switch rails. SI units on the shaft each part turns with.
+/// Parameters of a point machine: motor, gearbox, ball screw, toe drive and switch rails, in SI units. Rotating parts are
+/// given on their own shaft.
 ///
 /// The default is a credible machine: 4.3 s a throw, 13 A of inrush, about 1 A running.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -140,27 +139,7 @@ impl Default for Parameters {
     }
 }
 
-/// A parameter that no machine can have.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{name} is {value}: {must}")]
-pub struct InvalidParameter {
-    /// The parameter's name, as in configuration files.
-    pub name: String,
-    /// Its value.
-    pub value: f64,
-    /// What it must be.
-    pub must: &'static str,
-}
-
-impl InvalidParameter {
-    /// The same in a section of a configuration: `lead_mm` becomes `machine.lead_mm`.
-    #[must_use]
-    pub fn within(self, section: &str) -> Self {
-        Self { name: format!("{section}.{}", self.name), ..self }
-    }
-}
-
-/// What the physics says that identification should find; equation (13), everything on the screw.
+/// Coefficients by equation (13) with every inertia reduced to the screw: the values that identification should find.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Coefficients {
     /// KT n / `J_tot` \[rad s⁻² A⁻¹\]; of a series motor k n / `J_tot` \[rad s⁻² A⁻²\].
@@ -238,7 +217,7 @@ impl Parameters {
     ///
     /// # Errors
     /// When a parameter is out of its range.
-    pub fn coefficients(&self) -> Result<Coefficients, InvalidParameter> {
+    pub fn coefficients(&self) -> Result<Coefficients, OutOfRange> {
         self.check()?;
         let modes = self.rails.modes();
         let loads = self.loads(&modes);
@@ -259,7 +238,7 @@ impl Parameters {
     ///
     /// # Errors
     /// The first parameter that is not.
-    pub fn check(&self) -> Result<(), InvalidParameter> {
+    pub fn check(&self) -> Result<(), OutOfRange> {
         let positive = [
             ("supply_v", self.supply_v),
             ("resistance_ohm", self.resistance_ohm),
@@ -294,15 +273,13 @@ impl Parameters {
             ("viscous_pct_per_k", self.viscous_pct_per_k),
             ("rail_pct_per_k", self.rail_pct_per_k),
         ];
-        require(&positive, "must be above 0", |value| value > 0.0)?;
-        require(&not_negative, "must be 0 or more", |value| value >= 0.0)?;
-        require(&finite, "must be a finite number", |_| true)?;
-        require(&[("breakaway_ratio", self.breakaway_ratio)], "must be 1 or more", |ratio| ratio >= 1.0)?;
-        require(&[("timeout_s", self.timeout_s)], "must be above 0 and at most 40", |s| s > 0.0 && s <= 40.0)?;
-        require(&[("rectifier_ripple", self.rectifier_ripple)], "must be 0 to 1", |share| {
-            (0.0..=1.0).contains(&share)
-        })?;
-        require(&[("cut_off_mm", self.cut_off_mm)], "must be less than the stroke", |mm| mm < self.stroke_mm)?;
+        OutOfRange::require(&positive, "above 0", |value| value > 0.0)?;
+        OutOfRange::require(&not_negative, "0 or more", |value| value >= 0.0)?;
+        OutOfRange::require(&finite, "a finite number", |_| true)?;
+        OutOfRange::require(&[("breakaway_ratio", self.breakaway_ratio)], "1 or more", |ratio| ratio >= 1.0)?;
+        OutOfRange::require(&[("timeout_s", self.timeout_s)], "above 0 and at most 40", |s| s > 0.0 && s <= 40.0)?;
+        OutOfRange::check([("rectifier_ripple", self.rectifier_ripple, 0.0, 1.0, "")])?;
+        OutOfRange::require(&[("cut_off_mm", self.cut_off_mm)], "less than the stroke", |mm| mm < self.stroke_mm)?;
         self.supply.check().map_err(|error| error.within("supply.rectified_mains"))?;
         self.rails.check().map_err(|error| error.within("rails"))
     }
@@ -338,20 +315,4 @@ impl Parameters {
             ..Self::default()
         }
     }
-}
-
-pub(super) fn require(
-    values: &[(&'static str, f64)],
-    must: &'static str,
-    good: impl Fn(f64) -> bool,
-) -> Result<(), InvalidParameter> {
-    match values.iter().find(|(_, value)| !value.is_finite() || !good(*value)) {
-        Some(&(name, value)) => Err(InvalidParameter { name: name.to_owned(), value, must }),
-        None => Ok(()),
-    }
-}
-
-/// Radians per second from hertz.
-pub(super) fn angular(hz: f64) -> f64 {
-    2.0 * PI * hz
 }

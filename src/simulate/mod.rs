@@ -28,7 +28,7 @@ pub use fleet::{
     Climate, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Scatter, SimulatedMachine, SimulatedThrow,
     Spread,
 };
-pub use machine::{Coefficients, InvalidParameter, MotorKind, Parameters};
+pub use machine::{Coefficients, MotorKind, Parameters};
 pub use motion::{Conditions, Motion, STEP_S};
 pub use rails::{MAX_MODES, RailModel, Rails};
 pub use sensors::{Channel, Recording, Sensors, Stuck, Which};

@@ -1,25 +1,25 @@
-//! One throw of the machine: armature, contactor, stops and friction, step by step.
+//! Simulates a throw step by step: armature, contactor, stops and friction.
 //!
 //! The armature (1) is integrated exactly over a step with the speed at the middle of the step, its mean torque drives
 //! the mechanics, which are exact under constant forces; see [`super::dynamics`]. The scheme is of second order in the
 //! step while nothing sticks or touches.
 
-use crate::throw::Direction;
+use crate::throw::{Direction, OutOfRange};
 
 use super::drive::Drive;
 use super::dynamics::{MOTOR_SPEED, Phase, State, Step, Toe, add_scaled, at_rest};
 use super::friction::{Friction, Response};
-use super::machine::{InvalidParameter, MotorKind, Parameters, require};
+use super::machine::{MotorKind, Parameters};
 use super::rails::Modes;
 
 /// Step of the simulation in normal use \[s\].
 pub const STEP_S: f64 = 2e-4;
 /// Time constant of the current when the contactor opens: the arc ends it \[s\].
 const ARC_TIME_S: f64 = 1e-3;
-/// How long the motor stays cut off in the motion before it ends \[s\].
+/// Time simulated after the motor was cut off \[s\].
 const SETTLE_S: f64 = 0.4;
 
-/// What happens around one throw.
+/// Conditions of a throw: temperature, supply, obstruction, cut-off.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Conditions {
     /// Temperature of the machine \[°C\].
@@ -47,22 +47,21 @@ impl Default for Conditions {
 }
 
 impl Conditions {
-    fn check(&self, stroke_mm: f64) -> Result<(), InvalidParameter> {
-        let temperature = [("temperature_c", self.temperature_c)];
-        require(&temperature, "must be -60 to 80", |c| (-60.0..=80.0).contains(&c))?;
-        require(&[("supply_ratio", self.supply_ratio)], "must be 0 to 3", |ratio| (0.0..=3.0).contains(&ratio))?;
-        require(&[("supply_phase_rad", self.supply_phase_rad)], "must be a finite number", |_| true)?;
-        if let Some(mm) = self.obstruction_mm {
-            require(&[("obstruction_mm", mm)], "must be 0 to the stroke", |mm| (0.0..=stroke_mm).contains(&mm))?;
-        }
+    fn check(&self, stroke_mm: f64) -> Result<(), OutOfRange> {
+        OutOfRange::check([
+            ("temperature_c", self.temperature_c, -60.0, 80.0, "°C"),
+            ("supply_ratio", self.supply_ratio, 0.0, 3.0, ""),
+            ("obstruction_mm", self.obstruction_mm.unwrap_or(0.0), 0.0, stroke_mm, "mm"),
+        ])?;
+        OutOfRange::require(&[("supply_phase_rad", self.supply_phase_rad)], "a finite number", |_| true)?;
         match self.cut_off_after_s {
-            Some(s) => require(&[("cut_off_after_s", s)], "must be above 0", |s| s > 0.0),
+            Some(s) => OutOfRange::require(&[("cut_off_after_s", s)], "above 0", |s| s > 0.0),
             None => Ok(()),
         }
     }
 }
 
-/// What one throw really did, on the simulation's own grid from the moment the motor is switched on.
+/// True motion of a throw on the time grid of the simulation, from the moment when the motor is switched on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
     /// Grid step \[s\].
@@ -83,12 +82,7 @@ impl Parameters {
     ///
     /// # Errors
     /// When a parameter is out of its range.
-    pub fn simulate(
-        &self,
-        direction: Direction,
-        conditions: &Conditions,
-        step_s: f64,
-    ) -> Result<Motion, InvalidParameter> {
+    pub fn simulate(&self, direction: Direction, conditions: &Conditions, step_s: f64) -> Result<Motion, OutOfRange> {
         self.check()?;
         conditions.check(self.stroke_mm)?;
         let modes = self.rails.modes();
@@ -99,7 +93,7 @@ impl Parameters {
             ("current_a", motion.current_a[motion.current_a.len() - 1]),
             ("toe_mm", motion.toe_mm[motion.toe_mm.len() - 1]),
         ];
-        require(&ends, "must stay finite: no machine has such parameters together", |_| true)?;
+        OutOfRange::require(&ends, "finite: no machine has such parameters together", |_| true)?;
         Ok(motion)
     }
 }
@@ -323,11 +317,11 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// How a current fades over one step, e^(-R h / L); kept as long as the resistance stays.
+/// Decay of a current over one step, e^(-R h / L); computed again only when the resistance changes.
 #[derive(Debug, Clone, Copy)]
 struct Decay {
     exponent: f64,
-    /// What is left at the end of the step.
+    /// Factor by which the current has decayed at the end of the step.
     left: f64,
     /// Mean over the step.
     mean: f64,

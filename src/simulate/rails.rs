@@ -8,18 +8,20 @@
 use nalgebra::{Cholesky, DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
-use super::machine::{GRAVITY, InvalidParameter, require};
+use crate::throw::OutOfRange;
 
+/// Acceleration of free fall \[m s⁻²\].
+const GRAVITY: f64 = 9.81;
 /// Most modes kept: the state vector has a fixed size.
 pub const MAX_MODES: usize = 6;
 /// Most finite elements: keeps the eigenproblem in milliseconds.
 const MAX_ELEMENTS: usize = 40;
 
-/// How much of the rails' dynamics is kept.
+/// Order of the rails' model: quasi-static, or with vibration modes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RailModel {
-    /// One mass, spring and chair: the quasi-static bending line.
+    /// Quasi-static bending line: a single mass, spring and chair.
     Lumped,
     /// Finite elements reduced to modes.
     #[default]
@@ -30,7 +32,7 @@ pub enum RailModel {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rails {
-    /// How much of the dynamics is kept.
+    /// Order of the model.
     pub model: RailModel,
     /// Length from heel to toe \[m\].
     pub length_m: f64,
@@ -95,7 +97,7 @@ pub(super) struct QuasiStatic {
 }
 
 impl Rails {
-    pub(super) fn check(&self) -> Result<(), InvalidParameter> {
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
         let positive = [
             ("length_m", self.length_m),
             ("mass_kg_m", self.mass_kg_m),
@@ -106,10 +108,12 @@ impl Rails {
             ("damping_ratio", self.damping_ratio),
             ("slide_friction", self.slide_friction),
         ];
-        require(&positive, "must be above 0", |value| value > 0.0)?;
-        require(&not_negative, "must be 0 or more", |value| value >= 0.0)?;
-        require(&[("modes", self.modes as f64)], "must be 1 to 6", |n| (1.0..=MAX_MODES as f64).contains(&n))?;
-        require(&[("elements", self.elements as f64)], "must be 3 to 40", |n| (3.0..=MAX_ELEMENTS as f64).contains(&n))
+        OutOfRange::require(&positive, "above 0", |value| value > 0.0)?;
+        OutOfRange::require(&not_negative, "0 or more", |value| value >= 0.0)?;
+        OutOfRange::check([
+            ("modes", self.modes as f64, 1.0, MAX_MODES as f64, ""),
+            ("elements", self.elements as f64, 3.0, MAX_ELEMENTS as f64, ""),
+        ])
     }
 
     /// The reduced rails. The parameters must have passed [`Rails::check`].

@@ -7,13 +7,12 @@ use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{Direction, Trace};
+use crate::throw::{Direction, OutOfRange, Trace};
 
 use super::filter::Butterworth;
-use super::machine::{InvalidParameter, require};
 use super::motion::{Motion, STEP_S};
 
-/// One measured channel, in its own unit (A or mm).
+/// Sensor of a channel; all values in the unit of the channel (A or mm).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Channel {
@@ -75,13 +74,13 @@ pub struct Sensors {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stuck {
-    /// Which channel.
+    /// The channel at fault.
     pub channel: Which,
     /// From this time after the motor's start on \[s\].
     pub from_s: f64,
 }
 
-/// What the logger wrote down.
+/// Recording of a throw as the logger samples it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
     /// Time stamp of each sample, from the first \[s\]: nominal instants, with holes where samples were dropped.
@@ -119,22 +118,25 @@ impl Sensors {
     ///
     /// # Errors
     /// The first value that is not.
-    pub fn check(&self) -> Result<(), InvalidParameter> {
-        let rate = [("sample_rate_hz", self.sample_rate_hz)];
-        require(&rate, "must be 25 to 20000", |hz| (25.0..=20_000.0).contains(&hz))?;
-        let times = [("before_s", self.before_s), ("after_s", self.after_s)];
-        require(&times, "must be 0 to 5", |s| (0.0..=5.0).contains(&s))?;
+    pub fn check(&self) -> Result<(), OutOfRange> {
+        OutOfRange::check([
+            ("sample_rate_hz", self.sample_rate_hz, 25.0, 20_000.0, "Hz"),
+            ("before_s", self.before_s, 0.0, 5.0, "s"),
+            ("after_s", self.after_s, 0.0, 5.0, "s"),
+            ("jitter_s", self.jitter_s, 0.0, 1.0, "s"),
+            ("dropped_pct", self.dropped_pct, 0.0, 50.0, "%"),
+        ])?;
         self.current.check().map_err(|error| error.within("current"))?;
         self.position.check().map_err(|error| error.within("position"))?;
-        require(&[("jitter_s", self.jitter_s)], "must be 0 to 1", |s| (0.0..=1.0).contains(&s))?;
-        require(&[("dropped_pct", self.dropped_pct)], "must be 0 to 50", |pct| (0.0..=50.0).contains(&pct))?;
         if let Some(stuck) = self.stuck {
             stuck.check().map_err(|error| error.within("stuck"))?;
         }
         match self.anti_alias_hz {
-            Some(hz) => require(&[("anti_alias_hz", hz)], "must be above 0 and below half the sampling rate", |hz| {
-                hz > 0.0 && hz < self.sample_rate_hz / 2.0
-            }),
+            Some(hz) => {
+                OutOfRange::require(&[("anti_alias_hz", hz)], "above 0 and below half the sampling rate", |hz| {
+                    hz > 0.0 && hz < self.sample_rate_hz / 2.0
+                })
+            }
             None => Ok(()),
         }
     }
@@ -152,12 +154,7 @@ impl Sensors {
     ///
     /// # Errors
     /// When a value is out of its range.
-    pub fn record<R: Rng>(
-        &self,
-        motion: &Motion,
-        direction: Direction,
-        rng: &mut R,
-    ) -> Result<Recording, InvalidParameter> {
+    pub fn record<R: Rng>(&self, motion: &Motion, direction: Direction, rng: &mut R) -> Result<Recording, OutOfRange> {
         self.check()?;
         let sign = if self.signed_current { direction.sign() } else { 1.0 };
         let current = self.filtered(motion, &motion.current_a, sign * (1.0 + self.current.gain_pct / 100.0));
@@ -202,24 +199,24 @@ impl Sensors {
 }
 
 impl Stuck {
-    pub(super) fn check(&self) -> Result<(), InvalidParameter> {
-        require(&[("from_s", self.from_s)], "must be 0 to 40", |s| (0.0..=40.0).contains(&s))
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        OutOfRange::check([("from_s", self.from_s, 0.0, 40.0, "s")])
     }
 }
 
 impl Channel {
-    fn check(&self) -> Result<(), InvalidParameter> {
-        require(&[("noise", self.noise)], "must be 0 or more", |sd| sd >= 0.0)?;
-        require(&[("offset", self.offset)], "must be a finite number", |_| true)?;
-        require(&[("gain_pct", self.gain_pct)], "must be -90 to 900", |pct| (-90.0..=900.0).contains(&pct))?;
+    fn check(&self) -> Result<(), OutOfRange> {
+        OutOfRange::require(&[("noise", self.noise)], "0 or more", |sd| sd >= 0.0)?;
+        OutOfRange::require(&[("offset", self.offset)], "a finite number", |_| true)?;
+        OutOfRange::check([("gain_pct", self.gain_pct, -90.0, 900.0, "%")])?;
         if let Some(scale) = self.full_scale {
-            require(&[("full_scale", scale)], "must be above 0", |value| value > 0.0)?;
+            OutOfRange::require(&[("full_scale", scale)], "above 0", |value| value > 0.0)?;
         }
         match self.bits {
             Some(bits) => {
-                require(&[("bits", f64::from(bits))], "must be 4 to 24", |bits| (4.0..=24.0).contains(&bits))?;
+                OutOfRange::check([("bits", f64::from(bits), 4.0, 24.0, "bits")])?;
                 let scale = [("full_scale", self.full_scale.unwrap_or(f64::NAN))];
-                require(&scale, "must be given with bits: the converter's range", |_| true)
+                OutOfRange::require(&scale, "given with bits: the converter's range", |_| true)
             }
             None => Ok(()),
         }

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use super::machine::{InvalidParameter, angular, require};
+use crate::throw::OutOfRange;
 
 /// Shape of the supply voltage; its mean is `Parameters::supply_v`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -27,7 +27,7 @@ impl Waveform {
         match self {
             Self::Constant => 1.0,
             Self::RectifiedMains { mains_hz } => {
-                let w = angular(mains_hz);
+                let w = 2.0 * PI * mains_hz;
                 // The integral of |sin x| from 0 to x: 2 for each half wave that is over, 1 - cos within the last.
                 let integral = |x: f64| {
                     let half_waves = (x / PI).floor();
@@ -39,12 +39,10 @@ impl Waveform {
         }
     }
 
-    pub(super) fn check(self) -> Result<(), InvalidParameter> {
+    pub(super) fn check(self) -> Result<(), OutOfRange> {
         match self {
             Self::Constant => Ok(()),
-            Self::RectifiedMains { mains_hz } => {
-                require(&[("mains_hz", mains_hz)], "must be 10 to 100", |hz| (10.0..=100.0).contains(&hz))
-            }
+            Self::RectifiedMains { mains_hz } => OutOfRange::check([("mains_hz", mains_hz, 10.0, 100.0, "Hz")]),
         }
     }
 }

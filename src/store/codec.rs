@@ -8,29 +8,23 @@ use pco::{ChunkConfig, DeltaSpec, standalone};
 use crate::throw::{InvalidTrace, MAX_SAMPLES, Trace};
 
 /// Neighbouring samples are close in value: first-order differences, never the automatic choice, which finds nothing
-/// on noisy samples and stores 2.5 times as much. Level 8 is as small as higher levels on traces.
+/// on noisy samples and stores 2.5 times as much. Level 5 takes half the time of level 8 and 1.4 % more space (two throws of
+/// 4,700 samples: 1.9 ms and 47.4 kB instead of 4.0 ms and 46.8 kB); of 12-bit traces 5.6 % more space. Level 4 saves no
+/// more time.
 fn compression() -> ChunkConfig {
-    ChunkConfig::default().with_compression_level(8).with_delta_spec(DeltaSpec::TryConsecutive(1))
+    ChunkConfig::default().with_compression_level(5).with_delta_spec(DeltaSpec::TryConsecutive(1))
 }
 
 /// How the values of one channel are stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, strum::AsRefStr, strum::EnumString)]
+
 enum Codec {
+    #[strum(serialize = "pco-f32")]
     PcoF32,
+    #[strum(serialize = "pco-f64")]
     PcoF64,
+    #[strum(serialize = "raw-f64")]
     RawF64,
-}
-
-impl Codec {
-    const ALL: [Self; 3] = [Self::PcoF32, Self::PcoF64, Self::RawF64];
-
-    const fn as_str(self) -> &'static str {
-        match self {
-            Self::PcoF32 => "pco-f32",
-            Self::PcoF64 => "pco-f64",
-            Self::RawF64 => "raw-f64",
-        }
-    }
 }
 
 /// One channel as stored.
@@ -66,8 +60,8 @@ pub(super) fn encode(values: &[f64]) -> Channel {
         (Codec::PcoF64, standalone::simple_compress(values, &compression()))
     };
     match packed {
-        Ok(data) => Channel { codec: codec.as_str().to_owned(), data },
-        Err(_) => Channel { codec: Codec::RawF64.as_str().to_owned(), data: little_endian(values) },
+        Ok(data) => Channel { codec: codec.as_ref().to_owned(), data },
+        Err(_) => Channel { codec: Codec::RawF64.as_ref().to_owned(), data: little_endian(values) },
     }
 }
 
@@ -90,10 +84,7 @@ pub(super) fn checksum(current_a: &[f64], position_mm: &[f64]) -> u32 {
 
 /// `samples` values of a channel.
 fn decode(channel: &Channel, samples: usize) -> Result<Vec<f64>, UnreadableTrace> {
-    let codec = Codec::ALL
-        .into_iter()
-        .find(|codec| codec.as_str() == channel.codec)
-        .ok_or_else(|| UnreadableTrace::Codec(channel.codec.clone()))?;
+    let codec = channel.codec.parse().map_err(|_| UnreadableTrace::Codec(channel.codec.clone()))?;
     match codec {
         Codec::PcoF32 => Ok(unpacked::<f32>(&channel.data, samples)?.into_iter().map(f64::from).collect()),
         Codec::PcoF64 => unpacked(&channel.data, samples),

@@ -5,12 +5,21 @@ use std::{
     fs::{File, OpenOptions},
     io,
     path::{Path, PathBuf},
-    sync::atomic::{AtomicBool, AtomicU64, Ordering},
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    time::Duration,
 };
+
+use tokio::time::Instant;
 
 use super::{error::StoreError, settings::MIB};
 
-/// How the store stands with its disk.
+/// How long the alarm about something that is over lasts: long enough to be seen.
+const SHOWN: Duration = Duration::from_hours(1);
+
+/// State of the disk below the database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum DiskLevel {
     /// Enough space, everything is kept.
@@ -23,7 +32,7 @@ pub enum DiskLevel {
     Failing,
 }
 
-/// Watches the free space and owns the ballast file.
+/// Measures the free space and owns the ballast file.
 #[derive(Debug)]
 pub(super) struct Disk {
     database: PathBuf,
@@ -31,10 +40,13 @@ pub(super) struct Disk {
     ballast_bytes: u64,
     low_bytes: u64,
     full: AtomicBool,
-    /// It was full since somebody asked last.
+    /// The disk was full since the last call of `worst_level`.
     was_full: AtomicBool,
     failing: AtomicBool,
     failures: AtomicU64,
+    /// When the database file was last found deleted or replaced, and whether it could be written anew.
+    replaced: Mutex<Option<(Instant, bool)>>,
+    dropped_pending: Mutex<Option<(Instant, u64)>>,
 }
 
 impl Disk {
@@ -48,6 +60,8 @@ impl Disk {
             was_full: AtomicBool::new(false),
             failing: AtomicBool::new(false),
             failures: AtomicU64::new(0),
+            replaced: Mutex::new(None),
+            dropped_pending: Mutex::new(None),
         }
     }
 
@@ -69,7 +83,7 @@ impl Disk {
         self.full.store(false, Ordering::Relaxed);
     }
 
-    /// A write failed; when for want of space, the ballast goes.
+    /// A write failed. When the disk was full, the ballast is freed.
     pub(super) fn note_failure(&self, full: bool) {
         self.failures.fetch_add(1, Ordering::Relaxed);
         if full {
@@ -79,6 +93,30 @@ impl Disk {
         } else {
             self.failing.store(true, Ordering::Relaxed);
         }
+    }
+
+    /// The database file was deleted or replaced under the daemon.
+    pub(super) fn note_replaced(&self, mended: bool) {
+        *self.replaced.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), mended));
+    }
+
+    /// Whether the file was deleted or replaced in the last hour, and whether it was written anew.
+    pub(super) fn replaced(&self) -> Option<bool> {
+        let replaced = *self.replaced.lock().unwrap_or_else(PoisonError::into_inner);
+        replaced.filter(|(at, mended)| !mended || at.elapsed() < SHOWN).map(|(_, mended)| mended)
+    }
+
+    /// Throws were dropped before they were judged.
+    pub(super) fn note_dropped_pending(&self, throws: u64) {
+        let mut dropped = self.dropped_pending.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = dropped.map_or(0, |(_, before)| before);
+        *dropped = Some((Instant::now(), before + throws));
+    }
+
+    /// Throws that were dropped before they were judged, since the start; `None` when that was not in the last hour.
+    pub(super) fn dropped_pending(&self) -> Option<u64> {
+        let dropped = *self.dropped_pending.lock().unwrap_or_else(PoisonError::into_inner);
+        dropped.filter(|(at, _)| at.elapsed() < SHOWN).map(|(_, throws)| throws)
     }
 
     /// Write transactions that failed since the start.

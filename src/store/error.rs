@@ -1,4 +1,4 @@
-//! What can go wrong with the database, in words for people.
+//! Failures of the database, in words for people.
 
 use std::path::PathBuf;
 
@@ -42,7 +42,7 @@ pub enum StoreError {
     /// A query took longer than [`Reader::TIME_LIMIT`](super::Reader::TIME_LIMIT).
     #[error("reading the database took too long and was given up")]
     ReadTimeout,
-    /// The files were not closed in time.
+    /// The files could not be closed in time.
     #[error(
         "the database takes too long to close: does its disk hang? Nothing acknowledged is lost; the next start checks it"
     )]
@@ -103,6 +103,11 @@ pub(super) fn is_full(error: &sqlx::Error) -> bool {
 /// `SQLITE_CORRUPT` or `SQLITE_NOTADB`: the file's content is broken, not the access to it.
 pub(super) fn is_corrupt(error: &sqlx::Error) -> bool {
     matches!(primary_code(error), Some(11 | 26))
+}
+
+/// `SQLITE_INTERRUPT`: a progress handler ended the statement.
+pub(super) fn is_interrupted(error: &sqlx::Error) -> bool {
+    primary_code(error) == Some(9)
 }
 
 /// The statement itself was refused (constraint, mismatch, range), whatever the state of the disk.

@@ -1,16 +1,22 @@
 //! Keeping the database within its bounds, a little at a time.
 //!
-//! Traces go first, then throws with their estimates, closed alarms last; a throw that waits to be judged never goes.
+//! Traces go first, then throws with their estimates, closed alarms last; pending throws go only when nothing else is left.
+//! The machine that takes the most of the database loses its own history first: one that floods pushes out no other.
 //! Age counts only while the clock is known to be right: a clock that jumps ten years ahead must not empty the
 //! database. All is done in small transactions between those of the arriving throws.
 
 use jiff::{SignedDuration, Timestamp};
 use sqlx::SqliteConnection;
 
-use super::{Store, disk::DiskLevel, error::StoreError, settings::MIB, spool::count, statements as sql, writer::Write};
+use super::{
+    database::Store, disk::DiskLevel, error::StoreError, settings::MIB, spool::count, statements as sql, write::Write,
+};
 
 /// Rows that one transaction drops: some milliseconds of work.
-const BATCH: u64 = 64;
+const BATCH: u64 = 256;
+/// Throws or traces of the largest machine that are dropped before the machines are compared again: in larger steps one of
+/// two equal machines loses nearly all of its history.
+const FAIR_BATCH: u64 = 16;
 /// Transactions of one call, so that it ends while throws arrive faster than rows are dropped.
 const ROUNDS: usize = 256;
 /// Pages given back to the disk in one transaction.
@@ -37,6 +43,8 @@ enum Drop {
     Traces(u64),
     TracesBefore(i64),
     Throws(u64),
+    /// The size is bounded whatever arrives: a machine that sends more than can be judged loses its oldest throws.
+    Pending,
     Alarms(u64),
     Messages,
     Pages,
@@ -48,6 +56,7 @@ impl Drop {
         match self {
             Self::Traces(_) | Self::TracesBefore(_) => "dropped_traces",
             Self::Throws(_) => "dropped_throws",
+            Self::Pending => "dropped_pending_throws",
             Self::Alarms(_) => "dropped_alarms",
             Self::Messages => "dropped_messages",
             Self::Pages => "returned_pages",
@@ -61,9 +70,10 @@ impl Write for Drop {
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<u64> {
         let (choice, limit, each): (_, _, &[&'static str]) = match *self {
-            Self::Traces(rows) => (sql::OLDEST_TRACES, rows, &[sql::DROP_TRACE]),
+            Self::Traces(rows) => (sql::OLDEST_TRACES, rows, &[sql::DROP_TRACE, sql::TRACES_FROM]),
             Self::TracesBefore(_) => (sql::AGED_TRACES, BATCH, &[sql::DROP_TRACE]),
             Self::Throws(rows) => (sql::OLDEST_THROWS, rows, &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROW]),
+            Self::Pending => (sql::OLDEST_PENDING, BATCH, &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROW]),
             Self::Alarms(rows) => (sql::OLDEST_ALARMS, rows, &[sql::DROP_ALARM]),
             Self::Messages => (sql::OLDEST_MESSAGES, BATCH, &[sql::SENT]),
             Self::Pages => {
@@ -80,7 +90,7 @@ impl Write for Drop {
             }
         }
         let dropped = rows.len() as u64;
-        if matches!(self, Self::Throws(_)) {
+        if matches!(self, Self::Throws(_) | Self::Pending) {
             sqlx::query(sql::DROP_EMPTY_BOOTS).execute(&mut *connection).await?;
         }
         if dropped > 0 {
@@ -118,6 +128,10 @@ impl Store {
             match drop {
                 Drop::Traces(_) | Drop::TracesBefore(_) => done.traces += dropped,
                 Drop::Throws(_) => done.throws += dropped,
+                Drop::Pending => {
+                    done.throws += dropped;
+                    self.disk.note_dropped_pending(dropped);
+                }
                 Drop::Alarms(_) => done.alarms += dropped,
                 Drop::Messages => done.messages += dropped,
                 Drop::Pages => {}
@@ -135,8 +149,8 @@ impl Store {
         let free_pages = self.figure("PRAGMA freelist_count").await?;
         let pages = self.figure("PRAGMA page_count").await?;
         Ok(Figures {
-            traces: self.figure(sql::TRACE_SPAN).await?,
-            throws: self.figure(sql::THROW_SPAN).await?,
+            traces: self.figure(sql::TRACE_COUNT).await?,
+            throws: self.figure(sql::THROW_COUNT).await?,
             closed_alarms: self.figure(sql::CLOSED_ALARMS).await?,
             messages: self.figure(sql::OUTBOX_COUNT).await?,
             data_bytes: pages.saturating_sub(free_pages) * page_size,
@@ -153,18 +167,19 @@ impl Store {
         let missing = (settings.low_disk_mib * MIB).saturating_sub(figures.room_bytes);
         let (too_large, no_room) = (excess > 0, missing > 0);
         if figures.traces > settings.max_traces {
-            return Ok(Some(Drop::Traces(BATCH.min(figures.traces - settings.max_traces))));
+            return Ok(Some(Drop::Traces(FAIR_BATCH.min(figures.traces - settings.max_traces))));
         }
         if (too_large || no_room) && self.any(sql::OLDEST_TRACES).await? {
             // As many as it takes, by their mean size: a few of the largest may be enough.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);
             return Ok(Some(Drop::Traces((excess.max(missing) / each + 1).min(BATCH))));
         }
-        if too_large && self.any(sql::OLDEST_THROWS).await? {
-            return Ok(Some(Drop::Throws(BATCH)));
+        if too_large {
+            let judged = self.any(sql::OLDEST_THROWS).await?;
+            return Ok(Some(if judged { Drop::Throws(BATCH) } else { Drop::Pending }));
         }
         if figures.throws > settings.max_throws {
-            return Ok(Some(Drop::Throws(BATCH.min(figures.throws - settings.max_throws))));
+            return Ok(Some(Drop::Throws(FAIR_BATCH.min(figures.throws - settings.max_throws))));
         }
         if figures.closed_alarms > settings.max_alarms {
             return Ok(Some(Drop::Alarms(BATCH.min(figures.closed_alarms - settings.max_alarms))));

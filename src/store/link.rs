@@ -4,20 +4,25 @@
 //! have rolled back by itself and because a failed commit means "not known", not "not stored". The group is then
 //! written once more; every write may be repeated without harm.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use sqlx::{AssertSqlSafe, Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+use tokio::time::Instant;
 
 use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_refused},
-    place::Place,
+    place::{Identity, Place},
     reader::Reader,
     statements as sql,
-    writer::Job,
+    write::Job,
 };
 
-/// Where in a transaction it failed.
+/// Time between two looks at the names of the files. The daemon writes at least every 5 s, so a deleted file is noticed
+/// within 6 s.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// The part of a transaction that failed.
 enum Failed {
     /// Before or after the jobs: none of them is to blame.
     Around(sqlx::Error),
@@ -42,7 +47,11 @@ pub(super) struct Link {
     pub(super) reader: Reader,
     /// SQLite found the content of the file broken: only opening it anew can set it aside.
     pub(super) broken: bool,
-    /// At this size of the log something is done about it \[bytes\]. Raised when nothing could be done.
+    /// The files that the connection has open, once it has written; noted again after each move.
+    pub(super) identity: Option<Identity>,
+    /// When the identity was compared last.
+    pub(super) looked: Option<Instant>,
+    /// Size of the log from which it is bounded \[bytes\]; raised when that fails.
     pub(super) log_bound: u64,
 }
 
@@ -54,6 +63,7 @@ impl Link {
         }
         let Err(first) = self.transaction(&mut jobs, false).await else {
             answer(jobs, || Ok(()));
+            self.notice_replaced_files().await;
             return self.bound_log().await;
         };
         self.recover(first.error()).await;
@@ -62,7 +72,7 @@ impl Link {
             Err(Failed::Within(error)) if is_refused(&error) && jobs.len() > 1 => self.commit_one_by_one(jobs).await,
             Err(failed) => {
                 self.recover(failed.error()).await;
-                answer(jobs, || Err(told(failed.error())));
+                answer(jobs, || Err(store_error(failed.error())));
             }
         }
     }
@@ -76,7 +86,7 @@ impl Link {
                 self.recover(failed.error()).await;
             }
             let [job] = alone;
-            job.answer(outcome.map_err(|failed| told(failed.error())));
+            job.answer(outcome.map_err(|failed| store_error(failed.error())));
         }
     }
 
@@ -99,7 +109,7 @@ impl Link {
         Ok(self.connection.insert(connection))
     }
 
-    /// Gives up the connection, and the ballast if the disk is full.
+    /// Closes the connection after an error, and frees the ballast when the disk is full.
     async fn recover(&mut self, error: &sqlx::Error) {
         tracing::warn!(%error, "a write transaction failed; its connection is replaced");
         self.broken |= is_corrupt(error);
@@ -109,12 +119,35 @@ impl Link {
 
     async fn disconnect(&mut self) {
         if let Some(connection) = self.connection.take() {
-            // Closing may fail for the same reason as the write; the files are let go either way.
+            // Closing may fail for the same reason as the write; the files are closed either way.
             let _ = connection.close().await;
         }
     }
 
-    /// Keeps the log from growing for ever behind a reader that does not let go of an old state.
+    /// Notices that the database file or its log was deleted or replaced. The connection still has the old files open, with
+    /// everything that was committed: they are copied to a new file before they vanish.
+    async fn notice_replaced_files(&mut self) {
+        if self.looked.is_some_and(|looked| looked.elapsed() < LOOK) {
+            return;
+        }
+        self.looked = Some(Instant::now());
+        let now = self.place.identity();
+        let known = *self.identity.get_or_insert(now);
+        if now == known {
+            return;
+        }
+        tracing::error!(?known, ?now, "the database was DELETED OR REPLACED under the daemon: it is written anew");
+        let outcome = match self.place.set_strangers_aside() {
+            Ok(()) => self.move_database().await,
+            Err(error) => Err(error),
+        };
+        self.disk.note_replaced(outcome.is_ok());
+        if let Err(error) = outcome {
+            tracing::error!(%error, "the database cannot be written anew; retrying");
+        }
+    }
+
+    /// Bounds the log, which a reader that holds an old state keeps from being reused.
     async fn bound_log(&mut self) {
         let log = self.place.log_bytes();
         if log < self.log_bound {
@@ -136,15 +169,15 @@ impl Link {
             self.log_bound = log + log / 4;
             return;
         }
-        if let Err(error) = self.move_house().await {
+        if let Err(error) = self.move_database().await {
             tracing::error!(%error, log, "the database could not be moved away from a reader that does not let go");
             self.log_bound = log + log / 4;
-            self.settle_where_it_is().await;
+            self.reopen_path().await;
         }
     }
 
-    /// After a move that failed half way: everybody follows the path, and what it does not lead to is removed.
-    async fn settle_where_it_is(&mut self) {
+    /// After a move that failed half way: writer and readers open the configured path again, and an unfinished copy is removed.
+    async fn reopen_path(&mut self) {
         self.disconnect().await;
         if let Err(error) = self.reader.reopen(self.place.path()).await {
             tracing::error!(%error, "the readers keep the file that they have");
@@ -164,16 +197,17 @@ impl Link {
         Ok(busy == 0)
     }
 
-    async fn move_house(&mut self) -> Result<(), StoreError> {
+    async fn move_database(&mut self) -> Result<(), StoreError> {
         let copy = self.place.next()?;
         let target = copy.to_string_lossy().replace('\'', "''");
-        let connection = self.connected().await.map_err(|error| told(&error))?;
+        let connection = self.connected().await.map_err(|error| store_error(&error))?;
         let vacuum = AssertSqlSafe(format!("VACUUM INTO '{target}'"));
-        sqlx::query(vacuum).execute(connection).await.map_err(|error| told(&error))?;
+        sqlx::query(vacuum).execute(connection).await.map_err(|error| store_error(&error))?;
         self.place.switch(&copy)?;
+        self.identity = None;
         self.disconnect().await;
-        self.connected().await.map_err(|error| told(&error))?;
-        self.reader.reopen(self.place.path()).await.map_err(|error| told(&error))?;
+        self.connected().await.map_err(|error| store_error(&error))?;
+        self.reader.reopen(self.place.path()).await.map_err(|error| store_error(&error))?;
         tracing::warn!(to = %copy.display(), "the database moved to a new file: a program keeps reading an old state of it");
         Ok(())
     }
@@ -184,12 +218,12 @@ impl Link {
             self.disconnect().await;
             return Err(StoreError::Broken);
         }
-        let connection = self.connected().await.map_err(|error| told(&error))?;
-        sqlx::query(sql::SET_CLEAN).bind(true).execute(connection).await.map_err(|error| told(&error))?;
+        let connection = self.connected().await.map_err(|error| store_error(&error))?;
+        sqlx::query(sql::SET_CLEAN).bind(true).execute(connection).await.map_err(|error| store_error(&error))?;
         // What a reader keeps from being copied now stays in the log, which is as durable.
         let copied = self.checkpoint().await;
         self.disconnect().await;
-        copied.map(drop).map_err(|error| told(&error))
+        copied.map(drop).map_err(|error| store_error(&error))
     }
 }
 
@@ -199,7 +233,7 @@ fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError
     }
 }
 
-/// The error as the caller sees it.
-fn told(error: &sqlx::Error) -> StoreError {
+/// The error for the caller.
+fn store_error(error: &sqlx::Error) -> StoreError {
     if is_full(error) { StoreError::Full } else { StoreError::Write(error.to_string()) }
 }

@@ -1,243 +1,49 @@
 //! The SQLite database: raw throws, estimates, alarms, the outbox.
 //!
-//! [`Store`] writes through one task with one connection; [`Reader`] reads beside it. What `Ok` was answered for is on
-//! the disk, power cut or not. Every write may be repeated: a repetition changes nothing.
+//! [`Store`] writes through one task with one connection; [`Reader`] reads beside it. A write that was answered with `Ok`
+//! is on the disk, power cut or not. Every write may be repeated: a repetition changes nothing.
 
 mod codec;
+mod cursor;
+mod database;
 mod disk;
 mod error;
+mod fleet;
 mod housekeeping;
-mod judge;
+mod judgement;
 mod link;
 mod open;
 mod outside;
 mod overview;
+mod page;
 mod place;
 mod quarantine;
 mod reader;
+mod rows;
+mod salvage;
 mod settings;
 mod spool;
 pub mod statements;
 mod statistics;
 mod trouble;
+mod write;
 mod writer;
 
-use std::{path::Path, sync::Arc};
-
-use jiff::Timestamp;
-
 pub use codec::UnreadableTrace;
+pub use database::{Opened, Store};
 pub use disk::DiskLevel;
 pub use error::StoreError;
+pub use fleet::Window;
+pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow};
 pub use housekeeping::Housekeeping;
-pub use judge::{AlarmRecord, BaselineRecord, Judgement, Message, Outcome};
+pub use judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub use open::{Found, Report, refuse_foreign};
 pub use outside::{Backup, Value, ask};
-pub use overview::AlarmEventRow;
+pub use page::{Cursor, PageStored};
 pub use quarantine::{QUARANTINED_BYTES, Refused};
-pub use reader::{AlarmRow, Gap, HealthRow, OutboxRow, Quarantined, Reader, Selector, StoredThrow};
-pub use settings::{OutOfRange, Settings, Synchronous};
-pub use spool::{GapKind, GapRow, Spooled, ThrowRow};
+pub use reader::Reader;
+pub use rows::{Gap, GapKind, GapRow, OutboxRow, Quarantined, Selector, StoredMonitor, StoredThrow, ThrowRow};
+pub use salvage::Salvaged;
+pub use settings::{Settings, Synchronous};
+pub use spool::Spooled;
 pub use statistics::Statistics;
-
-use crate::throw::{MachineId, Throw};
-use disk::Disk;
-use link::Link;
-use place::Place;
-use tokio::sync::Semaphore;
-use writer::{Answer, Writer};
-
-/// The database of a running daemon. Cheap to clone.
-#[derive(Clone)]
-pub struct Store {
-    writer: Writer,
-    reader: Reader,
-    disk: Arc<Disk>,
-    settings: Arc<Settings>,
-    place: Place,
-    /// Bounds the bytes of the throws that wait for their commit.
-    room: Arc<Semaphore>,
-}
-
-/// Throws that may wait for their commit \[KiB\]: 64 MiB, four of the largest possible throws, or a thousand usual
-/// ones. Whoever brings more waits.
-const ROOM_KIB: usize = 64 * 1024;
-
-/// An opened store, and how it was found.
-pub struct Opened {
-    /// The store.
-    pub store: Store,
-    /// What opening found and did.
-    pub report: Report,
-}
-
-impl Store {
-    /// Opens the database, creating it, repairing its place or bringing its schema up to date as needed. `now` names
-    /// what has to be set aside.
-    ///
-    /// # Errors
-    /// When the folder is missing or cannot be written to, or the disk is full even without the ballast.
-    pub async fn open(settings: &Settings, now: Timestamp) -> Result<Opened, StoreError> {
-        let disk = Arc::new(Disk::new(&settings.path, settings.ballast_mib, settings.low_disk_mib));
-        let place = Place::new(&settings.path);
-        let (connection, report) = open::open(settings, &disk, &place, now).await?;
-        let reader = Reader::open(&settings.path).await?;
-        let writer = Writer::start(Link {
-            options: open::writing(settings),
-            connection: Some(connection),
-            disk: Arc::clone(&disk),
-            place: place.clone(),
-            reader: reader.clone(),
-            broken: false,
-            log_bound: settings.max_wal_mib * settings::MIB,
-        });
-        if let Err(error) = disk.restore_ballast() {
-            tracing::warn!(%error, "no ballast: a full disk will be harder to clear");
-        }
-        let room = Arc::new(Semaphore::new(ROOM_KIB));
-        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), place, room };
-        Ok(Opened { store, report })
-    }
-
-    /// The reading side.
-    #[must_use]
-    pub fn reader(&self) -> &Reader {
-        &self.reader
-    }
-
-    /// The database file.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.settings.path
-    }
-
-    /// Stores a throw that arrived. On `Ok` it is on the disk.
-    ///
-    /// # Errors
-    /// When it could not be stored; the same call may be repeated.
-    pub async fn spool(
-        &self,
-        machine: &MachineId,
-        throw: &Throw,
-        received_at: Timestamp,
-    ) -> Result<Spooled, StoreError> {
-        let spooled = self.submit(machine, throw, received_at).await?.await.map_err(|_| StoreError::Closed)??;
-        if spooled == (Spooled::Duplicate { differs: true }) {
-            self.quarantine(vec![contradiction(machine, throw, received_at)]).await?;
-        }
-        Ok(spooled)
-    }
-
-    /// Stores several throws in as few commits as possible; the answers are in their order.
-    pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
-        let mut submitted = Vec::with_capacity(throws.len());
-        for (machine, throw, received_at) in throws {
-            submitted.push(self.submit(machine, throw, *received_at).await);
-        }
-        let mut answers = Vec::with_capacity(throws.len());
-        let mut contradictions = Vec::new();
-        for (submitted, (machine, throw, received_at)) in submitted.into_iter().zip(throws) {
-            let answer = match submitted {
-                Ok(answer) => answer.await.unwrap_or(Err(StoreError::Closed)),
-                Err(error) => Err(error),
-            };
-            if let Ok(Spooled::Duplicate { differs: true }) = answer {
-                contradictions.push(contradiction(machine, throw, *received_at));
-            }
-            answers.push(answer);
-        }
-        if !contradictions.is_empty()
-            && let Err(error) = self.quarantine(contradictions).await
-        {
-            for answer in &mut answers {
-                if let Ok(Spooled::Duplicate { differs: true }) = answer {
-                    *answer = Err(StoreError::Write(error.to_string()));
-                }
-            }
-        }
-        answers
-    }
-
-    async fn submit(
-        &self,
-        machine: &MachineId,
-        throw: &Throw,
-        received_at: Timestamp,
-    ) -> Result<Answer<Spooled>, StoreError> {
-        let mut write = spool::Spool::new(machine, throw, received_at)?;
-        let room = Arc::clone(&self.room).acquire_many_owned(write.kib());
-        write.room = Some(room.await.map_err(|_| StoreError::Closed)?);
-        self.writer.submit(write).await
-    }
-
-    /// Stores a judgement: estimate, monitor, baselines, alarms and messages, all or nothing. Returns false when the
-    /// throw was judged before; then nothing was written.
-    ///
-    /// # Errors
-    /// When it could not be stored; the same call may be repeated.
-    pub async fn judge(&self, judgement: Judgement) -> Result<bool, StoreError> {
-        Ok(self.judge_all(Arc::new([judgement])).await? == [true])
-    }
-
-    /// Stores judgements in their order and in one commit, so all or none; of each, whether it was written.
-    ///
-    /// # Errors
-    /// When they could not be stored; the same call may be repeated.
-    pub async fn judge_all(&self, judgements: Arc<[Judgement]>) -> Result<Vec<bool>, StoreError> {
-        let drop_traces = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
-        self.writer.write(judge::Judge { judgements, drop_traces }).await
-    }
-
-    /// Stores what follows from an operator's command, or from time passing: all or nothing.
-    ///
-    /// # Errors
-    /// When it could not be stored; the same call may be repeated.
-    pub async fn record(&self, machine: &MachineId, at: Timestamp, outcome: Outcome) -> Result<(), StoreError> {
-        self.writer.write(judge::Record { machine: machine.clone(), at_us: at.as_microsecond(), outcome }).await
-    }
-
-    /// Forgets messages that zenoh took.
-    ///
-    /// # Errors
-    /// When it could not be stored; the same call may be repeated.
-    pub async fn outbox_sent(&self, rows: &[i64]) -> Result<(), StoreError> {
-        self.writer.write(quarantine::Sent(rows.to_vec())).await
-    }
-
-    /// Keeps the beginnings of messages that could not be taken, each with its reason, in one commit.
-    ///
-    /// # Errors
-    /// When they could not be stored.
-    pub async fn quarantine(&self, refused: Vec<Refused>) -> Result<(), StoreError> {
-        self.writer.write(quarantine::Quarantine { refused, keep: self.settings.max_quarantined }).await
-    }
-
-    /// Resolves when the writer is gone, after [`close`](Self::close) or because it died, or when the file turned out
-    /// to be broken, be it in a write or in a query. Then the process should end: opening the store again sets a broken
-    /// file aside.
-    pub async fn stopped(&self) {
-        tokio::select! {
-            () = self.writer.stopped() => {}
-            () = self.reader.breaks() => {}
-        }
-    }
-
-    /// Writes what waits, marks a clean stop, and closes the files.
-    ///
-    /// # Errors
-    /// When the mark could not be written, or must not because the file is broken: the next start will check the
-    /// database.
-    pub async fn close(&self) -> Result<(), StoreError> {
-        self.reader.close().await;
-        self.writer.close().await
-    }
-}
-
-/// A throw under the number of another one that is stored: the logger counts wrongly.
-fn contradiction(machine: &MachineId, throw: &Throw, at: Timestamp) -> Refused {
-    let reason = format!(
-        "throw_no {} of boot {:?} was stored before with another content; this one is not kept",
-        throw.id.throw_no, throw.id.boot_id
-    );
-    Refused::throw(machine, throw, reason, at)
-}

@@ -15,10 +15,13 @@ use sqlx::{
     sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous},
 };
 
+use tokio::time::Instant;
+
 use super::{
     disk::Disk,
-    error::{StoreError, is_corrupt, is_full},
+    error::{StoreError, is_corrupt, is_full, is_interrupted},
     place::Place,
+    salvage::{Salvaged, salvage},
     settings::{MIB, Settings, Synchronous},
     statements as sql,
 };
@@ -28,6 +31,10 @@ static MIGRATIONS: Migrator = sqlx::migrate!();
 
 /// The log file is cut to this size when it is started anew \[bytes\].
 const LOG_KEPT: u64 = 16 * MIB;
+/// Longest check of a database that was stopped cleanly: 644 MB take 0.3 s, so this reads about 10 GB.
+const CHECK_LIMIT: Duration = Duration::from_secs(5);
+/// Steps of SQLite's machine between two looks at the clock.
+const CHECK_STEPS: i32 = 10_000;
 /// Longest wait for another program's write lock.
 const BUSY: Duration = Duration::from_secs(5);
 
@@ -40,12 +47,14 @@ pub enum Found {
     Clean,
     /// As a crash or a power cut left it; checked, and sound.
     Unclean,
-    /// Broken: renamed, and a fresh one begun. Somebody should look at it.
+    /// Broken: renamed, and a fresh one begun with what could be read of it. Somebody should look at it.
     SetAside {
         /// Where the broken database is now.
         to: PathBuf,
-        /// What is wrong with it.
+        /// Why it is no throw, or no throw to be stored.
         why: String,
+        /// What of it could be read and is in the fresh one.
+        salvaged: Salvaged,
     },
 }
 
@@ -97,21 +106,36 @@ pub(super) async fn open(
         let to = place.set_log_aside(now)?;
         tracing::error!(to = %to.display(), %why, "the log was set aside; a fresh database begins");
         let (connection, report) = prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
-        return Ok((connection, Report { found: Found::SetAside { to, why }, ..report }));
+        let found = Found::SetAside { to, why, salvaged: Salvaged::default() };
+        return Ok((connection, Report { found, ..report }));
     }
     match prepare(settings, disk, place.is_fresh()).await {
         Err(Trouble::Broken(why)) => {
             let to = place.set_aside(now)?;
             tracing::error!(to = %to.display(), %why, "the database is broken and was set aside; a fresh one begins");
-            let (connection, report) = prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
-            Ok((connection, Report { found: Found::SetAside { to, why }, ..report }))
+            let (mut connection, report) =
+                prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
+            let size = std::fs::metadata(&to).map_or(0, |file| file.len());
+            let with_traces = disk.free_bytes().is_none_or(|free| free > size + size / 4);
+            let salvaged = match salvage(&mut connection, &to, with_traces).await {
+                Ok(salvaged) => salvaged,
+                Err(error) => {
+                    // Rows that were copied so far are sound; the connection may not be.
+                    tracing::error!(%error, "the salvage of the broken database ended early");
+                    connection = prepare(settings, disk, false).await.map_err(|trouble| trouble.told(settings))?.0;
+                    Salvaged::default()
+                }
+            };
+            tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "salvaged from the broken database");
+            Place::describe_set_aside(&to, &salvaged.text())?;
+            Ok((connection, Report { found: Found::SetAside { to, why, salvaged }, ..report }))
         }
         outcome => outcome.map_err(|trouble| trouble.told(settings)),
     }
 }
 
-/// Makes sure that a file, where there is one, is not the database of another program, which must not be written to. What
-/// cannot be read here is looked into when it is opened for writing.
+/// Refuses the database of another program, which must not be written to. A file that cannot be read here is checked when it
+/// is opened for writing.
 ///
 /// # Errors
 /// When it is.
@@ -122,7 +146,7 @@ pub async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     let Ok(mut connection) = SqliteConnection::connect_with(&reading(path)).await else { return Ok(()) };
     let table: sqlx::Result<Option<String>> =
         sqlx::query_scalar(sql::FOREIGN_TABLE).fetch_optional(&mut connection).await;
-    // It was read; how the file is let go changes nothing.
+    // The table was read; a failing close changes nothing.
     let _ = connection.close().await;
     match table {
         Ok(Some(table)) => Err(StoreError::Foreign { path: path.to_owned(), table }),
@@ -192,9 +216,13 @@ async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnect
     let before = applied(&mut connection).await?;
     let found = match (fresh, before.is_empty()) {
         (true, _) | (false, true) => Found::Fresh,
-        (false, false) if stopped_cleanly(&mut connection).await? => Found::Clean,
+        (false, false) if stopped_cleanly(&mut connection).await? => {
+            // A clean stop says nothing about what happened to the file since.
+            check(&mut connection, Some(CHECK_LIMIT)).await?;
+            Found::Clean
+        }
         (false, false) => {
-            check(&mut connection).await?;
+            check(&mut connection, None).await?;
             Found::Unclean
         }
     };
@@ -240,7 +268,21 @@ async fn stopped_cleanly(connection: &mut SqliteConnection) -> sqlx::Result<bool
     Ok(there && sqlx::query_scalar(sql::CLEAN).fetch_optional(connection).await?.unwrap_or(false))
 }
 
-async fn check(connection: &mut SqliteConnection) -> Result<(), Trouble> {
-    let findings: Vec<String> = sqlx::query_scalar("PRAGMA quick_check(5)").fetch_all(connection).await?;
-    if findings == ["ok"] { Ok(()) } else { Err(Trouble::Broken(findings.join("; "))) }
+/// Checks every page, at most for `limit`: SQLite ends the check then, and what it read until then was sound.
+async fn check(connection: &mut SqliteConnection, limit: Option<Duration>) -> Result<(), Trouble> {
+    if let Some(limit) = limit {
+        let end = Instant::now() + limit;
+        connection.lock_handle().await?.set_progress_handler(CHECK_STEPS, move || Instant::now() < end);
+    }
+    let findings = sqlx::query_scalar::<_, String>("PRAGMA quick_check(5)").fetch_all(&mut *connection).await;
+    connection.lock_handle().await?.remove_progress_handler();
+    match findings {
+        Ok(findings) if findings == ["ok"] => Ok(()),
+        Ok(findings) => Err(Trouble::Broken(findings.join("; "))),
+        Err(error) if is_interrupted(&error) => {
+            tracing::info!(?limit, "the database is large: a part of it was checked, and sound");
+            Ok(())
+        }
+        Err(error) => Err(error.into()),
+    }
 }

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use futures_util::TryStreamExt;
 use sqlx::{
-    AssertSqlSafe, Column, Connection, Executor, Row, SqlSafeStr, SqliteConnection, Statement, TypeInfo, ValueRef,
-    sqlite::SqliteRow,
+    AssertSqlSafe, Column, Connection, Either, Executor, Row, SqlSafeStr, SqliteConnection, Statement, TypeInfo,
+    ValueRef,
+    sqlite::{SqliteColumn, SqliteRow},
 };
 
 use super::{disk::beside, error::StoreError, open};
@@ -42,23 +43,31 @@ async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
 }
 
 /// Asks the database at `path`, read-only, and hands every row of the answer to `row`, which ends it with an error.
-/// `columns` gets the names first, rows or not.
+/// `columns` gets the names first, rows or not, and again before the first row of each further statement.
 ///
 /// # Errors
 /// When the database cannot be opened, the question is no SQL or would write; or the error of `columns` or `row`.
 pub async fn ask<E: From<StoreError>>(
     path: &Path,
     question: &str,
-    columns: impl FnOnce(&[String]) -> Result<(), E>,
+    mut columns: impl FnMut(&[String]) -> Result<(), E>,
     mut row: impl FnMut(Vec<Value>) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut connection = connect(path).await?;
     let question = AssertSqlSafe(question.to_owned()).into_sql_str();
     let statement = connection.prepare(question.clone()).await.map_err(StoreError::read)?;
-    let names: Vec<String> = statement.columns().iter().map(|column| column.name().to_owned()).collect();
-    columns(&names)?;
-    let mut rows = sqlx::query(question).fetch(&mut connection);
-    while let Some(found) = rows.try_next().await.map_err(StoreError::read)? {
+    let names = |columns: &[SqliteColumn]| columns.iter().map(|column| column.name().to_owned()).collect::<Vec<_>>();
+    columns(&names(statement.columns()))?;
+    let mut answers = connection.fetch_many(sqlx::raw_sql(question));
+    let mut is_next_statement = false;
+    while let Some(found) = answers.try_next().await.map_err(StoreError::read)? {
+        let Either::Right(found) = found else {
+            is_next_statement = true;
+            continue;
+        };
+        if std::mem::take(&mut is_next_statement) {
+            columns(&names(found.columns()))?;
+        }
         row((0..found.len()).map(|at| value(&found, at)).collect::<sqlx::Result<_>>().map_err(StoreError::read)?)?;
     }
     Ok(())
@@ -78,7 +87,7 @@ fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {
     })
 }
 
-/// How much a copy has to do and has done.
+/// A copy of a database in use, with its progress.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Backup {
     from: PathBuf,

@@ -1,4 +1,4 @@
-//! Where the database is: the configured path, or the file that it leads to.
+//! The place of the database: the configured path, or the file that it leads to.
 //!
 //! A program that keeps reading one old state stops the write-ahead log from being reused, and nothing can take its
 //! lock away. So, at the log's bound, the database moves: a compact copy is written under the next number, and a
@@ -9,7 +9,7 @@
 use std::{
     fs::File,
     io,
-    os::unix::fs::symlink,
+    os::unix::fs::{MetadataExt, symlink},
     path::{Path, PathBuf},
 };
 
@@ -19,13 +19,22 @@ use super::{disk::beside, error::StoreError};
 
 /// The files that SQLite keeps for one database, itself last.
 const SUFFIXES: [&str; 3] = ["-wal", "-shm", ""];
-/// What the name of a database that was set aside goes on with.
+/// Mark in the name of a database that was set aside.
 const BROKEN: &str = "-broken-";
+/// End of the name of the text beside it that says what was saved.
+const SAVED: &str = "-saved.txt";
 
 /// The configured path of the database.
 #[derive(Debug, Clone)]
 pub(super) struct Place {
     path: PathBuf,
+}
+
+/// Device and inode of the database file and of its log; `None` where there is no such file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Identity {
+    pub(super) database: Option<(u64, u64)>,
+    pub(super) log: Option<(u64, u64)>,
 }
 
 impl Place {
@@ -42,12 +51,12 @@ impl Place {
         std::fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone())
     }
 
-    /// The size of one of the database's files \[bytes\]; 0 when it is not there.
+    /// The size of one of the database's files \[bytes\]; 0 without the file.
     fn size(&self, suffix: &str) -> u64 {
         std::fs::metadata(beside(&self.file(), suffix)).map_or(0, |file| file.len())
     }
 
-    /// Nothing is there yet.
+    /// Whether there is no database yet.
     pub(super) fn is_fresh(&self) -> bool {
         self.size("") == 0
     }
@@ -57,7 +66,25 @@ impl Place {
         self.size("-wal")
     }
 
-    /// What a copy takes at most \[bytes\].
+    /// The identity of the database file and of its log, as the configured path leads to them.
+    pub(super) fn identity(&self) -> Identity {
+        let file = self.file();
+        let of = |path: &Path| std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()));
+        Identity { database: of(&file), log: of(&beside(&file, "-wal")) }
+    }
+
+    /// Renames the files that stand where the database was, if there are any: they are not ours.
+    pub(super) fn set_strangers_aside(&self) -> Result<(), StoreError> {
+        let file = self.file();
+        // Two files that are there at once have two inodes, so that none overwrites another.
+        let inode = std::fs::metadata(&file).map_or(0, |file| file.ino());
+        for suffix in SUFFIXES {
+            rename(&beside(&file, suffix), &beside(&self.path, &format!("-replaced-{inode}{suffix}")))?;
+        }
+        if self.path.is_symlink() { remove_one(&self.path) } else { Ok(()) }
+    }
+
+    /// Largest size of a copy \[bytes\].
     pub(super) fn copy_bytes(&self) -> u64 {
         self.size("") + self.size("-wal")
     }
@@ -72,7 +99,7 @@ impl Place {
         (1..=2).find(|&number| std::fs::canonicalize(self.number(number)).is_ok_and(|file| file == name)).unwrap_or(0)
     }
 
-    /// Where the next copy goes, with nothing there: the numbers 1 and 2 take turns.
+    /// The free path of the next copy: the numbers 1 and 2 take turns.
     pub(super) fn next(&self) -> Result<PathBuf, StoreError> {
         let next = self.number(if self.current() == 1 { 2 } else { 1 });
         remove(&next)?;
@@ -108,7 +135,7 @@ impl Place {
         (1..=2).filter(|&number| number != current).try_for_each(|number| remove(&self.number(number)))
     }
 
-    /// A name for what is set aside that is not taken.
+    /// A free name for a file that is set aside.
     fn aside(&self, now: Timestamp) -> PathBuf {
         let stamp = now.strftime("%Y%m%dT%H%M%SZ");
         let mut to = beside(&self.path, &format!("{BROKEN}{stamp}"));
@@ -118,7 +145,7 @@ impl Place {
         to
     }
 
-    /// Renames a log that has no database any more.
+    /// Renames a log whose database is gone.
     pub(super) fn set_log_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
         // Not `-wal`: it would look like the log of a database that was set aside too.
         let to = beside(&self.aside(now), "-log");
@@ -138,12 +165,24 @@ impl Place {
         Ok(to)
     }
 
+    /// Writes beside a database that was set aside what was saved of it, for people and for the alarm.
+    pub(super) fn describe_set_aside(file: &Path, text: &str) -> Result<(), StoreError> {
+        let path = beside(file, SAVED);
+        std::fs::write(&path, text).map_err(|source| StoreError::File { action: "write", path, source })
+    }
+
+    /// What was saved of a database that was set aside.
+    pub(super) fn saved_from(file: &Path) -> Option<String> {
+        std::fs::read_to_string(beside(file, SAVED)).ok()
+    }
+
     /// A database that was set aside and is still there.
     pub(super) fn set_aside_before(&self) -> Option<PathBuf> {
         let mark = beside(&self.path, BROKEN);
         let (folder, mark) = (mark.parent()?, mark.file_name()?.as_encoded_bytes());
-        let is_database =
-            |name: &[u8]| name.starts_with(mark) && !SUFFIXES[..2].iter().any(|s| name.ends_with(s.as_bytes()));
+        let is_database = |name: &[u8]| {
+            name.starts_with(mark) && !["-wal", "-shm", SAVED].iter().any(|s| name.ends_with(s.as_bytes()))
+        };
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         let files = std::fs::read_dir(folder).ok()?.filter_map(Result::ok);
         files.filter(|file| is_database(file.file_name().as_encoded_bytes())).map(|file| file.path()).min()

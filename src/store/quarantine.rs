@@ -1,38 +1,38 @@
-//! Small writes: messages that could not be taken, and messages that were published.
+//! Small writes: messages for quarantine, and messages that were published.
 
 use jiff::Timestamp;
 use sqlx::SqliteConnection;
 
-use super::{spool::count, statements as sql, writer::Write};
+use super::{spool::count, statements as sql, write::Write};
 use crate::{
     throw::{MachineId, Throw},
     wire::{Encoding, Kind, encode_throw, machine_key},
 };
 
-/// Longest beginning of a message that is kept \[bytes\]: enough to recognise its format and sender.
+/// Longest beginning of a message that is stored \[bytes\]: enough to recognise its format and sender.
 pub const QUARANTINED_BYTES: usize = 1024;
-/// Most that are kept of one commit, the newest: a flood is known by a sample of it.
+/// Most messages of one commit that are stored, the newest: a sample shows what a flood is.
 const SAMPLE: usize = 256;
-/// Longest key and reason that are kept \[characters\].
+/// Longest key and reason that are stored \[characters\].
 const TEXT: usize = 512;
 
-/// A message that could not be taken.
+/// A message for quarantine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refused {
-    /// On which key it came.
+    /// Key of the message.
     pub key: String,
-    /// What is wrong with it.
+    /// Why it is no throw, or no throw to be stored.
     pub reason: String,
     /// The size of the whole message \[bytes\].
     pub bytes: usize,
     /// The message or its beginning; what is longer than [`QUARANTINED_BYTES`] is cut off.
     pub beginning: Vec<u8>,
-    /// When it came.
+    /// When it arrived.
     pub at: Timestamp,
 }
 
 impl Refused {
-    /// A throw that can be read and is not kept.
+    /// A throw that can be decoded and is not stored.
     #[must_use]
     pub fn throw(machine: &MachineId, throw: &Throw, reason: String, at: Timestamp) -> Self {
         let beginning = encode_throw(Encoding::Cbor, throw);
@@ -40,7 +40,7 @@ impl Refused {
     }
 }
 
-/// Messages that could not be taken, in the order in which they came.
+/// Messages for quarantine, in the order of arrival.
 pub(super) struct Quarantine {
     pub(super) refused: Vec<Refused>,
     /// Most messages that are kept, the newest.
@@ -68,7 +68,7 @@ impl Write for Quarantine {
     }
 }
 
-/// Messages that zenoh took.
+/// Messages that zenoh accepted.
 pub(super) struct Sent(pub(super) Vec<i64>);
 
 impl Write for Sent {

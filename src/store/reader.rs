@@ -1,4 +1,4 @@
-//! The reading side: short queries on two read-only connections.
+//! The reading side: short queries on read-only connections.
 
 use std::{
     future::Future,
@@ -9,7 +9,7 @@ use std::{
 
 use jiff::Timestamp;
 use sqlx::{
-    Sqlite, SqlitePool,
+    FromRow, Sqlite, SqlitePool,
     query::QueryAs,
     sqlite::{SqliteArguments, SqlitePoolOptions, SqliteRow},
 };
@@ -17,150 +17,23 @@ use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
 
 use super::{
-    codec::{self, Channel, UnreadableTrace},
     error::{StoreError, is_corrupt},
     open,
-    spool::{GapKind, GapRow, ThrowRow},
+    page::{self, Cursor},
+    rows::{Gap, OutboxRow, Quarantined, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp},
     statements as sql,
 };
-use crate::throw::{Direction, MachineId, Name, Throw, ThrowRef, Trace};
+use crate::{
+    throw::MachineId,
+    wire::{Alarm, Health},
+};
 
-/// Connections for the daemon's own reading. They never wait for the writer, nor it for them.
+/// Connections for the daemon's own queries. They never wait for the writer, nor the writer for them.
 const CONNECTIONS: u32 = 2;
-/// Connections for questions from outside, of which no more are answered at once.
+/// Connections for questions from outside; more questions at once wait.
 const QUESTIONS: u32 = 3;
 /// Steps of SQLite's machine between two looks at the clock: some milliseconds.
 const STEPS: i32 = 100_000;
-
-/// Which machines a query is about; `None` means all.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Selector {
-    /// Only this site.
-    pub site: Option<Name>,
-    /// Only machines of this name.
-    pub machine: Option<Name>,
-}
-
-impl Selector {
-    fn site(&self) -> Option<&str> {
-        self.site.as_ref().map(Name::as_str)
-    }
-
-    fn machine(&self) -> Option<&str> {
-        self.machine.as_ref().map(Name::as_str)
-    }
-}
-
-/// A throw as it was spooled.
-#[derive(Debug, Clone, PartialEq)]
-pub struct StoredThrow {
-    /// Its row.
-    pub row: ThrowRow,
-    /// Who made it.
-    pub machine: MachineId,
-    /// Its identity within the machine.
-    pub id: ThrowRef,
-    /// Wall time of its first sample, as the logger said.
-    pub started_at: Timestamp,
-    /// When it arrived.
-    pub received_at: Timestamp,
-    /// The throw; or why its trace cannot be read.
-    pub throw: Result<Throw, UnreadableTrace>,
-}
-
-/// One row of the health history.
-#[derive(Debug, Clone, PartialEq)]
-pub struct HealthRow {
-    /// Which machine.
-    pub machine: MachineId,
-    /// Which throw.
-    pub throw: ThrowRef,
-    /// Wall time of its first sample.
-    pub started_at: Timestamp,
-    /// Its direction, where known.
-    pub direction: Option<Direction>,
-    /// [`GOOD`](crate::wire::GOOD), or the code of why it was not evaluated.
-    pub quality: String,
-    /// The same as a sentence.
-    pub detail: Option<String>,
-    /// b0 \[rad s⁻² A⁻¹\], a1 \[s⁻¹\], a0 \[s⁻²\].
-    pub coefficients: Option<[f64; 3]>,
-    /// Their standard deviations.
-    pub sd: Option<[f64; 3]>,
-    /// Their change from the baseline \[%\].
-    pub change_pct: Option<[f64; 3]>,
-    /// Fit `R²_T` \[%\].
-    pub fit_pct: Option<f64>,
-    /// Duration \[s\].
-    pub duration_s: Option<f64>,
-    /// Peak current \[A\].
-    pub peak_current_a: Option<f64>,
-    /// Mean current \[A\].
-    pub mean_current_a: Option<f64>,
-    /// Throws in this direction's baseline so far, of how many.
-    pub baseline: Option<(u64, u64)>,
-    /// Good throws of this direction since its baseline was complete.
-    pub throws_since_baseline: u64,
-}
-
-/// One alarm event as it was published.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct AlarmRow {
-    /// Which machine.
-    pub machine: MachineId,
-    /// The alarm's identity.
-    pub alarm_id: String,
-    /// The event's number within the alarm.
-    pub event_no: u32,
-    /// The message, JSON.
-    pub payload: String,
-}
-
-/// Throws that are missing, from the first to the last number, both included.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Gap {
-    /// Its row.
-    pub row: GapRow,
-    /// Which machine.
-    pub machine: MachineId,
-    /// Which start of its logger.
-    pub boot_id: String,
-    /// First missing number.
-    pub first_no: u64,
-    /// Last missing number.
-    pub last_no: u64,
-    /// Why.
-    pub kind: GapKind,
-    /// When it was noticed.
-    pub detected_at: Timestamp,
-}
-
-/// A message that waits to be published.
-#[derive(Debug, Clone, PartialEq, Eq, sqlx::FromRow)]
-pub struct OutboxRow {
-    /// Its number, in the order of publication.
-    #[sqlx(rename = "outbox_row")]
-    pub row: i64,
-    /// Where it goes.
-    pub key: String,
-    /// What it says.
-    pub payload: Vec<u8>,
-}
-
-/// A message that could not be taken.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Quarantined {
-    /// When it arrived.
-    pub received_at: Timestamp,
-    /// On which key.
-    pub key: String,
-    /// What is wrong with it.
-    pub reason: String,
-    /// Its whole length \[bytes\].
-    pub payload_bytes: u64,
-    /// Its beginning.
-    pub payload_start: Vec<u8>,
-}
 
 /// Reads the database. Cheap to clone; every query has a time limit, so that none keeps an old state alive.
 #[derive(Debug, Clone)]
@@ -171,7 +44,7 @@ pub struct Reader {
     broken: CancellationToken,
 }
 
-/// Questions from outside have connections of their own: whoever asks much must not hold the pipeline up.
+/// Questions from outside have connections of their own: many of them must not delay the pipeline.
 #[derive(Debug, Clone)]
 struct Pools {
     own: SqlitePool,
@@ -237,27 +110,22 @@ impl Reader {
         self.pools.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    async fn rows<'q, Row, T>(
-        &self,
-        query: QueryAs<'q, Sqlite, Row, SqliteArguments>,
-        read: impl Fn(Row) -> sqlx::Result<T>,
-    ) -> Result<Vec<T>, StoreError>
+    /// The rows of a query of the daemon itself.
+    async fn rows<Row>(&self, query: QueryAs<'_, Sqlite, Row, SqliteArguments>) -> Result<Vec<Row>, StoreError>
     where
-        Row: Send + Unpin + for<'r> sqlx::FromRow<'r, SqliteRow>,
+        Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>,
     {
-        let rows = self.limited(query.fetch_all(&self.pool())).await?;
-        rows.into_iter().map(read).collect::<sqlx::Result<_>>().map_err(StoreError::read)
+        self.limited(query.fetch_all(&self.pool())).await
     }
 
-    /// The rows of a question from outside. SQLite itself ends a query that takes too long: one that nobody waits for any
-    /// more would go on and keep its connection.
-    pub(super) async fn asked<'q, Row, T>(
+    /// The rows of a question from outside. SQLite itself ends a query that takes too long: one whose caller is gone
+    /// would go on and keep its connection.
+    pub(super) async fn asked<Row>(
         &self,
-        query: QueryAs<'q, Sqlite, Row, SqliteArguments>,
-        read: impl Fn(Row) -> sqlx::Result<T>,
-    ) -> Result<Vec<T>, StoreError>
+        query: QueryAs<'_, Sqlite, Row, SqliteArguments>,
+    ) -> Result<Vec<Row>, StoreError>
     where
-        Row: Send + Unpin + for<'r> sqlx::FromRow<'r, SqliteRow>,
+        Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>,
     {
         let answer = async {
             let mut connection = self.pools().questions.acquire().await?;
@@ -265,66 +133,118 @@ impl Reader {
             connection.lock_handle().await?.set_progress_handler(STEPS, move || Instant::now() < end);
             query.fetch_all(&mut *connection).await
         };
-        let rows = self.limited(answer).await?;
-        rows.into_iter().map(read).collect::<sqlx::Result<_>>().map_err(StoreError::read)
+        self.limited(answer).await
     }
 
-    /// The number that a question from outside is answered with.
+    /// A number that answers a question from outside.
     pub(super) async fn asked_figure(&self, query: &'static str) -> Result<u64, StoreError> {
-        let figures = self.asked(sqlx::query_as(query), |(figure,): (i64,)| Ok(figure.cast_unsigned())).await?;
-        figures.into_iter().next().ok_or_else(|| StoreError::read(sqlx::Error::RowNotFound))
+        let figures: Vec<(i64,)> = self.asked(sqlx::query_as(query)).await?;
+        figures.first().map(|(figure,)| figure.cast_unsigned()).ok_or(StoreError::read(sqlx::Error::RowNotFound))
     }
 
-    /// Up to `limit` throws after `after` that wait to be judged, in the order of arrival.
+    /// The alarms of a question, and how many of them this version cannot read: a newer one wrote them.
+    pub(super) async fn asked_alarms(
+        &self,
+        query: QueryAs<'_, Sqlite, (String,), SqliteArguments>,
+    ) -> Result<(Vec<Alarm>, usize), StoreError> {
+        let payloads = self.asked(query).await?;
+        let found = payloads.len();
+        let alarms: Vec<Alarm> = payloads.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect();
+        let unreadable = found - alarms.len();
+        if unreadable > 0 {
+            tracing::warn!(unreadable, "alarms of a newer version are left out");
+        }
+        Ok((alarms, unreadable))
+    }
+
+    /// Up to `limit` throws to be judged next: those of each machine in the order in which they were made, the machines in
+    /// turn, beginning after `after`. While a machine's backlog is open, and for at most `wait` after it last shrank, later
+    /// throws of it are left out.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn to_judge(
+        &self,
+        after: Option<&MachineId>,
+        limit: u32,
+        now: Timestamp,
+        wait: Duration,
+    ) -> Result<Vec<StoredThrow>, StoreError> {
+        let (from_us, to_us) = waiting(now, wait);
+        let turn = |after: Option<&MachineId>| {
+            let (site, machine) = after.map(|id| (id.site.to_string(), id.machine.to_string())).unzip();
+            sqlx::query_as(sql::TO_JUDGE).bind(site).bind(limit).bind(from_us).bind(to_us).bind(machine)
+        };
+        let next = self.rows(turn(after)).await?;
+        if next.is_empty() && after.is_some() {
+            return self.rows(turn(None)).await;
+        }
+        Ok(next)
+    }
+
+    /// Where the backlog of a machine is to be read from.
+    pub(crate) async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
+        let read = async {
+            let mut connection = self.pool().acquire().await?;
+            page::current(&mut connection, machine).await
+        };
+        self.limited(read).await
+    }
+
+    /// Up to `limit` machines of which something is missing that may be in their backlog, the longest waiting first.
+    pub(crate) async fn backlogs(&self, limit: u32) -> Result<Vec<MachineId>, StoreError> {
+        let rows = self.limited(sqlx::query(sql::BACKLOGS).bind(limit).fetch_all(&self.pool())).await?;
+        rows.iter().map(machine_id).collect::<sqlx::Result<_>>().map_err(StoreError::read)
+    }
+
+    /// Throws that are missing and may be in a backlog.
+    pub(crate) async fn awaited(&self) -> Result<u64, StoreError> {
+        let count: i64 = self.limited(sqlx::query_scalar(sql::AWAITED_COUNT).fetch_one(&self.pool())).await?;
+        Ok(count.cast_unsigned())
+    }
+
+    /// Up to `limit` pending throws after `after`, in the order of arrival.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn pending(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
-        self.rows(sqlx::query_as(sql::WAITING).bind(after.0).bind(limit), ThrowColumns::read).await
+        self.rows(sqlx::query_as(sql::PENDING).bind(after.0).bind(limit)).await
     }
 
-    /// Up to `limit` throws after `after`, judged or not, in the order of arrival.
+    /// Up to `limit` throws after `after`, judged or pending, in the order of arrival.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn throws(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
-        self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit), ThrowColumns::read).await
+        self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
-    /// The monitor of every machine that has one, as JSON.
+    /// The monitor of every machine that has one.
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn monitors(&self) -> Result<Vec<(MachineId, String)>, StoreError> {
-        let read = |(site, machine, json): (String, String, String)| Ok((machine_id(&site, &machine)?, json));
-        self.rows(sqlx::query_as(sql::MONITORS), read).await
+    pub async fn monitors(&self) -> Result<Vec<StoredMonitor>, StoreError> {
+        self.rows(sqlx::query_as(sql::MONITORS)).await
     }
 
-    /// Every machine that was ever heard.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
-        let read = |(site, machine): (String, String)| machine_id(&site, &machine);
-        self.rows(sqlx::query_as(sql::MACHINES), read).await
+    /// Every machine that ever sent a throw.
+    pub(crate) async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
+        let rows = self.limited(sqlx::query(sql::MACHINES).fetch_all(&self.pool())).await?;
+        rows.iter().map(machine_id).collect::<sqlx::Result<_>>().map_err(StoreError::read)
     }
 
     /// When the newest throw arrived.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn last_heard(&self) -> Result<Option<Timestamp>, StoreError> {
+    pub(crate) async fn last_heard(&self) -> Result<Option<Timestamp>, StoreError> {
         let at_us = self.limited(sqlx::query_scalar(sql::LAST_HEARD).fetch_optional(&self.pool())).await?;
         Ok(at_us.map(timestamp))
     }
 
-    /// The latest health of each selected machine and direction.
+    /// The latest health of each selected machine and direction, with the state of the machine now.
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn latest_health(&self, which: &Selector) -> Result<Vec<HealthRow>, StoreError> {
-        let query = sqlx::query_as(sql::LATEST_HEALTH).bind(which.site()).bind(which.machine());
-        self.asked(query, HealthColumns::read).await
+    pub async fn latest_health(&self, which: &Selector) -> Result<Vec<Health>, StoreError> {
+        self.asked(sqlx::query_as(sql::LATEST_HEALTH).bind(which.site()).bind(which.machine())).await
     }
 
     /// The newest `limit` rows of the health history that started at `since` or later, oldest first. 1970 and before
@@ -337,14 +257,14 @@ impl Reader {
         which: &Selector,
         since: Timestamp,
         limit: u32,
-    ) -> Result<Vec<HealthRow>, StoreError> {
+    ) -> Result<Vec<Health>, StoreError> {
         let since_us = if since <= Timestamp::UNIX_EPOCH { i64::MIN } else { since.as_microsecond() };
         let query = if since_us == i64::MIN && *which == Selector::default() {
             sqlx::query_as(sql::NEWEST_HEALTH).bind(limit)
         } else {
             sqlx::query_as(sql::HEALTH_SINCE).bind(limit).bind(which.site()).bind(which.machine()).bind(since_us)
         };
-        let mut rows = self.asked(query, HealthColumns::read).await?;
+        let mut rows = self.asked(query).await?;
         rows.reverse();
         Ok(rows)
     }
@@ -353,9 +273,9 @@ impl Reader {
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<AlarmRow>, StoreError> {
+    pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<Alarm>, StoreError> {
         let query = sqlx::query_as(sql::OPEN_ALARMS).bind(which.site()).bind(which.machine());
-        self.asked(query, AlarmColumns::read).await
+        Ok(self.asked_alarms(query).await?.0)
     }
 
     /// The newest `limit` alarm events at `since` or later, oldest first.
@@ -367,11 +287,11 @@ impl Reader {
         which: &Selector,
         since: Timestamp,
         limit: u32,
-    ) -> Result<Vec<AlarmRow>, StoreError> {
+    ) -> Result<Vec<Alarm>, StoreError> {
         let query = sqlx::query_as(sql::ALARM_HISTORY).bind(which.site()).bind(which.machine());
-        let mut rows = self.asked(query.bind(since.as_microsecond()).bind(limit), AlarmColumns::read).await?;
-        rows.reverse();
-        Ok(rows)
+        let (mut alarms, _) = self.asked_alarms(query.bind(since.as_microsecond()).bind(limit)).await?;
+        alarms.reverse();
+        Ok(alarms)
     }
 
     /// Up to `limit` messages to publish after the message `after` (0: from the first), in order.
@@ -379,7 +299,7 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn outbox_pending(&self, after: i64, limit: u32) -> Result<Vec<OutboxRow>, StoreError> {
-        self.rows(sqlx::query_as(sql::MESSAGES).bind(after).bind(limit), Ok).await
+        self.rows(sqlx::query_as(sql::MESSAGES).bind(after).bind(limit)).await
     }
 
     /// Up to `limit` open gaps, oldest first.
@@ -387,16 +307,19 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn open_gaps(&self, limit: u32) -> Result<Vec<Gap>, StoreError> {
-        self.rows(sqlx::query_as(sql::GAPS).bind(limit), GapColumns::read).await
+        self.rows(sqlx::query_as(sql::GAPS).bind(limit)).await
     }
 
-    /// Up to `limit` open gaps that the monitors do not know of, oldest first; without those from before the first
-    /// contact, which nobody missed.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn untold_gaps(&self, limit: u32) -> Result<Vec<Gap>, StoreError> {
-        self.rows(sqlx::query_as(sql::UNTOLD_GAPS).bind(limit), GapColumns::read).await
+    /// Up to `limit` gaps that the monitors do not know of, oldest first: those that no backlog fills any more, and those of
+    /// machines whose backlog was waited for; without those from before the first contact.
+    pub(crate) async fn unreported_gaps(
+        &self,
+        limit: u32,
+        now: Timestamp,
+        wait: Duration,
+    ) -> Result<Vec<Gap>, StoreError> {
+        let (from_us, to_us) = waiting(now, wait);
+        self.rows(sqlx::query_as(sql::UNREPORTED_GAPS).bind(limit).bind(from_us).bind(to_us)).await
     }
 
     /// The newest `limit` messages in quarantine, newest first.
@@ -404,12 +327,15 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn quarantined(&self, limit: u32) -> Result<Vec<Quarantined>, StoreError> {
-        let read = |(at_us, key, reason, bytes, payload_start): (i64, String, String, i64, Vec<u8>)| {
-            let payload_bytes = bytes.cast_unsigned();
-            Ok(Quarantined { received_at: timestamp(at_us), key, reason, payload_bytes, payload_start })
-        };
-        self.rows(sqlx::query_as(sql::QUARANTINE).bind(limit), read).await
+        self.rows(sqlx::query_as(sql::QUARANTINE).bind(limit)).await
     }
+}
+
+/// Backlogs that last shrank between these times are waited for. One that shrank in the future did so before the clock was
+/// set back.
+fn waiting(now: Timestamp, wait: Duration) -> (i64, i64) {
+    let wait_us = i64::try_from(wait.as_micros()).unwrap_or(i64::MAX);
+    (now.as_microsecond().saturating_sub(wait_us).saturating_add(1), now.as_microsecond())
 }
 
 impl Pools {
@@ -418,168 +344,5 @@ impl Pools {
         let questions = options.clone().max_connections(QUESTIONS).connect_lazy_with(open::reading(path));
         let own = options.max_connections(CONNECTIONS).connect_with(open::reading(path)).await?;
         Ok(Self { own, questions })
-    }
-}
-
-fn decode_error(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::Error {
-    sqlx::Error::Decode(Box::new(error))
-}
-
-fn machine_id(site: &str, machine: &str) -> sqlx::Result<MachineId> {
-    MachineId::new(site, machine).map_err(decode_error)
-}
-
-/// The nearest time that there is: one odd row must not hide all others.
-fn timestamp(at_us: i64) -> Timestamp {
-    let nearest = if at_us < 0 { Timestamp::MIN } else { Timestamp::MAX };
-    Timestamp::from_microsecond(at_us).unwrap_or(nearest)
-}
-
-fn three(values: [Option<f64>; 3]) -> Option<[f64; 3]> {
-    let [first, second, third] = values;
-    Some([first?, second?, third?])
-}
-
-#[derive(sqlx::FromRow)]
-pub(super) struct ThrowColumns {
-    throw_row: i64,
-    site: String,
-    machine: String,
-    boot_id: String,
-    throw_no: i64,
-    started_at_us: i64,
-    received_at_us: i64,
-    direction: Option<String>,
-    sample_rate_hz: f64,
-    samples: i64,
-    temperature_c: Option<f64>,
-    supply_v: Option<f64>,
-    anti_alias_hz: Option<f64>,
-    current_codec: Option<String>,
-    current_data: Option<Vec<u8>>,
-    position_codec: Option<String>,
-    position_data: Option<Vec<u8>>,
-    crc32: Option<u32>,
-}
-
-impl ThrowColumns {
-    fn trace(&mut self) -> Result<Trace, UnreadableTrace> {
-        let channel = |codec: &mut Option<String>, data: &mut Option<Vec<u8>>| {
-            Some(Channel { codec: codec.take()?, data: data.take()? })
-        };
-        let current = channel(&mut self.current_codec, &mut self.current_data).ok_or(UnreadableTrace::Dropped)?;
-        let position = channel(&mut self.position_codec, &mut self.position_data).ok_or(UnreadableTrace::Dropped)?;
-        let samples = usize::try_from(self.samples).map_err(|error| UnreadableTrace::Damaged(error.to_string()))?;
-        codec::trace(self.sample_rate_hz, samples, &current, &position, self.crc32.unwrap_or_default())
-    }
-
-    pub(super) fn read(mut self) -> sqlx::Result<StoredThrow> {
-        let machine = machine_id(&self.site, &self.machine)?;
-        let started_at = timestamp(self.started_at_us);
-        let received_at = timestamp(self.received_at_us);
-        let id = ThrowRef { boot_id: std::mem::take(&mut self.boot_id), throw_no: self.throw_no.cast_unsigned() };
-        let throw = self.trace().map(|trace| Throw {
-            id: id.clone(),
-            started_at,
-            direction: self.direction.as_deref().and_then(Direction::from_word),
-            trace,
-            temperature_c: self.temperature_c,
-            supply_v: self.supply_v,
-            anti_alias_hz: self.anti_alias_hz,
-        });
-        Ok(StoredThrow { row: ThrowRow(self.throw_row), machine, id, started_at, received_at, throw })
-    }
-}
-
-#[derive(sqlx::FromRow)]
-pub(super) struct HealthColumns {
-    site: String,
-    machine: String,
-    boot_id: String,
-    throw_no: i64,
-    started_at_us: i64,
-    direction: Option<String>,
-    quality: String,
-    detail: Option<String>,
-    b0: Option<f64>,
-    a1: Option<f64>,
-    a0: Option<f64>,
-    b0_sd: Option<f64>,
-    a1_sd: Option<f64>,
-    a0_sd: Option<f64>,
-    b0_pct: Option<f64>,
-    a1_pct: Option<f64>,
-    a0_pct: Option<f64>,
-    fit_pct: Option<f64>,
-    duration_s: Option<f64>,
-    peak_current_a: Option<f64>,
-    mean_current_a: Option<f64>,
-    baseline_throws: Option<i64>,
-    baseline_needed: Option<i64>,
-    throws_since_baseline: i64,
-}
-
-impl HealthColumns {
-    pub(super) fn read(self) -> sqlx::Result<HealthRow> {
-        let baseline = self.baseline_throws.zip(self.baseline_needed);
-        Ok(HealthRow {
-            machine: machine_id(&self.site, &self.machine)?,
-            throw: ThrowRef { boot_id: self.boot_id, throw_no: self.throw_no.cast_unsigned() },
-            started_at: timestamp(self.started_at_us),
-            direction: self.direction.as_deref().and_then(Direction::from_word),
-            quality: self.quality,
-            detail: self.detail,
-            coefficients: three([self.b0, self.a1, self.a0]),
-            sd: three([self.b0_sd, self.a1_sd, self.a0_sd]),
-            change_pct: three([self.b0_pct, self.a1_pct, self.a0_pct]),
-            fit_pct: self.fit_pct,
-            duration_s: self.duration_s,
-            peak_current_a: self.peak_current_a,
-            mean_current_a: self.mean_current_a,
-            baseline: baseline.map(|(so_far, needed)| (so_far.cast_unsigned(), needed.cast_unsigned())),
-            throws_since_baseline: self.throws_since_baseline.cast_unsigned(),
-        })
-    }
-}
-
-#[derive(sqlx::FromRow)]
-pub(super) struct AlarmColumns {
-    site: String,
-    machine: String,
-    alarm_id: String,
-    event_no: u32,
-    payload: String,
-}
-
-impl AlarmColumns {
-    pub(super) fn read(self) -> sqlx::Result<AlarmRow> {
-        let machine = machine_id(&self.site, &self.machine)?;
-        Ok(AlarmRow { machine, alarm_id: self.alarm_id, event_no: self.event_no, payload: self.payload })
-    }
-}
-
-#[derive(sqlx::FromRow)]
-struct GapColumns {
-    gap_row: i64,
-    site: String,
-    machine: String,
-    boot_id: String,
-    first_no: i64,
-    last_no: i64,
-    kind: String,
-    detected_at_us: i64,
-}
-
-impl GapColumns {
-    fn read(self) -> sqlx::Result<Gap> {
-        Ok(Gap {
-            row: GapRow(self.gap_row),
-            machine: machine_id(&self.site, &self.machine)?,
-            boot_id: self.boot_id,
-            first_no: self.first_no.cast_unsigned(),
-            last_no: self.last_no.cast_unsigned(),
-            kind: GapKind::ALL.into_iter().find(|kind| kind.as_str() == self.kind).unwrap_or(GapKind::Missed),
-            detected_at: timestamp(self.detected_at_us),
-        })
     }
 }

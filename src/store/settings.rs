@@ -1,8 +1,10 @@
-//! What an operator can set about the database.
+//! The `[store]` section of the configuration.
 
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+
+use crate::throw::OutOfRange;
 
 /// One mebibyte \[bytes\].
 pub(super) const MIB: u64 = 1 << 20;
@@ -68,44 +70,22 @@ impl Default for Settings {
     }
 }
 
-/// A setting out of its range.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{key} = {value} is out of range: {low} to {high} {unit}")]
-pub struct OutOfRange {
-    /// The key in the section.
-    pub key: &'static str,
-    /// Its value.
-    pub value: u64,
-    /// Lowest value allowed.
-    pub low: u64,
-    /// Highest value allowed.
-    pub high: u64,
-    /// Its unit.
-    pub unit: &'static str,
-}
-
 impl Settings {
     /// Checks every range.
     ///
     /// # Errors
     /// The first setting that is out of range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
-        let ranges: [(&'static str, u64, u64, u64, &'static str); 9] = [
-            ("max_size_mib", self.max_size_mib, 16, 1 << 20, "MiB"),
-            ("max_traces", self.max_traces, 100, 100_000_000, "traces"),
-            ("max_throws", self.max_throws, 100, 1_000_000_000, "throws"),
-            ("max_alarms", self.max_alarms, 100, 10_000_000, "alarms"),
-            ("trace_days", u64::from(self.trace_days), 1, 36_500, "days"),
-            ("low_disk_mib", self.low_disk_mib, 0, 1 << 20, "MiB"),
-            ("ballast_mib", self.ballast_mib, 0, 1024, "MiB"),
-            ("max_wal_mib", self.max_wal_mib, 32, 65_536, "MiB"),
-            ("max_quarantined", u64::from(self.max_quarantined), 0, 100_000, "messages"),
-        ];
-        for (key, value, low, high, unit) in ranges {
-            if !(low..=high).contains(&value) {
-                return Err(OutOfRange { key, value, low, high, unit });
-            }
-        }
-        Ok(())
+        OutOfRange::check([
+            ("max_size_mib", self.max_size_mib as f64, 16.0, f64::from(1 << 20), "MiB"),
+            ("max_traces", self.max_traces as f64, 100.0, 1e8, "traces"),
+            ("max_throws", self.max_throws as f64, 100.0, 1e9, "throws"),
+            ("max_alarms", self.max_alarms as f64, 100.0, 1e7, "alarms"),
+            ("trace_days", f64::from(self.trace_days), 1.0, 36_500.0, "days"),
+            ("low_disk_mib", self.low_disk_mib as f64, 0.0, f64::from(1 << 20), "MiB"),
+            ("ballast_mib", self.ballast_mib as f64, 0.0, 1024.0, "MiB"),
+            ("max_wal_mib", self.max_wal_mib as f64, 32.0, 65_536.0, "MiB"),
+            ("max_quarantined", f64::from(self.max_quarantined), 0.0, 100_000.0, "messages"),
+        ])
     }
 }

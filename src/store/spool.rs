@@ -6,58 +6,21 @@ use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
     codec::{self, Channel},
+    cursor::{self, Boot, Place},
     error::StoreError,
+    rows::{GapKind, RENUMBERED, ThrowRow},
     statements as sql,
-    writer::Write,
+    write::Write,
 };
 use crate::throw::{Direction, MachineId, Throw, ThrowRef};
 
-/// The row of a stored throw. Rows are numbered in the order of arrival and never used again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct ThrowRow(pub i64);
-
-impl ThrowRow {
-    /// Before the first row: where reading starts.
-    pub const START: Self = Self(0);
-}
-
-/// The row of a gap.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct GapRow(pub(super) i64);
-
-/// What became of a throw that was handed over.
+/// The result of storing a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Spooled {
     /// It is on the disk, under this row.
     New(ThrowRow),
     /// Its number was stored before (and perhaps pruned since).
-    Duplicate {
-        /// Another throw was stored under this number: the logger counts wrongly. Counted and quarantined.
-        differs: bool,
-    },
-}
-
-/// Why throws are missing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum GapKind {
-    /// The logger made them and they never came.
-    Missed,
-    /// The logger made them before this daemon first heard of the machine.
-    BeforeFirstContact,
-}
-
-impl GapKind {
-    /// All kinds.
-    pub const ALL: [Self; 2] = [Self::Missed, Self::BeforeFirstContact];
-
-    /// The word in the view `data_gaps`.
-    #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Missed => "missed",
-            Self::BeforeFirstContact => "before_first_contact",
-        }
-    }
+    Duplicate,
 }
 
 /// A throw ready to be written.
@@ -77,6 +40,8 @@ pub(super) struct Spool {
     current: Channel,
     position: Channel,
     trace_crc32: u32,
+    /// Tells traces apart.
+    trace_hash: i64,
     /// Its share of the room for waiting throws; given back when it is answered.
     pub(super) room: Option<OwnedSemaphorePermit>,
 }
@@ -106,6 +71,7 @@ impl Spool {
             current: codec::encode(throw.trace.current_a()),
             position: codec::encode(throw.trace.position_mm()),
             trace_crc32,
+            trace_hash: trace_hash(throw),
             room: None,
         })
     }
@@ -114,12 +80,13 @@ impl Spool {
         &self,
         connection: &mut SqliteConnection,
         machine_row: i64,
-        boot_row: i64,
+        boot: Boot,
+        throw_no: i64,
     ) -> sqlx::Result<ThrowRow> {
         let row: i64 = sqlx::query_scalar(sql::ADD_THROW)
             .bind(machine_row)
-            .bind(boot_row)
-            .bind(self.throw_no)
+            .bind(boot.boot_row)
+            .bind(throw_no)
             .bind(self.started_at_us)
             .bind(self.received_at_us)
             .bind(self.direction.map(Direction::as_str))
@@ -129,6 +96,8 @@ impl Spool {
             .bind(self.supply_v)
             .bind(self.anti_alias_hz)
             .bind(self.content_crc32)
+            .bind(boot.position)
+            .bind(self.trace_hash)
             .fetch_one(&mut *connection)
             .await?;
         sqlx::query(sql::ADD_TRACE)
@@ -143,22 +112,50 @@ impl Spool {
         Ok(ThrowRow(row))
     }
 
-    /// The throw's number is stored already. After an unknown commit that may be our own doing.
-    async fn already_there(
+    /// The number of the throw is taken: by the same throw, or by another one when the logger counts again from the start
+    /// under the same `boot_id`. Then the throw is kept under the next number of a boot of its own.
+    async fn store_again(
         &self,
         connection: &mut SqliteConnection,
-        stored: Stored,
+        machine_row: i64,
+        taken: Stored,
+        boot: Boot,
         repeated: bool,
     ) -> sqlx::Result<Spooled> {
-        let same = stored.content_crc32 == self.content_crc32;
-        if same && repeated && stored.received_at_us == self.received_at_us {
-            return Ok(Spooled::New(ThrowRow(stored.throw_row)));
+        if taken.content_crc32 == self.content_crc32 {
+            // After an unknown commit the stored throw may be this one.
+            let is_own = repeated && taken.received_at_us == self.received_at_us;
+            return Ok(if is_own { Spooled::New(ThrowRow(taken.throw_row)) } else { Spooled::Duplicate });
         }
-        if !same {
-            count(connection, "contradicted_throws", 1).await?;
+        let boot_id = format!("{}{RENUMBERED}", self.id.boot_id);
+        let again = if let Some(again) = self::boot(connection, machine_row, &boot_id).await? {
+            again
+        } else {
+            // Before the boot itself, which stays the one that the logger is asked for.
+            let new = (boot_id.as_str(), boot.position.saturating_sub(SPACING / 2), 0, false);
+            add_boot(connection, machine_row, new, self.received_at_us).await?
+        };
+        let same = sqlx::query_scalar(sql::SAME_CONTENT)
+            .bind(machine_row)
+            .bind(self.trace_hash)
+            .bind(self.content_crc32)
+            .bind(again.boot_row);
+        if same.fetch_optional(&mut *connection).await?.is_some_and(|_: i64| true) {
+            return Ok(Spooled::Duplicate);
         }
-        Ok(Spooled::Duplicate { differs: !same })
+        count(connection, "contradicted_throws", 1).await?;
+        let throw_no = again.highest_no + 1;
+        set_highest(connection, again.boot_row, throw_no).await?;
+        // It was made after the throws of the boot so far: it is judged after them.
+        let judged_as = Boot { position: boot.position.saturating_add(SPACING / 2), ..again };
+        self.insert(connection, machine_row, judged_as, throw_no).await.map(Spooled::New)
     }
+}
+
+/// CRC-32 of the current above that of the position.
+fn trace_hash(throw: &Throw) -> i64 {
+    let checksum = |channel: &[f64]| i64::from(codec::checksum(channel, &[]));
+    (checksum(throw.trace.current_a()) << 32) | checksum(throw.trace.position_mm())
 }
 
 /// CRC-32 over all that the logger said of the throw.
@@ -181,41 +178,88 @@ struct Stored {
     received_at_us: i64,
 }
 
-#[derive(sqlx::FromRow)]
-struct KnownBoot {
-    boot_row: i64,
-    highest_no: i64,
-    pruned_to_no: i64,
-}
-
 impl Write for Spool {
     type Output = Spooled;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Spooled> {
+        let (spooled, boot) = self.store(connection, repeated, Follows::All).await?;
+        cursor::advance(connection, boot.machine_row, self.received_at_us).await?;
+        Ok(spooled)
+    }
+}
+
+/// The place of a start of a logger that is received for the first time.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Follows {
+    /// Live throws are of the newest start.
+    All,
+    /// In a backlog the start at this position comes right before it.
+    Boot(i64),
+}
+
+/// Where a throw was stored.
+pub(super) struct StoredAt {
+    pub(super) machine_row: i64,
+    pub(super) boot_row: i64,
+    pub(super) position: i64,
+}
+
+impl Spool {
+    pub(super) fn throw_no(&self) -> i64 {
+        self.throw_no
+    }
+
+    /// Stores the throw, and records what is missing before it.
+    pub(super) async fn store(
+        &self,
+        connection: &mut SqliteConnection,
+        repeated: bool,
+        follows: Follows,
+    ) -> sqlx::Result<(Spooled, StoredAt)> {
         let (machine_row, known) = machine_row(connection, &self.machine).await?;
-        let Some(boot) = boot(connection, machine_row, &self.id.boot_id).await? else {
-            let boot = NewBoot { machine_row, known, boot_id: &self.id.boot_id, at_us: self.received_at_us };
-            let boot_row = boot.begin(connection, self.throw_no).await?;
-            return self.insert(connection, machine_row, boot_row).await.map(Spooled::New);
+        let known_boot = boot(connection, machine_row, &self.id.boot_id).await?;
+        let (spooled, boot) = if let Some(boot) = known_boot {
+            (self.store_in(connection, machine_row, boot, repeated).await?, boot)
+        } else {
+            let new = NewBoot { machine_row, known, boot_id: &self.id.boot_id, at_us: self.received_at_us, follows };
+            let boot = new.begin(connection, self.throw_no).await?;
+            (Spooled::New(self.insert(connection, machine_row, boot, self.throw_no).await?), boot)
         };
+        if self.throw_no == 0 {
+            sqlx::query(sql::SET_COUNTS_FROM_ZERO).bind(machine_row).execute(connection).await?;
+        }
+        Ok((spooled, StoredAt { machine_row, boot_row: boot.boot_row, position: boot.position }))
+    }
+
+    async fn store_in(
+        &self,
+        connection: &mut SqliteConnection,
+        machine_row: i64,
+        boot: Boot,
+        repeated: bool,
+    ) -> sqlx::Result<Spooled> {
         let stored: Option<Stored> = sqlx::query_as(sql::STORED)
             .bind(boot.boot_row)
             .bind(self.throw_no)
             .fetch_optional(&mut *connection)
             .await?;
         if let Some(stored) = stored {
-            return self.already_there(connection, stored, repeated).await;
+            return self.store_again(connection, machine_row, stored, boot, repeated).await;
         }
         if self.throw_no > boot.highest_no {
             let missing = (boot.highest_no + 1, self.throw_no - 1);
-            add_gap(connection, boot.boot_row, missing, GapKind::Missed, self.received_at_us).await?;
+            if add_gap(connection, boot.boot_row, missing, GapKind::Missed, self.received_at_us).await? {
+                let Boot { boot_row, position, highest_no, .. } = boot;
+                let after = Place { boot_row: Some(boot_row), position, throw_no: highest_no };
+                cursor::open(connection, machine_row, after, self.received_at_us).await?;
+            }
             set_highest(connection, boot.boot_row, self.throw_no).await?;
         } else if !fill_gap(connection, boot.boot_row, self.throw_no, self.received_at_us).await?
             && self.throw_no <= boot.pruned_to_no
         {
-            return Ok(Spooled::Duplicate { differs: false });
+            return Ok(Spooled::Duplicate);
         }
-        self.insert(connection, machine_row, boot.boot_row).await.map(Spooled::New)
+        self.insert(connection, machine_row, boot, self.throw_no).await.map(Spooled::New)
     }
 }
 
@@ -236,61 +280,114 @@ pub(super) async fn count(connection: &mut SqliteConnection, name: &str, more: i
     sqlx::query(sql::COUNT).bind(name).bind(more).execute(connection).await.map(drop)
 }
 
-async fn boot(connection: &mut SqliteConnection, machine_row: i64, boot_id: &str) -> sqlx::Result<Option<KnownBoot>> {
+pub(super) async fn boot(
+    connection: &mut SqliteConnection,
+    machine_row: i64,
+    boot_id: &str,
+) -> sqlx::Result<Option<Boot>> {
     sqlx::query_as(sql::BOOT).bind(machine_row).bind(boot_id).fetch_optional(connection).await
 }
 
-/// A start of a logger that is heard for the first time.
+/// From one start of a logger to the next as they are received live: as many starts that only the backlog shows have room
+/// between them.
+const SPACING: i64 = 1 << 20;
+
+/// A start of a logger that is received for the first time.
 struct NewBoot<'a> {
     machine_row: i64,
     known: bool,
     boot_id: &'a str,
     at_us: i64,
+    follows: Follows,
 }
 
 impl NewBoot<'_> {
-    /// Adds it, with a gap for the throws before the first one heard. Numbers start at 1, unless this logger is
+    /// Adds the start, with a gap for the throws before the first received one. Numbers start at 1, unless this logger is
     /// known to start at 0.
-    async fn begin(&self, connection: &mut SqliteConnection, heard_no: i64) -> sqlx::Result<i64> {
-        let boot_row = sqlx::query_scalar(sql::ADD_BOOT)
+    async fn begin(&self, connection: &mut SqliteConnection, first_no: i64) -> sqlx::Result<Boot> {
+        let (position, is_last) = self.position(connection).await?;
+        let before: Option<Boot> = sqlx::query_as(sql::BOOT_BEFORE)
             .bind(self.machine_row)
-            .bind(self.boot_id)
-            .bind(self.at_us)
-            .bind(heard_no)
-            .fetch_one(&mut *connection)
+            .bind(position)
+            .fetch_optional(&mut *connection)
             .await?;
+        let new = (self.boot_id, position, first_no, !is_last);
+        let boot = add_boot(connection, self.machine_row, new, self.at_us).await?;
         let from_zero: bool =
             sqlx::query_scalar(sql::COUNTS_FROM_ZERO).bind(self.machine_row).fetch_one(&mut *connection).await?;
-        let kind = if self.known { GapKind::Missed } else { GapKind::BeforeFirstContact };
-        add_gap(connection, boot_row, (i64::from(!from_zero), heard_no - 1), kind, self.at_us).await?;
-        Ok(boot_row)
+        let kind = if self.known && before.is_some() { GapKind::Missed } else { GapKind::BeforeFirstContact };
+        let begins_later =
+            add_gap(connection, boot.boot_row, (i64::from(!from_zero), first_no - 1), kind, self.at_us).await?;
+        if let Some(Boot { boot_row, position, highest_no, .. }) = before {
+            // The backlog may have more of the start before, and starts in between.
+            sqlx::query(sql::OPEN_TAIL).bind(boot_row).execute(&mut *connection).await?;
+            let after = Place { boot_row: Some(boot_row), position, throw_no: highest_no };
+            cursor::open(connection, self.machine_row, after, self.at_us).await?;
+        } else if begins_later || !is_last {
+            cursor::open(connection, self.machine_row, Place::BEGINNING, self.at_us).await?;
+        }
+        Ok(boot)
     }
+
+    /// Its position, and whether it is the last.
+    async fn position(&self, connection: &mut SqliteConnection) -> sqlx::Result<(i64, bool)> {
+        if let Follows::Boot(position) = self.follows
+            && let Some(next) = cursor::next_boot(connection, self.machine_row, position).await?
+        {
+            let place = if position == i64::MIN { next.position.saturating_sub(SPACING) } else { position + 1 };
+            if place < next.position {
+                return Ok((place, false));
+            }
+        }
+        let last: Option<Boot> =
+            sqlx::query_as(sql::LAST_BOOT).bind(self.machine_row).fetch_optional(connection).await?;
+        Ok((last.map_or(0, |last| last.position).saturating_add(SPACING), true))
+    }
+}
+
+/// Adds a start of a logger: its `boot_id`, position, highest number, and whether later throws of it may be in the backlog.
+async fn add_boot(
+    connection: &mut SqliteConnection,
+    machine_row: i64,
+    (boot_id, position, highest_no, tail_open): (&str, i64, i64, bool),
+    at_us: i64,
+) -> sqlx::Result<Boot> {
+    let boot_row = sqlx::query_scalar(sql::ADD_BOOT)
+        .bind(machine_row)
+        .bind(boot_id)
+        .bind(at_us)
+        .bind(highest_no)
+        .bind(position)
+        .bind(tail_open)
+        .fetch_one(connection)
+        .await?;
+    Ok(Boot { boot_row, position, highest_no, pruned_to_no: -1, tail_open })
 }
 
 async fn set_highest(connection: &mut SqliteConnection, boot_row: i64, throw_no: i64) -> sqlx::Result<()> {
     sqlx::query(sql::SET_HIGHEST).bind(boot_row).bind(throw_no).execute(connection).await.map(drop)
 }
 
-/// Adds the gap from the first to the last number, both included; nothing when that is empty.
+/// Adds the gap from the first to the last number, both included. False when that is empty.
 async fn add_gap(
     connection: &mut SqliteConnection,
     boot_row: i64,
     (first_no, last_no): (i64, i64),
     kind: GapKind,
     at_us: i64,
-) -> sqlx::Result<()> {
+) -> sqlx::Result<bool> {
     if first_no > last_no {
-        return Ok(());
+        return Ok(false);
     }
-    let gap = sqlx::query(sql::ADD_GAP).bind(boot_row).bind(first_no).bind(last_no).bind(kind.as_str()).bind(at_us);
-    gap.execute(connection).await.map(drop)
+    let gap = sqlx::query(sql::ADD_GAP).bind(boot_row).bind(first_no).bind(last_no).bind(kind.as_ref()).bind(at_us);
+    gap.execute(connection).await.map(|_| true)
 }
 
 /// Takes a late throw out of its gap: from an end, or by splitting it. Returns whether there was one.
 async fn fill_gap(connection: &mut SqliteConnection, boot_row: i64, throw_no: i64, at_us: i64) -> sqlx::Result<bool> {
     let gap: Option<(i64, i64, i64)> =
         sqlx::query_as(sql::GAP_AT).bind(boot_row).bind(throw_no).fetch_optional(&mut *connection).await?;
-    let Some((gap_row, first_no, last_no)) = gap else { return Ok(false) };
+    let Some((gap_row, first_no, last_no)) = gap.filter(|(.., last_no)| throw_no <= *last_no) else { return Ok(false) };
     if first_no == last_no {
         sqlx::query(sql::FILL_GAP).bind(gap_row).bind(at_us).execute(connection).await?;
         return Ok(true);

@@ -1,11 +1,89 @@
 //! Every statement that the store runs, so that one test can prepare them all against the real schema.
 
 macro_rules! statements {
-    ($($name:ident = $sql:literal;)*) => {
+    ($($name:ident = $sql:expr;)*) => {
         $(pub(super) const $name: &str = $sql;)*
 
         /// All statements, with their names.
         pub const ALL: &[(&str, &str)] = &[$((stringify!($name), $sql)),*];
+    };
+}
+
+/// Throws with their traces, for [`StoredThrow`](super::rows::StoredThrow).
+macro_rules! throw_rows {
+    () => {
+        "throw_row, site, machine, boot_id, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, samples, \
+         temperature_c, supply_v, anti_alias_hz, current_codec, current_data, position_codec, position_data, crc32, \
+         repeats_row IS NOT NULL AS repeats FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+         LEFT JOIN trace USING (throw_row)"
+    };
+}
+
+/// The columns of [`Health`](crate::wire::Health); direction and state depend on the query.
+macro_rules! health {
+    ($direction:literal, $state:literal, $drift:literal) => {
+        concat!(
+            "site, machine, boot_id, throw_no, started_at_us, ",
+            $direction,
+            " AS direction, ",
+            $state,
+            " AS state, ",
+            $drift,
+            " AS drift, quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, \
+             a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, duration_s, \
+             peak_current_a, mean_current_a, baseline_throws, baseline_needed, throws_since_baseline "
+        )
+    };
+}
+
+macro_rules! estimates {
+    () => {
+        "FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) \
+         JOIN machine ON machine.machine_row = throw.machine_row"
+    };
+}
+
+/// Health of throws, each as it was after the throw.
+macro_rules! history {
+    () => {
+        concat!(
+            health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift"),
+            estimates!()
+        )
+    };
+}
+
+/// Starts of loggers, for [`Boot`](super::cursor::Boot).
+macro_rules! boots {
+    () => {
+        "boot_row, position, highest_no, pruned_to_no, tail_open FROM boot"
+    };
+}
+
+/// What holds of a gap that may still be filled from a backlog.
+macro_rules! awaited {
+    () => {
+        "filled_at_us IS NULL AND written_off_at_us IS NULL"
+    };
+}
+
+macro_rules! ways {
+    () => {
+        "(SELECT 'normal_to_reverse' AS direction UNION ALL SELECT 'reverse_to_normal' UNION ALL SELECT NULL) AS way"
+    };
+}
+
+/// The machine of the first two parameters.
+macro_rules! one_machine {
+    () => {
+        "(SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2)"
+    };
+}
+
+/// The machine that takes the most of the database: it loses its own history first.
+macro_rules! largest_machine {
+    () => {
+        "(SELECT machine_row FROM machine ORDER BY stored_bytes DESC, machine_row LIMIT 1)"
     };
 }
 
@@ -21,69 +99,108 @@ statements! {
     // Spooling.
     MACHINE = "SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2";
     ADD_MACHINE = "INSERT INTO machine (site, machine) VALUES (?1, ?2) RETURNING machine_row";
-    BOOT = "SELECT boot_row, highest_no, pruned_to_no FROM boot WHERE machine_row = ?1 AND boot_id = ?2";
-    ADD_BOOT = "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no) VALUES (?1, ?2, ?3, ?4) RETURNING boot_row";
-    COUNTS_FROM_ZERO = "SELECT EXISTS (SELECT 1 FROM boot JOIN throw USING (boot_row) WHERE boot.machine_row = ?1 AND throw_no = 0)";
+    BOOT = concat!("SELECT ", boots!(), " WHERE machine_row = ?1 AND boot_id = ?2");
+    BOOT_OF_ROW = concat!("SELECT ", boots!(), " WHERE boot_row = ?1");
+    LAST_BOOT = concat!("SELECT ", boots!(), " WHERE machine_row = ?1 ORDER BY position DESC LIMIT 1");
+    NEXT_BOOT = concat!("SELECT ", boots!(), " WHERE machine_row = ?1 AND position > ?2 ORDER BY position LIMIT 1");
+    BOOT_BEFORE = concat!("SELECT ", boots!(), " WHERE machine_row = ?1 AND position < ?2 ORDER BY position DESC LIMIT 1");
+    BOOT_ID = "SELECT boot_id FROM boot WHERE boot_row = ?1";
+    ADD_BOOT = "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no, position, tail_open) \
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING boot_row";
+    OPEN_TAIL = "UPDATE boot SET tail_open = 1 WHERE boot_row = ?1";
+    COUNTS_FROM_ZERO = "SELECT counts_from_zero FROM machine WHERE machine_row = ?1";
+    SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
     SET_HIGHEST = "UPDATE boot SET highest_no = ?2 WHERE boot_row = ?1 AND highest_no < ?2";
     STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
     ADD_THROW = "INSERT INTO throw (machine_row, boot_row, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, \
-        samples, temperature_c, supply_v, anti_alias_hz, content_crc32) \
-        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12) RETURNING throw_row";
+        samples, temperature_c, supply_v, anti_alias_hz, content_crc32, boot_position, trace_hash, repeats_row) \
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, (SELECT throw_row FROM throw INDEXED BY throw_by_trace \
+        WHERE machine_row = ?1 AND trace_hash = ?14 LIMIT 1)) RETURNING throw_row";
+    SAME_CONTENT = "SELECT throw_row FROM throw INDEXED BY throw_by_trace \
+        WHERE machine_row = ?1 AND trace_hash = ?2 AND content_crc32 = ?3 AND boot_row = ?4 LIMIT 1";
     ADD_TRACE = "INSERT INTO trace (throw_row, current_codec, current_data, position_codec, position_data, crc32) \
         VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
 
     // Gaps.
     GAP_AT = "SELECT gap_row, first_no, last_no FROM gap \
-        WHERE boot_row = ?1 AND first_no <= ?2 AND last_no >= ?2 AND filled_at_us IS NULL";
+        WHERE boot_row = ?1 AND first_no <= ?2 AND filled_at_us IS NULL ORDER BY first_no DESC LIMIT 1";
     ADD_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us) VALUES (?1, ?2, ?3, ?4, ?5)";
-    SPLIT_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us, told_at_us) \
-        SELECT boot_row, ?2, last_no, kind, detected_at_us, told_at_us FROM gap WHERE gap_row = ?1";
+    SPLIT_GAP = "INSERT INTO gap (boot_row, first_no, last_no, kind, detected_at_us, told_at_us, written_off_at_us) \
+        SELECT boot_row, ?2, last_no, kind, detected_at_us, told_at_us, written_off_at_us FROM gap WHERE gap_row = ?1";
     SHRINK_GAP = "UPDATE gap SET first_no = ?2, last_no = ?3, recovered = recovered + 1 WHERE gap_row = ?1";
     FILL_GAP = "UPDATE gap SET filled_at_us = ?2, recovered = recovered + 1 WHERE gap_row = ?1";
 
+    // The backlog.
+    OPEN_BACKLOG = "INSERT INTO backlog (machine_row, cursor_boot_row, cursor_position, cursor_no, since_us) \
+        VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT DO NOTHING";
+    BACKLOG = "SELECT cursor_boot_row, cursor_position, cursor_no FROM backlog WHERE machine_row = ?1";
+    MOVE_CURSOR = "UPDATE backlog SET cursor_boot_row = ?2, cursor_position = ?3, cursor_no = ?4, since_us = ?5 WHERE machine_row = ?1";
+    CLOSE_BACKLOG = "DELETE FROM backlog WHERE machine_row = ?1";
+    FIRST_AWAITED = concat!("SELECT first_no, last_no FROM gap WHERE boot_row = ?1 AND ", awaited!(), " ORDER BY first_no LIMIT 1");
+    WRITE_OFF_BEFORE = concat!("UPDATE gap SET written_off_at_us = ?3 WHERE boot_row = ?1 AND first_no < ?2 AND ", awaited!());
+    WRITE_OFF_BOOTS = concat!("UPDATE gap SET written_off_at_us = ?4 WHERE ", awaited!(), " \
+        AND boot_row IN (SELECT boot_row FROM boot WHERE machine_row = ?1 AND position >= ?2 AND position < ?3)");
+    CLOSE_TAILS = "UPDATE boot SET tail_open = 0 WHERE machine_row = ?1 AND tail_open = 1 AND position >= ?2 AND position < ?3";
+    NEWEST_SAMPLES = "SELECT samples FROM throw WHERE boot_row = ?1 ORDER BY throw_no DESC LIMIT 1";
+    MACHINE_BACKLOG = "SELECT machine_row, backlog_read FROM machine WHERE site = ?1 AND machine = ?2";
+    SET_BACKLOG_READ = "UPDATE machine SET backlog_read = 1 WHERE machine_row = ?1 AND backlog_read = 0";
+    BACKLOGS = "SELECT site, machine FROM backlog JOIN machine USING (machine_row) ORDER BY since_us LIMIT ?1";
+    AWAITED_COUNT = concat!("SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE ", awaited!());
+
     // Judging.
-    WAITING = "SELECT throw_row, site, machine, boot_id, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, \
-        samples, temperature_c, supply_v, anti_alias_hz, current_codec, current_data, position_codec, position_data, crc32 \
-        FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        LEFT JOIN trace USING (throw_row) \
-        WHERE judged_at_us IS NULL AND throw_row > ?1 ORDER BY throw_row LIMIT ?2";
-    THROWS = "SELECT throw_row, site, machine, boot_id, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, \
-        samples, temperature_c, supply_v, anti_alias_hz, current_codec, current_data, position_codec, position_data, crc32 \
-        FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        LEFT JOIN trace USING (throw_row) \
-        WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2";
+    // Machines with pending throws, after one and in turn; of each the first throws that wait for nothing, so that
+    // neither a long queue nor an open backlog of one machine holds up another.
+    TO_JUDGE = concat!("WITH RECURSIVE waiting (machine_row) AS (\
+        SELECT min(machine_row) FROM throw INDEXED BY throw_pending WHERE judged_at_us IS NULL \
+        AND machine_row > coalesce((SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?5), 0) \
+        UNION ALL SELECT (SELECT min(throw.machine_row) FROM throw INDEXED BY throw_pending \
+        WHERE judged_at_us IS NULL AND throw.machine_row > waiting.machine_row) \
+        FROM waiting WHERE waiting.machine_row IS NOT NULL), \
+        bound (machine_row, position, no) AS (SELECT waiting.machine_row, \
+        CASE WHEN since_us BETWEEN ?3 AND ?4 THEN cursor_position ELSE 9223372036854775807 END, coalesce(cursor_no, 0) \
+        FROM waiting LEFT JOIN backlog USING (machine_row) WHERE waiting.machine_row IS NOT NULL), \
+        ready AS (SELECT machine_row, position, no FROM bound WHERE EXISTS (SELECT 1 FROM throw AS own INDEXED BY throw_pending \
+        WHERE own.machine_row = bound.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no)) LIMIT ?2), \
+        chosen AS (SELECT own.throw_row, own.machine_row, \
+        row_number() OVER (PARTITION BY own.machine_row ORDER BY own.boot_position, own.throw_no) AS turn \
+        FROM ready JOIN throw AS own ON own.throw_row IN (SELECT throw_row FROM throw AS next INDEXED BY throw_pending \
+        WHERE next.machine_row = ready.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no) \
+        ORDER BY boot_position, throw_no LIMIT ?2)) \
+        SELECT ", throw_rows!(), " WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2) \
+        ORDER BY throw.machine_row, boot_position, throw_no");
+    PENDING = concat!("SELECT ", throw_rows!(), " \
+        WHERE judged_at_us IS NULL AND throw_row > ?1 ORDER BY throw_row LIMIT ?2");
+    THROWS = concat!("SELECT ", throw_rows!(), " \
+        WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     JUDGED = "UPDATE throw SET judged_at_us = ?2 WHERE throw_row = ?1 AND judged_at_us IS NULL RETURNING machine_row";
     JUDGED_AT = "SELECT judged_at_us FROM throw WHERE throw_row = ?1";
-    SINCE_BASELINE = "SELECT throws_since_baseline FROM estimate \
-        WHERE machine_row = ?1 AND direction = ?2 AND throw_row < ?3 ORDER BY throw_row DESC LIMIT 1";
     ADD_ESTIMATE = "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
-        b0_sd, a1_sd, a0_sd, b0_a1_cov, b0_a0_cov, a1_a0_cov, b0_pct, a1_pct, a0_pct, fit_pct, iterations, start_s, end_s, \
-        duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, baseline_throws, \
-        baseline_needed, throws_since_baseline) \
-        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21, ?22, ?23, ?24, \
-        ?25, ?26, ?27, ?28, ?29, ?30, ?31)";
-    ADD_BASELINE = "INSERT INTO baseline (machine_row, direction, taken_at_us, throws, b0, a1, a0, details, by_whom, why) \
-        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10) ON CONFLICT DO NOTHING";
-    SET_MONITOR = "INSERT INTO monitor (machine_row, snapshot, updated_at_us) VALUES (?1, ?2, ?3) \
-        ON CONFLICT (machine_row) DO UPDATE SET snapshot = excluded.snapshot, updated_at_us = excluded.updated_at_us";
-    MONITORS = "SELECT site, machine, snapshot FROM monitor JOIN machine USING (machine_row) ORDER BY site, machine";
+        b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, b0_a1_cov, b0_a0_cov, a1_a0_cov, fit_pct, \
+        a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, iterations, start_s, end_s, \
+        duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, release_s, running_current_a, \
+        energy_j, quiet_current_a, start_position_mm, resistance_ohm, back_emf_v_s_per_rad, baseline_throws, \
+        baseline_needed, throws_since_baseline, state, drift) \
+        VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
+    ADD_BASELINE = "INSERT INTO baseline (machine_row, direction, taken_at_us, payload) VALUES (?1, ?2, ?3, ?4) \
+        ON CONFLICT DO NOTHING";
+    SET_MONITOR = "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts) VALUES (?1, ?2, ?3, ?4, ?5) \
+        ON CONFLICT (machine_row) DO UPDATE SET snapshot = excluded.snapshot, updated_at_us = excluded.updated_at_us, \
+        state = excluded.state, drifts = excluded.drifts";
+    MONITORS = "SELECT site, machine, snapshot, state FROM monitor JOIN machine USING (machine_row) ORDER BY site, machine";
     MACHINES = "SELECT site, machine FROM machine ORDER BY site, machine";
 
     // Alarms.
     ADD_ALARM = "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state) \
         VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT (alarm_id) DO NOTHING";
-    ADD_ALARM_EVENT = "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, change_pct, change_pct_sd, \
-        direction, runner_up_cause, runner_up_margin, b0_a1, b0_a0, a1_a0, first_boot_id, first_throw_no, last_boot_id, \
-        last_throw_no, limit_low, limit_mid, limit_high, text, by_whom, why, payload) \
-        SELECT alarm_row, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21, ?22, ?23, ?24 \
-        FROM alarm WHERE alarm_id = ?1 ON CONFLICT DO NOTHING";
+    ADD_ALARM_EVENT = "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload) \
+        SELECT alarm_row, ?2, ?3, ?4, ?5, ?6 FROM alarm WHERE alarm_id = ?1 ON CONFLICT DO NOTHING";
     SET_ALARM = "UPDATE alarm SET last_event_no = ?2, state = ?3 WHERE alarm_id = ?1 AND last_event_no <= ?2";
-    OPEN_ALARMS = "SELECT site, machine, alarm_id, event_no, payload \
+    OPEN_ALARMS = "SELECT payload \
         FROM alarm JOIN machine USING (machine_row) \
         JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
         WHERE alarm.state <> 'normal' AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) \
         ORDER BY raised_at_us, alarm.alarm_row";
-    ALARM_HISTORY = "SELECT site, machine, alarm_id, event_no, payload \
+    ALARM_HISTORY = "SELECT payload \
         FROM alarm_event JOIN alarm USING (alarm_row) JOIN machine USING (machine_row) \
         WHERE event_at_us >= ?3 AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) \
         ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?4";
@@ -102,114 +219,81 @@ statements! {
 
     // Health.
     // The newest rows are at the end of the table.
-    NEWEST_HEALTH = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
-        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
-        baseline_throws, baseline_needed, throws_since_baseline \
-        FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        ORDER BY throw_row DESC LIMIT ?1";
+    NEWEST_HEALTH = concat!("SELECT ", history!(), " \
+        ORDER BY throw_row DESC LIMIT ?1");
     // Those of some machines, or since a time, are chosen in an index alone before their wide rows are read.
-    HEALTH_SINCE = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
-        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
-        baseline_throws, baseline_needed, throws_since_baseline \
-        FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+    HEALTH_SINCE = concat!("SELECT ", history!(), " \
         WHERE throw_row IN (SELECT throw_row FROM throw \
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE (?2 IS NULL OR site = ?2) AND (?3 IS NULL OR machine = ?3)) \
-        AND started_at_us >= ?4 ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC";
-    LATEST_HEALTH = "SELECT site, machine, boot_id, throw_no, started_at_us, way.direction AS direction, \
-        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
-        baseline_throws, baseline_needed, throws_since_baseline \
-        FROM machine CROSS JOIN (SELECT 'normal_to_reverse' AS direction UNION ALL SELECT 'reverse_to_normal' UNION ALL SELECT NULL) AS way \
+        AND started_at_us >= ?4 ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
+    LATEST_HEALTH = concat!("SELECT ", health!("way.direction", "monitor.state", "monitor.drifts -> 0"), "FROM machine CROSS JOIN ", ways!(), " \
         JOIN estimate ON estimate.throw_row = (SELECT max(latest.throw_row) FROM estimate AS latest \
         WHERE latest.machine_row = machine.machine_row AND latest.direction IS way.direction) \
         JOIN throw USING (throw_row) JOIN boot USING (boot_row) \
-        WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) ORDER BY site, machine, direction";
+        LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
+        WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) ORDER BY site, machine, direction");
     GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
-        WHERE filled_at_us IS NULL ORDER BY gap_row LIMIT ?1";
-    UNTOLD_GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
-        FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
-        WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' ORDER BY gap_row LIMIT ?1";
-    TELL_GAP = "UPDATE gap SET told_at_us = ?2 WHERE gap_row = ?1";
+        WHERE filled_at_us IS NULL AND (written_off_at_us IS NOT NULL OR told_at_us IS NOT NULL) ORDER BY gap_row LIMIT ?1";
+    // An awaited gap counts when its machine no longer waits for the backlog.
+    UNREPORTED_GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
+        FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) LEFT JOIN backlog USING (machine_row) \
+        WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' \
+        AND (written_off_at_us IS NOT NULL OR since_us IS NULL OR since_us NOT BETWEEN ?2 AND ?3) ORDER BY gap_row LIMIT ?1";
+    REPORT_GAP = "UPDATE gap SET told_at_us = ?2 WHERE gap_row = ?1";
 
     // The dashboard. Each reads a bounded number of rows, however long the history.
-    FLEET_HEALTH = "SELECT site, machine, boot_id, throw_no, started_at_us, way.direction AS direction, \
-        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
-        baseline_throws, baseline_needed, throws_since_baseline \
-        FROM (SELECT machine_row, site, machine, coalesce((SELECT max(last.severity = 'critical') + 1 \
-        FROM alarm JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no \
-        WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'), 0) AS worst \
-        FROM machine ORDER BY worst DESC, site, machine LIMIT ?1) AS shown \
-        CROSS JOIN (SELECT 'normal_to_reverse' AS direction UNION ALL SELECT 'reverse_to_normal' UNION ALL SELECT NULL) AS way \
-        JOIN estimate ON estimate.throw_row = (SELECT max(latest.throw_row) FROM estimate AS latest \
-        WHERE latest.machine_row = shown.machine_row AND latest.direction IS way.direction) \
-        JOIN throw USING (throw_row) JOIN boot USING (boot_row) ORDER BY worst DESC, site, machine, way.direction";
-    MACHINE_COUNT = "SELECT count(*) FROM machine";
-    FLEET_ALARMS = "SELECT site, machine, alarm_id, event_no, payload \
-        FROM (SELECT machine_row, coalesce((SELECT max(last.severity = 'critical') + 1 \
-        FROM alarm JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no \
-        WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'), 0) AS worst \
-        FROM machine ORDER BY worst DESC, site, machine LIMIT ?1) AS shown \
-        JOIN alarm ON alarm.machine_row = shown.machine_row JOIN machine ON machine.machine_row = shown.machine_row \
-        JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
-        WHERE alarm.state <> 'normal' ORDER BY severity = 'critical' DESC, raised_at_us DESC, alarm.alarm_row DESC";
-    OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) FROM active_alarms GROUP BY cause, severity ORDER BY cause, severity";
-    WAY_NEWEST = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
-        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
-        baseline_throws, baseline_needed, throws_since_baseline \
-        FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        WHERE estimate.machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) \
-        AND estimate.direction = ?3 ORDER BY estimate.throw_row DESC LIMIT ?4";
-    WAY_SPREAD = "WITH RECURSIVE span AS (SELECT \
-        (SELECT min(throw_row) FROM estimate WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction = ?3) AS low, \
-        (SELECT max(throw_row) FROM estimate WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction = ?3) AS high), \
+    OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) \
+        FROM alarm JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
+        WHERE alarm.state <> 'normal' GROUP BY cause, severity ORDER BY cause, severity";
+    WAY_NEWEST = concat!("SELECT ", history!(), " \
+        WHERE estimate.machine_row = ", one_machine!(), " \
+        AND estimate.direction = ?3 ORDER BY estimate.throw_row DESC LIMIT ?4");
+    WAY_SPREAD = concat!("WITH RECURSIVE span AS (SELECT \
+        (SELECT min(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS low, \
+        (SELECT max(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS high), \
         spot(at) AS (SELECT 0 UNION ALL SELECT at + 1 FROM spot WHERE at < ?4 - 1) \
-        SELECT DISTINCT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
-        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
-        baseline_throws, baseline_needed, throws_since_baseline \
-        FROM spot CROSS JOIN span JOIN estimate ON estimate.throw_row = (SELECT min(near.throw_row) FROM estimate AS near \
-        WHERE near.machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND near.direction = ?3 \
+        SELECT DISTINCT ", health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift"), "FROM spot CROSS JOIN span JOIN estimate ON estimate.throw_row = (SELECT min(near.throw_row) FROM estimate AS near \
+        WHERE near.machine_row = ", one_machine!(), " AND near.direction = ?3 \
         AND near.throw_row >= low + (high - low) * at / max(?4 - 1, 1)) \
         JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        ORDER BY estimate.throw_row DESC";
-    MACHINE_NEWEST = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
-        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
-        baseline_throws, baseline_needed, throws_since_baseline \
-        FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+        ORDER BY estimate.throw_row DESC");
+    MACHINE_NEWEST = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row IN (SELECT * FROM (SELECT throw_row FROM estimate \
-        WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction = 'normal_to_reverse' ORDER BY throw_row DESC LIMIT ?3) \
+        WHERE machine_row = ", one_machine!(), " AND direction = 'normal_to_reverse' ORDER BY throw_row DESC LIMIT ?3) \
         UNION ALL SELECT * FROM (SELECT throw_row FROM estimate \
-        WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction = 'reverse_to_normal' ORDER BY throw_row DESC LIMIT ?3) \
+        WHERE machine_row = ", one_machine!(), " AND direction = 'reverse_to_normal' ORDER BY throw_row DESC LIMIT ?3) \
         UNION ALL SELECT * FROM (SELECT throw_row FROM estimate \
-        WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND direction IS NULL ORDER BY throw_row DESC LIMIT ?3)) \
-        ORDER BY estimate.throw_row DESC LIMIT ?3";
-    MACHINE_ALARM_EVENTS = "SELECT payload, by_whom, why FROM alarm_event WHERE alarm_row IN (SELECT alarm_row FROM alarm \
-        WHERE machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) ORDER BY raised_at_us DESC LIMIT ?3) \
-        ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?3";
-    THROW_AT = "SELECT throw_row, site, machine, boot_id, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, \
-        samples, temperature_c, supply_v, anti_alias_hz, current_codec, current_data, position_codec, position_data, crc32 \
-        FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        LEFT JOIN trace USING (throw_row) WHERE throw.throw_row = (SELECT throw_row FROM throw JOIN boot USING (boot_row) \
-        WHERE boot.machine_row = (SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2) AND boot_id = ?3 AND throw_no = ?4)";
-    HEALTH_AT = "SELECT site, machine, boot_id, throw_no, started_at_us, coalesce(estimate.direction, throw.direction) AS direction, \
-        quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, peak_current_a, mean_current_a, \
-        baseline_throws, baseline_needed, throws_since_baseline \
-        FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        WHERE estimate.throw_row = ?1";
+        WHERE machine_row = ", one_machine!(), " AND direction IS NULL ORDER BY throw_row DESC LIMIT ?3)) \
+        ORDER BY estimate.throw_row DESC LIMIT ?3");
+    MACHINE_ALARM_EVENTS = concat!("SELECT payload FROM alarm_event WHERE alarm_row IN (SELECT alarm_row FROM alarm \
+        WHERE machine_row = ", one_machine!(), " ORDER BY raised_at_us DESC LIMIT ?3) \
+        ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?3");
+    THROW_AT = concat!("SELECT ", throw_rows!(), " WHERE throw.throw_row = (SELECT throw_row FROM throw JOIN boot USING (boot_row) \
+        WHERE boot.machine_row = ", one_machine!(), " AND boot_id = ?3 AND throw_no = ?4)");
+    HEALTH_AT = concat!("SELECT ", history!(), " \
+        WHERE estimate.throw_row = ?1");
 
     // Retention.
     LAST_HEARD = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";
-    OLDEST_TRACES = "SELECT throw_row FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT ?1";
+    OLDEST_TRACES = concat!("SELECT throw_row FROM throw JOIN trace USING (throw_row) WHERE machine_row = ", largest_machine!(), " \
+        AND throw_row >= (SELECT traces_from FROM machine WHERE machine_row = ", largest_machine!(), ") \
+        AND judged_at_us IS NOT NULL ORDER BY throw_row LIMIT ?1");
     AGED_TRACES = "SELECT throw_row FROM trace JOIN throw USING (throw_row) \
         WHERE judged_at_us IS NOT NULL AND received_at_us < ?2 ORDER BY throw_row LIMIT ?1";
     DROP_TRACE = "DELETE FROM trace WHERE throw_row = ?1";
-    OLDEST_THROWS = "SELECT throw_row FROM throw WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT ?1";
+    TRACES_FROM = "UPDATE machine SET traces_from = ?1 + 1 WHERE machine_row = (SELECT machine_row FROM throw WHERE throw_row = ?1)";
+    OLDEST_THROWS = concat!("SELECT throw_row FROM throw WHERE machine_row = ", largest_machine!(), " \
+        AND judged_at_us IS NOT NULL ORDER BY throw_row LIMIT ?1");
+    OLDEST_PENDING = concat!("SELECT throw_row FROM throw WHERE machine_row = ", largest_machine!(), " ORDER BY throw_row LIMIT ?1");
     MARK_PRUNED = "UPDATE boot SET pruned_to_no = max(pruned_to_no, (SELECT throw_no FROM throw WHERE throw_row = ?1)) \
         WHERE boot_row = (SELECT boot_row FROM throw WHERE throw_row = ?1)";
     DROP_OLD_GAPS = "DELETE FROM gap WHERE boot_row = (SELECT boot_row FROM throw WHERE throw_row = ?1) \
         AND last_no < (SELECT throw_no FROM throw WHERE throw_row = ?1)";
     DROP_EMPTY_BOOTS = "DELETE FROM boot WHERE boot_row IN (SELECT boot_row FROM boot AS old ORDER BY boot_row LIMIT 1000) \
         AND NOT EXISTS (SELECT 1 FROM throw WHERE throw.boot_row = boot.boot_row) \
-        AND boot_row < (SELECT max(boot_row) FROM boot AS newer WHERE newer.machine_row = boot.machine_row)";
+        AND position < (SELECT max(position) FROM boot AS newer WHERE newer.machine_row = boot.machine_row) \
+        AND boot_row NOT IN (SELECT cursor_boot_row FROM backlog WHERE cursor_boot_row IS NOT NULL)";
     OLDEST_TRACE_TIME = "SELECT received_at_us FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL \
         ORDER BY throw_row LIMIT 1";
     OLDEST_MESSAGES = "SELECT outbox_row FROM outbox ORDER BY outbox_row LIMIT ?1";
@@ -217,12 +301,9 @@ statements! {
     DROP_ALARM = "DELETE FROM alarm WHERE alarm_row = ?1";
     OLDEST_ALARMS = "SELECT alarm_row FROM alarm WHERE state = 'normal' ORDER BY raised_at_us LIMIT ?1";
     CLOSED_ALARMS = "SELECT count(*) FROM alarm WHERE state = 'normal'";
-    // Rows are dense, so that the distance from the oldest that may go counts them without reading them.
-    TRACE_SPAN = "SELECT coalesce((SELECT max(throw_row) FROM trace) - (SELECT throw_row FROM trace JOIN throw USING (throw_row) \
-        WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT 1) + 1, 0)";
-    THROW_SPAN = "SELECT coalesce((SELECT max(throw_row) FROM throw) - (SELECT throw_row FROM throw \
-        WHERE judged_at_us IS NOT NULL ORDER BY throw_row LIMIT 1) + 1, 0)";
-    WAITING_COUNT = "SELECT count(*) FROM throw WHERE judged_at_us IS NULL";
+    TRACE_COUNT = "SELECT coalesce(sum(traces), 0) FROM machine";
+    THROW_COUNT = "SELECT coalesce(sum(throws), 0) FROM machine";
+    PENDING_COUNT = "SELECT count(*) FROM throw WHERE judged_at_us IS NULL";
     OUTBOX_COUNT = "SELECT count(*) FROM outbox";
     QUARANTINE_COUNT = "SELECT count(*) FROM quarantine";
     OPEN_GAP_COUNT = "SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE filled_at_us IS NULL AND kind <> 'before_first_contact'";

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use super::{Store, disk::DiskLevel, error::StoreError, statements as sql};
+use super::{database::Store, disk::DiskLevel, error::StoreError, statements as sql};
 
 /// How the database stands.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Statistics {
-    /// Throws that are kept, from the oldest judged one on.
+    /// Throws that are kept.
     pub throws: u64,
-    /// Throws from the oldest judged one on whose trace is kept.
+    /// Throws whose trace is kept.
     pub traces: u64,
     /// Throws that wait to be judged.
     pub pending: u64,
@@ -29,7 +29,7 @@ pub struct Statistics {
     pub wal_bytes: u64,
     /// Free space on its disk \[bytes\]; `None` when the system does not say.
     pub free_disk_bytes: Option<u64>,
-    /// How the store stands with its disk.
+    /// State of the disk below the database.
     pub disk: DiskLevel,
     /// Write transactions that failed since the start.
     pub failed_writes: u64,
@@ -44,14 +44,14 @@ impl Store {
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
         let reader = &self.reader;
-        let counters: Vec<(String, i64)> = reader.asked(sqlx::query_as(sql::COUNTERS), Ok).await?;
+        let counters: Vec<(String, i64)> = reader.asked(sqlx::query_as(sql::COUNTERS)).await?;
         let page_size = reader.asked_figure("PRAGMA page_size").await?;
         let pages = reader.asked_figure("PRAGMA page_count").await?;
         let free_pages = reader.asked_figure("PRAGMA freelist_count").await?;
         Ok(Statistics {
-            throws: reader.asked_figure(sql::THROW_SPAN).await?,
-            traces: reader.asked_figure(sql::TRACE_SPAN).await?,
-            pending: reader.asked_figure(sql::WAITING_COUNT).await?,
+            throws: reader.asked_figure(sql::THROW_COUNT).await?,
+            traces: reader.asked_figure(sql::TRACE_COUNT).await?,
+            pending: reader.asked_figure(sql::PENDING_COUNT).await?,
             outbox: reader.asked_figure(sql::OUTBOX_COUNT).await?,
             open_alarms: reader.asked_figure(sql::OPEN_ALARM_COUNT).await?,
             missing_throws: reader.asked_figure(sql::OPEN_GAP_COUNT).await?,
@@ -66,7 +66,7 @@ impl Store {
         })
     }
 
-    /// How the store stands with its disk. Cheap: for every second.
+    /// State of the disk below the database. Cheap: for every second.
     #[must_use]
     pub fn disk_level(&self) -> DiskLevel {
         self.disk.level()

@@ -1,10 +1,10 @@
-//! What keeps the store from keeping everything, in words for an alarm.
+//! Why the store loses data, in words for an alarm.
 
-use super::{DiskLevel, Store};
+use super::{database::Store, disk::DiskLevel, place::Place};
 use crate::diagnose::Severity;
 
 impl Store {
-    /// The worst of what is wrong, or was since this was asked last, and all of it in words. Cheap: for every few seconds.
+    /// Severity and text of everything that is wrong now, or was since the last call. Cheap: for every few seconds.
     /// The alarm that comes from it can be committed although the disk is full: the refused write gives up the ballast,
     /// which is room for thousands of alarms.
     #[must_use]
@@ -25,14 +25,35 @@ impl Store {
         };
         let disk = disk.map(|(severity, said)| (severity, said.to_owned()));
         let set_aside = self.place.set_aside_before().map(|file| {
+            let saved = Place::saved_from(&file);
+            let saved = saved.unwrap_or_else(|| "what it held is not in the history".to_owned());
             let said = format!(
-                "its database was broken and was set aside as {}: what it held is not in the history. Keep that file \
-                 for someone who can recover it, and move it elsewhere",
+                "its database was broken and was set aside as {}; {saved}. Keep that file for someone who can recover \
+                 more, and move it elsewhere",
                 file.display()
             );
             (Severity::Critical, said)
         });
-        let all: Vec<(Severity, String)> = disk.into_iter().chain(set_aside).collect();
+        let replaced = self.disk.replaced().map(|mended| {
+            let file = self.path().display();
+            let said = if mended {
+                format!(
+                    "the file of its database was deleted or replaced while it ran; it wrote {file} anew, with everything. \
+                     A file that stood there instead is now {file}-replaced-…. Find out who did that"
+                )
+            } else {
+                format!("the file {file} of its database was deleted or replaced while it runs, and cannot be written anew")
+            };
+            (Severity::Critical, said)
+        });
+        let dropped = self.disk.dropped_pending().map(|throws| {
+            let said = format!(
+                "{throws} throws were dropped before they were judged: its database holds store.max_size_mib of them, \
+                 mostly of one machine. Look which logger sends so much"
+            );
+            (Severity::Critical, said)
+        });
+        let all: Vec<(Severity, String)> = disk.into_iter().chain(set_aside).chain(replaced).chain(dropped).collect();
         let severity = all.iter().map(|(severity, _)| *severity).max()?;
         let said: Vec<&str> = all.iter().map(|(_, said)| said.as_str()).collect();
         Some((severity, format!("pointsd loses data: {}.", said.join("; "))))

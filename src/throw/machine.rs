@@ -62,7 +62,7 @@ impl fmt::Display for Name {
     }
 }
 
-/// One point machine: its site and its name there. Displays as `site/machine`.
+/// Identity of a point machine: its site and its name at the site. Displays as `site/machine`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct MachineId {
     /// The site, for example a station or a cabinet.

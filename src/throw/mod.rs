@@ -1,9 +1,10 @@
-//! One movement of the points: who made it, when, which way, and its recorded trace.
+//! A throw of the points: its machine, time and direction, and its recorded trace.
 //!
 //! *Normal* and *reverse* are the two end positions. Position is measured at the toe, 0 mm at normal and the stroke at
 //! reverse, so a throw from normal to reverse moves towards larger values.
 
 mod machine;
+mod range;
 mod trace;
 
 use std::fmt;
@@ -12,11 +13,26 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 pub use machine::{InvalidName, MachineId, Name};
+pub use range::OutOfRange;
 pub use trace::{InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
 
 /// The way in which a throw moves the toe.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Hash,
+    PartialOrd,
+    Ord,
+    Serialize,
+    Deserialize,
+    strum::IntoStaticStr,
+    strum::EnumString,
+)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Direction {
     /// From normal (0 mm) to reverse (the stroke).
     NormalToReverse,
@@ -30,17 +46,8 @@ impl Direction {
 
     /// The word used in messages and in the database.
     #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::NormalToReverse => "normal_to_reverse",
-            Self::ReverseToNormal => "reverse_to_normal",
-        }
-    }
-
-    /// The direction with this word in messages and in the database, if it is one.
-    #[must_use]
-    pub fn from_word(word: &str) -> Option<Self> {
-        Self::BOTH.into_iter().find(|direction| direction.as_str() == word)
+    pub fn as_str(self) -> &'static str {
+        self.into()
     }
 
     /// +1 when the throw increases the toe position, -1 when it decreases it.
@@ -72,19 +79,19 @@ impl fmt::Display for Direction {
     }
 }
 
-/// What makes a throw unique within one machine: the logger's boot and its count within that boot.
+/// Identity of a throw within its machine: the boot of the logger and the sequence number within that boot.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct ThrowRef {
     /// New at each start of the logger.
     pub boot_id: String,
-    /// One more for each throw within a boot.
+    /// Sequence number: increases by 1 with each throw of a boot.
     pub throw_no: u64,
 }
 
-/// One movement of the points, as its logger recorded it.
+/// A throw as its logger recorded it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Throw {
-    /// Which throw of its machine this is.
+    /// Identity within its machine.
     pub id: ThrowRef,
     /// Wall time of the first sample (UTC).
     pub started_at: Timestamp,

@@ -79,6 +79,13 @@ impl Trace {
         &self.position_mm
     }
 
+    /// Whether there is a toe position at all: not where every sample is missing (NaN) or exactly 0, which is what loggers
+    /// without a toe sensor send.
+    #[must_use]
+    pub fn has_position(&self) -> bool {
+        self.position_mm.iter().any(|mm| mm.is_finite() && *mm != 0.0)
+    }
+
     /// Samples of each channel, at least 1.
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "a trace is never empty")]

@@ -1,4 +1,4 @@
-//! Connections that cannot harm the daemon: so many at once, one request each, few bytes heard, a short life.
+//! Connections that cannot harm the daemon: a bounded number, one request each, few bytes read, a short life.
 
 use std::{
     io,
@@ -19,13 +19,13 @@ use tokio::{
 
 /// Connections at once; further ones wait in the system's queue. Each holds a few buffers and at most one page.
 const CONNECTIONS: usize = 64;
-/// Bytes heard on a connection: a browser's request has one or two thousand.
-const HEARD_BYTES: usize = 16 << 10;
-/// Time to say what is wanted.
+/// Bytes read from a connection: a browser's request has one or two thousand.
+const READ_BYTES: usize = 16 << 10;
+/// Time for the request.
 const ASKING: Duration = Duration::from_secs(5);
-/// Time to take the answer, from its first byte on: 200 kB at 20 kB/s.
+/// Time for the answer, from its first byte on: 200 kB at 20 kB/s.
 const ANSWERING: Duration = Duration::from_secs(10);
-/// Pause after the system gave no connection, as when there are no descriptors left.
+/// Pause after a failed accept, as when the process has no descriptors left.
 const PAUSE: Duration = Duration::from_millis(500);
 
 /// Accepts connections while there is room.
@@ -51,7 +51,7 @@ impl Listener for Bounded {
             match self.listener.accept().await {
                 Ok((stream, from)) => {
                     let deadline = Box::pin(time::sleep(ASKING));
-                    return (Connection { stream, deadline, heard: 0, answering: false, _place: place }, from);
+                    return (Connection { stream, deadline, read_bytes: 0, answering: false, _place: place }, from);
                 }
                 Err(error) => {
                     tracing::debug!(%error, "a connection to the dashboard failed");
@@ -66,11 +66,11 @@ impl Listener for Bounded {
     }
 }
 
-/// A connection that ends at its deadline, or when it has said too much.
+/// A connection that ends at its deadline, or when the client has sent too much.
 pub(super) struct Connection {
     stream: TcpStream,
     deadline: Pin<Box<Sleep>>,
-    heard: usize,
+    read_bytes: usize,
     answering: bool,
     _place: Option<OwnedSemaphorePermit>,
 }
@@ -93,8 +93,8 @@ impl AsyncRead for Connection {
         self.in_time(context)?;
         let before = buffer.filled().len();
         let polled = Pin::new(&mut self.stream).poll_read(context, buffer);
-        self.heard += buffer.filled().len() - before;
-        if self.heard > HEARD_BYTES {
+        self.read_bytes += buffer.filled().len() - before;
+        if self.read_bytes > READ_BYTES {
             return Poll::Ready(Err(io::ErrorKind::InvalidData.into()));
         }
         polled

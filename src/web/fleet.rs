@@ -1,179 +1,358 @@
-//! `/`: all machines, the worst first, and the daemon's own state.
+//! `/`: all machines, a line each, the worst first; the open alarms; and the daemon itself.
 
-use std::{collections::HashSet, sync::Arc};
+use std::{
+    collections::{BTreeMap, HashSet},
+    fmt::Write as _,
+    sync::Arc,
+};
 
 use askama::Template;
-use axum::{extract::State, response::Response};
+use axum::{
+    extract::{RawQuery, State},
+    response::Response,
+};
+use strum::VariantArray as _;
 
 use super::{
-    Web,
-    overview::{MACHINES, Overview},
+    alarm::AlarmLine,
+    overview::{Overview, Web},
     page::{self, Failure},
-    standing::{self, Standing},
+    state::{self, Badge},
     trouble,
 };
 use crate::{
     daemon::{View, clock},
-    store::HealthRow,
-    throw::{Direction, MachineId},
-    wire::{self, Alarm},
+    diagnose::{Cause, MachineState},
+    store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Window},
+    throw::MachineId,
 };
 
-/// Open alarms on the page, the worst ones where there are more.
-const ALARMS: usize = 200;
+/// Machines on one page: a fleet of this size needs no paging.
+const MACHINES: u32 = 100;
+/// Throws in the small picture of a machine: the last weeks of most.
+const SPARK: u32 = 40;
+/// Highest page number: far beyond the largest fleet.
+const PAGES: u32 = 10_000;
+/// Longest text to search for.
+const SEARCH: usize = 129;
+/// Qualities of throws that were not rejected.
+const EVALUATED: [&str; 3] = ["good", "rough", "current_only"];
+/// Names of machines that never sent a throw, before the page gives their number alone.
+const SILENT: usize = 20;
 
 #[derive(Template)]
 #[template(path = "fleet.html", config = "src/web/askama.toml")]
 struct Page {
     trouble: Vec<String>,
-    daemon: Vec<(&'static str, String)>,
-    tally: Vec<(Standing, usize)>,
-    machines: Vec<Tile>,
-    machines_not_shown: String,
-    never_heard: Vec<String>,
+    /// State, machines in it, and the address of the list of these alone.
+    tally: Vec<(Badge, String, String)>,
+    machines: String,
+    common: Vec<Common>,
     alarms: Vec<AlarmLine>,
-    alarms_not_shown: String,
-    now: String,
+    more_alarms: String,
+    filters: Filters,
+    sites: Vec<(String, bool)>,
+    causes: Vec<(&'static str, String, bool)>,
+    states: Vec<(&'static str, String, bool)>,
+    rows: Vec<Row>,
+    shown: String,
+    before: Option<String>,
+    after: Option<String>,
+    silent: String,
+    daemon: Vec<(&'static str, String)>,
+    volatile: String,
+}
+
+/// Alarms of a common cause in one entry.
+struct Common {
+    badge: Badge,
+    says: String,
+    sites: String,
+    address: String,
 }
 
 /// One machine.
-struct Tile {
+struct Row {
     machine: MachineId,
-    standing: Standing,
-    ways: Vec<Way>,
+    badge: Badge,
+    /// The worst drift now: cause, size, forecast.
+    drift: Option<(String, String, String)>,
+    /// What else there is to say.
+    notes: Vec<String>,
+    spark: String,
     last_throw: String,
-    /// Why the last throw gave no estimate.
-    refused: Option<String>,
 }
 
-/// One direction of a machine.
-pub(super) struct Way {
-    pub(super) direction: &'static str,
-    pub(super) standing: Standing,
-    pub(super) progress: Option<String>,
-    pub(super) changes: Option<[String; 3]>,
-}
-
-/// One alarm.
-pub(super) struct AlarmLine {
-    pub(super) machine: MachineId,
-    pub(super) standing: Standing,
+/// The filters as the address gives them.
+#[derive(Debug, Default, Clone)]
+pub(super) struct Filters {
+    pub(super) site: String,
     pub(super) state: String,
     pub(super) cause: String,
-    pub(super) text: String,
-    pub(super) raised_at: String,
+    pub(super) search: String,
+    page: u32,
 }
 
-pub(super) async fn page(State(web): State<Arc<Web>>) -> Result<Response, Failure> {
+impl Filters {
+    pub(super) fn from_query(query: Option<&str>) -> Result<Self, Failure> {
+        let mut filters = Self::default();
+        for (name, value) in form_urlencoded::parse(query.unwrap_or_default().as_bytes()) {
+            let value = value.trim().to_owned();
+            match &*name {
+                "site" => filters.site = value,
+                "state" => filters.state = value,
+                "cause" => filters.cause = value,
+                "q" => filters.search = value,
+                "page" => filters.page = value.parse().ok().filter(|page| *page < PAGES).ok_or_else(wrong)?,
+                _ => return Err(wrong()),
+            }
+        }
+        Ok(filters)
+    }
+
+    pub(super) fn query(&self) -> Result<FleetQuery, Failure> {
+        let state = |word: &String| serde_json::from_value::<MachineState>(word.as_str().into()).map_err(|_| wrong());
+        let given = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
+        Ok(FleetQuery {
+            site: given(&self.site).map(|site| site.parse().map_err(|_| wrong())).transpose()?,
+            state: given(&self.state).as_ref().map(state).transpose()?,
+            cause: given(&self.cause).map(|cause| cause.parse().map_err(|_| wrong())).transpose()?,
+            search: given(&self.search).map(|text| text.chars().take(SEARCH).collect()),
+            offset: self.page * MACHINES,
+            limit: MACHINES,
+            spark: SPARK,
+        })
+    }
+
+    /// The address of the list with these filters.
+    fn address(&self) -> String {
+        let mut fields = form_urlencoded::Serializer::new(String::new());
+        let page = if self.page == 0 { String::new() } else { self.page.to_string() };
+        for (name, value) in
+            [("site", &self.site), ("state", &self.state), ("cause", &self.cause), ("q", &self.search), ("page", &page)]
+        {
+            if !value.is_empty() {
+                fields.append_pair(name, value);
+            }
+        }
+        let query = fields.finish();
+        if query.is_empty() { "/".to_owned() } else { format!("/?{query}") }
+    }
+
+    fn with_state(&self, state: &str) -> Self {
+        Self { state: state.to_owned(), page: 0, ..self.clone() }
+    }
+
+    fn to_page(&self, page: u32) -> Self {
+        Self { page, ..self.clone() }
+    }
+}
+
+fn wrong() -> Failure {
+    Failure::bad_request("The address may have the filters site, state, cause and q, and a page, and nothing else.")
+}
+
+pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
+    let filters = Filters::from_query(query.as_deref())?;
+    let query = filters.query()?;
     let overview = web.overview().await?;
-    let machines = tiles(&overview);
-    let rank = [Standing::Critical, Standing::NotMonitored, Standing::Warning, Standing::Filling, Standing::Good];
-    let tally = rank.map(|standing| (standing, machines.iter().filter(|tile| tile.standing == standing).count()));
-    let open: u64 = overview.alarms_by_kind.iter().map(|(_, _, number)| number).sum();
-    let shown_all = overview.machines <= u64::from(MACHINES);
+    let itself = web.view.config().monitor.as_machine();
+    let _turn = web.turn().await?;
+    let reader = web.view.reader();
+    let is_filtered = query.site.is_some() || query.cause.is_some() || query.search.is_some();
+    let tally = if is_filtered { reader.tally(&query, &itself).await? } else { overview.tally.clone() };
+    let rows = reader.fleet(&query, &itself).await?;
+    let windows = reader.windows(None).await?;
+    let limits = web.view.config().diagnosis.clone();
+    let matching: u64 = match query.state {
+        Some(state) => tally.iter().filter(|(of, _)| *of == state).map(|(_, count)| count).sum(),
+        None => tally.iter().map(|(_, count)| count).sum(),
+    };
+    let (first, last) = (u64::from(query.offset), u64::from(query.offset) + rows.len() as u64);
+    let more_alarms = overview.fault_count.saturating_sub(overview.faults.len() as u64);
+    let choice = |word: &'static str, text: String, chosen: &str| (word, text, word == chosen);
     Ok(page::html(&Page {
         trouble: trouble::all(&web.view, &overview),
+        tally: tally_links(&tally, &filters),
+        machines: page::count(tally.iter().map(|(_, count)| count).sum()),
+        common: common(&overview),
+        alarms: overview.faults.iter().map(|fault| fault_line(fault, &windows)).collect(),
+        more_alarms: if more_alarms > 0 { page::count(more_alarms) } else { String::new() },
+        sites: overview.sites.iter().map(|site| (site.clone(), *site == filters.site)).collect(),
+        causes: Cause::VARIANTS.iter().map(|cause| choice(cause.as_str(), cause.to_string(), &filters.cause)).collect(),
+        states: state::ALL.iter().map(|it| choice(it.as_str(), Badge(*it).word(), &filters.state)).collect(),
+        rows: rows.iter().map(|row| shown(row, &windows, limits.friction_limit_pct)).collect(),
+        shown: match rows.len() {
+            0 => "No machine passes these filters.".to_owned(),
+            _ => format!("{} to {} of {}", page::count(first + 1), page::count(last), page::count(matching)),
+        },
+        before: (filters.page > 0).then(|| filters.to_page(filters.page - 1).address()),
+        after: (last < matching).then(|| filters.to_page(filters.page + 1).address()),
+        silent: silent(&web.view, reader).await?,
         daemon: daemon(&web.view, &overview),
-        tally: tally.into_iter().filter(|(_, number)| *number > 0).collect(),
-        never_heard: if shown_all { never_heard(&web.view, &overview) } else { Vec::new() },
-        machines_not_shown: not_shown(overview.machines, u64::from(MACHINES)),
-        machines,
-        alarms: overview.alarms.iter().take(ALARMS).filter_map(alarm_line).collect(),
-        alarms_not_shown: not_shown(open, ALARMS as u64),
-        now: page::time(clock::now()),
+        volatile: format!(
+            "As of {}; running for {}.",
+            page::time(clock::now()),
+            page::duration(web.view.report().uptime_s)
+        ),
+        filters,
     }))
 }
 
-/// How many of `all` are beyond `most`; empty for none.
-fn not_shown(all: u64, most: u64) -> String {
-    if all > most { page::count(all - most) } else { String::new() }
+fn tally_links(tally: &[(MachineState, u64)], filters: &Filters) -> Vec<(Badge, String, String)> {
+    let count = |state| tally.iter().find(|(of, _)| *of == state).map_or(0, |(_, count)| *count);
+    let link =
+        |state: MachineState| (Badge(state), page::count(count(state)), filters.with_state(state.as_str()).address());
+    state::ALL.into_iter().filter(|state| count(*state) > 0).map(link).collect()
+}
+
+fn fault_line(fault: &Fault, windows: &[Window]) -> AlarmLine {
+    AlarmLine::new(&fault.alarm, fault.raised, &fault.drifts, windows)
+}
+
+/// One entry for each common cause.
+fn common(overview: &Overview) -> Vec<Common> {
+    let mut causes: BTreeMap<Cause, Vec<_>> = BTreeMap::new();
+    for alarm in &overview.common {
+        causes.entry(alarm.cause).or_default().push(alarm);
+    }
+    let entry = |(cause, alarms): (Cause, Vec<&CommonAlarm>)| {
+        let count: u64 = alarms.iter().map(|alarm| alarm.count).sum();
+        let (first, last) = (alarms.iter().map(|alarm| alarm.first).min(), alarms.iter().map(|alarm| alarm.last).max());
+        let times = first.zip(last).map(|(first, last)| {
+            let (first_time, last_time) = (page::time(first), page::time(last));
+            if first == last {
+                format!("since {first_time}")
+            } else {
+                format!("raised from {first_time} to {last_time}")
+            }
+        });
+        let machines = if count == 1 { "machine" } else { "machines" };
+        let what = if cause == Cause::NotMonitored { "not monitored" } else { "with lost throws" };
+        let sites: Vec<String> =
+            alarms.iter().take(SILENT).map(|alarm| format!("{} {}", alarm.site, page::count(alarm.count))).collect();
+        Common {
+            badge: Badge(if cause == Cause::NotMonitored { MachineState::NotMonitored } else { MachineState::Warning }),
+            says: format!("{} {machines} {what}, {}", page::count(count), times.unwrap_or_default()),
+            sites: sites.join(", "),
+            address: Filters { cause: cause.as_str().to_owned(), ..Filters::default() }.address(),
+        }
+    };
+    causes.into_iter().map(entry).collect()
+}
+
+fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
+    let drift = row.drifts.first().map(|drift| {
+        let forecast = state::forecast(drift).unwrap_or_default();
+        (drift.cause.to_string(), state::size(drift.change_pct, drift.change_pct_sd), forecast)
+    });
+    let mut notes = Vec::new();
+    if row.state == MachineState::Maintenance {
+        let window = windows.iter().find(|window| window.machine == row.machine && window.cause.is_none());
+        notes.extend(window.map(page::window));
+    }
+    notes.extend(
+        row.drifts
+            .iter()
+            .skip(1)
+            .map(|drift| format!("{} {}", drift.cause, state::size(drift.change_pct, drift.change_pct_sd))),
+    );
+    let is_shown = |cause: &&Cause| row.drifts.iter().any(|drift| drift.cause == **cause);
+    let other: Vec<String> = row.causes.iter().filter(|cause| !is_shown(cause)).map(ToString::to_string).collect();
+    if !other.is_empty() {
+        notes.push(other.join(", "));
+    }
+    if let Some((so_far, needed)) = row.baseline.filter(|(so_far, needed)| so_far < needed) {
+        notes.push(format!("baseline {so_far} of {needed}"));
+    }
+    if let Some(quality) = row.quality.as_deref().filter(|quality| !EVALUATED.contains(quality)) {
+        notes.push(format!("last throw rejected: {}", quality.replace('_', " ")));
+    }
+    let coefficient = match row.drifts.first().map(|drift| drift.cause) {
+        Some(Cause::Kt | Cause::Inertia) => 0,
+        Some(Cause::Stiffness) => 2,
+        _ => 1,
+    };
+    Row {
+        badge: Badge(row.state),
+        drift,
+        notes,
+        spark: spark(row.spark.iter().map(|change| change[coefficient]), limit_pct),
+        last_throw: row.started_at.map(page::time).unwrap_or_default(),
+        machine: row.machine.clone(),
+    }
+}
+
+/// A line of the newest changes. Its height is at least the warning limit to both sides, so that scatter looks small.
+fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
+    let count = changes.clone().count();
+    if count < 2 {
+        return String::new();
+    }
+    let reach = changes.clone().fold(limit_pct, |reach, change| reach.max(change.abs()));
+    let mut points = String::new();
+    for (at, change) in changes.enumerate() {
+        let (x, y) = (100.0 * at as f64 / (count - 1) as f64, 12.0 - 11.0 * change / reach);
+        // Writing to a string cannot fail.
+        let _ = write!(points, "{x:.0},{y:.1} ");
+    }
+    points
 }
 
 fn daemon(view: &View, overview: &Overview) -> Vec<(&'static str, String)> {
     let (report, statistics) = (view.report(), &overview.statistics);
     let space = statistics.free_disk_bytes.map(|free| format!(", {} free", page::size(free))).unwrap_or_default();
     vec![
-        ("pointsd", report.version),
-        ("running for", page::duration(report.uptime_s)),
+        ("version", report.version),
         ("loggers", page::count(report.loggers as u64)),
         ("link", if report.connected { "connected" } else { "nobody is connected" }.to_owned()),
         ("disk", format!("{}{space}", report.disk)),
         ("database", page::size(statistics.data_bytes)),
         ("throws kept", page::count(statistics.throws)),
-        ("wait to be judged", page::count(statistics.pending)),
-        ("wait to be published", page::count(statistics.outbox)),
-        ("missing", page::count(statistics.missing_throws)),
-        ("in quarantine", page::count(statistics.quarantined)),
+        ("pending", page::count(statistics.pending)),
+        ("to publish", page::count(statistics.outbox)),
+        ("in gaps", page::count(statistics.missing_throws)),
+        ("quarantined", page::count(statistics.quarantined)),
     ]
 }
 
-fn tiles(overview: &Overview) -> Vec<Tile> {
-    let mut tiles: Vec<Tile> =
-        overview.health.chunk_by(|one, next| one.machine == next.machine).map(|rows| tile(rows, overview)).collect();
-    // The sort is stable: within a standing they stay by name.
-    tiles.sort_by_key(|tile| tile.standing);
-    tiles
-}
-
-fn tile(rows: &[HealthRow], overview: &Overview) -> Tile {
-    let machine = rows[0].machine.clone();
-    let alarms: Vec<&Alarm> = overview.alarms.iter().filter(|alarm| is_of(alarm, &machine)).collect();
-    let ways = ways(rows, &alarms);
-    let of_alarms = alarms.iter().map(|alarm| Standing::of_alarm(alarm)).min();
-    let of_ways = ways.iter().map(|way| way.standing).min();
-    let last = rows.iter().max_by_key(|row| row.started_at);
-    Tile {
-        standing: of_alarms.into_iter().chain(of_ways).min().unwrap_or(Standing::Filling),
-        ways,
-        last_throw: last.map(|row| page::time(row.started_at)).unwrap_or_default(),
-        refused: last.filter(|row| row.quality != wire::GOOD).map(reason),
-        machine,
-    }
-}
-
-/// How each direction of a machine stands, from the latest throw of each.
-pub(super) fn ways(latest: &[HealthRow], alarms: &[&Alarm]) -> Vec<Way> {
-    let way = |direction: Direction| {
-        let row = latest.iter().find(|row| row.direction == Some(direction));
-        Way {
-            direction: match direction {
-                Direction::NormalToReverse => "normal to reverse",
-                Direction::ReverseToNormal => "reverse to normal",
-            },
-            standing: Standing::of_direction(row, alarms.iter().copied()),
-            progress: standing::progress(row),
-            changes: row.and_then(standing::changes),
-        }
-    };
-    Direction::BOTH.map(way).into()
-}
-
-/// Why a throw was not evaluated, as a sentence where there is one.
-pub(super) fn reason(row: &HealthRow) -> String {
-    row.detail.clone().unwrap_or_else(|| row.quality.replace('_', " "))
-}
-
-fn is_of(alarm: &Alarm, machine: &MachineId) -> bool {
-    alarm.site == machine.site.as_str() && alarm.machine == machine.machine.as_str()
-}
-
-pub(super) fn alarm_line(alarm: &Alarm) -> Option<AlarmLine> {
-    Some(AlarmLine {
-        machine: MachineId::new(&alarm.site, &alarm.machine).ok()?,
-        standing: Standing::of_alarm(alarm),
-        state: alarm.state.as_str().replace('_', ", "),
-        cause: alarm.cause.to_string(),
-        text: alarm.text.clone(),
-        raised_at: page::time(alarm.raised_at),
-    })
-}
-
-/// Machines that the configuration names and nobody ever heard.
-fn never_heard(view: &View, overview: &Overview) -> Vec<String> {
-    let heard: HashSet<&MachineId> = overview.health.iter().map(|row| &row.machine).collect();
+/// Machines of the configuration that never sent a throw.
+async fn silent(view: &View, reader: &Reader) -> Result<String, Failure> {
     let config = view.config();
-    let mut silent: Vec<String> =
-        config.machines.named().filter(|machine| !heard.contains(machine)).map(ToString::to_string).collect();
-    silent.sort();
-    silent
+    let named: Vec<&MachineId> = config.machines.named().collect();
+    if named.is_empty() {
+        return Ok(String::new());
+    }
+    let known: HashSet<MachineId> = reader.machines().await?.into_iter().collect();
+    let mut names: Vec<String> =
+        named.into_iter().filter(|machine| !known.contains(machine)).map(ToString::to_string).collect();
+    names.sort();
+    let more = names.len().saturating_sub(SILENT);
+    names.truncate(SILENT);
+    let list = names.join(", ");
+    Ok(if more > 0 { format!("{list} and {} more", page::count(more as u64)) } else { list })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn filters_come_from_the_address_and_go_back_into_it() {
+        let filters = Filters::from_query(Some("site=north&state=not_monitored&q=21%2F&page=2")).unwrap();
+        assert_eq!(filters.address(), "/?site=north&state=not_monitored&q=21%2F&page=2");
+        assert_eq!(filters.with_state("critical").address(), "/?site=north&state=critical&q=21%2F");
+        assert_eq!(filters.query().unwrap().offset, 2 * MACHINES);
+        assert_eq!(Filters::from_query(None).unwrap().address(), "/");
+        for wrong in ["state=good", "cause=magnet", "site=a%20b", "page=-1", "page=99999", "x=1"] {
+            assert!(Filters::from_query(Some(wrong)).and_then(|filters| filters.query()).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_small_picture_shows_scatter_small_and_a_drift_large() {
+        assert_eq!(spark([0.0, 15.0].into_iter(), 15.0), "0,12.0 100,1.0 ");
+        assert_eq!(spark([0.0, -30.0].into_iter(), 15.0), "0,12.0 100,23.0 ");
+        assert_eq!(spark([1.0].into_iter(), 15.0), "");
+    }
 }

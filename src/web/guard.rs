@@ -1,28 +1,40 @@
-//! What holds for every request: reading only, asked for under a name of ours, answered in time, with headers that let
-//! a browser do nothing else with it.
+//! Rules for every request: a permitted method, a host name of ours, an answer in time; and headers that keep a browser from
+//! doing anything else with the answer.
 
-use std::{net::IpAddr, sync::Arc, time::Duration};
+use std::{io::Write as _, net::IpAddr, sync::Arc, time::Duration};
 
 use axum::{
+    body::{Body, to_bytes},
     extract::{Request, State},
     http::{HeaderMap, HeaderValue, Method, StatusCode, header},
     middleware::Next,
     response::{IntoResponse, Response},
 };
+use flate2::{Compression, write::GzEncoder};
 use tokio::time;
 
-use super::{Web, page::Failure, trouble};
+use super::{overview::Web, page::Failure, trouble};
 
 /// Longest wait for an answer, less than a browser's patience and the daemon's limit for one query.
 const LIMIT: Duration = Duration::from_secs(4);
 
-/// Our own style, our own script, and the page itself to refresh from; nothing else, and in nobody's frame.
+/// Only our own style, script and forms; connections only to this daemon; in nobody's frame.
 const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; base-uri 'none'; \
-                      form-action 'none'; frame-ancestors 'none'";
+                      form-action 'self'; frame-ancestors 'none'";
+
+/// Smallest body that is worth compressing \[bytes\]: less fits one packet.
+const LEAST_COMPRESSED: usize = 1_024;
+/// Largest answer \[bytes\]. Every page bounds itself far below; a larger one is a fault of the program.
+const LARGEST: usize = 16 << 20;
+/// Lines of a page with this mark change with every second and do not make the page another one.
+const VOLATILE: &str = "data-volatile";
 
 pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: Next) -> Response {
-    let mut response = if let Some(refusal) = refusal(&request, &web.view.config().web.hosts) {
-        // Who asks wrongly may be anybody, and is told nothing of the daemon.
+    let wants_gzip = accepts_gzip(request.headers());
+    let known = request.headers().get(header::IF_NONE_MATCH).cloned();
+    let config = web.view.config();
+    let mut response = if let Some(refusal) = refusal(&request, &config.web.hosts, config.web.token.is_some()) {
+        // A wrong request may come from anybody, so its answer says nothing of the daemon.
         refusal.page(Vec::new())
     } else {
         let answer = time::timeout(LIMIT, next.run(request)).await;
@@ -37,30 +49,106 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
         (header::CONTENT_SECURITY_POLICY, POLICY),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::CACHE_CONTROL, "no-store"),
-        (header::REFERRER_POLICY, "no-referrer"),
-        // One request a connection: none is kept for later by who may have gone.
+        (header::REFERRER_POLICY, "same-origin"),
+        (header::VARY, "accept-encoding"),
+        // One request a connection: an idle one would keep its place from others.
         (header::CONNECTION, "close"),
     ] {
         headers.insert(name, HeaderValue::from_static(value));
     }
-    response
+    shorten(response, known.as_ref(), wants_gzip).await
 }
 
-fn refusal(request: &Request, names: &[String]) -> Option<Failure> {
-    if !matches!(*request.method(), Method::GET | Method::HEAD) {
-        return Some(Failure::new(StatusCode::METHOD_NOT_ALLOWED, "The dashboard can only be read: ask with GET."));
+/// The answer with its tag; without its body where the browser has this page already, and compressed where that helps.
+async fn shorten(response: Response, known: Option<&HeaderValue>, wants_gzip: bool) -> Response {
+    let (mut parts, body) = response.into_parts();
+    let Ok(bytes) = to_bytes(body, LARGEST).await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
+    if parts.status != StatusCode::OK || bytes.is_empty() {
+        return Response::from_parts(parts, Body::from(bytes));
     }
-    match asked_host(request.headers()) {
-        None => Some(Failure::new(
+    if let Ok(tag) = HeaderValue::from_str(&tag(&bytes)) {
+        let is_known = known == Some(&tag);
+        parts.headers.insert(header::ETAG, tag);
+        if is_known {
+            parts.status = StatusCode::NOT_MODIFIED;
+            // The browser keeps the rules of the page that it has.
+            let kept = [header::ETAG, header::CONNECTION].map(|name| (parts.headers.remove(&name), name));
+            parts.headers.clear();
+            for (value, name) in kept {
+                parts.headers.extend(value.map(|value| (name, value)));
+            }
+            return Response::from_parts(parts, Body::empty());
+        }
+    }
+    if !wants_gzip || bytes.len() < LEAST_COMPRESSED {
+        return Response::from_parts(parts, Body::from(bytes));
+    }
+    let mut encoder = GzEncoder::new(Vec::with_capacity(bytes.len() / 4), Compression::fast());
+    match encoder.write_all(&bytes).and_then(|()| encoder.finish()) {
+        Ok(short) => {
+            parts.headers.insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+            parts.headers.remove(header::CONTENT_LENGTH);
+            Response::from_parts(parts, Body::from(short))
+        }
+        // Compression into memory has no way to fail; the page as it is serves as well.
+        Err(_) => Response::from_parts(parts, Body::from(bytes)),
+    }
+}
+
+/// A weak tag: two pages with the same tag say the same.
+fn tag(bytes: &[u8]) -> String {
+    let lasting = |line: &&[u8]| !line.windows(VOLATILE.len()).any(|part| part == VOLATILE.as_bytes());
+    let mut hash = crc32fast::Hasher::new();
+    let mut length = 0;
+    for line in bytes.split(|byte| *byte == b'\n').filter(lasting) {
+        hash.update(line);
+        length += line.len();
+    }
+    format!("W/\"{:08x}-{length:x}\"", hash.finalize())
+}
+
+fn accepts_gzip(headers: &HeaderMap) -> bool {
+    let accepted = headers.get(header::ACCEPT_ENCODING).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    accepted.split(',').map(str::trim).any(|coding| coding == "gzip" || coding == "*")
+}
+
+fn refusal(request: &Request, names: &[String], commands: bool) -> Option<Failure> {
+    let is_post = commands && *request.method() == Method::POST;
+    if !is_post && !matches!(*request.method(), Method::GET | Method::HEAD) {
+        return Some(Failure::new(
+            StatusCode::METHOD_NOT_ALLOWED,
+            "The dashboard can only be read: ask with GET. Operators' commands need web.token in the configuration.",
+        ));
+    }
+    let Some(host) = asked_host(request.headers()) else {
+        return Some(Failure::new(
             StatusCode::BAD_REQUEST,
-            "The request does not say whom it asks: it needs one header Host.",
-        )),
-        Some(host) if is_ours(host, names) => None,
-        Some(_) => Some(Failure::new(
+            "The request needs one header Host, with the name of this host.",
+        ));
+    };
+    if !is_ours(host, names) {
+        return Some(Failure::new(
             StatusCode::MISDIRECTED_REQUEST,
-            "This is not the host that was asked for. Use its IP address or localhost, or add the name to hosts in the section [web] of the configuration.",
-        )),
+            "The request asks for another host. Use the IP address of this one or localhost, or add the name to hosts in the section [web] of the configuration.",
+        ));
     }
+    (is_post && !is_same_site(request.headers(), host)).then(|| {
+        Failure::new(
+            StatusCode::FORBIDDEN,
+            "The command comes from a page of another site. Use the form on the machine's page.",
+        )
+    })
+}
+
+/// Whether a page of this daemon sent the request. Browsers send `Origin` with every POST.
+fn is_same_site(headers: &HeaderMap, host: &str) -> bool {
+    let text = |name: header::HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or_default());
+    let site = text(header::HeaderName::from_static("sec-fetch-site")).is_none_or(|site| site == "same-origin");
+    let origin = text(header::ORIGIN).is_some_and(|origin| {
+        let origin = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
+        origin.is_some_and(|origin| origin.eq_ignore_ascii_case(host))
+    });
+    site && origin
 }
 
 fn asked_host(headers: &HeaderMap) -> Option<&str> {
@@ -69,7 +157,7 @@ fn asked_host(headers: &HeaderMap) -> Option<&str> {
     hosts.next().is_none().then_some(host)
 }
 
-/// A web page that makes its own name lead here (DNS rebinding) is told from us by that name.
+/// Whether a name is ours. A foreign page that leads its own name to this address (DNS rebinding) still asks for that name.
 fn is_ours(host: &str, names: &[String]) -> bool {
     let bare = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some((address, _)) => address,
@@ -110,5 +198,38 @@ mod tests {
         ] {
             assert!(!is_ours(other, &names), "{other}");
         }
+    }
+
+    #[test]
+    fn only_our_own_pages_send_commands() {
+        let same = |origin: Option<&str>, site: Option<&str>| {
+            let mut headers = HeaderMap::new();
+            for (name, value) in [("origin", origin), ("sec-fetch-site", site)] {
+                if let Some(value) = value {
+                    headers.insert(header::HeaderName::from_static(name), HeaderValue::from_str(value).unwrap());
+                }
+            }
+            is_same_site(&headers, "127.0.0.1:7480")
+        };
+        assert!(same(Some("http://127.0.0.1:7480"), Some("same-origin")));
+        assert!(same(Some("http://127.0.0.1:7480"), None));
+        for (origin, site) in [
+            (None, None),
+            (None, Some("same-origin")),
+            (Some("null"), None),
+            (Some("http://127.0.0.1:7481"), None),
+            (Some("http://evil.example"), Some("same-origin")),
+            (Some("http://127.0.0.1:7480"), Some("cross-site")),
+            (Some("http://127.0.0.1:7480"), Some("same-site")),
+        ] {
+            assert!(!same(origin, site), "{origin:?} {site:?}");
+        }
+    }
+
+    #[test]
+    fn a_page_that_differs_in_its_clock_alone_is_the_same_page() {
+        let page = |now: &str, state: &str| tag(format!("<p>{state}</p>\n<p data-volatile>{now}</p>\n").as_bytes());
+        assert_eq!(page("10:00", "good"), page("10:05", "good"));
+        assert_ne!(page("10:00", "good"), page("10:00", "bad"));
     }
 }

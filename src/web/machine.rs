@@ -1,34 +1,36 @@
-//! `/machines/{site}/{machine}`: trends, alarms and last throws of one machine.
+//! `/machines/{site}/{machine}`: the state of one machine, its drifts as they are now, trends, alarms and last throws.
 
-use std::{collections::HashSet, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc};
 
 use askama::Template;
 use axum::{
     extract::{Path, RawQuery, State, rejection::PathRejection},
     response::Response,
 };
-use jiff::Timestamp;
 
 use super::{
-    Web,
-    fleet::{Way, reason, ways},
-    overview::readable,
-    page::{self, Failure},
-    standing::{self, Standing},
+    alarm::AlarmLine,
+    overview::{Web, selector},
+    page::{self, Failure, known_name},
+    state::{self, Badge},
     trend::{self, Mark, Picture, Ways},
 };
 use crate::{
     daemon::clock,
-    diagnose::AlarmState,
-    store::{AlarmEventRow, HealthRow, Reader, Selector, StoreError},
+    diagnose::{AlarmState, BaselineRecord, MachineState},
+    store::{CommandRow, Reader, StoreError, Window},
     throw::{Direction, MachineId},
-    wire::{self, Alarm},
+    wire::{Alarm, Health},
 };
 
 /// Throws in the table.
 const THROWS: u32 = 20;
 /// Alarm events in the table.
 const EVENTS: u32 = 50;
+/// Commands of operators in the table.
+const COMMANDS: u32 = 20;
+/// Baselines that can be marked: a machine takes one a direction, and again after work on it.
+const BASELINES: u32 = 20;
 
 /// How much of a machine's life the trends show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,7 +43,7 @@ impl Span {
     const CHOICES: [(Self, &str, &str); 3] = [
         (Self::Newest(100), "100", "last 100"),
         (Self::Newest(1_000), "1000", "last 1,000"),
-        (Self::All, "all", "all that is kept"),
+        (Self::All, "all", "all that are kept"),
     ];
 
     fn from_query(query: Option<&str>) -> Result<Self, Failure> {
@@ -58,22 +60,39 @@ impl Span {
 struct Page {
     trouble: Vec<String>,
     machine: MachineId,
-    standing: Standing,
+    badge: Badge,
+    /// The maintenance window, while it is open.
+    maintenance: Option<String>,
+    alarms: Vec<AlarmLine>,
     ways: Vec<Way>,
     /// Address, words, and whether it is what is shown.
     spans: Vec<(&'static str, &'static str, bool)>,
     trends: Vec<Picture>,
+    features: Vec<Picture>,
     drawn: String,
+    rejected: String,
     events: Vec<Event>,
+    commands: Vec<Event>,
     throws: Vec<Row>,
-    now: String,
+    takes_commands: bool,
+    volatile: String,
 }
 
-/// One event in the life of an alarm.
+/// One direction of a machine.
+struct Way {
+    direction: &'static str,
+    baseline: String,
+    /// Change of the last throw, and the change that the machine makes by itself: of each coefficient.
+    changes: Option<[(String, String); 3]>,
+    /// The last throw was rejected: why.
+    rejected: Option<String>,
+}
+
+/// One event in the life of an alarm, or one command.
 struct Event {
     at: String,
-    standing: Standing,
-    cause: String,
+    badge: Option<Badge>,
+    what: String,
     state: String,
     text: String,
     by: String,
@@ -81,15 +100,16 @@ struct Event {
 
 /// One throw.
 pub(super) struct Row {
-    pub(super) boot_id: String,
+    pub(super) address: String,
     pub(super) throw_no: u64,
     pub(super) at: String,
     pub(super) direction: String,
     pub(super) changes: Option<[String; 3]>,
-    pub(super) fit: String,
     pub(super) duration: String,
+    pub(super) mean: String,
     pub(super) peak: String,
-    pub(super) refused: Option<String>,
+    pub(super) quality: String,
+    pub(super) rejected: Option<String>,
 }
 
 pub(super) async fn page(
@@ -105,39 +125,42 @@ pub(super) async fn page(
     let reader = web.view.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;
     let events = reader.alarm_events_of(&machine, EVENTS).await?;
-    if throws.is_empty() && events.is_empty() {
+    let (now_state, drifts) = reader.state_of(&machine).await?;
+    if throws.is_empty() && events.is_empty() && now_state == MachineState::Learning {
         return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));
     }
     let both = [
         (Direction::NormalToReverse, rows(reader, &machine, Direction::NormalToReverse, span).await?),
         (Direction::ReverseToNormal, rows(reader, &machine, Direction::ReverseToNormal, span).await?),
     ];
-    let which = Selector { site: Some(machine.site.clone()), machine: Some(machine.machine.clone()) };
-    let alarms = readable(&reader.open_alarms(&which).await?);
-    let alarms: Vec<&Alarm> = alarms.iter().collect();
-    let latest: Vec<HealthRow> = both.iter().filter_map(|(_, rows)| rows.last().cloned()).collect();
-    let ways = ways(&latest, &alarms);
-    let events: Vec<(Alarm, AlarmEventRow)> =
-        events.into_iter().filter_map(|row| Some((serde_json::from_str(&row.payload).ok()?, row))).collect();
-    let worst = ways.iter().map(|way| way.standing).chain(alarms.iter().map(|alarm| Standing::of_alarm(alarm))).min();
+    let baselines = reader.baselines_of(&machine, BASELINES).await?;
+    let commands = reader.commands_of(&machine, COMMANDS).await?;
+    let windows = reader.windows(Some(&machine)).await?;
+    let open = reader.open_alarms(&selector(&machine)).await?;
+    let raised = |alarm: &Alarm| {
+        let first = events.iter().find(|event| event.alarm_id == alarm.alarm_id && event.event_no == 1)?;
+        first.change_pct.zip(first.change_pct_sd)
+    };
+    let config = web.view.config();
+    let marks = marks(&both, &events, &baselines, &commands);
     Ok(page::html(&Page {
         trouble,
-        standing: worst.unwrap_or(Standing::Filling),
-        ways,
+        badge: Badge(now_state),
+        maintenance: maintenance(now_state, &windows),
+        alarms: open.iter().map(|alarm| AlarmLine::new(alarm, raised(alarm), &drifts, &windows)).collect(),
+        ways: ways(&both, &baselines),
         spans: Span::CHOICES.into_iter().map(|(choice, word, says)| (word, says, choice == span)).collect(),
-        trends: trend::trends(&both, &marks(&both, &events), &web.view.config().diagnosis),
+        trends: trend::coefficients(&both, &marks, &baselines, &config.diagnosis),
+        features: trend::features(&both, &marks, &baselines),
         drawn: drawn(&both),
-        events: events.iter().map(|(alarm, row)| event(alarm, row)).collect(),
+        rejected: rejected(&both),
+        events: events.iter().map(event).collect(),
+        commands: commands.iter().map(command).collect(),
         throws: throws.iter().map(row).collect(),
+        takes_commands: config.web.token.is_some(),
+        volatile: format!("As of {}.", page::time(clock::now())),
         machine,
-        now: page::time(clock::now()),
     }))
-}
-
-/// A machine that could exist.
-pub(super) fn known_name(site: &str, machine: &str) -> Result<MachineId, Failure> {
-    let wrong = |_| Failure::not_found("There is no such machine: names have 1 to 64 of A-Z a-z 0-9 _ -");
-    MachineId::new(site, machine).map_err(wrong)
 }
 
 async fn rows(
@@ -145,14 +168,52 @@ async fn rows(
     machine: &MachineId,
     direction: Direction,
     span: Span,
-) -> Result<Vec<HealthRow>, StoreError> {
+) -> Result<Vec<Health>, StoreError> {
     match span {
         Span::Newest(limit) => Ok(trend::thinned(reader.newest_of(machine, direction, limit).await?)),
         Span::All => reader.spread_of(machine, direction, u32::try_from(trend::POINTS).unwrap_or(u32::MAX)).await,
     }
 }
 
-/// "From … to …: 250 and 250 throws drawn."
+fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {
+    let window = windows.iter().find(|window| window.cause.is_none());
+    (state == MachineState::Maintenance).then(|| window.map_or_else(|| "in maintenance".to_owned(), page::window))
+}
+
+/// Each direction of a machine: its baseline, and its last throw beside what the machine does by itself.
+fn ways(both: &Ways, baselines: &[BaselineRecord]) -> Vec<Way> {
+    let way = |(direction, rows): &(Direction, Vec<Health>)| {
+        let last = rows.last();
+        let scatter = trend::scatter_pct(baselines, *direction);
+        let change = last.and_then(|last| last.change_pct);
+        let text = |at: usize, change: [f64; 3]| {
+            let own = scatter.map(|scatter| format!("± {:.1}", scatter[at])).unwrap_or_default();
+            (state::signed(change[at], 1), own)
+        };
+        let baseline = match last.and_then(|last| last.baseline) {
+            Some((so_far, needed)) if so_far < needed => format!("{so_far} of {needed} throws"),
+            Some(_) => "complete".to_owned(),
+            None => "none yet".to_owned(),
+        };
+        Way {
+            direction: match direction {
+                Direction::NormalToReverse => "normal to reverse",
+                Direction::ReverseToNormal => "reverse to normal",
+            },
+            baseline,
+            changes: change.map(|change| [text(0, change), text(1, change), text(2, change)]),
+            rejected: last.filter(|last| last.is_rejected()).map(reason),
+        }
+    };
+    both.iter().map(way).collect()
+}
+
+/// Why a throw was rejected, as a sentence where there is one.
+pub(super) fn reason(row: &Health) -> String {
+    row.detail.clone().unwrap_or_else(|| row.quality.replace('_', " "))
+}
+
+/// "From … to …; 250 and 250 throws."
 fn drawn(ways: &Ways) -> String {
     let times = || ways.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
     let (Some(first), Some(last)) = (times().min(), times().max()) else {
@@ -166,46 +227,82 @@ fn drawn(ways: &Ways) -> String {
     )
 }
 
-/// When alarms were raised, within what is shown; oldest first.
-fn marks(ways: &Ways, events: &[(Alarm, AlarmEventRow)]) -> Vec<Mark> {
-    let first = ways.iter().filter_map(|(_, rows)| rows.first()).map(|row| row.started_at).min();
-    let mut seen = HashSet::new();
-    let raised = events.iter().rev().filter(|(alarm, _)| seen.insert((&alarm.alarm_id, alarm.severity)));
-    let shown = |at: Timestamp| first.is_some_and(|first| first <= at);
-    raised
-        .filter(|(alarm, _)| shown(alarm.event_at) && alarm.state == AlarmState::ActiveUnacknowledged)
-        .map(|(alarm, _)| Mark { at: alarm.event_at, label: format!("{}, {}", alarm.cause, alarm.severity.as_str()) })
-        .collect()
+/// "Rejected throws: 12 supply sagged, 3 no movement."
+fn rejected(ways: &Ways) -> String {
+    let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+    for row in ways.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected()) {
+        *reasons.entry(&row.quality).or_default() += 1;
+    }
+    let reasons: Vec<String> =
+        reasons.into_iter().map(|(reason, count)| format!("{count} {}", reason.replace('_', " "))).collect();
+    if reasons.is_empty() { String::new() } else { format!("Rejected among these: {}.", reasons.join(", ")) }
 }
 
-fn event(alarm: &Alarm, row: &AlarmEventRow) -> Event {
-    let by = match (&row.by, &row.why) {
+/// Alarms as they were raised, baselines as they were taken, and what operators did, within what is shown; oldest first.
+fn marks(ways: &Ways, events: &[Alarm], baselines: &[BaselineRecord], commands: &[CommandRow]) -> Vec<Mark> {
+    let Some(first) = ways.iter().filter_map(|(_, rows)| rows.first()).map(|row| row.started_at).min() else {
+        return Vec::new();
+    };
+    let raised = events.iter().filter(|alarm| alarm.event_no == 1 && alarm.state == AlarmState::ActiveUnacknowledged);
+    let raised =
+        raised.map(|alarm| Mark { at: alarm.event_at, label: format!("{}, {}", alarm.cause, alarm.severity.as_str()) });
+    let complete = baselines.iter().filter(|baseline| baseline.complete);
+    let complete = complete.map(|baseline| Mark { at: baseline.taken_at, label: "baseline".to_owned() });
+    let shown = ["maintenance_start", "maintenance_end", "rebaseline"];
+    let commands = commands.iter().filter(|command| shown.contains(&command.command.as_str()));
+    let commands = commands.map(|command| Mark { at: command.at, label: command.command.replace('_', " ") });
+    let mut marks: Vec<Mark> = raised.chain(complete).chain(commands).filter(|mark| mark.at >= first).collect();
+    marks.sort_by_key(|mark| mark.at);
+    // Both directions take their baselines within a throw of each other.
+    marks.dedup_by(|one, before| one.label == before.label && one.label == "baseline");
+    marks
+}
+
+fn who(by: Option<&String>, why: Option<&String>) -> String {
+    match (by, why) {
         (Some(by), Some(why)) => format!("{by}: {why}"),
         (Some(by), None) => by.clone(),
         (None, _) => String::new(),
-    };
-    Event {
-        at: page::time(alarm.event_at),
-        standing: Standing::of_alarm(alarm),
-        cause: alarm.cause.to_string(),
-        state: alarm.state.as_str().replace('_', ", "),
-        text: alarm.text.clone(),
-        by,
     }
 }
 
-pub(super) fn row(health: &HealthRow) -> Row {
+fn event(alarm: &Alarm) -> Event {
+    Event {
+        at: page::time(alarm.event_at),
+        badge: Some(Badge::of(alarm)),
+        what: alarm.cause.to_string(),
+        state: alarm.state.words().to_owned(),
+        text: alarm.text.clone(),
+        by: who(alarm.by.as_ref(), alarm.why.as_ref()),
+    }
+}
+
+fn command(row: &CommandRow) -> Event {
+    let until = row.until.map(|until| format!("until {}", page::time(until)));
+    let cause = row.cause.map(|cause| format!(" {cause}")).unwrap_or_default();
+    Event {
+        at: page::time(row.at),
+        badge: None,
+        what: format!("{}{cause}", row.command.replace('_', " ")),
+        state: until.unwrap_or_default(),
+        text: String::new(),
+        by: who(Some(&row.by), row.why.as_ref()),
+    }
+}
+
+pub(super) fn row(health: &Health) -> Row {
     let with =
         |value: Option<f64>, decimals: usize| value.map(|value| format!("{value:.decimals$}")).unwrap_or_default();
     Row {
-        boot_id: health.throw.boot_id.clone(),
+        address: page::throw_address(&health.machine, &health.throw),
         throw_no: health.throw.throw_no,
         at: page::time(health.started_at),
         direction: health.direction.map_or_else(|| "unknown".to_owned(), |direction| direction.to_string()),
-        changes: standing::changes(health),
-        fit: with(health.fit_pct, 2),
+        changes: health.change_pct.map(|change| change.map(|change| state::signed(change, 1))),
         duration: with(health.duration_s, 2),
+        mean: with(health.mean_current_a, 2),
         peak: with(health.peak_current_a, 1),
-        refused: (health.quality != wire::GOOD).then(|| reason(health)),
+        quality: health.quality.replace('_', " "),
+        rejected: health.is_rejected().then(|| reason(health)),
     }
 }

@@ -1,9 +1,12 @@
 //! `/metrics`: the daemon's counts as `OpenMetrics` text, for Prometheus.
 //!
-//! Label sets are bounded by the program: causes and severities of alarms, reasons of refusal, states of the disk. None
-//! grows with the fleet.
+//! Label sets are bounded: causes and severities of alarms, reasons of rejection, states of the disk; and each machine's own
+//! series only up to `web.machine_metrics` machines.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::{Arc, atomic::AtomicU64},
+    time::Duration,
+};
 
 use axum::{
     extract::State,
@@ -20,22 +23,27 @@ use prometheus_client::{
     },
     registry::{Registry, Unit},
 };
+use strum::VariantArray as _;
 use tokio::time;
 
-use super::{Web, overview::Overview, page};
+use super::{
+    overview::{Overview, Web},
+    page,
+};
 use crate::{
-    daemon::{Organ, StatusReport, View},
-    diagnose::{Cause, Severity},
+    daemon::{StatusReport, TaskName, View},
+    diagnose::{Cause, MachineState, Severity},
+    store::{FleetQuery, FleetRow, StoreError},
 };
 
 const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// What the disk may be, as in the status.
+/// States of the disk, as in the status.
 const DISK_STATES: [&str; 4] = ["ok", "low", "full", "failing"];
 
 type Labels<const N: usize> = [(&'static str, String); N];
 
-/// Longest wait for the database: what the daemon itself counts is told without it.
+/// Longest wait for the database; without it the answer has the daemon's own counts.
 const LIMIT: Duration = Duration::from_secs(2);
 
 pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
@@ -45,6 +53,19 @@ pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
     if let Ok(Ok(overview)) = time::timeout(LIMIT, web.overview()).await {
         database(&mut registry, &overview);
         alarms(&mut registry, &overview);
+        let series = web.view.config().web.machine_metrics;
+        let omitted = if overview.machines <= u64::from(series) { 0 } else { overview.machines };
+        let omitted = ConstGauge::new(omitted.cast_signed());
+        registry.register(
+            "machines_omitted",
+            "Machines without series of their own, above web.machine_metrics",
+            omitted,
+        );
+        if overview.machines <= u64::from(series)
+            && let Ok(Ok(rows)) = time::timeout(LIMIT, machine_rows(&web, series)).await
+        {
+            machines(&mut registry, &rows);
+        }
     }
     let mut text = String::new();
     match encode(&mut text, &registry) {
@@ -55,6 +76,42 @@ pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
     }
 }
 
+async fn machine_rows(web: &Web, limit: u32) -> Result<Vec<FleetRow>, StoreError> {
+    let _turn = web.turn().await?;
+    let query = FleetQuery { limit, ..FleetQuery::default() };
+    web.view.reader().fleet(&query, &web.view.config().monitor.as_machine()).await
+}
+
+/// Series of each machine: names have 1 to 64 of few characters, so labels are safe.
+fn machines(registry: &mut Registry, rows: &[FleetRow]) {
+    let name = |row: &FleetRow| [("site", row.machine.site.to_string()), ("machine", row.machine.machine.to_string())];
+    let with = |row: &FleetRow, label: &'static str, value: &str| {
+        let [site, machine] = name(row);
+        [site, machine, (label, value.to_owned())]
+    };
+    let state = Family::<Labels<3>, Gauge>::default();
+    let last = Family::<Labels<2>, Gauge>::default();
+    let drift = Family::<Labels<3>, Gauge<f64, AtomicU64>>::default();
+    let limit = Family::<Labels<3>, Gauge<f64, AtomicU64>>::default();
+    for row in rows {
+        state.get_or_create(&with(row, "state", row.state.as_str())).set(1);
+        if let Some(started_at) = row.started_at {
+            last.get_or_create(&name(row)).set(started_at.as_second());
+        }
+        for now in &row.drifts {
+            drift.get_or_create(&with(row, "cause", now.cause.as_str())).set(now.change_pct);
+            if let Some(forecast) = now.limit_in_throws {
+                limit.get_or_create(&with(row, "cause", now.cause.as_str())).set(forecast.mid);
+            }
+        }
+    }
+    registry.register("machine_state", "1 for the state in which the machine is", state);
+    let help = "Start of the last judged throw of the machine";
+    registry.register_with_unit("machine_last_throw_timestamp", help, Unit::Seconds, last);
+    registry.register("machine_drift_percent", "Size of each active drift as it is now, from the baseline", drift);
+    registry.register("machine_throws_to_limit", "Estimated throws until the drift reaches its critical limit", limit);
+}
+
 fn throws(registry: &mut Registry, view: &View) {
     let report = view.report();
     for (name, help, value) in [
@@ -62,7 +119,7 @@ fn throws(registry: &mut Registry, view: &View) {
         ("throws_stored", "Throws that were stored", report.stored),
         ("throws_judged", "Throws that were identified and diagnosed", report.judged),
         ("throws_duplicate", "Throws that were stored before", report.duplicates),
-        ("throws_missed", "Throws that were missed beyond recovery", report.missed),
+        ("replies_ignored", "Replies of loggers that were not what was asked for", report.ignored),
         ("messages_quarantined", "Messages that were no throw, or could not be kept as one", report.quarantined),
         ("messages_dropped", "Messages that were dropped because too many waited to be stored", report.dropped),
         ("messages_lost", "Messages that arrived and could not be kept at all", report.lost),
@@ -81,8 +138,8 @@ fn throws(registry: &mut Registry, view: &View) {
         refused.get_or_create(&[("reason", reason)]).inc_by(number);
     }
     registry.register("throws_not_evaluated", "Judged throws that gave no estimate, by reason", refused);
-    let behind = ConstGauge::new(report.behind.cast_signed());
-    registry.register("throws_behind", "Throws that are still in the caches of their loggers", behind);
+    let backlog = ConstGauge::new(report.backlog.cast_signed());
+    registry.register("throws_backlog", "Throws that are still in the backlogs of their loggers", backlog);
     gauge(
         registry,
         "inbox",
@@ -121,15 +178,23 @@ fn daemon(registry: &mut Registry, report: &StatusReport) {
     registry.register("connected", "Whether a link to others is up", connected);
     let loggers = ConstGauge::new(i64::try_from(report.loggers).unwrap_or(i64::MAX));
     registry.register("loggers", "Loggers that are connected", loggers);
+    let machines = Family::<Labels<1>, Gauge>::default();
+    for state in MachineState::VARIANTS {
+        let count = report.standing.count(*state).cast_signed();
+        machines.get_or_create(&[("state", state.as_str().to_owned())]).set(count);
+    }
+    registry.register("machine_states", "Machines in each state", machines);
+    let shelved = ConstGauge::new(report.standing.shelved_alarms.cast_signed());
+    registry.register("alarms_shelved", "Open alarms that are shelved", shelved);
     let disk = Family::<Labels<1>, Gauge>::default();
     for state in DISK_STATES {
         disk.get_or_create(&[("state", state.to_owned())]).set(i64::from(report.disk == state));
     }
     registry.register("disk_state", "1 for the state in which the disk is", disk);
     let beats = Family::<Labels<1>, Gauge>::default();
-    for organ in Organ::ALL {
-        let silent = report.silent.iter().any(|silent| silent == organ.as_str());
-        beats.get_or_create(&[("loop", organ.as_str().to_owned())]).set(i64::from(!silent));
+    for task in TaskName::VARIANTS {
+        let silent = report.silent.iter().any(|silent| silent == task.as_ref());
+        beats.get_or_create(&[("loop", task.as_ref().to_owned())]).set(i64::from(!silent));
     }
     registry.register("loop_alive", "Whether a loop of the daemon beats", beats);
 }
@@ -137,7 +202,7 @@ fn daemon(registry: &mut Registry, report: &StatusReport) {
 fn alarms(registry: &mut Registry, overview: &Overview) {
     let open = Family::<Labels<2>, Gauge>::default();
     let cell = |cause: &str, severity: &str| [("cause", cause.to_owned()), ("severity", severity.to_owned())];
-    for cause in Cause::ALL {
+    for cause in Cause::VARIANTS {
         for severity in [Severity::Warning, Severity::Critical] {
             open.get_or_create(&cell(cause.as_str(), severity.as_str())).set(0);
         }

@@ -1,19 +1,23 @@
-//! The dashboard and the metrics over HTTP, for reading only.
+//! The dashboard and the metrics over HTTP.
 //!
 //! | address | answers with |
 //! |---|---|
-//! | `/` | the fleet, worst machine first, with the open alarms and the daemon's own state |
-//! | `/machines/{site}/{machine}?span=100\|1000\|all` | its trends, alarms and last throws |
-//! | `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}` | one throw and its trace |
+//! | `/?site=…&state=…&cause=…&q=…&page=…` | the fleet, a line a machine, worst first, with the open alarms and the daemon itself |
+//! | `/machines/{site}/{machine}?span=100\|1000\|all` | its state, drifts, trends, alarms and last throws |
+//! | `POST /machines/{site}/{machine}/command` | an operator's command, where `web.token` is set |
+//! | `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}` | one throw and its trace; `/trace.csv` below it is the trace |
+//! | `/api/v1/…` | the same as JSON (`api`) |
 //! | `/metrics` | `OpenMetrics` text |
-//! | `/healthz` | 200 while every loop of the daemon beats, else 503 with the reason |
+//! | `/healthz` | 200 while every task of the daemon beats, else 503 with the reason |
 //!
-//! The daemon comes first, whoever asks: connections, their bytes and their life are bounded (`connection`), so are
-//! the time of a request (`guard`) and the rows it reads; one request at a time reads the database, on the
-//! connections for questions from outside, so that the judge has its own; and what every page shows is read at most
-//! once a second (`overview`). Every page begins with what keeps it from telling the truth (`trouble`). The room sees
-//! the daemon through a [`View`], which cannot write.
+//! The daemon comes first, whatever the readers do: connections, their bytes and their life are bounded (`connection`), so
+//! are the time of a request (`guard`) and the rows that it reads. One request at a time reads the database, on the
+//! connections for questions from outside, so that the judge has its own. The parts that every page shows are read at most
+//! once a second (`overview`). Every page begins with the trouble that keeps it from telling the truth (`trouble`).
 
+mod alarm;
+mod api;
+mod command;
 mod connection;
 mod fleet;
 mod guard;
@@ -21,26 +25,27 @@ mod machine;
 mod metrics;
 mod overview;
 mod page;
-mod standing;
+mod state;
 mod throw;
 mod trend;
 mod trouble;
 
 use std::{net::SocketAddr, sync::Arc};
 
-use axum::{Router, extract::State, http::StatusCode, middleware, response::Response, routing::get};
-use tokio::{
-    net::TcpListener,
-    sync::{Semaphore, SemaphorePermit},
+use axum::{
+    Router,
+    extract::State,
+    http::StatusCode,
+    middleware,
+    response::Response,
+    routing::{get, post},
 };
+use tokio::net::TcpListener;
 
-use crate::{daemon::View, store::StoreError};
+use crate::daemon::View;
 use connection::Bounded;
-use overview::Cache;
+use overview::Web;
 use page::{Failure, asset};
-
-/// Requests that read the database at the same time: the other connections for questions are left to those on zenoh.
-const READING: usize = 1;
 
 const STYLE: &str = include_str!("pages/style.css");
 const REFRESH: &str = include_str!("pages/refresh.js");
@@ -72,24 +77,10 @@ impl Place {
         Ok(Self { listener, address })
     }
 
-    /// What a browser on this computer is told.
+    /// The address for a browser on this computer.
     #[must_use]
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
-    }
-}
-
-/// What every request needs.
-struct Web {
-    view: View,
-    cache: Cache,
-    reading: Semaphore,
-}
-
-impl Web {
-    /// The right to read the database, held while reading and drawing.
-    async fn turn(&self) -> Result<SemaphorePermit<'_>, StoreError> {
-        self.reading.acquire().await.map_err(|_| StoreError::Closed)
     }
 }
 
@@ -99,7 +90,7 @@ pub async fn serve(place: Place, view: View) {
         tracing::warn!(address = %place.address, "the dashboard can be read by everybody who reaches this address");
     }
     tracing::info!("the dashboard is at {}", place.url());
-    let web = Arc::new(Web { view, cache: Cache::default(), reading: Semaphore::new(READING) });
+    let web = Arc::new(Web::new(view));
     if let Err(error) = axum::serve(Bounded::new(place.listener), router(web)).await {
         tracing::error!(%error, "the dashboard has ended");
     }
@@ -109,7 +100,13 @@ fn router(web: Arc<Web>) -> Router {
     Router::new()
         .route("/", get(fleet::page))
         .route("/machines/{site}/{machine}", get(machine::page))
+        .route("/machines/{site}/{machine}/command", post(command::post))
         .route("/machines/{site}/{machine}/throws/{boot_id}/{throw_no}", get(throw::page))
+        .route("/machines/{site}/{machine}/throws/{boot_id}/{throw_no}/trace.csv", get(throw::csv))
+        .route("/api/v1/status", get(api::status))
+        .route("/api/v1/machines", get(api::machines))
+        .route("/api/v1/machines/{site}/{machine}", get(api::machine))
+        .route("/api/v1/alarms", get(api::alarms))
         .route("/metrics", get(metrics::page))
         .route("/healthz", get(healthz))
         .route("/style.css", get(|| async { asset("text/css; charset=utf-8", STYLE) }))

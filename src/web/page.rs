@@ -1,4 +1,4 @@
-//! What all pages share: how they are answered, failures in plain words, numbers and times as text.
+//! Parts of all pages: answers, failures in plain words, numbers, times and states as text.
 
 use askama::Template;
 use axum::{
@@ -7,10 +7,14 @@ use axum::{
     response::{Html, IntoResponse, Response},
 };
 use jiff::Timestamp;
+use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
 
-use crate::store::StoreError;
+use crate::{
+    store::{StoreError, Window},
+    throw::{MachineId, ThrowRef},
+};
 
-/// A page instead of the one that was asked for. As a response it is bare: whoever answers gives it its page.
+/// A failure instead of a page. As a response it is bare: `guard` gives it its page.
 #[derive(Debug, Clone)]
 pub(super) struct Failure {
     status: StatusCode,
@@ -39,8 +43,8 @@ impl Failure {
     }
 
     pub(super) fn busy() -> Self {
-        let says = "The daemon has more important things to do, or its database does not answer. Try again in a moment; \
-                    pointsd status shows how it stands.";
+        let says = "The daemon is busy, or its database does not answer. Try again in a moment; \
+                    pointsd status shows the state of the daemon.";
         Self::new(StatusCode::SERVICE_UNAVAILABLE, says)
     }
 }
@@ -93,6 +97,24 @@ pub(super) fn text(status: StatusCode, text: String) -> Response {
 
 pub(super) fn asset(kind: &'static str, content: &'static str) -> Response {
     ([(header::CONTENT_TYPE, HeaderValue::from_static(kind))], content).into_response()
+}
+
+/// A machine that could exist.
+pub(super) fn known_name(site: &str, machine: &str) -> Result<MachineId, Failure> {
+    let wrong = |_| Failure::not_found("There is no such machine: names have 1 to 64 of A-Z a-z 0-9 _ -");
+    MachineId::new(site, machine).map_err(wrong)
+}
+
+/// The address of a throw's page.
+pub(super) fn throw_address(machine: &MachineId, throw: &ThrowRef) -> String {
+    let boot = utf8_percent_encode(&throw.boot_id, NON_ALPHANUMERIC);
+    format!("/machines/{}/{}/throws/{boot}/{}", machine.site, machine.machine, throw.throw_no)
+}
+
+/// "in maintenance until … by …: …", or the same of a shelved alarm.
+pub(super) fn window(window: &Window) -> String {
+    let what = window.cause.map_or_else(|| "in maintenance".to_owned(), |cause| format!("{cause} shelved"));
+    format!("{what} {}", window.sentence())
 }
 
 /// "2026-11-21 19:30:12 UTC".

@@ -1,23 +1,30 @@
-//! `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}`: one throw, with its trace while that is kept.
+//! `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}`: one throw with its trace, beside the identified model and a throw
+//! of the time of the baseline; and the trace as CSV.
 
-use std::sync::Arc;
+use std::{fmt::Write as _, sync::Arc};
 
 use askama::Template;
 use axum::{
     extract::{Path, State, rejection::PathRejection},
-    response::Response,
+    http::{HeaderValue, header},
+    response::{IntoResponse, Response},
 };
 
 use super::{
-    Web,
-    machine::{Row, known_name, row},
-    page::{self, Failure},
-    trend::{self, Picture},
+    machine::{Row, row},
+    overview::Web,
+    page::{self, Failure, known_name},
+    trend::{self, Curve, Picture},
 };
 use crate::{
-    store::{HealthRow, StoredThrow},
-    throw::{MachineId, ThrowRef},
+    estimate::{self, Motor},
+    store::StoredThrow,
+    throw::{MachineId, Throw, ThrowRef, Trace},
+    wire::Health,
 };
+
+/// Baselines that are looked at: the newest of each direction is among them.
+const BASELINES: u32 = 8;
 
 #[derive(Template)]
 #[template(path = "throw.html", config = "src/web/askama.toml")]
@@ -28,53 +35,197 @@ struct Page {
     throw_no: u64,
     at: String,
     received_at: String,
-    /// `None` while it waits to be judged.
+    before: Option<String>,
+    after: Option<String>,
+    /// `None` while the throw is pending.
     judged: Option<Row>,
     coefficients: Option<[String; 3]>,
     temperature: Option<String>,
+    supply: Option<String>,
     pictures: Vec<Picture>,
+    /// The throw that stands for the baseline.
+    typical: Option<(String, u64)>,
+    csv: Option<String>,
     /// Why there is no trace.
     no_trace: Option<String>,
 }
 
-pub(super) async fn page(
-    State(web): State<Arc<Web>>,
-    path: Result<Path<(String, String, String, String)>, PathRejection>,
-) -> Result<Response, Failure> {
-    let Path((site, machine, boot_id, throw_no)) = path?;
-    let machine = known_name(&site, &machine)?;
+type Names = Result<Path<(String, String, String, String)>, PathRejection>;
+
+/// The machine and the throw that an address names.
+fn named(names: Names) -> Result<(MachineId, ThrowRef), Failure> {
+    let Path((site, machine, boot_id, throw_no)) = names?;
     let wrong = |_| Failure::bad_request("The address must end in the number of the throw.");
-    let throw_no = throw_no.parse().map_err(wrong)?;
-    let trouble = web.trouble().await;
-    let _turn = web.turn().await?;
-    let found = web.view.reader().throw_of(&machine, &ThrowRef { boot_id, throw_no }).await?;
-    let (stored, health) = found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw here.")))?;
-    Ok(page::html(&shown(trouble, stored, health.as_ref())))
+    Ok((known_name(&site, &machine)?, ThrowRef { boot_id, throw_no: throw_no.parse().map_err(wrong)? }))
 }
 
-fn shown(trouble: Vec<String>, stored: StoredThrow, health: Option<&HealthRow>) -> Page {
-    let (pictures, no_trace) = match &stored.throw {
-        Ok(throw) => (trend::trace(&throw.trace).into(), None),
-        Err(unreadable) => (Vec::new(), Some(unreadable.to_string())),
+pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Response, Failure> {
+    let (machine, throw) = named(names)?;
+    let trouble = web.trouble().await;
+    let _turn = web.turn().await?;
+    let reader = web.view.reader();
+    let found = reader.throw_of(&machine, &throw).await?;
+    let (stored, health) = found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw here.")))?;
+    let [before, after] = reader.neighbours_of(&machine, &throw).await?;
+    let typical = typical(&web, &machine, &throw, health.as_ref()).await?;
+    let settings = web.view.config().machines.of(&machine).clone();
+    let address = |throw: ThrowRef| page::throw_address(&machine, &throw);
+    let (pictures, csv, no_trace) = match &stored.throw {
+        Ok(throw) => {
+            let typical =
+                typical.as_ref().and_then(|typical| Some((&typical.throw.as_ref().ok()?.trace, typical.id.throw_no)));
+            let csv = format!("{}/trace.csv", page::throw_address(&machine, &stored.id));
+            (pictures(throw, health.as_ref(), typical, &settings), Some(csv), None)
+        }
+        Err(unreadable) => (Vec::new(), None, Some(unreadable.to_string())),
     };
-    let temperature = stored.throw.as_ref().ok().and_then(|throw| throw.temperature_c);
-    Page {
+    let measured = stored.throw.as_ref().ok();
+    Ok(page::html(&Page {
         trouble,
-        machine: stored.machine,
-        boot_id: stored.id.boot_id,
+        boot_id: stored.id.boot_id.clone(),
         throw_no: stored.id.throw_no,
         at: page::time(stored.started_at),
         received_at: page::time(stored.received_at),
-        judged: health.map(row),
-        coefficients: health.and_then(coefficients),
-        temperature: temperature.map(|celsius| format!("{celsius:.1} °C")),
+        before: before.map(address),
+        after: after.map(address),
+        judged: health.as_ref().map(row),
+        coefficients: health.as_ref().and_then(coefficients),
+        temperature: measured.and_then(|throw| throw.temperature_c).map(|celsius| format!("{celsius:.1} °C")),
+        supply: measured.and_then(|throw| throw.supply_v).map(|volts| format!("{volts:.1} V")),
         pictures,
+        typical: typical.map(|typical| (address(typical.id.clone()), typical.id.throw_no)),
+        csv,
         no_trace,
+        machine: stored.machine,
+    }))
+}
+
+/// A good throw of the same direction from the time of the newest baseline.
+async fn typical(
+    web: &Web,
+    machine: &MachineId,
+    throw: &ThrowRef,
+    health: Option<&Health>,
+) -> Result<Option<StoredThrow>, Failure> {
+    let Some(direction) = health.and_then(|health| health.direction) else { return Ok(None) };
+    let reader = web.view.reader();
+    let baselines = reader.baselines_of(machine, BASELINES).await?;
+    let Some(baseline) = baselines.iter().find(|baseline| baseline.direction == direction) else { return Ok(None) };
+    let found = reader.typical_of(machine, direction, baseline.taken_at).await?;
+    let Some(found) = found.filter(|found| found != throw) else { return Ok(None) };
+    Ok(reader.throw_of(machine, &found).await?.map(|(stored, _)| stored))
+}
+
+/// The trace as CSV, in the columns that `pointsd identify` and `pointsd import` read.
+pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Response, Failure> {
+    let (machine, throw) = named(names)?;
+    let _turn = web.turn().await?;
+    let found = web.view.reader().throw_of(&machine, &throw).await?;
+    let (stored, _) = found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw here.")))?;
+    let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;
+    let kind = HeaderValue::from_static("text/csv; charset=utf-8");
+    Ok(([(header::CONTENT_TYPE, kind)], csv_of(&throw.trace)).into_response())
+}
+
+fn csv_of(trace: &Trace) -> String {
+    let mut text = "time_s,current_a,position_mm\n".to_owned();
+    // Writing to a string cannot fail.
+    for (at, (current_a, position_mm)) in trace.current_a().iter().zip(trace.position_mm()).enumerate() {
+        let time_s = at as f64 / trace.sample_rate_hz();
+        let _ = write!(text, "{time_s:.7},{current_a},");
+        // A sample that was not measured is an empty cell.
+        let _ = if position_mm.is_nan() { writeln!(text) } else { writeln!(text, "{position_mm}") };
     }
+    text
+}
+
+/// Current and position beside those of the typical throw; the running current without its inrush; the position beside that
+/// of the identified model, and their difference.
+fn pictures(
+    throw: &Throw,
+    health: Option<&Health>,
+    typical: Option<(&Trace, u64)>,
+    settings: &estimate::Settings,
+) -> Vec<Picture> {
+    let trace = &throw.trace;
+    let rate_hz = trace.sample_rate_hz();
+    let both = |title: &str, unit: &str, of: fn(&Trace) -> &[f64]| {
+        let mut curves = vec![Curve { name: "this throw", rate_hz, values: of(trace) }];
+        let beside =
+            typical.map(|(trace, _)| Curve { name: "baseline", rate_hz: trace.sample_rate_hz(), values: of(trace) });
+        curves.extend(beside);
+        trend::over_time(title, unit, &curves, trend::caption(title, trace))
+    };
+    let mut pictures = vec![both("Motor current", "A", Trace::current_a)];
+    let peak = trace.current_a().iter().fold(0.0_f64, |peak, current| peak.max(current.abs()));
+    let running = health.and_then(|health| health.mean_current_a).filter(|mean| peak > 2.0 * mean);
+    if let Some(mean) = running {
+        let cut =
+            |trace: &Trace| trace.current_a().iter().map(|it| it.clamp(-2.0 * mean, 2.0 * mean)).collect::<Vec<_>>();
+        let (own, other) = (cut(trace), typical.map(|(trace, _)| (trace.sample_rate_hz(), cut(trace))));
+        let mut curves = vec![Curve { name: "this throw", rate_hz, values: &own }];
+        curves.extend(other.as_ref().map(|(rate_hz, values)| Curve { name: "baseline", rate_hz: *rate_hz, values }));
+        let says =
+            format!("The running current: the inrush is cut off at twice the mean current, {:.1} A.", 2.0 * mean);
+        pictures.push(trend::over_time("Running current", "A", &curves, says));
+    }
+    if !trace.has_position() {
+        return pictures;
+    }
+    pictures.push(both("Toe position from normal", "mm", Trace::position_mm));
+    let identified = health.and_then(|health| health.coefficients.zip(health.duration_s));
+    if let Some(model) = identified.map(|(of, duration_s)| modelled_mm(trace, of, duration_s, settings)) {
+        let measured = &trace.position_mm()[..model.len()];
+        let difference: Vec<f64> = measured.iter().zip(&model).map(|(measured, model)| measured - model).collect();
+        let curves =
+            [Curve { name: "measured", rate_hz, values: measured }, Curve { name: "model", rate_hz, values: &model }];
+        let says = "The position beside that of the model with the coefficients of this throw, driven by its current, while \
+                    the motor runs.";
+        pictures.push(trend::over_time("Position and model", "mm", &curves, says.to_owned()));
+        let curves = [Curve { name: "", rate_hz, values: &difference }];
+        let says = "What the model leaves of the position, measured minus model.".to_owned();
+        pictures.push(trend::over_time("Residual", "mm", &curves, says));
+    }
+    pictures
+}
+
+/// Current from which the motor is on, as part of the peak: far above the noise, far below the inrush.
+const ON: f64 = 0.05;
+
+/// The position of the model with these coefficients \[mm\]: at rest until the motor starts, then driven by its current for
+/// `duration_s`.
+fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings: &estimate::Settings) -> Vec<f64> {
+    let (current, position) = (trace.current_a(), trace.position_mm());
+    let peak = current.iter().copied().fold(0.0_f64, |peak, it| if it.abs() > peak.abs() { it } else { peak });
+    let start = current.iter().position(|it| it.abs() > ON * peak.abs()).unwrap_or(0);
+    let (step_s, mm_per_rad) = (trace.sample_rate_hz().recip(), settings.lead_mm / std::f64::consts::TAU);
+    let within =
+        current.iter().enumerate().skip(start).take_while(|(at, _)| (at - start) as f64 * step_s <= duration_s);
+    let end = within.last().map_or(start, |(at, _)| at + 1);
+    let neutral_rad = settings.neutral_mm / mm_per_rad;
+    let sign = if position[end.saturating_sub(1)] < position[0] { -1.0 } else { 1.0 };
+    // The inrush drives the toe; a current of the other sign brakes it.
+    let drive = |current: f64| {
+        let forward = current * peak.signum();
+        if settings.motor == Motor::Series { forward * forward.abs() } else { forward }
+    };
+    let acceleration =
+        |angle: f64, speed: f64, current: f64| sign * b0 * drive(current) - a1 * speed - a0 * (angle - neutral_rad);
+    let (mut angle, mut speed) = (position[start] / mm_per_rad, 0.0);
+    let mut model = vec![position[start]; start + 1];
+    for pair in current[start..end].windows(2) {
+        // The midpoint rule.
+        let (mid_angle, mid_speed) =
+            (angle + 0.5 * step_s * speed, speed + 0.5 * step_s * acceleration(angle, speed, pair[0]));
+        angle += step_s * mid_speed;
+        speed += step_s * acceleration(mid_angle, mid_speed, 0.5 * (pair[0] + pair[1]));
+        model.push(angle * mm_per_rad);
+    }
+    model
 }
 
 /// Each coefficient with two standard deviations, to the second digit of these.
-fn coefficients(health: &HealthRow) -> Option<[String; 3]> {
+fn coefficients(health: &Health) -> Option<[String; 3]> {
     let (values, sd) = (health.coefficients?, health.sd?);
     Some([0, 1, 2].map(|at| rounded(values[at], 2.0 * sd[at])))
 }

@@ -1,13 +1,13 @@
-//! Pictures: how the coefficients of a machine change, and the trace of one throw.
+//! Pictures: how the coefficients and features of a machine change, and the trace of one throw.
 
 use jiff::Timestamp;
 
-use super::{page, standing};
+use super::page;
 use crate::{
-    diagnose::Settings,
+    diagnose::{BaselineRecord, Settings},
     report::{Panel, Sheet},
-    store::HealthRow,
     throw::{Direction, Trace},
+    wire::Health,
 };
 
 /// Most points of a curve: more than a picture has room for.
@@ -15,9 +15,9 @@ pub(super) const POINTS: usize = 250;
 /// Samples of a trace are drawn as the least and the greatest of so many stretches.
 const STRETCHES: usize = 300;
 /// Size of a picture \[px\].
-const SIZE: (f64, f64) = (380.0, 290.0);
+const SIZE: (f64, f64) = (420.0, 290.0);
 
-/// A picture with what it shows in words.
+/// A picture with a sentence that says the same.
 pub(super) struct Picture {
     pub(super) svg: String,
     pub(super) says: String,
@@ -30,79 +30,213 @@ pub(super) struct Mark {
 }
 
 /// The throws of each direction, oldest first.
-pub(super) type Ways = [(Direction, Vec<HealthRow>); 2];
+pub(super) type Ways = [(Direction, Vec<Health>); 2];
 
 /// Every n-th row, the last one included, so that at most [`POINTS`] are left.
-pub(super) fn thinned(rows: Vec<HealthRow>) -> Vec<HealthRow> {
+pub(super) fn thinned(rows: Vec<Health>) -> Vec<Health> {
     let step = rows.len().div_ceil(POINTS).max(1);
     let first = rows.len().saturating_sub(1) % step;
     rows.into_iter().skip(first).step_by(step).collect()
 }
 
-/// Pictures of b0, a1 and a0 in % from the baseline with two standard deviations, limits and marks. None while there is
-/// no baseline.
-pub(super) fn trends(ways: &Ways, marks: &[Mark], settings: &Settings) -> Vec<Picture> {
-    let shown = |rows: &[HealthRow]| rows.iter().any(|row| row.change_pct.is_some());
-    if !ways.iter().any(|(_, rows)| shown(rows)) {
-        return Vec::new();
-    }
-    let coefficients = [
-        ("b0", "motor", settings.kt_limit_pct),
-        ("a1", "friction", settings.friction_limit_pct),
-        ("a0", "stiffness", settings.stiffness_limit_pct),
-    ];
-    let picture = |(at, (name, part, limit)): (usize, (&str, &str, f64))| {
-        let critical = limit * settings.critical_factor;
-        Picture {
-            svg: trend(at, &format!("{part} ({name})"), (limit, critical), ways, marks),
-            says: format!(
-                "Change of {name} from its baseline; limits of {part}: warning at {limit} %, critical at {critical} %."
-            ),
-        }
-    };
-    coefficients.into_iter().enumerate().map(picture).collect()
+/// Two standard deviations of one throw of this machine \[%\] for b0, a1 and a0, from its newest baseline: the scatter of
+/// the machine itself, which is much larger than that of the sensors.
+pub(super) fn scatter_pct(baselines: &[BaselineRecord], direction: Direction) -> Option<[f64; 3]> {
+    let baseline = baselines.iter().filter(|baseline| baseline.direction == direction).max_by_key(|it| it.taken_at)?;
+    Some([0, 1, 2].map(|at| 200.0 * baseline.log_covariance[at][at].max(0.0).sqrt()))
 }
 
-fn trend(coefficient: usize, title: &str, (warning, critical): (f64, f64), ways: &Ways, marks: &[Mark]) -> String {
-    let x = |at: Timestamp| at.as_duration().as_secs_f64();
+/// Pictures of b0, a1, a0 and the inertia in % from the baseline, with limits, marks and the machine's own scatter. None while
+/// there is no baseline.
+pub(super) fn coefficients(
+    ways: &Ways,
+    marks: &[Mark],
+    baselines: &[BaselineRecord],
+    settings: &Settings,
+) -> Vec<Picture> {
+    if !ways.iter().flat_map(|(_, rows)| rows).any(|row| row.change_pct.is_some()) {
+        return Vec::new();
+    }
+    let scatter = widest(ways.each_ref().map(|(direction, _)| scatter_pct(baselines, *direction)));
+    let shown = [
+        ("motor (b0)", "b0", settings.kt_limit_pct, 0),
+        ("friction (a1)", "a1", settings.friction_limit_pct, 1),
+        ("stiffness (a0)", "a0", settings.stiffness_limit_pct, 2),
+    ];
+    let mut pictures: Vec<Picture> = shown
+        .into_iter()
+        .map(|(title, name, limit, at)| {
+            let own = scatter.map(|scatter| scatter[at]);
+            let limits = (limit, limit * settings.critical_factor);
+            Picture {
+                svg: change(title, limits, own, ways, marks, |row| Some(row.change_pct?[at])),
+                says: format!(
+                    "Change of {name} from the baseline. {}Warning at {limit} %, critical at {} %.",
+                    own.map(|own| format!("The band of ± {own:.1} % is this machine's own scatter. "))
+                        .unwrap_or_default(),
+                    limits.1
+                ),
+            }
+        })
+        .collect();
+    let limits = (settings.inertia_limit_pct, settings.inertia_limit_pct * settings.critical_factor);
+    pictures.push(Picture {
+        svg: change("inertia", limits, None, ways, marks, |row| Some(inertia_pct(row.change_pct?, scatter))),
+        says: format!(
+            "The change of inertia that explains b0, a1 and a0 together best. It is the inertia only where all three change \
+             alike. Warning at {} %, critical at {} %.",
+            limits.0, limits.1
+        ),
+    });
+    pictures
+}
 
+/// The change of the inertia \[%\] that explains the changes of b0, a1 and a0 best: all three are proportional to 1 / J. Each
+/// counts by the inverse of its variance.
+fn inertia_pct(change_pct: [f64; 3], scatter: Option<[f64; 3]>) -> f64 {
+    let sd = scatter.unwrap_or([1.0; 3]).map(|sd| sd.max(0.1));
+    let weight = sd.map(|sd| sd.powi(-2));
+    let log = change_pct.map(|pct| (1.0 + pct / 100.0).max(0.01).ln());
+    let mean = (0..3).map(|at| weight[at] * log[at]).sum::<f64>() / weight.iter().sum::<f64>();
+    100.0 * ((-mean).exp() - 1.0)
+}
+
+/// The wider scatter of the two directions.
+fn widest([one, other]: [Option<[f64; 3]>; 2]) -> Option<[f64; 3]> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some([0, 1, 2].map(|at| one[at].max(other[at]))),
+        (one, other) => one.or(other),
+    }
+}
+
+fn change(
+    title: &str,
+    (warning, critical): (f64, f64),
+    own: Option<f64>,
+    ways: &Ways,
+    marks: &[Mark],
+    value: impl Fn(&Health) -> Option<f64>,
+) -> String {
     let mut panel = Panel::history(title, "% from the baseline");
     let mut furthest = (0.0_f64, 0.0_f64);
     for (direction, rows) in ways {
-        let point = |row: &HealthRow| {
-            let (change, reach) = (row.change_pct?[coefficient], standing::reach_pct(row)?[coefficient]);
-            Some((x(row.started_at), change, reach))
-        };
-        let points: Vec<_> = rows.iter().filter_map(point).collect();
-        furthest = points.iter().fold(furthest, |(low, high), (_, change, _)| (low.min(*change), high.max(*change)));
-        panel = panel.banded_line(direction.to_string(), points);
+        let points: Vec<_> = rows.iter().filter_map(|row| Some((x(row.started_at), value(row)?))).collect();
+        furthest = points.iter().fold(furthest, |(low, high), (_, change)| (low.min(*change), high.max(*change)));
+        panel = panel.line(direction.to_string(), points);
+    }
+    if let (Some(own), Some((first, last))) = (own, ends(ways)) {
+        panel = panel.banded_line("", [(first, 0.0, own), (last, 0.0, own)]);
     }
     panel = panel.level(warning, "warning").level(-warning, "warning");
-    // Far from it, the critical limit would only make everything small.
+    // Far from the critical limit, its line would only make everything small.
     if furthest.1 > warning {
         panel = panel.level(critical, "critical");
     }
     if furthest.0 < -warning {
         panel = panel.level(-critical, "critical");
     }
+    let rejected = rejected_at(ways, furthest.0.min(-warning));
+    drawn_with(panel, rejected, marks)
+}
+
+/// A number that a throw has whether it gave an estimate or not.
+type Feature = fn(&Health) -> Option<f64>;
+
+/// Pictures of what every throw shows, also one that was rejected: its duration and its currents.
+pub(super) fn features(ways: &Ways, marks: &[Mark], baselines: &[BaselineRecord]) -> Vec<Picture> {
+    let shown: [(&str, &str, Feature); 3] = [
+        ("Duration", "s", |row| row.duration_s),
+        ("Mean current", "A", |row| row.mean_current_a),
+        ("Peak current", "A", |row| row.peak_current_a),
+    ];
+    let picture = |(title, unit, value): (&str, &str, Feature)| {
+        let mut panel = Panel::history(title, unit);
+        let mut least = f64::INFINITY;
+        for (direction, rows) in ways {
+            let points: Vec<_> = rows.iter().filter_map(|row| Some((x(row.started_at), value(row)?))).collect();
+            least = points.iter().fold(least, |least, (_, value)| least.min(*value));
+            panel = panel.line(direction.to_string(), points);
+        }
+        let normal = usual(ways, baselines, value);
+        for (level, direction) in &normal {
+            panel = panel.level(*level, if normal.len() > 1 { direction.as_str() } else { "baseline" });
+        }
+        if !least.is_finite() {
+            return None;
+        }
+        let says =
+            format!("{title} of each throw, rejected ones too. The dashed lines are those of the baseline's throws.");
+        Some(Picture { svg: drawn_with(panel, rejected_at(ways, least), marks), says })
+    };
+    shown.into_iter().filter_map(picture).collect()
+}
+
+/// The median of a feature over the throws shown that belong to the baseline, else over the first good ones shown.
+fn usual(ways: &Ways, baselines: &[BaselineRecord], value: fn(&Health) -> Option<f64>) -> Vec<(f64, String)> {
+    let one = |(direction, rows): &(Direction, Vec<Health>)| {
+        let baseline = baselines.iter().filter(|it| it.direction == *direction).max_by_key(|it| it.taken_at)?;
+        let good = || rows.iter().filter(|row| row.is_evaluated());
+        let mut values: Vec<f64> = good().filter(|row| row.started_at <= baseline.taken_at).filter_map(value).collect();
+        if values.is_empty() {
+            values = good().take(BASELINE).filter_map(value).collect();
+        }
+        values.sort_by(f64::total_cmp);
+        Some((*values.get(values.len() / 2)?, direction.to_string()))
+    };
+    ways.iter().filter_map(one).collect()
+}
+
+/// Throws that stand for a baseline whose own throws are not shown.
+const BASELINE: usize = 25;
+
+fn x(at: Timestamp) -> f64 {
+    at.as_duration().as_secs_f64()
+}
+
+/// The first and the last moment shown.
+fn ends(ways: &Ways) -> Option<(f64, f64)> {
+    let times = || ways.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
+    Some((x(times().min()?), x(times().max()?)))
+}
+
+/// Dots for rejected throws, at this height.
+fn rejected_at(ways: &Ways, height: f64) -> Vec<(f64, f64)> {
+    let rows = ways.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected());
+    let mut dots: Vec<f64> = rows.map(|row| x(row.started_at)).collect();
+    dots.sort_by(f64::total_cmp);
+    // A value that is no number between two dots keeps them from being joined.
+    dots.into_iter().flat_map(|at| [(at, height), (at, f64::NAN)]).collect()
+}
+
+fn drawn_with(panel: Panel, rejected: Vec<(f64, f64)>, marks: &[Mark]) -> String {
+    let panel = if rejected.is_empty() { panel } else { panel.dotted_line("rejected", rejected) };
     let panel = marks.iter().fold(panel, |panel, mark| panel.mark(x(mark.at), mark.label.clone()));
+    sheet(panel)
+}
+
+fn sheet(panel: Panel) -> String {
     Sheet::new("").panel_size(SIZE.0, SIZE.1).panel(panel).to_svg()
 }
 
-/// The current and the position of a throw.
-pub(super) fn trace(trace: &Trace) -> [Picture; 2] {
-    let picture = |title: &str, unit: &str, values: &[f64]| {
-        let panel = Panel::curves(title, "s", unit).line("", drawn(trace.sample_rate_hz(), values));
-        Picture {
-            svg: Sheet::new("").panel_size(SIZE.0, SIZE.1).panel(panel).to_svg(),
-            says: format!(
-                "{title} over the time of the throw, {} samples at {} Hz.",
-                page::count(values.len() as u64),
-                trace.sample_rate_hz()
-            ),
-        }
-    };
-    [picture("Motor current", "A", trace.current_a()), picture("Toe position from normal", "mm", trace.position_mm())]
+/// A curve over the time of a throw.
+pub(super) struct Curve<'a> {
+    pub(super) name: &'static str,
+    pub(super) rate_hz: f64,
+    pub(super) values: &'a [f64],
+}
+
+/// A picture of curves over the time of a throw.
+pub(super) fn over_time(title: &str, unit: &str, curves: &[Curve<'_>], says: String) -> Picture {
+    let panel = curves.iter().fold(Panel::curves(title, "s", unit), |panel, curve| {
+        panel.line(curve.name, drawn(curve.rate_hz, curve.values))
+    });
+    Picture { svg: sheet(panel), says }
+}
+
+/// "Motor current over the time of the throw, 6,000 samples at 1000 Hz."
+pub(super) fn caption(title: &str, trace: &Trace) -> String {
+    let samples = page::count(trace.current_a().len() as u64);
+    format!("{title} over the time of the throw, {samples} samples at {} Hz.", trace.sample_rate_hz())
 }
 
 /// The samples, or of many the first, the last, and the least and the greatest of each stretch.
@@ -136,5 +270,13 @@ mod tests {
         assert_eq!(drawn(1_000.0, &values)[0], (0.0, 500.5), "the axis begins with the first sample");
         assert_eq!(drawn(10.0, &[]), []);
         assert_eq!(drawn(10.0, &[1.0, 2.0, 3.0]), [(0.0, 1.0), (0.1, 2.0), (0.2, 3.0)]);
+    }
+
+    #[test]
+    fn inertia_is_what_moves_all_three_coefficients_alike() {
+        let more = 100.0 * (1.0 / 1.2 - 1.0);
+        assert!((inertia_pct([more; 3], None) - 20.0).abs() < 1e-9);
+        assert!((inertia_pct([more; 3], Some([1.0, 6.0, 2.0])) - 20.0).abs() < 1e-9);
+        assert!(inertia_pct([0.0, 30.0, 0.0], Some([1.0, 6.0, 2.0])).abs() < 1.0, "friction alone is little inertia");
     }
 }

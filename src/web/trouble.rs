@@ -1,38 +1,41 @@
-//! The banner on every page: what keeps it from telling the truth about the machines.
+//! The banner on every page: trouble that keeps the page from telling the truth about the machines.
 
 use std::time::Duration;
 
 use tokio::time;
 
-use super::{Web, overview::Overview, page};
+use super::{
+    overview::{Overview, Web},
+    page,
+};
 use crate::{daemon::View, diagnose::AlarmState};
 
-/// Throws that may wait to be judged before the pages say that they are behind: half a minute's work.
+/// Pending throws from which the pages say that they are behind: half a minute's work.
 const BACKLOG: u64 = 1_000;
 
-/// Longest wait for what the database knows of it: a page that has all else is shown without.
+/// Longest wait for the trouble that the database knows: a page is shown without it rather than not at all.
 const LIMIT: Duration = Duration::from_secs(2);
 
 impl Web {
-    /// All that is known to be wrong, on a page that needs no more of the overview. Takes a turn of its own.
+    /// All known trouble, for a page that needs nothing else of the overview. Takes a turn of its own.
     pub(super) async fn trouble(&self) -> Vec<String> {
         if let Ok(Ok(overview)) = time::timeout(LIMIT, self.overview()).await {
             return all(&self.view, &overview);
         }
         let mut trouble = of_daemon(&self.view);
-        trouble.push("The database answers late or not at all: more may be wrong than is said here.".to_owned());
+        trouble.push("The database answers late or not at all: there may be more trouble than this.".to_owned());
         trouble
     }
 }
 
-/// All that is known to be wrong.
+/// All known trouble.
 pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
     let mut trouble = of_daemon(view);
     trouble.extend(of_data(overview));
     trouble
 }
 
-/// What the daemon knows without its database.
+/// The trouble that the daemon knows without its database.
 pub(super) fn of_daemon(view: &View) -> Vec<String> {
     let report = view.report();
     let mut trouble = Vec::new();
@@ -50,7 +53,7 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
         trouble.push(format!("Parts of the daemon hang ({}): what you see may be old.", report.silent.join(", ")));
     }
     if report.loggers == 0 {
-        trouble.push("No logger is connected, so nobody tells of throws. Silence is not health.".to_owned());
+        trouble.push("No logger is connected: no throws arrive. Silence is not health.".to_owned());
     }
     if report.dropped + report.lost > 0 {
         let lost = page::count(report.dropped + report.lost);
@@ -59,9 +62,9 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
     trouble
 }
 
-/// What the database tells.
+/// The trouble that the database knows.
 fn of_data(overview: &Overview) -> Vec<String> {
-    // One that is shelved or over is in the list of alarms all the same.
+    // Alarms that are shelved or over stand in the list of alarms alone.
     let is_active = |state| matches!(state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged);
     let own = overview.own_alarms.iter().filter(|alarm| is_active(alarm.state));
     let mut trouble: Vec<String> = own.map(|alarm| format!("The daemon's own alarm: {}", alarm.text)).collect();
@@ -73,7 +76,7 @@ fn of_data(overview: &Overview) -> Vec<String> {
     }
     if overview.statistics.pending > BACKLOG {
         let waiting = page::count(overview.statistics.pending);
-        trouble.push(format!("{waiting} throws wait to be judged: what you see is behind."));
+        trouble.push(format!("{waiting} throws are pending, stored and not judged yet: the page is behind."));
     }
     trouble
 }

@@ -1,91 +1,69 @@
 //! The alarm message (JSON): one event in the life of an alarm, as `points/v1/{site}/{machine}/alarm` carries it.
 
+use std::ops::Deref;
+
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
+use super::json;
 use crate::{
-    diagnose::{AlarmEvent, AlarmState, Cause, Correlation, LimitForecast, RunnerUp, Severity},
-    throw::{Direction, MachineId},
+    diagnose::{AlarmEvent, Cause},
+    throw::MachineId,
 };
 
-/// One alarm event. Consumers deduplicate on (`alarm_id`, `event_no`).
+/// One alarm event with its identity. Consumers deduplicate on (`alarm_id`, `event_no`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alarm {
     /// Always [`Alarm::SCHEMA`].
     pub schema: String,
     /// Which alarm; see [`alarm_id`].
     pub alarm_id: String,
-    /// +1 per event of the alarm, from 1.
-    pub event_no: u32,
-    /// The site.
-    pub site: String,
-    /// The machine.
-    pub machine: String,
-    /// What it is about.
-    pub cause: Cause,
-    /// How bad.
-    pub severity: Severity,
-    /// The state that the event led to.
-    pub state: AlarmState,
-    /// When this occurrence of the alarm was raised.
-    pub raised_at: Timestamp,
-    /// When the event happened.
-    pub event_at: Timestamp,
-    /// Size of the drift \[% from baseline\].
-    pub change_pct: Option<f64>,
-    /// Its standard deviation \[%\].
-    pub change_pct_sd: Option<f64>,
-    /// The direction in which it shows; null for both.
-    pub direction: Option<Direction>,
-    /// The next best cause.
-    pub runner_up: Option<RunnerUp>,
-    /// The three cross-correlations of the inertia estimates.
-    pub correlation: Option<Correlation>,
-    /// First throw of the evidence.
-    pub first_throw_no: Option<u64>,
-    /// Last throw of the evidence.
-    pub last_throw_no: Option<u64>,
-    /// One plain sentence: what, how sure, what to look at.
-    pub text: String,
-    /// When it reaches the next limit, in throws.
-    pub limit_in_throws: Option<LimitForecast>,
+    /// Which machine: `site` and `machine` in JSON.
+    #[serde(flatten)]
+    pub machine: MachineId,
+    /// The event with its evidence.
+    #[serde(flatten)]
+    pub event: AlarmEvent,
+}
+
+/// The fields of the event are fields of the message.
+impl Deref for Alarm {
+    type Target = AlarmEvent;
+
+    fn deref(&self) -> &AlarmEvent {
+        &self.event
+    }
 }
 
 impl Alarm {
     /// The version of the message.
     pub const SCHEMA: &str = "points.alarm/1";
 
-    /// The message for an event of this machine.
+    /// An event of a machine's alarm.
     #[must_use]
     pub fn new(machine: &MachineId, event: &AlarmEvent) -> Self {
         Self {
             schema: Self::SCHEMA.to_owned(),
             alarm_id: alarm_id(machine, event.cause, event.raised_at),
-            event_no: event.event_no,
-            site: machine.site.to_string(),
-            machine: machine.machine.to_string(),
-            cause: event.cause,
-            severity: event.severity,
-            state: event.state,
-            raised_at: event.raised_at,
-            event_at: event.event_at,
-            change_pct: event.change_pct,
-            change_pct_sd: event.change_pct_sd,
-            direction: event.direction,
-            runner_up: event.runner_up,
-            correlation: event.correlation,
-            first_throw_no: event.first_throw.as_ref().map(|throw| throw.throw_no),
-            last_throw_no: event.last_throw.as_ref().map(|throw| throw.throw_no),
-            text: event.text.clone(),
-            limit_in_throws: event.limit_in_throws,
+            machine: machine.clone(),
+            event: event.clone(),
         }
+    }
+
+    /// The event as it is published: without operators and boots, which only the database has.
+    #[must_use]
+    pub fn published(mut self) -> Self {
+        (self.event.by, self.event.why) = (None, None);
+        for throw in [&mut self.event.first_throw, &mut self.event.last_throw].into_iter().flatten() {
+            throw.boot_id.clear();
+        }
+        self
     }
 
     /// The message as JSON.
     #[must_use]
-    pub fn to_json(&self) -> Vec<u8> {
-        // Texts and numbers into memory: nothing in it can fail.
-        serde_json::to_vec(self).unwrap_or_default()
+    pub fn into_message(self) -> Vec<u8> {
+        json(&self.published())
     }
 }
 
@@ -93,15 +71,16 @@ impl Alarm {
 /// repeats its work after a crash gives the same alarm the same name.
 #[must_use]
 pub fn alarm_id(machine: &MachineId, cause: Cause, raised_at: Timestamp) -> String {
-    let cause = serde_json::to_value(cause).ok();
-    let word = cause.as_ref().and_then(serde_json::Value::as_str).unwrap_or_default();
-    format!("{}.{}.{word}.{}", machine.site, machine.machine, raised_at.as_microsecond())
+    format!("{}.{}.{}.{}", machine.site, machine.machine, cause.as_str(), raised_at.as_microsecond())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::throw::ThrowRef;
+    use crate::{
+        diagnose::{AlarmState, Correlation, LimitForecast, RunnerUp, Severity},
+        throw::{Direction, ThrowRef},
+    };
 
     #[test]
     fn the_message_has_exactly_the_promised_fields() {
@@ -125,7 +104,9 @@ mod tests {
             by: Some("somebody".into()),
             why: None,
         };
-        let message = Alarm::new(&MachineId::new("north", "21B").unwrap(), &event).to_json();
+        let alarm = Alarm::new(&MachineId::new("north", "21B").unwrap(), &event);
+        assert_eq!(serde_json::from_slice::<Alarm>(&json(&alarm)).unwrap(), alarm, "the database keeps all of it");
+        let message = alarm.into_message();
         let expected = serde_json::json!({
             "schema": "points.alarm/1", "alarm_id": "north.21B.incomplete_throw.1777889472000000", "event_no": 2,
             "site": "north", "machine": "21B", "cause": "incomplete_throw", "severity": "critical",

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::json;
 use crate::diagnose::Command;
 
 /// Largest command, in bytes: names and a reason, no more.
@@ -42,13 +43,25 @@ pub struct Reply {
     pub done: bool,
     /// One sentence: what was done, or why not.
     pub text: String,
+    /// The daemon that answers, as `{site}/{id}` of its section `[monitor]`.
+    #[serde(default)]
+    pub monitor: String,
+}
+
+/// A daemon that carries out the commands of a machine: the reply to a question without payload on the machine's
+/// command key. A command that names the session in its selector (`?session=…`) is for that daemon alone.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Commander {
+    /// Its name, as `{site}/{id}` of its section `[monitor]`.
+    pub monitor: String,
+    /// Its zenoh session, which tells two daemons of the same name apart.
+    pub session: String,
 }
 
 impl Reply {
     /// The reply as JSON.
     #[must_use]
     pub fn to_json(&self) -> Vec<u8> {
-        // A flag and a text into memory: nothing in it can fail.
-        serde_json::to_vec(self).unwrap_or_default()
+        json(self)
     }
 }

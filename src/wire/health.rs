@@ -1,69 +1,156 @@
-//! The health message (JSON): the estimate of one throw, as `points/v1/{site}/{machine}/health` carries it.
+//! The health of one throw: a row of the history, and the message on `points/v1/{site}/{machine}/health` (JSON).
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-/// The `quality` of a throw that was evaluated.
-pub const GOOD: &str = "good";
+use super::json;
+use crate::{
+    diagnose::{Drifting, MachineState},
+    throw::{Direction, MachineId, ThrowRef},
+};
 
-/// One throw's health. Numbers are null where the throw does not tell them.
+/// One throw's health. Numbers are null in JSON where the throw does not give them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Health {
     /// Always [`Health::SCHEMA`].
     pub schema: String,
-    /// The site.
-    pub site: String,
-    /// The machine.
-    pub machine: String,
-    /// The logger's boot.
-    pub boot_id: String,
-    /// The throw's number within the boot.
-    pub throw_no: u64,
+    /// Which machine: `site` and `machine` in JSON.
+    #[serde(flatten)]
+    pub machine: MachineId,
+    /// Which throw: `boot_id` and `throw_no` in JSON.
+    #[serde(flatten)]
+    pub throw: ThrowRef,
     /// Wall time of the first sample.
     pub started_at: Timestamp,
-    /// `normal_to_reverse`, `reverse_to_normal` or `unknown`.
-    pub direction: String,
-    /// [`GOOD`], or the stable word of the reason why the throw was not evaluated.
+    /// Its direction; `unknown` in JSON for `None`.
+    #[serde(with = "direction")]
+    pub direction: Option<Direction>,
+    /// A grade (`good`, `rough`, `current_only`), or the code of the reason why the estimate was rejected.
     pub quality: String,
-    /// KT / J \[rad s⁻² A⁻¹\].
-    pub b0: Option<f64>,
-    /// Kf / J \[s⁻¹\].
-    pub a1: Option<f64>,
-    /// Kspr / J \[s⁻²\].
-    pub a0: Option<f64>,
-    /// Standard deviation of b0, in its unit.
-    pub b0_sd: Option<f64>,
-    /// Standard deviation of a1, in its unit.
-    pub a1_sd: Option<f64>,
-    /// Standard deviation of a0, in its unit.
-    pub a0_sd: Option<f64>,
-    /// Change of b0 from the baseline \[%\].
-    pub b0_pct: Option<f64>,
-    /// Change of a1 from the baseline \[%\].
-    pub a1_pct: Option<f64>,
-    /// Change of a0 from the baseline \[%\].
-    pub a0_pct: Option<f64>,
-    /// Fit of the model \[%\].
+    /// `b0` = KT / J \[rad s⁻² A⁻¹\], `a1` = Kf / J \[s⁻¹\], `a0` = Kspr / J \[s⁻²\].
+    #[serde(flatten, with = "coefficients")]
+    pub coefficients: Option<[f64; 3]>,
+    /// Their standard deviations: `b0_sd`, `a1_sd`, `a0_sd`.
+    #[serde(flatten, with = "sd")]
+    pub sd: Option<[f64; 3]>,
+    /// Their change from the baseline \[%\]: `b0_pct`, `a1_pct`, `a0_pct`.
+    #[serde(flatten, with = "change_pct")]
+    pub change_pct: Option<[f64; 3]>,
+    /// Fit of the model `R²_T` \[%\].
     pub fit_pct: Option<f64>,
+    /// a1/b0 = Kf / KT \[A s rad⁻¹\]: known also where the start of the throw is unusable and the coefficients are not.
+    #[serde(default)]
+    pub a1_per_b0: Option<f64>,
+    /// Its standard deviation.
+    #[serde(default)]
+    pub a1_per_b0_sd: Option<f64>,
+    /// a0/b0 = Kspr / KT \[A rad⁻¹\].
+    #[serde(default)]
+    pub a0_per_b0: Option<f64>,
+    /// Its standard deviation.
+    #[serde(default)]
+    pub a0_per_b0_sd: Option<f64>,
     /// Duration of the movement \[s\].
     pub duration_s: Option<f64>,
     /// Largest magnitude of the current \[A\].
     pub peak_current_a: Option<f64>,
     /// Mean magnitude of the current while the motor ran \[A\].
     pub mean_current_a: Option<f64>,
+    /// State of the machine after this throw, or now in an answer about now; `None` for throws that an earlier version
+    /// judged.
+    #[serde(default)]
+    pub state: Option<MachineState>,
+    /// The worst active drift, at the same moment.
+    #[serde(default)]
+    pub drift: Option<Drifting>,
+    /// Why the estimate was rejected, as a sentence. Not published.
+    #[serde(skip)]
+    pub detail: Option<String>,
+    /// Throws in this direction's baseline so far, of how many. Not published.
+    #[serde(skip)]
+    pub baseline: Option<(u64, u64)>,
+    /// Evaluated throws of this direction since its baseline was complete. Not published.
+    #[serde(skip)]
+    pub throws_since_baseline: u64,
 }
 
 impl Health {
     /// The version of the message.
     pub const SCHEMA: &str = "points.health/1";
 
+    /// Whether the throw has an estimate.
+    #[must_use]
+    pub fn is_evaluated(&self) -> bool {
+        self.a1_per_b0.is_some() || self.coefficients.is_some()
+    }
+
+    /// Whether the estimate was rejected. A machine with a current sensor alone has none, and is monitored by its features.
+    #[must_use]
+    pub fn is_rejected(&self) -> bool {
+        !self.is_evaluated() && self.quality != "current_only"
+    }
+
     /// The message as JSON.
     #[must_use]
     pub fn to_json(&self) -> Vec<u8> {
-        // Texts and numbers into memory: nothing in it can fail.
-        serde_json::to_vec(self).unwrap_or_default()
+        json(self)
     }
 }
+
+/// `unknown` for a direction that is not known.
+mod direction {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    use crate::throw::Direction;
+
+    const UNKNOWN: &str = "unknown";
+
+    #[expect(clippy::ref_option, clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
+    pub(super) fn serialize<S: Serializer>(direction: &Option<Direction>, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(direction.map_or(UNKNOWN, Direction::as_str))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Direction>, D::Error> {
+        match String::deserialize(from)?.as_str() {
+            UNKNOWN => Ok(None),
+            word => word.parse().map(Some).map_err(|_| D::Error::custom("no direction")),
+        }
+    }
+}
+
+/// The JSON of three numbers, one for each coefficient: all or none.
+macro_rules! three {
+    ($name:ident, $b0:literal, $a1:literal, $a0:literal) => {
+        mod $name {
+            use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+            #[derive(Serialize, Deserialize)]
+            struct Json {
+                #[serde(rename = $b0)]
+                b0: Option<f64>,
+                #[serde(rename = $a1)]
+                a1: Option<f64>,
+                #[serde(rename = $a0)]
+                a0: Option<f64>,
+            }
+
+            #[expect(clippy::ref_option, reason = "serde gives a reference to the field")]
+            pub(super) fn serialize<S: Serializer>(three: &Option<[f64; 3]>, to: S) -> Result<S::Ok, S::Error> {
+                let [b0, a1, a0] = [0, 1, 2].map(|at| three.map(|three| three[at]));
+                Json { b0, a1, a0 }.serialize(to)
+            }
+
+            pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<[f64; 3]>, D::Error> {
+                let Json { b0, a1, a0 } = Json::deserialize(from)?;
+                Ok(b0.zip(a1).zip(a0).map(|((b0, a1), a0)| [b0, a1, a0]))
+            }
+        }
+    };
+}
+
+three!(coefficients, "b0", "a1", "a0");
+three!(sd, "b0_sd", "a1_sd", "a0_sd");
+three!(change_pct, "b0_pct", "a1_pct", "a0_pct");
 
 #[cfg(test)]
 mod tests {
@@ -74,10 +161,13 @@ mod tests {
         let text = r#"{"schema": "points.health/1", "site": "north", "machine": "21B", "boot_id": "b", "throw_no": 7,
             "started_at": "2026-05-04T10:11:12Z", "direction": "unknown", "quality": "no_movement",
             "b0": null, "a1": null, "a0": null, "b0_sd": null, "a1_sd": null, "a0_sd": null,
-            "b0_pct": null, "a1_pct": null, "a0_pct": null, "fit_pct": null,
-            "duration_s": null, "peak_current_a": 0.5, "mean_current_a": null}"#;
+            "b0_pct": 0.5, "a1_pct": -1.5, "a0_pct": 2.0, "fit_pct": null,
+            "a1_per_b0": 0.03, "a1_per_b0_sd": 0.0001, "a0_per_b0": null, "a0_per_b0_sd": null,
+            "duration_s": null, "peak_current_a": 0.5, "mean_current_a": null, "state": "warning",
+            "drift": {"cause": "kt", "change_pct": -7.0, "change_pct_sd": 0.5, "direction": null, "limit_in_throws": null}}"#;
         let promised: serde_json::Value = serde_json::from_str(text).unwrap();
         let health: Health = serde_json::from_str(text).unwrap();
+        assert_eq!(health.change_pct, Some([0.5, -1.5, 2.0]));
         let written: serde_json::Value = serde_json::from_slice(&health.to_json()).unwrap();
         assert_eq!(written, promised);
     }

@@ -8,7 +8,8 @@ use crate::throw::{InvalidName, MachineId, Name};
 const PREFIX: &str = "points/v1/";
 
 /// What a key carries.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::AsRefStr, strum::EnumString, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
 pub enum Kind {
     /// Throws, from the logger.
     Throw,
@@ -20,23 +21,6 @@ pub enum Kind {
     Command,
     /// The logger's liveliness token.
     Alive,
-}
-
-impl Kind {
-    /// Every kind.
-    pub const ALL: [Self; 5] = [Self::Throw, Self::Health, Self::Alarm, Self::Command, Self::Alive];
-
-    /// The last chunk of the key.
-    #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Throw => "throw",
-            Self::Health => "health",
-            Self::Alarm => "alarm",
-            Self::Command => "command",
-            Self::Alive => "alive",
-        }
-    }
 }
 
 /// Why a key names no machine.
@@ -53,7 +37,7 @@ pub enum InvalidKey {
 /// The key of one machine's throws, health, alarms, commands or liveliness.
 #[must_use]
 pub fn machine_key(machine: &MachineId, kind: Kind) -> String {
-    format!("{PREFIX}{}/{}/{}", machine.site, machine.machine, kind.as_str())
+    format!("{PREFIX}{}/{}/{}", machine.site, machine.machine, kind.as_ref())
 }
 
 /// The key of a monitor's liveliness token: `points/v1/{site}/monitor/{id}/alive`.
@@ -62,7 +46,7 @@ pub fn monitor_alive_key(site: &Name, id: &Name) -> String {
     format!("{PREFIX}{site}/monitor/{id}/alive")
 }
 
-/// The key on which a monitor tells how it stands: `points/v1/{site}/monitor/{id}/status`.
+/// The key of a monitor's status: `points/v1/{site}/monitor/{id}/status`.
 #[must_use]
 pub fn monitor_status_key(site: &Name, id: &Name) -> String {
     format!("{PREFIX}{site}/monitor/{id}/status")
@@ -78,7 +62,7 @@ pub fn parse_key(key: &str) -> Result<(MachineId, Kind), InvalidKey> {
     else {
         return Err(InvalidKey::Shape);
     };
-    let kind = Kind::ALL.into_iter().find(|known| known.as_str() == kind).ok_or(InvalidKey::Shape)?;
+    let kind = kind.parse().map_err(|_| InvalidKey::Shape)?;
     Ok((MachineId::new(site, machine)?, kind))
 }
 
@@ -126,7 +110,7 @@ impl Scope {
     /// The key expression of all keys of one kind in the scope.
     #[must_use]
     pub fn key_expression(&self, kind: Kind) -> String {
-        format!("{PREFIX}{}/{}/{}", self.site, self.machine, kind.as_str())
+        format!("{PREFIX}{}/{}/{}", self.site, self.machine, kind.as_ref())
     }
 }
 
@@ -147,13 +131,15 @@ fn is_name_pattern(chunk: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use strum::VariantArray as _;
+
     use super::*;
 
     #[test]
     fn keys_are_those_of_the_contract_and_parse_back() {
         let machine = MachineId::new("north", "21B").unwrap();
         assert_eq!(machine_key(&machine, Kind::Throw), "points/v1/north/21B/throw");
-        for kind in Kind::ALL {
+        for &kind in Kind::VARIANTS {
             assert_eq!(parse_key(&machine_key(&machine, kind)).unwrap(), (machine.clone(), kind));
         }
         let (site, id) = ("north".parse().unwrap(), "cabinet-7".parse().unwrap());

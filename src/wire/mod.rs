@@ -4,15 +4,19 @@
 //! bound and never allocates more than a small multiple of the payload.
 
 mod alarm;
+mod backlog;
 mod command;
 mod health;
 mod key;
 mod query;
+mod text;
 mod throw;
 
 pub use alarm::{Alarm, alarm_id};
-pub use command::{InvalidCommand, Reply, decode_command};
-pub use health::{GOOD, Health};
+pub use backlog::{BacklogQuery, MAX_PAGE};
+pub use command::{Commander, InvalidCommand, Reply, decode_command};
+pub use health::Health;
 pub use key::{InvalidKey, InvalidScope, Kind, Scope, machine_key, monitor_alive_key, monitor_status_key, parse_key};
 pub use query::{HistoryQuery, InvalidQuery, MAX_HISTORY};
+pub use text::json;
 pub use throw::{Encoding, InvalidThrow, MAX_BOOT_ID_BYTES, decode_throw, encode_throw};

@@ -10,7 +10,6 @@ use std::{
 
 use tempfile::TempDir;
 use zenoh::{Config, Session};
-use zenoh_ext::{AdvancedPublisherBuilderExt, AdvancedSubscriberBuilderExt};
 
 /// How long something that must happen may take on a busy machine.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
@@ -137,28 +136,17 @@ pub(crate) async fn gets_a_link(mut config: Config) -> bool {
     zenoh::open(config).await.is_ok()
 }
 
-pub(crate) type Publisher = zenoh_ext::AdvancedPublisher<'static>;
-pub(crate) type Subscriber = zenoh_ext::AdvancedSubscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>;
+pub(crate) type Publisher = zenoh::pubsub::Publisher<'static>;
+pub(crate) type Subscriber = zenoh::pubsub::Subscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>;
 
 /// A publisher of throws as a logger declares it.
 pub(crate) async fn throw_publisher(session: &Session, key: &'static str) -> Publisher {
-    session
-        .declare_publisher(key)
-        .cache(zenoh_ext::CacheConfig::default().max_samples(64))
-        .sample_miss_detection(zenoh_ext::MissDetectionConfig::default().sporadic_heartbeat(Duration::from_millis(200)))
-        .publisher_detection()
-        .await
-        .unwrap()
+    session.declare_publisher(key).await.unwrap()
 }
 
 /// A subscriber to every throw as the daemon declares it.
 pub(crate) async fn throw_subscriber(session: &Session) -> Subscriber {
-    session
-        .declare_subscriber("points/v1/*/*/throw")
-        .history(zenoh_ext::HistoryConfig::default().detect_late_publishers())
-        .recovery(zenoh_ext::RecoveryConfig::default().heartbeat())
-        .await
-        .unwrap()
+    session.declare_subscriber("points/v1/*/*/throw").await.unwrap()
 }
 
 /// Waits until what this publisher sends has somewhere to go.

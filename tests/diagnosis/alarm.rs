@@ -95,7 +95,7 @@ fn shelved_until_a_time_or_a_command() {
         by: by(),
         why: "never".to_owned(),
     };
-    assert!(matches!(monitor.command(&long, now(), &settings), Err(CommandError::ShelvedTooLong { .. })));
+    assert!(matches!(monitor.command(&long, now(), &settings), Err(CommandError::UntilTooFar { .. })));
 }
 
 #[test]
@@ -105,7 +105,8 @@ fn maintenance_diagnoses_nothing_and_teaches_nothing() {
     let mut monitor = MachineMonitor::new("21B");
     run(&mut machine, &mut monitor, 20, Vector3::zeros());
     let progress = monitor.baseline_progress(pointsd::throw::Direction::NormalToReverse, &settings);
-    let start = Command::MaintenanceStart { until: None, by: by(), why: "slide chairs".to_owned() };
+    let until = now() + SignedDuration::from_hours(8);
+    let start = Command::MaintenanceStart { until, by: by(), why: "slide chairs".to_owned() };
     monitor.command(&start, now(), &settings).unwrap();
     assert_eq!(monitor.command(&start, now(), &settings), Err(CommandError::InMaintenance));
     assert_eq!(run(&mut machine, &mut monitor, 50, shift(Cause::Friction, 80.0)), []);

@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
     diagnose::{Cause, MachineMonitor, Observation, Settings, Verdict},
-    estimate::Features,
+    estimate::{Features, Grade},
     throw::{Direction, ThrowRef},
 };
 use rand::{Rng, RngExt, SeedableRng};
@@ -84,6 +84,8 @@ impl Machine {
             direction: Some(self.only.unwrap_or(turn)),
             estimate: Some((estimate.into(), scale * self.nature.covariance() * scale)),
             incomplete: false,
+            grade: Grade::Good,
+            ratios_only: false,
             features: Features { duration_s: Some(4.3 * (1.0 + 0.004 * normal(&mut self.rng))), ..Features::default() },
             temperature_c: None,
         }

@@ -70,14 +70,19 @@ fn a_fault_of_one_direction_is_said_to_be_of_that_direction() {
     let mut machine = Machine::new(31, Nature::default());
     let mut monitor = machine.learned(&settings);
     let mut events = Vec::new();
+    let mut now = Vec::new();
     for throw in 0..40 {
         // The machine's next throw is normal to reverse when an even number was made.
         let fault = if machine.throws.is_multiple_of(2) { Vector3::zeros() } else { shift(Cause::Friction, 40.0) };
-        events.extend(machine.feed(&mut monitor, fault, &settings).events);
+        let verdict = machine.feed(&mut monitor, fault, &settings);
+        events.extend(verdict.events);
+        now = verdict.drifts;
         assert!(throw < 30 || !events.is_empty());
     }
-    assert_eq!((events[0].cause, events[0].direction), (Cause::Friction, Some(Direction::BOTH[1])));
-    assert!(events[0].text.starts_with("Machine 21B, reverse to normal: friction up"), "{}", events[0].text);
+    // The first throws cannot tell it, the alarm of now can.
+    assert_eq!((events[0].cause, now[0].cause), (Cause::Friction, Cause::Friction));
+    assert_eq!(now[0].direction, Some(Direction::BOTH[1]));
+    assert!((now[0].change_pct - 40.0).abs() < 3.0 * now[0].change_pct_sd, "{:?}", now[0]);
 }
 
 #[test]
@@ -118,29 +123,6 @@ fn a_dozen_throws_are_a_usable_baseline() {
     assert!(!monitor.baseline(Direction::NormalToReverse).unwrap().complete);
     let found = run(&mut machine, &mut monitor, 40, shift(Cause::Kt, -25.0));
     assert_eq!(found[0].cause, Cause::Kt);
-}
-
-#[test]
-fn a_ramp_says_when_it_gets_critical() {
-    const TRIALS: u64 = 40;
-    let settings = Settings::default();
-    let mut covered = 0;
-    for seed in 0..TRIALS {
-        let mut machine = Machine::new(3_500 + seed, Nature::default());
-        let mut monitor = machine.learned(&settings);
-        // 0.1 % a throw: critical, 15 %, at throw 150.
-        let (at, event) = (1..=150_u32)
-            .find_map(|at| {
-                let verdict = machine.feed(&mut monitor, shift(Cause::Kt, -0.1 * f64::from(at)), &settings);
-                verdict.events.into_iter().next().map(|event| (at, event))
-            })
-            .unwrap();
-        assert!(event.text.contains("Reaches the critical limit in about"), "{}", event.text);
-        let forecast = event.limit_in_throws.unwrap();
-        let truth = 150.0 - f64::from(at);
-        covered += u64::from(forecast.low <= truth && truth <= forecast.high);
-    }
-    assert!(covered >= TRIALS * 85 / 100, "the interval held the truth in {covered} of {TRIALS}");
 }
 
 #[test]

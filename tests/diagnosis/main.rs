@@ -5,10 +5,15 @@
 mod alarm;
 mod cause;
 mod evaluate;
+mod field;
 mod filling;
 mod fleet;
 mod hard;
+mod intermittent;
 mod operational;
+mod ramps;
 mod replay;
 mod restart;
+mod snapshot;
 mod table1_lives;
+mod weather;

@@ -4,7 +4,7 @@
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     diagnose::{AlarmState, Cause, MachineMonitor, Observation, Settings},
-    estimate::{self, Identifier, Rejection},
+    estimate::{self, Grade, Identifier, Rejection},
     simulate::{Conditions, Parameters, Sensors},
     throw::{Direction, Throw, ThrowRef},
 };
@@ -56,6 +56,8 @@ impl Life {
             started_at: throw.started_at,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
+            grade: Grade::Good,
+            ratios_only: false,
             estimate: found.outcome.ok().map(|e| ([e.b0, e.a1, e.a0], e.covariance)),
             features: found.features,
             temperature_c: None,

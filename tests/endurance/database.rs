@@ -102,12 +102,12 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
 
 pub(crate) async fn events(reader: &Reader) -> BTreeSet<(String, u32)> {
     let rows = reader.alarm_history(&Selector::default(), Timestamp::UNIX_EPOCH, 1_000_000).await.unwrap();
-    rows.into_iter().map(|row| (row.alarm_id, row.event_no)).collect()
+    rows.into_iter().map(|row| (row.alarm_id.clone(), row.event_no)).collect()
 }
 
 fn message(row: &OutboxRow) -> (String, u32) {
     let alarm: Alarm = serde_json::from_slice(&row.payload).unwrap();
-    (alarm.alarm_id, alarm.event_no)
+    (alarm.alarm_id.clone(), alarm.event_no)
 }
 
 fn is_as_published(stored: &StoredThrow) -> bool {

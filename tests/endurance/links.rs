@@ -34,10 +34,10 @@ fn scale() -> (Duration, f64) {
 
 /// Twenty machines with a cache, or one whose logger keeps nothing.
 async fn loggers(endpoint: &str, boot_id: &str, rate: f64) -> [Logger; 2] {
-    let plan = |machine, machines, cache, rate| Plan {
+    let plan = |machine, machines, kept, rate| Plan {
         machine,
         machines,
-        cache,
+        kept,
         pace: Duration::from_secs_f64(1.0 / rate),
         boot_id: boot_id.to_owned(),
         ..Plan::default()

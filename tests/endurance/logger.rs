@@ -2,6 +2,7 @@
 //! that fail now and then, so that alarms are raised and cleared all the time.
 
 use std::{
+    collections::VecDeque,
     sync::{
         Arc, Mutex, OnceLock,
         atomic::{AtomicBool, Ordering::Relaxed},
@@ -13,11 +14,17 @@ use std::{
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
-    throw::{MachineId, Throw, ThrowRef},
-    wire::{self, Encoding, Kind},
+    throw::{MachineId, Throw, ThrowRef, Trace},
+    wire::{self, BacklogQuery, Encoding, Kind},
 };
-use zenoh::{Session, Wait, bytes::Encoding as ContentType, qos::CongestionControl};
-use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
+use zenoh::{
+    Session, Wait,
+    bytes::Encoding as ContentType,
+    liveliness::LivelinessToken,
+    pubsub::Publisher,
+    qos::CongestionControl,
+    query::{Query, Queryable},
+};
 
 use crate::rig;
 
@@ -39,8 +46,8 @@ pub(crate) struct Plan {
     pub(crate) machine: &'static str,
     /// How many.
     pub(crate) machines: usize,
-    /// Last throws of each machine that are kept for a monitor that missed them.
-    pub(crate) cache: usize,
+    /// Last throws of each machine that are kept for a daemon that was away; 0: none, and nobody answers for them.
+    pub(crate) kept: usize,
     /// Time from one throw to the next, of whichever machine.
     pub(crate) pace: Duration,
     /// This start of the logger.
@@ -51,7 +58,7 @@ impl Default for Plan {
     /// Two machines that are never forgotten and never stop.
     fn default() -> Self {
         let pace = Duration::from_millis(10);
-        Self { throws: u64::MAX, machine: "m", machines: 2, cache: 10_000, pace, boot_id: "b1".to_owned() }
+        Self { throws: u64::MAX, machine: "m", machines: 2, kept: 10_000, pace, boot_id: "b1".to_owned() }
     }
 }
 
@@ -60,15 +67,26 @@ pub(crate) struct Logger {
     session: Session,
     stop: Arc<AtomicBool>,
     rounds: Arc<Mutex<u64>>,
-    thread: JoinHandle<Vec<AdvancedPublisher<'static>>>,
+    thread: JoinHandle<Vec<Source>>,
 }
 
-/// A logger that has stopped publishing. Its caches still answer, until this is dropped.
+/// A logger that has stopped publishing. Its backlogs still answer, until this is dropped.
 pub(crate) struct Silent {
     /// Throws of each machine: their numbers are 1 to this.
     pub(crate) published: u64,
-    _publishers: Vec<AdvancedPublisher<'static>>,
+    _sources: Vec<Source>,
     _session: Session,
+}
+
+/// What is kept of a machine, oldest first.
+type Kept = Arc<Mutex<VecDeque<(ThrowRef, Vec<u8>)>>>;
+
+/// One machine of a logger.
+struct Source {
+    publisher: Publisher<'static>,
+    kept: Kept,
+    _backlog: Option<Queryable<()>>,
+    _token: LivelinessToken,
 }
 
 /// A throw of a machine's life.
@@ -81,7 +99,11 @@ pub(crate) fn throw(boot_id: &str, throw_no: u64) -> Throw {
     let phase = if (throw_no / PHASE).is_multiple_of(2) { healthy } else { worn };
     let like = &phase[usize::try_from(throw_no % PHASE).unwrap()];
     let first: Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
-    Throw { id, started_at: first + SignedDuration::from_mins(10 * throw_no.cast_signed()), ..like.clone() }
+    // No throw repeats to the last digit.
+    let mut current = like.trace.current_a().to_vec();
+    current[0] += 1e-6 * throw_no as f64;
+    let trace = Trace::new(like.trace.sample_rate_hz(), current, like.trace.position_mm().to_vec()).unwrap();
+    Throw { id, started_at: first + SignedDuration::from_mins(10 * throw_no.cast_signed()), trace, ..like.clone() }
 }
 
 /// A healthy phase and one with friction risen by half.
@@ -99,12 +121,12 @@ impl Logger {
     /// Declares its publishers, waits until a daemon listens, and publishes.
     pub(crate) async fn start(endpoint: &str, plan: Plan) -> Self {
         let session = rig::client_of(endpoint).await;
-        let publishers: Vec<_> = (1..=plan.machines).map(|number| declare(&session, &plan, number)).collect();
+        let sources: Vec<_> = (1..=plan.machines).map(|number| declare(&session, &plan, number)).collect();
         simulated();
         let (stop, rounds) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(0)));
         let (stopped, counted) = (Arc::clone(&stop), Arc::clone(&rounds));
         let thread = thread::spawn(move || {
-            for publisher in &publishers {
+            for Source { publisher, .. } in &sources {
                 while !publisher.matching_status().wait().unwrap().matching() && !stopped.load(Relaxed) {
                     thread::sleep(Duration::from_millis(5));
                 }
@@ -114,13 +136,14 @@ impl Logger {
                     break;
                 }
                 let message = wire::encode_throw(Encoding::Cbor, &throw(&plan.boot_id, throw_no));
-                for publisher in &publishers {
+                for Source { publisher, kept, .. } in &sources {
+                    keep(kept, &plan, throw_no, message.clone());
                     publisher.put(message.clone()).wait().unwrap();
                     thread::sleep(plan.pace);
                 }
                 *counted.lock().unwrap() = throw_no;
             }
-            publishers
+            sources
         });
         Self { session, stop, rounds, thread }
     }
@@ -133,21 +156,54 @@ impl Logger {
 
     /// Publishes all that it has to.
     pub(crate) fn finish(self) -> Silent {
-        let publishers = self.thread.join().unwrap();
+        let sources = self.thread.join().unwrap();
         let published = *self.rounds.lock().unwrap();
-        Silent { published, _publishers: publishers, _session: self.session }
+        Silent { published, _sources: sources, _session: self.session }
     }
 }
 
-fn declare(session: &Session, plan: &Plan, number: usize) -> AdvancedPublisher<'static> {
+fn keep(kept: &Kept, plan: &Plan, throw_no: u64, message: Vec<u8>) {
+    let mut kept = kept.lock().unwrap();
+    kept.push_back((ThrowRef { boot_id: plan.boot_id.clone(), throw_no }, message));
+    while kept.len() > plan.kept {
+        kept.pop_front();
+    }
+}
+
+fn declare(session: &Session, plan: &Plan, number: usize) -> Source {
     let machine = MachineId::new("north", &format!("{}{number}", plan.machine)).unwrap();
-    session
-        .declare_publisher(wire::machine_key(&machine, Kind::Throw))
+    let (key, kept) = (wire::machine_key(&machine, Kind::Throw), Kept::default());
+    let answering = Arc::clone(&kept);
+    // A reply waits for a slow link: not in zenoh's own thread.
+    let on_query = move |query| {
+        let kept = Arc::clone(&answering);
+        thread::spawn(move || answer(&query, &kept));
+    };
+    let backlog = (plan.kept > 0).then(|| session.declare_queryable(key.clone()).callback(on_query).wait().unwrap());
+    let alive = wire::machine_key(&machine, Kind::Alive);
+    let publisher = session
+        .declare_publisher(key)
         .encoding(ContentType::APPLICATION_CBOR)
-        .congestion_control(CongestionControl::Block)
-        .cache(CacheConfig::default().max_samples(plan.cache))
-        .sample_miss_detection(MissDetectionConfig::default().sporadic_heartbeat(Duration::from_millis(200)))
-        .publisher_detection()
-        .wait()
-        .unwrap()
+        .congestion_control(CongestionControl::Block);
+    Source {
+        publisher: publisher.wait().unwrap(),
+        kept,
+        _backlog: backlog,
+        _token: session.liveliness().declare_token(alive).wait().unwrap(),
+    }
+}
+
+fn answer(query: &Query, kept: &Kept) {
+    let asked = BacklogQuery::parse(query.parameters().as_str());
+    let page: Vec<Vec<u8>> = {
+        let kept = kept.lock().unwrap();
+        let start = asked.start(kept.iter().map(|(throw, _)| throw));
+        kept.iter().skip(start).take(asked.limit).map(|(_, message)| message.clone()).collect()
+    };
+    for message in page {
+        let reply = query.reply(query.key_expr().clone(), message).encoding(ContentType::APPLICATION_CBOR);
+        if reply.wait().is_err() {
+            return;
+        }
+    }
 }

@@ -59,11 +59,12 @@ async fn rows_are_bounded_traces_before_throws_before_alarms() {
     let _logger = Logger::start(&daemon.endpoint, plan).await;
     witness.until("every throw", |heard| heard.health.len() == 240).await;
     let kept = Kept::until(&rig, |kept| kept.traces <= 100 && kept.throws <= 150).await;
-    assert_eq!((kept.traces, kept.throws), (100, 150));
+    // Throws go from the machine with the most bytes, which may take some of its traces with them.
+    assert!((50..=100).contains(&kept.traces) && kept.throws == 150, "{kept:?}");
     assert_eq!(kept.alarms, witness.heard().events.len() as u64, "an alarm was dropped");
-    // The newest stay.
-    let oldest = rig.sql("SELECT min(throw_no) AS oldest FROM health_history")[0]["oldest"].as_u64();
-    assert_eq!(oldest, Some(120 - 75 + 1));
+    // The newest stay, and of both machines nearly as many.
+    let oldest = rig.sql("SELECT min(throw_no) AS oldest FROM health_history")[0]["oldest"].as_u64().unwrap();
+    assert!(oldest.abs_diff(120 - 75 + 1) < 16, "{oldest}");
     assert!(daemon.log().iter().any(|line| line.contains("dropped the oldest")));
     assert!(daemon.terminate().success());
 }
@@ -96,8 +97,8 @@ const OLD_ALARMS: &str = "
     INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
     WITH RECURSIVE number (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM number WHERE n < 300)
     SELECT 'north.21B.friction.' || n, 1, 'friction', n, 2, CASE n WHEN 1 THEN 'active_unacknowledged' ELSE 'normal' END FROM number;
-    INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, text, payload)
-    SELECT alarm_row, event_no, raised_at_us, 'warning', state, '', '{}'
+    INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload)
+    SELECT alarm_row, event_no, raised_at_us, 'warning', state, '{}'
       FROM alarm, (SELECT 1 AS event_no UNION ALL SELECT 2)";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -10,8 +10,11 @@ use std::{
 };
 
 use pointsd::wire::{Alarm, Health};
-use zenoh::{Session, sample::Sample};
-use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
+use zenoh::{
+    Session, Wait,
+    query::{ConsolidationMode, QueryTarget, Reply},
+    sample::{Sample, SampleKind},
+};
 
 use crate::rig;
 
@@ -46,7 +49,6 @@ fn event_line(alarm_id: &str, event_no: u32) -> String {
 pub(crate) struct Witness {
     heard: Arc<Mutex<Heard>>,
     _session: Session,
-    _subscribers: Vec<AdvancedSubscriber<()>>,
 }
 
 impl Witness {
@@ -59,13 +61,29 @@ impl Witness {
         let (health, noted) = (Arc::clone(&heard), log.clone());
         let on_health = move |sample: Sample| {
             let message: Health = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-            note(noted.as_deref(), &throw_line(&message.machine, &message.boot_id, message.throw_no));
-            health.lock().unwrap().health.insert((message.machine, message.boot_id, message.throw_no));
+            let (machine, throw) = (message.machine.machine.to_string(), message.throw);
+            note(noted.as_deref(), &throw_line(&machine, &throw.boot_id, throw.throw_no));
+            health.lock().unwrap().health.insert((machine, throw.boot_id, throw.throw_no));
         };
-        let on_alarm = alarm_taker(Arc::clone(&heard), log);
-        let subscribers =
-            vec![subscribe(&session, "health", on_health).await, subscribe(&session, "alarm", on_alarm).await];
-        Self { heard, _session: session, _subscribers: subscribers }
+        session.declare_subscriber("points/v1/**/health").callback(on_health).background().await.unwrap();
+        let on_alarm = Arc::new(alarm_taker(Arc::clone(&heard), log));
+        let live = Arc::clone(&on_alarm);
+        session
+            .declare_subscriber("points/v1/**/alarm")
+            .callback(move |sample| live(sample))
+            .background()
+            .await
+            .unwrap();
+        // A daemon that appears, because it or the link was away, is asked for what was missed.
+        let asking = session.clone();
+        let on_daemon = move |token: Sample| {
+            if token.kind() == SampleKind::Put {
+                ask(&asking, Arc::clone(&on_alarm));
+            }
+        };
+        let daemons = session.liveliness().declare_subscriber("points/v1/*/monitor/*/alive").history(true);
+        daemons.callback(on_daemon).background().await.unwrap();
+        Self { heard, _session: session }
     }
 
     /// Subscribes to alarms as a first program would, with nothing but what zenoh does by itself.
@@ -74,7 +92,7 @@ impl Witness {
         let heard = Arc::<Mutex<Heard>>::default();
         let on_alarm = alarm_taker(Arc::clone(&heard), None);
         session.declare_subscriber("points/v1/**/alarm").callback(on_alarm).background().await.unwrap();
-        Self { heard, _session: session, _subscribers: Vec::new() }
+        Self { heard, _session: session }
     }
 
     pub(crate) fn heard(&self) -> MutexGuard<'_, Heard> {
@@ -100,25 +118,18 @@ fn alarm_taker(heard: Arc<Mutex<Heard>>, log: Option<Arc<File>>) -> impl Fn(Samp
         note(log.as_deref(), &event_line(&message.alarm_id, message.event_no));
         let mut heard = heard.lock().unwrap();
         heard.messages += 1;
-        let event = (message.alarm_id, message.event_no);
+        let event = (message.alarm_id.clone(), message.event_no);
         if !heard.events.contains(&event) {
             heard.events.push(event);
         }
     }
 }
 
-async fn subscribe(
-    session: &Session,
-    kind: &str,
-    heard: impl Fn(Sample) + Send + Sync + 'static,
-) -> AdvancedSubscriber<()> {
-    session
-        .declare_subscriber(format!("points/v1/**/{kind}"))
-        .callback(heard)
-        .history(HistoryConfig::default().detect_late_publishers())
-        .recovery(RecoveryConfig::default().heartbeat())
-        .await
-        .unwrap()
+/// Asks for the last alarm events.
+fn ask(session: &Session, on_alarm: Arc<impl Fn(Sample) + Send + Sync + 'static>) {
+    let get = session.get("points/v1/**/alarm?limit=10000").target(QueryTarget::All);
+    let on_reply = move |reply: Reply| reply.into_result().into_iter().for_each(|sample| on_alarm(sample));
+    get.consolidation(ConsolidationMode::None).callback(on_reply).wait().unwrap();
 }
 
 /// Appends an acknowledgement to the shim's log, in one write.

@@ -124,7 +124,7 @@ fn conditions_that_cannot_be_are_refused_by_name() {
         (Conditions { cut_off_after_s: Some(0.0), ..plain }, "cut_off_after_s"),
     ] {
         let error = Parameters::default().simulate(Direction::NormalToReverse, &conditions, STEP_S).unwrap_err();
-        assert_eq!(error.name, name);
+        assert_eq!(error.key, name);
     }
 }
 

@@ -92,7 +92,7 @@ fn wrong_values_are_refused_with_their_name() {
         ("--obstruction-mm", "300", 64, "obstruction_mm is 300"),
         ("--temperature-c", "500", 64, "temperature_c is 500"),
         ("--set", "machine.motor=steam", 78, "machine.motor"),
-        ("--set", "machine.gear_stiffness_nm=1e300", 78, "must stay finite"),
+        ("--set", "machine.gear_stiffness_nm=1e300", 78, "must be finite"),
         ("--set", "sensors.current.bits=12", 78, "sensors.current.full_scale"),
         ("--config", "/nowhere.toml", 66, "/nowhere.toml"),
     ] {

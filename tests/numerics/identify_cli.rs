@@ -52,7 +52,7 @@ fn what_is_no_recording_is_refused_with_its_place() {
     let still: String = lines
         .iter()
         .skip(1)
-        .fold(HEADER.to_owned(), |text, line| text + &line.split(',').take(2).collect::<Vec<_>>().join(",") + ",0\n");
+        .fold(HEADER.to_owned(), |text, line| text + &line.split(',').take(2).collect::<Vec<_>>().join(",") + ",3\n");
     let with_line = |at: usize, line: &str| {
         let mut lines = lines.clone();
         lines[at] = line;

@@ -176,7 +176,7 @@ fn a_machine_that_cannot_be_is_refused_by_name() {
         (Parameters { timeout_s: 0.0, ..plain }, "timeout_s"),
     ] {
         let error = machine.simulate(Direction::NormalToReverse, &Conditions::default(), STEP_S).unwrap_err();
-        assert_eq!(error.name, name);
+        assert_eq!(error.key, name);
         assert!(error.to_string().contains("must be"), "{error}");
     }
 }

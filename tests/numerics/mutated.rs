@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use minicbor::{Encoder, data::Tag};
-use pointsd::estimate::{Estimate, Identifier, Settings};
+use pointsd::estimate::{Estimate, Grade, Identifier, Rejection, Settings};
 use pointsd::simulate::{Parameters, Sensors};
 use pointsd::throw::{Direction, Throw, ThrowRef};
 use pointsd::wire::{self, Encoding};
@@ -216,7 +216,7 @@ impl Good {
         let mut channels = channels.clone();
         let kind = mutate(&mut channels, rng);
         let found = channels.identify(&mut self.identifier, &self.settings);
-        (kind, found.outcome.ok().map(|estimate| change(&estimate, whole)))
+        (kind, good(found.outcome).map(|estimate| change(&estimate, whole)))
     }
 
     /// The same for a message.
@@ -233,9 +233,15 @@ impl Good {
         let Ok(throw) = wire::decode_throw(Encoding::of("", &bytes), &bytes) else { return (kind, None) };
         let found = self.identifier.identify(&throw, &self.settings);
         // A direction that contradicts the movement is a flag on the throw.
-        let sound = found.outcome.ok().filter(|_| !found.direction_contradicted);
+        let contradicted = found.direction_contradicted;
+        let sound = good(found.outcome).filter(|_| !contradicted);
         (kind, sound.map(|estimate| change(&estimate, whole)))
     }
+}
+
+/// The estimate that would enter a baseline.
+fn good(outcome: Result<Estimate, Rejection>) -> Option<Estimate> {
+    outcome.ok().filter(|estimate| estimate.grade == Grade::Good)
 }
 
 /// `POINTSD_MUTATIONS=100000` sets their number, `POINTSD_MUTATIONS_SEED` the first seed.

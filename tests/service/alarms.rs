@@ -117,7 +117,7 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
             assert_eq!(code, Some(0), "{text}");
             let lines: Vec<Alarm> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
             let [alarm] = &lines[..] else { panic!("{text}") };
-            assert_eq!((alarm.site.as_str(), alarm.machine.as_str()), ("cabinets", "c7"));
+            assert_eq!((alarm.machine.site.as_str(), alarm.machine.machine.as_str()), ("cabinets", "c7"));
             assert_eq!((alarm.cause, alarm.severity), (Cause::DataLoss, Severity::Critical));
             assert!(alarm.text.contains("points.db-broken-") && alarm.text.contains("move it elsewhere"), "{text}");
         }

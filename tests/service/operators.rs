@@ -4,7 +4,7 @@ use std::process::Stdio;
 
 use pointsd::{diagnose::Cause, wire::Alarm};
 
-use crate::rig::{PATIENCE, Rig, pointsd, pointsim};
+use crate::rig::{Daemon, PATIENCE, Rig, pointsd, pointsim};
 
 fn logger(endpoint: &str, arguments: &[&str]) {
     let mut child = pointsim(&["run", "--connect", endpoint, "--time-scale", "100000"])
@@ -70,9 +70,30 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     let status: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(status["daemons"][0]["stored"], 100);
     assert_eq!(status["health"].as_array().unwrap().len(), 4, "two machines, two directions");
+    maintenance_is_visible(&rig, &daemon);
     assert!(daemon.terminate().success());
     let rows = rig.sql("SELECT machine, count(*) AS n FROM health_history WHERE quality = 'good' GROUP BY machine");
     assert_eq!(rows.iter().map(|row| row["n"].as_i64().unwrap()).collect::<Vec<_>>(), [50, 50]);
+}
+
+/// A machine out of service is never silent: it is in `status` with its exit code, in health, in SQL, and it ends.
+fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
+    let (code, text) = daemon.operate(&["maintenance", "north/machine-2", "--why", "new chairs", "--by", "tester"]);
+    assert_eq!(code, Some(0), "{text}");
+    let (code, text) = daemon.operate(&["status", "--json"]);
+    assert_eq!(code, Some(1), "a machine in maintenance needs somebody: {text}");
+    let status: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(status["daemons"][0]["machines"]["maintenance"], 1, "{text}");
+    let states = |machine: &str| -> Vec<serde_json::Value> {
+        let health = status["health"].as_array().unwrap().iter();
+        health.filter(|health| health["machine"] == machine).map(|health| health["state"].clone()).collect()
+    };
+    assert_eq!(states("machine-2"), ["maintenance", "maintenance"]);
+    assert_eq!(states("machine-1"), ["learning", "learning"]);
+    let rows = rig.sql("SELECT DISTINCT state FROM machine_health WHERE machine = 'machine-2'");
+    assert_eq!(rows[0]["state"], "maintenance");
+    let commands = rig.sql("SELECT until FROM operator_commands WHERE command = 'maintenance_start'");
+    assert!(commands[0]["until"].is_string(), "it has an end: {commands:?}");
 }
 
 /// Every command of an operator, for a machine.
@@ -106,7 +127,10 @@ fn all_commands(endpoint: &str) -> Vec<(Option<i32>, String)> {
 async fn without_a_daemon_operators_are_told_so() {
     for (arguments, (code, said)) in COMMANDS.iter().zip(all_commands("tcp/127.0.0.1:1")) {
         assert_eq!(code, Some(69), "{arguments:?}: {said}");
-        assert!(said.starts_with("error: ") && said.contains("Is pointsd running?"), "{arguments:?}: {said}");
+        assert!(
+            said.starts_with("error: nobody answers at ") && said.contains("Is pointsd running?"),
+            "{arguments:?}: {said}"
+        );
     }
     // A router without a daemon behind it.
     let mut config = zenoh::Config::default();
@@ -164,5 +188,127 @@ async fn no_alarms_is_not_said_of_a_machine_that_nobody_knows() {
         assert_eq!(exit, Some(code), "{machine}: {text}");
         assert!(text.contains(says), "{machine}: {text}");
     }
+    assert!(daemon.terminate().success());
+}
+
+/// A daemon of this name on a port of its own, with an open motor alarm on north/machine-1.
+fn daemon_with_alarm(id: &str, extra: &str) -> (Rig, Daemon) {
+    let rig = Rig::with(&format!("[monitor]\nid = {id:?}\n{extra}")).same_port();
+    let daemon = rig.start();
+    logger(&daemon.endpoint, &["--machines", "1", "--throws", "50", "--fault", "1:kt:-25:36"]);
+    (rig, daemon)
+}
+
+fn run(arguments: &[&str]) -> (Option<i32>, String) {
+    let output = pointsd(arguments).output().unwrap();
+    (output.status.code(), String::from_utf8([output.stdout, output.stderr].concat()).unwrap())
+}
+
+/// State of the alarm, and what operators had done.
+fn state(rig: &Rig) -> (String, usize) {
+    let alarms = rig.sql("SELECT state FROM active_alarms WHERE cause = 'kt'");
+    (alarms[0]["state"].as_str().unwrap().to_owned(), rig.sql("SELECT * FROM operator_commands").len())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other() {
+    let (rig_a, a) = daemon_with_alarm("a", "");
+    let (rig_b, b) = daemon_with_alarm("b", "");
+    let of_b = rig_b.config().display().to_string();
+
+    let (code, text) = run(&["ack", "north/machine-1", "kt", "--by", "tester", "--config", &of_b]);
+    assert_eq!(code, Some(0), "{text}");
+    assert!(text.starts_with("fleet/b: "), "{text}");
+    assert_eq!(state(&rig_b), ("active_acknowledged".to_owned(), 1));
+    assert_eq!(state(&rig_a), ("active_unacknowledged".to_owned(), 0));
+    let (code, text) =
+        run(&["rebaseline", "north/machine-1", "--why", "x", "--by", "tester", "--json", "--config", &of_b]);
+    let reply: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!((code, reply["monitor"].as_str()), (Some(0), Some("fleet/b")), "{text}");
+    for question in ["status", "alarms"] {
+        let (code, text) = run(&[question, "--config", &of_b]);
+        assert_eq!(code, Some(0), "{text}");
+        assert!(text.contains("fleet/") && !text.contains("fleet/a") && !text.contains("monitor/a"), "{text}");
+    }
+
+    // B is gone, and A has taken its place: every command says so and sends nothing.
+    assert!(b.terminate().success());
+    assert!(a.terminate().success());
+    let moved = rig_a.listening_like(&rig_b);
+    let a = moved.start();
+    for arguments in COMMANDS {
+        let (code, text) = run(&[arguments, &["--config", &of_b]].concat());
+        assert_eq!(code, Some(69), "{arguments:?}: {text}");
+        assert!(text.contains("fleet/a answers there, and the configuration is that of fleet/b"), "{text}");
+    }
+    assert_eq!(state(&moved), ("active_unacknowledged".to_owned(), 0));
+    assert!(a.terminate().success());
+    for arguments in COMMANDS {
+        let (code, text) = run(&[arguments, &["--config", &of_b]].concat());
+        assert_eq!(code, Some(69), "{arguments:?}: {text}");
+        assert!(text.contains("nobody answers at tcp/127.0.0.1:"), "{text}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_machine_that_two_daemons_serve_takes_no_command() {
+    let (rig_a, a) = daemon_with_alarm("a", "");
+    // The second daemon is joined to the first, and serves the same machines.
+    let (rig_b, b) = daemon_with_alarm("b", &format!("[zenoh.connect]\nendpoints = [{:?}]\n", a.endpoint));
+    a.until_status("link", |status| status["connected"] == true).await;
+    for config in [rig_a.config(), rig_b.config()] {
+        let config = config.display().to_string();
+        let (code, text) = run(&["ack", "north/machine-1", "kt", "--by", "tester", "--config", &config]);
+        assert_eq!(code, Some(69), "{text}");
+        assert!(text.contains("several daemons serve north/machine-1") && text.contains("fleet/a"), "{text}");
+        assert!(text.contains("fleet/b"), "{text}");
+    }
+    for rig in [&rig_a, &rig_b] {
+        assert!(rig.sql("SELECT * FROM operator_commands").is_empty(), "nothing was carried out");
+    }
+    assert!(b.terminate().success() && a.terminate().success());
+}
+
+/// A reader that goes away ends the command, and nothing is wrong.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
+    let (rig, daemon) = daemon_with_alarm("a", "");
+    for arguments in [&["status"][..], &["alarms"], &["alarms", "--json"], &["alarms", "--since", "2026-01-01"]] {
+        let mut child = pointsd(arguments)
+            .args(["--connect", &daemon.endpoint])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        assert!(output.stderr.is_empty(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}");
+        let (_, text) = daemon.operate(arguments);
+        let widest = text.lines().map(|line| line.chars().count()).max().unwrap();
+        assert!(widest <= 80 || arguments.contains(&"--json"), "{arguments:?} is {widest} wide: {text}");
+    }
+    let (code, text) = daemon.operate(&["alarms", "--check"]);
+    assert_eq!(code, Some(1), "{text}");
+    assert!(text.contains("now -") && text.contains("(95 %)") && text.contains("not acknowledged"), "{text}");
+    let arguments = ["shelve", "north/machine-1", "motor", "--for", "3d", "--why", "parts ordered", "--by", "tester"];
+    let (code, text) = daemon.operate(&arguments);
+    assert_eq!(code, Some(0), "{text}");
+    assert!(text.starts_with("fleet/a: the motor alarm of north/machine-1 is shelved until "), "{text}");
+    assert!(text.trim_end().ends_with("by tester: parts ordered"), "{text}");
+    for command in ["alarms", "status"] {
+        let (_, text) = daemon.operate(&[command]);
+        let flat = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(flat.contains("shelved until ") && flat.contains("by tester: parts ordered"), "{command}: {text}");
+    }
+    let (code, text) =
+        run(&["sql", "--database", &rig.database().display().to_string(), "SELECT 1 AS a; SELECT 2 AS b, 1.0/3 AS c"]);
+    assert_eq!(code, Some(0), "{text}");
+    assert_eq!(text.split_whitespace().collect::<Vec<_>>(), ["a", "1", "b", "c", "2", "0.333333"], "{text}");
+    let (code, text) = run(&["sql", "--database", &rig.database().display().to_string()]);
+    assert!(code == Some(0) && text.contains("operator_commands") && text.contains("change_now_pct"), "{text}");
+    let (code, text) =
+        run(&["sql", "--database", &rig.database().display().to_string(), "SELECT b9 FROM health_history"]);
+    assert_eq!((code, text.matches("no such column").count()), (Some(65), 1), "{text}");
     assert!(daemon.terminate().success());
 }

@@ -1,14 +1,25 @@
-//! Foreign clients: Python with `eclipse-zenoh`. Skipped, and said so, where Python or the package is absent.
+//! Foreign clients: Python with `eclipse-zenoh`, among them the programs of the README as they stand there. Skipped, and said
+//! so, where Python or the package is absent.
 
 use std::{
+    fs,
     io::{BufRead, BufReader, Write},
-    process::{Command, Stdio},
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
 };
 
-use pointsd::{diagnose::Cause, wire::Alarm};
-use serde_json::json;
+use pointsd::{
+    diagnose::Cause,
+    wire::{Alarm, Encoding, encode_throw},
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
 
-use crate::rig::{Rig, throws};
+use crate::{
+    cable::Cable,
+    rig::{PATIENCE, Rig, stub, throws},
+};
 
 /// Publishes throws in JSON, one a line of its input, and prints the alarms that come back.
 const CLIENT: &str = r#"
@@ -30,11 +41,18 @@ with zenoh.open(config) as session:
     time.sleep(600)
 "#;
 
+fn has_python() -> bool {
+    let probe = Command::new("python3").args(["-c", "import zenoh"]).output();
+    let is_there = probe.is_ok_and(|output| output.status.success());
+    if !is_there {
+        println!("skipped: no python3 with eclipse-zenoh here (pip install eclipse-zenoh)");
+    }
+    is_there
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn python_publishes_throws_and_receives_the_alarm() {
-    let probe = Command::new("python3").args(["-c", "import zenoh"]).output();
-    if !probe.is_ok_and(|output| output.status.success()) {
-        println!("skipped: no python3 with eclipse-zenoh here (pip install eclipse-zenoh)");
+    if !has_python() {
         return;
     }
     let rig = Rig::new();
@@ -63,10 +81,144 @@ async fn python_publishes_throws_and_receives_the_alarm() {
     let mut lines = BufReader::new(client.stdout.take().unwrap()).lines();
     let alarm = lines.by_ref().map_while(Result::ok).find(|line| line.starts_with('{')).expect("an alarm");
     let alarm: Alarm = serde_json::from_str(&alarm).unwrap();
-    assert_eq!((alarm.site.as_str(), alarm.machine.as_str(), alarm.cause), ("south", "7", Cause::Kt));
+    assert_eq!((alarm.machine.site.as_str(), alarm.machine.machine.as_str(), alarm.cause), ("south", "7", Cause::Kt));
     let rows = rig.judged(60).await;
     client.kill().unwrap();
     client.wait().unwrap();
     assert!(rows.iter().all(|row| row.quality == "good"));
+    assert!(daemon.terminate().success());
+}
+
+/// The Python program under a heading of the README, with another endpoint, in the folder of a rig.
+fn readme(heading: &str, endpoint: &str, rig: &Rig) -> Child {
+    let text = include_str!("../../README.md");
+    let (_, section) = text.split_once(&format!("### {heading}\n")).unwrap();
+    let (_, code) = section.split_once("```python\n").unwrap();
+    let (code, _) = code.split_once("```").unwrap();
+    assert!(code.contains("tcp/127.0.0.1:7447"));
+    Command::new("python3")
+        .args(["-c", &code.replace("tcp/127.0.0.1:7447", endpoint)])
+        .current_dir(rig.folder())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+fn end(mut child: Child) {
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+/// Boots and numbers in a list of rows, sorted.
+fn numbers(rows: &[Value]) -> Vec<(String, u64)> {
+    let of = |row: &Value| (row["boot_id"].as_str().unwrap().to_owned(), row["throw_no"].as_u64().unwrap());
+    let mut numbers: Vec<_> = rows.iter().map(of).collect();
+    numbers.sort_unstable();
+    numbers
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_readmes_logger_loses_nothing_when_it_or_the_daemon_is_killed() {
+    const KILLS: usize = 20;
+    const LONGEST: Duration = Duration::from_millis(1_200);
+    if !has_python() {
+        return;
+    }
+    let rig = Rig::new().same_port();
+    let mut daemon = rig.start();
+    let mut logger = readme("A first logger in Python", &daemon.endpoint, &rig);
+    let mut rng = ChaCha8Rng::seed_from_u64(20);
+    let mut recorded = 0;
+    for kill in 0..2 * KILLS {
+        let until = Instant::now() + rng.random_range(Duration::from_millis(100)..LONGEST);
+        while Instant::now() < until {
+            recorded += 1;
+            let throw = json!({
+                "started_at": format!("2026-01-01T06:{:02}:{:02}Z", recorded / 60 % 60, recorded % 60),
+                "sample_rate_hz": 100, "current_a": [0, 0, 0, 0], "position_mm": [0, 0, 0, 0],
+            });
+            writeln!(logger.stdin.as_mut().unwrap(), "{throw}").unwrap();
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        if kill % 2 == 0 {
+            daemon.kill();
+            daemon = rig.launch().0;
+        } else {
+            end(logger);
+            logger = readme("A first logger in Python", &daemon.endpoint, &rig);
+        }
+    }
+    daemon.kill();
+    let daemon = rig.start();
+    let deadline = Instant::now() + 2 * PATIENCE;
+    let kept = loop {
+        let file = fs::read_to_string(rig.folder().join("throws.jsonl")).unwrap();
+        let kept: Vec<Value> = file.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let stored = rig.sql("SELECT boot_id, throw_no FROM throw JOIN boot USING (boot_row)");
+        if numbers(&stored) == numbers(&kept) {
+            break kept;
+        }
+        assert!(Instant::now() < deadline, "{} stored of {} kept", stored.len(), kept.len());
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    };
+    let status = daemon.status();
+    end(logger);
+    assert!(daemon.terminate().success());
+    println!(
+        "{KILLS} kills each of daemon and logger: {recorded} throws recorded, {} kept and stored; {status}",
+        kept.len()
+    );
+    assert!(kept.len() > 100, "{} throws", kept.len());
+    assert_eq!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0"), Vec::<Value>::new());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_readmes_subscriber_gets_every_alarm_over_its_own_cut_links() {
+    /// Zenoh gives a silent link up after 10 s.
+    const CUT: Duration = Duration::from_secs(12);
+    const CUTS: usize = 2;
+    if !has_python() {
+        return;
+    }
+    let rig = Rig::with("[diagnosis]\nnot_monitored_throws = 1\n");
+    let daemon = rig.start();
+    let cable = Cable::to(&daemon.endpoint).await;
+    let session = daemon.client().await;
+    let mut subscriber = readme("A first subscriber in Python", &cable.endpoint, &rig);
+    let mut lines = BufReader::new(subscriber.stdout.take().unwrap()).lines().map_while(Result::ok);
+    let mut alarms = 0;
+    // Each new machine whose throw cannot be evaluated is an alarm.
+    let raise = async |number: usize| {
+        let key = format!("points/v1/north/m{number}/throw");
+        let throw = encode_throw(Encoding::Json, &stub("b1", 1));
+        crate::rig::put(&session, &key, zenoh::bytes::Encoding::APPLICATION_JSON, throw).await;
+        rig.until_sql(&format!("SELECT 1 FROM alarm_events WHERE machine = 'm{number}'")).await;
+    };
+    for cut in 0..=CUTS {
+        for is_cut in [false, true] {
+            if is_cut && cut < CUTS {
+                cable.cut();
+            }
+            raise(alarms).await;
+            raise(alarms + 1).await;
+            alarms += 2;
+        }
+        if cut < CUTS {
+            tokio::time::sleep(CUT).await;
+            cable.mend();
+        }
+    }
+    let mut missing: Vec<String> = (0..alarms).map(|number| format!("Machine m{number}:")).collect();
+    let found = tokio::task::spawn_blocking(move || {
+        while !missing.is_empty() {
+            let Some(line) = lines.next() else { break };
+            missing.retain(|machine| !line.contains(machine.as_str()));
+        }
+        missing
+    });
+    let missing = tokio::time::timeout(PATIENCE, found).await.expect("every alarm in time").unwrap();
+    end(subscriber);
+    assert_eq!(missing, Vec::<String>::new());
     assert!(daemon.terminate().success());
 }

@@ -18,7 +18,7 @@ use pointsd::{
     bus,
     daemon::config::{Document, client_session},
     simulate::{Fleet, FleetSettings},
-    store::{HealthRow, Reader, Selector},
+    store::{Reader, Selector},
     throw::{Throw, ThrowRef, Trace},
 };
 use zenoh::{Session, bytes::Encoding, qos::CongestionControl};
@@ -93,6 +93,11 @@ impl Rig {
     pub(crate) fn same_port(self) -> Self {
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         Self { listen: format!("tcp/127.0.0.1:{port}"), ..self }
+    }
+
+    /// The daemon listens where that of another rig did.
+    pub(crate) fn listening_like(self, other: &Self) -> Self {
+        Self { listen: other.listen.clone(), ..self }
     }
 
     /// The daemon is a leaf behind a router, and listens nowhere.
@@ -175,13 +180,13 @@ impl Rig {
     }
 
     /// Every row of the health history, in the order of arrival.
-    pub(crate) async fn history(&self) -> Vec<HealthRow> {
+    pub(crate) async fn history(&self) -> Vec<pointsd::wire::Health> {
         let reader = Reader::open(&self.database()).await.unwrap();
         reader.health_history(&Selector::default(), jiff::Timestamp::UNIX_EPOCH, 1_000_000).await.unwrap()
     }
 
     /// Waits until so many throws are judged.
-    pub(crate) async fn judged(&self, count: usize) -> Vec<HealthRow> {
+    pub(crate) async fn judged(&self, count: usize) -> Vec<pointsd::wire::Health> {
         let deadline = Instant::now() + PATIENCE;
         loop {
             let history = self.history().await;
@@ -210,11 +215,11 @@ impl Rig {
     }
 
     /// Changes the database while no daemon runs.
-    pub(crate) async fn change(&self, statement: &'static str) {
+    pub(crate) async fn change(&self, statement: impl Into<String>) {
         use sqlx::Connection;
         let options = sqlx::sqlite::SqliteConnectOptions::new().filename(self.database());
         let mut connection = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
-        sqlx::query(statement).execute(&mut connection).await.unwrap();
+        sqlx::query(sqlx::AssertSqlSafe(statement.into())).execute(&mut connection).await.unwrap();
         connection.close().await.unwrap();
     }
 }

@@ -1,9 +1,13 @@
 //! Throws that arrive: once, three times, in a burst, before a crash, among poison.
 
-use pointsd::wire::{Encoding, encode_throw};
+use pointsd::{
+    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    throw::Throw,
+    wire::{Encoding, encode_throw},
+};
 use zenoh::bytes::Encoding as ContentType;
 
-use crate::rig::{Rig, matched, put, stub, throws};
+use crate::rig::{Daemon, Rig, matched, put, stub, throws, throws_of};
 
 const KEY: &str = "points/v1/north/21B/throw";
 
@@ -170,4 +174,83 @@ async fn a_missing_throw_number_is_a_gap() {
     let gaps = rig.sql("SELECT first_throw_no, last_throw_no, missing_throws FROM data_gaps WHERE kind = 'missed'");
     assert_eq!(gaps.len(), 1, "{gaps:?}");
     assert_eq!((&gaps[0]["first_throw_no"], &gaps[0]["last_throw_no"]), (&3.into(), &4.into()));
+}
+
+const QUICK: &str = "[diagnosis]\nbaseline_throws = 12\n";
+
+/// Throws of a machine whose motor weakens by 20 % at a throw, or from it on over so many.
+fn weakened(count: u64, from_throw: u64, ramp: Option<u64>) -> Vec<Throw> {
+    let shape = ramp.map_or(Shape::Step, |throws| Shape::Ramp { throws });
+    let fault = Fault { part: Part::Kt, shape, size_pct: -20.0, from_throw };
+    let fleet = FleetSettings { faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
+    throws_of(&fleet, "boot", count)
+}
+
+/// Sends throws, and waits until each is judged.
+async fn send(rig: &Rig, daemon: &Daemon, throws: &[Throw]) {
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    for throw in throws {
+        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+    }
+    rig.judged(throws.len()).await;
+}
+
+fn texts(rig: &Rig, cause: &str) -> Vec<String> {
+    let events = rig.sql(&format!("SELECT text FROM alarm_events WHERE cause = '{cause}' ORDER BY event_at, event_no"));
+    events.iter().map(|event| event["text"].as_str().unwrap().to_owned()).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn throws_under_taken_numbers_are_judged_and_the_logger_that_repeats_them_is_named() {
+    const BEFORE: u64 = 40;
+    let rig = Rig::with(QUICK);
+    let daemon = rig.start();
+    let mut all = weakened(2 * BEFORE, BEFORE, None);
+    for throw in &mut all[usize::try_from(BEFORE).unwrap()..] {
+        throw.id.throw_no -= BEFORE;
+    }
+    send(&rig, &daemon, &all).await;
+    assert!(!texts(&rig, "kt").is_empty(), "the weak motor is hidden");
+    let texts = texts(&rig, "data_loss");
+    assert!(texts.first().is_some_and(|text| text.contains("without a new boot_id")), "{texts:?}");
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_frozen_recorder_is_named_and_says_nothing_about_the_machine() {
+    const FROZEN: u64 = 20;
+    let rig = Rig::with(QUICK);
+    let daemon = rig.start();
+    let mut all = throws("boot", 30);
+    for number in 0..FROZEN {
+        let mut again = all[usize::try_from(10 + number % 2).unwrap()].clone();
+        (again.id.throw_no, again.started_at) = (31 + number, all[29].started_at);
+        all.push(again);
+    }
+    send(&rig, &daemon, &all).await;
+    let texts = texts(&rig, "data_loss");
+    assert!(texts.first().is_some_and(|text| text.contains("repeats itself")), "{texts:?}");
+    let states = rig.sql("SELECT DISTINCT state FROM machine_health");
+    assert!(states.iter().all(|row| row["state"] != "healthy"), "{states:?}");
+    let repeated = rig.sql("SELECT count(*) AS n FROM throws_not_evaluated WHERE quality = 'repeated_trace'");
+    assert_eq!(repeated[0]["n"], FROZEN);
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_drift_is_seen_although_each_trace_comes_five_times() {
+    let rig = Rig::with(QUICK);
+    let daemon = rig.start();
+    let mut all = Vec::new();
+    for throw in weakened(110, 30, Some(60)) {
+        for _ in 0..5 {
+            let mut again = throw.clone();
+            again.id.throw_no = all.len() as u64 + 1;
+            all.push(again);
+        }
+    }
+    send(&rig, &daemon, &all).await;
+    assert!(!texts(&rig, "kt").is_empty(), "the weak motor is hidden");
+    assert!(daemon.terminate().success());
 }

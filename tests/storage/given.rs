@@ -5,10 +5,11 @@ use std::path::Path;
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Matrix3;
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, Severity},
-    estimate::{Estimate, Features, Identification},
-    store::{AlarmRecord, Judgement, Message, Opened, Outcome, Settings, Spooled, Store, ThrowRow},
+    diagnose::{AlarmEvent, AlarmState, Cause, Drifting, LimitForecast, MachineState, Severity},
+    estimate::{Estimate, Features, Grade, Identification},
+    store::{Judgement, MonitorRecord, Opened, Outcome, Settings, Spooled, Store, ThrowRow},
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
+    wire::Health,
 };
 
 pub(crate) fn settings(folder: &Path) -> Settings {
@@ -45,12 +46,15 @@ pub(crate) fn throw(boot_id: &str, throw_no: u64) -> Throw {
 pub(crate) async fn spooled(store: &Store, name: &str, boot_id: &str, throw_no: u64) -> ThrowRow {
     match store.spool(&machine(name), &throw(boot_id, throw_no), at(0)).await.unwrap() {
         Spooled::New(row) => row,
-        Spooled::Duplicate { .. } => panic!("throw {throw_no} was there before"),
+        Spooled::Duplicate => panic!("throw {throw_no} was there before"),
     }
 }
 
 pub(crate) fn estimate() -> Estimate {
     Estimate {
+        grade: Grade::Good,
+        ratios_only: false,
+        systematic: Matrix3::zeros(),
         b0: 203.0,
         a1: 5.9,
         a0: 1.56,
@@ -63,23 +67,47 @@ pub(crate) fn estimate() -> Estimate {
 }
 
 pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
+    let estimate = estimate();
     Judgement {
         row,
-        machine: machine(name),
-        judged_at: at(1),
+        health: Health {
+            schema: Health::SCHEMA.to_owned(),
+            machine: machine(name),
+            throw: ThrowRef { boot_id: "b1".to_owned(), throw_no: row.0.cast_unsigned() },
+            started_at: at(0),
+            direction: Some(Direction::NormalToReverse),
+            quality: "good".to_owned(),
+            coefficients: Some(estimate.coefficients()),
+            sd: Some(estimate.sd()),
+            change_pct: Some([0.5, -1.0, 2.0]),
+            fit_pct: Some(estimate.fit_pct),
+            a1_per_b0: Some(estimate.ratios()[0]),
+            a1_per_b0_sd: Some(estimate.ratios_sd()[0]),
+            a0_per_b0: Some(estimate.ratios()[1]),
+            a0_per_b0_sd: Some(estimate.ratios_sd()[1]),
+            duration_s: Some(4.3),
+            peak_current_a: Some(13.0),
+            mean_current_a: None,
+            state: Some(MachineState::Healthy),
+            drift: None,
+            detail: None,
+            baseline: Some((50, 50)),
+            throws_since_baseline: 1,
+        },
         identification: Some(Identification {
             direction: Some(Direction::NormalToReverse),
             direction_contradicted: false,
-            features: Features { duration_s: Some(4.3), peak_current_a: Some(13.0), ..Features::default() },
-            outcome: Ok(estimate()),
+            features: Features::default(),
+            outcome: Ok(estimate),
         }),
-        quality: pointsd::wire::GOOD.to_owned(),
-        detail: None,
-        change_pct: Some([0.5, -1.0, 2.0]),
-        baseline: Some((50, 50)),
         baselines: Vec::new(),
-        outcome: Outcome::default(),
+        outcome: outcome(name, Vec::new()),
     }
+}
+
+/// A change of a machine's monitor after these events.
+pub(crate) fn outcome(name: &str, events: Vec<AlarmEvent>) -> Outcome {
+    Outcome { machine: machine(name), at: at(1), monitor: None, events, reported_gaps: Vec::new(), command: None }
 }
 
 pub(crate) fn event(event_no: u32, state: AlarmState) -> AlarmEvent {
@@ -104,14 +132,20 @@ pub(crate) fn event(event_no: u32, state: AlarmState) -> AlarmEvent {
     }
 }
 
+/// An event of machine 21B, and its monitor after it: a warning, with a drift that is larger now.
 pub(crate) fn alarm(event_no: u32, state: AlarmState) -> Outcome {
-    let payload = format!("{{\"event_no\":{event_no}}}");
-    Outcome {
-        snapshot: Some(format!("{{\"events\":{event_no}}}")),
-        alarms: vec![AlarmRecord { event: event(event_no, state), payload: payload.clone() }],
-        outbox: vec![Message { key: "points/v1/north/21B/alarm".to_owned(), payload: payload.into_bytes() }],
-        ..Outcome::default()
-    }
+    let monitor = MonitorRecord {
+        snapshot: format!("{{\"events\":{event_no}}}"),
+        state: MachineState::Warning,
+        drifts: vec![Drifting {
+            cause: Cause::Friction,
+            change_pct: 23.0,
+            change_pct_sd: 1.0,
+            direction: Some(Direction::NormalToReverse),
+            limit_in_throws: Some(LimitForecast { low: 30.0, mid: 40.0, high: 60.0 }),
+        }],
+    };
+    Outcome { monitor: Some(monitor), at: at(10 * i64::from(event_no)), ..outcome("21B", vec![event(event_no, state)]) }
 }
 
 /// Reads a view as an outsider does: another connection, read-only.

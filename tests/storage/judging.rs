@@ -1,9 +1,9 @@
 //! Judgements, alarms and messages: together or not at all, and once.
 
 use pointsd::{
-    diagnose::AlarmState,
-    store::{Found, Judgement, Selector, ThrowRow},
-    wire::{GOOD, alarm_id},
+    diagnose::{AlarmState, MachineState},
+    store::{Found, Judgement, OutboxRow, Selector, StoredMonitor, ThrowRow},
+    wire::{Alarm, alarm_id},
 };
 
 use crate::given::{alarm, at, event, judgement, machine, open, query, spooled};
@@ -31,9 +31,16 @@ async fn a_judgement_is_written_once_and_the_views_show_it() {
     assert_eq!(*seconds, at(60).as_second());
     assert!((days - at(60).as_microsecond() as f64 * 1e-6).abs() < 1e-3);
 
-    let machines: Vec<(String, String, i64)> =
-        query(&store, "SELECT direction, state, throws_since_baseline FROM machine_health").await;
-    assert_eq!(machines, [("normal_to_reverse".to_owned(), "warning".to_owned(), 1)]);
+    let machines: Vec<(String, String, i64, f64, f64, f64)> = query(
+        &store,
+        "SELECT direction, state, throws_since_baseline, change_now_pct, change_now_pct_sd, limit_in_throws_now \
+         FROM machine_health",
+    )
+    .await;
+    assert_eq!(machines, [("normal_to_reverse".to_owned(), "warning".to_owned(), 1, 23.0, 1.0, 40.0)]);
+    let alarms: Vec<(f64, f64, String, f64)> =
+        query(&store, "SELECT change_pct, change_now_pct, direction_now, limit_in_throws_now FROM active_alarms").await;
+    assert_eq!(alarms, [(18.0, 23.0, "normal_to_reverse".to_owned(), 40.0)], "as it was raised, and as it is now");
 }
 
 #[tokio::test]
@@ -50,7 +57,7 @@ async fn judgements_of_a_group_are_written_in_order_and_once_each() {
     let events: Vec<(i64,)> = query(&store, "SELECT event_no FROM alarm_events ORDER BY event_no").await;
     assert_eq!(events, [(1,), (2,)]);
     assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap().len(), 2);
-    assert_eq!(store.reader().monitors().await.unwrap()[0].1, "{\"events\":2}");
+    assert_eq!(store.reader().monitors().await.unwrap()[0].snapshot, "{\"events\":2}");
 }
 
 #[tokio::test]
@@ -58,13 +65,10 @@ async fn a_throw_that_was_not_evaluated_shows_with_its_reason() {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path()).await.store;
     let row = spooled(&store, "21B", "b1", 1).await;
-    let refused = Judgement {
-        identification: None,
-        quality: "no_movement".to_owned(),
-        detail: Some("the toe did not move".to_owned()),
-        change_pct: None,
-        ..judgement(row, "21B")
-    };
+    let mut refused = Judgement { identification: None, ..judgement(row, "21B") };
+    "no_movement".clone_into(&mut refused.health.quality);
+    refused.health.detail = Some("the toe did not move".to_owned());
+    (refused.health.coefficients, refused.health.change_pct) = (None, None);
     store.judge(refused).await.unwrap();
     let seen: Vec<(String, String)> = query(&store, "SELECT quality, detail FROM throws_not_evaluated").await;
     assert_eq!(seen, [("no_movement".to_owned(), "the toe did not move".to_owned())]);
@@ -78,28 +82,28 @@ async fn an_alarm_lives_through_its_events_and_each_is_published_once() {
     let store = open(folder.path()).await.store;
     let id = machine("21B");
     let everything = Selector::default();
-    store.record(&id, at(10), alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
-    store.record(&id, at(20), alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
+    store.record(alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
+    store.record(alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
     // A repetition after an unknown commit.
-    store.record(&id, at(20), alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
+    store.record(alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
 
     let [open_alarm] = &store.reader().open_alarms(&everything).await.unwrap()[..] else { panic!() };
     let raised = event(1, AlarmState::Normal);
     assert_eq!(open_alarm.alarm_id, alarm_id(&id, raised.cause, raised.raised_at));
     assert_eq!(open_alarm.alarm_id, format!("north.21B.friction.{}", at(10).as_microsecond()));
-    assert_eq!(open_alarm.payload, "{\"event_no\":2}");
+    assert_eq!(open_alarm.event, event(2, AlarmState::ActiveAcknowledged), "all of the event comes back");
     let acknowledged: Vec<(String, String)> =
         query(&store, "SELECT acknowledged_by, acknowledged_at FROM active_alarms").await;
     assert_eq!(acknowledged, [("mia".to_owned(), "2026-03-01T06:00:20.250000Z".to_owned())]);
 
-    store.record(&id, at(30), alarm(3, AlarmState::Normal)).await.unwrap();
+    store.record(alarm(3, AlarmState::Normal)).await.unwrap();
     assert!(store.reader().open_alarms(&everything).await.unwrap().is_empty());
     let history = store.reader().alarm_history(&everything, at(15), 10).await.unwrap();
     assert_eq!(history.iter().map(|row| row.event_no).collect::<Vec<_>>(), [2, 3]);
 
     let messages = store.reader().outbox_pending(0, 10).await.unwrap();
-    let payloads: Vec<_> = messages.iter().map(|message| String::from_utf8_lossy(&message.payload)).collect();
-    assert_eq!(payloads, ["{\"event_no\":1}", "{\"event_no\":2}", "{\"event_no\":3}"]);
+    let read = |message: &OutboxRow| serde_json::from_slice::<Alarm>(&message.payload).unwrap().event_no;
+    assert_eq!(messages.iter().map(read).collect::<Vec<_>>(), [1, 2, 3]);
     store.outbox_sent(&[messages[0].row, messages[1].row]).await.unwrap();
     assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap()[..], messages[2..]);
 }
@@ -118,14 +122,16 @@ async fn a_restart_finds_snapshots_and_what_waits() {
     let opened = open(folder.path()).await;
     assert_eq!((opened.report.found, opened.report.upgraded_by), (Found::Clean, 0));
     let reader = opened.store.reader();
-    assert_eq!(reader.monitors().await.unwrap(), [(machine("21B"), "{\"events\":1}".to_owned())]);
+    let snapshot = "{\"events\":1}".to_owned();
+    let state = Some(MachineState::Warning);
+    assert_eq!(reader.monitors().await.unwrap(), [StoredMonitor { machine: machine("21B"), snapshot, state }]);
     let pending = reader.pending(ThrowRow::START, 10).await.unwrap();
     assert_eq!(pending.iter().map(|throw| throw.row).collect::<Vec<_>>(), [second]);
     assert!(reader.pending(second, 10).await.unwrap().is_empty());
     for (since, rows) in [(at(0), 1), (at(61), 0), (jiff::Timestamp::UNIX_EPOCH, 1)] {
         let history = reader.health_history(&Selector::default(), since, 5).await.unwrap();
         assert_eq!(history.len(), rows, "since {since}");
-        assert!(history.iter().all(|row| row.quality == GOOD));
+        assert!(history.iter().all(|row| row.quality == "good"));
     }
     let elsewhere = Selector { machine: Some("22A".parse().unwrap()), ..Selector::default() };
     assert!(reader.health_history(&elsewhere, at(0), 5).await.unwrap().is_empty());

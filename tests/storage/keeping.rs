@@ -28,15 +28,16 @@ async fn traces_go_before_throws_and_what_waits_never_goes() {
     let store = Store::open(&bounds, at(0)).await.unwrap().store;
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
+    // The pending throw counts too.
     let done = store.keep_house(at(0), true).await.unwrap();
-    assert_eq!((done.traces, done.throws), (100, 50));
+    assert_eq!((done.traces, done.throws), (101, 51));
     let statistics = store.statistics().await.unwrap();
     assert_eq!(statistics.pending, 1);
     assert_eq!(store.reader().pending(ThrowRow::START, 9).await.unwrap()[0].row, waits);
-    assert_eq!((statistics.counters["dropped_traces"], statistics.counters["dropped_throws"]), (100, 50));
+    assert_eq!((statistics.counters["dropped_traces"], statistics.counters["dropped_throws"]), (101, 51));
     // A pruned throw that comes again is still a repetition, and no gap.
     let again = store.spool(&machine("21B"), &throw("b1", 7), at(0)).await.unwrap();
-    assert_eq!(again, Spooled::Duplicate { differs: false });
+    assert_eq!(again, Spooled::Duplicate);
     assert_eq!(statistics.missing_throws, 0);
 }
 
@@ -45,7 +46,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
     let folder = tempfile::tempdir().unwrap();
     let bounds = Settings { max_size_mib: 1, ..settings(folder.path()) };
     let store = Store::open(&bounds, at(0)).await.unwrap().store;
-    store.record(&machine("21B"), at(10), alarm(1, AlarmState::Normal)).await.unwrap();
+    store.record(alarm(1, AlarmState::Normal)).await.unwrap();
     judged(&store, 1, 400).await;
     assert!(store.statistics().await.unwrap().data_bytes > 1 << 20, "the test writes too little");
     let done = store.keep_house(at(0), true).await.unwrap();
@@ -54,6 +55,59 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
     assert!(done.traces > 0 && done.traces < 400 && done.throws == 0, "{done:?}");
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM alarm_history").await, [(1,)]);
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(400,)]);
+}
+
+/// Throws that wait to be judged count as well: whatever arrives, the database is not larger than it may be.
+#[tokio::test]
+async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_dropped() {
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Settings { max_size_mib: 1, ..settings(folder.path()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
+    store.spool_all(&flood).await;
+    assert!(store.statistics().await.unwrap().data_bytes > 2 << 20, "the test writes too little");
+    store.keep_house(at(0), true).await.unwrap();
+    let statistics = store.statistics().await.unwrap();
+    assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
+    let dropped = statistics.counters["dropped_pending_throws"];
+    assert_eq!((statistics.throws + dropped, statistics.pending), (1000, statistics.throws));
+    let (severity, said) = store.trouble().unwrap();
+    assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("before they were judged"), "{said}");
+    // What was dropped is known: it is no gap, and when it comes again it is a repetition.
+    assert_eq!(statistics.missing_throws, 0);
+    let again = store.spool(&machine("loud"), &throw("b1", 3), at(0)).await.unwrap();
+    assert_eq!(again, Spooled::Duplicate);
+}
+
+/// Who sends the most loses its own history first; that of the others stays whole.
+#[tokio::test]
+async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
+    for bounds in [
+        Settings { max_size_mib: 1, ..Settings::default() },
+        Settings { max_traces: 100, ..Settings::default() },
+        Settings { max_throws: 100, ..Settings::default() },
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let bounds = Settings { ballast_mib: 1, low_disk_mib: 0, path: folder.path().join("points.db"), ..bounds };
+        let store = Store::open(&bounds, at(0)).await.unwrap().store;
+        judged(&store, 1, 40).await;
+        let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
+        for answer in store.spool_all(&flood).await {
+            let Spooled::New(row) = answer.unwrap() else { panic!() };
+            store.judge(judgement(row, "loud")).await.unwrap();
+        }
+        for _ in 0..20 {
+            store.keep_house(at(0), true).await.unwrap();
+        }
+        let count = "SELECT count(*) FROM trace JOIN throw USING (throw_row) JOIN machine USING (machine_row) WHERE machine = '21B'";
+        assert_eq!(query::<(i64,)>(&store, count).await, [(40,)], "{bounds:?}");
+        let statistics = store.statistics().await.unwrap();
+        assert!(statistics.data_bytes <= bounds.max_size_mib << 20 && statistics.traces <= bounds.max_traces);
+        assert!(statistics.throws <= bounds.max_throws, "{} throws", statistics.throws);
+        let really: Vec<(i64, i64)> =
+            query(&store, "SELECT (SELECT count(*) FROM throw), (SELECT count(*) FROM trace)").await;
+        assert_eq!(really, [(statistics.throws.cast_signed(), statistics.traces.cast_signed())], "the counts are true");
+    }
 }
 
 #[tokio::test]
@@ -81,6 +135,7 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
             let outside = SqliteConnectOptions::new().filename(&path);
             let mut outsider = SqliteConnection::connect_with(&outside).await.unwrap();
             sqlx::query("UPDATE shutdown SET clean = 0").execute(&mut outsider).await.unwrap();
+            sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut outsider).await.unwrap();
             outsider.close().await.unwrap();
             let mut bytes = fs::read(&path).unwrap();
             bytes[8 * 4096..40 * 4096].fill(0x5a);
@@ -91,7 +146,7 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
         fs::write(&path, &bytes).unwrap();
 
         let opened = open(folder.path()).await;
-        let Found::SetAside { to, why } = &opened.report.found else { panic!("{:?}", opened.report) };
+        let Found::SetAside { to, why, .. } = &opened.report.found else { panic!("{:?}", opened.report) };
         assert!(!why.is_empty());
         assert_eq!(fs::read(to).unwrap(), bytes, "the broken file is kept as it was");
         spooled(&opened.store, "21B", "b1", 1).await;
@@ -134,32 +189,42 @@ async fn the_database_of_another_program_is_left_alone() {
     assert!(!folder.path().join("points.db-wal").exists());
 }
 
-/// A database with 1,500 throws that was stopped cleanly, so that nothing is checked, and whose pages were then overwritten
-/// but for the first 60: it shows only when they are needed.
-async fn broken_after_a_clean_stop() -> tempfile::TempDir {
+/// An open database with 1,500 throws whose pages are overwritten but for the first 60: it shows when they are needed.
+async fn broken_under_way() -> (tempfile::TempDir, Store) {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path()).await.store;
     let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
     store.spool_all(&batch).await;
     store.close().await.unwrap();
-    let file = fs::OpenOptions::new().write(true).open(folder.path().join("points.db")).unwrap();
+    let opened = open(folder.path()).await;
+    assert_eq!(opened.report.found, Found::Clean);
+    break_pages(folder.path());
+    (folder, opened.store)
+}
+
+fn break_pages(folder: &std::path::Path) {
+    let file = fs::OpenOptions::new().write(true).open(folder.join("points.db")).unwrap();
     let pages = usize::try_from(file.metadata().unwrap().len() / 4096).unwrap();
     file.write_all_at(&vec![0x5a; (pages - 60) * 4096], 60 * 4096).unwrap();
-    folder
 }
 
 #[tokio::test]
 async fn a_database_that_breaks_under_way_ends_the_writer_and_the_next_start_sets_it_aside() {
-    let folder = broken_after_a_clean_stop().await;
-    let opened = open(folder.path()).await;
-    assert_eq!(opened.report.found, Found::Clean);
-    let store = opened.store;
+    let (folder, store) = broken_under_way().await;
     let error = store.spool(&machine("21B"), &throw("b1", 1501), at(0)).await.unwrap_err();
     assert!(error.to_string().contains("malformed"), "{error}");
     store.stopped().await;
     let opened = open(folder.path()).await;
     assert!(matches!(opened.report.found, Found::SetAside { .. }), "{:?}", opened.report);
-    spooled(&opened.store, "21B", "b1", 1).await;
+    opened.store.spool(&machine("21B"), &throw("b2", 1), at(0)).await.unwrap();
+}
+
+/// A clean stop says nothing about what happened to the file since.
+#[tokio::test]
+async fn a_file_that_was_broken_after_a_clean_stop_is_found_at_the_start() {
+    let (folder, store) = broken_under_way().await;
+    drop(store);
+    assert!(matches!(open(folder.path()).await.report.found, Found::SetAside { .. }));
 }
 
 #[tokio::test]
@@ -193,6 +258,7 @@ async fn a_database_that_an_older_program_must_not_write_to_is_refused_and_left_
     let outside = SqliteConnectOptions::new().filename(folder.path().join("points.db"));
     let mut newer = SqliteConnection::connect_with(&outside).await.unwrap();
     sqlx::query("PRAGMA user_version = 9999").execute(&mut newer).await.unwrap();
+    sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut newer).await.unwrap();
     newer.close().await.unwrap();
     let before = fs::read(folder.path().join("points.db")).unwrap();
     let error = Store::open(&settings(folder.path()), at(0)).await.err().unwrap().to_string();
@@ -202,13 +268,50 @@ async fn a_database_that_an_older_program_must_not_write_to_is_refused_and_left_
 
 #[tokio::test]
 async fn a_database_that_a_query_finds_broken_is_set_aside_at_the_next_start() {
-    let folder = broken_after_a_clean_stop().await;
-    let store = open(folder.path()).await.store;
+    let (folder, store) = broken_under_way().await;
     let error = store.reader().throws(ThrowRow::START, 10_000).await.unwrap_err();
     assert!(error.to_string().contains("malformed"), "{error}");
     store.stopped().await;
     assert!(matches!(store.close().await, Err(StoreError::Broken)));
     assert!(matches!(open(folder.path()).await.report.found, Found::SetAside { .. }));
+}
+
+/// Everything that was committed is in the connection's files, which have no name any more: they get one again.
+#[tokio::test]
+async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_written_anew() {
+    for replaced in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let store = open(folder.path()).await.store;
+        judged(&store, 1, 30).await;
+        store.outbox_sent(&[]).await.unwrap();
+        let path = folder.path().join("points.db");
+        for suffix in ["", "-wal", "-shm"] {
+            fs::remove_file(folder.path().join(format!("points.db{suffix}"))).unwrap();
+        }
+        if replaced {
+            fs::write(&path, "a backup that somebody put there").unwrap();
+        }
+        // As the daemon does every 5 s.
+        let noticed = async {
+            while store.trouble().is_none() {
+                tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+                store.outbox_sent(&[]).await.unwrap();
+            }
+        };
+        tokio::time::timeout(std::time::Duration::from_secs(10), noticed).await.unwrap();
+        let (severity, said) = store.trouble().unwrap();
+        assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("deleted or replaced"), "{said}");
+        judged(&store, 31, 40).await;
+        assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(40,)]);
+        store.close().await.unwrap();
+        let opened = open(folder.path()).await;
+        assert_eq!(opened.report.found, Found::Clean);
+        assert_eq!(opened.store.reader().throws(ThrowRow::START, 100).await.unwrap().len(), 40);
+        let strangers = fs::read_dir(folder.path())
+            .unwrap()
+            .filter(|file| file.as_ref().unwrap().file_name().to_string_lossy().contains("-replaced-"));
+        assert_eq!(strangers.count(), usize::from(replaced), "what stood there is kept");
+    }
 }
 
 #[tokio::test]
@@ -250,7 +353,7 @@ async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
 fn settings_are_checked_and_unknown_keys_refused() {
     assert_eq!(Settings::default().validate(), Ok(()));
     let wrong = Settings { max_size_mib: 1, ..Settings::default() };
-    assert_eq!(wrong.validate().unwrap_err().to_string(), "max_size_mib = 1 is out of range: 16 to 1048576 MiB");
+    assert_eq!(wrong.validate().unwrap_err().to_string(), "max_size_mib is 1, must be 16 to 1048576 MiB");
     let unknown = toml::from_str::<Settings>("max_sise_mib = 5").unwrap_err().to_string();
     assert!(unknown.contains("max_sise_mib"), "{unknown}");
 }

@@ -8,7 +8,10 @@ mod given;
 mod judging;
 mod keeping;
 mod power;
+mod salvage;
 #[path = "../disk/small_disk.rs"]
 mod small_disk;
+
 mod spooling;
 mod statements;
+mod takeover;

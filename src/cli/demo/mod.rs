@@ -1,5 +1,6 @@
 //! `pointsd demo`: daemon, simulated fleet, database and dashboard in one process, over loopback.
 
+mod injected;
 mod outcome;
 mod screen;
 
@@ -10,7 +11,7 @@ use jiff::SignedDuration;
 use tokio::sync::broadcast::error::RecvError;
 
 use super::{
-    Exit, Failure, Outcome, ResultExt,
+    Exit, Failure, Outcome, ResultExt, output,
     run::start_failure,
     runtime::{self, Signals},
     simulate_run::boot_id,
@@ -22,9 +23,10 @@ use crate::{
         config::{Config, Document, client_session},
     },
     logger::{Logger, LoggerSettings},
-    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    simulate::{Fault, FleetFault, FleetSettings, Shape},
     web::{self, Place},
 };
+use injected::{Injected, MACHINES};
 use screen::Screen;
 
 /// Throws of each machine: 50 a direction for the baseline, and as many again while parts wear out.
@@ -34,10 +36,10 @@ const RATE: f64 = 6.5;
 /// Time from one throw of a machine to its next \[s\]: a busy junction.
 const INTERVAL_S: f64 = 1200.0;
 
-/// Shows what pointsd does, in about half a minute: five simulated machines, four of which wear out.
+/// Shows what pointsd does, in about a minute: five simulated machines, four of which wear out.
 ///
-/// Daemon, machines, database and dashboard run in this process and talk over loopback. The database is kept for a look
-/// afterwards.
+/// Daemon, machines, database and dashboard run in this process and talk over loopback. With --keep or --folder the
+/// database stays; without, it is removed at the end.
 ///
 /// Exit codes: 0 all four faults were named right and the healthy machine raised no alarm; 1 not so; 69 zenoh or the
 /// dashboard cannot be used; 73 the database cannot be created.
@@ -55,24 +57,6 @@ pub(super) struct Arguments {
     folder: Option<PathBuf>,
 }
 
-/// What is wrong with a machine of the demo.
-#[derive(Debug, Clone, Copy)]
-struct Injected {
-    part: Part,
-    size_pct: f64,
-    from_throw: u64,
-    ramp_throws: Option<u64>,
-}
-
-/// One machine for each cause, and one that stays healthy.
-const MACHINES: [Option<Injected>; 5] = [
-    Some(Injected { part: Part::Kt, size_pct: -20.0, from_throw: 120, ramp_throws: None }),
-    Some(Injected { part: Part::Friction, size_pct: 45.0, from_throw: 110, ramp_throws: Some(40) }),
-    Some(Injected { part: Part::Stiffness, size_pct: 30.0, from_throw: 130, ramp_throws: None }),
-    Some(Injected { part: Part::Inertia, size_pct: 20.0, from_throw: 115, ramp_throws: Some(30) }),
-    None,
-];
-
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(demo(arguments))
 }
@@ -80,18 +64,20 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 async fn demo(arguments: &Arguments) -> Outcome {
     let began = clock::monotonic();
     let mut signals = Signals::listen()?;
-    let database = database(arguments)?;
+    let folder = Folder::make(arguments)?;
+    let database = folder.database();
     let place = Place::bind((Ipv4Addr::LOCALHOST, 0).into()).await.or_exit(Exit::Unavailable)?;
     let url = place.url();
     let mut daemon = Daemon::start(config(&database)?).await.map_err(start_failure)?;
     daemon.adopt("the dashboard", web::serve(place, daemon.view()));
     let endpoint = daemon.locators().await.into_iter().next().unwrap_or_default();
-    println!(
-        "A daemon that listens on {endpoint}, and {} simulated point machines that connect to it.",
+    output::line(format_args!(
+        "A daemon that listens on {endpoint}, and {} simulated point machines.\n\
+         Each throws {THROWS} times. The first 50 throws of each direction become its\n\
+         baseline; then four machines wear out.\n\
+         In a browser: {url}\n",
         MACHINES.len()
-    );
-    println!("Each throws {THROWS} times. The first 50 throws a direction become its baseline; then four wear out.");
-    println!("In a browser: {url}\n");
+    ))?;
 
     let mut screen = Screen::new(MACHINES.len(), THROWS);
     let mut judged = daemon.watch();
@@ -114,7 +100,7 @@ async fn demo(arguments: &Arguments) -> Outcome {
             },
             ended = daemon.ended() => return Err(died(ended)),
             () = signals.stop() => {
-                println!("stopped");
+                output::line("stopped")?;
                 return Ok(Exit::Negative);
             }
         }
@@ -122,18 +108,20 @@ async fn demo(arguments: &Arguments) -> Outcome {
     logger.finished().await.or_exit(Exit::Software)?;
     screen.finish();
     let rows = outcome::rows(daemon.store().reader(), &machines).await.or_exit(Exit::Io)?;
-    println!("{}", outcome::table(&rows));
+    output::line(outcome::table(&rows))?;
     let right = rows.iter().all(outcome::Row::is_right);
-    println!("{}\n", outcome::sentence(&rows, clock::monotonic().duration_since(began)));
-    outcome::print_queries(&database);
+    output::line(outcome::sentence(&rows, clock::monotonic().duration_since(began)))?;
+    if folder.is_kept {
+        output::line(outcome::queries(&database))?;
+    }
     if arguments.keep {
-        println!("\nThe daemon goes on, at {endpoint}, and its dashboard, at {url}, until Ctrl-C.");
+        output::line(format_args!("\nThe daemon goes on at {endpoint}, its dashboard at {url}, until Ctrl-C."))?;
         tokio::select! {
             () = signals.stop() => {}
             ended = daemon.ended() => return Err(died(ended)),
         }
     } else {
-        println!("The dashboard at {url} ends now; with --keep it stays.");
+        output::line("With --keep the daemon, its dashboard and its database stay.")?;
     }
     drop(logger);
     session.close().await.map_err(|error| Failure { exit: Exit::Unavailable, error: anyhow::anyhow!(error) })?;
@@ -145,21 +133,43 @@ fn died(Ended(task): Ended) -> Failure {
     Failure { exit: Exit::Software, error: anyhow::anyhow!("{task} has ended on its own") }
 }
 
-/// The path of a database that does not exist yet.
-fn database(arguments: &Arguments) -> Result<PathBuf, Failure> {
-    let folder = match &arguments.folder {
-        Some(folder) => folder.clone(),
-        None => std::env::temp_dir().join(format!("pointsd-demo-{}", boot_id())),
-    };
-    fs::create_dir_all(&folder)
-        .with_context(|| format!("cannot create the folder {}", folder.display()))
-        .or_exit(Exit::CannotCreate)?;
-    let database = folder.join("points.db");
-    if database.exists() {
-        let error = anyhow::anyhow!("{} is there already: name a new folder", database.display());
-        return Err(Failure { exit: Exit::CannotCreate, error });
+/// The demo's folder. Dropped, it is removed where it lies among the temporary files and nobody asked to keep it.
+struct Folder {
+    path: PathBuf,
+    is_kept: bool,
+}
+
+impl Folder {
+    /// A folder without a database in it.
+    fn make(arguments: &Arguments) -> Result<Self, Failure> {
+        let path = match &arguments.folder {
+            Some(path) => path.clone(),
+            None => std::env::temp_dir().join(format!("pointsd-demo-{}", boot_id())),
+        };
+        fs::create_dir_all(&path)
+            .with_context(|| format!("cannot create the folder {}", path.display()))
+            .or_exit(Exit::CannotCreate)?;
+        let folder = Self { path, is_kept: arguments.keep || arguments.folder.is_some() };
+        if folder.database().exists() {
+            let error = anyhow::anyhow!("{} is there already: name a new folder", folder.database().display());
+            return Err(Failure { exit: Exit::CannotCreate, error });
+        }
+        Ok(folder)
     }
-    Ok(database)
+
+    fn database(&self) -> PathBuf {
+        self.path.join("points.db")
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        if !self.is_kept
+            && let Err(error) = fs::remove_dir_all(&self.path)
+        {
+            tracing::debug!(%error, folder = %self.path.display(), "the folder of the demo cannot be removed");
+        }
+    }
 }
 
 fn config(database: &std::path::Path) -> Result<Config, Failure> {

@@ -5,7 +5,7 @@ use std::{path::Path, time::Duration};
 use comfy_table::{CellAlignment, Table, presets::UTF8_FULL_CONDENSED};
 use jiff::Timestamp;
 
-use super::{Injected, MACHINES};
+use super::injected::{Injected, MACHINES};
 use crate::{
     diagnose::Cause,
     store::{Reader, Selector, StoreError},
@@ -52,9 +52,9 @@ impl Row {
             alarms => alarms.iter().map(|(first, _)| first.cause.to_string()).collect::<Vec<_>>().join(", "),
         };
         let size = last.and_then(|alarm| Some((alarm.change_pct?, alarm.change_pct_sd?)));
-        let delay = self.injected.zip(first.and_then(|alarm| alarm.last_throw_no)).map(|(injected, throw_no)| {
+        let delay = self.injected.zip(first.and_then(|alarm| alarm.last_throw.as_ref())).map(|(injected, throw)| {
             // Throws are numbered from 1 and injected from 0: the first throw with the fault counts as one.
-            i64::try_from(throw_no).unwrap_or(i64::MAX) - i64::try_from(injected.from_throw).unwrap_or(0)
+            i64::try_from(throw.throw_no).unwrap_or(i64::MAX) - i64::try_from(injected.from_throw).unwrap_or(0)
         });
         [
             self.machine.machine.to_string(),
@@ -68,7 +68,7 @@ impl Row {
 }
 
 fn word(cause: &str) -> String {
-    Cause::from_word(cause).map_or_else(|| cause.to_owned(), |cause| cause.to_string())
+    cause.parse::<Cause>().map_or_else(|_| cause.to_owned(), |cause| cause.to_string())
 }
 
 /// What the database says of each machine.
@@ -79,9 +79,8 @@ pub(super) async fn rows(reader: &Reader, machines: &[MachineId]) -> Result<Vec<
         .zip(MACHINES)
         .map(|(machine, injected)| Row { machine: machine.clone(), injected, alarms: Vec::new() })
         .collect();
-    for event in events {
-        let Ok(alarm) = serde_json::from_str::<Alarm>(&event.payload) else { continue };
-        let Some(row) = rows.iter_mut().find(|row| row.machine == event.machine) else { continue };
+    for alarm in events {
+        let Some(row) = rows.iter_mut().find(|row| row.machine == alarm.machine) else { continue };
         match row.alarms.iter_mut().find(|(first, _)| first.alarm_id == alarm.alarm_id) {
             Some((_, last)) => *last = alarm,
             None => row.alarms.push((alarm.clone(), alarm)),
@@ -110,12 +109,13 @@ pub(super) fn sentence(rows: &[Row], took: Duration) -> String {
     format!("{right} of {} machines right, in {:.0} s.", rows.len(), took.as_secs_f64())
 }
 
-pub(super) fn print_queries(database: &Path) {
+/// Questions to the database, to copy into a shell.
+pub(super) fn queries(database: &Path) -> String {
     let database = database.display();
-    println!("Everything is in {database}. Ask it, for example:");
-    println!("  pointsd sql --database {database} \"SELECT machine, cause, severity, text FROM active_alarms\"");
-    println!(
-        "  sqlite3 {database} \"SELECT machine, direction, throw_no, round(b0_pct, 1), round(a1_pct, 1), round(a0_pct, 1) \
+    format!(
+        "\nThe database is {database}. Ask it, for example:\n\
+         pointsd sql --database {database} \\\n  \"SELECT machine, cause, severity, text FROM active_alarms\"\n\
+         pointsd sql --database {database} \\\n  \"SELECT machine, direction, throw_no, b0_pct, a1_pct, a0_pct\n   \
          FROM health_history ORDER BY started_at DESC LIMIT 10\""
-    );
+    )
 }

@@ -4,6 +4,7 @@ use std::io::IsTerminal;
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
+use super::output;
 use crate::{
     daemon::Judged,
     diagnose::{AlarmEvent, AlarmState, Severity},
@@ -26,7 +27,7 @@ struct Line {
     bar: ProgressBar,
     throws: u64,
     /// Throws in the baseline, of how many, for each direction.
-    baseline: [(usize, usize); 2],
+    baseline: [(u64, u64); 2],
     learned: bool,
 }
 
@@ -46,16 +47,16 @@ impl Screen {
     }
 
     pub(super) fn throw(&mut self, machines: &[MachineId], judged: &Judged) {
-        let Some(number) = machines.iter().position(|machine| *machine == judged.machine) else { return };
+        let Some(number) = machines.iter().position(|machine| *machine == judged.health.machine) else { return };
         let line = &mut self.machines[number];
         line.throws += 1;
-        line.bar.set_prefix(judged.machine.machine.to_string());
+        line.bar.set_prefix(judged.health.machine.machine.to_string());
         line.bar.set_position(line.throws);
-        if let (Some(direction), Some(baseline)) = (judged.direction, judged.baseline) {
+        if let (Some(direction), Some(baseline)) = (judged.health.direction, judged.health.baseline) {
             line.baseline[direction as usize] = baseline;
         }
-        let so_far: usize = line.baseline.iter().map(|(so_far, _)| so_far).sum();
-        let needed: usize = line.baseline.iter().map(|(_, needed)| needed).sum();
+        let so_far: u64 = line.baseline.iter().map(|(so_far, _)| so_far).sum();
+        let needed: u64 = line.baseline.iter().map(|(_, needed)| needed).sum();
         if !line.learned {
             line.bar.set_message(format!("baseline {so_far} of {needed}"));
         }
@@ -63,7 +64,7 @@ impl Screen {
         if completed {
             line.learned = true;
             line.bar.set_message("watched");
-            self.say(&format!("{}: its baseline is complete, {so_far} throws", judged.machine));
+            self.print(&format!("{}: its baseline is complete, {so_far} throws", judged.health.machine));
         }
         for event in &judged.events {
             self.alarm(number, event);
@@ -78,18 +79,18 @@ impl Screen {
         };
         if self.terminal {
             self.machines[number].bar.set_message(format!("{colour}{word}: {}{PLAIN}", event.cause));
-            self.say(&format!("{BOLD}{colour}{word}{PLAIN} {}", event.text));
+            self.print(&format!("{BOLD}{colour}{word}{PLAIN} {}", event.text));
         } else {
-            self.say(&format!("{word} {}", event.text));
+            self.print(&format!("{word} {}", event.text));
         }
     }
 
-    fn say(&self, line: &str) {
+    /// Prints a line above the bars. A reader that has gone misses it; the demo's answer is its exit code.
+    fn print(&self, line: &str) {
         if self.terminal {
-            // A terminal that is gone cannot be written to; the demo's answer is its exit code.
             let _ = self.bars.println(line);
         } else {
-            println!("{line}");
+            let _ = output::line(line);
         }
     }
 
@@ -97,6 +98,6 @@ impl Screen {
         for line in &self.machines {
             line.bar.abandon();
         }
-        println!();
+        let _ = output::line("");
     }
 }

@@ -2,24 +2,28 @@
 
 mod document;
 mod machines;
+mod operator;
 mod zenoh;
 
 use std::{
-    collections::HashSet,
+    collections::HashMap,
     fs,
     net::SocketAddr,
+    ops::RangeInclusive,
     path::{Path, PathBuf},
 };
 
 use rustix::fs::Access;
 use serde::{Deserialize, Serialize};
+use subtle::ConstantTimeEq as _;
 
 pub use document::{ConfigError, Document};
-pub use machines::{MachineDefaults, MachineEntry, Machines};
+pub use machines::{MachineEntry, Machines};
+pub use operator::{OperatorSession, operator_session};
 
 use crate::{
-    diagnose, store,
-    throw::{MachineId, Name},
+    diagnose, estimate, store,
+    throw::{MachineId, Name, OutOfRange},
     wire::Scope,
 };
 
@@ -51,6 +55,9 @@ pub struct Subscribe {
     pub max_payload_bytes: usize,
     /// Most machines, 1 to 100,000. Throws of further ones go to quarantine: a key costs an attacker nothing.
     pub max_machines: usize,
+    /// How long later throws of a machine wait to be judged for missing ones that its logger may still have, counted from
+    /// when the last of them came \[s\], 0 to 86,400.
+    pub backlog_wait_s: f64,
 }
 
 /// The `[identify]` section: how much of the computer the estimator may use.
@@ -62,13 +69,35 @@ pub struct Identify {
 }
 
 /// The `[web]` section: the dashboard and the metrics.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Web {
     /// Address and port to listen on; without it there is no dashboard. Whoever reaches it can read.
     pub listen: Option<SocketAddr>,
     /// Names, beside IP addresses and `localhost`, under which browsers may ask for it.
     pub hosts: Vec<String>,
+    /// Most machines for which `/metrics` has series of their own, 0 to 20,000; a larger fleet has totals alone.
+    pub machine_metrics: u32,
+    /// Secret that a page must give with an operator's command, 16 to 256 characters; without it the pages only show.
+    pub token: Option<Token>,
+}
+
+/// A secret, which no log line and no error text shows.
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Token(String);
+
+impl Token {
+    /// Whether `text` is the secret; takes the same time for every text of the same length.
+    #[must_use]
+    pub fn is(&self, text: &str) -> bool {
+        self.0.as_bytes().ct_eq(text.as_bytes()).into()
+    }
+}
+
+impl std::fmt::Debug for Token {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Token")
+    }
 }
 
 /// How log lines are written.
@@ -99,7 +128,13 @@ impl Default for Monitor {
 
 impl Default for Subscribe {
     fn default() -> Self {
-        Self { key: "points/v1/**".to_owned(), max_payload_bytes: 16 << 20, max_machines: 10_000 }
+        Self { key: "points/v1/**".to_owned(), max_payload_bytes: 16 << 20, max_machines: 10_000, backlog_wait_s: 60.0 }
+    }
+}
+
+impl Default for Web {
+    fn default() -> Self {
+        Self { listen: None, hosts: Vec::new(), machine_metrics: 1_000, token: None }
     }
 }
 
@@ -123,7 +158,7 @@ struct File {
     identify: Identify,
     store: store::Settings,
     diagnosis: diagnose::Settings,
-    machines: MachineDefaults,
+    machines: estimate::Settings,
     machine: Vec<MachineEntry>,
     web: Web,
     log: Log,
@@ -132,7 +167,7 @@ struct File {
     _zenoh: Option<::zenoh::Config>,
 }
 
-/// Everything that `pointsd` is told.
+/// The configuration of `pointsd`.
 #[derive(Debug, Clone)]
 pub struct Config {
     /// How this daemon is called.
@@ -189,13 +224,13 @@ impl Config {
         let scope =
             Scope::parse(&file.subscribe.key).map_err(|error| document.complain("subscribe.key", error.to_string()))?;
         check_ranges(&file, document)?;
-        check_machines(&file, document)?;
+        let machines = machines(&file, document)?;
         check_web(&file.web, document)?;
         check_log(&file.log, document)?;
         check_database_path(&file.store.path, document)?;
         Ok(Self {
             scope,
-            machines: Machines::new(&file.machines, &file.machine),
+            machines,
             zenoh: monitor_session(document)?,
             monitor: file.monitor,
             subscribe: file.subscribe,
@@ -209,39 +244,40 @@ impl Config {
 }
 
 fn check_ranges(file: &File, document: &Document) -> Result<(), ConfigError> {
-    let ranges = [
-        ("subscribe.max_payload_bytes", file.subscribe.max_payload_bytes, 1 << 10, 32 << 20, "bytes"),
-        ("subscribe.max_machines", file.subscribe.max_machines, 1, 100_000, "machines"),
-        ("identify.threads", file.identify.threads, 0, 64, "threads"),
-    ];
-    for (key, value, low, high, unit) in ranges {
-        if !(low..=high).contains(&value) {
-            return Err(document.complain(key, format!("is {value}, must be {low} to {high} {unit}")));
-        }
-    }
-    file.store.validate().map_err(|error| document.complain(&format!("store.{}", error.key), error.to_string()))?;
-    file.diagnosis.validate().map_err(|error| document.complain(&format!("diagnosis.{}", error.key), error.to_string()))
+    let Subscribe { max_payload_bytes, max_machines, backlog_wait_s, .. } = file.subscribe;
+    OutOfRange::check([
+        ("subscribe.max_payload_bytes", max_payload_bytes as f64, 1024.0, f64::from(32 << 20), "bytes"),
+        ("subscribe.max_machines", max_machines as f64, 1.0, 100_000.0, "machines"),
+        ("subscribe.backlog_wait_s", backlog_wait_s, 0.0, 86_400.0, "s"),
+        ("identify.threads", file.identify.threads as f64, 0.0, 64.0, "threads"),
+    ])
+    .and_then(|()| file.store.validate().map_err(|error| error.within("store")))
+    .and_then(|()| file.diagnosis.validate().map_err(|error| error.within("diagnosis")))
+    .and_then(|()| file.machines.check().map_err(|error| error.within("machines")))
+    .map_err(|error| document.complain(&error.key, error.problem()))
 }
 
-fn check_machines(file: &File, document: &Document) -> Result<(), ConfigError> {
-    if let Some((key, problem)) = file.machines.problems().next() {
-        return Err(document.complain(&format!("machines.{key}"), problem));
-    }
-    let mut seen = HashSet::new();
+fn machines(file: &File, document: &Document) -> Result<Machines, ConfigError> {
+    let mut own = HashMap::new();
     for (index, entry) in file.machine.iter().enumerate() {
-        if let Some((key, problem)) = entry.over(&file.machines).problems().next() {
-            return Err(document.complain(&format!("machine[{index}].{key}"), problem));
-        }
-        if !seen.insert(entry.id()) {
+        let settings = entry
+            .over(&file.machines)
+            .map_err(|(key, problem)| document.complain(&format!("machine[{index}].{key}"), problem))?;
+        if own.insert(entry.id(), settings).is_some() {
             let problem = format!("{} is described a second time", entry.id());
             return Err(document.complain(&format!("machine[{index}].machine"), problem));
         }
     }
-    Ok(())
+    Ok(Machines::new(file.machines.clone(), own))
 }
 
 /// Longest name of a host.
 const HOST_LENGTH: usize = 253;
+
+/// Most machines with series of their own: four series each, and Prometheus is asked to take 1 MB a scrape at the most.
+const MOST_SERIES: u32 = 20_000;
+/// Characters of a token: a shorter one can be guessed, a longer one no form needs.
+const TOKEN_LENGTH: RangeInclusive<usize> = 16..=256;
 
 fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
     let fits = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '.';
@@ -250,6 +286,15 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
             let problem = format!("{host:?} is no name of a host: letters, digits, - and . without port");
             return Err(document.complain(&format!("web.hosts[{index}]"), problem));
         }
+    }
+    if web.machine_metrics > MOST_SERIES {
+        return Err(
+            document.complain("web.machine_metrics", format!("is {}, must be 0 to {MOST_SERIES}", web.machine_metrics))
+        );
+    }
+    let token = web.token.as_ref().map(|Token(token)| token.chars().count());
+    if token.is_some_and(|length| !TOKEN_LENGTH.contains(&length)) {
+        return Err(document.complain("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
     }
     Ok(())
 }

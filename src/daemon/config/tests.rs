@@ -54,7 +54,7 @@ fn the_shipped_file_shows_every_key() {
         identify: Identify,
         store: store::Settings,
         diagnosis: diagnose::Settings,
-        machines: MachineDefaults,
+        machines: estimate::Settings,
         web: Web,
         log: Log,
     }
@@ -65,12 +65,17 @@ fn the_shipped_file_shows_every_key() {
         identify: file.identify,
         store: file.store,
         diagnosis: file.diagnosis,
-        machines: MachineDefaults { stroke_mm: Some(115.0), ..file.machines },
-        web: Web { listen: Some("127.0.0.1:7480".parse().unwrap()), hosts: Vec::new() },
+        machines: estimate::Settings { stroke_mm: Some(115.0), ..file.machines },
+        web: Web {
+            listen: Some("127.0.0.1:7480".parse().unwrap()),
+            hosts: Vec::new(),
+            machine_metrics: 1,
+            token: Some(Token("0123456789abcdef".to_owned())),
+        },
         log: file.log,
     };
     // Keys without a default are shown as comments.
-    let text = shipped().replace("# stroke_mm", "stroke_mm").replace("# listen", "listen");
+    let text = shipped().replace("# stroke_mm", "stroke_mm").replace("# listen", "listen").replace("# token", "token");
     let table: toml::Table = toml::from_str(&text).unwrap();
     let shown = keys(&table, "");
     for key in keys(&toml::Table::try_from(sections).unwrap(), "") {
@@ -105,6 +110,7 @@ fn what_is_wrong_is_named_with_line_and_key() {
         ("[log]\nlevel = \"loud=very\"", "pointsd.toml:2: log.level: "),
         ("[web]\nlisten = \"localhost:7480\"", "pointsd.toml:2: web.listen: invalid socket address syntax"),
         ("[web]\nlisten = \"127.0.0.1\"", "pointsd.toml:2: web.listen: invalid socket address syntax"),
+        ("[web]\ntoken = \"short\"", "pointsd.toml:2: web.token: must have 16 to 256 characters"),
         ("[web]\nhosts = [\"a\", \"b:80\"]", "pointsd.toml:2: web.hosts[1]: \"b:80\" is no name of a host"),
         ("[zenoh]\nmode = \"rooter\"", "pointsd.toml:2: zenoh.mode: "),
         ("[zenoh]\nlisten.endpoint = []", "pointsd.toml:2: zenoh.listen.endpoint: unknown field"),

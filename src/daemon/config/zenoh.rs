@@ -6,7 +6,7 @@ use toml::{Table, Value};
 
 use super::{ConfigError, Document};
 
-/// What zenoh is told when the configuration says nothing: every file that a key of the section names must exist.
+/// Keys of the TLS section that name a file, which must exist.
 const FILE_KEYS: [&str; 5] =
     ["root_ca_certificate", "listen_certificate", "listen_private_key", "connect_certificate", "connect_private_key"];
 
@@ -14,8 +14,7 @@ const FILE_KEYS: [&str; 5] =
 /// only until it is told otherwise. Loggers publish throws so that they wait for a busy link; passed on to others,
 /// throws wait for nobody, or a subscriber that does not read would hold up the loggers' links for 5 s.
 ///
-/// It stamps no messages: of plain puts, which have no numbers, the advanced subscriber drops those whose stamps are not in
-/// order, and the stamps of two links that are read by two threads are not.
+/// It stamps no messages: a throw has its time in the payload.
 pub(super) const MONITOR: &str = r#"
 mode = "router"
 listen.endpoints = ["tcp/127.0.0.1:7447"]
@@ -29,7 +28,7 @@ mode = "client"
 connect.endpoints = ["tcp/127.0.0.1:7447"]
 "#;
 
-/// What every session is told: it keeps trying to connect, and finds nobody by itself.
+/// Settings of every session: it retries to connect for ever, and does not scout.
 const COMMON: &str = "
 connect.timeout_ms = -1
 connect.exit_on_failure = false
@@ -38,7 +37,7 @@ scouting.gossip.enabled = false
 transport.link.rx.max_message_size = 33554432
 ";
 
-/// All that a session of this kind is told.
+/// The settings of a session of this kind, before the configuration.
 pub(super) fn base(kind: &str) -> Result<Table, toml::de::Error> {
     toml::from_str(&format!("{kind}{COMMON}"))
 }

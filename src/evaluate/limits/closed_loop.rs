@@ -6,13 +6,14 @@
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
+use super::finding::{Finding, Row};
 use super::trial::Bench;
-use super::{Finding, Row};
 use crate::estimate::{
     Hold, Noise,
     sriv::{Problem, Signal, Sriv, Workspace},
 };
-use crate::simulate::{Coefficients, InvalidParameter, Parameters};
+use crate::simulate::{Coefficients, Parameters};
+use crate::throw::OutOfRange;
 
 /// Sampling of logger and controller \[s\].
 const INTERVAL_S: f64 = 1e-3;
@@ -26,12 +27,12 @@ const INTEGRAL_S: f64 = 0.2;
 const MAX_CURRENT_A: f64 = 13.0;
 /// Time constant of the filter that makes a speed of the recorded position \[s\].
 const SPEED_FILTER_S: f64 = 0.01;
-/// How long a change of the load lasts \[s\].
+/// Duration of a change of the load \[s\].
 const LOAD_S: f64 = 0.05;
 /// Noise of the current sensor \[A\].
 const CURRENT_NOISE_A: f64 = 0.02;
 
-/// Where the current comes from.
+/// Source of the motor's current.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Current {
     /// Back-EMF alone answers to the speed, as in every motor on a battery.
@@ -43,7 +44,7 @@ enum Current {
 }
 
 /// Errors of a current that answers and one that does not.
-pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, InvalidParameter> {
+pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let machine = Parameters::default();
     let mut plant = Plant { known: machine.coefficients()?, machine, replayed: Vec::new() };
     plant.replayed = plant.throw(Current::Battery, 0.0, 0.0, bench).0;
@@ -98,7 +99,7 @@ impl Plant {
         std::f64::consts::TAU / self.machine.lead_mm
     }
 
-    /// One throw: recorded current \[A\] and screw angle \[rad\]. `load` is relative to the running torque.
+    /// Simulates a throw: recorded current \[A\] and screw angle \[rad\]. `load` is relative to the running torque.
     fn throw(&self, current: Current, noise: f64, load: f64, bench: &mut Bench) -> (Vec<f64>, Vec<f64>) {
         let Coefficients { b0, a1, a0, .. } = self.known;
         let mut normal = || bench.rng.sample::<f64, _>(StandardNormal);

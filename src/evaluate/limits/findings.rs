@@ -1,10 +1,10 @@
 //! Sensors, supply, toe drive and temperature: each finding is one table of runs.
 
-use super::Finding;
+use super::finding::Finding;
 use super::trial::{Bench, Trial, without_dry_friction};
 use crate::estimate::Settings;
-use crate::simulate::{Channel, InvalidParameter, Parameters, Sensors, Waveform};
-use crate::throw::Direction;
+use crate::simulate::{Channel, Parameters, Sensors, Waveform};
+use crate::throw::{Direction, OutOfRange};
 
 /// Rates that loggers use \[Hz\].
 const RATES_HZ: [f64; 9] = [25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0, 20_000.0];
@@ -15,7 +15,7 @@ const CUT_OFF_SHARE: f64 = 0.4;
 const PHASES: u32 = 8;
 
 /// The sampling rate: raw, raw but declared as filtered, and filtered.
-pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, InvalidParameter> {
+pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, OutOfRange> {
     let sensors = |rate: f64, filtered: bool| Sensors {
         anti_alias_hz: filtered.then_some(CUT_OFF_SHARE * rate),
         ..Sensors::perfect(rate)
@@ -54,7 +54,7 @@ pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, InvalidParamet
 }
 
 /// A supply from rectified mains.
-pub(super) fn mains(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+pub(super) fn mains(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let supply = Waveform::RectifiedMains { mains_hz: 50.0 };
     let machine = Parameters { supply, ..without_dry_friction() };
     let mut rows = Vec::new();
@@ -77,7 +77,7 @@ pub(super) fn mains(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
 }
 
 /// Softness of the toe drive and dry friction on the slide chairs.
-pub(super) fn drive(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+pub(super) fn drive(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for drive_stiffness_n_m in [1e8, 2e7, 1e7, 5e6] {
         for slide_friction in [0.0, 0.05, 0.15, 0.3] {
@@ -98,7 +98,7 @@ pub(super) fn drive(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
 }
 
 /// The sensors' noise, with the standard deviation that the estimator states beside the observed one.
-pub(super) fn noise(bench: &mut Bench, throws: usize) -> Result<Finding, InvalidParameter> {
+pub(super) fn noise(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for (current_a, position_mm) in
         [(0.005, 0.02), (0.02, 0.02), (0.05, 0.02), (0.02, 0.1), (0.02, 0.2), (0.1, 0.1), (0.2, 0.2)]
@@ -120,7 +120,7 @@ pub(super) fn noise(bench: &mut Bench, throws: usize) -> Result<Finding, Invalid
 }
 
 /// An offset of the current sensor, with and without quiet samples before the motor's start.
-pub(super) fn offset(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+pub(super) fn offset(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for before_s in [0.2, 0.01, 0.0] {
         for offset in [-0.15, 0.05, 0.15] {
@@ -141,7 +141,7 @@ pub(super) fn offset(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
 }
 
 /// A wrong idea of where the rails are unstressed.
-pub(super) fn neutral(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+pub(super) fn neutral(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for neutral_mm in [0.0, 57.5, 115.0] {
         for believed_mm in [0.0, 57.5, 115.0] {
@@ -165,7 +165,7 @@ pub(super) fn neutral(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
 }
 
 /// Resolution of the converters.
-pub(super) fn converters(bench: &mut Bench, throws: usize) -> Result<Finding, InvalidParameter> {
+pub(super) fn converters(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for (bits, noise) in [(10, 0.02), (12, 0.02), (12, 0.0), (16, 0.02), (16, 0.0)] {
         let channel =
@@ -184,8 +184,8 @@ pub(super) fn converters(bench: &mut Bench, throws: usize) -> Result<Finding, In
     })
 }
 
-/// What temperature does to a healthy machine.
-pub(super) fn temperature(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+/// Effect of temperature on a healthy machine.
+pub(super) fn temperature(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let at_20 = Parameters::default().coefficients()?;
     let reference = Some([at_20.b0, at_20.a1, at_20.a0]);
     let rows = [-20.0, 0.0, 10.0, 20.0, 30.0, 50.0]

@@ -1,21 +1,21 @@
 //! A constant load torque: what it does to the three coefficients, and why it cannot be the fourth.
 
+use super::finding::{Finding, Row};
 use super::trial::{Bench, Trial, without_dry_friction};
-use super::{Finding, Row};
 use crate::estimate::{
     Hold, Noise,
     sriv::{Problem, Signal, Sriv, Workspace},
 };
-use crate::simulate::{Conditions, InvalidParameter, Parameters, Sensors};
-use crate::throw::Direction;
+use crate::simulate::{Conditions, Parameters, Sensors};
+use crate::throw::{Direction, OutOfRange};
 
 /// A load against the movement, as dry friction of the screw gives it.
 const LOADS_NM: [f64; 5] = [0.0, 0.2, 0.5, 1.0, 2.0];
 /// The load under which the fourth coefficient is tried \[N m\].
 const TRIED_NM: f64 = 0.5;
 
-/// How the load appears in the three coefficients.
-pub(super) fn torque(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
+/// Effect of a constant load on the three coefficients.
+pub(super) fn torque(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let known = without_dry_friction().coefficients()?;
     let reference = Some([known.b0, known.a1, known.a0]);
     let mut rows = Vec::new();
@@ -35,8 +35,8 @@ pub(super) fn torque(bench: &mut Bench) -> Result<Finding, InvalidParameter> {
     })
 }
 
-/// The same throws with three coefficients, and with the load as a fourth.
-pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Finding, InvalidParameter> {
+/// Compares the estimate of three coefficients with one that has the load as a fourth, on the same throws.
+pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let machine = Parameters { screw_dry_nm: TRIED_NM, ..without_dry_friction() };
     let known = machine.coefficients()?;
     let sensors = Sensors { before_s: 0.0, ..Sensors::default() };

@@ -3,10 +3,10 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 
-use super::Row;
-use crate::estimate::{Identifier, Settings};
-use crate::simulate::{Conditions, InvalidParameter, Parameters, Sensors};
-use crate::throw::{Direction, Throw, ThrowRef};
+use super::finding::Row;
+use crate::estimate::{Grade, Identifier, Settings};
+use crate::simulate::{Conditions, Parameters, Sensors};
+use crate::throw::{Direction, OutOfRange, Throw, ThrowRef};
 
 /// What is thrown, recorded and identified for one row.
 #[derive(Debug, Clone)]
@@ -58,7 +58,7 @@ impl Bench {
         Self { rng: ChaCha12Rng::seed_from_u64(seed), identifier: Identifier::default() }
     }
 
-    pub(super) fn row(&mut self, label: impl Into<String>, trial: &Trial) -> Result<Row, InvalidParameter> {
+    pub(super) fn row(&mut self, label: impl Into<String>, trial: &Trial) -> Result<Row, OutOfRange> {
         let known = trial.machine.at_temperature(trial.temperature_c).coefficients()?;
         let reference = trial.reference.unwrap_or([known.b0, known.a1, known.a0]);
         let noisy = trial.sensors.current.noise > 0.0 || trial.repeats > 1;
@@ -88,31 +88,17 @@ impl Bench {
                     anti_alias_hz: trial.declared_hz,
                 };
                 row.throws += 1;
-                match self.identifier.identify(&throw, &trial.settings).outcome {
-                    Ok(estimate) => {
-                        let sd = std::array::from_fn(|at| estimate.covariance[(at, at)].sqrt());
-                        row.add([estimate.b0, estimate.a1, estimate.a0], sd, reference);
+                let found = self.identifier.identify(&throw, &trial.settings);
+                let quality = found.quality();
+                match found.outcome {
+                    Ok(estimate) if estimate.grade == Grade::Good => {
+                        row.add(estimate.coefficients(), estimate.sd(), reference);
                     }
-                    Err(reason) => row.refusal = Some(reason.code().to_owned()),
+                    _ => row.refusal = Some(quality.to_owned()),
                 }
             }
         }
         row.finish();
         Ok(row)
-    }
-}
-
-impl Row {
-    pub(super) fn add(&mut self, found: [f64; 3], sd: [f64; 3], reference: [f64; 3]) {
-        self.errors_pct.push(std::array::from_fn(|at| (found[at] / reference[at] - 1.0) * 100.0));
-        for at in 0..3 {
-            self.stated_sd_pct[at] += sd[at] / found[at] * 100.0;
-        }
-    }
-
-    /// Makes the mean of what the estimates stated from their sum.
-    pub(super) fn finish(&mut self) {
-        let count = self.errors_pct.len().max(1) as f64;
-        self.stated_sd_pct = self.stated_sd_pct.map(|sum| sum / count);
     }
 }

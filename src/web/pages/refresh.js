@@ -1,9 +1,11 @@
-// Keeps the page fresh: every few seconds fetches it again and replaces the banner and what is inside <main>. Says since
-// when nobody answers, so that an old page is not taken for a healthy machine.
+// Keeps the page fresh: asks again every few seconds and, when the daemon has a new page, replaces the banner and the inside
+// of <main>. Says since when there was no answer, so that an old page is not taken for a healthy machine.
 "use strict";
-const EVERY_MS = 5000;
+const SOON_MS = 5000; // after a change
+const LATER_MS = 10000; // while nothing changes: 4 kB a minute
 const PATIENCE_MS = 10000;
 let answered = new Date();
+let tag = "";
 
 function say(text) {
   const note = document.getElementById("silence");
@@ -11,7 +13,7 @@ function say(text) {
   if (note.textContent !== text) note.textContent = text;
 }
 
-// Only what has changed is put there: a reader for the blind says it again each time.
+// A screen reader reads the banner again with each change, so it is changed only where it differs.
 function warn(fresh) {
   const banner = document.getElementById("trouble");
   if (banner.innerHTML === fresh.innerHTML) return;
@@ -23,36 +25,64 @@ function since() {
   return `since ${answered.toISOString().slice(0, 19).replace("T", " ")} UTC: what you see is from then`;
 }
 
+// Each time on the page gets the same time in the reader's own zone.
+function localTimes() {
+  for (const time of document.querySelectorAll("time")) {
+    const at = new Date(time.textContent.replace(" UTC", "Z").replace(" ", "T"));
+    if (!isNaN(at)) time.title = at.toLocaleString(undefined, { timeZoneName: "short" });
+  }
+}
+
 // Keeps the place of the page, of its tables and of the keyboard.
 function replace(main, fresh) {
   const place = [scrollX, scrollY];
   const wide = [...main.querySelectorAll(".scroll")].map((box) => box.scrollLeft);
+  const open = [...main.querySelectorAll("details")].map((box) => box.open);
   const focused = [...main.querySelectorAll("a, [tabindex]")].indexOf(document.activeElement);
   main.replaceChildren(...fresh.childNodes);
   main.querySelectorAll(".scroll").forEach((box, at) => { box.scrollLeft = wide[at] || 0; });
+  main.querySelectorAll("details").forEach((box, at) => { box.open = open[at] || false; });
   if (focused >= 0) main.querySelectorAll("a, [tabindex]")[focused]?.focus({ preventScroll: true });
   scrollTo(...place);
+  localTimes();
+}
+
+// A reader who selects text, or who has begun to fill in a form, keeps the page as it is.
+function isBusy() {
+  if (getSelection().type === "Range") return true;
+  const fields = document.querySelectorAll("main input:not([type=hidden]), main textarea, main select");
+  return [...fields].some((field) => field === document.activeElement || field.value !== (field.defaultValue ?? field.value));
 }
 
 async function refresh() {
+  let wait = LATER_MS;
   try {
-    const answer = await fetch(location.href, { cache: "no-store", signal: AbortSignal.timeout(PATIENCE_MS) });
-    const page = new DOMParser().parseFromString(await answer.text(), "text/html");
-    const fresh = page.querySelector("main");
-    warn(page.getElementById("trouble"));
-    if (!answer.ok) {
-      say(`Not refreshed ${since()}. ${fresh.querySelector("p").textContent}`);
-    } else if (getSelection().type === "Range") {
-      say(`Not refreshed while text is selected, ${since()}.`);
-    } else {
-      replace(document.querySelector("main"), fresh);
+    const headers = tag ? { "If-None-Match": tag } : {};
+    const answer = await fetch(location.href, { cache: "no-store", headers, signal: AbortSignal.timeout(PATIENCE_MS) });
+    if (answer.status === 304) {
       answered = new Date();
       say("");
+    } else {
+      const page = new DOMParser().parseFromString(await answer.text(), "text/html");
+      const fresh = page.querySelector("main");
+      warn(page.getElementById("trouble"));
+      if (!answer.ok) {
+        say(`Not refreshed ${since()}. ${fresh.querySelector("p").textContent}`);
+      } else if (isBusy()) {
+        say(`Not refreshed while you write or select text, ${since()}.`);
+      } else {
+        replace(document.querySelector("main"), fresh);
+        if (tag && tag !== answer.headers.get("ETag")) wait = SOON_MS;
+        tag = answer.headers.get("ETag") || "";
+        answered = new Date();
+        say("");
+      }
     }
   } catch {
     say(`No answer ${since()}.`);
   }
-  setTimeout(refresh, EVERY_MS);
+  setTimeout(refresh, wait);
 }
 
-setTimeout(refresh, EVERY_MS);
+localTimes();
+setTimeout(refresh, SOON_MS);

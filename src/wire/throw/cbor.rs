@@ -10,7 +10,7 @@ use minicbor::{
 };
 
 use super::{
-    InvalidThrow,
+    error::InvalidThrow,
     fields::{Fields, SCHEMA, UNKNOWN_DIRECTION},
 };
 use crate::throw::{Direction, MAX_SAMPLES, Throw};

@@ -2,13 +2,15 @@
 
 use jiff::Timestamp;
 
-use super::{InvalidThrow, MAX_BOOT_ID_BYTES};
+use super::error::InvalidThrow;
 use crate::throw::{Direction, Throw, ThrowRef, Trace};
 
 /// The only version of the message there is.
 pub(super) const SCHEMA: &str = "points.throw/1";
 /// What a logger says when it does not know the direction.
 pub(super) const UNKNOWN_DIRECTION: &str = "unknown";
+/// Longest `boot_id`, in bytes: room for a UUID or a serial number, and no more that a key in the database must hold.
+pub const MAX_BOOT_ID_BYTES: usize = 128;
 /// Highest `throw_no`: the database keeps it in a signed 64-bit integer.
 const MAX_THROW_NO: u64 = i64::MAX as u64;
 
@@ -37,11 +39,10 @@ impl Fields {
             boot_id: boot_id(required("boot_id", self.boot_id)?)?,
             throw_no: throw_no(required("throw_no", self.throw_no)?)?,
         };
-        let trace = Trace::new(
-            required("sample_rate_hz", self.sample_rate_hz)?,
-            required("current_a", self.current_a)?,
-            required("position_mm", self.position_mm)?,
-        )?;
+        let current_a = required("current_a", self.current_a)?;
+        // A logger without a toe sensor: no sample was measured.
+        let position_mm = self.position_mm.unwrap_or_else(|| vec![f64::NAN; current_a.len()]);
+        let trace = Trace::new(required("sample_rate_hz", self.sample_rate_hz)?, current_a, position_mm)?;
         Ok(Throw {
             id,
             started_at: started_at(&required("started_at", self.started_at)?)?,
@@ -97,7 +98,7 @@ fn started_at(text: &str) -> Result<Timestamp, InvalidThrow> {
 fn direction(word: Option<&str>) -> Result<Option<Direction>, InvalidThrow> {
     match word {
         None | Some(UNKNOWN_DIRECTION) => Ok(None),
-        Some(word) => Direction::from_word(word).map(Some).ok_or_else(|| {
+        Some(word) => word.parse().map(Some).map_err(|_| {
             let problem = format!("{}, must be normal_to_reverse, reverse_to_normal or unknown", quote(word));
             wrong("direction", problem)
         }),

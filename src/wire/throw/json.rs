@@ -8,7 +8,7 @@ use serde::{
 };
 
 use super::{
-    InvalidThrow,
+    error::InvalidThrow,
     fields::{Fields, SCHEMA, UNKNOWN_DIRECTION},
 };
 use crate::throw::{Direction, MAX_SAMPLES, Throw};

@@ -99,7 +99,9 @@ async fn inspect(folder: &Path, acknowledged: &Acknowledged) -> Verdict {
 
     let judged = pairs(&store, "SELECT machine, throw_no FROM health_history").await;
     let events = pairs(&store, "SELECT machine, event_no FROM alarm_events").await;
-    let messages = pairs(&store, "SELECT key AS machine, CAST(CAST(payload AS TEXT) AS INTEGER) FROM outbox").await;
+    let messages =
+        pairs(&store, "SELECT CAST(payload AS TEXT) ->> 'machine', CAST(payload AS TEXT) ->> 'event_no' FROM outbox")
+            .await;
     for (promised, found) in
         [(&acknowledged.judged, &judged), (&acknowledged.events, &events), (&acknowledged.events, &messages)]
     {

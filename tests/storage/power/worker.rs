@@ -11,12 +11,12 @@ use std::{
 
 use pointsd::{
     diagnose::AlarmState,
-    store::{Judgement, Message, Outcome, Settings, Spooled, Store, Synchronous, ThrowRow},
+    store::{Judgement, Settings, Spooled, Store, Synchronous, ThrowRow},
 };
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
 use super::Acknowledged;
-use crate::given::{alarm, at, judgement, machine, throw};
+use crate::given::{at, event, judgement, machine, outcome, throw};
 
 pub(super) const FOLDER: &str = "POINTSD_WORKER_FOLDER";
 /// Throws of each machine.
@@ -106,7 +106,9 @@ async fn machine_life(store: Store, acknowledge: Acknowledge, name: &'static str
         acknowledge.say("throw", name, throw_no);
         let Some(row) = row else { continue };
         let event_no = u32::try_from(throw_no / 5).unwrap();
-        let outcome = if throw_no % 5 == 0 { raised(name, event_no) } else { Outcome::default() };
+        let events =
+            if throw_no % 5 == 0 { vec![event(event_no, AlarmState::ActiveUnacknowledged)] } else { Vec::new() };
+        let outcome = outcome(name, events);
         let judged = Judgement { outcome, ..judgement(row, name) };
         if judge(&store, &judged).await {
             acknowledge.say("judged", name, throw_no);
@@ -117,22 +119,13 @@ async fn machine_life(store: Store, acknowledge: Acknowledge, name: &'static str
     }
 }
 
-/// The outbox carries the machine as its key and the event's number as its payload, so that it can be compared.
-fn raised(name: &str, event_no: u32) -> Outcome {
-    let outbox = vec![Message { key: name.to_owned(), payload: event_no.to_string().into_bytes() }];
-    Outcome { outbox, ..alarm(event_no, AlarmState::ActiveUnacknowledged) }
-}
-
 /// `None`: given up. `Some(None)`: stored by an attempt that was not answered.
 async fn spool(store: &Store, name: &str, throw_no: u64) -> Option<Option<ThrowRow>> {
     let (machine, throw) = (machine(name), throw("b1", throw_no));
     for _ in 0..TRIES {
         match store.spool(&machine, &throw, at(0)).await {
             Ok(Spooled::New(row)) => return Some(Some(row)),
-            Ok(Spooled::Duplicate { differs }) => {
-                assert!(!differs);
-                return Some(None);
-            }
+            Ok(Spooled::Duplicate) => return Some(None),
             Err(_) => {}
         }
     }

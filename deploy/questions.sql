@@ -1,0 +1,82 @@
+-- Twelve questions to the database of pointsd. Run one with
+--   pointsd sql "$(sed -n '/^-- 1\./,/^$/p' deploy/questions.sql)"
+-- A test runs each of them and prints how long it took.
+
+-- 1. Which machines had the most alarms in the last 30 days?
+SELECT site, machine, count(*) AS alarms, sum(severity = 'critical') AS critical, max(raised_at) AS last_raised
+FROM alarm_history WHERE raised_at >= strftime('%Y-%m-%d', 'now', '-30 days')
+GROUP BY site, machine ORDER BY critical DESC, alarms DESC LIMIT 20;
+
+-- 2. How fast does each coefficient of a machine drift? [% per 100 throws, over its last 200 good throws to reverse]
+WITH last AS (
+    SELECT row_number() OVER (ORDER BY started_at DESC) AS n, b0_pct, a1_pct, a0_pct FROM health_history
+    WHERE site = 'north' AND machine = 'm1' AND direction = 'normal_to_reverse' AND quality = 'good' AND b0_pct IS NOT NULL
+    ORDER BY started_at DESC LIMIT 200),
+mean AS (SELECT avg(n) AS n, avg(b0_pct) AS b0, avg(a1_pct) AS a1, avg(a0_pct) AS a0, count(*) AS throws FROM last)
+SELECT mean.throws,
+       -100 * sum((last.n - mean.n) * (b0_pct - b0)) / sum((last.n - mean.n) * (last.n - mean.n)) AS b0_per_100,
+       -100 * sum((last.n - mean.n) * (a1_pct - a1)) / sum((last.n - mean.n) * (last.n - mean.n)) AS a1_per_100,
+       -100 * sum((last.n - mean.n) * (a0_pct - a0)) / sum((last.n - mean.n) * (last.n - mean.n)) AS a0_per_100
+FROM last, mean;
+
+-- 3. What did the last maintenance of a machine change? [mean of 50 throws before and after]
+WITH visit AS (
+    SELECT max(carried_out_at) AS at FROM operator_commands
+    WHERE site = 'north' AND machine = 'm1' AND command IN ('maintenance_end', 'rebaseline')),
+near AS (
+    SELECT started_at >= visit.at AS is_after, b0, a1, a0,
+           row_number() OVER (PARTITION BY started_at >= visit.at, direction
+                              ORDER BY abs(julianday(started_at) - julianday(visit.at))) AS n
+    FROM health_history, visit WHERE site = 'north' AND machine = 'm1' AND quality = 'good')
+SELECT CASE is_after WHEN 1 THEN 'after' ELSE 'before' END AS side, count(*) AS throws,
+       avg(b0) AS b0, avg(a1) AS a1, avg(a0) AS a0
+FROM near WHERE n <= 50 GROUP BY is_after;
+
+-- 4. How does the friction of a machine follow the temperature? [by 5 K]
+SELECT 5 * cast(round(temperature_c / 5) AS INTEGER) AS about_c, count(*) AS throws, avg(a1_pct) AS a1_pct
+FROM health_history WHERE site = 'north' AND machine = 'm1' AND quality = 'good' AND temperature_c IS NOT NULL
+GROUP BY about_c ORDER BY about_c;
+
+-- 5. Why were throws rejected, and on how many machines?
+SELECT quality, count(*) AS throws, count(DISTINCT site || '/' || machine) AS machines, max(started_at) AS last
+FROM throws_not_evaluated GROUP BY quality ORDER BY throws DESC;
+
+-- 6. How many alarms were raised a day? [ISA-18.2: an operator handles about 150 a day]
+SELECT date(event_at) AS day, count(*) AS raised, sum(severity = 'critical') AS critical, count(DISTINCT machine) AS machines
+FROM alarm_events WHERE event_no = 1 GROUP BY day ORDER BY day DESC LIMIT 30;
+
+-- 7. How long did alarms wait for somebody who acknowledged them? [h]
+SELECT cause, count(*) AS alarms, count(acknowledged_at) AS acknowledged,
+       24 * avg(julianday(acknowledged_at) - julianday(raised_at)) AS mean_hours,
+       24 * max(julianday(acknowledged_at) - julianday(raised_at)) AS longest_hours
+FROM alarm_history GROUP BY cause ORDER BY alarms DESC;
+
+-- 8. Which alarms stand (open for a week) or chatter (raised three times within a day)?
+SELECT 'standing' AS kind, site, machine, cause, raised_at, NULL AS times FROM active_alarms
+WHERE julianday('now') - julianday(raised_at) > 7
+UNION ALL
+SELECT 'chattering', site, machine, cause, max(raised_at), count(*) FROM alarm_history
+GROUP BY site, machine, cause, date(raised_at) HAVING count(*) >= 3
+ORDER BY kind, raised_at DESC LIMIT 50;
+
+-- 9. Which baselines are old, or were taken from few throws?
+SELECT site, machine, direction, max(taken_at) AS taken_at, throws,
+       cast(julianday('now') - julianday(max(taken_at)) AS INTEGER) AS days
+FROM baselines GROUP BY site, machine, direction HAVING days > 365 OR throws < 50 ORDER BY days DESC LIMIT 50;
+
+-- 10. On which machines do the two directions disagree? [last throw, % points of friction]
+SELECT one.site, one.machine, one.a1_pct AS to_reverse, other.a1_pct AS to_normal, abs(one.a1_pct - other.a1_pct) AS apart
+FROM machine_health AS one JOIN machine_health AS other
+  ON other.site = one.site AND other.machine = one.machine AND other.direction = 'reverse_to_normal'
+WHERE one.direction = 'normal_to_reverse' AND apart > 10 ORDER BY apart DESC LIMIT 50;
+
+-- 11. Which throws of a machine can be exported with their traces? [as CSV: …/throws/{boot_id}/{throw_no}/trace.csv]
+SELECT boot_id, throw_no, started_at, quality FROM health_history
+WHERE site = 'north' AND machine = 'm1' ORDER BY started_at DESC LIMIT 20;
+
+-- 12. What did the last twenty throws before an alarm look like?
+WITH raised AS (
+    SELECT site, machine, raised_at FROM alarm_history WHERE site = 'north' AND machine = 'm1' ORDER BY raised_at DESC LIMIT 1)
+SELECT started_at, direction, quality, b0_pct, a1_pct, a0_pct, duration_s, mean_current_a
+FROM health_history JOIN raised USING (site, machine)
+WHERE started_at <= raised_at ORDER BY started_at DESC LIMIT 20;

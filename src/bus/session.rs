@@ -1,0 +1,36 @@
+//! The zenoh session of this process.
+
+use zenoh::{Config, Session, key_expr::keyexpr, liveliness::LivelinessToken};
+
+use super::error::BusError;
+
+/// Opens a session.
+///
+/// # Errors
+/// When zenoh cannot listen or connect as configured.
+pub async fn open(config: Config) -> Result<Session, BusError> {
+    zenoh::open(config).await.map_err(BusError::new("open the session"))
+}
+
+/// Declares a liveliness token: it shows others that this program runs, until it is dropped or the link dies.
+///
+/// # Errors
+/// When zenoh refuses the key.
+pub async fn declare_alive(session: &Session, key: &str) -> Result<LivelinessToken, BusError> {
+    let declared = session.liveliness().declare_token(key.to_owned()).await;
+    declared.map_err(BusError::new(format!("declare the liveliness token {key}")))
+}
+
+/// Whether two key expressions have a key in common; false when one of them is none.
+#[must_use]
+pub fn intersect(one: &str, other: &str) -> bool {
+    match (keyexpr::new(one), keyexpr::new(other)) {
+        (Ok(one), Ok(other)) => one.intersects(other),
+        _ => false,
+    }
+}
+
+/// Whether the session has a link to another one. A client without its router reaches nobody.
+pub async fn is_connected(session: &Session) -> bool {
+    session.info().transports().await.next().is_some()
+}

@@ -1,0 +1,367 @@
+//! Fetches what is missing from the loggers' backlogs, page by page.
+//!
+//! The database knows what is missing. A logger is asked when its liveliness token appears, when a throw number is
+//! missing, when a message of it was dropped, and every few minutes. A page is asked for when the one before is stored.
+
+use std::{
+    collections::{BTreeSet, HashMap, HashSet},
+    sync::{Arc, atomic::Ordering::Relaxed},
+    time::Duration,
+};
+
+use tokio::{
+    sync::{Notify, mpsc, watch},
+    task::JoinSet,
+    time::{self, Instant},
+};
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+
+use super::{clock, receive::Intake, status::Status};
+use crate::{
+    bus::{self, Ending, Limits},
+    store::{Cursor, Store, StoreError},
+    throw::{MachineId, ThrowRef},
+    wire::{self, BacklogQuery, Kind},
+};
+
+/// Loggers that are asked at a time: with the pages of the bus this bounds the memory at 32 MiB.
+const AT_A_TIME: usize = 8;
+/// Throws of the first page, when neither their size nor the link is known, and of the largest.
+const FIRST_PAGE: usize = 4;
+const LARGEST_PAGE: usize = 32;
+/// What a page is meant to have \[bytes\]: with 70 kB a second it comes before its time is up.
+const PAGE_BYTES: u64 = 1 << 20;
+/// Bytes of a sample: current and position as float32.
+const SAMPLE_BYTES: u64 = 8;
+/// Pages of one logger before it is another one's turn.
+const TURN: usize = 8;
+/// Pages without anything new before a logger counts as one that repeats itself. A logger that does not know the daemon's
+/// last boot begins anew with its oldest throw.
+const REPEATED_PAGES: usize = 4;
+/// A logger that is there, and for so long answers without what is awaited, does not have it.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// From a question that was not answered to the next, doubled up to [`LONGEST_PAUSE`].
+const PAUSE: Duration = Duration::from_secs(1);
+const LONGEST_PAUSE: Duration = Duration::from_mins(1);
+/// All loggers are asked this often, whatever is known of them.
+const ROUND: Duration = Duration::from_mins(5);
+/// How often the database is asked what is missing, at most.
+const LOOK: Duration = Duration::from_millis(100);
+/// Most machines whose token is remembered as seen, above what there may be; beyond it all are forgotten.
+const WITH_TOKEN: usize = 200_000;
+/// Machines with something missing that are read together.
+const MISSING: u32 = 10_000;
+
+/// How the question to one logger ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Ended {
+    /// Nothing is missing.
+    Complete,
+    /// Its turn is over; there is more.
+    More,
+    /// Something is missing that it did not give.
+    Without,
+    /// It did not answer in time, or what came could not be stored.
+    Broken,
+}
+
+/// A logger that is asked, or will be.
+#[derive(Debug)]
+struct Turn {
+    at: Instant,
+    is_asked: bool,
+    /// To be asked again at once.
+    again: bool,
+    /// Questions in a row that brought nothing.
+    tries: u32,
+    /// Since when it answers without what is awaited.
+    without_since: Option<Instant>,
+    /// Its logger was away when it was asked last.
+    was_away: bool,
+    page: usize,
+}
+
+/// The task.
+pub(super) struct Backlog {
+    pub(super) asker: Arc<Asker>,
+    /// Machines whose loggers show that they are alive.
+    pub(super) alive: watch::Receiver<HashSet<MachineId>>,
+    /// The same as of the last change.
+    pub(super) seen: HashSet<MachineId>,
+    /// Machines whose loggers have shown it since the start.
+    pub(super) with_token: HashSet<MachineId>,
+    /// Keys of messages that were dropped.
+    pub(super) dropped: mpsc::Receiver<String>,
+    /// Notified when a throw may be missing.
+    pub(super) missing: Arc<Notify>,
+}
+
+impl Backlog {
+    pub(super) async fn run(mut self, stop: CancellationToken) {
+        let mut schedule = Schedule::default();
+        let mut asked = JoinSet::new();
+        let mut round = time::interval(ROUND);
+        let mut look = time::interval(LOOK);
+        look.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
+        let mut may_miss = true;
+        loop {
+            while asked.len() < AT_A_TIME
+                && let Some((machine, page)) = schedule.next()
+            {
+                let asker = Arc::clone(&self.asker);
+                asked.spawn(async move {
+                    let (ended, page) = asker.ask(&machine, page).await;
+                    (machine, ended, page)
+                });
+            }
+            let wakes_at = schedule.wakes_at().filter(|_| asked.len() < AT_A_TIME);
+            tokio::select! {
+                () = stop.cancelled() => return asked.shutdown().await,
+                Ok(()) = self.alive.changed() => {
+                    let alive = self.alive.borrow_and_update().clone();
+                    alive.difference(&self.seen).for_each(|machine| schedule.ask(machine));
+                    if self.with_token.len() >= WITH_TOKEN {
+                        self.with_token.clear();
+                    }
+                    self.with_token.extend(alive.difference(&self.seen).cloned());
+                    self.seen = alive;
+                }
+                Some(key) = self.dropped.recv() => {
+                    if let Ok((machine, Kind::Throw)) = wire::parse_key(&key) {
+                        schedule.ask(&machine);
+                    }
+                }
+                () = self.missing.notified() => may_miss = true,
+                _ = look.tick(), if may_miss => {
+                    may_miss = false;
+                    self.look(&mut schedule).await;
+                }
+                _ = round.tick() => self.seen.iter().for_each(|machine| schedule.ask(machine)),
+                Some(asked) = asked.join_next() => match asked {
+                    Ok((machine, ended, page)) => self.ended(&mut schedule, &machine, ended, page).await,
+                    // A dead task is a dead process.
+                    Err(error) => return tracing::error!(%error, "asking a logger failed"),
+                },
+                () = time::sleep_until(wakes_at.unwrap_or_else(Instant::now)), if wakes_at.is_some() => {}
+            }
+        }
+    }
+
+    /// Asks the loggers of which something is missing, but those that rest.
+    async fn look(&self, schedule: &mut Schedule) {
+        match self.asker.store.reader().backlogs(MISSING).await {
+            Ok(machines) => {
+                for machine in machines {
+                    if schedule.turns.get(&machine).is_none_or(|turn| turn.was_away && self.is_there(&machine)) {
+                        schedule.ask(&machine);
+                    }
+                }
+            }
+            Err(error) => tracing::warn!(%error, "missing throws cannot be read; retrying"),
+        }
+        if let Ok(awaited) = self.asker.store.reader().awaited().await {
+            self.asker.status.backlog.store(awaited, Relaxed);
+        }
+    }
+
+    /// Whether a logger shows that it is there: by its token, or, if it never had one, by a live throw.
+    fn is_there(&self, machine: &MachineId) -> bool {
+        self.seen.contains(machine) || (!self.with_token.contains(machine) && self.asker.intake.is_live(machine))
+    }
+
+    async fn ended(&self, schedule: &mut Schedule, machine: &MachineId, ended: Ended, page: usize) {
+        let Some(turn) = schedule.turns.get_mut(machine) else { return };
+        turn.page = page;
+        self.missing.notify_one();
+        let is_there = self.is_there(machine);
+        turn.was_away = !is_there;
+        let pause = match ended {
+            Ended::Complete => return schedule.done(machine),
+            Ended::More => Duration::ZERO,
+            Ended::Without if is_there => {
+                let since = *turn.without_since.get_or_insert_with(Instant::now);
+                if since.elapsed() >= PATIENCE {
+                    match self.asker.store.write_off(machine, clock::now()).await {
+                        Ok(()) => return schedule.done(machine),
+                        Err(error) => tracing::warn!(%error, "a gap cannot be stored; retrying"),
+                    }
+                }
+                PAUSE
+            }
+            // Asked again when its token or a throw of it appears.
+            Ended::Without => LONGEST_PAUSE,
+            Ended::Broken => (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE),
+        };
+        if ended != Ended::Without {
+            turn.without_since = None;
+        }
+        turn.tries = if ended == Ended::Broken { (turn.tries + 1).min(16) } else { 0 };
+        schedule.rest(machine, pause);
+    }
+}
+
+/// When each logger is asked.
+#[derive(Default)]
+struct Schedule {
+    turns: HashMap<MachineId, Turn>,
+    due: BTreeSet<(Instant, MachineId)>,
+}
+
+impl Schedule {
+    /// Asks a logger as soon as possible.
+    fn ask(&mut self, machine: &MachineId) {
+        let now = Instant::now();
+        match self.turns.get_mut(machine) {
+            Some(turn) if turn.is_asked => turn.again = true,
+            Some(turn) => {
+                self.due.remove(&(turn.at, machine.clone()));
+                turn.at = turn.at.min(now);
+                self.due.insert((turn.at, machine.clone()));
+            }
+            None => {
+                let turn = Turn {
+                    at: now,
+                    is_asked: false,
+                    again: false,
+                    tries: 0,
+                    without_since: None,
+                    was_away: false,
+                    page: FIRST_PAGE,
+                };
+                self.turns.insert(machine.clone(), turn);
+                self.due.insert((now, machine.clone()));
+            }
+        }
+    }
+
+    /// The next logger whose time has come, and the size of its page.
+    fn next(&mut self) -> Option<(MachineId, usize)> {
+        if self.wakes_at()? > Instant::now() {
+            return None;
+        }
+        let (_, machine) = self.due.pop_first()?;
+        let turn = self.turns.get_mut(&machine)?;
+        (turn.is_asked, turn.again) = (true, false);
+        Some((machine, turn.page))
+    }
+
+    fn wakes_at(&self) -> Option<Instant> {
+        self.due.first().map(|(at, _)| *at)
+    }
+
+    fn rest(&mut self, machine: &MachineId, pause: Duration) {
+        let Some(turn) = self.turns.get_mut(machine) else { return };
+        turn.is_asked = false;
+        turn.at = Instant::now() + if turn.again { Duration::ZERO } else { pause };
+        self.due.insert((turn.at, machine.clone()));
+    }
+
+    /// Nothing of a logger is missing.
+    fn done(&mut self, machine: &MachineId) {
+        if self.turns.remove(machine).is_some_and(|turn| turn.again) {
+            self.ask(machine);
+        }
+    }
+}
+
+/// What it takes to ask one logger.
+pub(super) struct Asker {
+    pub(super) session: Session,
+    pub(super) store: Store,
+    pub(super) status: Arc<Status>,
+    pub(super) intake: Arc<Intake>,
+    pub(super) limits: Limits,
+    /// Whether the session reaches others through a router only.
+    pub(super) is_client: bool,
+    /// Notified when throws were stored.
+    pub(super) spooled: Arc<Notify>,
+}
+
+impl Asker {
+    /// Asks a logger page by page. Returns the size of its next page.
+    async fn ask(&self, machine: &MachineId, mut page: usize) -> (Ended, usize) {
+        let ended = self.pages(machine, &mut page).await.unwrap_or_else(|error| {
+            tracing::warn!(%machine, %error, "a backlog cannot be stored; retrying");
+            Ended::Broken
+        });
+        (ended, page)
+    }
+
+    async fn pages(&self, machine: &MachineId, size: &mut usize) -> Result<Ended, StoreError> {
+        // To a client without its router the answer is as empty as of a logger that has nothing.
+        if self.is_client && !bus::is_connected(&self.session).await {
+            return Ok(Ended::Broken);
+        }
+        let mut cursor = self.store.reader().cursor(machine).await?;
+        let mut repeated = 0;
+        for _ in 0..TURN {
+            let (page, ending) = self.page(machine, &cursor, *size).await;
+            let Some(page) = page else {
+                return Ok(match ending {
+                    Ending::Broken => {
+                        *size = (*size / 2).max(1);
+                        Ended::Broken
+                    }
+                    Ending::Complete if cursor.awaits => Ended::Without,
+                    Ending::Complete => Ended::Complete,
+                });
+            };
+            let stored = self.store.spool_page(machine, cursor.after.as_ref(), &page, clock::now()).await?;
+            self.status.stored.fetch_add(stored.new, Relaxed);
+            self.status.duplicates.fetch_add(stored.duplicates, Relaxed);
+            self.spooled.notify_one();
+            cursor = stored.cursor;
+            repeated = if stored.new == 0 { repeated + 1 } else { 0 };
+            if ending == Ending::Broken {
+                *size = (*size / 2).max(1);
+                return Ok(Ended::Broken);
+            }
+            if repeated >= REPEATED_PAGES {
+                return Ok(Ended::Without);
+            }
+            *size = (*size * 2).min(LARGEST_PAGE);
+        }
+        Ok(Ended::More)
+    }
+
+    /// One page of throws after the cursor, oldest first; `None` when none came.
+    async fn page(
+        &self,
+        machine: &MachineId,
+        cursor: &Cursor,
+        size: usize,
+    ) -> (Option<Vec<crate::throw::Throw>>, Ending) {
+        let bytes = cursor.samples.unwrap_or(0).saturating_mul(SAMPLE_BYTES).max(1);
+        let fits = usize::try_from(PAGE_BYTES / bytes).unwrap_or(usize::MAX);
+        let missing = cursor.missing.and_then(|missing| usize::try_from(missing).ok()).unwrap_or(usize::MAX);
+        let query = BacklogQuery { after: cursor.after.clone(), limit: size.min(fits).min(missing).max(1) };
+        let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
+        let came = answer.messages.len() as u64;
+        self.status.backlog_received.fetch_add(came, Relaxed);
+        let mut throws: Vec<_> =
+            self.intake.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
+        let read = throws.len();
+        keep_order(&mut throws, cursor.after.as_ref());
+        let ignored = answer.ignored + (read - throws.len()) as u64;
+        self.status.duplicates.fetch_add((read - throws.len()) as u64, Relaxed);
+        self.status.ignored.fetch_add(ignored, Relaxed);
+        if ignored > 0 {
+            tracing::warn!(%machine, ignored, "replies of a logger are not what was asked for: ignored");
+        }
+        ((!throws.is_empty()).then_some(throws), answer.ending)
+    }
+}
+
+/// Leaves out throws that do not follow the one before them in their boot.
+fn keep_order(throws: &mut Vec<crate::throw::Throw>, after: Option<&ThrowRef>) {
+    let mut last = after.cloned();
+    throws.retain(|throw| {
+        let follows =
+            last.as_ref().is_none_or(|last| last.boot_id != throw.id.boot_id || last.throw_no < throw.id.throw_no);
+        if follows {
+            last = Some(throw.id.clone());
+        }
+        follows
+    });
+}

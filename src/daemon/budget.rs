@@ -1,0 +1,50 @@
+//! How many commands are carried out: each is kept with who, when and why, and a flood of them must not push the record
+//! of the others out of the database.
+
+use std::time::{Duration, Instant};
+
+/// Commands that are carried out at once: an operator may put a whole site into maintenance with a script.
+const BURST: f64 = 200.0;
+/// Time in which one more is allowed. At this pace the kept commands ([`KEPT`](crate::store::COMMANDS_KEPT)) are those of
+/// 34 days, whoever sends how many.
+const EVERY: Duration = Duration::from_secs(6);
+
+/// What is left of the commands that are allowed.
+#[derive(Debug)]
+pub(super) struct Budget {
+    left: f64,
+    at: Instant,
+}
+
+impl Budget {
+    pub(super) fn new(now: Instant) -> Self {
+        Self { left: BURST, at: now }
+    }
+
+    /// Takes one; or says how long to wait for it.
+    pub(super) fn take(&mut self, now: Instant) -> Result<(), Duration> {
+        let earned = now.duration_since(self.at).as_secs_f64() / EVERY.as_secs_f64();
+        (self.left, self.at) = ((self.left + earned).min(BURST), now);
+        if self.left < 1.0 {
+            return Err(EVERY.mul_f64(1.0 - self.left));
+        }
+        self.left -= 1.0;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::daemon::clock;
+
+    #[test]
+    fn a_flood_is_slowed_down_and_a_site_in_maintenance_is_not() {
+        let start = clock::monotonic();
+        let mut budget = Budget::new(start);
+        let carried_out = (0..100_000).filter(|ms| budget.take(start + Duration::from_millis(*ms)).is_ok()).count();
+        assert_eq!(carried_out, 216, "200 at once, and one in 6 s for 100 s");
+        assert!(budget.take(start + Duration::from_secs(100)).is_err_and(|wait| wait <= EVERY));
+        assert!(budget.take(start + Duration::from_secs(107)).is_ok());
+    }
+}

@@ -1,0 +1,264 @@
+//! The zenoh session of an operator's command. A file that describes a daemon leads to that daemon, never to another one.
+
+use toml::{Table, Value};
+
+use super::{ConfigError, Document, File, section, zenoh as sessions};
+use crate::throw::MachineId;
+
+/// Sections of a daemon's file that no client needs.
+const DAEMON_SECTIONS: [&str; 8] =
+    ["monitor", "subscribe", "identify", "store", "diagnosis", "machines", "machine", "web"];
+/// Sections of `pointsim`'s file, whose `[zenoh]` is a client's.
+const LOGGER_SECTIONS: [&str; 2] = ["logger", "fleet"];
+/// Keys of a daemon's TLS section that hold for its clients too.
+const SHARED_TLS: [&str; 4] =
+    ["root_ca_certificate", "root_ca_certificate_base64", "enable_mtls", "verify_name_on_connect"];
+/// Keys with which a client shows its certificate, and the daemon's own where the file has no others.
+const CLIENT_TLS: [(&str, &str); 4] = [
+    ("connect_certificate", "listen_certificate"),
+    ("connect_private_key", "listen_private_key"),
+    ("connect_certificate_base64", "listen_certificate_base64"),
+    ("connect_private_key_base64", "listen_private_key_base64"),
+];
+
+/// How an operator's command reaches its daemon.
+#[derive(Debug, Clone)]
+pub struct OperatorSession {
+    /// The zenoh session.
+    pub zenoh: ::zenoh::Config,
+    /// Where it connects.
+    pub endpoints: Vec<String>,
+    /// The daemon that the file describes; `None` for a client's file, and without a file.
+    pub monitor: Option<MachineId>,
+}
+
+/// The session of an operator's command: a client of `connect`, else of the daemon or router that the file names. The
+/// built-in endpoint is used only without any file.
+///
+/// # Errors
+/// When the file cannot be used, or names no endpoint that a client can connect to.
+pub fn operator_session(file: Option<&Document>, connect: Option<&str>) -> Result<OperatorSession, ConfigError> {
+    let none = Document::parse("built-in defaults".as_ref(), String::new())?;
+    let document = file.unwrap_or(&none);
+    let table: Table = document.deserialize()?;
+    let zenoh = section(document)?.unwrap_or_default();
+    let monitor = match file {
+        Some(document) if describes_daemon(&table, &zenoh) => {
+            Some(document.deserialize::<File>()?.monitor.as_machine())
+        }
+        _ => None,
+    };
+    let (mut client, endpoints) = match (&monitor, file) {
+        (Some(_), _) => (client_of(&zenoh), daemon_endpoints(document, &zenoh)),
+        (None, Some(_)) => (zenoh.clone(), client_endpoints(document, &zenoh)),
+        (None, None) => (Table::new(), Ok(vec!["tcp/127.0.0.1:7447".to_owned()])),
+    };
+    let endpoints = connect.map_or(endpoints, |endpoint| Ok(vec![endpoint.to_owned()]))?;
+    set(&mut client, "connect", "endpoints", endpoints.clone().into());
+    Ok(OperatorSession {
+        zenoh: sessions::session_config(sessions::CLIENT, Some(&client), document)?,
+        endpoints,
+        monitor,
+    })
+}
+
+/// Whether a file is a daemon's. A file with a `[zenoh]` section alone is a client's when it says where to connect to and
+/// not where to listen.
+fn describes_daemon(file: &Table, zenoh: &Table) -> bool {
+    if DAEMON_SECTIONS.iter().any(|name| file.contains_key(*name)) {
+        return true;
+    }
+    let is_client = zenoh.get("mode").and_then(Value::as_str) == Some("client")
+        || (find(zenoh, &["connect", "endpoints"]).is_some() && find(zenoh, &["listen", "endpoints"]).is_none())
+        || LOGGER_SECTIONS.iter().any(|name| file.contains_key(*name));
+    !is_client
+}
+
+/// The part of a daemon's `[zenoh]` that a client of it needs.
+fn client_of(zenoh: &Table) -> Table {
+    let mut client = Table::new();
+    if let Some(link) = find(zenoh, &["transport", "link"]).and_then(Value::as_table) {
+        let mut kept: Table =
+            ["protocols", "rx"].iter().filter_map(|key| Some(((*key).to_owned(), link.get(*key)?.clone()))).collect();
+        if let Some(tls) = link.get("tls").and_then(Value::as_table) {
+            let shared = SHARED_TLS.iter().map(|key| (*key, tls.get(*key)));
+            let own =
+                CLIENT_TLS.iter().map(|(connect, listen)| (*connect, tls.get(*connect).or_else(|| tls.get(*listen))));
+            let tls: Table =
+                shared.chain(own).filter_map(|(key, value)| Some((key.to_owned(), value?.clone()))).collect();
+            kept.insert("tls".to_owned(), tls.into());
+        }
+        set(&mut client, "transport", "link", kept.into());
+    }
+    let login = find(zenoh, &["transport", "auth", "usrpwd"]).and_then(Value::as_table);
+    if let (Some(user), Some(password)) =
+        (login.and_then(|login| login.get("user")), login.and_then(|login| login.get("password")))
+    {
+        let login = Table::from_iter([("user".to_owned(), user.clone()), ("password".to_owned(), password.clone())]);
+        set(&mut client, "transport", "auth", Table::from_iter([("usrpwd".to_owned(), login.into())]).into());
+    }
+    client
+}
+
+/// Where a client reaches the daemon of this file: where it listens, else the router that it connects to.
+fn daemon_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, ConfigError> {
+    let config = sessions::session_config(sessions::MONITOR, Some(&without_files(zenoh)), document)?;
+    let mode = zenoh.get("mode").and_then(Value::as_str).unwrap_or("router");
+    let listens = if mode == "client" { Vec::new() } else { endpoints(&config, "listen", mode) };
+    let reached: Vec<String> = listens.iter().filter_map(|endpoint| from_here(endpoint)).collect();
+    match (reached.is_empty(), listens.is_empty()) {
+        (false, _) => Ok(reached),
+        (true, false) => Err(document.complain(
+            "zenoh.listen.endpoints",
+            "the system chooses the port at each start: give --connect with the endpoint that the daemon's log names",
+        )),
+        (true, true) => match endpoints(&config, "connect", mode) {
+            none if none.is_empty() => Err(document.complain(
+                "zenoh",
+                "this daemon listens nowhere and connects nowhere: give --connect with the endpoint of its router",
+            )),
+            routers => Ok(routers),
+        },
+    }
+}
+
+/// Where the client of this file connects to.
+fn client_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, ConfigError> {
+    let config = sessions::session_config(sessions::CLIENT, Some(zenoh), document)?;
+    if find(zenoh, &["connect", "endpoints"]).is_none() {
+        let problem = "names no daemon: give --connect tls/HOST:7447, or write connect.endpoints = [\"tls/HOST:7447\"]";
+        return Err(document.complain("zenoh.connect.endpoints", problem));
+    }
+    Ok(endpoints(&config, "connect", "client"))
+}
+
+/// The section without its TLS files, which only the daemon may be able to read: endpoints alone are asked of it.
+fn without_files(zenoh: &Table) -> Table {
+    let mut zenoh = zenoh.clone();
+    zenoh.remove("transport");
+    zenoh
+}
+
+/// The endpoints of a session in a mode. Zenoh takes one list, or one list for each mode.
+fn endpoints(config: &::zenoh::Config, side: &str, mode: &str) -> Vec<String> {
+    let text = config.get_json(&format!("{side}/endpoints")).unwrap_or_default();
+    let value: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+    let list = value.get(mode).unwrap_or(&value);
+    serde_json::from_value(list.clone()).unwrap_or_default()
+}
+
+/// An endpoint that a daemon on this computer listens on, as a client of it writes the endpoint. `None`: the system
+/// chooses the port.
+fn from_here(endpoint: &str) -> Option<String> {
+    let bare = endpoint.split(['?', '#']).next().unwrap_or(endpoint);
+    let (protocol, address) = bare.split_once('/')?;
+    let Some((host, port)) = address.rsplit_once(':') else { return Some(bare.to_owned()) };
+    let host = match host {
+        "0.0.0.0" => "127.0.0.1",
+        "[::]" | "*" => "[::1]",
+        host => host,
+    };
+    (port != "0").then(|| format!("{protocol}/{host}:{port}"))
+}
+
+fn find<'a>(table: &'a Table, path: &[&str]) -> Option<&'a Value> {
+    let (last, above) = path.split_last()?;
+    above.iter().try_fold(table, |table, key| table.get(*key)?.as_table())?.get(*last)
+}
+
+fn set(table: &mut Table, section: &str, key: &str, value: Value) {
+    let section = table.entry(section).or_insert_with(|| Table::new().into());
+    if let Some(section) = section.as_table_mut() {
+        section.insert(key.to_owned(), value);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn session(text: &str) -> Result<OperatorSession, ConfigError> {
+        operator_session(Some(&Document::parse("b.toml".as_ref(), text.to_owned())?), None)
+    }
+
+    #[test]
+    fn a_daemons_file_leads_to_that_daemon() {
+        for (text, endpoint) in [
+            ("[store]\npath = \"b.db\"\n", "tcp/127.0.0.1:7447"),
+            ("[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:7647\"]\n", "tcp/127.0.0.1:7647"),
+            (
+                "[monitor]\nid = \"b\"\n[zenoh]\nlisten.endpoints = [\"tcp/0.0.0.0:7647#iface=lo\"]\n",
+                "tcp/127.0.0.1:7647",
+            ),
+            ("[zenoh]\nlisten.endpoints = { router = [\"tcp/[::]:7647\"], peer = [] }\n", "tcp/[::1]:7647"),
+            ("[store]\n[zenoh]\nmode = \"client\"\nconnect.endpoints = [\"tcp/r:1\"]\n", "tcp/r:1"),
+            ("[store]\n[zenoh]\nlisten.endpoints = []\nconnect.endpoints = [\"tcp/r:1\"]\n", "tcp/r:1"),
+            // A cabinet listens, and joins a router: the cabinet itself is asked.
+            (
+                "[store]\n[zenoh]\nlisten.endpoints = [\"tcp/10.0.0.1:2\"]\nconnect.endpoints = [\"tcp/r:1\"]\n",
+                "tcp/10.0.0.1:2",
+            ),
+        ] {
+            let found = session(text).unwrap();
+            assert_eq!(found.endpoints, [endpoint], "{text}");
+            assert!(found.monitor.is_some(), "{text}");
+            assert_eq!(endpoints(&found.zenoh, "connect", "client"), [endpoint], "{text}");
+            assert_eq!(found.zenoh.get_json("mode").unwrap(), "\"client\"", "{text}");
+        }
+        let named = session("[monitor]\nsite = \"north\"\nid = \"b\"\n").unwrap();
+        assert_eq!(named.monitor.unwrap().to_string(), "north/b");
+    }
+
+    #[test]
+    fn a_clients_file_is_used_as_it_is() {
+        let client = session("[zenoh]\nmode = \"client\"\nconnect.endpoints = [\"tcp/h:1\"]\n").unwrap();
+        assert_eq!((client.endpoints, client.monitor), (vec!["tcp/h:1".to_owned()], None));
+        assert!(session("[zenoh]\nconnect.endpoints = [\"tcp/h:1\"]\n").unwrap().monitor.is_none());
+        let simulator = session("[fleet]\nmachines = 1\n[zenoh]\nconnect.endpoints = [\"tcp/h:1\"]\n").unwrap();
+        assert!(simulator.monitor.is_none());
+    }
+
+    #[test]
+    fn a_file_that_names_no_endpoint_never_leads_to_the_default_one() {
+        for (text, complaint) in [
+            ("[zenoh]\nmode = \"client\"\n", "zenoh.connect.endpoints: names no daemon: give --connect"),
+            ("[store]\n[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:0\"]\n", "the system chooses the port"),
+            ("[store]\n[zenoh]\nlisten.endpoints = []\n", "listens nowhere"),
+            ("[store]\nsise = 1\n", "b.toml:2: store.sise: unknown field"),
+        ] {
+            let error = session(text).unwrap_err().to_string();
+            assert!(error.starts_with("b.toml:") && error.contains(complaint), "{text}: {error}");
+        }
+        let connect = |text: &str| {
+            let document = Document::parse("b.toml".as_ref(), text.to_owned()).unwrap();
+            operator_session(Some(&document), Some("tcp/h:9")).unwrap()
+        };
+        assert_eq!(connect("[zenoh]\nmode = \"client\"\n").endpoints, ["tcp/h:9"]);
+        assert_eq!(connect("[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:0\"]\n").endpoints, ["tcp/h:9"]);
+    }
+
+    #[test]
+    fn certificates_come_from_the_daemons_file_and_must_be_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, "").unwrap();
+            path.display().to_string()
+        };
+        let (ca, cert, key) = (file("ca.pem"), file("cert.pem"), file("key.pem"));
+        let daemon = |cert: &str| {
+            format!(
+                "[zenoh]\nlisten.endpoints = [\"tls/[::]:7447\"]\naccess_control.enabled = false\n\
+                 transport.link.protocols = [\"tls\"]\n[zenoh.transport.link.tls]\nroot_ca_certificate = {ca:?}\n\
+                 listen_certificate = {cert:?}\nlisten_private_key = {key:?}\nenable_mtls = true\n"
+            )
+        };
+        let found = session(&daemon(&cert)).unwrap();
+        let tls = |name: &str| found.zenoh.get_json(&format!("transport/link/tls/{name}")).unwrap();
+        assert_eq!(found.endpoints, ["tls/[::1]:7447"]);
+        assert_eq!([tls("root_ca_certificate"), tls("connect_certificate")], [format!("{ca:?}"), format!("{cert:?}")]);
+        assert_eq!([tls("connect_private_key"), tls("listen_certificate")], [format!("{key:?}"), "null".to_owned()]);
+        let error = session(&daemon("/run/credentials/pointsd.service/tls_cert.pem")).unwrap_err().to_string();
+        assert!(error.contains("connect_certificate: there is no file \"/run/credentials"), "{error}");
+    }
+}

@@ -1,0 +1,326 @@
+//! The loop that judges while the daemon runs. It alone owns the monitors, so operators' commands, the passing of time
+//! and the daemon's own alarms go through it too.
+
+use std::{
+    collections::{HashMap, HashSet, VecDeque},
+    future,
+    sync::{Arc, atomic::Ordering::Relaxed},
+    time::{Duration, Instant},
+};
+
+use jiff::Timestamp;
+use tokio::{
+    sync::{Notify, broadcast, mpsc, watch},
+    time,
+};
+use tokio_util::sync::CancellationToken;
+
+use super::{
+    budget::Budget,
+    clock,
+    config::Config,
+    heartbeat::TaskName,
+    judge::{Judge, Judged},
+    orders::Order,
+    status::Status,
+};
+use crate::{
+    bus::Outlet,
+    diagnose::Command,
+    store::{GapRow, Judgement, Outcome, Store, StoreError},
+    throw::MachineId,
+    wire::{self, Alarm, Kind, Reply},
+};
+
+/// Time between two ticks of the monitors, which ask for one a minute at least.
+const TICK: Duration = Duration::from_secs(5);
+/// Ticks in an hour.
+const TICKS_AN_HOUR: u32 = 720;
+/// Gaps that are read at once; those of one machine make one event.
+const GAPS: u32 = 10_000;
+/// Pause after a failure of the database.
+const PAUSE: Duration = Duration::from_millis(500);
+/// A daemon alarm that cannot be committed for so long is published uncommitted. The ballast or a new connection to the
+/// database helps in less; longer silence would pass for health.
+const LONGEST_SILENCE: Duration = Duration::from_secs(10);
+
+/// An alarm of the daemon itself that is not stored yet.
+struct PendingDaemonAlarm {
+    outcome: Outcome,
+    raised: Instant,
+    /// It was published before it could be stored.
+    published: bool,
+}
+
+/// What the loop shares with the other loops of the daemon.
+pub(super) struct Links {
+    pub(super) status: Arc<Status>,
+    pub(super) outlet: Outlet,
+    /// Notified when a throw was stored.
+    pub(super) spooled: Arc<Notify>,
+    /// Notified when the outbox has a new message.
+    pub(super) outbox: Arc<Notify>,
+    pub(super) watchers: broadcast::Sender<Judged>,
+    /// The machines whose loggers have a liveliness token.
+    pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
+    pub(super) orders: mpsc::Receiver<Order>,
+    /// Cancelled when the daemon must end although something is not stored.
+    pub(super) give_up: CancellationToken,
+}
+
+/// The loop that judges.
+pub(super) struct JudgeLoop {
+    judge: Judge,
+    links: Links,
+    /// The daemon's alarms stand under this name, as if it were a machine.
+    own_machine: MachineId,
+    /// Few: a raise, an escalation and a clearance at most, as the disk is full or not.
+    daemon_alarms: VecDeque<PendingDaemonAlarm>,
+    /// Ticks since all monitors were stored.
+    ticks: u32,
+    /// Commands that are allowed.
+    budget: Budget,
+}
+
+impl JudgeLoop {
+    pub(super) fn new(judge: Judge, links: Links) -> Self {
+        let own_machine = judge.config().monitor.as_machine();
+        Self {
+            judge,
+            links,
+            own_machine,
+            daemon_alarms: VecDeque::new(),
+            ticks: 0,
+            budget: Budget::new(clock::monotonic()),
+        }
+    }
+
+    /// Runs until `stop`, then judges the throws that are still pending.
+    ///
+    /// # Errors
+    /// When the store is closed under it.
+    pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
+        let mut tick = time::interval(TICK);
+        let mut beat = time::interval(Duration::from_secs(1));
+        let mut may_be_pending = true;
+        loop {
+            self.links.status.heartbeats.beat(TaskName::Identify);
+            // One batch at a time, so that commands and ticks take turns with a long queue of throws.
+            tokio::select! {
+                () = stop.cancelled() => {
+                    while !self.links.give_up.is_cancelled() && self.judge_next().await? {}
+                    return Ok(());
+                }
+                Some(order) = self.links.orders.recv() => self.carry_out(order).await?,
+                _ = tick.tick() => self.on_tick().await?,
+                () = future::ready(()), if may_be_pending => may_be_pending = self.judge_next().await?,
+                () = self.links.spooled.notified() => may_be_pending = true,
+                _ = beat.tick() => may_be_pending = true,
+            }
+        }
+    }
+
+    /// Judges the next batch. Returns whether there was one.
+    async fn judge_next(&mut self) -> Result<bool, StoreError> {
+        if !self.daemon_alarms.is_empty() {
+            self.update_daemon_alarms().await?;
+        }
+        let judgements = match self.judge.next().await {
+            Ok(judgements) if judgements.is_empty() => return Ok(false),
+            Ok(judgements) => judgements,
+            Err(StoreError::Closed) => return Err(StoreError::Closed),
+            Err(error) => {
+                tracing::error!(%error, "pending throws cannot be read; retrying");
+                self.pause().await;
+                return Ok(false);
+            }
+        };
+        self.links.status.heartbeats.beat(TaskName::Identify);
+        let commit = |store: Store| {
+            let judgements = Arc::clone(&judgements);
+            async move { store.judge_all(judgements).await.map(drop) }
+        };
+        if self.until_stored("judgements", commit).await? {
+            for judgement in &*judgements {
+                self.publish(judgement);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Repeats a write until the database has it. Returns false when the daemon must end first: the monitors in memory
+    /// are then ahead of the database, and the next start goes on from the database.
+    async fn until_stored<W>(&mut self, what: &str, write: impl Fn(Store) -> W) -> Result<bool, StoreError>
+    where
+        W: Future<Output = Result<(), StoreError>>,
+    {
+        loop {
+            match write(self.judge.store.clone()).await {
+                Ok(()) => return Ok(true),
+                Err(StoreError::Closed) => return Err(StoreError::Closed),
+                Err(error) => tracing::warn!(%error, what, "cannot be stored; retrying"),
+            }
+            self.update_daemon_alarms().await?;
+            self.links.status.heartbeats.beat(TaskName::Identify);
+            if self.links.give_up.is_cancelled() {
+                return Ok(false);
+            }
+            self.pause().await;
+        }
+    }
+
+    /// Stores a change of a monitor and makes its events known. Returns whether it is stored.
+    async fn record(&mut self, outcome: Outcome) -> Result<bool, StoreError> {
+        let write = |store: Store| {
+            let outcome = outcome.clone();
+            async move { store.record(outcome).await }
+        };
+        let stored = self.until_stored("a change of a monitor", write).await?;
+        if stored {
+            self.announce(&outcome);
+        }
+        Ok(stored)
+    }
+
+    fn publish(&self, judgement: &Judgement) {
+        let (status, health) = (&self.links.status, &judgement.health);
+        status.judged.fetch_add(1, Relaxed);
+        if !health.is_evaluated() {
+            status.refuse(&health.quality);
+        }
+        self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), health.to_json());
+        self.announce(&judgement.outcome);
+        // An error means that nobody watches.
+        let _ = self.links.watchers.send(Judged::from(judgement));
+    }
+
+    fn announce(&self, Outcome { machine, events, .. }: &Outcome) {
+        for event in events {
+            tracing::warn!(%machine, cause = event.cause.as_str(), state = event.state.as_str(), "{}", event.text);
+        }
+        if !events.is_empty() {
+            self.links.status.alarm_events.fetch_add(events.len() as u64, Relaxed);
+            self.links.outbox.notify_one();
+        }
+    }
+
+    /// Lets time pass for the monitors, and reports gaps that no backlog will fill.
+    async fn on_tick(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (self.judge.config(), clock::now());
+        // Silence adds up inside the monitors: stored once an hour, so that restarts do not forget it.
+        self.ticks += 1;
+        let store_all = self.ticks.is_multiple_of(TICKS_AN_HOUR);
+        self.update_daemon_alarms().await?;
+        let changed = self.judge.fleet.tick(now, &config.diagnosis, &self.links.loggers.borrow(), store_all);
+        for outcome in changed {
+            self.record(outcome).await?;
+        }
+        for (machine, (lost, reported_gaps)) in self.old_gaps(now).await {
+            let outcome = self.judge.fleet.gap(&machine, lost, now, &config.diagnosis);
+            self.record(Outcome { reported_gaps, ..outcome }).await?;
+        }
+        self.update_standing();
+        Ok(())
+    }
+
+    fn update_standing(&self) {
+        self.links.status.set_standing(self.judge.fleet.standing(&self.own_machine));
+    }
+
+    /// Raises and clears the daemon's own alarms. A database that takes no writes cannot store its alarm either: such an
+    /// alarm is published before it is committed, and once more after.
+    async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (self.judge.config(), clock::now());
+        let trouble = self.judge.store.trouble();
+        let new = self.judge.fleet.trouble(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
+        let raised = clock::monotonic();
+        self.daemon_alarms.extend(new.map(|outcome| PendingDaemonAlarm { outcome, raised, published: false }));
+        while let Some(alarm) = self.daemon_alarms.pop_front() {
+            match self.judge.store.record(alarm.outcome.clone()).await {
+                Ok(()) => self.announce(&alarm.outcome),
+                Err(StoreError::Closed) => return Err(StoreError::Closed),
+                Err(_) => {
+                    self.daemon_alarms.push_front(alarm);
+                    self.publish_uncommitted().await;
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    async fn publish_uncommitted(&mut self) {
+        let overdue = |alarm: &PendingDaemonAlarm| {
+            !alarm.published && clock::monotonic().duration_since(alarm.raised) >= LONGEST_SILENCE
+        };
+        for alarm in self.daemon_alarms.iter_mut().filter(|alarm| overdue(alarm)) {
+            alarm.published = true;
+            let Outcome { machine, events, .. } = &alarm.outcome;
+            for event in events {
+                tracing::error!(%machine, "an alarm cannot be stored yet and is published uncommitted");
+                let key = wire::machine_key(machine, Kind::Alarm);
+                let message = Alarm::new(machine, event).into_message();
+                // It is in the log, whatever becomes of the publication.
+                let _ = time::timeout(PAUSE, self.links.outlet.alarm(key, message)).await;
+            }
+        }
+    }
+
+    /// Gaps that no backlog filled in time and that their monitors do not know of: of each machine the number of
+    /// missing throws, and the rows.
+    async fn old_gaps(&self, now: Timestamp) -> HashMap<MachineId, (u64, Vec<GapRow>)> {
+        let mut old = HashMap::<_, (u64, Vec<_>)>::new();
+        let wait = self.judge.backlog_wait();
+        let gaps = self.judge.store.reader().unreported_gaps(GAPS, now, wait).await.unwrap_or_else(|error| {
+            tracing::warn!(%error, "gaps cannot be read; retrying");
+            Vec::new()
+        });
+        for gap in gaps {
+            let (lost, rows) = old.entry(gap.machine).or_default();
+            *lost = lost.saturating_add(gap.last_no - gap.first_no + 1);
+            rows.push(gap.row);
+        }
+        old
+    }
+
+    async fn carry_out(&mut self, order: Order) -> Result<(), StoreError> {
+        let Order { machine, command, reply } = order;
+        let (config, now) = (self.judge.config(), clock::now());
+        let allowed = self.budget.take(clock::monotonic());
+        let (done, text) = if let Err(wait) = allowed {
+            (false, format!("too many commands at once: ask again in {} s", wait.as_secs() + 1))
+        } else {
+            self.apply_command(&machine, &command, now, &config).await?
+        };
+        let answer = Reply { done, text, monitor: config.monitor.as_machine().to_string() };
+        // An error means that the operator no longer waits.
+        let _ = reply.send(answer);
+        Ok(())
+    }
+
+    async fn apply_command(
+        &mut self,
+        machine: &MachineId,
+        command: &Command,
+        now: Timestamp,
+        config: &Config,
+    ) -> Result<(bool, String), StoreError> {
+        Ok(match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
+            None => (false, format!("no machine {machine} is known here: it has sent no throw yet")),
+            Some(Err(error)) => (false, error.to_string()),
+            Some(Ok(outcome)) => {
+                let stored = self.record(outcome).await?;
+                self.update_standing();
+                tracing::info!(%machine, ?command, "an operator's command was carried out");
+                (stored, command.confirmation(machine))
+            }
+        })
+    }
+
+    async fn pause(&self) {
+        tokio::select! {
+            () = time::sleep(PAUSE) => {}
+            () = self.links.give_up.cancelled() => {}
+        }
+    }
+}

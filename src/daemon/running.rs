@@ -1,0 +1,363 @@
+//! The daemon: how it starts, and what others in the process may ask of it.
+
+use std::{
+    collections::HashSet,
+    sync::{Arc, Mutex},
+};
+
+use sd_notify::NotifyState;
+use tokio::sync::{Notify, broadcast, mpsc, watch};
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+
+use super::{
+    answer,
+    backlog::{Asker, Backlog},
+    clock,
+    config::Config,
+    judge::{Judge, Judged},
+    judge_loop::{JudgeLoop, Links},
+    keep,
+    lock::DatabaseLock,
+    offline::StartError,
+    orders::{Order, Orders},
+    presence,
+    publish::Publisher,
+    receive::{Intake, Receiver},
+    status::{Gauges, Status, StatusReport},
+    tasks::{Ended, Tasks},
+    view::View,
+    watchdog,
+};
+use crate::{
+    bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, OutletEnd, PresenceWatch, Questions},
+    store::{self, Found, Store},
+    throw::MachineId,
+    wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
+};
+
+/// Judged throws that a slow observer may lag behind before it misses some.
+const WATCHED: usize = 4_096;
+
+/// Names of the tasks that a stop waits for.
+pub(super) const RECEIVE: &str = "receive";
+pub(super) const JUDGE: &str = "judge";
+pub(super) const PUBLISH: &str = "publish";
+
+/// The running daemon.
+pub struct Daemon {
+    pub(super) session: Session,
+    pub(super) store: Store,
+    pub(super) gauges: Gauges,
+    config: watch::Sender<Arc<Config>>,
+    watchers: broadcast::Sender<Judged>,
+    orders: Orders,
+    pub(super) tasks: Tasks,
+    pub(super) stops: Stops,
+    pub(super) outlet_end: OutletEnd,
+    pub(super) alive: LivelinessToken,
+    pub(super) lock: DatabaseLock,
+}
+
+/// Cancelled one after the other, so that each loop can finish the work that the one before it handed over.
+#[derive(Default)]
+pub(super) struct Stops {
+    pub(super) receive: CancellationToken,
+    pub(super) judge: CancellationToken,
+    pub(super) publish: CancellationToken,
+    /// The time is up: leave unfinished work.
+    pub(super) give_up: CancellationToken,
+}
+
+/// What the steps of a start share.
+struct Starting {
+    config: Arc<Config>,
+    session: Session,
+    store: Store,
+    status: Arc<Status>,
+    tasks: Tasks,
+    stops: Stops,
+    /// Notified when a throw was stored.
+    stored: Arc<Notify>,
+    /// Notified when the outbox has a new message.
+    outbox: Arc<Notify>,
+}
+
+impl Daemon {
+    /// Opens the database and zenoh, and starts every loop. Returns when everything works.
+    ///
+    /// # Errors
+    /// When the database or zenoh cannot be used.
+    pub async fn start(config: Config) -> Result<Self, StartError> {
+        let lock = DatabaseLock::take(&config.store.path)?;
+        let opening = Store::open(&config.store, clock::now());
+        let opened = watchdog::patiently("opening the database", opening).await?;
+        report_database(&opened.report, &config.store);
+        let session = bus::open(config.zenoh.clone()).await?;
+        let mut start = Starting {
+            config: Arc::new(config),
+            session,
+            store: opened.store,
+            status: Arc::default(),
+            tasks: Tasks::default(),
+            stops: Stops::default(),
+            stored: Arc::default(),
+            outbox: Arc::default(),
+        };
+        let (config, current) = watch::channel(Arc::clone(&start.config));
+        let (watchers, _) = broadcast::channel(WATCHED);
+        let (orders, commands) = Orders::new();
+        let (alive, loggers) = watch::channel(HashSet::new());
+        let (outlet, outlet_end) = Outlet::start(start.session.clone())?;
+
+        // The picture of the module, from its end to its beginning: each loop runs before the one that feeds it.
+        start.publish(outlet.clone(), opened.report.found == Found::Fresh).await?;
+        start.judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
+        let gauges = start.receive(&outlet, loggers).await?;
+
+        start.presence(alive).await?;
+        start.answer(&orders, &gauges).await?;
+        start.tasks.spawn("keep the bounds", keep::run(start.store.clone(), start.store.reader().last_heard().await?));
+        start.tasks.spawn("watchdog", watchdog::watch(gauges.clone()));
+        let monitor = &start.config.monitor;
+        let alive = bus::declare_alive(&start.session, &monitor_alive_key(&monitor.site, &monitor.id)).await?;
+        let Starting { session, store, tasks, stops, .. } = start;
+        Ok(Self { session, store, gauges, config, watchers, orders, tasks, stops, outlet_end, alive, lock })
+    }
+
+    /// Notifies systemd that everything works.
+    pub fn announce_ready(&self) {
+        watchdog::notify(&[NotifyState::Ready, NotifyState::Status(&self.report().line())]);
+    }
+
+    /// Throws as they are judged, from now on.
+    #[must_use]
+    pub fn watch(&self) -> broadcast::Receiver<Judged> {
+        self.watchers.subscribe()
+    }
+
+    /// The zenoh session, for other rooms of this process.
+    #[must_use]
+    pub fn session(&self) -> &Session {
+        &self.session
+    }
+
+    /// Endpoints on which the session listens.
+    pub async fn locators(&self) -> Vec<String> {
+        self.session.info().locators().await.iter().map(ToString::to_string).collect()
+    }
+
+    /// The database.
+    #[must_use]
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The status of the daemon.
+    #[must_use]
+    pub fn report(&self) -> StatusReport {
+        self.gauges.report()
+    }
+
+    /// A read-only view for other rooms of this process.
+    #[must_use]
+    pub fn view(&self) -> View {
+        View { gauges: self.gauges.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
+    }
+
+    /// Runs a task of another room like the daemon's own: its end is the end of the daemon.
+    pub fn adopt<T>(&mut self, name: &'static str, task: impl Future<Output = T> + Send + 'static) {
+        self.tasks.spawn(name, task);
+    }
+
+    /// Waits until a task ends on its own, which is a failure.
+    pub async fn ended(&mut self) -> Ended {
+        tokio::select! {
+            ended = self.tasks.next_end() => ended,
+            () = self.store.stopped() => Ended("the database"),
+        }
+    }
+
+    /// Applies the settings that can change without a restart (diagnosis, machines). Returns the sections that differ and
+    /// need a restart.
+    #[must_use]
+    pub fn reload(&self, new: Config) -> Vec<&'static str> {
+        let old = Arc::clone(&self.config.borrow());
+        let needs_restart = [
+            ("monitor", old.monitor != new.monitor),
+            ("subscribe", old.subscribe != new.subscribe),
+            ("identify", old.identify != new.identify),
+            ("store", old.store != new.store),
+            ("web", old.web != new.web),
+            ("log", old.log != new.log),
+            ("zenoh", old.zenoh_text() != new.zenoh_text()),
+        ];
+        let config = Config { diagnosis: new.diagnosis, machines: new.machines, ..Config::clone(&old) };
+        self.config.send_replace(Arc::new(config));
+        needs_restart.into_iter().filter(|(_, differs)| *differs).map(|(section, _)| section).collect()
+    }
+}
+
+impl Starting {
+    /// The key expression of the part of the fleet that this daemon serves.
+    fn scope(&self, kind: Kind) -> String {
+        self.config.scope.key_expression(kind)
+    }
+
+    /// Whether the session is a leaf, which reaches others through a router only.
+    fn is_client(&self) -> bool {
+        self.config.zenoh.get_json("mode").is_ok_and(|mode| mode.contains("client"))
+    }
+
+    /// `is_first`: the database is new, so no subscriber knows a process before this one.
+    async fn publish(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
+        let publisher = Publisher {
+            store: self.store.clone(),
+            session: self.session.clone(),
+            outlet,
+            status: Arc::clone(&self.status),
+            outbox: Arc::clone(&self.outbox),
+            audience: Audience::of(&self.session, &self.scope(Kind::Alarm)).await?,
+            is_first,
+            is_client: self.is_client(),
+        };
+        self.tasks.spawn(PUBLISH, publisher.run(self.stops.publish.clone()));
+        Ok(())
+    }
+
+    async fn judge(
+        &mut self,
+        outlet: Outlet,
+        config: watch::Receiver<Arc<Config>>,
+        watchers: broadcast::Sender<Judged>,
+        loggers: watch::Receiver<HashSet<MachineId>>,
+        orders: mpsc::Receiver<Order>,
+    ) -> Result<(), StartError> {
+        let judge = Judge::restore(self.store.clone(), config).await?;
+        let links = Links {
+            status: Arc::clone(&self.status),
+            outlet,
+            spooled: Arc::clone(&self.stored),
+            outbox: Arc::clone(&self.outbox),
+            watchers,
+            loggers,
+            orders,
+            give_up: self.stops.give_up.clone(),
+        };
+        self.tasks.spawn(JUDGE, JudgeLoop::new(judge, links).run(self.stops.judge.clone()));
+        Ok(())
+    }
+
+    /// Live throws, and the backlogs of the loggers.
+    async fn receive(
+        &mut self,
+        outlet: &Outlet,
+        alive: watch::Receiver<HashSet<MachineId>>,
+    ) -> Result<Gauges, StartError> {
+        let subscribe = &self.config.subscribe;
+        let limits =
+            Limits { max_payload_bytes: subscribe.max_payload_bytes, kept_of_larger_bytes: store::QUARANTINED_BYTES };
+        let (inbox, dropped) = Inbox::subscribe(&self.session, &self.scope(Kind::Throw), limits).await?;
+        let gauges = Gauges {
+            status: Arc::clone(&self.status),
+            inbox: inbox.counters(),
+            outlet: outlet.counters(),
+            store: self.store.clone(),
+        };
+        let machines = self.store.reader().machines().await?;
+        let intake = Arc::new(Intake {
+            store: self.store.clone(),
+            status: Arc::clone(&self.status),
+            machines: Mutex::new(machines.into_iter().map(|machine| (machine, false)).collect()),
+            max_machines: subscribe.max_machines,
+            max_payload_bytes: subscribe.max_payload_bytes,
+            itself: self.config.monitor.as_machine(),
+        });
+        let missing = Arc::<Notify>::default();
+        let asker = Asker {
+            session: self.session.clone(),
+            store: self.store.clone(),
+            status: Arc::clone(&self.status),
+            intake: Arc::clone(&intake),
+            limits,
+            is_client: self.is_client(),
+            spooled: Arc::clone(&self.stored),
+        };
+        let backlog = Backlog {
+            asker: Arc::new(asker),
+            alive,
+            seen: HashSet::new(),
+            with_token: HashSet::new(),
+            dropped,
+            missing: Arc::clone(&missing),
+        };
+        let receiver = Receiver {
+            inbox,
+            intake,
+            store: self.store.clone(),
+            status: Arc::clone(&self.status),
+            spooled: Arc::clone(&self.stored),
+            missing,
+            give_up: self.stops.give_up.clone(),
+        };
+        self.tasks.spawn(RECEIVE, receiver.run(self.stops.receive.clone()));
+        // Ends with the receiving loop: the next start asks for the rest.
+        self.tasks.spawn("backlog", backlog.run(self.stops.receive.clone()));
+        Ok(gauges)
+    }
+
+    async fn presence(&mut self, alive: watch::Sender<HashSet<MachineId>>) -> Result<(), BusError> {
+        let tokens = PresenceWatch::subscribe(&self.session, &self.scope(Kind::Alive)).await?;
+        self.tasks.spawn("presence", presence::run(tokens, Arc::clone(&self.status), alive));
+        Ok(())
+    }
+
+    /// Queries and commands on zenoh.
+    async fn answer(&mut self, orders: &Orders, gauges: &Gauges) -> Result<(), BusError> {
+        let (session, monitor) = (self.session.clone(), &self.config.monitor);
+        let own_machine = monitor.as_machine();
+        let status_key = monitor_status_key(&monitor.site, &monitor.id);
+        let questions = Questions::declare(&session, &status_key).await?;
+        self.tasks.spawn("answer status", answer::status(questions, status_key, gauges.clone()));
+
+        let reader = self.store.reader().clone();
+        let questions = Questions::declare(&session, &self.scope(Kind::Health)).await?;
+        self.tasks.spawn("answer health", answer::health(questions, reader.clone()));
+        let questions = Questions::declare(&session, &self.scope(Kind::Alarm)).await?;
+        self.tasks.spawn("answer alarms", answer::alarms(questions, reader.clone(), None));
+        let commander = Commander { monitor: own_machine.to_string(), session: session.zid().to_string() };
+        let questions = Questions::declare(&session, &self.scope(Kind::Command)).await?;
+        self.tasks.spawn("answer commands", answer::commands(questions, orders.clone(), commander.clone()));
+
+        // The daemon's own alarms stand under its own name, which need not lie in the part of the fleet that it serves.
+        let own = |kind| machine_key(&own_machine, kind);
+        if bus::intersect(&self.scope(Kind::Alarm), &own(Kind::Alarm)) {
+            return Ok(());
+        }
+        let questions = Questions::declare(&session, &own(Kind::Alarm)).await?;
+        let elsewhere = Some(self.scope(Kind::Alarm));
+        self.tasks.spawn("answer own alarms", answer::alarms(questions, reader, elsewhere));
+        let questions = Questions::declare(&session, &own(Kind::Command)).await?;
+        self.tasks.spawn("answer own commands", answer::commands(questions, orders.clone(), commander));
+        Ok(())
+    }
+}
+
+fn report_database(report: &store::Report, settings: &store::Settings) {
+    let database = settings.path.display();
+    match &report.found {
+        Found::Fresh => tracing::info!(%database, "a new database"),
+        Found::Clean => tracing::info!(%database, "the database was closed in good order"),
+        Found::Unclean => tracing::warn!(%database, "the database was not closed in good order; checked, and sound"),
+        Found::SetAside { to, why, salvaged } => {
+            let set_aside = to.display();
+            tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: it was set aside and a fresh one begun");
+        }
+    }
+    if report.upgraded_by > 0 {
+        tracing::info!(migrations = report.upgraded_by, "the database was brought up to date");
+    }
+    if report.newer_schema {
+        tracing::warn!("a newer version of the program has used this database; what it added is left alone");
+    }
+}

@@ -1,0 +1,48 @@
+//! The daemon's tasks: no task ends unseen.
+
+use std::{collections::HashMap, time::Duration};
+
+use tokio::{
+    task::{Id, JoinSet},
+    time,
+};
+
+/// A task that ended on its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Ended(pub &'static str);
+
+/// The daemon's tasks with their names. Those that still run are aborted when it is dropped.
+#[derive(Default)]
+pub(super) struct Tasks {
+    running: JoinSet<()>,
+    names: HashMap<Id, &'static str>,
+}
+
+impl Tasks {
+    pub(super) fn spawn<T>(&mut self, name: &'static str, task: impl Future<Output = T> + Send + 'static) {
+        let handle = self.running.spawn(async move {
+            task.await;
+        });
+        self.names.insert(handle.id(), name);
+    }
+
+    /// Waits until a task ends, by itself or by a panic.
+    pub(super) async fn next_end(&mut self) -> Ended {
+        let id = match self.running.join_next_with_id().await {
+            Some(Ok((id, ()))) => id,
+            Some(Err(error)) => error.id(),
+            None => return Ended("every task"),
+        };
+        Ended(self.names.remove(&id).unwrap_or("a task"))
+    }
+
+    /// Waits until the task of this name has ended, at most for `limit`. Returns whether it has.
+    pub(super) async fn end_of(&mut self, name: &'static str, limit: Duration) -> bool {
+        let end = async {
+            while self.names.values().any(|running| *running == name) {
+                self.next_end().await;
+            }
+        };
+        time::timeout(limit, end).await.is_ok()
+    }
+}

@@ -1,0 +1,95 @@
+//! systemd: its watchdog is fed only while every loop beats, its status line is kept up to date.
+
+use std::time::Duration;
+
+use sd_notify::NotifyState;
+use tokio::{sync::mpsc, time};
+
+use super::{heartbeat::TaskName, status::Gauges};
+use crate::store::StoreError;
+
+/// Time between two checks of the heartbeats without a watchdog of systemd.
+const LOOK: Duration = Duration::from_secs(5);
+/// Time between two status lines in the log while nothing is wrong.
+const ROUTINE: Duration = Duration::from_mins(10);
+
+/// How often systemd is asked for more time while the daemon starts, for how long each time, and how often at most:
+/// after an hour something hangs that a restart may mend.
+const EXTEND_EVERY: Duration = Duration::from_secs(10);
+const EXTEND_BY_USEC: u32 = 60_000_000;
+const EXTENSIONS: u32 = 360;
+
+/// Notifies systemd.
+pub(super) fn notify(states: &[NotifyState<'_>]) {
+    // Without systemd there is nobody to notify.
+    if let Err(error) = sd_notify::notify(states) {
+        tracing::debug!(%error, "systemd was not notified");
+    }
+}
+
+/// Asks systemd for more time during work that may take minutes: a check of a large database, a migration.
+pub(super) async fn patiently<T>(what: &str, work: impl Future<Output = T>) -> T {
+    let ask = async {
+        let mut pace = time::interval(EXTEND_EVERY);
+        for _ in 0..EXTENSIONS {
+            pace.tick().await;
+            notify(&[NotifyState::ExtendTimeoutUsec(EXTEND_BY_USEC), NotifyState::Status(what)]);
+        }
+        std::future::pending().await
+    };
+    tokio::select! {
+        done = work => done,
+        never = ask => never,
+    }
+}
+
+/// Feeds the watchdog while every loop beats, updates the status line, and probes the writer of the database.
+pub(super) async fn watch(gauges: Gauges) {
+    let period =
+        sd_notify::watchdog_enabled().map_or(LOOK, |limit| (limit / 3).min(LOOK)).max(Duration::from_millis(100));
+    let mut look = time::interval(period);
+    let mut routine = time::interval(ROUTINE);
+    routine.tick().await;
+    let mut trouble = String::new();
+    let (probe_sender, mut probes) = mpsc::channel::<()>(1);
+    let probe = tokio::spawn(probe_writer(gauges.clone(), probe_sender));
+    loop {
+        tokio::select! {
+            _ = look.tick() => {}
+            _ = routine.tick() => tracing::info!("{}", gauges.report().line()),
+            _ = probes.recv() => {
+                probe.abort();
+                return;
+            }
+        }
+        let report = gauges.report();
+        let line = report.line();
+        if report.silent.is_empty() {
+            notify(&[NotifyState::Watchdog, NotifyState::Status(&line)]);
+        } else {
+            notify(&[NotifyState::Status(&line)]);
+        }
+        let now = format!("{} {:?}", report.disk, report.silent);
+        if now != trouble {
+            if report.disk != "ok" || !report.silent.is_empty() {
+                tracing::error!("{line}");
+            } else if !trouble.is_empty() {
+                tracing::info!("{line}");
+            }
+            trouble = now;
+        }
+    }
+}
+
+/// Probes the writer with an empty write. An error is an answer too: a full disk is a status, not a hang.
+async fn probe_writer(gauges: Gauges, gone: mpsc::Sender<()>) {
+    let mut pace = time::interval(LOOK);
+    loop {
+        pace.tick().await;
+        if matches!(gauges.store.outbox_sent(&[]).await, Err(StoreError::Closed)) {
+            let _ = gone.send(()).await;
+            return;
+        }
+        gauges.status.heartbeats.beat(TaskName::Write);
+    }
+}

@@ -1,0 +1,276 @@
+//! How large a drift is at this throw, and where it goes: its course over the last throws.
+//!
+//! Along the effect of its cause, a throw at time t (throws, now = 0) reads y = o + s(t) + n. The offset o is the error of
+//! the baseline's centre. The drift s begins at some throw tau: s(t) = 0 before it, and a + b (t - tau) + c (t - tau)^2
+//! from it on, so that a step, a ramp and an accelerating wear are the same model. The noise n is an autoregression of
+//! first order. Sizes are parts of nominal, as wear is straight in these and not in their logarithms. With normal priors on o, a, b, c everything is linear for a given tau (least squares on the whitened
+//! series); each tau of a grid gets the weight of its evidence, and the mixture of all gives the size now with an interval
+//! that knows neither the shape nor the beginning, and the throws until a limit.
+
+use nalgebra::{Matrix4, Vector4};
+use serde::{Deserialize, Serialize};
+use statrs::function::erf::erf;
+
+use super::{robust::median, scatter::inflation};
+
+/// Throws until a limit is reached, with an interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LimitForecast {
+    /// Not sooner than this, 95 %.
+    pub low: f64,
+    /// Best guess.
+    pub mid: f64,
+    /// Not later than this, 95 %.
+    pub high: f64,
+}
+
+/// Prior scales: a step may be half as large again as the part; ramps of weeks to days; curvature that doubles a usual
+/// slope within fifty throws.
+const STEP_SD: f64 = 0.4;
+const SLOPE_SD: f64 = 0.004;
+const CURVATURE_SD: [f64; 3] = [1e-6, 1e-5, 2e-4];
+/// A value counts as if it were this many standard deviations from the median of its neighbours at most.
+const CLIP_SD: f64 = 3.0;
+/// Values on each side of one that are its neighbours.
+const NEIGHBOURS: usize = 3;
+/// A forecast reaches this many throws ahead at most: beyond, the past throws say nothing.
+const FARTHEST: f64 = 1000.0;
+/// Two-sided 95 %.
+const TAIL: f64 = 0.025;
+
+/// A throw's place in the series, or the mean of some successive throws.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Point {
+    /// Throws of the machine before the present one: 0 for now; of the middle throw of several.
+    pub(super) age: f64,
+    /// Residual along the cause, a logarithm.
+    pub(super) value: f64,
+    /// Throws that it is the mean of.
+    pub(super) throws: f64,
+}
+
+/// Noise of the series.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Noise {
+    /// Standard deviation of one value.
+    pub(super) sd: f64,
+    /// Correlation from one value to the next.
+    pub(super) lag1: f64,
+    /// Standard deviation of the baseline's centre, and of the temperature's effect now.
+    pub(super) offset_sd: f64,
+}
+
+/// The drift as it would be if it had begun at one throw.
+#[derive(Debug, Clone, Copy)]
+struct Begun {
+    /// Age of its beginning.
+    age: f64,
+    weight: f64,
+    /// o, a, b, c.
+    mean: Vector4<f64>,
+    covariance: Matrix4<f64>,
+}
+
+/// The course of a drift over the last throws.
+#[derive(Debug, Clone)]
+pub(super) struct Course(Vec<Begun>);
+
+impl Course {
+    /// Fits the course to what is known of the drift, oldest first, the last throws one by one. `None` for fewer than three.
+    pub(super) fn of(points: &[Point], noise: Noise) -> Option<Self> {
+        let n = points.len();
+        if n < 3 || noise.sd <= 0.0 || noise.sd.is_nan() {
+            return None;
+        }
+        let calm = calmed(points, CLIP_SD * noise.sd);
+        // Scatter grows with the size, as it is scatter of a logarithm.
+        let scale: Vec<f64> = calm.iter().map(|value| value.exp()).collect();
+        let values: Vec<f64> = calm.iter().map(|value| value.exp_m1()).collect();
+        let fresh_sd = noise.sd * (1.0 - noise.lag1 * noise.lag1).sqrt();
+        // Row of the offset, 1, t and t^2, with the value, as they were at one point.
+        let row = |at: usize| {
+            let t = -points[at].age;
+            (Vector4::new(1.0, 1.0, t, t * t), values[at])
+        };
+        // The same with the noise made white: means of several throws are independent, single throws an autoregression.
+        // The second row is for a drift that begins at this point: before it there was only the offset.
+        let whitened = |at: usize| {
+            let ((x, y), throws) = (row(at), points[at].throws);
+            if throws > 1.0 {
+                let sd = scale[at] * noise.sd * (inflation(noise.lag1, throws) / throws).sqrt();
+                (x / sd, x / sd, y / sd)
+            } else if at == 0 || points[at - 1].throws > 1.0 {
+                let sd = scale[at] * noise.sd;
+                (x / sd, x / sd, y / sd)
+            } else {
+                let sd = scale[at] * fresh_sd;
+                let (before, y_before) = row(at - 1);
+                let began = Vector4::new(x[0] - noise.lag1, x[1], x[2], x[3]);
+                ((x - noise.lag1 * before) / sd, began / sd, (y - noise.lag1 * y_before) / sd)
+            }
+        };
+        let rows: Vec<_> = (0..n).map(whitened).collect();
+        let precisions = CURVATURE_SD.map(|curvature_sd| {
+            let prior = Vector4::new(noise.offset_sd.max(1e-6), STEP_SD, SLOPE_SD, curvature_sd);
+            Matrix4::from_diagonal(&prior.map(|sd| (sd * sd).recip()))
+        });
+        // Before the drift only the offset shows.
+        let (mut offset, mut offset_right): (f64, f64) =
+            rows.iter().map(|(x, _, y)| (x[0] * x[0], x[0] * y)).fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
+        let (mut after, mut after_right) = (Matrix4::zeros(), Vector4::zeros());
+        let mut begun: Vec<(Begun, f64)> = Vec::with_capacity(CURVATURE_SD.len() * n);
+        for from in (0..n).rev() {
+            let (x, began, y) = rows[from];
+            offset -= x[0] * x[0];
+            offset_right -= x[0] * y;
+            if from + 1 < n {
+                let mut information = after + began * began.transpose();
+                let mut right = after_right + began * y;
+                information[(0, 0)] += offset;
+                right[0] += offset_right;
+                let age = points[from].age;
+                let since_begin = since_begin(age);
+                let information = since_begin.transpose() * information * since_begin;
+                let right = since_begin.transpose() * right;
+                for precision in &precisions {
+                    let normal = information + precision;
+                    let Some(factor) = normal.cholesky() else { continue };
+                    let (mean, covariance) = (factor.solve(&right), factor.inverse());
+                    // Twice the logarithm of the evidence, but for what all have in common.
+                    let evidence = right.dot(&mean) - factor.determinant().ln() + precision.determinant().ln();
+                    begun.push((Begun { age, weight: 0.0, mean, covariance }, evidence));
+                }
+            }
+            after += x * x.transpose();
+            after_right += x * y;
+        }
+        let best = begun.iter().map(|(_, evidence)| *evidence).fold(f64::NEG_INFINITY, f64::max);
+        let weights: Vec<f64> = begun.iter().map(|(_, evidence)| (0.5 * (evidence - best)).exp()).collect();
+        let total: f64 = weights.iter().sum();
+        let parts = begun.into_iter().zip(weights);
+        Some(Self(parts.map(|((part, _), weight)| Begun { weight: weight / total, ..part }).collect()))
+    }
+
+    /// Size of the drift now as a part of nominal, and its standard deviation.
+    pub(super) fn now(&self) -> (f64, f64) {
+        let mean: f64 = self.0.iter().map(|part| part.weight * part.at(0.0).0).sum();
+        let spread = |part: &Begun| {
+            let (m, variance) = part.at(0.0);
+            part.weight * (variance + (m - mean).powi(2))
+        };
+        (mean, self.0.iter().map(spread).sum::<f64>().sqrt())
+    }
+
+    /// Throws until the drift reaches `limit`, a part of nominal with the sign of the drift. `None` where it may never do so, or has.
+    pub(super) fn reaches(&self, limit: f64) -> Option<LimitForecast> {
+        let above = |ahead: f64| -> f64 {
+            let part = |part: &Begun| {
+                let (mean, variance) = part.at(-ahead);
+                part.weight * normal_below((mean - limit) * limit.signum() / variance.sqrt())
+            };
+            self.0.iter().map(part).sum()
+        };
+        if above(0.0) > 0.5 {
+            return None;
+        }
+        let low = first(&above, TAIL)?;
+        let mid = first(&above, 0.5)?;
+        let high = first(&above, 1.0 - TAIL)?;
+        Some(LimitForecast { low, mid, high })
+    }
+}
+
+impl Begun {
+    /// Mean and variance of the drift at an age; negative ages are ahead.
+    fn at(&self, age: f64) -> (f64, f64) {
+        let mut x = regressors(self.age, age);
+        x[0] = 0.0;
+        (x.dot(&self.mean), (x.transpose() * self.covariance * x).x)
+    }
+}
+
+/// What o, a, b, c are multiplied with at an age, when the drift began at the age `begun`.
+fn regressors(begun: f64, age: f64) -> Vector4<f64> {
+    let since = begun - age;
+    if since < 0.0 { Vector4::new(1.0, 0.0, 0.0, 0.0) } else { Vector4::new(1.0, 1.0, since, since * since) }
+}
+
+/// From o, a, b, c of a drift that began at an age to the coefficients of the offset, 1, t and t^2.
+fn since_begin(age: f64) -> Matrix4<f64> {
+    let tau = -age;
+    Matrix4::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, -tau, tau * tau, 0.0, 0.0, 1.0, -2.0 * tau, 0.0, 0.0, 0.0, 1.0)
+}
+
+/// First number of throws ahead at which `share` is reached, by bisection between growing steps.
+fn first(above: &dyn Fn(f64) -> f64, share: f64) -> Option<f64> {
+    let (mut low, mut high) = (0.0, 1.0);
+    if above(0.0) >= share {
+        return Some(0.0);
+    }
+    while above(high) < share {
+        (low, high) = (high, 1.5 * high);
+        if high > FARTHEST {
+            return None;
+        }
+    }
+    for _ in 0..20 {
+        let middle = f64::midpoint(low, high);
+        if above(middle) < share { low = middle } else { high = middle }
+    }
+    Some(high)
+}
+
+/// Distribution function of the standard normal.
+fn normal_below(z: f64) -> f64 {
+    0.5 * (1.0 + erf(z / std::f64::consts::SQRT_2))
+}
+
+/// The values, each at most `reach` from the median of its neighbours.
+///
+/// The latest throws have no later neighbours: they are each other's, so that two of them already show a step.
+fn calmed(points: &[Point], reach: f64) -> Vec<f64> {
+    let n = points.len();
+    let near = |at: usize| {
+        let range = if at + NEIGHBOURS < n { at.saturating_sub(NEIGHBOURS)..at + NEIGHBOURS + 1 } else { n - 3..n };
+        let mut around: Vec<f64> = points[range].iter().map(|point| point.value).collect();
+        median(&mut around)
+    };
+    (0..n).map(|at| points[at].value.clamp(near(at) - reach, near(at) + reach)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn series(shape: impl Fn(f64) -> f64) -> Vec<Point> {
+        let wiggle = |at: u32| 0.004 * (f64::from(at * 7919 % 13) / 6.5 - 1.0);
+        (0..48)
+            .map(|at| Point { age: f64::from(47 - at), value: shape(f64::from(at)) + wiggle(at), throws: 1.0 })
+            .collect()
+    }
+
+    const NOISE: Noise = Noise { sd: 0.003, lag1: 0.0, offset_sd: 0.001 };
+
+    #[test]
+    fn a_step_a_ramp_and_an_accelerating_wear_are_measured_at_their_last_throw() {
+        let shapes: [fn(f64) -> f64; 3] =
+            [|t| if t < 40.0 { 0.0 } else { 0.1 }, |t| 0.004 * (t - 20.0).max(0.0), |t| 5e-5 * t * t];
+        for shape in shapes {
+            let (size, sd) = Course::of(&series(shape), NOISE).unwrap().now();
+            let truth = shape(47.0).exp_m1();
+            assert!((size - truth).abs() < 3.0 * sd && sd < 0.01, "{size} ± {sd} for {truth}");
+        }
+    }
+
+    #[test]
+    fn a_ramp_reaches_its_limit_when_it_does_and_a_step_does_not() {
+        let ramp = Course::of(&series(|t| (0.004 * (t - 20.0).max(0.0)).ln_1p()), NOISE).unwrap();
+        let found = ramp.reaches(0.15).unwrap();
+        assert!(
+            found.low < 10.5 && 10.5 < found.high && found.low <= found.mid && found.mid <= found.high,
+            "{found:?}"
+        );
+        let step = Course::of(&series(|t| if t < 20.0 { 0.0 } else { 0.1 }), NOISE).unwrap();
+        assert_eq!(step.reaches(0.15), None);
+    }
+}

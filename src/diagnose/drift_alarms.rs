@@ -1,0 +1,260 @@
+//! The drift alarms of one machine: which events follow from what the last throws say, and how the drifts are now.
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    alarm::{Alarms, Evidence},
+    cause::{Attribution, Naming},
+    condition::{Condition, Transition},
+    course::LimitForecast,
+    drift::{Drift, alarm_causes},
+    event::{AlarmEvent, Cause, Severity},
+    explain::{Explanation, percent, single},
+    history::History,
+    intermittent::Intermittent,
+    operational::Context,
+    settings::Settings,
+    text,
+    track::{Suspicion, Tracks},
+    verdict::Drifting,
+};
+use crate::throw::{Direction, ThrowRef};
+
+/// The causes that come from a drift, in the order of the conditions.
+pub(super) const DRIFTS: [Cause; 5] =
+    [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
+/// A drift is suspected from this part of its limit on: its throws are evidence, and stay out of the baseline.
+const SUSPECTED_FROM: f64 = 0.5;
+/// A suspected drift is forgotten below this part of its limit.
+const FORGOTTEN_BELOW: f64 = 0.25;
+
+/// Least part of nominal that a size leaves: its logarithm is taken.
+const LEAST_LEFT: f64 = 0.01;
+
+/// The throw from which on a drift is suspected.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Onset {
+    pub(super) first: ThrowRef,
+    /// Counts the machine's throws.
+    pub(super) order: u64,
+}
+
+/// What decides over the drift alarms, from throw to throw.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct DriftAlarms {
+    pub(super) history: History,
+    pub(super) onset: Option<Onset>,
+    pub(super) conditions: [Condition; 5],
+    /// The drifts with an active alarm, as they are now.
+    pub(super) now: Vec<Drifting>,
+    #[serde(default)]
+    pub(super) intermittent: Intermittent,
+}
+
+impl DriftAlarms {
+    /// Takes in what the last throws say; the latest is the machine's throw number `order`, with this residual.
+    pub(super) fn judge(
+        &mut self,
+        drift: &Drift,
+        residual: &Vector3<f64>,
+        order: u64,
+        tracks: &Tracks,
+        alarms: &mut Alarms,
+        context: Context,
+    ) -> Vec<AlarmEvent> {
+        let Context { name, at, settings, .. } = context;
+        self.history.push(residual);
+        self.follow_onset(drift, order, context);
+        let mut events = Vec::new();
+        for (index, cause) in DRIFTS.into_iter().enumerate() {
+            let reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
+            let transition = self.conditions[index].step(reading, alarms.severity(cause), settings);
+            let evidence = |severity| self.evidence(cause, severity, drift, order, tracks, context);
+            events.extend(match transition {
+                Transition::Stay => None,
+                // An intermittent fault has its own end.
+                Transition::Clear { .. } | Transition::Withdraw if self.intermittent.alarmed == Some(cause) => None,
+                Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
+                Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
+                Transition::Clear { at_once } => alarms.clear(cause, text::cleared(name, cause, at_once), at),
+                Transition::ProposeRebaseline => alarms.remark(cause, text::maybe_repaired(name, cause), at),
+                Transition::Withdraw => {
+                    let other = drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause);
+                    alarms.clear(cause, text::withdrawn(name, cause, other), at)
+                }
+            });
+        }
+        self.renew(drift, order, tracks, alarms, settings);
+        events
+    }
+
+    /// Takes in how far a throw is from the ones before it: side, departure, covariance of one throw, and whether the baseline
+    /// is complete.
+    pub(super) fn judge_departure(
+        &mut self,
+        (side, departure, of_one_throw, complete): (usize, Vector3<f64>, Matrix3<f64>, bool),
+        alarms: &mut Alarms,
+        context: Context,
+    ) -> Option<AlarmEvent> {
+        let Context { name, at, settings, .. } = context;
+        let suspicious = self.is_suspicious(alarms);
+        self.intermittent.push(side, departure, &of_one_throw, complete, suspicious, settings);
+        if let Some(cause) = self.intermittent.alarmed {
+            if !self.intermittent.is_over() {
+                return None;
+            }
+            self.intermittent.end();
+            return alarms.clear(cause, text::cleared(name, cause, false), at);
+        }
+        let budget = settings.false_alarms_per_throw();
+        let found = self.intermittent.found(&of_one_throw, budget, settings)?;
+        if alarms.active().any(|event| event.cause.is_drift()) {
+            return None;
+        }
+        self.intermittent.alarmed = Some(found.cause);
+        let text = text::intermittent(name, &found);
+        let evidence = Evidence {
+            change_pct: Some(percent(found.explanation.size)),
+            change_pct_sd: Some(text::sd_pct(&found.explanation)),
+            ..Evidence::plain(Severity::Warning, context.throw, text)
+        };
+        alarms.raise(found.cause, evidence, at)
+    }
+
+    /// How much speaks against taking the throw that was just judged into a baseline.
+    pub(super) fn suspicion(&self, drift: Option<&Drift>, alarms: &Alarms) -> Suspicion {
+        if alarms.active().any(|event| event.cause.is_drift()) {
+            Suspicion::Alarmed
+        } else if drift.is_some_and(Drift::matters) {
+            Suspicion::AboveLimit
+        } else if self.onset.is_some() {
+            Suspicion::Suspected
+        } else {
+            Suspicion::None
+        }
+    }
+
+    /// Whether a drift is suspected or alarmed: a throw of now is no example of health.
+    pub(super) fn is_suspicious(&self, alarms: &Alarms) -> bool {
+        self.onset.is_some() || alarms.active().any(|event| event.cause.is_drift())
+    }
+
+    /// A new baseline was taken: residuals from the old one are no history of the new one.
+    pub(super) fn forget_history(&mut self) {
+        self.history = History::default();
+        self.onset = None;
+    }
+
+    /// Forgets everything but how restless each alarm is: the machine was changed, or out of service.
+    pub(super) fn reset(&mut self) {
+        self.forget_history();
+        self.conditions.iter_mut().for_each(Condition::reset);
+        self.intermittent.reset();
+    }
+
+    /// Notes the first throw of a suspected drift.
+    fn follow_onset(&mut self, drift: &Drift, order: u64, context: Context) {
+        if drift.excess < FORGOTTEN_BELOW {
+            self.onset = None;
+        } else if drift.excess > SUSPECTED_FROM && self.onset.is_none() {
+            self.onset = context.throw.map(|first| Onset { first: first.clone(), order });
+        }
+    }
+
+    /// How the drifts with an active alarm are after this throw.
+    fn renew(&mut self, drift: &Drift, order: u64, tracks: &Tracks, alarms: &Alarms, settings: &Settings) {
+        let mut now: Vec<(f64, Drifting)> = Vec::new();
+        for alarm in alarms.active().filter(|event| event.cause.is_drift()) {
+            let windows = drift.levels.iter().flatten();
+            let parts = windows.flat_map(|window| {
+                alarm_causes(alarm.cause).map(|cause| single(cause, &window.mean, &window.covariance, settings))
+            });
+            let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)));
+            let Some(largest) = largest else { continue };
+            let leaning = drift.leaning(alarm.cause, settings);
+            let (size, forecast) = self.present(&largest, drift, leaning, order, tracks, settings);
+            let direction = drift.direction(alarm.cause, self.throws_since_onset(order), settings);
+            let drifting = Drifting {
+                cause: alarm.cause,
+                change_pct: percent(size.size),
+                change_pct_sd: text::sd_pct(&size),
+                direction,
+                limit_in_throws: forecast.filter(|_| alarm.severity == Severity::Warning),
+            };
+            now.push((size.relevance(settings), drifting));
+        }
+        now.sort_by(|(a, _), (b, _)| b.total_cmp(a));
+        self.now = now.into_iter().map(|(_, drifting)| drifting).collect();
+    }
+
+    /// Throws since the drift was first suspected.
+    fn throws_since_onset(&self, order: u64) -> u64 {
+        self.onset.as_ref().map_or(1, |onset| order - onset.order + 1)
+    }
+
+    /// The direction of an active alarm as it is known now: the inner `None` is both.
+    #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
+    fn alarmed_direction(&self, cause: Cause, alarms: &Alarms) -> Option<Option<Direction>> {
+        let now = self.now.iter().find(|drifting| drifting.cause == cause);
+        alarms.is_active(cause).then(|| now.and_then(|drifting| drifting.direction))
+    }
+
+    fn evidence(
+        &self,
+        cause: Cause,
+        severity: Severity,
+        drift: &Drift,
+        order: u64,
+        tracks: &Tracks,
+        context: Context,
+    ) -> Option<Evidence> {
+        let mut attribution = *drift.attribution.as_ref()?;
+        let throws = self.throws_since_onset(order);
+        let direction = drift.direction(cause, throws, context.settings);
+        let leaning = drift.leaning(cause, context.settings);
+        let mut limit_in_throws = None;
+        if let Naming::One(main) = &mut attribution.naming {
+            let (now, forecast) = self.present(main, drift, leaning, order, tracks, context.settings);
+            limit_in_throws = forecast.filter(|_| severity == Severity::Warning);
+            *main = now;
+        }
+        let main = attribution.main();
+        let subject = text::subject(context.name, direction);
+        Some(Evidence {
+            severity,
+            change_pct: main.map(|main| percent(main.size)),
+            change_pct_sd: main.map(text::sd_pct),
+            direction,
+            runner_up: attribution.runner_up,
+            correlation: Some(attribution.correlation),
+            first_throw: self.onset.as_ref().map(|onset| onset.first.clone()),
+            last_throw: context.throw.cloned(),
+            limit_in_throws,
+            text: text::drift(&subject, &attribution, throws, limit_in_throws.as_ref()),
+        })
+    }
+
+    /// The explanation with its size at this throw, and when it reaches its critical limit.
+    fn present(
+        &self,
+        part: &Explanation,
+        drift: &Drift,
+        direction: Option<Direction>,
+        order: u64,
+        tracks: &Tracks,
+        settings: &Settings,
+    ) -> (Explanation, Option<LimitForecast>) {
+        let temperature_sd =
+            drift.levels.iter().flatten().map(|window| window.temperature_sd).next().unwrap_or_default();
+        let Some(course) = tracks.course(&part.weights, &temperature_sd, direction, &self.history, order) else {
+            return (*part, None);
+        };
+        let (size, size_sd) = course.now();
+        let whole = (1.0 + size).max(LEAST_LEFT);
+        let limit = settings.limit_pct(part.cause);
+        let limit = limit.map(|limit_pct| size.signum() * settings.critical_factor * limit_pct / 100.0);
+        let forecast = limit.filter(|limit| *limit > -1.0).and_then(|limit| course.reaches(limit));
+        (Explanation { size: whole.ln(), size_sd: size_sd / whole, ..*part }, forecast)
+    }
+}

@@ -1,0 +1,81 @@
+//! The whole life since the baseline in bounded space, for the course of a drift that began long ago.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::course::Point;
+
+/// Means of successive blocks of throws since the baseline. When all places are full, neighbours are joined and
+/// blocks get twice as long, so that the whole life is always there, coarser as it gets longer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct History {
+    length: u32,
+    blocks: Vec<[f32; 3]>,
+    filling: u32,
+    sum: [f64; 3],
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self { length: Self::FIRST_LENGTH, blocks: Vec::new(), filling: 0, sum: [0.0; 3] }
+    }
+}
+
+impl History {
+    /// Places: even, so that all blocks have a neighbour to be joined with.
+    const PLACES: usize = 48;
+    /// Blocks that a course is read from: as many as a history that was just joined has at least.
+    const LATEST: usize = 23;
+    /// Throws in a block at first: enough to average the scatter, few enough to see a fast ramp.
+    const FIRST_LENGTH: u32 = 4;
+
+    #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
+    pub(super) fn push(&mut self, residual: &Vector3<f64>) {
+        for (sum, value) in self.sum.iter_mut().zip(residual.iter()) {
+            *sum += value;
+        }
+        self.filling += 1;
+        if self.filling < self.length {
+            return;
+        }
+        self.blocks.push(self.sum.map(|sum| (sum / f64::from(self.length)) as f32));
+        self.sum = [0.0; 3];
+        self.filling = 0;
+        if self.blocks.len() == Self::PLACES {
+            let joined =
+                self.blocks.chunks_exact(2).map(|pair| [0, 1, 2].map(|i| 0.5 * (pair[0][i] + pair[1][i]))).collect();
+            self.blocks = joined;
+            self.length *= 2;
+        }
+    }
+
+    /// The latest blocks along `weights`, oldest first, each with the age of its middle \[throws\] and its length.
+    pub(super) fn along(&self, weights: &Vector3<f64>) -> impl Iterator<Item = Point> {
+        let throws = f64::from(self.length);
+        let last = f64::from(self.filling) + 0.5 * (throws - 1.0);
+        let from = self.blocks.len().saturating_sub(Self::LATEST);
+        let blocks = self.blocks[from..].iter().rev().enumerate().rev();
+        blocks.map(move |(at, block)| {
+            let value = weights.dot(&Vector3::from(block.map(f64::from)));
+            Point { age: last + throws * at as f64, value, throws }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_history_covers_a_whole_life_in_bounded_space() {
+        let mut history = History::default();
+        for at in 0..10_000 {
+            history.push(&Vector3::repeat(f64::from(at)));
+        }
+        let points: Vec<Point> = history.along(&Vector3::new(1.0, 0.0, 0.0)).collect();
+        assert!(history.blocks.len() < History::PLACES && points.len() == History::LATEST);
+        for point in points {
+            assert!((point.value + point.age - 9_999.0).abs() < 1.0, "{point:?}");
+        }
+    }
+}

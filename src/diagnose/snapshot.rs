@@ -1,0 +1,122 @@
+//! Snapshots of a monitor, as version 1 of the program kept them: read once, and written in the present form.
+//!
+//! Version 1 had no version number in it. It kept an alarm's state as flags, all counters of a condition side by side, and
+//! could hold a maintenance window without end.
+
+use jiff::Timestamp;
+use serde::Deserialize;
+
+use super::{
+    alarm::{Acknowledgement, Alarm, Alarms, State},
+    condition::{Condition, Ending, Onset},
+    event::{AlarmEvent, AlarmState},
+    history::History,
+    operational::Operation,
+    track::Tracks,
+};
+use crate::throw::ThrowRef;
+
+/// A snapshot of version 1.
+#[derive(Debug, Deserialize)]
+pub(super) struct VersionOne {
+    pub(super) name: String,
+    pub(super) order: u64,
+    pub(super) tracks: Tracks,
+    pub(super) history: History,
+    pub(super) onset: Option<Suspected>,
+    pub(super) conditions: [ConditionOne; 5],
+    pub(super) board: Board,
+    pub(super) operation: Operation,
+    pub(super) maintenance: Option<MaintenanceOne>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Suspected {
+    pub(super) first: ThrowRef,
+    pub(super) order: u64,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct MaintenanceOne {
+    pub(super) until: Option<Timestamp>,
+    pub(super) by: String,
+    pub(super) why: String,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize)]
+pub(super) struct ConditionOne {
+    on: u32,
+    critical: u32,
+    since_raised: Option<u32>,
+    #[serde(flatten)]
+    ending: EndingOne,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize)]
+struct EndingOne {
+    healthy: u32,
+    below: u32,
+    other: u32,
+    level: f64,
+    below_level: u32,
+    fell_within: Option<u32>,
+    proposed: bool,
+    restless: bool,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct Board {
+    alarms: Vec<AlarmOne>,
+    latest: Option<Timestamp>,
+    occurrences: u64,
+    out_of_service: bool,
+}
+
+#[derive(Debug, Deserialize)]
+struct AlarmOne {
+    active: bool,
+    acknowledged_by: Option<String>,
+    shelved_until: Option<Timestamp>,
+    last: AlarmEvent,
+}
+
+impl From<Board> for Alarms {
+    fn from(board: Board) -> Self {
+        let open = board.alarms.into_iter().map(Alarm::from).collect();
+        Self { open, latest: board.latest, occurrences: board.occurrences, out_of_service: board.out_of_service }
+    }
+}
+
+impl From<AlarmOne> for Alarm {
+    /// The time of an acknowledgement and the person behind a shelving were in the events only: the latest event stands
+    /// for them.
+    fn from(alarm: AlarmOne) -> Self {
+        let last = alarm.last;
+        let acknowledged = alarm.acknowledged_by.map(|by| Acknowledgement { by, at: last.event_at });
+        let state = match (alarm.active, acknowledged) {
+            (true, acknowledged) => State::Active { acknowledged },
+            (false, None) => State::Cleared,
+            (false, Some(_)) => State::Normal,
+        };
+        let shelved_by = last.by.clone().filter(|_| last.state == AlarmState::Shelved).unwrap_or_default();
+        let why = last.why.clone().filter(|_| last.state == AlarmState::Shelved).unwrap_or_default();
+        let state = match alarm.shelved_until {
+            Some(until) => State::Shelved { until, by: shelved_by, why, beneath: Box::new(state) },
+            None => state,
+        };
+        Self { state, last }
+    }
+}
+
+impl ConditionOne {
+    /// The condition of an alarm that is active, or not.
+    pub(super) fn now(self, active: bool) -> Condition {
+        let onset = Onset { named: self.on, critical: self.critical };
+        if !active {
+            return Condition::Quiet { onset, since_raised: self.since_raised };
+        }
+        let EndingOne { healthy, below, other, level, below_level, fell_within, proposed, restless } = self.ending;
+        let ending = Ending { healthy, below, other, level, since_level: below_level, fell_within, proposed, restless };
+        Condition::Raised { onset, since_raised: self.since_raised.unwrap_or_default(), ending }
+    }
+}

@@ -1,0 +1,210 @@
+//! Whether the last throws still look like the baseline: windows of 3, 6, 12 and 24 throws, T = m' V^-1 m against its
+//! limit.
+//!
+//! Three streams are watched: each direction alone, and both together in the order of the throws. A fault of the
+//! machine shows in the mixed stream soonest, a fault of one direction only in its own.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    baseline::Baseline,
+    course::Point,
+    robust::clipped_mean,
+    scatter::Scatter,
+    sym3::Sym3,
+    temperature::doubt,
+    threshold::{Thresholds, WINDOWS},
+};
+
+/// Throws kept of each direction: the longest window.
+const KEPT: usize = WINDOWS[3];
+
+/// One throw since the baseline, as its residual from it. Short names keep the state small.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct RecentThrow {
+    /// Counts the machine's throws.
+    #[serde(rename = "n")]
+    order: u64,
+    #[serde(rename = "r")]
+    residual: [f32; 3],
+    #[serde(rename = "c")]
+    sensor: Sym3,
+    /// Distance from the reference temperature \[K\].
+    #[serde(rename = "k")]
+    distance_k: f32,
+}
+
+impl RecentThrow {
+    #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
+    pub(super) fn new(order: u64, residual: Vector3<f64>, distance_k: f64, sensor: Sym3) -> Self {
+        let residual = [residual.x as f32, residual.y as f32, residual.z as f32];
+        Self { order, residual, sensor, distance_k: distance_k as f32 }
+    }
+
+    /// The residual, temperature not taken out, and the distance from the reference temperature \[K\].
+    pub(super) fn raw(&self) -> (Vector3<f64>, f64) {
+        (Vector3::from(self.residual.map(f64::from)), f64::from(self.distance_k))
+    }
+
+    /// Version 1 kept residuals with the temperature taken out.
+    pub(super) fn add_temperature(&mut self, baseline: &Baseline) {
+        let (residual, distance) = self.raw();
+        let raw = residual + baseline.temperature().effect(distance);
+        *self = Self::new(self.order, raw, distance, self.sensor);
+    }
+}
+
+/// The last throws of one direction.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(transparent)]
+pub(super) struct RecentThrows(VecDeque<RecentThrow>);
+
+impl RecentThrows {
+    /// Takes in a throw; gives the one that leaves the longest window.
+    pub(super) fn push(&mut self, throw: RecentThrow) -> Option<RecentThrow> {
+        let oldest = if self.0.len() == KEPT { self.0.pop_front() } else { None };
+        self.0.push_back(throw);
+        oldest
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = &mut RecentThrow> {
+        self.0.iter_mut()
+    }
+
+    /// Oldest first.
+    pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = &RecentThrow> + ExactSizeIterator {
+        self.0.iter()
+    }
+}
+
+/// The mean of one window, with what is known of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Window {
+    /// Throws in it.
+    pub(super) throws: usize,
+    /// Clipped mean of the residuals.
+    pub(super) mean: Vector3<f64>,
+    /// Its covariance, the baseline's own uncertainty included.
+    pub(super) covariance: Matrix3<f64>,
+    /// Standard deviation of what the temperature does to the mean; part of the covariance.
+    pub(super) temperature_sd: Vector3<f64>,
+    /// T over its limit: a drift is detected above 1.
+    pub(super) excess: f64,
+}
+
+/// The last throws of one direction, or of both, newest first.
+pub(super) struct Stream<'a>(Vec<(usize, &'a RecentThrow)>);
+
+impl<'a> Stream<'a> {
+    /// Of one direction.
+    pub(super) fn of(ring: &'a RecentThrows, direction: usize) -> Self {
+        Self(ring.iter().rev().map(|throw| (direction, throw)).collect())
+    }
+
+    /// Of both directions, in the order of the throws.
+    pub(super) fn mixed(rings: [&'a RecentThrows; 2]) -> Self {
+        let mut tail = Vec::with_capacity(KEPT);
+        let mut sides = rings.map(|ring| ring.iter().rev().peekable());
+        while tail.len() < KEPT {
+            let newest = sides.each_mut().map(|side| side.peek().map(|throw| throw.order));
+            let side = usize::from(newest[1] > newest[0]);
+            let Some(throw) = sides[side].next() else { break };
+            tail.push((side, throw));
+        }
+        Self(tail)
+    }
+
+    /// Of both directions, all that is kept.
+    pub(super) fn all(rings: [&'a RecentThrows; 2]) -> Self {
+        let mut tail: Vec<(usize, &RecentThrow)> =
+            rings.into_iter().enumerate().flat_map(|(at, ring)| ring.iter().map(move |throw| (at, throw))).collect();
+        tail.sort_unstable_by_key(|(_, throw)| std::cmp::Reverse(throw.order));
+        Self(tail)
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// The window of the last `throws`, without its test. `None` when there are fewer, or when a stream of two
+    /// directions holds hardly any of one.
+    pub(super) fn window(&self, throws: usize, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> Option<Window> {
+        let last = self.0.get(..throws)?;
+        let count = |side: usize| last.iter().filter(|(at, _)| *at == side).count();
+        let counts = [count(0), count(1)];
+        let mut sensor = Matrix3::zeros();
+        let mut distance = [0.0; 2];
+        let mut residuals = [Vector3::zeros(); KEPT];
+        for (residual, (side, throw)) in residuals.iter_mut().zip(last) {
+            sensor += Matrix3::from(throw.sensor);
+            distance[*side] += f64::from(throw.distance_k);
+            *residual = baselines[*side]?.compensated(throw.raw());
+        }
+        let n = throws as f64;
+        sensor /= n;
+        let sd = scatter.sd_of_one(&sensor);
+        let mut values = [0.0; KEPT];
+        let mean = Vector3::from_fn(|i, _| {
+            for (value, residual) in values.iter_mut().zip(&residuals[..throws]) {
+                *value = residual[i];
+            }
+            clipped_mean(&mut values[..throws], sd[i])
+        });
+        // The centre of each direction errs on its own: together they are known as from this many throws.
+        let mut spread = 0.0;
+        let mut temperature = Vector3::zeros();
+        for side in 0..2 {
+            if counts[side] > 0 {
+                let part = counts[side] as f64 / n;
+                spread += part * part / baselines[side]?.throws() as f64;
+                temperature += baselines[side]?.temperature().effect_sd(distance[side] / n);
+            }
+        }
+        let covariance = scatter.of_mean(throws, &sensor, 1.0 / spread) + doubt(temperature);
+        Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0 })
+    }
+
+    /// The window in which the drift shows most, whether or not it is above its limit.
+    pub(super) fn strongest(
+        &self,
+        scatter: &Scatter,
+        thresholds: &Thresholds,
+        baselines: [Option<&Baseline>; 2],
+    ) -> Option<Window> {
+        let mut best: Option<Window> = None;
+        for (at, &throws) in WINDOWS.iter().enumerate() {
+            let Some(mut window) = self.window(throws, scatter, baselines) else { continue };
+            let Some(inverse) = window.covariance.try_inverse() else { continue };
+            window.excess = (window.mean.transpose() * inverse * window.mean).x / thresholds.of(at);
+            if best.is_none_or(|best| window.excess > best.excess) {
+                best = Some(window);
+            }
+        }
+        best
+    }
+
+    /// The throws along `weights`, temperature taken out, oldest first; ages count the machine's throws from the latest.
+    pub(super) fn points(&self, weights: &Vector3<f64>, baselines: [Option<&Baseline>; 2], now: u64) -> Vec<Point> {
+        let point = |(side, throw): &(usize, &RecentThrow)| {
+            let residual = baselines[*side]?.compensated(throw.raw());
+            Some(Point { age: now.saturating_sub(throw.order) as f64, value: weights.dot(&residual), throws: 1.0 })
+        };
+        let mut points: Vec<Point> = self.0.iter().filter_map(point).collect();
+        points.reverse();
+        points
+    }
+
+    /// Whether both directions take part in the last few throws.
+    pub(super) fn is_balanced(&self) -> bool {
+        let last = self.0.iter().take(KEPT);
+        let (total, reverse) = last.fold((0, 0), |(total, reverse), (side, _)| (total + 1, reverse + side));
+        total >= WINDOWS[0] && 4 * reverse >= total && 4 * (total - reverse) >= total
+    }
+}

@@ -1,0 +1,50 @@
+//! Resistance and back-EMF constant from a throw with a known supply voltage.
+//!
+//! The armature, equation (1), is V = R i + L i' + K ω. Integrated from the motor's start it needs no derivative,
+//!
+//! ```text
+//! V t = R ∫i dt + L i + K θ
+//! ```
+//!
+//! and is linear in R, L and K. The inrush, when θ is still small, separates R from K.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{features::Features, movement::Movement};
+
+/// Lowest rate that shows the inrush: 60 samples in the 0.3 s in which it decays \[Hz\].
+const LEAST_RATE_HZ: f64 = 200.0;
+
+/// Adds the supply voltage, the energy, the resistance and the back-EMF constant to the features of a throw.
+pub(super) fn add_supply(
+    features: &mut Features,
+    supply_v: f64,
+    movement: &Movement,
+    (current, position): (&[f64], &[f64]),
+    interval_s: f64,
+    lead_mm: f64,
+) {
+    features.supply_v = Some(supply_v);
+    features.energy_j = features.charge_as.map(|charge_as| charge_as * supply_v);
+    if interval_s * LEAST_RATE_HZ > 1.0 || movement.sign == 0.0 {
+        return;
+    }
+    let radians_per_mm = std::f64::consts::TAU / lead_mm;
+    let drive = movement.drive(current);
+    let (start, end) = (movement.start(), movement.near_end);
+    let amperes = |k: usize| drive * (current[k] - movement.current.mean);
+    let (mut normal, mut right, mut charge) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    for k in start + 1..=end {
+        charge += 0.5 * (amperes(k - 1) + amperes(k)) * interval_s;
+        let angle = movement.sign * (position[k] - movement.position.mean) * radians_per_mm;
+        let row = Vector3::new(charge, amperes(k), angle);
+        normal += row * row.transpose();
+        right += row * (supply_v * (k - start) as f64 * interval_s);
+    }
+    let solved = normal.try_inverse().map(|inverse: Matrix3<f64>| inverse * right);
+    if let Some(solved) = solved.filter(|found| found[0] > 0.0 && found[2] > 0.0 && found.iter().all(|v| v.is_finite()))
+    {
+        features.resistance_ohm = Some(solved[0]);
+        features.back_emf_v_s_per_rad = Some(solved[2]);
+    }
+}

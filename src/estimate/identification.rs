@@ -1,0 +1,188 @@
+//! The result of one throw: the estimate or the reason why there is none, and the features.
+
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{features::Features, rejection::Rejection};
+use crate::throw::Direction;
+
+/// How far an estimate can be trusted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Grade {
+    /// The model describes the throw; the covariance is that of the sensors' noise.
+    #[default]
+    Good,
+    /// The movement departs from the model in a way that a machine can cause. The covariance covers the departure. The
+    /// estimate counts for drift and never for a baseline.
+    Rough,
+    /// Identified without a toe position, from current and supply voltage.
+    CurrentOnly,
+}
+
+impl Grade {
+    /// The word in messages and in the database, as in the column `quality`.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Rough => "rough",
+            Self::CurrentOnly => "current_only",
+        }
+    }
+}
+
+/// The coefficients of equation (12) for one throw, with their covariance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// How far the estimate can be trusted.
+    #[serde(default)]
+    pub grade: Grade,
+    /// KT / J \[rad s⁻² A⁻¹\] (rad s⁻² A⁻² for a series motor).
+    pub b0: f64,
+    /// Kf / J \[s⁻¹\].
+    pub a1: f64,
+    /// Kspr / J \[s⁻²\].
+    pub a0: f64,
+    /// Only the ratios a1/b0 and a0/b0 are known: the start of the throw is unusable. Then b0 is 1 and stands
+    /// for nothing, and the covariance says so.
+    #[serde(default)]
+    pub ratios_only: bool,
+    /// Covariance of (b0, a1, a0) from throw to throw, in their units: the sensors' noise.
+    #[serde(with = "rows")]
+    pub covariance: Matrix3<f64>,
+    /// Covariance of what is the same in every throw of one machine: dry friction that the model counts as viscous, and a load
+    /// that wanders. A comparison with a baseline does not contain it.
+    #[serde(with = "rows", default)]
+    pub systematic: Matrix3<f64>,
+    /// `R²_T` \[%\].
+    pub fit_pct: f64,
+    /// SRIV iterations.
+    pub iterations: usize,
+    /// First sample used, from the start of the trace \[s\].
+    pub start_s: f64,
+    /// Last sample used, from the start of the trace \[s\].
+    pub end_s: f64,
+}
+
+impl Estimate {
+    /// (b0, a1, a0).
+    #[must_use]
+    pub fn coefficients(&self) -> [f64; 3] {
+        [self.b0, self.a1, self.a0]
+    }
+
+    /// Covariance of the whole error of (b0, a1, a0), in their units: noise and model.
+    #[must_use]
+    pub fn total_covariance(&self) -> Matrix3<f64> {
+        self.covariance + self.systematic
+    }
+
+    /// Covariance that a comparison with a baseline has to allow for. Errors that are the same in every throw cancel in it, but not
+    /// for a rough estimate, whose baseline is of good ones; they do not average out over a window, whatever its length.
+    #[must_use]
+    pub fn drift_covariance(&self) -> Matrix3<f64> {
+        /// Throws in the longest window of the diagnosis.
+        const LONGEST_WINDOW: f64 = 24.0;
+        if self.grade == Grade::Rough { self.covariance + LONGEST_WINDOW * self.systematic } else { self.covariance }
+    }
+
+    /// Standard deviations of the whole error of (b0, a1, a0), in their units.
+    #[must_use]
+    pub fn sd(&self) -> [f64; 3] {
+        let variances: Vector3<f64> = self.total_covariance().diagonal();
+        variances.map(f64::sqrt).into()
+    }
+
+    /// a1/b0 and a0/b0.
+    #[must_use]
+    pub fn ratios(&self) -> [f64; 2] {
+        [self.a1 / self.b0, self.a0 / self.b0]
+    }
+
+    /// Standard deviations of [`Self::ratios`].
+    #[must_use]
+    pub fn ratios_sd(&self) -> [f64; 2] {
+        let c = self.total_covariance();
+        let ratios = self.ratios();
+        let of = |i: usize| {
+            let value = ratios[i - 1];
+            (c[(i, i)] - 2.0 * value * c[(0, i)] + value * value * c[(0, 0)]).max(0.0).sqrt() / self.b0
+        };
+        [of(1), of(2)]
+    }
+}
+
+/// The result of one throw.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Identification {
+    /// The direction of the movement: from the position; the declared one when the position does not show it.
+    pub direction: Option<Direction>,
+    /// The logger declared the other direction than the toe moved.
+    pub direction_contradicted: bool,
+    /// Features of the throw, with or without an estimate.
+    pub features: Features,
+    /// The estimate, or why there is none.
+    pub outcome: Result<Estimate, Rejection>,
+}
+
+impl Identification {
+    /// The stable word for programs, as in the column `quality`: a grade, or the code of the rejection.
+    #[must_use]
+    pub fn quality(&self) -> &'static str {
+        self.outcome.as_ref().map_or_else(Rejection::code, |estimate| estimate.grade.as_str())
+    }
+}
+
+/// A 3x3 matrix as three rows of numbers.
+mod rows {
+    use nalgebra::Matrix3;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(matrix: &Matrix3<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+        <[[f64; 3]; 3]>::from(matrix.transpose()).serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Matrix3<f64>, D::Error> {
+        <[[f64; 3]; 3]>::deserialize(deserializer).map(|rows| Matrix3::from(rows).transpose())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_identification_survives_json() {
+        let covariance = Matrix3::new(4.0, 0.1, 0.02, 0.1, 0.01, 0.003, 0.02, 0.003, 0.0009);
+        let estimate = Estimate {
+            grade: Grade::Rough,
+            b0: 203.1,
+            a1: 5.9,
+            a0: 1.56,
+            ratios_only: false,
+            covariance,
+            systematic: Matrix3::zeros(),
+            fit_pct: 99.9,
+            iterations: 4,
+            start_s: 0.2,
+            end_s: 4.1,
+        };
+        let outcomes =
+            [Ok(estimate), Err(Rejection::TooShort { samples: 3, duration_s: 0.1 }), Err(Rejection::Singular)];
+        for (outcome, quality) in outcomes.into_iter().zip(["rough", "too_short", "singular"]) {
+            let found = Identification {
+                direction: Some(Direction::ReverseToNormal),
+                direction_contradicted: false,
+                features: Features { duration_s: Some(4.1), ..Features::default() },
+                outcome,
+            };
+            let json = serde_json::to_value(&found).unwrap();
+            assert_eq!(serde_json::from_value::<Identification>(json.clone()).unwrap(), found);
+            assert_eq!(found.quality(), quality);
+            if found.outcome.is_err() {
+                assert_eq!(json["outcome"]["Err"]["code"], quality);
+            }
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! Whether the movement begins when the model says: brake, play, lost motion and time between the channels.
+//!
+//! The first 50 ms of a throw decide the common scale of b0, a1 and a0: later the machine runs at nearly constant speed, which
+//! shows only the ratios a1/b0 and a0/b0. A toe that starts 1 ms later than the model changes the scale by about 2 %. Such a delay
+//! δ and an error of the scale α leave their own residuals,
+//!
+//! ```text
+//! y - x̂ = α ∂x̂/∂ln(scale) - δ x̂'
+//! ```
+//!
+//! and are found by least squares over the start.
+
+use nalgebra::{Matrix2, Vector2};
+
+use super::{
+    filter::{Discrete, Hold},
+    rejection::Rejection,
+};
+
+/// Movement of the toe that counts as the start, as a share of the travel: after 3 % the inrush is over.
+const START_SHARE: f64 = 0.03;
+/// Longest start \[s\].
+const LONGEST_START_S: f64 = 0.4;
+/// Largest delay of an accepted start \[s\], and in standard deviations. A soft drive (5e6 N/m) delays the toe by 1 to 2 ms, play of
+/// 0.1 mm by 3.3 ms.
+const LARGEST_DELAY_S: f64 = 3e-3;
+const DELAY_SIGMAS: f64 = 5.0;
+/// Change of the scale in the numerical derivative.
+const SCALE_STEP: f64 = 0.02;
+
+/// The delay of the start \[s\], 0 where it cannot be found.
+///
+/// # Errors
+/// When the model does not describe the start.
+pub(super) fn check(
+    channels: (&[f64], &[f64], &[f64]),
+    equilibrium: Option<&[f64]>,
+    parameters: [f64; 3],
+    foot: usize,
+    (interval_s, noise): (f64, f64),
+) -> Result<f64, Rejection> {
+    match find(channels, equilibrium, parameters, foot, interval_s, noise) {
+        Some((delay_s, sd_s)) if delay_s.abs() > LARGEST_DELAY_S.max(DELAY_SIGMAS * sd_s) => {
+            Err(Rejection::LateStart { delay_ms: 1e3 * delay_s })
+        }
+        found => Ok(found.map_or(0.0, |(delay_s, _)| delay_s)),
+    }
+}
+
+/// Finds the delay \[s\] and its standard deviation from `output` and the model's output, both from the sample `foot` at which the motor starts;
+/// `None` when the start has too few samples. `noise` is the variance of the output.
+pub(super) fn find(
+    (input, output, model): (&[f64], &[f64], &[f64]),
+    equilibrium: Option<&[f64]>,
+    [b0, a1, a0]: [f64; 3],
+    foot: usize,
+    interval_s: f64,
+    noise: f64,
+) -> Option<(f64, f64)> {
+    let travel = output.last()?.abs();
+    let far = (foot..output.len()).find(|&k| output[k] > START_SHARE * travel)?;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let longest = foot + (LONGEST_START_S / interval_s) as usize;
+    let last = far.min(longest).min(output.len() - 2);
+    if last < foot + 8 {
+        return None;
+    }
+    let factor = 1.0 + SCALE_STEP;
+    let scaled = [factor * a1, factor * a0];
+    let filter = Discrete::<2>::new(&scaled, interval_s)?;
+    let (sampled, held) = (filter.readout(Hold::First), filter.readout(Hold::Zero));
+    let mut state = sampled.start(&[0.0; 2], input[0]);
+    let mut shift_state = [0.0; 2];
+    let (mut normal, mut right, mut squares) = (Matrix2::zeros(), Vector2::zeros(), 0.0);
+    for k in 0..=last {
+        let read = |row: &[f64; 2], state: &[f64; 2]| row[0] * state[0] + row[1] * state[1];
+        let from_input = read(&sampled.state[0], &state) + sampled.through[0] * input[k];
+        let x = factor * (b0 * from_input + a0 * read(&held.state[0], &shift_state));
+        if k >= foot.max(1) {
+            let row = Vector2::new((x - model[k]) / SCALE_STEP, -(model[k + 1] - model[k - 1]) / (2.0 * interval_s));
+            normal += row * row.transpose();
+            right += row * (output[k] - model[k]);
+            squares += (output[k] - model[k]).powi(2);
+        }
+        filter.advance(&mut state, input[k]);
+        filter.advance(&mut shift_state, equilibrium.map_or(0.0, |shift| shift[k]));
+    }
+    let inverse = normal.try_inverse()?;
+    let found = inverse * right;
+    let left = (squares - found.dot(&right)) / (last - foot) as f64;
+    let variance = inverse[(1, 1)] * noise.max(left);
+    Some((found[1], variance.max(0.0).sqrt()))
+}

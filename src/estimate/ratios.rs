@@ -1,0 +1,147 @@
+//! Ratios of the coefficients from the movement alone, whatever its start was.
+//!
+//! Equation (12) integrated from the sample s at which the toe has moved a little, and divided by b0, is linear in the ratios:
+//!
+//! ```text
+//! ∫ u dt = (a1/b0) (y - y_s) + (a0/b0) ∫ (y - y_eq) dt + (1/b0) (y' - y'_s)
+//! ```
+//!
+//! It needs neither the moment nor the position of release nor the speed at s, and no iteration. At nearly constant speed 1/b0 is
+//! hardly determined, the ratios are. The integrated current's noise is a random walk and what the model lacks wanders, so that
+//! the covariance comes from the means of long stretches (batch means), not from single samples.
+
+use std::ops::AddAssign;
+
+use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
+
+use super::{
+    covariance::DRY_SHARE,
+    identification::{Estimate, Grade},
+};
+
+/// Standard deviation of the logarithm of the common scale when the start says nothing of it.
+const SCALE_SD: f64 = 0.45;
+/// Share of the travel after which the start no longer matters: 1.5 mm of 115 mm.
+const SKIPPED_SHARE: f64 = 0.013;
+/// Half of the interval over which the speed is a difference \[s\].
+const SPEED_S: f64 = 0.02;
+/// Stretches of the movement whose means are taken as independent.
+const STRETCHES: usize = 10;
+/// The variance of ten means after a fit of four parameters is too small, and their neighbours are correlated: 4 makes 95 %
+/// intervals right in simulated throws.
+const BATCH_FACTOR: f64 = 4.0;
+/// Fewest samples of a movement.
+const LEAST_SAMPLES: usize = 40;
+/// Largest root mean square of the residual, as a share of the charge of the whole movement. Dry friction on every chair leaves
+/// 0.3 %; a current that does not belong to the position leaves more.
+const LARGEST_RESIDUAL: f64 = 0.006;
+
+/// a1/b0 and a0/b0.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Ratios {
+    /// a1/b0 and a0/b0.
+    pub(super) values: [f64; 2],
+    /// Covariance of the logarithms of the two from throw to throw, and of what is the same in every throw.
+    pub(super) log_covariance: Matrix2<f64>,
+    pub(super) log_systematic: Matrix2<f64>,
+    /// First sample used.
+    pub(super) from: usize,
+}
+
+/// What the full model found, accepted or not.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FullModel {
+    pub(super) fit_pct: f64,
+    pub(super) iterations: usize,
+}
+
+impl Ratios {
+    /// A rough estimate with these ratios, from the samples `from` to `to`. Its scale is arbitrary: b0 is 1.
+    pub(super) fn estimate(&self, full: Option<FullModel>, from: usize, to: usize, interval_s: f64) -> Estimate {
+        let coefficients = Vector3::new(1.0, self.values[0], self.values[1]);
+        let mut log = Matrix3::repeat(SCALE_SD * SCALE_SD);
+        let mut systematic = Matrix3::zeros();
+        log.fixed_view_mut::<2, 2>(1, 1).add_assign(self.log_covariance);
+        systematic.fixed_view_mut::<2, 2>(1, 1).add_assign(self.log_systematic);
+        let scale = Matrix3::from_diagonal(&coefficients);
+        Estimate {
+            grade: Grade::Rough,
+            b0: coefficients[0],
+            a1: coefficients[1],
+            a0: coefficients[2],
+            ratios_only: true,
+            covariance: scale * log * scale,
+            systematic: scale * systematic * scale,
+            fit_pct: full.map_or(0.0, |full| full.fit_pct),
+            iterations: full.map_or(0, |full| full.iterations),
+            start_s: (from + self.from) as f64 * interval_s,
+            end_s: (to - 1) as f64 * interval_s,
+        }
+    }
+}
+
+/// The ratios of a movement; `None` when the samples do not determine them or do not fit the equation.
+///
+/// `offset` is the variance of the input's offset.
+pub(super) fn of(input: &[f64], output: &[f64], equilibrium: f64, offset: f64, interval_s: f64) -> Option<Ratios> {
+    let travel = *output.last()?;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let reach = ((SPEED_S / interval_s) as usize).max(1);
+    let from = (reach..output.len()).find(|&k| output[k] > SKIPPED_SHARE * travel)? + reach;
+    let to = output.len().checked_sub(reach)?;
+    if to < from + LEAST_SAMPLES {
+        return None;
+    }
+    let speed = |k: usize| (output[k + reach] - output[k - reach]) / (2.0 * reach as f64 * interval_s);
+    let rows = || {
+        let (mut charge, mut angle) = (0.0, 0.0);
+        (from..to).map(move |k| {
+            if k > from {
+                charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
+                angle += (0.5 * (output[k - 1] + output[k]) - equilibrium) * interval_s;
+            }
+            (Vector4::new(output[k] - output[from], angle, speed(k) - speed(from), 1.0), charge)
+        })
+    };
+    let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+    for (row, charge) in rows() {
+        normal += row * row.transpose();
+        right += row * charge;
+    }
+    // Equilibrated: the columns have different units.
+    let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
+    let scaled = Matrix4::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
+    let inverse = scaled.try_inverse()?;
+    let inverse = Matrix4::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]);
+    let found = inverse * right;
+    let stretch = (to - from).div_ceil(STRETCHES);
+    let (mut middle, mut squares, mut score, mut total) = (Matrix4::zeros(), 0.0, Vector4::zeros(), 0.0_f64);
+    let running = (output[to - 1] - output[from.midpoint(to)]) / ((to - from.midpoint(to)) as f64 * interval_s);
+    let (mut drift, mut dry) = (Vector4::zeros(), Vector4::zeros());
+    for (at, (row, charge)) in rows().enumerate() {
+        let time_s = at as f64 * interval_s;
+        drift += row * time_s;
+        dry += row * (time_s - row[0] / running);
+        let residual = charge - row.dot(&found);
+        squares += residual * residual;
+        score += row * residual;
+        total = total.max(charge.abs());
+        if at % stretch == stretch - 1 || at + 1 == to - from {
+            middle += score * score.transpose();
+            score = Vector4::zeros();
+        }
+    }
+    if (squares / (to - from) as f64).sqrt() > LARGEST_RESIDUAL * total {
+        return None;
+    }
+    let (drift, dry) = (inverse * drift, inverse * dry * (DRY_SHARE * found[0] * running));
+    let covariance = inverse * middle * inverse * BATCH_FACTOR + drift * drift.transpose() * offset;
+    let values = [found[0], found[1]];
+    if !(values.iter().all(|v| v.is_finite() && *v > 0.0)) {
+        return None;
+    }
+    let log = |i: usize, j: usize, value: f64| value / (values[i] * values[j]);
+    let log_covariance = Matrix2::from_fn(|i, j| log(i, j, covariance[(i, j)]));
+    let log_systematic = Matrix2::from_fn(|i, j| log(i, j, dry[i] * dry[j]));
+    Some(Ratios { values, log_covariance, log_systematic, from })
+}

@@ -1,0 +1,37 @@
+//! Observations that a life feeds to the monitor.
+
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::Matrix3;
+
+use super::timeline::THROWS_A_DAY;
+use crate::{
+    diagnose::Observation,
+    estimate::{Features, Grade},
+    throw::{Direction, ThrowRef},
+};
+
+/// When throw `at` starts.
+pub(super) fn started_at(at: usize) -> Timestamp {
+    #[expect(clippy::cast_possible_wrap, reason = "a life has few throws")]
+    let seconds = (at * 86_400 / THROWS_A_DAY) as i64;
+    Timestamp::UNIX_EPOCH + SignedDuration::from_secs(seconds)
+}
+
+/// Throw `at` of a machine that is thrown to and fro, at equal times through the day.
+pub(super) fn observation(
+    at: usize,
+    estimate: Option<([f64; 3], Matrix3<f64>)>,
+    temperature_c: Option<f64>,
+) -> Observation {
+    Observation {
+        throw: ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 },
+        started_at: started_at(at),
+        direction: Some(if at.is_multiple_of(2) { Direction::NormalToReverse } else { Direction::ReverseToNormal }),
+        estimate,
+        incomplete: false,
+        grade: Grade::Good,
+        ratios_only: false,
+        features: Features::default(),
+        temperature_c,
+    }
+}

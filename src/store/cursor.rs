@@ -1,0 +1,103 @@
+//! The cursor of each machine: the last throw up to which everything is stored or written off.
+//!
+//! While nothing is missing the cursor is the newest throw, and nothing is kept of it. While throws are awaited from the
+//! logger's backlog, a row of the table `backlog` holds it.
+
+use sqlx::SqliteConnection;
+
+use super::statements as sql;
+
+/// A place in the order of a machine's throws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Place {
+    /// The start of the logger; `None` before the first one.
+    pub(super) boot_row: Option<i64>,
+    /// Its position among the starts.
+    pub(super) position: i64,
+    pub(super) throw_no: i64,
+}
+
+impl Place {
+    /// Before everything.
+    pub(super) const BEGINNING: Self = Self { boot_row: None, position: i64::MIN, throw_no: -1 };
+}
+
+/// A start of a logger.
+#[derive(Debug, Clone, Copy, sqlx::FromRow)]
+#[expect(clippy::struct_field_names, reason = "the name of the column")]
+pub(super) struct Boot {
+    pub(super) boot_row: i64,
+    pub(super) position: i64,
+    /// Highest number that was received.
+    pub(super) highest_no: i64,
+    /// Highest number that was pruned.
+    pub(super) pruned_to_no: i64,
+    /// Whether later throws of it may be in the backlog.
+    pub(super) tail_open: bool,
+}
+
+/// Opens the backlog of a machine after a place, unless it is open already.
+pub(super) async fn open(
+    connection: &mut SqliteConnection,
+    machine_row: i64,
+    after: Place,
+    at_us: i64,
+) -> sqlx::Result<()> {
+    let Place { boot_row, position, throw_no } = after;
+    let open =
+        sqlx::query(sql::OPEN_BACKLOG).bind(machine_row).bind(boot_row).bind(position).bind(throw_no).bind(at_us);
+    open.execute(connection).await.map(drop)
+}
+
+/// The boot after a position.
+pub(super) async fn next_boot(
+    connection: &mut SqliteConnection,
+    machine_row: i64,
+    position: i64,
+) -> sqlx::Result<Option<Boot>> {
+    sqlx::query_as(sql::NEXT_BOOT).bind(machine_row).bind(position).fetch_optional(connection).await
+}
+
+/// The first and the last number of the first awaited gap of a boot.
+pub(super) async fn awaited(connection: &mut SqliteConnection, boot_row: i64) -> sqlx::Result<Option<(i64, i64)>> {
+    sqlx::query_as(sql::FIRST_AWAITED).bind(boot_row).fetch_optional(connection).await
+}
+
+/// Moves the cursor of a machine over what is stored or written off; closes the backlog when nothing is awaited any more.
+pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64, at_us: i64) -> sqlx::Result<()> {
+    let row: Option<(Option<i64>, i64, i64)> =
+        sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(&mut *connection).await?;
+    let Some((boot_row, position, throw_no)) = row else { return Ok(()) };
+    let before = Place { boot_row, position, throw_no };
+    let mut cursor = before;
+    let mut boot: Option<Boot> = match boot_row {
+        Some(row) => sqlx::query_as(sql::BOOT_OF_ROW).bind(row).fetch_optional(&mut *connection).await?,
+        None => None,
+    };
+    loop {
+        if let Some(boot) = boot {
+            if let Some((first_no, _)) = awaited(connection, boot.boot_row).await? {
+                cursor.throw_no = cursor.throw_no.max(first_no - 1);
+                break;
+            }
+            cursor.throw_no = cursor.throw_no.max(boot.highest_no);
+            if boot.tail_open {
+                break;
+            }
+        }
+        let Some(next) = next_boot(connection, machine_row, cursor.position).await? else {
+            return sqlx::query(sql::CLOSE_BACKLOG).bind(machine_row).execute(connection).await.map(drop);
+        };
+        // The cursor is a throw that the logger has made: it does not stand before the first of a boot.
+        if awaited(connection, next.boot_row).await?.is_some_and(|(first_no, _)| first_no <= 1) {
+            break;
+        }
+        cursor = Place { boot_row: Some(next.boot_row), position: next.position, throw_no: -1 };
+        boot = Some(next);
+    }
+    if cursor != before {
+        let moved = sqlx::query(sql::MOVE_CURSOR).bind(machine_row).bind(cursor.boot_row).bind(cursor.position);
+        moved.bind(cursor.throw_no).bind(at_us).execute(connection).await?;
+    }
+    Ok(())
+}

@@ -1,0 +1,437 @@
+//! The fleet at a glance: one row a machine, the worst first, a page at a time.
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use sqlx::{FromRow, Row, sqlite::SqliteRow};
+
+use super::{
+    error::StoreError,
+    reader::Reader,
+    rows::{json, machine_id, time, timestamp, word},
+};
+use crate::{
+    diagnose::{BaselineRecord, Cause, Drifting, MachineState},
+    throw::{Direction, MachineId, Name, ThrowRef},
+    wire::Alarm,
+};
+
+/// Which machines, and which part of their list.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct FleetQuery {
+    /// Only this site.
+    pub site: Option<Name>,
+    /// Only machines in this state.
+    pub state: Option<MachineState>,
+    /// Only machines with an open alarm of this cause.
+    pub cause: Option<Cause>,
+    /// Only machines whose `site/machine` holds this text.
+    pub search: Option<String>,
+    /// Machines to leave out at the beginning.
+    pub offset: u32,
+    /// Most machines.
+    pub limit: u32,
+    /// Throws of each machine for its small picture.
+    pub spark: u32,
+}
+
+/// One machine.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct FleetRow {
+    /// Its name.
+    #[serde(flatten)]
+    pub machine: MachineId,
+    /// Its state.
+    pub state: MachineState,
+    /// Its active drifts as they are now, the worst first.
+    pub drifts: Vec<Drifting>,
+    /// Causes of its other open alarms.
+    pub causes: Vec<Cause>,
+    /// Start of its last judged throw.
+    pub started_at: Option<Timestamp>,
+    /// Quality of that throw.
+    pub quality: Option<String>,
+    /// Throws in the baseline of that throw's direction, else in that of normal to reverse, of how many.
+    pub baseline: Option<(u64, u64)>,
+    /// Change of b0, a1 and a0 \[%\] in the newest throws of one direction, oldest first.
+    pub spark: Vec<[f64; 3]>,
+}
+
+/// An open alarm about a machine's own condition, with its size when it was raised and the machine's drifts now.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct Fault {
+    /// Its last event.
+    #[serde(flatten)]
+    pub alarm: Alarm,
+    /// Size and its standard deviation when it was raised \[%\].
+    pub raised: Option<(f64, f64)>,
+    /// The machine's active drifts as they are now.
+    pub drifts: Vec<Drifting>,
+}
+
+/// A command that an operator had carried out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct CommandRow {
+    /// When.
+    pub at: Timestamp,
+    /// Its word, as `ack`.
+    pub command: String,
+    /// The alarm's cause, where it was about one alarm.
+    pub cause: Option<Cause>,
+    /// When its effect ends by itself, where it does.
+    pub until: Option<Timestamp>,
+    /// Who.
+    pub by: String,
+    /// Why.
+    pub why: Option<String>,
+}
+
+/// Open alarms of a common cause (no throws arrive, throws are missing).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct CommonAlarm {
+    /// The cause.
+    pub cause: Cause,
+    /// The site.
+    pub site: String,
+    /// Machines.
+    pub count: u64,
+    /// When the first was raised.
+    pub first: Timestamp,
+    /// When the last was raised.
+    pub last: Timestamp,
+}
+
+/// A window that an operator opened and that still lasts: a shelved alarm, or maintenance of a machine.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Window {
+    /// Which machine: `site` and `machine` in JSON.
+    #[serde(flatten)]
+    pub machine: MachineId,
+    /// The shelved alarm's cause; `None` for maintenance.
+    pub cause: Option<Cause>,
+    /// When it ends by itself.
+    pub until: Option<Timestamp>,
+    /// Who opened it.
+    pub by: String,
+    /// Why.
+    pub why: Option<String>,
+}
+
+/// Machines that pass the filters ?1 site, ?2 state, ?3 cause and ?4 text, the worst state first.
+const FLEET: &str = "
+    WITH chosen AS (
+        SELECT machine.machine_row, site, machine, coalesce(monitor.state, 'learning') AS state, monitor.drifts
+        FROM machine LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row
+        WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR coalesce(monitor.state, 'learning') = ?2)
+          AND (?3 IS NULL OR EXISTS (SELECT 1 FROM alarm
+               WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?3))
+          AND (?4 IS NULL OR instr(lower(site || '/' || machine), lower(?4)) > 0)
+          AND NOT (site = ?5 AND machine = ?6)
+        ORDER BY CASE coalesce(monitor.state, 'learning') WHEN 'critical' THEN 0 WHEN 'not_monitored' THEN 1
+                 WHEN 'warning' THEN 2 WHEN 'maintenance' THEN 3 WHEN 'learning' THEN 4 ELSE 5 END,
+                 coalesce(abs(monitor.drifts ->> '$[0].change_pct'), 0) DESC, site, machine
+        LIMIT ?7 OFFSET ?8)
+    SELECT chosen.site, chosen.machine, chosen.state, chosen.drifts, throw.started_at_us, estimate.quality,
+           coalesce(estimate.baseline_throws, learned.baseline_throws) AS baseline_throws,
+           coalesce(estimate.baseline_needed, learned.baseline_needed) AS baseline_needed,
+           (SELECT group_concat(alarm.cause) FROM alarm
+             WHERE alarm.machine_row = chosen.machine_row AND alarm.state <> 'normal') AS causes,
+           (SELECT json_group_array(json_array(b0_pct, a1_pct, a0_pct)) FROM
+             (SELECT b0_pct, a1_pct, a0_pct FROM estimate AS near
+               WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
+               ORDER BY near.throw_row DESC LIMIT ?9)) AS spark
+    FROM chosen
+    LEFT JOIN estimate ON estimate.throw_row =
+         max(coalesce((SELECT max(throw_row) FROM estimate AS latest WHERE latest.machine_row = chosen.machine_row
+                        AND latest.direction = 'normal_to_reverse'), 0),
+             coalesce((SELECT max(throw_row) FROM estimate AS latest WHERE latest.machine_row = chosen.machine_row
+                        AND latest.direction = 'reverse_to_normal'), 0),
+             coalesce((SELECT max(throw_row) FROM estimate AS latest WHERE latest.machine_row = chosen.machine_row
+                        AND latest.direction IS NULL), 0))
+    LEFT JOIN throw ON throw.throw_row = estimate.throw_row
+    LEFT JOIN estimate AS learned ON learned.throw_row =
+         (SELECT max(throw_row) FROM estimate AS near WHERE near.machine_row = chosen.machine_row
+             AND near.direction = 'normal_to_reverse')";
+
+/// Number of machines in each state, with the filters of [`FLEET`] but the state's.
+const TALLY: &str = "
+    SELECT coalesce(monitor.state, 'learning'), count(*)
+    FROM machine LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row
+    WHERE (?1 IS NULL OR site = ?1)
+      AND (?2 IS NULL OR EXISTS (SELECT 1 FROM alarm
+           WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?2))
+      AND (?3 IS NULL OR instr(lower(site || '/' || machine), lower(?3)) > 0)
+      AND NOT (site = ?4 AND machine = ?5)
+    GROUP BY 1";
+
+const SITES: &str = "SELECT site FROM machine GROUP BY site ORDER BY site LIMIT ?1";
+
+/// Open alarms that say something of a machine itself, the worst first.
+const FAULTS: &str = "
+    SELECT last.payload, first.payload ->> 'change_pct' AS raised_pct, first.payload ->> 'change_pct_sd' AS raised_pct_sd,
+           monitor.drifts
+    FROM alarm JOIN machine USING (machine_row)
+    JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no
+    LEFT JOIN alarm_event AS first ON first.alarm_row = alarm.alarm_row AND first.event_no = 1
+    LEFT JOIN monitor ON monitor.machine_row = alarm.machine_row
+    WHERE alarm.state <> 'normal' AND alarm.cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
+    ORDER BY last.severity = 'critical' DESC, raised_at_us DESC, alarm.alarm_row LIMIT ?3";
+
+const FAULT_COUNT: &str = "
+    SELECT count(*) FROM alarm JOIN machine USING (machine_row)
+    WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
+
+const COMMON: &str = "
+    SELECT alarm.cause, site, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us
+    FROM alarm JOIN machine USING (machine_row)
+    WHERE alarm.state <> 'normal' AND alarm.cause IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
+    GROUP BY alarm.cause, site ORDER BY count(*) DESC";
+
+/// The newest opening command of each machine that is in maintenance and of each alarm that is shelved.
+const WINDOWS: &str = "
+    SELECT site, machine, at_us, command, command.payload ->> 'cause' AS cause, command.payload ->> 'until' AS until,
+           by_whom, why
+    FROM command JOIN machine USING (machine_row)
+    WHERE command_row IN (SELECT max(command_row) FROM command WHERE command IN ('maintenance_start', 'shelve')
+                          GROUP BY machine_row, command, payload ->> 'cause')
+      AND CASE command WHEN 'shelve' THEN EXISTS (SELECT 1 FROM alarm WHERE alarm.machine_row = command.machine_row
+                            AND alarm.cause = command.payload ->> 'cause' AND alarm.state IN ('shelved', 'out_of_service'))
+          ELSE EXISTS (SELECT 1 FROM monitor WHERE monitor.machine_row = command.machine_row
+                            AND monitor.state = 'maintenance') END
+      AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2)
+    ORDER BY site, machine";
+
+const COMMANDS: &str = "
+    SELECT at_us, command, payload ->> 'cause' AS cause, payload ->> 'until' AS until, by_whom, why
+    FROM command JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2 ORDER BY command_row DESC LIMIT ?3";
+
+const BASELINES: &str = "
+    SELECT payload FROM baseline JOIN machine USING (machine_row)
+    WHERE site = ?1 AND machine = ?2 ORDER BY taken_at_us DESC LIMIT ?3";
+
+const STATE: &str = "
+    SELECT state, drifts FROM monitor JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2";
+
+/// The throws of a machine before and after one, in the order in which they began.
+const NEIGHBOURS: &str = "
+    WITH this AS (SELECT throw_row, throw.machine_row, started_at_us FROM throw JOIN boot USING (boot_row)
+                  JOIN machine ON machine.machine_row = throw.machine_row
+                  WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND throw_no = ?4)
+    SELECT boot_id, throw_no, throw.throw_row = (SELECT near.throw_row FROM throw AS near
+               WHERE near.machine_row = this.machine_row
+                 AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row)
+               ORDER BY near.started_at_us, near.throw_row LIMIT 1) AS is_later
+    FROM this JOIN throw ON throw.throw_row IN (
+        (SELECT near.throw_row FROM throw AS near WHERE near.machine_row = this.machine_row
+            AND (near.started_at_us, near.throw_row) < (this.started_at_us, this.throw_row)
+            ORDER BY near.started_at_us DESC, near.throw_row DESC LIMIT 1),
+        (SELECT near.throw_row FROM throw AS near WHERE near.machine_row = this.machine_row
+            AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row)
+            ORDER BY near.started_at_us, near.throw_row LIMIT 1))
+    JOIN boot USING (boot_row)";
+
+/// The newest good throw of a direction, no later than a moment, whose trace is kept: of the last few hundred before it.
+const TYPICAL: &str = "
+    SELECT boot_id, throw_no FROM (
+        SELECT throw_row, boot_row, throw_no, started_at_us FROM throw JOIN machine USING (machine_row)
+        WHERE site = ?1 AND machine = ?2 AND started_at_us <= ?4 ORDER BY started_at_us DESC LIMIT 300)
+    JOIN estimate USING (throw_row) JOIN trace USING (throw_row) JOIN boot USING (boot_row)
+    WHERE estimate.direction = ?3 AND quality = 'good' ORDER BY started_at_us DESC LIMIT 1";
+
+impl Window {
+    /// "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
+    #[must_use]
+    pub fn sentence(&self) -> String {
+        let until = self.until.map(|until| until.strftime("until %Y-%m-%d %H:%M:%S UTC ").to_string());
+        let why = self.why.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
+        format!("{}by {}{why}", until.unwrap_or_default(), self.by)
+    }
+}
+
+impl FromRow<'_, SqliteRow> for FleetRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        let causes: Option<&str> = row.try_get("causes")?;
+        let spark: Option<Vec<[Option<f64>; 3]>> = json(row, "spark")?;
+        let all = |[b0, a1, a0]: [Option<f64>; 3]| Some([b0?, a1?, a0?]);
+        let count = |column| row.try_get::<Option<i64>, _>(column).map(|count| count.map(i64::cast_unsigned));
+        Ok(Self {
+            machine: machine_id(row)?,
+            state: word(row, "state")?.unwrap_or_default(),
+            drifts: json(row, "drifts")?.unwrap_or_default(),
+            causes: causes.into_iter().flat_map(|causes| causes.split(',')).filter_map(|it| it.parse().ok()).collect(),
+            started_at: row.try_get::<Option<i64>, _>("started_at_us")?.map(timestamp),
+            quality: row.try_get("quality")?,
+            baseline: count("baseline_throws")?.zip(count("baseline_needed")?),
+            spark: spark.unwrap_or_default().into_iter().rev().filter_map(all).collect(),
+        })
+    }
+}
+
+/// An alarm, if this version can read it.
+struct FaultRow(Option<Fault>);
+
+impl FromRow<'_, SqliteRow> for FaultRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        let size: Option<f64> = row.try_get("raised_pct")?;
+        let (raised, drifts) = (size.zip(row.try_get("raised_pct_sd")?), json(row, "drifts")?.unwrap_or_default());
+        Ok(Self(json(row, "payload")?.map(|alarm| Fault { alarm, raised, drifts })))
+    }
+}
+
+impl FromRow<'_, SqliteRow> for CommonAlarm {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            cause: word(row, "cause")?.unwrap_or(Cause::NotMonitored),
+            site: row.try_get("site")?,
+            count: row.try_get::<i64, _>("count")?.cast_unsigned(),
+            first: time(row, "first_us")?,
+            last: time(row, "last_us")?,
+        })
+    }
+}
+
+impl FromRow<'_, SqliteRow> for CommandRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            at: time(row, "at_us")?,
+            command: row.try_get("command")?,
+            cause: word(row, "cause")?,
+            until: word(row, "until")?,
+            by: row.try_get("by_whom")?,
+            why: row.try_get("why")?,
+        })
+    }
+}
+
+impl FromRow<'_, SqliteRow> for Window {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        let CommandRow { cause, until, by, why, .. } = CommandRow::from_row(row)?;
+        Ok(Self { machine: machine_id(row)?, cause, until, by, why })
+    }
+}
+
+impl Reader {
+    /// One page of the fleet, without the daemon itself.
+    pub(crate) async fn fleet(&self, query: &FleetQuery, itself: &MachineId) -> Result<Vec<FleetRow>, StoreError> {
+        let statement = sqlx::query_as(FLEET)
+            .bind(query.site.as_ref().map(Name::as_str))
+            .bind(query.state.map(MachineState::as_str))
+            .bind(query.cause.map(Cause::as_str))
+            .bind(query.search.as_deref())
+            .bind(itself.site.as_str())
+            .bind(itself.machine.as_str())
+            .bind(query.limit)
+            .bind(query.offset)
+            .bind(query.spark);
+        self.asked(statement).await
+    }
+
+    /// Number of machines in each state, of those that pass the filters; the filter of the state is left out.
+    pub(crate) async fn tally(
+        &self,
+        query: &FleetQuery,
+        itself: &MachineId,
+    ) -> Result<Vec<(MachineState, u64)>, StoreError> {
+        let statement = sqlx::query_as(TALLY)
+            .bind(query.site.as_ref().map(Name::as_str))
+            .bind(query.cause.map(Cause::as_str))
+            .bind(query.search.as_deref())
+            .bind(itself.site.as_str())
+            .bind(itself.machine.as_str());
+        let rows: Vec<(String, i64)> = self.asked(statement).await?;
+        Ok(rows.into_iter().map(|(state, count)| (state.parse().unwrap_or_default(), count.cast_unsigned())).collect())
+    }
+
+    /// The first `limit` sites by name.
+    pub(crate) async fn sites(&self, limit: u32) -> Result<Vec<String>, StoreError> {
+        let rows: Vec<(String,)> = self.asked(sqlx::query_as(SITES).bind(limit)).await?;
+        Ok(rows.into_iter().map(|(site,)| site).collect())
+    }
+
+    /// The open alarms about machines' own condition: up to `limit`, the critical ones first. And how many of them this
+    /// version cannot read.
+    pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
+        let statement = sqlx::query_as(FAULTS).bind(itself.site.as_str()).bind(itself.machine.as_str()).bind(limit);
+        let rows: Vec<FaultRow> = self.asked(statement).await?;
+        let found = rows.len();
+        let faults: Vec<Fault> = rows.into_iter().filter_map(|FaultRow(fault)| fault).collect();
+        let unreadable = found - faults.len();
+        Ok((faults, unreadable))
+    }
+
+    /// Number of all open alarms about machines' own condition.
+    pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
+        let statement = sqlx::query_as(FAULT_COUNT).bind(itself.site.as_str()).bind(itself.machine.as_str());
+        let rows: Vec<(i64,)> = self.asked(statement).await?;
+        Ok(rows.first().map_or(0, |(count,)| count.cast_unsigned()))
+    }
+
+    /// The open alarms of common causes, by cause and site.
+    pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
+        self.asked(sqlx::query_as(COMMON).bind(itself.site.as_str()).bind(itself.machine.as_str())).await
+    }
+
+    /// The maintenance windows and shelvings that last, of one machine or of all.
+    pub(crate) async fn windows(&self, machine: Option<&MachineId>) -> Result<Vec<Window>, StoreError> {
+        let statement = sqlx::query_as(WINDOWS)
+            .bind(machine.map(|machine| machine.site.as_str()))
+            .bind(machine.map(|machine| machine.machine.as_str()));
+        self.asked(statement).await
+    }
+
+    /// The newest `limit` commands that operators had carried out on a machine, newest first.
+    pub(crate) async fn commands_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<CommandRow>, StoreError> {
+        let statement = sqlx::query_as(COMMANDS).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        self.asked(statement.bind(limit)).await
+    }
+
+    /// The newest `limit` baselines of a machine, newest first.
+    pub(crate) async fn baselines_of(
+        &self,
+        machine: &MachineId,
+        limit: u32,
+    ) -> Result<Vec<BaselineRecord>, StoreError> {
+        let statement = sqlx::query_as(BASELINES).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let rows: Vec<(String,)> = self.asked(statement.bind(limit)).await?;
+        // A baseline that another version wrote may have no record that this version knows.
+        Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
+    }
+
+    /// The state of a machine now, and its active drifts.
+    pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<(MachineState, Vec<Drifting>), StoreError> {
+        let statement = sqlx::query_as(STATE).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let rows: Vec<(Option<String>, Option<String>)> = self.asked(statement).await?;
+        let (state, drifts) = rows.into_iter().next().unwrap_or_default();
+        let state = state.and_then(|state| state.parse().ok()).unwrap_or_default();
+        Ok((state, drifts.and_then(|drifts| serde_json::from_str(&drifts).ok()).unwrap_or_default()))
+    }
+
+    /// The throws of a machine before and after this one, in the order of arrival.
+    pub(crate) async fn neighbours_of(
+        &self,
+        machine: &MachineId,
+        throw: &ThrowRef,
+    ) -> Result<[Option<ThrowRef>; 2], StoreError> {
+        let statement = sqlx::query_as(NEIGHBOURS).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let statement = statement.bind(throw.boot_id.as_str()).bind(throw.throw_no.cast_signed());
+        let rows: Vec<(String, i64, bool)> = self.asked(statement).await?;
+        let mut neighbours = [None, None];
+        for (boot_id, throw_no, is_later) in rows {
+            neighbours[usize::from(is_later)] = Some(ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() });
+        }
+        Ok(neighbours)
+    }
+
+    /// A throw that shows what was normal: the last good one of a direction no later than `at` whose trace is kept.
+    pub(crate) async fn typical_of(
+        &self,
+        machine: &MachineId,
+        direction: Direction,
+        at: Timestamp,
+    ) -> Result<Option<ThrowRef>, StoreError> {
+        let statement = sqlx::query_as(TYPICAL).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let rows: Vec<(String, i64)> = self.asked(statement.bind(direction.as_str()).bind(at.as_microsecond())).await?;
+        let throw = |(boot_id, throw_no): (String, i64)| ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() };
+        Ok(rows.into_iter().next().map(throw))
+    }
+}

@@ -1,0 +1,265 @@
+//! One judged throw, one operator's command, one tick: everything that follows from it in a single transaction.
+
+use std::sync::Arc;
+
+use jiff::Timestamp;
+use sqlx::SqliteConnection;
+
+use super::{
+    rows::{GapRow, ThrowRow},
+    spool::{count, machine_row},
+    statements as sql,
+    write::Write,
+};
+use crate::{
+    diagnose::{AlarmEvent, BaselineRecord, Command, Drifting, MachineState},
+    estimate::{Estimate, Identification},
+    throw::{Direction, MachineId},
+    wire::{Alarm, Health, Kind, json, machine_key},
+};
+
+/// Operators' commands that are kept, the newest: a hundred a day for ten years, 100 MB. The daemon takes 14,400 a day at
+/// most.
+pub const COMMANDS_KEPT: u32 = 500_000;
+
+/// The result of one throw.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Judgement {
+    /// The throw.
+    pub row: ThrowRow,
+    /// The health of the throw, as it is published.
+    pub health: Health,
+    /// The result of the estimator; `None` when the stored trace could not be read.
+    pub identification: Option<Identification>,
+    /// Baselines that were completed or became usable by this throw.
+    pub baselines: Vec<BaselineRecord>,
+    /// The monitor after this throw, and its alarm events.
+    pub outcome: Outcome,
+}
+
+/// A change of a machine's monitor: by a throw, a command, or time passing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// Which machine.
+    pub machine: MachineId,
+    /// When.
+    pub at: Timestamp,
+    /// The monitor after the change; `None` leaves the stored one.
+    pub monitor: Option<MonitorRecord>,
+    /// Alarm events, in order. Each goes into the history and, once, into the outbox.
+    pub events: Vec<AlarmEvent>,
+    /// Gaps that the monitor knows of from now on.
+    pub reported_gaps: Vec<GapRow>,
+    /// The operator's command that caused the change.
+    pub command: Option<Command>,
+}
+
+/// A monitor to be stored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MonitorRecord {
+    /// The whole monitor, JSON.
+    pub snapshot: String,
+    /// State of the machine.
+    pub state: MachineState,
+    /// Its active drifts as they are now, the worst first.
+    pub drifts: Vec<Drifting>,
+}
+
+/// Judgements to be written, in their order.
+pub(super) struct Judgements {
+    pub(super) judgements: Arc<[Judgement]>,
+    /// Space is short: the traces have done their work and go.
+    pub(super) drop_traces: bool,
+}
+
+impl Write for Judgements {
+    /// Of each, whether it was written; false when its throw was judged before.
+    type Output = Vec<bool>;
+
+    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<bool>> {
+        let mut written = Vec::with_capacity(self.judgements.len());
+        for judgement in &*self.judgements {
+            written.push(judgement.write(connection, self.drop_traces, repeated).await?);
+        }
+        Ok(written)
+    }
+}
+
+impl Judgement {
+    /// False when the throw was judged before; then nothing was written.
+    async fn write(&self, connection: &mut SqliteConnection, drop_trace: bool, repeated: bool) -> sqlx::Result<bool> {
+        let at_us = self.outcome.at.as_microsecond();
+        let machine_row: Option<i64> =
+            sqlx::query_scalar(sql::JUDGED).bind(self.row.0).bind(at_us).fetch_optional(&mut *connection).await?;
+        let Some(machine_row) = machine_row else {
+            return self.was_written_at(connection, repeated, at_us).await;
+        };
+        self.add_estimate(connection, machine_row).await?;
+        for baseline in &self.baselines {
+            sqlx::query(sql::ADD_BASELINE)
+                .bind(machine_row)
+                .bind(baseline.direction.as_str())
+                .bind(at_us)
+                .bind(text(baseline))
+                .execute(&mut *connection)
+                .await?;
+        }
+        self.outcome.write(connection, machine_row).await?;
+        if drop_trace {
+            sqlx::query(sql::DROP_TRACE).bind(self.row.0).execute(&mut *connection).await?;
+            count(connection, "dropped_traces", 1).await?;
+        }
+        Ok(true)
+    }
+
+    /// Whether the throw was judged by an earlier attempt of this very write.
+    async fn was_written_at(
+        &self,
+        connection: &mut SqliteConnection,
+        repeated: bool,
+        at_us: i64,
+    ) -> sqlx::Result<bool> {
+        let judged_at_us: Option<i64> =
+            sqlx::query_scalar(sql::JUDGED_AT).bind(self.row.0).fetch_optional(connection).await?.flatten();
+        Ok(repeated && judged_at_us == Some(at_us))
+    }
+
+    async fn add_estimate(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
+        let (health, found) = (&self.health, self.identification.as_ref());
+        let features = found.map(|found| found.features.clone()).unwrap_or_default();
+        let estimate: Option<&Estimate> = found.and_then(|found| found.outcome.as_ref().ok());
+        let mut add = sqlx::query(sql::ADD_ESTIMATE)
+            .bind(self.row.0)
+            .bind(machine_row)
+            .bind(health.direction.map(Direction::as_str))
+            .bind(found.is_some_and(|found| found.direction_contradicted))
+            .bind(&health.quality)
+            .bind(&health.detail);
+        for three in [health.coefficients, health.sd, health.change_pct] {
+            for at in 0..3 {
+                add = add.bind(three.map(|three| three[at]));
+            }
+        }
+        for (row, column) in [(0, 1), (0, 2), (1, 2)] {
+            add = add.bind(estimate.map(|estimate| estimate.total_covariance()[(row, column)]));
+        }
+        add.bind(health.fit_pct)
+            .bind(health.a1_per_b0)
+            .bind(health.a1_per_b0_sd)
+            .bind(health.a0_per_b0)
+            .bind(health.a0_per_b0_sd)
+            .bind(estimate.map(|estimate| i64::try_from(estimate.iterations).unwrap_or(i64::MAX)))
+            .bind(estimate.map(|estimate| estimate.start_s))
+            .bind(estimate.map(|estimate| estimate.end_s))
+            .bind(health.duration_s)
+            .bind(health.peak_current_a)
+            .bind(health.mean_current_a)
+            .bind(features.charge_as)
+            .bind(features.travel_mm)
+            .bind(features.end_position_mm)
+            .bind(features.release_s)
+            .bind(features.running_current_a)
+            .bind(features.energy_j)
+            .bind(features.quiet_current_a)
+            .bind(features.start_position_mm)
+            .bind(features.resistance_ohm)
+            .bind(features.back_emf_v_s_per_rad)
+            .bind(health.baseline.map(|(so_far, _)| so_far.cast_signed()))
+            .bind(health.baseline.map(|(_, needed)| needed.cast_signed()))
+            .bind(health.throws_since_baseline.cast_signed())
+            .bind(health.state.map(MachineState::as_str))
+            .bind(health.drift.as_ref().map(text))
+            .execute(connection)
+            .await
+            .map(drop)
+    }
+}
+
+/// A value as JSON text.
+fn text<T: serde::Serialize>(value: &T) -> String {
+    String::from_utf8_lossy(&json(value)).into_owned()
+}
+
+impl Write for Outcome {
+    type Output = ();
+
+    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
+        let (machine_row, _) = machine_row(connection, &self.machine).await?;
+        self.write(connection, machine_row).await
+    }
+}
+
+impl Outcome {
+    async fn write(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
+        let at_us = self.at.as_microsecond();
+        if let Some(MonitorRecord { snapshot, state, drifts }) = &self.monitor {
+            sqlx::query(sql::SET_MONITOR)
+                .bind(machine_row)
+                .bind(snapshot)
+                .bind(at_us)
+                .bind(state.as_str())
+                .bind((!drifts.is_empty()).then(|| text(drifts)))
+                .execute(&mut *connection)
+                .await?;
+        }
+        for GapRow(gap_row) in &self.reported_gaps {
+            sqlx::query(sql::REPORT_GAP).bind(gap_row).bind(at_us).execute(&mut *connection).await?;
+        }
+        if let Some(command) = &self.command {
+            add_command(connection, machine_row, command, at_us).await?;
+        }
+        for event in &self.events {
+            let alarm = Alarm::new(&self.machine, event);
+            // After an unknown commit the event is there already, and its message too.
+            if add_alarm_event(connection, machine_row, &alarm).await? {
+                let key = machine_key(&self.machine, Kind::Alarm);
+                let add = sqlx::query(sql::ADD_MESSAGE).bind(key).bind(alarm.into_message()).bind(at_us);
+                add.execute(&mut *connection).await?;
+            }
+        }
+        Ok(())
+    }
+}
+
+async fn add_command(
+    connection: &mut SqliteConnection,
+    machine_row: i64,
+    command: &Command,
+    at_us: i64,
+) -> sqlx::Result<()> {
+    sqlx::query(sql::ADD_COMMAND)
+        .bind(machine_row)
+        .bind(at_us)
+        .bind(command.name())
+        .bind(command.by())
+        .bind(command.why())
+        .bind(text(command))
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query(sql::TRIM_COMMANDS).bind(COMMANDS_KEPT).execute(connection).await.map(drop)
+}
+
+/// Returns whether the event was not there before.
+async fn add_alarm_event(connection: &mut SqliteConnection, machine_row: i64, alarm: &Alarm) -> sqlx::Result<bool> {
+    sqlx::query(sql::ADD_ALARM)
+        .bind(&alarm.alarm_id)
+        .bind(machine_row)
+        .bind(alarm.cause.as_str())
+        .bind(alarm.raised_at.as_microsecond())
+        .bind(alarm.event_no)
+        .bind(alarm.state.as_str())
+        .execute(&mut *connection)
+        .await?;
+    let added = sqlx::query(sql::ADD_ALARM_EVENT)
+        .bind(&alarm.alarm_id)
+        .bind(alarm.event_no)
+        .bind(alarm.event_at.as_microsecond())
+        .bind(alarm.severity.as_str())
+        .bind(alarm.state.as_str())
+        .bind(text(alarm))
+        .execute(&mut *connection)
+        .await?;
+    let set = sqlx::query(sql::SET_ALARM).bind(&alarm.alarm_id).bind(alarm.event_no).bind(alarm.state.as_str());
+    set.execute(connection).await?;
+    Ok(added.rows_affected() > 0)
+}

@@ -1,0 +1,156 @@
+//! A page of a logger's backlog: its throws, and what it proves to be gone, in one transaction.
+
+use jiff::Timestamp;
+use sqlx::SqliteConnection;
+
+use super::{
+    cursor::{self, Boot, Place},
+    spool::{Follows, Spool, Spooled, boot, machine_row},
+    statements as sql,
+    write::Write,
+};
+use crate::throw::{MachineId, ThrowRef};
+
+/// Where the backlog of a machine is to be read from.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Cursor {
+    /// The last throw up to which everything is stored or written off; `None`: read from the oldest.
+    pub after: Option<ThrowRef>,
+    /// Throws that are missing right after it; `None` when that is not known.
+    pub missing: Option<u64>,
+    /// Whether later throws are stored already, so that the backlog ought to have some.
+    pub awaits: bool,
+    /// Samples of the newest throw, to estimate the size of the next ones.
+    pub samples: Option<u64>,
+}
+
+/// What became of a page.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PageStored {
+    /// Throws that were not stored before.
+    pub new: u64,
+    /// Throws that were.
+    pub duplicates: u64,
+    /// Where to read on.
+    pub cursor: Cursor,
+}
+
+/// A page, oldest throw first.
+pub(super) struct Page {
+    pub(super) machine: MachineId,
+    /// The throw after which it was asked for.
+    pub(super) after: Option<ThrowRef>,
+    pub(super) throws: Vec<Spool>,
+    pub(super) at: Timestamp,
+}
+
+impl Write for Page {
+    type Output = PageStored;
+
+    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<PageStored> {
+        let (machine_row, _) = machine_row(connection, &self.machine).await?;
+        let at_us = self.at.as_microsecond();
+        let mut last = Place::BEGINNING;
+        if let Some(after) = &self.after
+            && let Some(boot) = boot(connection, machine_row, &after.boot_id).await?
+        {
+            let throw_no = i64::try_from(after.throw_no).unwrap_or(i64::MAX);
+            last = Place { boot_row: Some(boot.boot_row), position: boot.position, throw_no };
+        }
+        let mut stored = PageStored { new: 0, duplicates: 0, cursor: Cursor::default() };
+        for throw in &self.throws {
+            let (spooled, boot) = throw.store(connection, repeated, Follows::Boot(last.position)).await?;
+            match spooled {
+                Spooled::New(_) => stored.new += 1,
+                Spooled::Duplicate => stored.duplicates += 1,
+            }
+            if last.boot_row != Some(boot.boot_row) {
+                write_off_boots(connection, machine_row, (last.position, boot.position), at_us).await?;
+            }
+            last = Place { boot_row: Some(boot.boot_row), position: boot.position, throw_no: throw.throw_no() };
+            let gone = sqlx::query(sql::WRITE_OFF_BEFORE).bind(boot.boot_row).bind(last.throw_no).bind(at_us);
+            gone.execute(&mut *connection).await?;
+        }
+        if self.after.is_none() {
+            // From here on the cursor knows.
+            sqlx::query(sql::SET_BACKLOG_READ).bind(machine_row).execute(&mut *connection).await?;
+        }
+        cursor::advance(connection, machine_row, at_us).await?;
+        stored.cursor = after(connection, machine_row, last).await?;
+        Ok(stored)
+    }
+}
+
+/// The backlog has nothing of the boots from one position to before another, nor the rest of the first one.
+async fn write_off_boots(
+    connection: &mut SqliteConnection,
+    machine_row: i64,
+    (from, to): (i64, i64),
+    at_us: i64,
+) -> sqlx::Result<()> {
+    let to = to.max(from.saturating_add(1));
+    let gaps = sqlx::query(sql::WRITE_OFF_BOOTS).bind(machine_row).bind(from).bind(to).bind(at_us);
+    gaps.execute(&mut *connection).await?;
+    let tails = sqlx::query(sql::CLOSE_TAILS).bind(machine_row).bind(from).bind(to);
+    tails.execute(connection).await.map(drop)
+}
+
+/// The cursor as seen from a throw of a page: what follows it and is stored need not be asked for.
+async fn after(connection: &mut SqliteConnection, machine_row: i64, last: Place) -> sqlx::Result<Cursor> {
+    let Some(boot_row) = last.boot_row else { return Ok(Cursor::default()) };
+    let boot_id = sqlx::query_scalar(sql::BOOT_ID).bind(boot_row).fetch_one(&mut *connection).await?;
+    let boot: Boot = sqlx::query_as(sql::BOOT_OF_ROW).bind(boot_row).fetch_one(&mut *connection).await?;
+    let gap = cursor::awaited(connection, boot_row).await?;
+    let samples: Option<i64> =
+        sqlx::query_scalar(sql::NEWEST_SAMPLES).bind(boot_row).fetch_optional(&mut *connection).await?;
+    let has_later = cursor::next_boot(connection, machine_row, boot.position).await?.is_some();
+    let throw_no = gap.map_or(boot.highest_no, |(first_no, _)| first_no - 1).max(last.throw_no);
+    Ok(Cursor {
+        after: Some(ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() }),
+        missing: gap.map(|(first_no, last_no)| last_no.abs_diff(first_no).saturating_add(1)),
+        awaits: gap.is_some() || has_later,
+        samples: samples.map(i64::cast_unsigned),
+    })
+}
+
+/// What is awaited of a machine is in no backlog.
+pub(super) struct WriteOff {
+    pub(super) machine: MachineId,
+    pub(super) at: Timestamp,
+}
+
+impl Write for WriteOff {
+    type Output = ();
+
+    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
+        let (machine_row, _) = machine_row(connection, &self.machine).await?;
+        let at_us = self.at.as_microsecond();
+        write_off_boots(connection, machine_row, (i64::MIN, i64::MAX), at_us).await?;
+        cursor::advance(connection, machine_row, at_us).await
+    }
+}
+
+/// The cursor of a machine as it is stored.
+pub(super) async fn current(connection: &mut SqliteConnection, machine: &MachineId) -> sqlx::Result<Cursor> {
+    let row: Option<(i64, bool)> = sqlx::query_as(sql::MACHINE_BACKLOG)
+        .bind(machine.site.as_str())
+        .bind(machine.machine.as_str())
+        .fetch_optional(&mut *connection)
+        .await?;
+    let Some((machine_row, is_read)) = row else { return Ok(Cursor::default()) };
+    let open: Option<(Option<i64>, i64, i64)> =
+        sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(&mut *connection).await?;
+    let place = match open {
+        Some((boot_row, position, throw_no)) => Place { boot_row, position, throw_no },
+        None => {
+            match sqlx::query_as::<_, Boot>(sql::LAST_BOOT).bind(machine_row).fetch_optional(&mut *connection).await? {
+                Some(Boot { boot_row, position, highest_no, .. }) => {
+                    Place { boot_row: Some(boot_row), position, throw_no: highest_no }
+                }
+                None => Place::BEGINNING,
+            }
+        }
+    };
+    let cursor = Cursor { awaits: open.is_some(), ..after(connection, machine_row, place).await? };
+    Ok(if is_read { cursor } else { Cursor { after: None, missing: None, ..cursor } })
+}

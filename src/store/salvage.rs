@@ -1,0 +1,310 @@
+//! What can still be read of a broken database is copied into the fresh one, table by table.
+//!
+//! SQLite reads a b-tree from any key that its sound pages lead to. So a table is copied in ranges of its key; a range
+//! that fails is halved until single keys are left, and only those are lost. Rows whose parent is lost go at the end.
+
+use std::path::Path;
+
+use sqlx::{AssertSqlSafe, Connection, SqliteConnection};
+
+use super::error::is_full;
+
+/// Keys that one statement copies while nothing fails.
+const RANGE: i64 = 1024;
+/// Highest key that is tried where the table does not say: these tables have far fewer rows.
+const FEW: i64 = 1 << 20;
+/// Failed statements after which the rest of a table is given up: at most a minute in a table that is nothing but damage.
+const MOST_FAILURES: u32 = 50_000;
+/// Keys that are tried before a table is taken for lost as a whole.
+const PROBES: i64 = 64;
+
+/// A table: its name, its key, and what holds for a sound row of it. SQLite also returns garbage, if its lengths are right;
+/// text with a NUL in it is longer than its `length`.
+struct Table(&'static str, &'static str, &'static str);
+
+/// The tables in the order of their references. The traces come last: they are large, and the diagnosis goes on without
+/// them.
+const TABLES: [Table; 14] = [
+    Table(
+        "machine",
+        "machine_row",
+        "(site || machine) NOT GLOB '*[^A-Za-z0-9_-]*' AND octet_length(site || machine) = length(site || machine)",
+    ),
+    Table("monitor", "machine_row", "json_valid(snapshot)"),
+    Table(
+        "alarm",
+        "alarm_row",
+        "(alarm_id || cause || state) NOT GLOB '*[^A-Za-z0-9_.-]*' AND octet_length(alarm_id) = length(alarm_id)",
+    ),
+    Table("alarm_event", "alarm_row", "json_valid(payload) AND (severity || state) NOT GLOB '*[^a-z_]*'"),
+    Table("baseline", "baseline_row", "direction IS NOT NULL"),
+    Table("outbox", "outbox_row", "key NOT GLOB '*[^A-Za-z0-9_/-]*' AND json_valid(CAST(payload AS TEXT))"),
+    Table("command", "command_row", "json_valid(payload) AND command NOT GLOB '*[^a-z_]*'"),
+    Table("boot", "boot_row", "boot_id NOT GLOB '*[^ -~]*' AND octet_length(boot_id) = length(boot_id)"),
+    Table("gap", "gap_row", "kind IS NOT NULL"),
+    Table("backlog", "machine_row", "since_us IS NOT NULL"),
+    Table(
+        "quarantine",
+        "quarantine_row",
+        "(key || reason) NOT GLOB '*[^ -~]*' AND octet_length(key || reason) = length(key || reason)",
+    ),
+    Table("throw", "throw_row", "samples > 0"),
+    Table("estimate", "throw_row", "quality NOT GLOB '*[^a-z_]*' AND octet_length(quality) = length(quality)"),
+    Table(
+        "trace",
+        "throw_row",
+        "current_codec IN ('pco-f32', 'pco-f64', 'raw-f64') AND position_codec IN ('pco-f32', 'pco-f64', 'raw-f64')",
+    ),
+];
+
+/// Machines and boots stand in the index of their names too: without one of these rows, all throws below it are lost.
+const FROM_INDEX: [&str; 2] = [
+    "INSERT OR IGNORE INTO main.machine (machine_row, site, machine) \
+     SELECT machine_row, site, machine FROM broken.machine INDEXED BY sqlite_autoindex_machine_1",
+    "INSERT OR IGNORE INTO main.boot (boot_row, machine_row, boot_id, first_seen_us, position, highest_no) \
+     SELECT boot_row, machine_row, boot_id, 0, boot_row * 1048576, \
+            coalesce((SELECT max(throw_no) FROM main.throw WHERE throw.boot_row = boot.boot_row), 0) \
+     FROM broken.boot INDEXED BY sqlite_autoindex_boot_1",
+];
+
+/// Rows that lost their parent.
+const ORPHANS: [&str; 11] = [
+    "DELETE FROM monitor WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM alarm WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM alarm_event WHERE alarm_row NOT IN (SELECT alarm_row FROM alarm)",
+    "DELETE FROM baseline WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM command WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM boot WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM gap WHERE boot_row NOT IN (SELECT boot_row FROM boot)",
+    "DELETE FROM backlog WHERE cursor_boot_row NOT IN (SELECT boot_row FROM boot) \
+     OR machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM throw WHERE boot_row NOT IN (SELECT boot_row FROM boot) \
+     OR machine_row NOT IN (SELECT machine_row FROM machine)",
+    "DELETE FROM estimate WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
+    "DELETE FROM trace WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
+];
+
+/// What came through.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Salvaged {
+    /// Rows of each table that are in the fresh database.
+    pub rows: Vec<(&'static str, u64)>,
+    /// Of each table, keys whose rows could not be read; where a table gives no row at all, its whole range counts once.
+    pub lost: Vec<(&'static str, u64)>,
+}
+
+impl Salvaged {
+    fn of(list: &[(&'static str, u64)], table: &str) -> u64 {
+        list.iter().find(|(name, _)| *name == table).map_or(0, |(_, count)| *count)
+    }
+
+    /// Rows of a table that came through.
+    #[must_use]
+    pub fn saved(&self, table: &str) -> u64 {
+        Self::of(&self.rows, table)
+    }
+
+    /// Rows of a table that did not.
+    #[must_use]
+    pub fn lost(&self, table: &str) -> u64 {
+        Self::of(&self.lost, table)
+    }
+
+    /// One sentence for a person.
+    #[must_use]
+    pub fn text(&self) -> String {
+        if self.saved("machine") == 0 {
+            return "nothing of it could be read: every machine learns a new baseline".to_owned();
+        }
+        let part = |table, noun| match (self.saved(table), self.lost(table)) {
+            (0, 0) => None,
+            (saved, 0) => Some(format!("all {saved} {noun}")),
+            (saved, lost) if lost >= FEW.unsigned_abs() => Some(format!("{saved} {noun} (an unknown number lost)")),
+            (saved, lost) => Some(format!("{saved} {noun} ({lost} lost)")),
+        };
+        let parts = [
+            part("monitor", "machines with their baselines and alarm states"),
+            part("alarm", "alarms"),
+            part("estimate", "estimates"),
+            part("trace", "traces"),
+        ];
+        let saved: Vec<String> = parts.into_iter().flatten().collect();
+        format!("what could be read is in the new one: {}", saved.join(", "))
+    }
+}
+
+/// Copies what can be read of the database at `broken` into the fresh one of `connection`. `with_traces`: there is room
+/// for them.
+///
+/// # Errors
+/// When the fresh database cannot be written to.
+pub(super) async fn salvage(
+    connection: &mut SqliteConnection,
+    broken: &Path,
+    with_traces: bool,
+) -> sqlx::Result<Salvaged> {
+    let mut salvaged = Salvaged::default();
+    if !attach(connection, broken).await {
+        return Ok(salvaged);
+    }
+    sqlx::query("PRAGMA foreign_keys = OFF").execute(&mut *connection).await?;
+    for Table(table, key, sound) in TABLES.into_iter().filter(|table| with_traces || table.0 != "trace") {
+        if let Some(columns) = columns(connection, table).await? {
+            let lost = Copy { table, key, sound, columns }.all(connection).await?;
+            salvaged.lost.push((table, lost));
+        }
+    }
+    for copy in FROM_INDEX {
+        // The index may be broken too.
+        let _ = sqlx::query(copy).execute(&mut *connection).await;
+    }
+    // Counters have text as their key, and are a page.
+    let _ =
+        sqlx::query("INSERT OR IGNORE INTO main.counter SELECT * FROM broken.counter").execute(&mut *connection).await;
+    for orphans in ORPHANS {
+        sqlx::query(orphans).execute(&mut *connection).await?;
+    }
+    sqlx::query("PRAGMA foreign_keys = ON").execute(&mut *connection).await?;
+    sqlx::query("DETACH broken").execute(&mut *connection).await?;
+    for Table(table, ..) in TABLES {
+        let count = AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
+        let rows: i64 = sqlx::query_scalar(count).fetch_one(&mut *connection).await?;
+        salvaged.rows.push((table, rows.cast_unsigned()));
+    }
+    Ok(salvaged)
+}
+
+/// Attaches the broken file for reading only; without its log where that cannot be read.
+async fn attach(connection: &mut SqliteConnection, broken: &Path) -> bool {
+    let path = broken.to_string_lossy().replace('%', "%25").replace('?', "%3f").replace('#', "%23").replace('\'', "''");
+    for mode in ["mode=ro", "mode=ro&immutable=1"] {
+        let attach = AssertSqlSafe(format!("ATTACH 'file:{path}?{mode}' AS broken"));
+        if sqlx::query(attach).execute(&mut *connection).await.is_err() {
+            continue;
+        }
+        if sqlx::query("SELECT count(*) FROM broken.sqlite_schema").execute(&mut *connection).await.is_ok() {
+            return true;
+        }
+        if sqlx::query("DETACH broken").execute(&mut *connection).await.is_err() {
+            return false;
+        }
+    }
+    false
+}
+
+/// The columns that both databases have, as they are inserted and as they are read; `None` without the table.
+async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result<Option<(String, String)>> {
+    let of = |schema: &str| AssertSqlSafe(format!("SELECT name FROM pragma_table_info('{table}', '{schema}')"));
+    let new: Vec<String> = sqlx::query_scalar(of("main")).fetch_all(&mut *connection).await?;
+    let Ok(old) = sqlx::query_scalar::<_, String>(of("broken")).fetch_all(connection).await else { return Ok(None) };
+    // What a machine takes is counted again as its rows are copied.
+    let counted = ["throws", "traces", "stored_bytes", "traces_from"];
+    let both: Vec<(&str, &str)> = new
+        .iter()
+        .filter(|column| table != "machine" || !counted.contains(&column.as_str()))
+        .filter_map(|column| match column.as_str() {
+            // Its name before migration 10.
+            "payload" if table == "baseline" && !old.contains(column) => Some(("payload", "details")),
+            column => old.iter().any(|old| old == column).then_some((column, column)),
+        })
+        .collect();
+    let list = |columns: Vec<&str>| columns.join(", ");
+    let (to, from) = both.into_iter().unzip::<_, _, Vec<_>, Vec<_>>();
+    Ok((!to.is_empty()).then(|| (list(to), list(from))))
+}
+
+/// The copy of one table.
+struct Copy {
+    table: &'static str,
+    key: &'static str,
+    sound: &'static str,
+    columns: (String, String),
+}
+
+impl Copy {
+    /// Copies all ranges; returns the number of keys that could not be read.
+    async fn all(&self, connection: &mut SqliteConnection) -> sqlx::Result<u64> {
+        let (first, last) = self.bounds(connection).await;
+        if self.has_no_root(connection, first, last).await {
+            return Ok(FEW.unsigned_abs().max(last.abs_diff(first)));
+        }
+        let (mut lost, mut failures) = (0, 0);
+        let mut start = first;
+        while start <= last {
+            let mut ranges = vec![(start, (start + RANGE - 1).min(last))];
+            while let Some((low, high)) = ranges.pop() {
+                if failures > MOST_FAILURES {
+                    return Ok(lost + last.abs_diff(low) + 1);
+                }
+                if let Some(unsound) = self.range(connection, low, high).await? {
+                    lost += unsound;
+                    continue;
+                }
+                failures += 1;
+                if low == high {
+                    lost += 1;
+                } else {
+                    let middle = low + (high - low) / 2;
+                    ranges.extend([(middle + 1, high), (low, middle)]);
+                }
+            }
+            start += RANGE;
+        }
+        Ok(lost)
+    }
+
+    /// Whether no key leads anywhere: the first page of the table is broken.
+    async fn has_no_root(&self, connection: &mut SqliteConnection, first: i64, last: i64) -> bool {
+        let Self { table, key, .. } = self;
+        let probe = format!("SELECT count(*) FROM broken.{table} WHERE {key} = ?1");
+        for step in 0..PROBES {
+            let at = first + (last - first) / PROBES * step;
+            let found = sqlx::query(AssertSqlSafe(probe.clone())).bind(at).fetch_optional(&mut *connection).await;
+            if found.is_ok() {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// The least and the greatest key, as far as the table says.
+    async fn bounds(&self, connection: &mut SqliteConnection) -> (i64, i64) {
+        let Self { table, key, .. } = self;
+        let mut ask = async |question: String| {
+            let answer = sqlx::query_scalar(AssertSqlSafe(question)).fetch_optional(&mut *connection).await;
+            answer.ok().flatten().flatten()
+        };
+        let first: Option<i64> = ask(format!("SELECT min({key}) FROM broken.{table}")).await;
+        let last = match ask(format!("SELECT max({key}) FROM broken.{table}")).await {
+            Some(last) => Some(last),
+            None if *key == "throw_row" => {
+                ask("SELECT seq FROM broken.sqlite_sequence WHERE name = 'throw'".to_owned()).await
+            }
+            None => None,
+        };
+        (first.unwrap_or(0), last.unwrap_or(FEW))
+    }
+
+    /// Copies the sound rows of a range of keys, and returns how many are not sound; `None` when one of them cannot be
+    /// read at all.
+    async fn range(&self, connection: &mut SqliteConnection, low: i64, high: i64) -> sqlx::Result<Option<u64>> {
+        let Self { table, key, sound, columns: (to, from) } = self;
+        let rows = format!("FROM broken.{table} WHERE {key} BETWEEN ?1 AND ?2");
+        let copy = format!("INSERT OR IGNORE INTO main.{table} ({to}) SELECT {from} {rows} AND ({sound})");
+        let unsound = format!("SELECT count(*) {rows} AND ({sound}) IS NOT TRUE");
+        let copied = sqlx::query(AssertSqlSafe(copy)).bind(low).bind(high).execute(&mut *connection).await;
+        let counted = match copied {
+            Ok(_) => sqlx::query_scalar(AssertSqlSafe(unsound)).bind(low).bind(high).fetch_one(&mut *connection).await,
+            Err(error) => Err(error),
+        };
+        match counted {
+            Ok(unsound) => Ok(Some(i64::cast_unsigned(unsound))),
+            Err(error) if is_full(&error) || !connection_works(connection).await => Err(error),
+            Err(_) => Ok(None),
+        }
+    }
+}
+
+async fn connection_works(connection: &mut SqliteConnection) -> bool {
+    connection.ping().await.is_ok()
+}

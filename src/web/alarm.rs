@@ -1,0 +1,66 @@
+//! An open alarm on a page: its size when it was raised and now, what operators did about it, and where to look.
+
+use super::{
+    page,
+    state::{self, Badge},
+};
+use crate::{
+    diagnose::{AlarmState, Drifting},
+    store::Window,
+    throw::MachineId,
+    wire::Alarm,
+};
+
+/// One open alarm.
+pub(super) struct AlarmLine {
+    pub(super) machine: MachineId,
+    pub(super) badge: Badge,
+    pub(super) cause: String,
+    /// The cause's word for forms.
+    pub(super) word: &'static str,
+    pub(super) state: String,
+    pub(super) raised_at: String,
+    /// "+28 % ± 4", where the cause has a size.
+    pub(super) raised: Option<String>,
+    /// The same now, where the drift is known now.
+    pub(super) now: Option<String>,
+    pub(super) forecast: Option<String>,
+    pub(super) text: String,
+    /// Address of the last throw of the evidence.
+    pub(super) throw: Option<String>,
+}
+
+impl AlarmLine {
+    /// `raised`: the size and its standard deviation when the alarm was raised. `drifts`: those of the machine now.
+    /// `windows`: shelvings and maintenance that operators opened.
+    pub(super) fn new(alarm: &Alarm, raised: Option<(f64, f64)>, drifts: &[Drifting], windows: &[Window]) -> Self {
+        let drift = drifts.iter().find(|drift| drift.cause == alarm.cause);
+        let of = |cause| windows.iter().find(|window| window.machine == alarm.machine && window.cause == cause);
+        let window = match alarm.state {
+            AlarmState::Shelved => of(Some(alarm.cause)),
+            AlarmState::OutOfService => of(None),
+            _ => None,
+        };
+        let by = alarm.by.as_ref().map(|by| format!(" by {by}")).unwrap_or_default();
+        let state = match (alarm.state, window) {
+            (AlarmState::Shelved, Some(window)) => format!("shelved {}", window.sentence()),
+            (AlarmState::OutOfService, Some(window)) => page::window(window),
+            (AlarmState::ActiveAcknowledged, _) => format!("acknowledged{by}"),
+            (state, _) => state.words().to_owned(),
+        };
+        let throw = alarm.last_throw.as_ref().filter(|throw| !throw.boot_id.is_empty());
+        Self {
+            machine: alarm.machine.clone(),
+            badge: Badge::of(alarm),
+            cause: alarm.cause.to_string(),
+            word: alarm.cause.as_str(),
+            state,
+            raised_at: page::time(alarm.raised_at),
+            raised: raised.map(|(size, sd)| state::size(size, sd)),
+            now: drift.map(|drift| state::size(drift.change_pct, drift.change_pct_sd)),
+            forecast: drift.and_then(state::forecast),
+            text: alarm.text.clone(),
+            throw: throw.map(|throw| page::throw_address(&alarm.machine, throw)),
+        }
+    }
+}

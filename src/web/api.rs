@@ -1,0 +1,75 @@
+//! `/api/v1/…`: what the pages show, as JSON, for reading only.
+//!
+//! | address | answers with |
+//! |---|---|
+//! | `/api/v1/status` | the daemon: the same as `pointsd status --json` has for one daemon |
+//! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`, and `machines`: up to 100 with state, drifts now, last throw |
+//! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts`, `alarms` (open), `throws` (the newest 100), `commands` |
+//! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: the others by cause and site |
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use axum::{
+    extract::{Path, RawQuery, State, rejection::PathRejection},
+    http::{HeaderValue, header},
+    response::{IntoResponse, Response},
+};
+use serde_json::{Value, json};
+
+use super::{
+    fleet::Filters,
+    overview::{Web, selector},
+    page::{Failure, known_name},
+};
+use crate::{store::FleetQuery, wire};
+
+/// Throws of a machine in one answer.
+const THROWS: u32 = 100;
+/// Commands of operators in one answer.
+const COMMANDS: u32 = 100;
+
+fn answer(value: &Value) -> Response {
+    let kind = HeaderValue::from_static("application/json");
+    ([(header::CONTENT_TYPE, kind)], wire::json(value)).into_response()
+}
+
+pub(super) async fn status(State(web): State<Arc<Web>>) -> Response {
+    answer(&json!(web.view.report()))
+}
+
+pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
+    let query = FleetQuery { spark: 0, ..Filters::from_query(query.as_deref())?.query()? };
+    let itself = web.view.config().monitor.as_machine();
+    let _turn = web.turn().await?;
+    let reader = web.view.reader();
+    let tally = reader.tally(&query, &itself).await?;
+    let tally: BTreeMap<&str, u64> = tally.into_iter().map(|(state, count)| (state.as_str(), count)).collect();
+    Ok(answer(&json!({"tally": tally, "machines": reader.fleet(&query, &itself).await?})))
+}
+
+pub(super) async fn machine(
+    State(web): State<Arc<Web>>,
+    names: Result<Path<(String, String)>, PathRejection>,
+) -> Result<Response, Failure> {
+    let Path((site, machine)) = names?;
+    let machine = known_name(&site, &machine)?;
+    let _turn = web.turn().await?;
+    let reader = web.view.reader();
+    let throws = reader.newest_throws_of(&machine, THROWS).await?;
+    if throws.is_empty() {
+        return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));
+    }
+    let (state, drifts) = reader.state_of(&machine).await?;
+    Ok(answer(&json!({
+        "site": machine.site, "machine": machine.machine, "state": state, "drifts": drifts,
+        "alarms": reader.open_alarms(&selector(&machine)).await?,
+        "throws": throws, "commands": reader.commands_of(&machine, COMMANDS).await?,
+    })))
+}
+
+pub(super) async fn alarms(State(web): State<Arc<Web>>) -> Result<Response, Failure> {
+    let overview = web.overview().await?;
+    Ok(answer(&json!({
+        "faults": overview.faults, "fault_count": overview.fault_count, "common": overview.common,
+    })))
+}

@@ -1,0 +1,112 @@
+//! `POST /machines/{site}/{machine}/command`: an operator's command from the form on a machine's page.
+
+use std::{collections::HashMap, sync::Arc};
+
+use axum::{
+    body::Bytes,
+    extract::{Path, State, rejection::PathRejection},
+    http::{HeaderValue, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use jiff::{SignedDuration, Timestamp};
+
+use super::{
+    overview::Web,
+    page::{Failure, known_name},
+};
+use crate::{daemon::clock, diagnose::Command};
+
+/// Longest window that the form takes \[h\]; the daemon's settings may allow less.
+const LONGEST_HOURS: i64 = 24 * 3660;
+
+pub(super) async fn post(
+    State(web): State<Arc<Web>>,
+    names: Result<Path<(String, String)>, PathRejection>,
+    body: Bytes,
+) -> Result<Response, Failure> {
+    let Path((site, machine)) = names?;
+    let machine = known_name(&site, &machine)?;
+    let fields: HashMap<String, String> = form_urlencoded::parse(&body).into_owned().collect();
+    let config = web.view.config();
+    let token = fields.get("token").map(String::as_str).unwrap_or_default();
+    if !config.web.token.as_ref().is_some_and(|secret| secret.is(token)) {
+        tracing::warn!(%machine, "an operator's command from a page had a wrong token");
+        return Err(Failure::new(
+            StatusCode::FORBIDDEN,
+            "Nothing was done: the token is wrong. It is web.token of the configuration.",
+        ));
+    }
+    let command = command(&fields, clock::now()).map_err(Failure::bad_request)?;
+    let reply = web.view.carry_out(machine.clone(), command).await;
+    let reply = reply.map_err(|problem| Failure::new(StatusCode::SERVICE_UNAVAILABLE, sentence(&problem)))?;
+    if !reply.done {
+        return Err(Failure::new(StatusCode::CONFLICT, format!("Nothing was done: {}.", reply.text)));
+    }
+    web.forget().await;
+    let place = format!("/machines/{}/{}#commands", machine.site, machine.machine);
+    let place =
+        HeaderValue::from_str(&place).map_err(|_| Failure::bad_request("The name of the machine cannot be used."))?;
+    Ok((StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response())
+}
+
+fn sentence(problem: &str) -> String {
+    format!("{problem}.")
+}
+
+/// The command that the form's fields make.
+fn command(fields: &HashMap<String, String>, now: Timestamp) -> Result<Command, String> {
+    let text = |name: &str| fields.get(name).map(|text| text.trim().to_owned()).unwrap_or_default();
+    let by = text("by");
+    if by.is_empty() {
+        return Err("Who are you? The field for your name is empty.".to_owned());
+    }
+    let cause = || text("cause").parse().map_err(|_| "The form does not name the alarm.".to_owned());
+    let until = || {
+        let hours = text("hours").parse::<i64>().ok().filter(|hours| (1..=LONGEST_HOURS).contains(hours));
+        let hours = hours.ok_or("For how many hours? Write a whole number from 1.")?;
+        now.checked_add(SignedDuration::from_hours(hours)).map_err(|error| error.to_string())
+    };
+    let why =
+        || Some(text("why")).filter(|why| !why.is_empty()).ok_or("Why? The field for the reason is empty.".to_owned());
+    Ok(match text("command").as_str() {
+        "ack" => Command::Ack { cause: cause()?, by },
+        "shelve" => Command::Shelve { cause: cause()?, until: until()?, by, why: why()? },
+        "unshelve" => Command::Unshelve { cause: cause()?, by },
+        "maintenance" => Command::MaintenanceStart { until: until()?, by, why: why()? },
+        "maintenance_end" => Command::MaintenanceEnd { by },
+        "rebaseline" => Command::Rebaseline { by, why: why()? },
+        _ => return Err("The form names no command.".to_owned()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::Cause;
+
+    fn made(form: &str) -> Result<Command, String> {
+        command(&form_urlencoded::parse(form.as_bytes()).into_owned().collect(), Timestamp::UNIX_EPOCH)
+    }
+
+    #[test]
+    fn a_form_makes_one_command_or_says_what_is_missing() {
+        let by = "A. Meyer".to_owned();
+        assert_eq!(
+            made("command=ack&cause=kt&by=A.+Meyer").unwrap(),
+            Command::Ack { cause: Cause::Kt, by: by.clone() }
+        );
+        let until = Timestamp::from_second(8 * 3600).unwrap();
+        let shelve = Command::Shelve { cause: Cause::Friction, until, by, why: "greased".to_owned() };
+        assert_eq!(made("command=shelve&cause=friction&by=A.+Meyer&hours=8&why=greased").unwrap(), shelve);
+        for (form, says) in [
+            ("command=ack&cause=kt", "Who are you?"),
+            ("command=ack&cause=magnet&by=x", "name the alarm"),
+            ("command=shelve&cause=kt&by=x&why=y&hours=0", "how many hours"),
+            ("command=shelve&cause=kt&by=x&why=y&hours=99999999999", "how many hours"),
+            ("command=maintenance&by=x&hours=8&why=+", "Why?"),
+            ("command=reboot&by=x", "no command"),
+        ] {
+            assert!(made(form).unwrap_err().contains(says), "{form}");
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! The state of a machine on a page: the contract's word, with a colour and a sign of its own.
+
+use crate::{
+    diagnose::{Cause, Drifting, MachineState, Severity},
+    wire::Alarm,
+};
+
+/// The states from the worst to the best.
+pub(super) const ALL: [MachineState; 6] = [
+    MachineState::Critical,
+    MachineState::NotMonitored,
+    MachineState::Warning,
+    MachineState::Maintenance,
+    MachineState::Learning,
+    MachineState::Healthy,
+];
+
+/// A state with its look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Badge(pub(super) MachineState);
+
+impl Badge {
+    /// The badge of one alarm.
+    pub(super) fn of(alarm: &Alarm) -> Self {
+        Self(match (alarm.cause, alarm.severity) {
+            (Cause::NotMonitored, _) => MachineState::NotMonitored,
+            (_, Severity::Critical) => MachineState::Critical,
+            (_, Severity::Warning) => MachineState::Warning,
+        })
+    }
+
+    /// The word, as in SQL but with spaces.
+    pub(super) fn word(self) -> String {
+        self.0.as_str().replace('_', " ")
+    }
+
+    /// The name in the style sheet and in addresses.
+    pub(super) fn class(self) -> &'static str {
+        self.0.as_str()
+    }
+
+    /// A sign that differs in shape, for readers who do not see the colour.
+    pub(super) const fn sign(self) -> &'static str {
+        match self.0 {
+            MachineState::Critical => "◆",
+            MachineState::NotMonitored => "?",
+            MachineState::Warning => "▲",
+            MachineState::Maintenance => "✕",
+            MachineState::Learning => "○",
+            MachineState::Healthy => "●",
+        }
+    }
+}
+
+/// "+57 % ± 3": a size with two standard deviations.
+pub(super) fn size(change_pct: f64, sd: f64) -> String {
+    format!("{} % ± {:.0}", signed(change_pct, 0), 2.0 * sd)
+}
+
+/// A number with its sign, a true minus, and no "−0".
+pub(super) fn signed(value: f64, decimals: usize) -> String {
+    let text = format!("{value:+.decimals$}");
+    if text.chars().all(|c| !c.is_ascii_digit() || c == '0') {
+        text.replace('-', "+")
+    } else {
+        text.replace('-', "−")
+    }
+}
+
+/// "critical in about 40 throws (30 to 60)".
+pub(super) fn forecast(drift: &Drifting) -> Option<String> {
+    let limit = drift.limit_in_throws?;
+    Some(format!("critical in about {:.0} throws ({:.0} to {:.0})", limit.mid, limit.low, limit.high))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_state_differs_in_word_sign_and_class() {
+        for (at, one) in ALL.map(Badge).into_iter().enumerate() {
+            for other in &ALL.map(Badge)[at + 1..] {
+                assert!(one.word() != other.word() && one.sign() != other.sign() && one.class() != other.class());
+            }
+        }
+    }
+
+    #[test]
+    fn a_number_has_a_true_sign() {
+        assert_eq!([signed(-0.04, 1), signed(3.26, 1), signed(-3.26, 1)], ["+0.0", "+3.3", "−3.3"]);
+        assert_eq!(size(57.2, 1.4), "+57 % ± 3");
+    }
+}

@@ -1,0 +1,137 @@
+//! The selector with which a daemon asks a logger for its backlog, and the page that answers it:
+//! `…/throw?after_boot=B;after_no=N;limit=K`.
+
+use std::fmt::Write as _;
+
+use crate::throw::ThrowRef;
+
+/// Most throws of one page, whatever the selector asks for.
+pub const MAX_PAGE: usize = 1_000;
+/// Characters of a `boot_id` that end a parameter, and the one that escapes them. Zenoh itself has no escape.
+const ESCAPED: [char; 7] = ['%', ';', '=', '&', '|', '?', '#'];
+
+/// A question for one page of a backlog.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BacklogQuery {
+    /// The page begins with the throw after this one; `None`: with the oldest that there is.
+    pub after: Option<ThrowRef>,
+    /// Most throws of the page.
+    pub limit: usize,
+}
+
+impl BacklogQuery {
+    /// The parameters of the selector, the part after `?`.
+    #[must_use]
+    pub fn parameters(&self) -> String {
+        match &self.after {
+            Some(after) => {
+                format!("after_boot={};after_no={};limit={}", escape(&after.boot_id), after.throw_no, self.limit)
+            }
+            None => format!("limit={}", self.limit),
+        }
+    }
+
+    /// Reads the parameters of a selector. What is missing or cannot be read counts as not given: a logger answers with the
+    /// oldest throws rather than not at all.
+    #[must_use]
+    pub fn parse(parameters: &str) -> Self {
+        let value = |name: &str| {
+            parameters.split(';').filter_map(|pair| pair.split_once('=')).find(|(key, _)| key.trim() == name)
+        };
+        let number = |name: &str| value(name).and_then(|(_, number)| number.trim().parse::<u64>().ok());
+        let after = value("after_boot")
+            .zip(number("after_no"))
+            .map(|((_, boot_id), throw_no)| ThrowRef { boot_id: unescape(boot_id), throw_no });
+        let limit = number("limit").and_then(|limit| usize::try_from(limit).ok()).unwrap_or(MAX_PAGE);
+        Self { after, limit: limit.clamp(1, MAX_PAGE) }
+    }
+
+    /// The index of the first throw of the page in a backlog: `kept` are its throws, oldest first.
+    ///
+    /// A boot that the backlog does not have, or that it has only later throws of, is answered from the first that follows.
+    #[must_use]
+    pub fn start<'a>(&self, kept: impl DoubleEndedIterator<Item = &'a ThrowRef> + ExactSizeIterator) -> usize {
+        let Some(after) = &self.after else { return 0 };
+        let mut last_of_boot = None;
+        for (at, throw) in kept.enumerate().rev() {
+            if throw.boot_id == after.boot_id {
+                if throw.throw_no <= after.throw_no {
+                    return at + 1;
+                }
+                last_of_boot = Some(at);
+            } else if last_of_boot.is_some() {
+                break;
+            }
+        }
+        last_of_boot.unwrap_or(0)
+    }
+}
+
+fn escape(boot_id: &str) -> String {
+    let mut escaped = String::with_capacity(boot_id.len());
+    for character in boot_id.chars() {
+        if ESCAPED.contains(&character) || character.is_control() {
+            let mut bytes = [0; 4];
+            for byte in character.encode_utf8(&mut bytes).bytes() {
+                let _ = write!(escaped, "%{byte:02X}");
+            }
+        } else {
+            escaped.push(character);
+        }
+    }
+    escaped
+}
+
+fn unescape(text: &str) -> String {
+    let mut bytes = Vec::with_capacity(text.len());
+    let mut rest = text.as_bytes();
+    while let Some((&first, after)) = rest.split_first() {
+        let code = after.get(..2).filter(|_| first == b'%').and_then(|code| std::str::from_utf8(code).ok());
+        if let Some(byte) = code.and_then(|code| u8::from_str_radix(code, 16).ok()) {
+            bytes.push(byte);
+            rest = &after[2..];
+        } else {
+            bytes.push(first);
+            rest = after;
+        }
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn throw(boot_id: &str, throw_no: u64) -> ThrowRef {
+        ThrowRef { boot_id: boot_id.to_owned(), throw_no }
+    }
+
+    #[test]
+    fn parameters_read_back_as_the_query_whatever_the_boot_id() {
+        for boot_id in ["7f3a", "2026-05-04T10:00:00Z/1", "a;b=c%d?e#f&g|h\n", "", "ü%41"] {
+            let query = BacklogQuery { after: Some(throw(boot_id, 41)), limit: 32 };
+            let parameters = query.parameters();
+            assert_eq!(BacklogQuery::parse(&parameters), query, "{parameters}");
+        }
+        let oldest = BacklogQuery { after: None, limit: 4 };
+        assert_eq!(oldest.parameters(), "limit=4");
+        assert_eq!(BacklogQuery::parse("limit=4"), oldest);
+        assert_eq!(BacklogQuery::parse("after_boot=b;limit=x"), BacklogQuery { after: None, limit: MAX_PAGE });
+        assert_eq!(BacklogQuery::parse("limit=0;_time=[now()]").limit, 1);
+    }
+
+    #[test]
+    fn a_page_starts_after_the_cursor_and_at_the_oldest_for_an_unknown_boot() {
+        let kept = [throw("a", 8), throw("a", 9), throw("b", 1), throw("b", 2), throw("b", 4)];
+        let start = |after: Option<ThrowRef>| BacklogQuery { after, limit: 9 }.start(kept.iter());
+        assert_eq!(start(None), 0);
+        assert_eq!(start(Some(throw("x", 3))), 0);
+        assert_eq!(start(Some(throw("a", 3))), 0);
+        assert_eq!(start(Some(throw("a", 8))), 1);
+        assert_eq!(start(Some(throw("a", 9))), 2);
+        assert_eq!(start(Some(throw("a", 12))), 2);
+        assert_eq!(start(Some(throw("b", 0))), 2);
+        assert_eq!(start(Some(throw("b", 3))), 4);
+        assert_eq!(start(Some(throw("b", 4))), 5);
+    }
+}

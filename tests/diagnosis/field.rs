@@ -1,0 +1,133 @@
+//! Machines in the field: a generator that shares no assumption with the diagnosis. Its scatter may have heavy tails and
+//! strong serial correlation, its weather has days, seasons and wet spells, and its faults come in shapes of their own.
+
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::{Matrix3, Vector3};
+use pointsd::{
+    diagnose::{MachineMonitor, Observation, Settings, Verdict},
+    estimate::{Features, Grade},
+    throw::{Direction, ThrowRef},
+};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use crate::fleet::{Nature, normal};
+
+/// How a machine in the field scatters.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Scatter {
+    /// Standard deviation of ln b0, ln a1, ln a0.
+    pub(crate) sd: [f64; 3],
+    /// Serial correlation from one throw of the machine to the next.
+    pub(crate) phi: f64,
+    /// Degrees of freedom of Student's t; `None`: Gauss.
+    pub(crate) tail: Option<u32>,
+}
+
+impl Scatter {
+    pub(crate) const USUAL: Self = Self { sd: [0.005, 0.03, 0.01], phi: 0.5, tail: None };
+}
+
+/// One machine.
+pub(crate) struct Machine {
+    pub(crate) rng: ChaCha8Rng,
+    pub(crate) throws: u64,
+    scatter: Scatter,
+    state: Vector3<f64>,
+    centre: [Vector3<f64>; 2],
+    root: Matrix3<f64>,
+    started_at: Timestamp,
+}
+
+impl Machine {
+    pub(crate) fn new(seed: u64, scatter: Scatter) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(0xf1e1d ^ seed.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        let centre = [(); 2].map(|()| {
+            Vector3::new(150.0_f64.ln(), 8.0_f64.ln(), 2.5_f64.ln()) + Vector3::from_fn(|_, _| 0.1 * normal(&mut rng))
+        });
+        let root = Nature::default().covariance().cholesky().unwrap().l();
+        let state = Vector3::from_fn(|i, _| scatter.sd[i] * normal(&mut rng));
+        let started_at = "2026-01-01T00:00:00Z".parse().unwrap();
+        Self { rng, throws: 0, scatter, state, centre, root, started_at }
+    }
+
+    /// A number with unit variance: Gauss or Student.
+    fn draw(&mut self) -> f64 {
+        let gauss = normal(&mut self.rng);
+        let Some(tail) = self.scatter.tail else { return gauss };
+        let square: f64 = (0..tail).map(|_| normal(&mut self.rng).powi(2)).sum();
+        let tail = f64::from(tail);
+        gauss / (square / tail).sqrt() * ((tail - 2.0) / tail).sqrt()
+    }
+
+    /// The direction of the next throw: 0 or 1.
+    pub(crate) fn side(&self) -> usize {
+        usize::from(self.throws % 2 == 1)
+    }
+
+    /// The next throw, one every 72 minutes, with `shift` added to ln b0, ln a1, ln a0.
+    pub(crate) fn throw(&mut self, shift: Vector3<f64>, temperature_c: Option<f64>) -> Observation {
+        let Scatter { sd, phi, .. } = self.scatter;
+        let fresh = (1.0 - phi * phi).sqrt();
+        self.state = Vector3::from_fn(|i, _| phi * self.state[i] + fresh * sd[i] * self.draw());
+        let error = self.root * Vector3::from_fn(|_, _| normal(&mut self.rng));
+        let side = self.side();
+        let estimate = (self.centre[side] + self.state + error + shift).map(f64::exp);
+        let scale = Matrix3::from_diagonal(&estimate);
+        self.throws += 1;
+        self.started_at += SignedDuration::from_mins(72);
+        let duration_s = 4.3 * (1.0 + 0.004 * normal(&mut self.rng));
+        Observation {
+            throw: ThrowRef { boot_id: "field".to_owned(), throw_no: self.throws },
+            started_at: self.started_at,
+            direction: Some(Direction::BOTH[side]),
+            estimate: Some((estimate.into(), scale * Nature::default().covariance() * scale)),
+            grade: Grade::Good,
+            ratios_only: false,
+            incomplete: false,
+            features: Features { duration_s: Some(duration_s), ..Features::default() },
+            temperature_c,
+        }
+    }
+
+    /// The next throw into a monitor.
+    pub(crate) fn feed(
+        &mut self,
+        monitor: &mut MachineMonitor,
+        shift: Vector3<f64>,
+        temperature_c: Option<f64>,
+        settings: &Settings,
+    ) -> Verdict {
+        monitor.observe(&self.throw(shift, temperature_c), settings)
+    }
+}
+
+/// What a kelvin does to ln b0, ln a1, ln a0 of a machine: magnets weaken, grease thins, rails lose their thrust.
+pub(crate) const PER_KELVIN: [f64; 3] = [-0.0015, -0.008, -0.001];
+
+/// A temperature over the throws of a life, 20 a day.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Climate {
+    /// Winter and summer mean \[°C\].
+    pub(crate) season_c: (f64, f64),
+    /// Throws of the winter, and throws from winter to summer.
+    pub(crate) change: (u64, u64),
+    /// Daily swing \[K\].
+    pub(crate) day_k: f64,
+}
+
+impl Climate {
+    pub(crate) fn celsius(&self, throw: u64) -> f64 {
+        let (from, over) = self.change;
+        let part = ((throw as f64 - from as f64) / (over as f64).max(1.0)).clamp(0.0, 1.0);
+        let (winter, summer) = self.season_c;
+        let day = (throw as f64 / 20.0 * std::f64::consts::TAU).sin();
+        winter + (summer - winter) * 0.5 * (1.0 - (std::f64::consts::PI * part).cos()) + self.day_k * day
+    }
+
+    /// What the temperature makes of the coefficients, beside its value.
+    pub(crate) fn effect(&self, throw: u64) -> (Vector3<f64>, f64) {
+        let celsius = self.celsius(throw);
+        (Vector3::from(PER_KELVIN) * (celsius - 10.0), celsius)
+    }
+}

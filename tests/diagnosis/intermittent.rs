@@ -1,0 +1,55 @@
+//! A fault that shows in every fifth or tenth throw only is found, named, and ends; healthy machines have none.
+
+use nalgebra::Vector3;
+use pointsd::diagnose::{AlarmState, Cause, MachineMonitor, Settings};
+
+use crate::{
+    field::{Machine, Scatter},
+    fleet::shift,
+};
+
+const LIVES: u64 = 20;
+
+#[test]
+fn every_fifth_throw_is_found_within_60_and_every_tenth_within_150() {
+    let settings = Settings::default();
+    let faults = [(Cause::Friction, 30.0), (Cause::Kt, -10.0), (Cause::Stiffness, 20.0), (Cause::Inertia, 10.0)];
+    for (every, within) in [(5, 60), (10, 150)] {
+        for (tail, least) in [(None, 20), (Some(3), 10)] {
+            for (cause, pct) in faults {
+                let mut found = 0;
+                for seed in 0..LIVES {
+                    let mut machine = Machine::new(60_000 + seed, Scatter { tail, ..Scatter::USUAL });
+                    let mut monitor = MachineMonitor::new("21B");
+                    for _ in 0..180 {
+                        machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
+                    }
+                    let first = (1..=within).find_map(|throw| {
+                        let fault = if throw % every == 0 { shift(cause, pct) } else { Vector3::zeros() };
+                        machine.feed(&mut monitor, fault, None, &settings).events.into_iter().next()
+                    });
+                    found += u32::from(first.as_ref().is_some_and(|event| event.cause == cause));
+                    if let Some(event) = first.filter(|_| every == 5 && tail.is_none()) {
+                        assert!(event.text.contains("1 in "), "{}", event.text);
+                    }
+                }
+                assert!(found >= least, "{cause}, every {every}th throw, tail {tail:?}: {found} of {LIVES}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_intermittent_fault_that_is_mended_clears() {
+    let settings = Settings::default();
+    let mut machine = Machine::new(61_000, Scatter::USUAL);
+    let mut monitor = MachineMonitor::new("21B");
+    let mut states = Vec::new();
+    for throw in 0..500 {
+        let fault = (200..280).contains(&throw) && throw % 5 == 0;
+        let fault = if fault { shift(Cause::Friction, 60.0) } else { Vector3::zeros() };
+        let verdict = machine.feed(&mut monitor, fault, None, &settings);
+        states.extend(verdict.events.into_iter().filter(|e| e.cause == Cause::Friction).map(|event| event.state));
+    }
+    assert_eq!(states, [AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged]);
+}

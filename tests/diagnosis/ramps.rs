@@ -1,0 +1,105 @@
+//! How large a drift is now, where it shows, and when it gets critical: what is said of them holds.
+
+use nalgebra::Vector3;
+use pointsd::{
+    diagnose::{AlarmState, Cause, Settings},
+    throw::Direction,
+};
+
+use crate::{
+    field::{Machine, Scatter},
+    fleet::shift,
+};
+
+const LIVES: u64 = 4;
+
+/// A ramp to `top` percent over `throws` throws, straight or accelerating; at `throw` its size in percent.
+fn ramp(top: f64, throws: u32, power: i32, throw: u32) -> f64 {
+    top * (f64::from(throw) / f64::from(throws)).min(1.0).powi(power)
+}
+
+/// A monitor that knows a healthy machine.
+fn known(seed: u64) -> (Machine, pointsd::diagnose::MachineMonitor) {
+    let mut machine = Machine::new(seed, Scatter::USUAL);
+    let mut monitor = pointsd::diagnose::MachineMonitor::new("21B");
+    for _ in 0..130 {
+        machine.feed(&mut monitor, Vector3::zeros(), None, &Settings::default());
+    }
+    (machine, monitor)
+}
+
+#[test]
+fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
+    let settings = Settings::default();
+    let (mut said, mut held, mut forecasts, mut reached) = (0_u32, 0_u32, 0_u32, 0_u32);
+    let (mut ramps, mut forecast) = (0_u32, 0_u32);
+    let parts = [(Cause::Friction, 60.0), (Cause::Kt, -20.0), (Cause::Stiffness, 40.0), (Cause::Inertia, 20.0)];
+    for (cause, top) in parts {
+        for (throws, power, seed) in [60, 150, 400].into_iter().flat_map(|throws| {
+            [1, 2].into_iter().flat_map(move |power| (0..LIVES).map(move |seed| (throws, power, seed)))
+        }) {
+            let (mut machine, mut monitor) = known(50_000 + seed);
+            let size = |throw| ramp(top, throws, power, throw);
+            let critical = settings.critical_factor * settings.limit_pct(cause).unwrap();
+            let critical_at = (1..=throws).find(|throw| size(*throw).abs() >= critical).unwrap();
+            let mut given = false;
+            for throw in 1..=throws {
+                let verdict = machine.feed(&mut monitor, shift(cause, size(throw)), None, &settings);
+                let active = |event: &&pointsd::diagnose::AlarmEvent| event.state == AlarmState::ActiveUnacknowledged;
+                let raised = verdict.events.iter().filter(active).find(|event| event.cause == cause);
+                let raised = raised.map(|event| (event.change_pct.unwrap(), event.change_pct_sd.unwrap()));
+                let now = verdict.drifts.iter().find(|drifting| drifting.cause == cause);
+                let tenth = now.filter(|_| throw % 10 == 0).map(|now| (now.change_pct, now.change_pct_sd));
+                for (change, sd) in raised.into_iter().chain(tenth) {
+                    said += 1;
+                    held += u32::from((change - size(throw)).abs() <= 1.96 * sd);
+                }
+                let ahead = now.and_then(|now| now.limit_in_throws).filter(|_| throw < critical_at);
+                if let Some(ahead) = ahead {
+                    given = true;
+                    forecasts += 1;
+                    let left = f64::from(critical_at - throw);
+                    reached += u32::from(ahead.low <= left && left <= ahead.high);
+                }
+            }
+            ramps += 1;
+            forecast += u32::from(given);
+        }
+    }
+    let share = |part: u32, of: u32| 100.0 * f64::from(part) / f64::from(of);
+    println!("size {:.1} % of {said}, forecasts {:.1} % of {forecasts}", share(held, said), share(reached, forecasts));
+    assert!((90.0..=98.5).contains(&share(held, said)), "the interval held {:.1} % of {said} sizes", share(held, said));
+    let within = share(reached, forecasts);
+    assert!((89.0..=100.0).contains(&within), "forecasts held {within:.1} % of {forecasts}");
+    assert!(share(forecast, ramps) >= 80.0, "a forecast in {forecast} of {ramps} ramps");
+}
+
+#[test]
+fn a_direction_is_told_when_both_have_six_throws_and_not_before() {
+    let settings = Settings::default();
+    let (mut right, mut lives) = (0, 0);
+    for (cause, pct) in [(Cause::Friction, 35.0), (Cause::Kt, -12.0), (Cause::Stiffness, 22.0), (Cause::Inertia, 12.0)]
+    {
+        for (seed, sides) in (0..30).zip([[true, true], [true, false], [false, true]].into_iter().cycle()) {
+            let (mut machine, mut monitor) = known(51_000 + seed);
+            for throw in 0..40 {
+                let fault = if sides[machine.side()] { shift(cause, pct) } else { Vector3::zeros() };
+                let verdict = machine.feed(&mut monitor, fault, None, &settings);
+                let Some(now) = verdict.drifts.iter().find(|now| now.cause == cause) else { continue };
+                let truth = match sides {
+                    [true, true] => None,
+                    [first, _] => Some(Direction::BOTH[usize::from(!first)]),
+                };
+                if throw < 8 {
+                    assert_eq!(now.direction, None, "{cause}, seed {seed}: told after {throw} throws");
+                } else if throw >= 14 {
+                    lives += 1;
+                    right += u32::from(now.direction == truth);
+                }
+            }
+        }
+    }
+    let share = 100.0 * f64::from(right) / f64::from(lives);
+    println!("direction right in {share:.1} % of {lives} throws");
+    assert!(share >= 95.0, "right in {share:.1} % of {lives}");
+}

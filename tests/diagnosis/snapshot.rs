@@ -1,0 +1,55 @@
+//! Snapshots that version 1 of the program wrote: a demo after its faults were alarmed, with one alarm acknowledged, one
+//! shelved, and one machine in maintenance without an end.
+
+use jiff::SignedDuration;
+use pointsd::{
+    diagnose::{AlarmState, Cause, Command, CommandError, MachineMonitor, MachineState, Settings},
+    throw::Direction,
+};
+
+const SNAPSHOTS: &str = include_str!("snapshots/version-1.ndjson");
+
+fn monitors() -> [MachineMonitor; 3] {
+    let all: Vec<_> = SNAPSHOTS.lines().map(|line| MachineMonitor::from_snapshot(line).unwrap()).collect();
+    all.try_into().unwrap()
+}
+
+#[test]
+fn a_snapshot_of_version_1_is_taken_over_with_baselines_alarms_and_their_states() {
+    let settings = Settings::default();
+    let by = || "B. Fitter".to_owned();
+    let [mut acknowledged, mut shelved, mut maintained] = monitors();
+    for monitor in [&acknowledged, &shelved, &maintained] {
+        for way in Direction::BOTH {
+            assert!(monitor.baseline(way).unwrap().complete);
+            assert!(monitor.throws_since_baseline(way) > 0);
+        }
+        let again = MachineMonitor::from_snapshot(&serde_json::to_string(monitor).unwrap()).unwrap();
+        assert_eq!(&again, monitor);
+    }
+    let states = [acknowledged.state(), shelved.state(), maintained.state()];
+    assert_eq!(states, [MachineState::Critical, MachineState::Critical, MachineState::Maintenance]);
+
+    let now = acknowledged.open_alarms()[0].event_at;
+    let twice = acknowledged.command(&Command::Ack { cause: Cause::Kt, by: by() }, now, &settings);
+    assert_eq!(twice, Err(CommandError::AlreadyAcknowledged { cause: Cause::Kt, by: "A.Fitter".to_owned() }));
+    assert_eq!(acknowledged.tick(now, &settings), []);
+
+    assert_eq!(shelved.tick(now + SignedDuration::from_hours(7), &settings), []);
+    let due = shelved.tick(now + SignedDuration::from_hours(9), &settings);
+    assert_eq!(due[0].state, AlarmState::ActiveUnacknowledged);
+
+    // A window without an end gets one with the first tick.
+    assert_eq!(maintained.tick(now, &settings), []);
+    let until = maintained.maintenance_until().unwrap();
+    assert_eq!(until, now + SignedDuration::from_hours(24 * i64::from(settings.longest_shelving_days)));
+    assert_eq!(maintained.tick(until, &settings)[0].state, AlarmState::ActiveUnacknowledged);
+    assert_eq!(maintained.state(), MachineState::Critical);
+}
+
+#[test]
+fn a_snapshot_of_a_newer_version_is_refused_by_its_number() {
+    let error = MachineMonitor::from_snapshot(r#"{"version": 99}"#).unwrap_err().to_string();
+    assert!(error.contains("99"), "{error}");
+    assert!(MachineMonitor::from_snapshot("[]").is_err());
+}

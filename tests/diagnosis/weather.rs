@@ -1,0 +1,94 @@
+//! Temperature: its effect is learned for life, and what it hides is said.
+
+use nalgebra::Vector3;
+use pointsd::diagnose::{AlarmEvent, Cause, MachineMonitor, MachineState, Settings, Severity, Verdict};
+
+use crate::{
+    field::{Climate, Machine, Scatter},
+    fleet::shift,
+};
+
+/// A baseline in winter, a change to summer over `over` throws, `held` throws there, then the fault. Gives the verdicts from
+/// the fault on, and the events before.
+fn summer(seed: u64, over: u64, held: u64, day_k: f64, fault: Vector3<f64>) -> (Vec<Verdict>, Vec<AlarmEvent>) {
+    let climate = Climate { season_c: (-10.0, 29.0), change: (100, over), day_k };
+    let mut machine = Machine::new(seed, Scatter::USUAL);
+    let mut monitor = MachineMonitor::new("21B");
+    let onset = 100 + over + held;
+    let (mut before, mut after) = (Vec::new(), Vec::new());
+    for throw in 0..onset + 24 {
+        let (effect, celsius) = climate.effect(throw);
+        let fault = if throw < onset { Vector3::zeros() } else { fault };
+        let verdict = machine.feed(&mut monitor, effect + fault, Some(celsius), &Settings::default());
+        if throw < onset { before.extend(verdict.events) } else { after.push(verdict) }
+    }
+    (after, before)
+}
+
+#[test]
+fn a_fault_in_summer_is_named_on_a_baseline_from_winter() {
+    const LIVES: u64 = 20;
+    for (cause, pct) in [(Cause::Friction, 30.0), (Cause::Kt, -10.0), (Cause::Stiffness, 20.0), (Cause::Inertia, 10.0)]
+    {
+        let mut named = 0;
+        for seed in 0..LIVES {
+            let day_k = [1.0, 2.0, 5.0][usize::try_from(seed % 3).unwrap()];
+            let (after, before) = summer(40_000 + seed, 600, 60, day_k, shift(cause, pct));
+            assert!(before.iter().all(|event| !event.cause.is_drift()), "{cause}, seed {seed}: {before:?}");
+            let first = after.iter().flat_map(|verdict| &verdict.events).find(|event| event.cause.is_drift());
+            named += usize::from(first.is_some_and(|event| event.cause == cause));
+        }
+        assert!(named >= 19, "{cause} named in {named} of {LIVES}");
+    }
+}
+
+#[test]
+fn what_an_unknown_effect_of_the_temperature_hides_is_said() {
+    for seed in 0..10 {
+        // Thirty throws after a jump to summer nothing is known of it yet.
+        let (after, before) = summer(41_000 + seed, 0, 30, 2.0, shift(Cause::Friction, 30.0));
+        let blind = after[0].blind.unwrap();
+        assert!(blind.below_pct > 5.0 && (blind.temperature_c - blind.baseline_c - 39.0).abs() < 6.0, "{blind:?}");
+        assert_eq!(after[0].state, MachineState::NotMonitored);
+        let said = before.iter().find(|event| event.cause == Cause::NotMonitored).unwrap();
+        assert!(said.text.contains("cannot be told from what the temperature does"), "{}", said.text);
+        let (after, _) = summer(41_000 + seed, 600, 200, 2.0, Vector3::zeros());
+        assert_eq!(after[23].blind, None);
+    }
+}
+
+#[test]
+fn a_failed_temperature_sensor_hides_nothing() {
+    for failed in [-242.0, -273.0, 850.0, 1e6, f64::NAN] {
+        let settings = Settings::default();
+        let mut machine = Machine::new(42_000, Scatter::USUAL);
+        let mut monitor = MachineMonitor::new("21B");
+        let mut throw = |monitor: &mut MachineMonitor, fault, celsius| {
+            machine.feed(monitor, fault, Some(celsius), &settings).events
+        };
+        for at in 0..140 {
+            assert_eq!(throw(&mut monitor, Vector3::zeros(), 12.0 + f64::from(at % 20)), []);
+        }
+        let events: Vec<_> = (0..20).flat_map(|_| throw(&mut monitor, shift(Cause::Kt, -15.0), failed)).collect();
+        let drift: Vec<Cause> = events.iter().map(|event| event.cause).filter(|cause| cause.is_drift()).collect();
+        assert_eq!(drift.first(), Some(&Cause::Kt), "{failed} °C");
+        let sensor = events.iter().find(|event| event.cause == Cause::Sensor);
+        assert_eq!(sensor.map(|event| event.severity), Some(Severity::Warning), "{failed} °C");
+    }
+}
+
+#[test]
+fn a_temperature_that_jumps_is_used_when_it_settled() {
+    use pointsd::diagnose::AlarmState::{ActiveUnacknowledged, ClearedUnacknowledged};
+
+    let settings = Settings::default();
+    let mut machine = Machine::new(43_000, Scatter::USUAL);
+    let mut monitor = MachineMonitor::new("21B");
+    let mut sensor = Vec::new();
+    for throw in 0..200 {
+        let celsius = if throw < 120 { 10.0 } else { 60.0 };
+        let verdict = machine.feed(&mut monitor, Vector3::zeros(), Some(celsius), &settings);
+        sensor.extend(verdict.events.into_iter().filter(|event| event.cause == Cause::Sensor).map(|event| event.state));
+    }
+    assert_eq!(sensor, [ActiveUnacknowledged, ClearedUnacknowledged]);
+}

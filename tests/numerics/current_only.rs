@@ -1,0 +1,74 @@
+//! Throws of machines without a toe sensor.
+
+use pointsd::estimate::{Features, Grade, Identification, Identifier, Settings};
+use pointsd::simulate::{Condition, Conditions, Parameters, Part, Sensors};
+use pointsd::throw::{Direction, Throw, Trace};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use super::identify::throw_with;
+
+/// A throw recorded with a current sensor only, at 110 V; `position` is what the logger sends instead of a toe position.
+fn identify(
+    machine: &Parameters,
+    direction: Direction,
+    rate_hz: f64,
+    position: f64,
+    supply_v: Option<f64>,
+) -> Identification {
+    let sensors = Sensors { sample_rate_hz: rate_hz, ..Sensors::default() };
+    let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
+    let recorded = sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(4)).unwrap().trace;
+    let (current, _) = recorded.into_channels();
+    let nothing = vec![position; current.len()];
+    let trace = Trace::new(rate_hz, current, nothing).unwrap();
+    let throw = Throw { direction: Some(direction), supply_v, ..throw_with(trace, None) };
+    Identifier::default().identify(&throw, &Settings { stroke_mm: Some(115.0), ..Settings::default() })
+}
+
+#[test]
+fn with_the_voltage_every_part_shows_in_the_current_alone() {
+    let machine = Parameters::default();
+    for direction in Direction::BOTH {
+        let coefficients = |machine: &Parameters| {
+            let estimate = identify(machine, direction, 1000.0, f64::NAN, Some(110.0)).outcome.unwrap();
+            assert_eq!(estimate.grade, Grade::CurrentOnly);
+            estimate.coefficients()
+        };
+        let new = coefficients(&machine);
+        let known = machine.coefficients().unwrap();
+        for (found, known) in new.iter().zip([known.b0, known.a1, known.a0]) {
+            assert!((found / known - 1.0).abs() < 0.04, "{direction}: {found} for {known}");
+        }
+        for (part, size_pct, expected) in [
+            (Part::Kt, -10.0, [-10.0, 0.0, 0.0]),
+            (Part::Friction, 30.0, [3.0, 34.0, 4.0]),
+            (Part::Stiffness, 15.0, [0.0, 0.0, 15.0]),
+            (Part::Inertia, 10.0, [-9.1; 3]),
+        ] {
+            let mut condition = Condition::default();
+            condition.worsen(part, size_pct);
+            let worn = coefficients(&machine.in_condition(&condition).unwrap());
+            for at in 0..3 {
+                let change = 100.0 * (worn[at] / new[at] - 1.0);
+                assert!((change - expected[at]).abs() < 2.0, "{direction}, {part:?}: coefficient {at} by {change} %");
+            }
+        }
+    }
+}
+
+#[test]
+fn without_the_voltage_or_at_a_low_rate_there_are_features() {
+    let machine = Parameters::default();
+    for (rate_hz, supply_v) in [(1000.0, None), (25.0, Some(110.0)), (25.0, None), (20_000.0, None)] {
+        // A logger without a toe sensor sends nothing, nulls or zeros.
+        for position in [f64::NAN, 0.0] {
+            let found = identify(&machine, Direction::NormalToReverse, rate_hz, position, supply_v);
+            assert_eq!(found.quality(), "current_only", "{rate_hz} Hz");
+            assert_eq!(found.direction, Some(Direction::NormalToReverse));
+            let Features { duration_s, running_current_a, energy_j, travel_mm, end_position_mm, .. } = found.features;
+            assert!((duration_s.unwrap() - 4.3).abs() < 0.1, "{rate_hz} Hz: {duration_s:?}");
+            assert!((running_current_a.unwrap() - 0.87).abs() < 0.02, "{rate_hz} Hz: {running_current_a:?}");
+            assert_eq!((energy_j.is_some(), travel_mm, end_position_mm), (supply_v.is_some(), None, None));
+        }
+    }
+}

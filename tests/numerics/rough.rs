@@ -1,0 +1,168 @@
+//! Throws whose start or course is not the model's, from a machine that shares nothing with the estimator or the simulated
+//! machine: a motor and a toe as two masses, in steps of 10 us, with what real drives and loggers do to them.
+
+use std::f64::consts::TAU;
+
+use pointsd::estimate::{Estimate, Grade, Identification, Identifier, Settings};
+use pointsd::simulate::{Parameters, RailModel, Rails, Sensors};
+use pointsd::throw::{Direction, Trace};
+use rand::RngExt;
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+use rand_distr::StandardNormal;
+
+use super::identify::{simulated, throw_with};
+
+/// Step of the integration and sampling interval \[s\].
+const STEP_S: f64 = 1e-5;
+const INTERVAL_S: f64 = 1e-3;
+const MM_PER_RADIAN: f64 = 10.0 / TAU;
+/// Torque and back-EMF per ampere and speed, on the screw; inertia of drive and toe, friction, stiffness.
+const TORQUE: f64 = 6.3864;
+const DRIVE_INERTIA: f64 = 0.0308;
+const TOE_INERTIA: f64 = 6e-4;
+const FRICTION: f64 = 0.185;
+const STIFFNESS: f64 = 0.049;
+
+#[derive(Clone, Copy, Default)]
+struct Drive {
+    /// Play between drive and toe, and between toe and sensor \[mm\].
+    lost_mm: f64,
+    play_mm: f64,
+    /// Time for which the brake holds after the motor is on \[s\].
+    brake_s: f64,
+    /// Low-pass of the position \[Hz\] and delay of the position behind the current \[s\].
+    lag_hz: f64,
+    skew_s: f64,
+    /// Hum of the mains on the current, amplitude \[A\].
+    hum_a: f64,
+    /// Samples lost from this one after the motor's start on.
+    lost_samples: Option<usize>,
+}
+
+impl Drive {
+    fn identify(self, seed: u64) -> Identification {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let (current, mut toe) = self.throw();
+        if self.lag_hz > 0.0 {
+            let keep = (-TAU * self.lag_hz * STEP_S).exp();
+            let mut state = 0.0;
+            for mm in &mut toe {
+                state = keep * state + (1.0 - keep) * *mm;
+                *mm = state;
+            }
+        }
+        let mut shown = 0.0_f64;
+        for mm in &mut toe {
+            shown = shown.clamp(*mm - self.play_mm, *mm);
+            *mm = shown;
+        }
+        let part = rng.random::<f64>() * INTERVAL_S;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index within the throw")]
+        let at = |grid: &[f64], time_s: f64| grid[((time_s / STEP_S).max(0.0) as usize).min(grid.len() - 1)];
+        let (mut amperes, mut millimetres) = (Vec::new(), Vec::new());
+        for k in 0..200 + current.len() / 100 + 200 {
+            let time_s = k as f64 * INTERVAL_S - 0.2 + part;
+            let hum = self.hum_a * (TAU * 50.03 * time_s).sin();
+            amperes.push(at(&current, time_s) + hum + 0.02 * rng.sample::<f64, _>(StandardNormal));
+            millimetres.push(at(&toe, time_s - self.skew_s) + 0.02 * rng.sample::<f64, _>(StandardNormal));
+        }
+        if let Some(from) = self.lost_samples {
+            amperes.drain(200 + from..205 + from);
+            millimetres.drain(200 + from..205 + from);
+        }
+        let trace = Trace::new(1.0 / INTERVAL_S, amperes, millimetres).unwrap();
+        Identifier::default().identify(&throw_with(trace, None), &Settings::default())
+    }
+
+    /// True current \[A\] and toe position \[mm\] from the motor's start on.
+    fn throw(self) -> (Vec<f64>, Vec<f64>) {
+        let (mut amperes, mut on) = (0.0, true);
+        let ([mut drive, mut toe], [mut drive_speed, mut toe_speed]) = ([0.0; 2], [0.0; 2]);
+        let (mut current, mut position, mut rest) = (Vec::new(), Vec::new(), 0);
+        while rest < 25_000 {
+            current.push(amperes);
+            position.push(toe * MM_PER_RADIAN);
+            amperes += if on {
+                STEP_S / 0.02 * (110.0 - 4.0 * amperes - TORQUE * drive_speed)
+            } else {
+                -STEP_S / 1e-3 * amperes
+            };
+            let gap = self.lost_mm / MM_PER_RADIAN;
+            let stretch = drive - toe;
+            let free = (0.0..gap).contains(&stretch);
+            let pressed = if stretch > gap { stretch - gap } else { stretch };
+            let contact = if free { 0.0 } else { 6000.0 * pressed + 3.0 * (drive_speed - toe_speed) };
+            if position.len() as f64 * STEP_S > self.brake_s {
+                drive_speed += STEP_S / DRIVE_INERTIA * (TORQUE * amperes - 0.75 * FRICTION * drive_speed - contact);
+                drive += STEP_S * drive_speed;
+            }
+            toe_speed += STEP_S / TOE_INERTIA * (contact - 0.25 * FRICTION * toe_speed - STIFFNESS * toe);
+            toe += STEP_S * toe_speed;
+            on &= toe * MM_PER_RADIAN < 114.5;
+            if !on {
+                (drive_speed, toe_speed, rest) = (0.98 * drive_speed, 0.98 * toe_speed, rest + 1);
+            }
+        }
+        (current, position)
+    }
+}
+
+/// Whether both ratios are within 1.96 standard deviations of the truth and these are of use.
+fn holds(estimate: &Estimate) -> bool {
+    let truth = [FRICTION / TORQUE, STIFFNESS / TORQUE];
+    let (ratios, sd) = (estimate.ratios(), estimate.ratios_sd());
+    (0..2).all(|at| (ratios[at] - truth[at]).abs() < 1.96 * sd[at] && sd[at] < 0.02 * truth[at])
+}
+
+#[test]
+fn an_unusable_start_leaves_the_ratios() {
+    let cases = [
+        ("lost motion", Drive { lost_mm: 0.5, ..Drive::default() }),
+        ("play", Drive { play_mm: 0.2, ..Drive::default() }),
+        ("late brake", Drive { brake_s: 0.03, ..Drive::default() }),
+        ("lag", Drive { lag_hz: 20.0, ..Drive::default() }),
+        ("late position", Drive { skew_s: 0.005, ..Drive::default() }),
+        ("early position", Drive { skew_s: -0.005, ..Drive::default() }),
+        ("lost samples", Drive { lost_samples: Some(3), ..Drive::default() }),
+    ];
+    for (what, drive) in cases {
+        for seed in 0..4 {
+            let estimate = drive.identify(seed).outcome.unwrap_or_else(|reason| panic!("{what}: {reason}"));
+            assert!(estimate.grade == Grade::Rough && estimate.ratios_only, "{what}: {estimate:?}");
+            assert!(holds(&estimate), "{what}: {:?} ± {:?}", estimate.ratios(), estimate.ratios_sd());
+        }
+    }
+}
+
+#[test]
+fn mains_hum_and_a_plain_drive_are_good() {
+    for hum_a in [0.0, 0.07, 0.28] {
+        for seed in 0..4 {
+            let estimate = Drive { hum_a, ..Drive::default() }.identify(seed).outcome.unwrap();
+            let inertia = DRIVE_INERTIA + TOE_INERTIA;
+            assert!(estimate.grade == Grade::Good && holds(&estimate), "{hum_a} A: {estimate:?}");
+            assert!((estimate.b0 * inertia / TORQUE - 1.0).abs() < 0.02, "{hum_a} A: {estimate:?}");
+        }
+    }
+}
+
+#[test]
+fn dry_slide_chairs_are_friction_whatever_the_grade() {
+    for model in [RailModel::Beam, RailModel::Lumped] {
+        for drive_stiffness_n_m in [1e8, 5e6] {
+            let mut before = 0.0;
+            for slide_friction in [0.02, 0.1, 0.3, 0.5, 0.7] {
+                let rails = Rails { model, slide_friction, ..Rails::default() };
+                let machine = Parameters { rails, drive_stiffness_n_m, ..Parameters::default() };
+                let throw = simulated(&machine, &Sensors::default(), Direction::NormalToReverse, 3);
+                let estimate = Identifier::default().identify(&throw, &Settings::default()).outcome.unwrap();
+                let known = machine.coefficients().unwrap();
+                let [friction, stiffness] = estimate.ratios();
+                assert!((friction / (known.a1 / known.b0) - 1.0).abs() < 0.02, "{model:?}, {slide_friction}");
+                assert!((stiffness / (known.a0 / known.b0) - 1.0).abs() < 0.08, "{model:?}, {slide_friction}");
+                assert!(friction > 1.02 * before, "{model:?}, {slide_friction}");
+                before = friction;
+            }
+        }
+    }
+}

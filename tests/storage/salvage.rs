@@ -1,0 +1,144 @@
+//! What comes through when pages of the database are broken: baselines and open alarms first.
+
+use std::{fs, os::unix::fs::FileExt, path::Path};
+
+use pointsd::{
+    diagnose::AlarmState,
+    store::{Found, Judgement, MonitorRecord, Outcome, Salvaged, Selector, Store},
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+
+use crate::given::{alarm, at, event, judgement, machine, open, outcome, settings, spooled};
+
+const PAGE: u64 = 4096;
+const MACHINES: [&str; 10] = ["21B", "22", "23", "24", "25", "26", "27", "28", "29", "30"];
+const THROWS: u64 = 100;
+
+/// Ten machines with a monitor of usual size each, an open alarm each, and 100 judged throws each; stopped cleanly.
+async fn database(folder: &Path) {
+    let store = open(folder).await.store;
+    for name in MACHINES {
+        for throw_no in 1..=THROWS {
+            let row = spooled(&store, name, "b1", throw_no).await;
+            let snapshot = format!("{{\"events\":{:?}}}", "x".repeat(9_000));
+            let monitor = MonitorRecord { snapshot, ..alarm(1, AlarmState::ActiveUnacknowledged).monitor.unwrap() };
+            let events = if throw_no == 80 { vec![event(1, AlarmState::ActiveUnacknowledged)] } else { Vec::new() };
+            let outcome = Outcome { monitor: Some(monitor), ..outcome(name, events) };
+            assert!(store.judge(Judgement { outcome, ..judgement(row, name) }).await.unwrap());
+        }
+    }
+    store.close().await.unwrap();
+    // The stop was none: the next start checks the whole file.
+    let options = SqliteConnectOptions::new().filename(folder.join("points.db"));
+    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
+    sqlx::query("UPDATE shutdown SET clean = 0").execute(&mut connection).await.unwrap();
+    connection.close().await.unwrap();
+}
+
+/// Overwrites so many pages at random, but never the first.
+fn break_pages(file: &Path, number: u64, seed: u64) {
+    let file = fs::OpenOptions::new().write(true).open(file).unwrap();
+    let pages = file.metadata().unwrap().len() / PAGE;
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    for _ in 0..number {
+        let garbage: Vec<u8> = (0..PAGE).map(|_| random.random()).collect();
+        file.write_all_at(&garbage, random.random_range(1..pages) * PAGE).unwrap();
+    }
+}
+
+async fn salvaged(folder: &Path) -> (Store, Salvaged) {
+    let opened = Store::open(&settings(folder), at(0)).await.unwrap();
+    let Found::SetAside { salvaged, .. } = opened.report.found else { panic!("{:?}", opened.report) };
+    (opened.store, salvaged)
+}
+
+#[tokio::test]
+async fn what_can_be_read_of_a_broken_database_is_kept() {
+    let whole = tempfile::tempdir().unwrap();
+    database(whole.path()).await;
+    let all = THROWS * MACHINES.len() as u64;
+    let pages = fs::metadata(whole.path().join("points.db")).unwrap().len() / PAGE;
+    for (broken, seeds, least_machines, least_throws) in [(1, 10, 8.5, 0.85), (10, 5, 4.0, 0.4), (100, 2, 0.0, 0.0)] {
+        let (mut machines, mut alarms, mut throws, mut traces, mut no_schema) = (0, 0, 0, 0, 0);
+        for seed in 0..seeds {
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join("points.db");
+            fs::copy(whole.path().join("points.db"), &file).unwrap();
+            break_pages(&file, broken, seed);
+            if matches!(fs::read(&file), Ok(bytes) if bytes == fs::read(whole.path().join("points.db")).unwrap()) {
+                continue;
+            }
+            let opened = Store::open(&settings(folder.path()), at(0)).await.unwrap();
+            let Found::SetAside { salvaged, .. } = &opened.report.found else {
+                // The page was free, or held nothing that the check reads.
+                (machines, alarms, throws, traces) = (machines + 10, alarms + 10, throws + all, traces + all);
+                continue;
+            };
+            assert_eq!(
+                salvaged.saved("throw"),
+                opened.store.reader().throws(pointsd::store::ThrowRow::START, 10_000).await.unwrap().len() as u64
+            );
+            // The pages of the schema itself, about ten here: without them SQLite reads no table.
+            no_schema += u32::from(salvaged.saved("machine") == 0);
+            machines += salvaged.saved("monitor");
+            alarms += opened.store.reader().open_alarms(&Selector::default()).await.unwrap().len() as u64;
+            (throws, traces) = (throws + salvaged.saved("throw"), traces + salvaged.saved("trace"));
+            let (_, said) = opened.store.trouble().unwrap();
+            assert!(
+                said.contains("set aside") && (said.contains("baselines") || said.contains("nothing of it")),
+                "{said}"
+            );
+            opened.store.close().await.unwrap();
+        }
+        let mean = |count: u64| count as f64 / seeds as f64;
+        println!(
+            "{broken} of {pages} pages broken: of {} monitors {:.1}, of {} open alarms {:.1}, of {all} throws {:.0}, \
+             traces {:.0}; in {no_schema} of {seeds} files the schema was hit",
+            MACHINES.len(),
+            mean(machines),
+            MACHINES.len(),
+            mean(alarms),
+            mean(throws),
+            mean(traces)
+        );
+        assert!(mean(machines) >= least_machines && mean(throws) >= least_throws * all as f64);
+    }
+}
+
+#[tokio::test]
+async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    for throw_no in 1..=200 {
+        let row = spooled(&store, "21B", "b1", throw_no).await;
+        store.judge(judgement(row, "21B")).await.unwrap();
+    }
+    store.record(alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
+    let options = SqliteConnectOptions::new().filename(store.path()).read_only(true);
+    let mut outsider = SqliteConnection::connect_with(&options).await.unwrap();
+    let page: i64 = sqlx::query_scalar("SELECT max(pageno) FROM dbstat WHERE name = 'trace' AND pagetype = 'leaf'")
+        .fetch_one(&mut outsider)
+        .await
+        .unwrap();
+    outsider.close().await.unwrap();
+    store.close().await.unwrap();
+    let file = fs::OpenOptions::new().write(true).open(folder.path().join("points.db")).unwrap();
+    file.write_all_at(&[0x5a; 4096], (page.cast_unsigned() - 1) * PAGE).unwrap();
+    drop(file);
+
+    // Stopped cleanly, and found broken all the same.
+    let (store, salvaged) = salvaged(folder.path()).await;
+    assert_eq!((salvaged.saved("monitor"), salvaged.saved("alarm"), salvaged.saved("throw")), (1, 1, 200));
+    assert!(salvaged.lost("trace") > 0 && salvaged.saved("trace") > 150, "{salvaged:?}");
+    let reader = store.reader();
+    assert_eq!(
+        reader.open_alarms(&Selector::default()).await.unwrap()[0].event,
+        event(1, AlarmState::ActiveUnacknowledged)
+    );
+    assert_eq!(reader.monitors().await.unwrap()[0].machine, machine("21B"));
+    // A throw that was stored before is a repetition still.
+    let again = store.spool(&machine("21B"), &crate::given::throw("b1", 7), at(0)).await.unwrap();
+    assert_eq!(again, pointsd::store::Spooled::Duplicate);
+}
