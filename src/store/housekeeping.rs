@@ -1,9 +1,11 @@
 //! Keeping the database within its bounds, a little at a time.
 //!
 //! Traces go first, then throws with their estimates, closed alarms last; pending throws go only when nothing else is left.
-//! The machine that takes the most of the database loses its own history first: one that floods pushes out no other.
+//! The machine that has the most of what is too much loses its own history first: one that floods pushes out no other.
 //! Age counts only while the clock is known to be right: a clock that jumps ten years ahead must not empty the
 //! database. All is done in small transactions between those of the arriving throws.
+
+use std::collections::{BTreeMap, BinaryHeap};
 
 use jiff::{SignedDuration, Timestamp};
 use sqlx::SqliteConnection;
@@ -14,9 +16,6 @@ use super::{
 
 /// Rows that one transaction drops: some milliseconds of work.
 const BATCH: u64 = 256;
-/// Throws or traces of the largest machine that are dropped before the machines are compared again: in larger steps one of
-/// two equal machines loses nearly all of its history.
-const FAIR_BATCH: u64 = 16;
 /// Transactions of one call, so that it ends while throws arrive faster than rows are dropped.
 const ROUNDS: usize = 256;
 /// Pages given back to the disk in one transaction.
@@ -37,12 +36,19 @@ pub struct Housekeeping {
     pub messages: u64,
 }
 
+/// What is bounded, and so by what the machines are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Bound {
+    Rows,
+    Bytes,
+}
+
 /// One small transaction of clearing up.
 #[derive(Debug, Clone, Copy)]
 enum Drop {
-    Traces(u64),
+    Traces(Bound, u64),
     TracesBefore(i64),
-    Throws(u64),
+    Throws(Bound, u64),
     /// The size is bounded whatever arrives: a machine that sends more than can be judged loses its oldest throws.
     Pending,
     Alarms(u64),
@@ -54,14 +60,90 @@ impl Drop {
     /// The total in which it is counted.
     const fn counter(self) -> &'static str {
         match self {
-            Self::Traces(_) | Self::TracesBefore(_) => "dropped_traces",
-            Self::Throws(_) => "dropped_throws",
+            Self::Traces(..) | Self::TracesBefore(_) => "dropped_traces",
+            Self::Throws(..) => "dropped_throws",
             Self::Pending => "dropped_pending_throws",
             Self::Alarms(_) => "dropped_alarms",
             Self::Messages => "dropped_messages",
             Self::Pages => "returned_pages",
         }
     }
+
+    /// The rows to drop.
+    async fn choose(self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
+        match self {
+            Self::Traces(bound, rows) => {
+                let holdings = match bound {
+                    Bound::Rows => sql::TRACE_HOLDINGS,
+                    Bound::Bytes => sql::TRACE_BYTE_HOLDINGS,
+                };
+                oldest_of_largest(connection, holdings, sql::OLDEST_TRACES, rows).await
+            }
+            Self::Throws(bound, rows) => {
+                let holdings = match bound {
+                    Bound::Rows => sql::THROW_HOLDINGS,
+                    Bound::Bytes => sql::THROW_BYTE_HOLDINGS,
+                };
+                oldest_of_largest(connection, holdings, sql::OLDEST_THROWS, rows).await
+            }
+            Self::TracesBefore(at_us) => oldest(connection, sql::AGED_TRACES, BATCH, Some(at_us)).await,
+            Self::Pending => oldest(connection, sql::OLDEST_PENDING, BATCH, None).await,
+            Self::Alarms(rows) => oldest(connection, sql::OLDEST_ALARMS, rows, None).await,
+            Self::Messages => oldest(connection, sql::OLDEST_MESSAGES, BATCH, None).await,
+            Self::Pages => Ok(Vec::new()),
+        }
+    }
+}
+
+async fn oldest(
+    connection: &mut SqliteConnection,
+    choice: &'static str,
+    rows: u64,
+    argument: Option<i64>,
+) -> sqlx::Result<Vec<i64>> {
+    let chosen = sqlx::query_scalar(choice).bind(rows.cast_signed());
+    let chosen = if let Some(argument) = argument { chosen.bind(argument) } else { chosen };
+    chosen.fetch_all(connection).await
+}
+
+/// The oldest rows of the machines that have the most.
+async fn oldest_of_largest(
+    connection: &mut SqliteConnection,
+    holdings: &'static str,
+    choice: &'static str,
+    rows: u64,
+) -> sqlx::Result<Vec<i64>> {
+    let holdings: Vec<Holding> =
+        sqlx::query_as(holdings).bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
+    let mut chosen = Vec::new();
+    for (machine_row, rows) in shares(holdings, rows) {
+        chosen.extend(oldest(connection, choice, rows, Some(machine_row)).await?);
+    }
+    Ok(chosen)
+}
+
+/// What one machine has of what has to become less.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::FromRow)]
+struct Holding {
+    /// Rows or bytes.
+    size: i64,
+    machine_row: i64,
+    rows: i64,
+}
+
+/// How many rows each machine loses: every row is taken from the machine that has the most when its turn comes, so that
+/// equal machines lose equally and a small one nothing.
+fn shares(holdings: Vec<Holding>, rows: u64) -> BTreeMap<i64, u64> {
+    let mut largest_first = BinaryHeap::from(holdings);
+    let mut shares = BTreeMap::new();
+    for _ in 0..rows {
+        let Some(Holding { size, machine_row, rows }) = largest_first.pop() else { break };
+        *shares.entry(machine_row).or_default() += 1;
+        if rows > 1 {
+            largest_first.push(Holding { size: size - size / rows, machine_row, rows: rows - 1 });
+        }
+    }
+    shares
 }
 
 impl Write for Drop {
@@ -69,28 +151,25 @@ impl Write for Drop {
     type Output = u64;
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<u64> {
-        let (choice, limit, each): (_, _, &[&'static str]) = match *self {
-            Self::Traces(rows) => (sql::OLDEST_TRACES, rows, &[sql::DROP_TRACE, sql::TRACES_FROM]),
-            Self::TracesBefore(_) => (sql::AGED_TRACES, BATCH, &[sql::DROP_TRACE]),
-            Self::Throws(rows) => (sql::OLDEST_THROWS, rows, &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROW]),
-            Self::Pending => (sql::OLDEST_PENDING, BATCH, &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROW]),
-            Self::Alarms(rows) => (sql::OLDEST_ALARMS, rows, &[sql::DROP_ALARM]),
-            Self::Messages => (sql::OLDEST_MESSAGES, BATCH, &[sql::SENT]),
+        let each: &[&'static str] = match self {
+            Self::Traces(..) => &[sql::DROP_TRACE, sql::TRACES_FROM],
+            Self::TracesBefore(_) => &[sql::DROP_TRACE],
+            Self::Throws(..) | Self::Pending => &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROW],
+            Self::Alarms(_) => &[sql::DROP_ALARM],
+            Self::Messages => &[sql::SENT],
             Self::Pages => {
                 sqlx::query("PRAGMA incremental_vacuum(512)").execute(connection).await?;
                 return Ok(PAGES);
             }
         };
-        let chosen = sqlx::query_scalar(choice).bind(limit.cast_signed());
-        let chosen = if let Self::TracesBefore(at_us) = self { chosen.bind(at_us) } else { chosen };
-        let rows: Vec<i64> = chosen.fetch_all(&mut *connection).await?;
+        let rows = self.choose(connection).await?;
         for row in &rows {
             for statement in each {
                 sqlx::query(*statement).bind(row).execute(&mut *connection).await?;
             }
         }
         let dropped = rows.len() as u64;
-        if matches!(self, Self::Throws(_) | Self::Pending) {
+        if matches!(self, Self::Throws(..) | Self::Pending) {
             sqlx::query(sql::DROP_EMPTY_BOOTS).execute(&mut *connection).await?;
         }
         if dropped > 0 {
@@ -126,8 +205,8 @@ impl Store {
             let Some(drop) = self.excess(&figures, now, clock_trusted).await? else { break };
             let dropped = self.writer.write(drop).await?;
             match drop {
-                Drop::Traces(_) | Drop::TracesBefore(_) => done.traces += dropped,
-                Drop::Throws(_) => done.throws += dropped,
+                Drop::Traces(..) | Drop::TracesBefore(_) => done.traces += dropped,
+                Drop::Throws(..) => done.throws += dropped,
                 Drop::Pending => {
                     done.throws += dropped;
                     self.disk.note_dropped_pending(dropped);
@@ -167,19 +246,19 @@ impl Store {
         let missing = (settings.low_disk_mib * MIB).saturating_sub(figures.room_bytes);
         let (too_large, no_room) = (excess > 0, missing > 0);
         if figures.traces > settings.max_traces {
-            return Ok(Some(Drop::Traces(FAIR_BATCH.min(figures.traces - settings.max_traces))));
+            return Ok(Some(Drop::Traces(Bound::Rows, BATCH.min(figures.traces - settings.max_traces))));
         }
-        if (too_large || no_room) && self.any(sql::OLDEST_TRACES).await? {
+        if (too_large || no_room) && self.largest_has(sql::OLDEST_TRACES).await? {
             // As many as it takes, by their mean size: a few of the largest may be enough.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);
-            return Ok(Some(Drop::Traces((excess.max(missing) / each + 1).min(BATCH))));
+            return Ok(Some(Drop::Traces(Bound::Bytes, (excess.max(missing) / each + 1).min(BATCH))));
         }
         if too_large {
-            let judged = self.any(sql::OLDEST_THROWS).await?;
-            return Ok(Some(if judged { Drop::Throws(BATCH) } else { Drop::Pending }));
+            let judged = self.largest_has(sql::OLDEST_THROWS).await?;
+            return Ok(Some(if judged { Drop::Throws(Bound::Bytes, BATCH) } else { Drop::Pending }));
         }
         if figures.throws > settings.max_throws {
-            return Ok(Some(Drop::Throws(FAIR_BATCH.min(figures.throws - settings.max_throws))));
+            return Ok(Some(Drop::Throws(Bound::Rows, BATCH.min(figures.throws - settings.max_throws))));
         }
         if figures.closed_alarms > settings.max_alarms {
             return Ok(Some(Drop::Alarms(BATCH.min(figures.closed_alarms - settings.max_alarms))));
@@ -199,9 +278,13 @@ impl Store {
         Ok(figure.cast_unsigned())
     }
 
-    async fn any(&self, choice: &'static str) -> Result<bool, StoreError> {
-        let rows = sqlx::query_scalar::<_, i64>(choice).bind(1);
-        Ok(!self.reader.limited(rows.fetch_all(&self.reader.pool())).await?.is_empty())
+    /// Whether the machine with the most bytes has rows of this choice.
+    async fn largest_has(&self, choice: &'static str) -> Result<bool, StoreError> {
+        let pool = self.reader.pool();
+        let largest = sqlx::query_scalar::<_, i64>(sql::LARGEST_MACHINE);
+        let Some(machine_row) = self.reader.limited(largest.fetch_optional(&pool)).await? else { return Ok(false) };
+        let row = sqlx::query_scalar::<_, i64>(choice).bind(1).bind(machine_row);
+        Ok(self.reader.limited(row.fetch_optional(&pool)).await?.is_some())
     }
 
     async fn oldest_trace_us(&self) -> Result<Option<i64>, StoreError> {

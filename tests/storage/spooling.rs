@@ -144,17 +144,21 @@ async fn the_cost_of_a_throw_does_not_grow_with_the_starts_of_its_logger() {
                 WITH RECURSIVE number (n) AS (SELECT 2 UNION ALL SELECT n + 1 FROM number WHERE n < 20000) \
                 SELECT 1, 'old ' || n, 0, 1, n * 1048576 FROM number";
     sqlx::query(many).execute(&mut connection).await.unwrap();
-    let mut seconds = Vec::new();
-    for machine in ["21B", "22A"] {
-        let start = tokio::time::Instant::now();
-        for number in 0..STARTS {
+    let mut seconds = [Vec::new(), Vec::new()];
+    for number in 0..STARTS {
+        // In turns, so that whatever else the computer does slows both.
+        for (machine, seconds) in ["21B", "22A"].into_iter().zip(&mut seconds) {
+            let start = tokio::time::Instant::now();
             spooled(&store, machine, &format!("new {number}"), 1).await;
+            seconds.push(start.elapsed().as_secs_f64());
         }
-        seconds.push(start.elapsed().as_secs_f64());
     }
-    println!("{STARTS} throws of new starts: {seconds:.2?} s after 20,000 starts, and after none");
-    // On an idle machine the ratio is 0.8; beside other tests it has exceeded 3.
-    assert!(seconds[0] < 6.0 * seconds[1], "{seconds:.2?}");
+    let [after_many, after_none] = seconds.map(|mut seconds| {
+        seconds.sort_by(f64::total_cmp);
+        seconds[seconds.len() / 2]
+    });
+    // A cost that grows with the starts makes it ten.
+    assert!(after_many < 3.0 * after_none, "{after_many} s after 20,000 starts, {after_none} s after none");
 }
 
 /// The throws that are judged next, while a backlog is waited for.
