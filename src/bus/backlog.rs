@@ -18,28 +18,29 @@ use zenoh::{
 use super::message::{Limits, Message};
 use crate::wire::BacklogQuery;
 
-/// Replies of one page are kept up to here \[bytes\], and the first in any case; the rest is asked for again.
+/// Largest page \[bytes\]. The first reply is kept at any size; replies beyond the limit are dropped and asked for
+/// again.
 const PAGE_BYTES: usize = 4 << 20;
-/// A page must come within this time. Zenoh gives up a link after 10 s of silence.
-const ANSWERED: Duration = Duration::from_secs(15);
+/// Time until a query for a page fails. Longer than the 10 s of silence after which zenoh closes a link.
+const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
 
-/// How a page ended.
+/// End of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ending {
-    /// All replies have come.
+    /// All replies arrived.
     Complete,
-    /// The time was up first, or something failed: more may be there.
+    /// A timeout or an error: the logger may have more throws.
     Broken,
 }
 
-/// What a logger answered.
+/// The replies of a logger to a query for a page.
 #[derive(Debug)]
 pub struct Page {
     /// The replies in the order of arrival.
     pub messages: Vec<Message>,
-    /// Replies that were ignored: on another key, or more than were asked for.
+    /// Number of ignored replies: on another key, or beyond the limit of the query.
     pub ignored: u64,
-    /// How it ended.
+    /// Whether the page is complete.
     pub ending: Ending,
 }
 
@@ -48,7 +49,7 @@ struct Collected {
     bytes: usize,
 }
 
-/// Asks for a page on the throw key of a machine. A logger that is not there answers with an empty page.
+/// Queries the throw key of a machine for a page. Without a logger the page is empty and complete.
 pub async fn page(session: &Session, key: &str, query: &BacklogQuery, limits: Limits) -> Page {
     let empty = Page { messages: Vec::new(), ignored: 0, ending: Ending::Complete };
     let collected = Arc::new(Mutex::new(Collected { page: empty, bytes: 0 }));
@@ -70,18 +71,18 @@ pub async fn page(session: &Session, key: &str, query: &BacklogQuery, limits: Li
             *bytes += message.memory();
             page.messages.push(message);
         } else {
-            // What follows a reply that was left out would look like a gap.
+            // After a dropped reply every later one is dropped too, as it would look like a gap.
             *bytes = PAGE_BYTES;
         }
     };
     let (session, selector) = (session.clone(), format!("{key}?{}", query.parameters()));
-    // Sending waits for a slow link.
+    // Sending blocks on a slow link.
     let sent = task::spawn_blocking(move || {
         let get = session.get(selector).target(QueryTarget::All).consolidation(ConsolidationMode::None);
-        get.timeout(ANSWERED).callback(on_reply).wait()
+        get.timeout(PAGE_TIMEOUT).callback(on_reply).wait()
     });
     let is_sent = matches!(sent.await, Ok(Ok(())));
-    let has_ended = is_sent && time::timeout(2 * ANSWERED, ended).await.is_ok();
+    let has_ended = is_sent && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
     let mut collected = collected.lock().unwrap_or_else(PoisonError::into_inner);
     let ending = if has_ended && !failed.load(Relaxed) { Ending::Complete } else { Ending::Broken };
     Page { messages: std::mem::take(&mut collected.page.messages), ignored: collected.page.ignored, ending }

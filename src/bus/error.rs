@@ -1,6 +1,6 @@
-//! What zenoh refuses.
+//! Errors of zenoh.
 
-/// What zenoh refused.
+/// An action that zenoh refused, and its error.
 #[derive(Debug, thiserror::Error)]
 #[error("zenoh: cannot {action}: {source}")]
 pub struct BusError {

@@ -1,4 +1,4 @@
-//! Live throws, in a bounded queue.
+//! The inbox: the subscription to live throws and its bounded queue.
 
 use std::sync::{
     Arc,
@@ -15,29 +15,30 @@ use zenoh::{
 use super::{
     error::BusError,
     message::{Limits, Message},
-    room::{self, Room},
+    queue_budget::{MAX_MESSAGES, QueueBudget},
 };
 
-/// Payloads of one batch: what is decoded takes up to four times as much \[bytes\].
+/// Largest batch \[bytes of payload\]; decoded throws take up to four times as much memory.
 const BATCH_BYTES: usize = 8 << 20;
-/// Keys of dropped messages that wait for the backlog to be asked. Beyond that the next throw of a machine shows the gap.
+/// Capacity of the queue of keys of dropped messages. A key that does not fit is not needed: the next throw of its
+/// machine shows the gap.
 const DROPPED_KEYS: usize = 1_024;
 
-/// Counts that only grow, and the queue.
+/// Counters of the inbox since its start, and the budget of its queue.
 #[derive(Debug, Default)]
 pub struct InboxCounters {
-    /// Messages that arrived.
+    /// Messages received.
     pub received: AtomicU64,
-    /// Messages that were dropped because the queue was full, or their sender had more than its share of it.
+    /// Messages dropped because the queue was full or their key had used its share.
     pub dropped: AtomicU64,
-    room: Room,
+    budget: QueueBudget,
 }
 
 impl InboxCounters {
-    /// Memory that the queued messages take \[bytes\].
+    /// Memory of the queued messages \[bytes\].
     #[must_use]
     pub fn queued_bytes(&self) -> usize {
-        self.room.taken()
+        self.budget.reserved()
     }
 }
 
@@ -49,7 +50,7 @@ pub struct Inbox {
 }
 
 impl Inbox {
-    /// Subscribes to a key expression. The receiver gets the keys of messages that were dropped.
+    /// Subscribes to a key expression. The returned receiver gets the keys of dropped messages.
     ///
     /// # Errors
     /// When zenoh refuses the subscription.
@@ -58,7 +59,7 @@ impl Inbox {
         key_expression: &str,
         limits: Limits,
     ) -> Result<(Self, mpsc::Receiver<String>), BusError> {
-        let (sender, messages) = mpsc::channel(room::MESSAGES);
+        let (sender, messages) = mpsc::channel(MAX_MESSAGES);
         let (dropped, dropped_keys) = mpsc::channel(DROPPED_KEYS);
         let counters = Arc::<InboxCounters>::default();
         let callback = Callback { messages: sender, dropped, counters: Arc::clone(&counters), limits };
@@ -70,20 +71,20 @@ impl Inbox {
         Ok((Self { subscriber: Some(subscriber), messages, counters }, dropped_keys))
     }
 
-    /// The counts.
+    /// The counters, shared with the callback.
     #[must_use]
     pub fn counters(&self) -> Arc<InboxCounters> {
         Arc::clone(&self.counters)
     }
 
-    /// Waits for messages and moves up to `limit` of them into `batch`, fewer when they are large; returns how many. 0
-    /// after [`Self::close`], once the queue is empty. Cancel safe.
+    /// Waits for messages and moves up to `limit` of them into `batch`, fewer if they are large. Returns their number;
+    /// 0 after [`Self::close`] once the queue is empty. Cancel safe.
     pub async fn receive(&mut self, batch: &mut Vec<Message>, limit: usize) -> usize {
         let before = batch.len();
         let mut next = self.messages.recv().await;
         let mut bytes = 0;
         while let Some(message) = next {
-            self.counters.room.give_back(&message.key, message.memory());
+            self.counters.budget.release(&message.key, message.memory());
             bytes += message.memory();
             batch.push(message);
             let is_full = batch.len() - before >= limit || bytes >= BATCH_BYTES;
@@ -97,13 +98,13 @@ impl Inbox {
         if let Some(subscriber) = self.subscriber.take()
             && let Err(error) = subscriber.undeclare().await
         {
-            tracing::warn!(%error, "the subscription could not be ended in good order");
+            tracing::warn!(%error, "undeclaring the subscription failed");
         }
         self.messages.close();
     }
 }
 
-/// Runs in zenoh's threads: counts, copies, queues, returns.
+/// Runs in the threads of zenoh, so it never waits.
 struct Callback {
     messages: mpsc::Sender<Message>,
     dropped: mpsc::Sender<String>,
@@ -119,14 +120,14 @@ impl Callback {
         self.counters.received.fetch_add(1, Relaxed);
         let (key, content_type) = (sample.key_expr().as_str(), sample.encoding().to_string());
         let memory = self.limits.kept(sample.payload().len()) + key.len() + content_type.len();
-        if self.counters.room.take(key, memory) {
+        if self.counters.budget.reserve(key, memory) {
             if self.messages.try_send(Message::of(sample, self.limits)).is_ok() {
                 return;
             }
-            self.counters.room.give_back(key, memory);
+            self.counters.budget.release(key, memory);
         }
         self.counters.dropped.fetch_add(1, Relaxed);
-        // A full queue has the key already, or the next throw shows the gap.
+        // A key that does not fit is not needed, see [`DROPPED_KEYS`].
         let _ = self.dropped.try_send(key.to_owned());
     }
 }

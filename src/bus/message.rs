@@ -1,26 +1,26 @@
-//! A message as it arrived.
+//! A received message, and its size limits.
 
 use zenoh::sample::Sample;
 
-/// One message as it arrived, live or from a backlog.
+/// A received message, live or from a backlog.
 #[derive(Debug)]
 pub struct Message {
-    /// The key that it was published on.
+    /// Key of the publication.
     pub key: String,
-    /// Its content type; empty when the sender gave none.
+    /// Content type; empty if the sender gave none.
     pub content_type: String,
-    /// The payload; of one that is too large, only the beginning.
+    /// Payload; only the start of it if it is too large.
     pub payload: Vec<u8>,
-    /// The size of the whole payload \[bytes\].
+    /// Size of the whole payload \[bytes\].
     pub bytes: usize,
 }
 
-/// Capacity limits of what is received.
+/// Size limits of received payloads.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
-    /// Largest payload that is kept whole \[bytes\].
+    /// Largest accepted payload \[bytes\].
     pub max_payload_bytes: usize,
-    /// How much of a larger one is kept as a sample \[bytes\].
+    /// Bytes kept of a larger payload, for the quarantine.
     pub kept_of_larger_bytes: usize,
 }
 
@@ -31,7 +31,7 @@ impl Limits {
 }
 
 impl Message {
-    /// Memory that the message takes while it is queued \[bytes\].
+    /// Memory of the message in a queue \[bytes\].
     pub(super) fn memory(&self) -> usize {
         self.payload.len() + self.key.len() + self.content_type.len()
     }

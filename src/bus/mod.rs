@@ -1,7 +1,7 @@
 //! Zenoh sessions, publishers, subscribers and queries.
 //!
-//! A callback of zenoh does a bounded `try_send` and returns: a callback that waits would stall the whole link.
-//! Calls that may block inside zenoh run on threads of their own: a put waits for a slow link.
+//! A callback of zenoh only does a `try_send` to a bounded queue: waiting would stall the whole link. Puts and replies
+//! block on a slow link, so they run on their own threads.
 
 mod backlog;
 mod error;
@@ -11,14 +11,14 @@ mod operator;
 mod outlet;
 mod presence;
 mod queries;
-mod room;
+mod queue_budget;
 mod session;
 
 pub use backlog::{Ending, Page, page};
 pub use error::BusError;
 pub use inbox::{Inbox, InboxCounters};
 pub use message::{Limits, Message};
-pub use operator::{OperatorError, ask, command, is_running, is_watched, monitors};
+pub use operator::{OperatorError, ask, command, monitors, require_monitored, require_running};
 pub use outlet::{Outlet, OutletCounters, OutletEnd};
 pub use presence::{Audience, Presence, PresenceWatch};
 pub use queries::{Question, Questions, answer};

@@ -1,4 +1,4 @@
-//! What operators' programs ask of running daemons.
+//! Queries and commands from operators' programs to running daemons.
 
 use std::time::Duration;
 
@@ -14,64 +14,64 @@ use crate::{
     wire::{Commander, Kind, machine_key, monitor_alive_key},
 };
 
-/// Why there is no answer.
+/// A query or command without a usable answer.
 #[derive(Debug, thiserror::Error)]
 pub enum OperatorError {
-    /// The session does not do what it should.
+    /// Zenoh refused the query.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// Nobody is there.
+    /// No daemon runs behind the session.
     #[error(
         "no daemon answers: none is connected to this router. Is pointsd running, and does [zenoh] connect to the same router?"
     )]
     NoDaemon,
-    /// Daemons are there, and this is not for them.
+    /// Daemons run, and none of them accepts commands for the machine.
     #[error(
-        "no daemon serves {0}: is the name right, does a running pointsd's subscribe.key hold it, and may your certificate command it?"
+        "no daemon serves {0}: is the name right, does subscribe.key of a running pointsd include it, and may your certificate command it?"
     )]
     NotServed(String),
-    /// Daemons are there, and none of them has heard of the machine.
+    /// Daemons run, and none of them has a throw of the machine.
     #[error(
-        "no daemon knows {0}, which is not the same as no alarms: is the name right, has it sent a throw, and does a running \
-         pointsd's subscribe.key hold it?"
+        "no daemon knows {0}, which is not the same as no alarms: is the name right, has it sent a throw, and does \
+         subscribe.key of a running pointsd include it?"
     )]
     Unknown(String),
-    /// More than one daemon would carry the command out.
+    /// More than one daemon would apply the command.
     #[error(
-        "nothing was sent: several daemons serve {machine}: {daemons}. Each machine belongs to one daemon: mend subscribe.key, \
-         or connect to one that no router joins to the others"
+        "nothing was sent: several daemons serve {machine}: {daemons}. Each machine belongs to one daemon: correct \
+         subscribe.key, or connect to a daemon that no router joins to the others"
     )]
     Several {
         /// The machine.
         machine: String,
-        /// Their names.
+        /// Names and sessions of the daemons.
         daemons: String,
     },
-    /// The daemon that answers is not the one of the given configuration.
+    /// The daemon that answers is not the daemon of the given configuration.
     #[error(
         "nothing was sent: {found} answers there, and the configuration is that of {expected}. Is {expected} running?"
     )]
     AnotherDaemon {
-        /// Its name.
+        /// Name of the daemon that answers.
         found: String,
         /// The name in the configuration.
         expected: String,
     },
-    /// A daemon answers in a way that names nobody.
-    #[error("nothing was sent: a daemon that serves {0} does not say who it is; it may be an older version")]
+    /// A daemon answers without its name.
+    #[error("nothing was sent: a daemon that serves {0} does not give its name; it may be an older version")]
     Nameless(String),
-    /// The daemon went away between the question and the command.
-    #[error("the daemon {0} does not answer any more: look with pointsd alarms whether the command was carried out")]
+    /// The daemon stopped answering between the query and the command.
+    #[error("the daemon {0} stopped answering: check with pointsd alarms whether the command was applied")]
     Gone(String),
-    /// The daemon says no.
+    /// The daemon refused, with its reason.
     #[error("{0}")]
     Refused(String),
 }
 
-/// Replies of all daemons to a question on a selector: the keys and payloads.
+/// Queries all daemons; returns the keys and payloads of their replies.
 ///
 /// # Errors
-/// When nobody answers, or a daemon answers with an error.
+/// When zenoh refuses the query, or a daemon replies with an error.
 pub async fn ask(
     session: &Session,
     selector: &str,
@@ -102,11 +102,11 @@ pub async fn ask(
     Ok(messages)
 }
 
-/// Sends a command to the one daemon that serves a machine, and returns its reply. First the daemons that would carry
-/// the command out are asked who they are: nothing is sent when they are several, or another one than `expected`.
+/// Sends a command to the daemon that serves a machine, and returns its reply. First asks all daemons that would apply
+/// the command for their names; sends nothing unless there is exactly one, and it is `expected` if that is given.
 ///
 /// # Errors
-/// When none or several daemons serve the machine, or another one than expected; or when the daemon refuses.
+/// When no daemon, several daemons or an unexpected daemon serve the machine, or the daemon refuses.
 pub async fn command(
     session: &Session,
     machine: &MachineId,
@@ -135,10 +135,10 @@ pub async fn command(
     replies.into_iter().next().map(|(_, reply)| reply).ok_or_else(|| OperatorError::Gone(commander.monitor.clone()))
 }
 
-/// The names of the running daemons, as `{site}/{id}`. Tells a question that nobody answers from one with an empty answer.
+/// The names of the running daemons, as `{site}/{id}`, from their liveliness tokens.
 ///
 /// # Errors
-/// When zenoh refuses the question.
+/// When zenoh refuses the query.
 pub async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
     let keys = alive(session, "points/v1/*/monitor/*/alive").await?;
     let name = |key: &String| {
@@ -148,11 +148,11 @@ pub async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
     Ok(keys.iter().filter_map(name).collect())
 }
 
-/// Makes sure that the daemon of a configuration runs behind this session.
+/// Checks that the daemon `expected` runs behind this session.
 ///
 /// # Errors
-/// When no daemon runs there, or only others.
-pub async fn is_running(session: &Session, expected: &MachineId) -> Result<(), OperatorError> {
+/// When no daemon or only other daemons run there.
+pub async fn require_running(session: &Session, expected: &MachineId) -> Result<(), OperatorError> {
     let (found, expected) = (monitors(session).await?, expected.to_string());
     if found.contains(&expected) {
         Ok(())
@@ -163,12 +163,12 @@ pub async fn is_running(session: &Session, expected: &MachineId) -> Result<(), O
     }
 }
 
-/// Makes sure that an empty answer about alarms is none of silence: that daemons run and, where it is about one machine,
-/// that one of them knows it.
+/// Distinguishes "no alarms" from "no daemon monitors this": checks that a daemon runs and, for a given machine, that a
+/// daemon knows it.
 ///
 /// # Errors
-/// When no daemon is there, or none has heard of the machine.
-pub async fn is_watched(
+/// When no daemon runs, or none has a throw of the machine.
+pub async fn require_monitored(
     session: &Session,
     machine: Option<&MachineId>,
     timeout: Duration,
@@ -178,7 +178,7 @@ pub async fn is_watched(
     }
     let Some(machine) = machine else { return Ok(()) };
     let health = ask(session, &machine_key(machine, Kind::Health), None, timeout).await?;
-    // A daemon's own alarms stand under its own name.
+    // The machine may be the name of a daemon, for the alarms about the daemon itself.
     if health.is_empty() && alive(session, &monitor_alive_key(&machine.site, &machine.machine)).await?.is_empty() {
         return Err(OperatorError::Unknown(machine.to_string()));
     }

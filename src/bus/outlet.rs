@@ -1,4 +1,4 @@
-//! Publishes alarms and health from a thread of its own: a put waits inside zenoh while a link is slow.
+//! Publishes alarms and health from its own thread, as a put blocks on a slow link.
 
 use std::{
     convert::Infallible,
@@ -14,14 +14,14 @@ use zenoh::{Session, Wait, bytes::Encoding, qos::CongestionControl};
 
 use super::error::BusError;
 
-/// Messages that may wait for the thread: health of a burst of throws. Alarms wait for their answer and are few.
+/// Capacity of the queue: the health of a burst of throws. Alarms are few, and each waits for its result.
 const QUEUE: usize = 1_024;
-/// Counts that only grow.
+/// Counters since the start.
 #[derive(Debug, Default)]
 pub struct OutletCounters {
     /// Messages that zenoh accepted.
     pub published: AtomicU64,
-    /// Health messages that were dropped because the thread was busy. They stay in the database.
+    /// Health messages dropped because the queue was full. They are in the database.
     pub dropped: AtomicU64,
     /// Messages that zenoh refused.
     pub refused: AtomicU64,
@@ -32,7 +32,7 @@ enum Job {
     Health { key: String, payload: Vec<u8> },
 }
 
-/// A handle to the publishing thread. It ends when the last of these is dropped.
+/// Handle to the publishing thread, which ends when the last handle is dropped.
 #[derive(Clone)]
 pub struct Outlet {
     jobs: mpsc::Sender<Job>,
@@ -44,18 +44,19 @@ pub struct Outlet {
 pub struct OutletEnd(oneshot::Receiver<Infallible>);
 
 impl OutletEnd {
-    /// Waits until the thread has published what was handed to it and is gone.
+    /// Waits until the thread has published its queue and ended.
     pub async fn reached(self) {
-        // An error is all that can come: the thread drops its end and never sends.
+        // Always an error: the thread sends nothing, it only drops the sender.
         let _ = self.0.await;
     }
 }
 
 impl Outlet {
-    /// Starts the thread. The session may be closed after its end: zenoh panics in a put to a session that closes.
+    /// Starts the thread. Close the session only after [`OutletEnd::reached`]: a put to a closing session panics in
+    /// zenoh.
     ///
     /// # Errors
-    /// When the system gives no thread.
+    /// When the thread cannot be started.
     pub fn start(session: Session) -> std::io::Result<(Self, OutletEnd)> {
         let (jobs, inbox) = mpsc::channel(QUEUE);
         let (running, end) = oneshot::channel();
@@ -68,16 +69,16 @@ impl Outlet {
         Ok((Self { jobs, counters }, OutletEnd(end)))
     }
 
-    /// The counts.
+    /// The counters, shared with the thread.
     #[must_use]
     pub fn counters(&self) -> Arc<OutletCounters> {
         Arc::clone(&self.counters)
     }
 
-    /// Publishes an alarm event; returns once zenoh took it.
+    /// Publishes an alarm event; returns when zenoh has accepted it.
     ///
     /// # Errors
-    /// When zenoh refuses it, or the thread is gone.
+    /// When zenoh refuses the event, or the thread has ended.
     pub async fn alarm(&self, key: String, payload: Vec<u8>) -> Result<(), BusError> {
         let (done, answer) = oneshot::channel();
         let gone = || BusError::new("publish an alarm")("the publishing thread has ended".into());
@@ -85,14 +86,14 @@ impl Outlet {
         answer.await.map_err(|_| gone())?
     }
 
-    /// Publishes the health of a throw if the thread has room; otherwise counts it as dropped.
+    /// Queues the health of a throw; counts it as dropped if the queue is full.
     pub fn health(&self, key: String, payload: Vec<u8>) {
         if self.jobs.try_send(Job::Health { key, payload }).is_err() {
             self.counters.dropped.fetch_add(1, Relaxed);
         }
     }
 
-    /// Whether the thread is gone.
+    /// Whether the thread has ended.
     #[must_use]
     pub fn is_closed(&self) -> bool {
         self.jobs.is_closed()
@@ -103,10 +104,10 @@ fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, counters: &OutletCounte
     while let Some(job) = jobs.blocking_recv() {
         let is_published = match job {
             Job::Alarm { key, payload, done } => {
-                // Alarms wait for a slow link.
+                // An alarm blocks on a slow link, and is not dropped.
                 let result = put(session, key, payload, CongestionControl::Block);
                 let is_published = result.is_ok();
-                // The asker may have given up; the event is published all the same.
+                // Fails if the caller stopped waiting; the event is published anyway.
                 let _ = done.send(result);
                 is_published
             }

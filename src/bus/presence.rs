@@ -1,4 +1,4 @@
-//! Liveliness tokens of loggers, and whether a subscriber matches what is published.
+//! Liveliness tokens of loggers, and the presence of subscribers.
 
 use tokio::sync::mpsc;
 use zenoh::{
@@ -9,26 +9,26 @@ use zenoh::{
 
 use super::error::BusError;
 
-/// Capacity of the queue of changes: a cut link takes all tokens of a region away at once.
+/// Capacity of the queue of changes: a cut link removes all tokens of a region at once.
 const QUEUE: usize = 16_384;
 
-/// A liveliness token appeared or went.
+/// A change of a liveliness token.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Presence {
-    /// The key of its token.
+    /// Key of the token.
     pub key: String,
-    /// Whether the token is there.
+    /// Whether the token appeared; false if it went.
     pub alive: bool,
 }
 
-/// The subscription to tokens.
+/// A subscription to liveliness tokens.
 pub struct PresenceWatch {
     changes: mpsc::Receiver<Presence>,
     _subscriber: Subscriber<()>,
 }
 
 impl PresenceWatch {
-    /// Watches a key expression, beginning with the tokens that are there now.
+    /// Watches a key expression; the present tokens come first.
     ///
     /// # Errors
     /// When zenoh refuses the subscription.
@@ -41,7 +41,7 @@ impl PresenceWatch {
             .callback(move |sample: Sample| {
                 let presence = Presence { key: sample.key_expr().to_string(), alive: sample.kind() == SampleKind::Put };
                 if sender.try_send(presence).is_err() {
-                    tracing::warn!(key = %sample.key_expr(), "too many changes of liveliness at once: one is lost");
+                    tracing::warn!(key = %sample.key_expr(), "queue of liveliness changes full: change dropped");
                 }
             })
             .await
@@ -55,21 +55,21 @@ impl PresenceWatch {
     }
 }
 
-/// Subscribers to a key expression.
+/// The subscribers to a key expression, as seen by a publisher that publishes nothing.
 pub struct Audience(Publisher<'static>);
 
 impl Audience {
     /// Watches the subscribers to any key in the key expression.
     ///
     /// # Errors
-    /// When zenoh refuses it.
+    /// When zenoh refuses the publisher.
     pub async fn of(session: &Session, key_expression: &str) -> Result<Self, BusError> {
         let publisher = session.declare_publisher(key_expression.to_owned()).await;
         publisher.map(Self).map_err(BusError::new(format!("see the subscribers to {key_expression}")))
     }
 
-    /// Whether a subscriber is connected now.
-    pub async fn is_there(&self) -> bool {
+    /// Whether any subscriber is connected now.
+    pub async fn is_connected(&self) -> bool {
         self.0.matching_status().await.is_ok_and(|status| status.matching())
     }
 }

@@ -9,18 +9,19 @@ use zenoh::{
 
 use super::{error::BusError, session::intersect};
 
-/// Capacity of the queue: a dashboard asks a few times a second. A query above it gets no answer; its sender asks again.
+/// Capacity of the queue: a dashboard sends a few queries a second. A query to a full queue gets no reply; its sender
+/// retries.
 const QUEUE: usize = 64;
-/// Bytes of a payload that are read: commands are a few hundred bytes.
+/// Largest payload that is read \[bytes\]; commands have a few hundred.
 const MAX_PAYLOAD: usize = 64 << 10;
 
-/// One question.
+/// A received query.
 pub struct Question {
     query: Query,
 }
 
 impl Question {
-    /// The key expression asked about.
+    /// Key expression of the query.
     #[must_use]
     pub fn key(&self) -> &str {
         self.query.key_expr().as_str()
@@ -32,13 +33,13 @@ impl Question {
         self.query.parameters().as_str()
     }
 
-    /// A value among the parameters, as `?name=value`.
+    /// The value of a parameter, as in `?name=value`.
     #[must_use]
     pub fn parameter(&self, name: &str) -> Option<&str> {
         self.query.parameters().get(name)
     }
 
-    /// The payload, cut to what a command can hold.
+    /// The payload, cut to [`MAX_PAYLOAD`].
     #[must_use]
     pub fn payload(&self) -> Vec<u8> {
         let Some(payload) = self.query.payload() else { return Vec::new() };
@@ -50,14 +51,14 @@ impl Question {
         bytes
     }
 
-    /// Whether a key is among those asked about.
+    /// Whether the key expression of the query includes `key`.
     #[must_use]
     pub fn asks_about(&self, key: &str) -> bool {
         intersect(self.key(), key)
     }
 }
 
-/// A queryable and its queue.
+/// A queryable with a bounded queue of queries.
 pub struct Questions {
     waiting: mpsc::Receiver<Question>,
     _queryable: Queryable<()>,
@@ -74,7 +75,7 @@ impl Questions {
             .declare_queryable(key_expression.to_owned())
             .callback(move |query| {
                 if sender.try_send(Question { query }).is_err() {
-                    tracing::warn!("too many questions at once: one was not answered");
+                    tracing::warn!("queue of queries full: query not answered");
                 }
             })
             .await
@@ -82,14 +83,14 @@ impl Questions {
         Ok(Self { waiting, _queryable: queryable })
     }
 
-    /// The next question; `None` when the session is closed.
+    /// The next query; `None` when the session is closed.
     pub async fn next(&mut self) -> Option<Question> {
         self.waiting.recv().await
     }
 }
 
-/// Answers a question with JSON messages, each under its key, or with one error in plain words. On a thread that may
-/// wait, because a reply waits for a slow link.
+/// Replies to a query with JSON messages, each on its key, or with one error text. Runs on a blocking thread, as a
+/// reply blocks on a slow link.
 pub async fn answer(question: Question, replies: Result<Vec<(String, Vec<u8>)>, String>) {
     let sent = task::spawn_blocking(move || {
         let query = question.query;
@@ -97,18 +98,18 @@ pub async fn answer(question: Question, replies: Result<Vec<(String, Vec<u8>)>, 
             Ok(messages) => {
                 for (key, payload) in messages {
                     if let Err(error) = query.reply(key, payload).encoding(Encoding::APPLICATION_JSON).wait() {
-                        tracing::debug!(%error, "a reply was not taken");
+                        tracing::debug!(%error, "sending a reply failed");
                     }
                 }
             }
             Err(problem) => {
                 if let Err(error) = query.reply_err(problem).encoding(Encoding::TEXT_PLAIN).wait() {
-                    tracing::debug!(%error, "an error reply was not taken");
+                    tracing::debug!(%error, "sending an error reply failed");
                 }
             }
         }
     });
     if let Err(error) = sent.await {
-        tracing::error!(%error, "answering a question failed");
+        tracing::error!(%error, "answering a query failed");
     }
 }

@@ -1,10 +1,10 @@
-//! The zenoh session of this process.
+//! Functions of a zenoh session.
 
 use zenoh::{Config, Session, key_expr::keyexpr, liveliness::LivelinessToken};
 
 use super::error::BusError;
 
-/// Opens a session.
+/// Opens a zenoh session.
 ///
 /// # Errors
 /// When zenoh cannot listen or connect as configured.
@@ -12,7 +12,7 @@ pub async fn open(config: Config) -> Result<Session, BusError> {
     zenoh::open(config).await.map_err(BusError::new("open the session"))
 }
 
-/// Declares a liveliness token: it shows others that this program runs, until it is dropped or the link dies.
+/// Declares a liveliness token. Others see it until it is dropped or the link is closed.
 ///
 /// # Errors
 /// When zenoh refuses the key.
@@ -21,7 +21,7 @@ pub async fn declare_alive(session: &Session, key: &str) -> Result<LivelinessTok
     declared.map_err(BusError::new(format!("declare the liveliness token {key}")))
 }
 
-/// Whether two key expressions have a key in common; false when one of them is none.
+/// Whether two key expressions have a key in common; false if one of them is invalid.
 #[must_use]
 pub fn intersect(one: &str, other: &str) -> bool {
     match (keyexpr::new(one), keyexpr::new(other)) {
@@ -30,7 +30,7 @@ pub fn intersect(one: &str, other: &str) -> bool {
     }
 }
 
-/// Whether the session has a link to another one. A client without its router reaches nobody.
+/// Whether the session has a link to another session. A client without its router has none.
 pub async fn is_connected(session: &Session) -> bool {
     session.info().transports().await.next().is_some()
 }

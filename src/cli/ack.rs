@@ -1,4 +1,4 @@
-//! `pointsd ack`: somebody has seen an alarm.
+//! `pointsd ack`: acknowledges an alarm.
 
 use super::{
     Outcome,
@@ -6,15 +6,15 @@ use super::{
 };
 use crate::diagnose::Command;
 
-/// Acknowledges an open alarm: who and when are kept.
+/// Acknowledges an open alarm; the daemon stores the name and the time.
 ///
-/// Exit codes: 0 done; 1 the daemon says no; 69 no daemon answers.
+/// Exit codes: 0 done; 1 the daemon refused; 69 no daemon answers.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd ack north/21B friction --by 'A. Meyer'")]
 pub(super) struct Arguments {
     #[arg(value_name = "SITE/MACHINE")]
     machine: MachineArgument,
-    /// The alarm's cause, as `pointsd alarms` shows it.
+    /// Cause of the alarm, as `pointsd alarms` shows it.
     cause: CauseArgument,
     #[command(flatten)]
     sender: Sender,

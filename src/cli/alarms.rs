@@ -1,4 +1,4 @@
-//! `pointsd alarms`: the open alarms, or the history of their events.
+//! `pointsd alarms`: open alarms, or the history of alarm events.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use jiff::Timestamp;
 
 use super::{
     Exit, Failure, Outcome,
-    operator::{self, ANSWER_LIMIT, CauseArgument, Client, Connection, MachineArgument, Moment},
+    operator::{self, ANSWER_TIMEOUT, CauseArgument, Client, Connection, MachineArgument, Moment},
     output, runtime,
 };
 use crate::{
@@ -17,40 +17,41 @@ use crate::{
     wire::{self, Alarm, Health, Kind},
 };
 
-/// So many open alarms of a common cause are printed as one entry with their number.
-const MANY: usize = 5;
+/// Number of open alarms of one system-wide cause (not monitored, lost data) from which they are printed as one entry.
+const GROUP_SIZE: usize = 5;
 
-/// Shows the open alarms of all running daemons, the worst first; with --since or --limit the events of all alarms.
+/// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
+/// alarms.
 ///
-/// Exit codes: 0 shown; 1 with --check: an alarm is open; 69 no daemon answers, or none knows the machine.
+/// Exit codes: 0 shown; 1 with --check, if an alarm is open; 69 no daemon answers, or none knows the machine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01 --json\n  \
                         pointsd alarms --severity critical --check || mail -s 'points' duty@example.org")]
 pub(super) struct Arguments {
-    /// Only this machine.
+    /// Show only this machine.
     #[arg(value_name = "SITE/MACHINE")]
     machine: Option<MachineArgument>,
-    /// Only alarms of this cause.
+    /// Show only alarms with this cause.
     #[arg(long)]
     cause: Option<CauseArgument>,
-    /// Only alarms of this severity: warning or critical.
+    /// Show only alarms of this severity: warning or critical.
     #[arg(long, value_parser = severity)]
     severity: Option<Severity>,
-    /// Events from this time on: a date, or a time as 2026-05-04T06:00:00Z.
+    /// Show events from this time on: a date, or a time as 2026-05-04T06:00:00Z.
     #[arg(long, value_name = "TIME")]
     since: Option<Moment>,
-    /// At most so many events, the newest.
+    /// Show only the newest N events.
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
-    /// Print each alarm of a common cause on its own, however many there are.
+    /// Print every alarm, without summaries of alarms with the same cause.
     #[arg(long)]
     all: bool,
-    /// Exit with 1 when an alarm is open.
+    /// Exit with 1 if an alarm is open.
     #[arg(long, conflicts_with_all = ["since", "limit"])]
     check: bool,
     #[command(flatten)]
     connection: Connection,
-    /// Print the messages as JSON, one a line.
+    /// Print the messages as JSON, one on each line.
     #[arg(long)]
     json: bool,
 }
@@ -63,13 +64,13 @@ fn severity(word: &str) -> Result<Severity, String> {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(async {
         let Client { session, .. } = arguments.connection.open().await?;
-        let answer = bus::ask(&session, &selector(arguments), None, ANSWER_LIMIT).await;
-        let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, ANSWER_LIMIT).await;
-        let health = bus::ask(&session, "points/v1/*/*/health", None, ANSWER_LIMIT).await;
+        let answer = bus::ask(&session, &selector(arguments), None, ANSWER_TIMEOUT).await;
+        let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, ANSWER_TIMEOUT).await;
+        let health = bus::ask(&session, "points/v1/*/*/health", None, ANSWER_TIMEOUT).await;
         let watched = match &answer {
             Ok(replies) if replies.is_empty() => {
                 let machine = arguments.machine.as_ref().map(|MachineArgument(machine)| machine);
-                bus::is_watched(&session, machine, ANSWER_LIMIT).await
+                bus::require_monitored(&session, machine, ANSWER_TIMEOUT).await
             }
             _ => Ok(()),
         };
@@ -120,7 +121,7 @@ fn selector(arguments: &Arguments) -> String {
     if parameters.is_empty() { key } else { format!("{key}?{}", parameters.join(";")) }
 }
 
-/// Prints the open alarms: faults of machines first, with their size now, then what keeps machines from being monitored.
+/// Prints the open alarms: first faults of machines with their present size, then machines not monitored and lost data.
 pub(super) fn print_open(
     mut alarms: Vec<Alarm>,
     health: &[Health],
@@ -139,7 +140,7 @@ pub(super) fn print_open(
     }
     for alarm in &alarms {
         let group = &groups[&alarm.cause];
-        if all || !common(alarm) || group.len() < MANY {
+        if all || !common(alarm) || group.len() < GROUP_SIZE {
             print_alarm(alarm, health, windows)?;
         } else if std::ptr::eq(group[0], alarm) {
             print_group(group)?;
@@ -168,7 +169,7 @@ fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(
     indented(&alarm.text)
 }
 
-/// One entry for many alarms of a common cause.
+/// Prints many alarms of one cause as one entry.
 fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
     let Some(newest) = alarms.first() else { return Ok(()) };
     let mut sites: BTreeMap<&str, usize> = BTreeMap::new();
@@ -182,10 +183,10 @@ fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
     let (first, last) = (raised().min().unwrap_or(newest.raised_at), raised().max().unwrap_or(newest.raised_at));
     indented(&format!("raised {} to {}; by site: {}", time(first), time(last), sites.join(", ")))?;
     indented(&format!("for example: {}", newest.text))?;
-    indented("pointsd alarms --all lists each of them")
+    indented("pointsd alarms --all lists all of them")
 }
 
-/// One line an event, oldest first.
+/// Prints the events, oldest first.
 fn print_events(alarms: &[Alarm]) -> Result<(), Failure> {
     if alarms.is_empty() {
         return output::line("no alarms");
@@ -209,7 +210,7 @@ pub(super) fn time(at: Timestamp) -> impl std::fmt::Display {
     at.strftime("%Y-%m-%d %H:%M:%S UTC")
 }
 
-/// Prints a text below its heading, in lines that fit the terminal.
+/// Prints an indented text, wrapped to the width of the terminal.
 fn indented(text: &str) -> Result<(), Failure> {
     let width = usize::from(output::width());
     let mut line = String::new();

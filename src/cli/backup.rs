@@ -1,4 +1,4 @@
-//! `pointsd backup`: a consistent copy while the daemon runs.
+//! `pointsd backup`: a consistent copy of the database, also while the daemon runs.
 
 use std::{path::PathBuf, time::Duration};
 
@@ -12,13 +12,13 @@ use super::{
 };
 use crate::store::{Backup, StoreError};
 
-/// How often the progress is drawn anew.
+/// Time between two updates of the progress bar.
 const REDRAW: Duration = Duration::from_millis(100);
 
-/// Copy the database to a new file, while the daemon runs or not.
+/// Copies the database to a new file, also while the daemon runs.
 ///
-/// The copy is one consistent state, compact and checked; it appears under its name when it is complete. To restore
-/// it, stop the daemon, move the old database away together with its -wal and -shm files, and put the copy in place.
+/// The copy is one consistent state, compact and checked; FILE appears when it is complete. To restore it, stop the
+/// daemon, move the old database away together with its -wal and -shm files, and put the copy in its place.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example:\n  pointsd backup --config /etc/pointsd/pointsd.toml /mnt/usb/points-2026-03-01.db\n\n\
@@ -43,7 +43,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         Failure { exit, error: error.into() }
     };
     let backup = Backup::new(&from, &arguments.to).map_err(failure)?;
-    // Hidden by itself where standard error is no terminal.
+    // The bar is hidden if standard error is not a terminal.
     let bar = ProgressBar::new(backup.total_bytes()).with_style(style());
     let bytes = block_on(async {
         let copy = backup.run();

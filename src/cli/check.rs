@@ -1,17 +1,18 @@
-//! `pointsd check`: is this configuration right?
+//! `pointsd check`: checks a configuration.
 
 use std::path::PathBuf;
 
 use super::{Exit, Outcome, ResultExt, database, output};
 use crate::{daemon::config::Config, store};
 
-/// Checks a configuration: every key, type, range, path and the zenoh section, and that the database is no other program's.
+/// Checks a configuration: every key, type, range and path, the zenoh section, and that the database belongs to
+/// pointsd.
 ///
-/// Exit codes: 0 it can be used; 78 it cannot, and one line on stderr says file, line, key and why.
+/// Exit codes: 0 valid; 78 invalid, with file, line, key and reason in one line on stderr.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd check --config config/pointsd.toml")]
 pub(super) struct Arguments {
-    /// The configuration.
+    /// The configuration file.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
 }

@@ -1,4 +1,4 @@
-//! Which database a command is about.
+//! The option that selects the database of a command.
 
 use std::path::{Path, PathBuf};
 
@@ -8,22 +8,22 @@ use clap::Args;
 use super::{Exit, Failure, ResultExt};
 use crate::store;
 
-/// The configuration of the service, where its package puts it.
+/// Configuration of the installed service.
 const SERVICE: &str = "/etc/pointsd/pointsd.toml";
 
-/// Where the database is.
+/// The options for the path of the database.
 #[derive(Debug, Args)]
 pub(super) struct Location {
-    /// The database file. Without this and --config: points.db in this folder, else the one of the installed service.
+    /// The database file [default without --config: points.db in this folder, else that of the installed service].
     #[arg(long, value_name = "FILE", conflicts_with = "config")]
     database: Option<PathBuf>,
-    /// Take the path from this configuration.
+    /// The configuration file with the path of the database.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 }
 
 impl Location {
-    /// The database file: as given, as configured, the one in this folder, or that of the service; it is there.
+    /// The path of an existing database: from --database, from --config, in this folder, or of the installed service.
     pub(super) fn find(&self) -> Result<PathBuf, Failure> {
         let path = match (&self.database, &self.config) {
             (Some(path), _) => path.clone(),
@@ -45,7 +45,7 @@ impl Location {
     }
 }
 
-/// The key `path` of the section `[store]`.
+/// Reads only the key `path` of the section `[store]`, so that the rest of the configuration may be invalid.
 fn configured(config: &Path) -> Result<PathBuf, Failure> {
     let text = std::fs::read_to_string(config)
         .with_context(|| format!("cannot read {}", config.display()))
@@ -56,7 +56,7 @@ fn configured(config: &Path) -> Result<PathBuf, Failure> {
     Ok(path.map_or_else(|| store::Settings::default().path, PathBuf::from))
 }
 
-/// Runs one command's database work.
+/// Runs the database work of a command on a runtime of one thread.
 pub(super) fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()

@@ -1,4 +1,4 @@
-//! `pointsd evaluate`: how often the diagnosis is right, on simulated fleets.
+//! `pointsd evaluate`: scores the diagnosis on simulated fleets.
 
 use std::{
     fs,
@@ -20,11 +20,11 @@ use crate::{
     evaluate::{self, Amount, Depth, Plan, Report, Row, Tally},
 };
 
-/// Scores the diagnosis on simulated fleets: false alarms on healthy machines, and for every cause, shape, size and noise
-/// whether it was named right and after how many throws. Beside it the paper's bare rule and a CUSUM on the same throws.
+/// Scores the diagnosis on simulated fleets: false alarms on healthy machines; for every cause, shape, size and noise
+/// the share named right, and the delay in throws. Scores the paper's rule and a CUSUM on the same throws too.
 ///
-/// The same seed gives the same report, on any machine and with any number of threads. A full run takes several minutes;
-/// `--quick` seconds. Exit code 0: every goal was met; 1: some were not, each named on stderr.
+/// The same seed gives the same report, on any computer and with any number of threads. A full run takes several
+/// minutes, `--quick` takes seconds. Exit codes: 0 all goals met; 1 some goals not met, each named on stderr.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  pointsd evaluate --quick\n  pointsd evaluate --seed 7 --out delays.svg\n  pointsd \
@@ -34,31 +34,31 @@ pub(super) struct Arguments {
     /// Seed of the whole run.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// A first look: a tenth of everything.
+    /// Run a tenth of all lives.
     #[arg(long)]
     quick: bool,
-    /// Lives of each row at parameter depth.
+    /// Lives in each row, with simulated coefficients.
     #[arg(long, value_name = "N")]
     trials: Option<usize>,
-    /// Lives of each row of complete simulated throws.
+    /// Lives in each row, with completely simulated throws.
     #[arg(long, value_name = "N")]
     trace_trials: Option<usize>,
-    /// Healthy throws at parameter depth.
+    /// Healthy throws, with simulated coefficients.
     #[arg(long, value_name = "N")]
     healthy_throws: Option<usize>,
-    /// Healthy complete throws.
+    /// Healthy throws, completely simulated.
     #[arg(long, value_name = "N")]
     trace_healthy_throws: Option<usize>,
-    /// Lives for each serial correlation of the false-alarm budget's section.
+    /// Lives for each serial correlation in the section of the false-alarm budget.
     #[arg(long, value_name = "N")]
     budget_lives: Option<usize>,
-    /// Threads; all cores by default.
+    /// Number of threads [default: number of cores].
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
-    /// The report as JSON on stdout.
+    /// Print the report as JSON.
     #[arg(long)]
     json: bool,
-    /// A picture of delay and share named right against size: `.svg`, or `.html` for a page around it.
+    /// Write charts of delay and share named right over size to this file, `.svg` or `.html`.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
@@ -76,7 +76,6 @@ impl Arguments {
     }
 }
 
-/// Runs the command.
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let plan = Plan::new(arguments.seed, arguments.amount(), Settings::default());
     let threads = arguments.threads.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
@@ -91,12 +90,12 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     }
     let shortfalls = report.shortfalls();
     for shortfall in &shortfalls {
-        eprintln!("short of the goal: {shortfall}");
+        eprintln!("goal not met: {shortfall}");
     }
     Ok(if shortfalls.is_empty() { Exit::Ok } else { Exit::Negative })
 }
 
-/// Lives all lives on `threads` threads; outcomes in the order of the lives.
+/// Simulates all lives on `threads` threads; returns the outcomes in the order of the lives.
 fn live_all(plan: &Plan, threads: usize) -> Vec<evaluate::Outcome> {
     let progress = progress(plan.lives() as u64);
     let next = AtomicUsize::new(0);
@@ -165,7 +164,7 @@ fn tables(report: &Report) -> String {
     sections.join("\n\n")
 }
 
-/// A table whose first `texts` columns hold text, and the others numbers.
+/// A table with `texts` columns of text, followed by columns of numbers.
 fn table<const N: usize>(header: [&str; N], texts: usize) -> Table {
     let mut table = output::plain_table(header);
     for (at, column) in table.column_iter_mut().enumerate() {

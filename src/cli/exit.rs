@@ -1,50 +1,50 @@
-//! Exit codes, after BSD `sysexits.h` where it has a word for the case.
+//! Exit codes, those of BSD `sysexits.h` where it has one.
 
 use std::{io::Write as _, process::ExitCode};
 
-/// How a command ended. The numbers are a promise to scripts and to systemd.
+/// Exit code of a command. Scripts and systemd depend on the numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Exit {
-    /// It did what it was asked.
+    /// Success.
     Ok = 0,
-    /// It ran, and the answer is no: the throw was refused, a limit was not held.
+    /// The command ran, with a negative result: throw rejected, goal not met, command refused.
     Negative = 1,
     /// The command line is wrong (`EX_USAGE`).
     Usage = 64,
-    /// The input's content is wrong (`EX_DATAERR`).
+    /// The content of the input is invalid (`EX_DATAERR`).
     Data = 65,
     /// The input cannot be opened (`EX_NOINPUT`).
     NoInput = 66,
-    /// Something needed is not there: no daemon answers (`EX_UNAVAILABLE`).
+    /// A service is not available: no daemon answers (`EX_UNAVAILABLE`).
     Unavailable = 69,
-    /// A fault of the program: a task died (`EX_SOFTWARE`).
+    /// An internal error: a task ended unexpectedly (`EX_SOFTWARE`).
     Software = 70,
     /// An output cannot be created (`EX_CANTCREAT`).
     CannotCreate = 73,
     /// Reading or writing failed (`EX_IOERR`).
     Io = 74,
-    /// The configuration is wrong (`EX_CONFIG`).
+    /// The configuration is invalid (`EX_CONFIG`).
     Config = 78,
 }
 
-/// A command that failed: the code for programs, the error for people.
+/// A failed command: exit code and error text.
 #[derive(Debug)]
 pub struct Failure {
-    /// The process's exit code.
+    /// Exit code of the process.
     pub exit: Exit,
-    /// What went wrong and what to do.
+    /// The error: what happened, and what to do.
     pub error: anyhow::Error,
 }
 
-/// What a command returns.
+/// Result of a command.
 pub type Outcome = Result<Exit, Failure>;
 
-/// Gives an error its exit code.
+/// Adds an exit code to an error.
 pub trait ResultExt<T> {
-    /// Turns the error into a [`Failure`] with this code.
+    /// Turns an error into a [`Failure`] with the code `exit`.
     ///
     /// # Errors
-    /// The failure, when `self` is an error.
+    /// When `self` is an error.
     fn or_exit(self, exit: Exit) -> Result<T, Failure>;
 }
 
@@ -54,12 +54,11 @@ impl<T, E: Into<anyhow::Error>> ResultExt<T> for Result<T, E> {
     }
 }
 
-/// Prints a failure as one line on stderr and returns the process's exit code. A failure with [`Exit::Ok`] is silent:
-/// the reader of standard output has gone.
+/// Prints a failure as one line on stderr, and returns the exit code of the process. A failure with [`Exit::Ok`] is not
+/// printed: the reader of standard output closed the pipe.
 pub(super) fn finish(outcome: Outcome) -> ExitCode {
     let exit = outcome.unwrap_or_else(|failure| {
         if failure.exit != Exit::Ok {
-            // Nothing is left to do when stderr itself cannot be written to.
             let _ = writeln!(std::io::stderr(), "error: {}", sentence(&failure.error));
         }
         failure.exit
@@ -71,13 +70,13 @@ pub(super) fn finish(outcome: Outcome) -> ExitCode {
 pub(super) fn parse<C: clap::Parser>() -> Result<C, Exit> {
     C::try_parse().map_err(|error| {
         let exit = if error.use_stderr() { Exit::Usage } else { Exit::Ok };
-        // Nothing is left to do when the terminal itself cannot be written to.
+        // Ignored: a write error cannot be reported.
         let _ = error.print();
         exit
     })
 }
 
-/// The error with its causes in one line: no cause twice, and without places in the source code of libraries.
+/// The error with its causes in one line, without repeated causes and without source locations of libraries.
 fn sentence(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain().map(ToString::to_string) {

@@ -1,4 +1,4 @@
-//! `pointsd identify`: the estimator on one recorded trace.
+//! `pointsd identify`: runs the estimator on a recorded trace.
 
 use std::path::PathBuf;
 
@@ -12,13 +12,13 @@ use crate::{
     throw::{Direction, Throw, ThrowRef},
 };
 
-/// Identify b0, a1 and a0 from one recorded throw.
+/// Identifies b0, a1 and a0 from one recorded throw.
 ///
-/// FILE is CSV with the columns `time_s`, `current_a` and `position_mm` (any order, others are ignored). Uneven time stamps
-/// are resampled to an even grid; gaps are refused.
+/// FILE is CSV with the columns `time_s`, `current_a` and `position_mm` (in any order; other columns are ignored).
+/// Uneven samples are resampled to an even grid; a trace with a gap is rejected.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  pointsim throw --out throw.csv && pointsd identify throw.csv\n\n\
-    Exit codes: 0 accepted, 1 refused (the reason is printed), 65 the file is no recording, 66 it cannot be read.")]
+    Exit codes: 0 accepted, 1 rejected (the reason is printed), 65 the file is not a recording, 66 it cannot be read.")]
 pub(super) struct Arguments {
     /// The recorded trace.
     #[arg(value_name = "FILE.csv")]
@@ -32,7 +32,7 @@ pub(super) struct Arguments {
     /// Toe position at which the rails are unstressed [mm from normal].
     #[arg(long, default_value_t = Settings::default().neutral_mm, value_name = "MM", allow_negative_numbers = true)]
     neutral_mm: f64,
-    /// Nominal stroke in mm; without it only the trace itself tells an incomplete throw.
+    /// Nominal stroke in mm; without it an incomplete throw is detected from the trace alone.
     #[arg(long, value_name = "MM")]
     stroke_mm: Option<f64>,
     /// Supply voltage in V: adds energy, resistance and back-EMF, and with --stroke-mm identifies a throw without position.
@@ -41,7 +41,7 @@ pub(super) struct Arguments {
     /// Kind of motor.
     #[arg(long, default_value = "permanent-magnet")]
     motor: MotorArgument,
-    /// Cut-off of the anti-alias filter that both channels passed, in Hz.
+    /// Cut-off of the anti-alias filter of both channels, in Hz.
     #[arg(long, value_name = "HZ")]
     anti_alias_hz: Option<f64>,
     /// Standard deviation of the current sensor's noise in A, for traces without quiet samples.
@@ -50,7 +50,7 @@ pub(super) struct Arguments {
     /// Standard deviation of the position sensor's noise in mm, for traces without quiet samples.
     #[arg(long, default_value_t = Settings::default().position_noise_mm, value_name = "MM")]
     position_noise_mm: f64,
-    /// Refine the estimate with the prefilter that matches white sensor noise: half the scatter.
+    /// Refine the estimate with a prefilter for white sensor noise; halves the scatter.
     #[arg(long)]
     refined: bool,
 }
@@ -89,7 +89,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     match reason {
         None => Ok(Exit::Ok),
         Some(reason) => {
-            eprintln!("refused: {}: {reason}", arguments.file.display());
+            eprintln!("rejected: {}: {reason}", arguments.file.display());
             Ok(Exit::Negative)
         }
     }
@@ -113,7 +113,7 @@ impl Arguments {
     }
 }
 
-/// The rejection as a sentence, with the line of the file where one sample is to blame.
+/// The rejection as a sentence, with the line of the file if one sample is the reason.
 fn reason(rejection: &Rejection, lines: &[u64]) -> String {
     match rejection {
         Rejection::NotFinite { sample, .. } => {
@@ -165,7 +165,7 @@ fn text(found: &Identification, estimate: &Estimate) -> String {
     };
     let ([b0, a1, a0], [b0_sd, a1_sd, a0_sd]) = (estimate.coefficients(), estimate.sd());
     let coefficients = if estimate.ratios_only {
-        "rough: the start of the throw is unusable, only the ratios are known\n".to_owned()
+        "rough: the start of the throw is unusable, so only the ratios are given\n".to_owned()
     } else {
         row("b0", b0, b0_sd, "rad/s²/A") + &row("a1", a1, a1_sd, "1/s") + &row("a0", a0, a0_sd, "1/s²")
     };

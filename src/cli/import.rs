@@ -1,4 +1,4 @@
-//! `pointsd import`: recorded throws through the whole pipeline into the database.
+//! `pointsd import`: runs recorded throws through the whole pipeline into the database.
 
 use std::{
     fs,
@@ -23,30 +23,30 @@ use crate::{
     wire::{self, Encoding, Health},
 };
 
-/// Feeds recorded throws of one machine through spool, identification and diagnosis into the database, in the order
-/// of the command line. The daemon of that database must not run.
+/// Imports recorded throws of one machine: stores, identifies and diagnoses them in the order of the command line. The
+/// daemon of this database must not run.
 ///
-/// FILE is CSV with the columns of a recorded trace, one throw a file; or JSON as on zenoh, one throw a
-/// line or one a file. A throw that is in the database already changes nothing.
+/// FILE is CSV with the columns of a recorded trace (one throw in a file), or JSON as on zenoh (one throw on each line,
+/// or one in a file). A throw that the database has already is skipped.
 ///
-/// Exit codes: 0 imported; 65 a file's content is wrong; 66 a file cannot be read; 69 the daemon is running; 74 the
-/// database cannot be used; 78 the configuration is wrong. What came before a wrong file is imported.
+/// Exit codes: 0 imported; 65 the content of a file is invalid; 66 a file cannot be read; 69 the daemon is running; 74
+/// the database cannot be used; 78 the configuration is invalid. Files before an invalid one are imported.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd import --machine north/21B --config config/pointsd.toml throws/*.csv")]
 pub(super) struct Arguments {
-    /// Recorded throws.
+    /// Files with recorded throws.
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
-    /// Whose throws they are.
+    /// The machine that made the throws.
     #[arg(long, value_name = "SITE/MACHINE")]
     machine: MachineArgument,
-    /// The configuration; without it, the built-in defaults.
+    /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Time of the first throw in CSV, RFC 3339, each further one a minute later; without it, the files' own times.
+    /// Time of the throw in the first CSV file (RFC 3339), a minute more for each further file [default: file times].
     #[arg(long, value_name = "TIME")]
     started_at: Option<Timestamp>,
-    /// Print one JSON object a throw.
+    /// Print one JSON object for each throw.
     #[arg(long)]
     json: bool,
 }
@@ -125,7 +125,7 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path) -> Result<Throw, 
         Timestamp::try_from(modified.or_exit(Exit::NoInput)?).or_exit(Exit::Data)?
     };
     Ok(Throw {
-        // The content names the throw, so that the same file is the same throw however often it is imported.
+        // The identity depends only on the content, so that repeated imports of a file are duplicates.
         id: ThrowRef { boot_id: format!("import-{:08x}-{}", crc32fast::hash(&content), content.len()), throw_no: 1 },
         started_at,
         direction: None,

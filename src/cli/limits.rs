@@ -1,4 +1,4 @@
-//! `pointsim limits`: what the method can and cannot tell, from runs of the simulated machine through the estimator.
+//! `pointsim limits`: the limits of the method, from estimates of simulated throws.
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ use super::{Exit, Outcome, ResultExt, output};
 use crate::evaluate::limits::{Finding, NAMES, Row, Runs, run};
 use crate::report::{Panel, Sheet};
 
-/// Smallest error drawn on the logarithmic axis \[%\].
+/// Least error in the charts, whose axis is logarithmic \[%\].
 const LEAST_DRAWN_PCT: f64 = 0.01;
 
 /// The command line of `pointsim limits`.
@@ -18,18 +18,18 @@ const LEAST_DRAWN_PCT: f64 = 0.01;
   pointsim limits --out figures --seed 7 > limits.md
   pointsim limits --json --throws 500
 
-Exit codes: 0 all was run; 64 wrong command line; 70 a machine could not be simulated; 73 a figure cannot be written.")]
+Exit codes: 0 done; 64 wrong command line; 70 a machine could not be simulated; 73 a chart cannot be written.")]
 pub(super) struct Arguments {
-    /// Writes a figure of each finding into this directory, as SVG.
+    /// Write a chart of each finding into this directory, as SVG.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Noisy throws a row.
+    /// Noisy throws in each row.
     #[arg(long, default_value_t = 60, value_parser = clap::value_parser!(u16).range(4..=10_000))]
     throws: u16,
-    /// Random numbers of noise and loads.
+    /// Seed of noise and loads.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Prints the findings as JSON, with the errors of every throw.
+    /// Print the findings as JSON, with the errors of every throw.
     #[arg(long)]
     json: bool,
 }
@@ -77,7 +77,7 @@ fn refused(row: &Row) -> String {
     if refused == row.throws { format!("`{reason}`") } else { format!("{refused} of {}: `{reason}`", row.throws) }
 }
 
-/// Root mean square errors as bars, beside the line of 1 %.
+/// Root mean square errors as bars, with a line at 1 %.
 fn picture(finding: &Finding) -> Sheet {
     let mut panel = Panel::bars(finding.label, "root mean square [%]", NAMES).log_y().level(1.0, "1 %");
     for row in &finding.rows {

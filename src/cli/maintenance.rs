@@ -1,4 +1,4 @@
-//! `pointsd maintenance`: a machine goes out of service, or is back.
+//! `pointsd maintenance`: starts or ends the maintenance of a machine.
 
 use jiff::SignedDuration;
 
@@ -8,25 +8,25 @@ use super::{
 };
 use crate::diagnose::Command;
 
-/// Length of a maintenance window that the command line does not limit: one shift.
+/// Default length of a maintenance window: one shift.
 const SHIFT: SignedDuration = SignedDuration::from_hours(8);
 
-/// Takes a machine out of service: its throws are stored, but not diagnosed, and never enter a baseline. The window always
-/// ends, after 8 hours where neither --for nor --until says when.
+/// Takes a machine out of service: its throws are stored, but not diagnosed and not added to a baseline. The window
+/// ends at the given time, by default after 8 hours.
 ///
-/// Exit codes: 0 done; 1 the daemon says no; 64 an option is wrong; 69 no daemon answers.
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd maintenance north/21B --why 'new slide chairs' --for 3d\n  \
                         pointsd maintenance north/21B --end")]
 pub(super) struct Arguments {
     #[arg(value_name = "SITE/MACHINE")]
     machine: MachineArgument,
-    /// Why.
+    /// Reason for the maintenance.
     #[arg(long, value_name = "TEXT", required_unless_present = "end")]
     why: Option<String>,
     #[command(flatten)]
     end_at: End,
-    /// The machine is in service again.
+    /// End the maintenance now.
     #[arg(long, conflicts_with_all = ["why", "length", "until"])]
     end: bool,
     #[command(flatten)]

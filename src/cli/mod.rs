@@ -1,4 +1,5 @@
-//! The commands of `pointsd` and `pointsim`. One file a command; `pointsd.rs` and `pointsim.rs` hold the command lines.
+//! The commands of `pointsd` and `pointsim`. Each command has a file; `pointsd.rs` and `pointsim.rs` have the command
+//! lines.
 
 mod ack;
 mod alarms;
@@ -30,13 +31,13 @@ mod throw;
 
 pub use exit::{Exit, Failure, Outcome, ResultExt};
 
-/// Runs `pointsd` with the process's arguments and returns its exit code.
+/// Runs `pointsd` with the arguments of the process and returns the exit code.
 #[must_use]
 pub fn pointsd() -> std::process::ExitCode {
     exit::finish(pointsd::main())
 }
 
-/// Runs `pointsim` with the process's arguments and returns its exit code.
+/// Runs `pointsim` with the arguments of the process and returns the exit code.
 #[must_use]
 pub fn pointsim() -> std::process::ExitCode {
     exit::finish(pointsim::main())

@@ -1,4 +1,4 @@
-//! The operators' commands: how to reach a running daemon, arguments that several commands take, and how to send a command.
+//! Common parts of the operators' commands: the connection to a daemon, shared arguments, and sending a command.
 
 use std::{path::PathBuf, str::FromStr, time::Duration};
 
@@ -19,31 +19,32 @@ use crate::{
     wire::Reply,
 };
 
-/// Longest wait for an answer; longer than a daemon takes in the middle of a batch.
-pub(super) const ANSWER_LIMIT: Duration = Duration::from_secs(25);
-/// Longest wait for the router.
-const CONNECT_LIMIT_MS: u32 = 5_000;
+/// Time until a query fails; longer than a daemon needs for a batch of throws.
+pub(super) const ANSWER_TIMEOUT: Duration = Duration::from_secs(25);
+/// Time until a connection fails.
+const CONNECT_TIMEOUT_MS: u32 = 5_000;
 
-/// Where the daemon is.
+/// The options for the connection to a daemon.
 #[derive(Debug, clap::Args)]
 pub(super) struct Connection {
     /// Zenoh endpoint of the daemon or of its router [default without --config: tcp/127.0.0.1:7447].
     #[arg(long, value_name = "ENDPOINT")]
     connect: Option<String>,
-    /// The daemon's own configuration, or a file with a [zenoh] section for a client: endpoint and certificates come from it.
+    /// File with endpoint and certificates: the configuration of the daemon, or a file with a [zenoh] section for a
+    /// client.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 }
 
-/// A session to a daemon or its router.
+/// A session with a daemon or its router.
 pub(super) struct Client {
     pub(super) session: Session,
-    /// The daemon that the given configuration describes.
+    /// The daemon of the given configuration; `None` if none was given.
     pub(super) monitor: Option<MachineId>,
 }
 
 impl Connection {
-    /// Connects, or gives up after a few seconds.
+    /// Connects; fails after [`CONNECT_TIMEOUT_MS`].
     pub(super) async fn open(&self) -> Result<Client, Failure> {
         let document = self.config.as_deref().map(Document::read).transpose().or_exit(Exit::Config)?;
         let OperatorSession { zenoh: mut config, endpoints, monitor } =
@@ -54,20 +55,20 @@ impl Connection {
             let wrong = |error| Failure { exit: Exit::Usage, error: anyhow::anyhow!("{key} = {value}: {error}") };
             config.insert_json5(key, &value.to_string()).map_err(wrong)
         };
-        // Whatever the file is for, an operator is a client that does not wait for ever.
+        // The file may be that of a daemon; an operator's command is always a client with a short timeout.
         set("mode", "client".into())?;
         set("listen/endpoints", serde_json::json!([]))?;
-        set("connect/timeout_ms", CONNECT_LIMIT_MS.into())?;
+        set("connect/timeout_ms", CONNECT_TIMEOUT_MS.into())?;
         set("connect/exit_on_failure", true.into())?;
         let session = bus::open(config).await.map_err(|error| {
             let places = endpoints.join(" or ");
             let error = anyhow::anyhow!(
-                "nobody answers at {places}. Is pointsd running? Where is it: --connect tcp/HOST:7447 ({error})"
+                "no answer from {places}. Is pointsd running? Name its endpoint with --connect tcp/HOST:7447 ({error})"
             );
             Failure { exit: Exit::Unavailable, error }
         })?;
         if let Some(monitor) = &monitor
-            && let Err(error) = bus::is_running(&session, monitor).await
+            && let Err(error) = bus::require_running(&session, monitor).await
         {
             close(session).await;
             return Err(failure(error));
@@ -76,14 +77,14 @@ impl Connection {
     }
 }
 
-/// Closes a session. The end of the link closes one that cannot be closed in order.
+/// Closes a session. After an error the end of the process closes the link.
 pub(super) async fn close(session: Session) {
     if let Err(error) = session.close().await {
-        tracing::debug!(%error, "the session was not closed in good order");
+        tracing::debug!(%error, "closing the session failed");
     }
 }
 
-/// The exit code for an answer that did not come.
+/// Exit code and text of a failed query or command.
 pub(super) fn failure(error: OperatorError) -> Failure {
     let exit = match &error {
         OperatorError::Refused(_) => Exit::Negative,
@@ -120,7 +121,7 @@ impl FromStr for CauseArgument {
     }
 }
 
-/// A moment on the command line: a date (its beginning in UTC) or a time with its zone.
+/// A moment on the command line: a date (0:00 UTC) or a time with its zone.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Moment(pub(super) Timestamp);
 
@@ -129,7 +130,7 @@ impl FromStr for Moment {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let date = || text.parse::<Date>().ok()?.to_zoned(TimeZone::UTC).ok().map(|day| day.timestamp());
-        // A date and time without a zone would be a date to the parser of dates.
+        // `Date` would accept a date and time without a zone, and ignore the time.
         let date = if text.contains(['T', ' ', ':']) { None } else { date() };
         let wrong = || format!("{text:?} is neither a date, as 2026-05-04, nor a time, as 2026-05-04T06:00:00Z");
         date.or_else(|| text.parse().ok()).map(Self).ok_or_else(wrong)
@@ -147,38 +148,38 @@ impl FromStr for Length {
         let days = SpanRelativeTo::days_are_24_hours();
         let length = text.parse::<Span>().and_then(|span| span.to_duration(days));
         let length = length.ok().filter(SignedDuration::is_positive).map(Self);
-        length.ok_or_else(|| format!("{text:?} is no length of time, as 90m, 8h or 3d"))
+        length.ok_or_else(|| format!("{text:?} is not a length of time, as 90m, 8h or 3d"))
     }
 }
 
-/// When something that an operator begins ends by itself.
+/// The options for the end of a shelving or a maintenance.
 #[derive(Debug, clap::Args)]
 pub(super) struct End {
-    /// How long, as 90m, 8h, 3d or 2w.
+    /// Length, as 90m, 8h, 3d or 2w.
     #[arg(long = "for", value_name = "LENGTH", conflicts_with = "until")]
     length: Option<Length>,
-    /// Until when: a date, or a time as 2026-05-04T06:00:00Z.
+    /// End: a date, or a time as 2026-05-04T06:00:00Z.
     #[arg(long, value_name = "TIME")]
     until: Option<Moment>,
 }
 
 impl End {
-    /// The end; `default` after now where the command line names none.
+    /// The time of the end; `default` from now if the command line gives none.
     pub(super) fn at(&self, default: Option<SignedDuration>) -> Result<Timestamp, Failure> {
         let usage = |problem: &str| Failure { exit: Exit::Usage, error: anyhow::anyhow!(problem.to_owned()) };
         if let Some(Moment(until)) = self.until {
             return Ok(until);
         }
         let length = self.length.map(|Length(length)| length).or(default);
-        let length = length.ok_or_else(|| usage("until when? --for 8h, or --until 2026-05-04T06:00:00Z"))?;
+        let length = length.ok_or_else(|| usage("no end given: use --for 8h or --until 2026-05-04T06:00:00Z"))?;
         clock::now().checked_add(length).map_err(|_| usage("--for is too long"))
     }
 }
 
-/// Who sends a command, to where, and how the answer is printed: the same for every command that changes something.
+/// The options of commands that change something: name of the operator, connection, format of the answer.
 #[derive(Debug, clap::Args)]
 pub(super) struct Sender {
-    /// Who you are; it is kept with the alarm [default: your login name].
+    /// Your name, stored with the alarm [default: your login name].
     #[arg(long, value_name = "NAME")]
     by: Option<String>,
     #[command(flatten)]
@@ -189,18 +190,18 @@ pub(super) struct Sender {
 }
 
 impl Sender {
-    /// Who acts.
+    /// Name of the operator.
     pub(super) fn name(&self) -> Result<String, Failure> {
         let named = self.by.clone().or_else(|| std::env::var("USER").ok()).filter(|name| !name.trim().is_empty());
-        named.ok_or_else(|| Failure { exit: Exit::Usage, error: anyhow::anyhow!("who are you? --by NAME") })
+        named.ok_or_else(|| Failure { exit: Exit::Usage, error: anyhow::anyhow!("no name given: use --by NAME") })
     }
 
-    /// Sends a command to the daemon of a machine and prints what it says.
+    /// Sends a command to the daemon of a machine and prints the reply.
     pub(super) fn send(&self, machine: &MachineId, command: &Command) -> Outcome {
         runtime::block_on(async {
             let payload = serde_json::to_vec(command).or_exit(Exit::Software)?;
             let Client { session, monitor } = self.connection.open().await?;
-            let answer = bus::command(&session, machine, monitor.as_ref(), payload, ANSWER_LIMIT).await;
+            let answer = bus::command(&session, machine, monitor.as_ref(), payload, ANSWER_TIMEOUT).await;
             close(session).await;
             let answer = answer.map_err(failure)?;
             let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;

@@ -1,4 +1,4 @@
-//! Standard output. A reader that goes away, as in `pointsd status | head -1`, ends the command without an error.
+//! Standard output. A closed pipe, as in `pointsd status | head -1`, ends the command without an error.
 
 use std::{
     fmt::Display,
@@ -14,11 +14,11 @@ use serde::Serialize;
 use super::{Exit, Failure, ResultExt};
 use crate::report::Sheet;
 
-/// Width of a table in a pipe, and on a terminal that does not say its width \[columns\].
+/// Width of a table in a pipe or on a terminal of unknown width \[columns\].
 const WIDTH: u16 = 80;
 
-/// Prints a text and ends its line. Control characters in it came from outside, as in the name of an operator, and could
-/// command the terminal: they are shown as `\u{1b}`.
+/// Prints a line. Control characters are escaped (`\u{1b}`): received texts, such as the name of an operator, could
+/// contain commands to the terminal.
 pub(super) fn line(text: impl Display) -> Result<(), Failure> {
     let text = harmless(&text.to_string());
     let mut out = io::stdout().lock();
@@ -37,12 +37,12 @@ fn harmless(text: &str) -> String {
     harmless
 }
 
-/// Prints a value as JSON for people.
+/// Prints a value as indented JSON.
 pub(super) fn json(value: &impl Serialize) -> Result<(), Failure> {
     line(serde_json::to_string_pretty(value).context("cannot write JSON").or_exit(Exit::Software)?)
 }
 
-/// The failure of a write to standard output: silent success when the reader has gone.
+/// Result of a write to standard output; a closed pipe becomes a silent success.
 pub(super) fn written<T>(result: io::Result<T>) -> Result<T, Failure> {
     result.map_err(|error| {
         let exit = if error.kind() == io::ErrorKind::BrokenPipe { Exit::Ok } else { Exit::Io };
@@ -50,14 +50,14 @@ pub(super) fn written<T>(result: io::Result<T>) -> Result<T, Failure> {
     })
 }
 
-/// A table without lines, for numbers in columns.
+/// A table without borders.
 pub(super) fn plain_table<const N: usize>(header: [&str; N]) -> Table {
     let mut table = Table::new();
     table.load_style(presets::NOTHING).set_header(header);
     table
 }
 
-/// A table that fits the terminal.
+/// A table with borders, at most as wide as the terminal.
 pub(super) fn table<const N: usize>(header: [&str; N]) -> Table {
     let mut table = Table::new();
     table.load_style(presets::UTF8_FULL_CONDENSED).set_header(header);
@@ -65,14 +65,14 @@ pub(super) fn table<const N: usize>(header: [&str; N]) -> Table {
     table
 }
 
-/// Columns of the terminal, else of `COLUMNS`, else 80.
+/// Width of the terminal, or of `COLUMNS`, or 80 \[columns\].
 pub(super) fn width() -> u16 {
     let asked = || std::env::var("COLUMNS").ok()?.parse().ok().filter(|columns| *columns >= 20);
     let terminal = io::stdout().is_terminal().then(|| Table::new().width()).flatten();
     terminal.or_else(asked).unwrap_or(WIDTH)
 }
 
-/// Writes figures as SVG files into a folder, which is made where it is not there.
+/// Writes figures as SVG files into a folder, which is created if needed.
 pub(super) fn figures(folder: &Path, figures: impl IntoIterator<Item = (String, Sheet)>) -> Result<(), Failure> {
     let cannot = |path: &Path| format!("{} cannot be written", path.display());
     fs::create_dir_all(folder).with_context(|| cannot(folder)).or_exit(Exit::CannotCreate)?;

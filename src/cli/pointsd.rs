@@ -7,7 +7,7 @@ use super::{
     shelve, sql, status,
 };
 
-/// Condition monitoring of railway point machines: which part is wearing out, from the physics of every throw.
+/// Condition monitoring of railway point machines: identifies every throw and names the part that is wearing out.
 #[derive(Debug, Parser)]
 #[command(name = "pointsd", version)]
 struct Arguments {

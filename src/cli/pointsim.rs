@@ -4,7 +4,7 @@ use clap::{Parser, Subcommand};
 
 use super::{Outcome, exit};
 
-/// The simulated point machine: publishes throws, writes traces, repeats the study's tests.
+/// Simulated point machines: publishes throws, writes traces, repeats the tests of the study.
 #[derive(Debug, Parser)]
 #[command(name = "pointsim", version)]
 struct Arguments {
@@ -17,9 +17,9 @@ enum Command {
     Run(super::simulate_run::Arguments),
     /// Simulates one throw and writes its trace as CSV.
     Throw(super::throw::Arguments),
-    /// Repeats the study's 4 cases x 6 tests and prints and plots the result.
+    /// Repeats the study's 4 cases x 6 tests; prints and plots the results.
     Table1(super::table1::Arguments),
-    /// Shows what the method can and cannot tell: sampling, noise, soft drive, load, closed loop, as tables and pictures.
+    /// Shows the limits of the method: sampling, noise, soft drive, load, closed loop; as tables and charts.
     Limits(super::limits::Arguments),
 }
 

@@ -1,4 +1,4 @@
-//! `pointsd rebaseline`: what is normal has changed.
+//! `pointsd rebaseline`: starts a new baseline.
 
 use super::{
     Outcome,
@@ -6,16 +6,16 @@ use super::{
 };
 use crate::diagnose::Command;
 
-/// Takes the baseline of a machine again from its next throws, for example after maintenance. The old one stays in
-/// the history; drift alarms end.
+/// Starts a new baseline of a machine from its next throws, for example after maintenance. The old baseline stays in
+/// the history; drift alarms are cleared.
 ///
-/// Exit codes: 0 done; 1 the daemon says no; 69 no daemon answers.
+/// Exit codes: 0 done; 1 the daemon refused; 69 no daemon answers.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd rebaseline north/21B --why 'motor replaced' --by 'A. Meyer'")]
 pub(super) struct Arguments {
     #[arg(value_name = "SITE/MACHINE")]
     machine: MachineArgument,
-    /// Why.
+    /// Reason for the new baseline.
     #[arg(long, value_name = "TEXT")]
     why: String,
     #[command(flatten)]

@@ -1,8 +1,8 @@
-//! Recorded throws as CSV: `time_s,current_a,position_mm`, one line a sample.
+//! Recorded throws as CSV: `time_s,current_a,position_mm`, one line for each sample.
 //!
-//! The real time stamps count. Where they keep their beat within 2 % of an interval the samples are taken as they are;
-//! where they jitter or single samples are missing the channels are interpolated linearly to an even grid of the mean
-//! interval. A stretch of more than five intervals without a sample is a gap, which is reported and never bridged.
+//! Samples whose time stamps are even within 2 % of an interval are used as they are. With jitter or single missing
+//! samples the channels are interpolated linearly to an even grid with the mean interval. More than five intervals
+//! without a sample are a gap; a trace with a gap is an error.
 
 use std::{fs, path::Path};
 
@@ -14,19 +14,19 @@ use crate::throw::Trace;
 const TIME: &str = "time_s";
 const CURRENT: &str = "current_a";
 const POSITION: &str = "position_mm";
-/// Deviation from an even grid, in intervals, that needs no interpolation.
-const EVEN: f64 = 0.02;
-/// A longer stretch without samples, in intervals, is a gap.
+/// Largest deviation from an even grid without interpolation \[intervals\].
+const EVEN_TOLERANCE: f64 = 0.02;
+/// Longest distance between two samples; more is a gap \[intervals\].
 const LONGEST_STEP: f64 = 5.5;
 
-/// A recorded throw with what a message needs to point into its file.
+/// A recorded throw, with the lines of its file for error messages.
 #[derive(Debug)]
 pub(super) struct Recording {
     /// The two channels on an even grid.
     pub(super) trace: Trace,
-    /// The channels were interpolated, because the time stamps jitter or samples are missing.
+    /// Whether the channels were interpolated.
     pub(super) resampled: bool,
-    /// Line of each sample in the file, counted from 1; empty when resampled.
+    /// Line of each sample in the file, from 1; empty if resampled.
     pub(super) lines: Vec<u64>,
 }
 
@@ -40,8 +40,7 @@ struct Columns {
 /// Reads a recorded throw.
 ///
 /// # Errors
-/// [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] when its content is no recording; the message says
-/// which line and column.
+/// [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] with line and column when its content is invalid.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
     let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
     parse(&bytes).and_then(Columns::evenly).with_context(|| path.display().to_string()).or_exit(Exit::Data)
@@ -57,7 +56,7 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
     let header = reader.headers().context("line 1: no header")?.clone();
     let at = |name: &str| header.iter().position(|column| column == name).ok_or_else(|| missing(name, &header));
     let places = [(TIME, at(TIME)?), (CURRENT, at(CURRENT)?)];
-    // A machine with a current sensor only has no such column.
+    // The column is missing for machines with a current sensor only.
     let position = at(POSITION).ok();
     let mut columns = Columns { time_s: vec![], current_a: vec![], position_mm: vec![], lines: vec![] };
     for record in reader.records() {
@@ -67,7 +66,7 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
         let position_mm = position.map_or(Ok(f64::NAN), |place| number(record.get(place), line, POSITION));
         let time_s = time_s?;
         if !time_s.is_finite() {
-            bail!("line {line}, column {TIME}: {time_s} is no time");
+            bail!("line {line}, column {TIME}: {time_s} is not a time");
         }
         if columns.time_s.last().is_some_and(|before| *before >= time_s) {
             bail!(
@@ -96,7 +95,7 @@ fn number(cell: Option<&str>, line: u64, column: &str) -> anyhow::Result<f64> {
     let cell = cell.filter(|cell| !cell.is_empty()).ok_or_else(|| anyhow!("line {line}, column {column}: no value"))?;
     cell.parse().map_err(|_| {
         let cell: String = cell.chars().take(40).collect();
-        anyhow!("line {line}, column {column}: {cell:?} is no number")
+        anyhow!("line {line}, column {column}: {cell:?} is not a number")
     })
 }
 
@@ -104,11 +103,12 @@ impl Columns {
     fn evenly(self) -> anyhow::Result<Recording> {
         let len = self.time_s.len();
         if len < 2 {
-            bail!("the file holds {len} samples: too few to be a throw");
+            bail!("the file has {len} samples, too few for a throw");
         }
         let interval_s = self.interval_s()?;
         let start_s = self.time_s[0];
-        let uneven = |(k, time_s): (usize, &f64)| (time_s - start_s - k as f64 * interval_s).abs() > EVEN * interval_s;
+        let uneven =
+            |(k, time_s): (usize, &f64)| (time_s - start_s - k as f64 * interval_s).abs() > EVEN_TOLERANCE * interval_s;
         let resampled = self.time_s.iter().enumerate().any(uneven);
         let rate_hz = 1.0 / interval_s;
         let (current_a, position_mm, lines) = if resampled {
@@ -119,7 +119,7 @@ impl Columns {
         Ok(Recording { trace: Trace::new(rate_hz, current_a, position_mm)?, resampled, lines })
     }
 
-    /// The mean interval, with missing samples counted as such.
+    /// Mean interval; a step over missing samples counts as several intervals.
     fn interval_s(&self) -> anyhow::Result<f64> {
         let mut steps: Vec<f64> = self.time_s.windows(2).map(|w| w[1] - w[0]).collect();
         let middle = steps.len() / 2;

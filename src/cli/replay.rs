@@ -1,4 +1,4 @@
-//! `pointsd replay`: stored throws under other settings, and what would differ.
+//! `pointsd replay`: runs stored throws with other settings, and compares the alarms.
 
 use std::{
     collections::BTreeMap,
@@ -23,29 +23,29 @@ use crate::{
     throw::MachineId,
 };
 
-/// Throws that are read at a time. The longest traces take 16 MB each, so this bounds memory at 256 MB.
+/// Throws in one read. The longest traces take 16 MB, so a read takes at most 256 MB.
 const BATCH: u32 = 16;
 
-/// Runs stored throws again under a changed configuration, into a database of their own, and shows which alarms would
-/// differ. The database that the throws come from is only read; its daemon may run.
+/// Runs stored throws again with a changed configuration, into a new database, and shows which alarms differ. The old
+/// database is only read; its daemon may run.
 ///
-/// The throws come from the database of the configuration, or from `--from`. Operators' commands are not repeated, and
-/// time does not pass: alarms about silence and lost throws, which do not come from throws, are not compared. Throws
-/// whose trace was already removed to save space cannot be run again and are counted.
+/// The throws come from the database of the configuration, or from `--from`. Commands of operators are not repeated.
+/// Alarms about silent machines and lost throws do not depend on throws and are not compared. Throws whose trace was
+/// removed to save space cannot be run again; their number is shown.
 ///
-/// Exit codes: 0 replayed; 65 the database holds no throw that can be run again; 66 there is no database; 73 the new
-/// database is already there; 74 a database cannot be used; 78 the configuration is wrong.
+/// Exit codes: 0 replayed; 65 the database has no throw that can be run again; 66 there is no database; 73 the new
+/// database exists already; 74 a database cannot be used; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd replay --config stricter.toml\n  pointsd replay --config stricter.toml \
                         --from /var/lib/pointsd/points.db --into /tmp/stricter.db --json")]
 pub(super) struct Arguments {
-    /// The configuration to try.
+    /// The changed configuration.
     #[arg(long, value_name = "NEW")]
     config: PathBuf,
-    /// The database with the stored throws; without it, the one that the configuration names.
+    /// The database with the stored throws [default: that of the configuration].
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
-    /// The database to make; without it, the old one's name with `.replay` added.
+    /// The new database [default: name of the old one with `.replay` added].
     #[arg(long, value_name = "FILE")]
     into: Option<PathBuf>,
     /// Print one JSON object.
@@ -53,17 +53,17 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// One occurrence of an alarm, as a database has it.
+/// One occurrence of an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Occurrence {
     raised_at: Timestamp,
     /// The throw that raised it.
     throw_no: Option<u64>,
-    /// The highest it came to.
+    /// The highest severity of the alarm.
     severity: Severity,
 }
 
-/// The same occurrence before and after, the first with the first and so on.
+/// The n-th occurrence of an alarm in both databases.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Comparison {
     site: String,
@@ -86,16 +86,16 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let mut config = load(Some(&arguments.config))?;
     let from = arguments.from.clone().unwrap_or_else(|| config.store.path.clone());
     let into = arguments.into.clone().unwrap_or_else(|| with_suffix(&from, ".replay"));
-    must_be(from.exists(), Exit::NoInput, || format!("no database at {}; name one with --from FILE", from.display()))?;
-    must_be(!into.exists(), Exit::CannotCreate, || {
-        format!("{} is already there; remove it, or name another with --into FILE", into.display())
+    require(from.exists(), Exit::NoInput, || format!("no database at {}; name one with --from FILE", from.display()))?;
+    require(!into.exists(), Exit::CannotCreate, || {
+        format!("{} exists already; remove it, or name another with --into FILE", into.display())
     })?;
     config.store.path.clone_from(&into);
     runtime::block_on(async {
         let old = Reader::open(&from).await.or_exit(Exit::Io)?;
-        // Before the new database is made: a failure must not leave one behind.
+        // Checked before the new database is created, so that an error leaves no file behind.
         let first = old.throws(ThrowRow::START, 1).await.or_exit(Exit::Io)?;
-        must_be(!first.is_empty(), Exit::Data, || format!("{} holds no throw: nothing to run", from.display()))?;
+        require(!first.is_empty(), Exit::Data, || format!("{} has no throws: nothing to run", from.display()))?;
         let mut new = Offline::open(config).await.map_err(start_failure)?;
         let replayed = replay(&old, &mut new).await.or_exit(Exit::Io)?;
         new.close().await.or_exit(Exit::Io)?;
@@ -110,8 +110,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })
 }
 
-fn must_be(right: bool, exit: Exit, complaint: impl FnOnce() -> String) -> Result<(), Failure> {
-    if right { Ok(()) } else { Err(Failure { exit, error: anyhow!(complaint()) }) }
+fn require(right: bool, exit: Exit, problem: impl FnOnce() -> String) -> Result<(), Failure> {
+    if right { Ok(()) } else { Err(Failure { exit, error: anyhow!(problem()) }) }
 }
 
 fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
@@ -120,11 +120,11 @@ fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
     name.into()
 }
 
-/// What was run again.
+/// Counts of a replay.
 struct Replayed {
     throws: u64,
     without_trace: u64,
-    /// When the earliest throw with a trace started.
+    /// Start of the earliest throw with a trace.
     since: Option<Timestamp>,
 }
 
@@ -156,9 +156,9 @@ async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError>
 
 async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) -> Result<Report, Failure> {
     let Some(since) = replayed.since else {
-        let complaint =
-            format!("no stored throw has a trace any more ({} without): nothing to run", replayed.without_trace);
-        return Err(Failure { exit: Exit::Data, error: anyhow!(complaint) });
+        let problem =
+            format!("the traces of all {} stored throws were removed: nothing to run", replayed.without_trace);
+        return Err(Failure { exit: Exit::Data, error: anyhow!(problem) });
     };
     let before = occurrences(old, since).await?;
     let mut after = occurrences(new, since).await?;
@@ -174,7 +174,7 @@ async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) 
     Ok(Report { throws, without_trace, database: into, alarms })
 }
 
-/// The occurrences of every alarm that was raised at `since` or later, in their order.
+/// The occurrences of each alarm since `since`, in order.
 async fn occurrences(
     database: &Reader,
     since: Timestamp,
@@ -198,7 +198,7 @@ async fn occurrences(
     Ok(alarms)
 }
 
-/// Compares the occurrences of one alarm, the first with the first and so on.
+/// Compares the n-th occurrences of one alarm for each n.
 fn pair(
     comparisons: &mut Vec<Comparison>,
     (machine, cause): &(MachineId, Cause),
@@ -231,10 +231,10 @@ fn difference(before: Option<&Occurrence>, after: Option<&Occurrence>) -> &'stat
 fn sentences(report: &Report) -> String {
     let mut lines = vec![format!("{} throws run again into {}", report.throws, report.database.display())];
     if report.without_trace > 0 {
-        lines.push(format!("{} stored throws have no trace any more and were left out", report.without_trace));
+        lines.push(format!("{} stored throws were left out: their traces were removed", report.without_trace));
     }
     if report.alarms.is_empty() {
-        lines.push("no alarm, before or now".to_owned());
+        lines.push("no alarms in either database".to_owned());
         return lines.join("\n");
     }
     let mut table = output::plain_table(["machine", "cause", "before", "now", "difference"]);

@@ -1,10 +1,10 @@
-//! `pointsd run`: the daemon.
+//! `pointsd run`: runs the daemon.
 
 use std::path::{Path, PathBuf};
 
 use super::{
     Exit, Failure, Outcome, ResultExt,
-    runtime::{self, Asked, Signals},
+    runtime::{self, Requested, Signals},
 };
 use crate::{
     daemon::{Daemon, Ended, LockError, StartError, config::Config},
@@ -12,15 +12,14 @@ use crate::{
     web::{self, Place},
 };
 
-/// Runs the daemon until SIGTERM or SIGINT; SIGHUP makes it read its configuration again.
+/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reloads the configuration.
 ///
-/// Exit codes: 0 stopped in good order; 69 zenoh or the dashboard cannot be used (is the port taken?), or another
-/// pointsd works on the database; 70 a part of the daemon died;
-/// 74 the database cannot be used; 78 the configuration is wrong.
+/// Exit codes: 0 stopped cleanly; 69 zenoh or the dashboard cannot be used (is the port in use?), or another pointsd
+/// uses the database; 70 a task of the daemon ended; 74 the database cannot be used; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd run --config config/pointsd.toml")]
 pub(super) struct Arguments {
-    /// The configuration; without it, the built-in defaults.
+    /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 }
@@ -31,7 +30,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(run(arguments, config))
 }
 
-/// The configuration in a file, or the defaults.
+/// Loads the configuration from a file, or the built-in defaults.
 pub(super) fn load(file: Option<&Path>) -> Result<Config, Failure> {
     match file {
         Some(file) => Config::load(file),
@@ -40,7 +39,7 @@ pub(super) fn load(file: Option<&Path>) -> Result<Config, Failure> {
     .or_exit(Exit::Config)
 }
 
-/// The exit code for a daemon that cannot start.
+/// Exit code and text of a daemon that cannot start.
 pub(super) fn start_failure(error: StartError) -> Failure {
     let exit = match &error {
         StartError::Store(StoreError::Foreign { .. }) => Exit::Config,
@@ -66,15 +65,15 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
     let died = loop {
         tokio::select! {
             asked = signals.next() => match asked {
-                Asked::Stop => break None,
-                Asked::Reload => reload(&daemon, arguments.config.as_deref()),
+                Requested::Stop => break None,
+                Requested::Reload => reload(&daemon, arguments.config.as_deref()),
             },
             Ended(task) = daemon.ended() => break Some(task),
         }
     };
     let stopped = daemon.stop().await;
     if let Some(task) = died {
-        let error = anyhow::anyhow!("{task} has ended on its own; the daemon cannot go on without it");
+        let error = anyhow::anyhow!("{task} ended unexpectedly; the daemon cannot run without it");
         return Err(Failure { exit: Exit::Software, error });
     }
     stopped.or_exit(Exit::Io)?;
@@ -86,11 +85,11 @@ fn reload(daemon: &Daemon, file: Option<&Path>) {
     match load(file) {
         Ok(config) => {
             let waiting = daemon.reload(config);
-            tracing::info!("the configuration was read again: diagnosis and machines are in force");
+            tracing::info!("configuration reloaded: diagnosis and machines take effect now");
             if !waiting.is_empty() {
                 tracing::warn!("changes in {} take effect at the next start", waiting.join(", "));
             }
         }
-        Err(failure) => tracing::error!("the configuration stays as it was: {:#}", failure.error),
+        Err(failure) => tracing::error!("configuration not changed: {:#}", failure.error),
     }
 }

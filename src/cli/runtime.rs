@@ -1,4 +1,4 @@
-//! What the commands that run for long have in common: the runtime, the log, the signals.
+//! Runtime, log and signals of long-running commands.
 
 use std::io::IsTerminal;
 
@@ -13,14 +13,14 @@ use tracing_subscriber::{
 use super::{Exit, Failure, Outcome, ResultExt};
 use crate::daemon::config::{Log, LogFormat};
 
-/// Here zenoh warns of each reply for an asker who has gone: ten thousand lines for one question about the history.
-const ABOUT_QUERIES: &str = "zenoh::net::routing::dispatcher::queries";
+/// In this module zenoh warns of each reply to a client that has left: up to 10,000 lines for one history query.
+const QUERY_DISPATCHER: &str = "zenoh::net::routing::dispatcher::queries";
 
-/// Runs a command on a runtime of several threads, which zenoh needs.
+/// Runs a command on a runtime with several threads, as zenoh needs.
 pub(super) fn block_on(command: impl Future<Output = Outcome>) -> Outcome {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().or_exit(Exit::Software)?;
     let outcome = runtime.block_on(command);
-    // A thread that hangs in a put must not keep the process.
+    // A thread that blocks in a put must not delay the exit.
     runtime.shutdown_timeout(std::time::Duration::from_millis(500));
     outcome
 }
@@ -28,27 +28,27 @@ pub(super) fn block_on(command: impl Future<Output = Outcome>) -> Outcome {
 /// Writes log lines to stderr as configured.
 pub(super) fn log(settings: &Log) -> Result<(), Failure> {
     let targets: Targets = settings.level.parse().or_exit(Exit::Config)?;
-    let targets = targets.with_target(ABOUT_QUERIES, LevelFilter::ERROR);
+    let targets = targets.with_target(QUERY_DISPATCHER, LevelFilter::ERROR);
     let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
     let lines = match settings.format {
         LogFormat::Json => lines.json().boxed(),
         LogFormat::Text => lines.with_target(false).with_ansi(std::io::stderr().is_terminal()).boxed(),
     };
-    // A second subscriber is only ever wanted by tests that run commands in one process.
+    // Fails only in tests that run several commands in one process.
     let _ = tracing_subscriber::registry().with(lines.with_filter(targets)).try_init();
     Ok(())
 }
 
-/// The signals that end or change a long-running command.
+/// The signals that stop a command or reload its configuration.
 pub(super) struct Signals {
     terminate: Signal,
     interrupt: Signal,
     reload: Signal,
 }
 
-/// What a signal asks for.
+/// The action that a signal requests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Asked {
+pub(super) enum Requested {
     Stop,
     Reload,
 }
@@ -63,15 +63,15 @@ impl Signals {
         })
     }
 
-    pub(super) async fn next(&mut self) -> Asked {
+    pub(super) async fn next(&mut self) -> Requested {
         tokio::select! {
-            _ = self.terminate.recv() => Asked::Stop,
-            _ = self.interrupt.recv() => Asked::Stop,
-            _ = self.reload.recv() => Asked::Reload,
+            _ = self.terminate.recv() => Requested::Stop,
+            _ = self.interrupt.recv() => Requested::Stop,
+            _ = self.reload.recv() => Requested::Reload,
         }
     }
 
     pub(super) async fn stop(&mut self) {
-        while self.next().await != Asked::Stop {}
+        while self.next().await != Requested::Stop {}
     }
 }

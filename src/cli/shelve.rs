@@ -1,4 +1,4 @@
-//! `pointsd shelve`: silence an open alarm for a while.
+//! `pointsd shelve`: silences an open alarm for some time.
 
 use super::{
     Outcome,
@@ -6,20 +6,20 @@ use super::{
 };
 use crate::diagnose::Command;
 
-/// Shelves an open alarm until a time, for a reason; or ends that.
+/// Shelves an open alarm until a given time, with a reason; or ends the shelving.
 ///
-/// Exit codes: 0 done; 1 the daemon says no; 64 an option is wrong; 69 no daemon answers.
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd shelve north/21B friction --for 8h --why 'greased tonight'\n  \
                         pointsd shelve north/21B friction --end")]
 pub(super) struct Arguments {
     #[arg(value_name = "SITE/MACHINE")]
     machine: MachineArgument,
-    /// The alarm's cause, as `pointsd alarms` shows it.
+    /// Cause of the alarm, as `pointsd alarms` shows it.
     cause: CauseArgument,
     #[command(flatten)]
     end_at: End,
-    /// Why.
+    /// Reason for the shelving.
     #[arg(long, value_name = "TEXT", required_unless_present = "end")]
     why: Option<String>,
     /// End the shelving now.

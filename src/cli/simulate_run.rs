@@ -1,4 +1,4 @@
-//! `pointsim run`: a simulated fleet that publishes its throws.
+//! `pointsim run`: publishes the throws of a simulated fleet.
 
 use std::{path::PathBuf, str::FromStr};
 
@@ -18,34 +18,34 @@ use crate::{
     simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
 };
 
-/// Publishes the throws of a simulated fleet, in real or accelerated time, until it is stopped or all are made.
+/// Publishes the throws of a simulated fleet, in real or accelerated time, until it is stopped or done.
 ///
-/// Exit codes: 0 stopped, or all throws were published and judged; 1 no monitor has judged them all; 64 an option is
-/// wrong; 69 zenoh cannot be used; 78 the configuration is wrong.
+/// Exit codes: 0 stopped, or all throws published and judged; 1 published, but no daemon judged all of them; 64 an
+/// option is wrong; 69 zenoh cannot be used; 78 the configuration is invalid.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example: five machines, the first one's motor weakens by 20 % from throw 120 on\n  \
+#[command(after_help = "Example: five machines; from throw 120 on the motor of the first loses 20 %\n  \
                   pointsim run --config config/pointsim.toml --time-scale 3000 --throws 200 --fault 1:kt:-20:120")]
 pub(super) struct Arguments {
-    /// The configuration; without it, the built-in defaults.
+    /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Stop after so many throws of each machine, once a monitor has judged them.
+    /// Stop after N throws of each machine, when a daemon has judged them.
     #[arg(long, value_name = "N")]
     throws: Option<u64>,
     /// Number of machines.
     #[arg(long, value_name = "N")]
     machines: Option<usize>,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// How many times faster than real time.
+    /// Ratio of simulated to real time.
     #[arg(long, value_name = "FACTOR")]
     time_scale: Option<f64>,
-    /// A part that wears out: machine (from 1), part (as `kt`, `friction`, `stiffness`, `inertia`), size in %, first throw
-    /// that shows it (from 0), and, for a slow one, throws until it is there. May be given several times.
+    /// A fault: machine (from 1), part (`kt`, `friction`, `stiffness`, `inertia`), size in %, first throw (from 0), and
+    /// for a ramp the throws until full size. Repeatable.
     #[arg(long, value_name = "MACHINE:PART:SIZE:FROM[:RAMP]")]
     fault: Vec<FaultArgument>,
-    /// Connect to this zenoh endpoint instead of the configured ones.
+    /// Zenoh endpoint, instead of the configured ones.
     #[arg(long, value_name = "ENDPOINT")]
     connect: Option<String>,
 }
@@ -63,7 +63,8 @@ impl FromStr for FaultArgument {
             [machine, part, size, from, ramp] => (machine, part, size, from, Some(ramp)),
             _ => return Err("write MACHINE:PART:SIZE:FROM or MACHINE:PART:SIZE:FROM:RAMP".to_owned()),
         };
-        let number = |name: &str, text: &str| text.parse::<u64>().map_err(|_| format!("{name}: {text:?} is no number"));
+        let number =
+            |name: &str, text: &str| text.parse::<u64>().map_err(|_| format!("{name}: {text:?} is not a number"));
         let machine = usize::try_from(number("machine", machine)?)
             .ok()
             .and_then(|machine| machine.checked_sub(1))
@@ -71,7 +72,7 @@ impl FromStr for FaultArgument {
         let known = "kt, friction, stiffness, rail_stiffness or inertia";
         let part: Part =
             serde_json::from_value(serde_json::Value::from(*part)).map_err(|_| format!("{part:?} is not {known}"))?;
-        let size_pct = size.parse().map_err(|_| format!("size: {size:?} is no number"))?;
+        let size_pct = size.parse().map_err(|_| format!("size: {size:?} is not a number"))?;
         let from_throw = number("first throw", from)?;
         let shape = match ramp {
             Some(ramp) => Shape::Ramp { throws: number("ramp", ramp)? },
@@ -118,7 +119,7 @@ fn read(document: &Document) -> Result<Plan, ConfigError> {
     Ok(Plan { logger: file.logger, fleet: file.fleet, log: file.log, zenoh: client_session(document)? })
 }
 
-/// Lays the command line over the configuration.
+/// Applies the options of the command line to the configuration.
 fn apply(arguments: &Arguments, plan: &mut Plan) -> Result<(), Failure> {
     let usage = |problem: String| Failure { exit: Exit::Usage, error: anyhow::anyhow!(problem) };
     plan.logger.throws = arguments.throws.or(plan.logger.throws);
@@ -153,7 +154,7 @@ async fn run(plan: Plan) -> Outcome {
     Ok(outcome)
 }
 
-/// Until all throws are published, and a monitor has judged them.
+/// Waits until all throws are published, and judged by a daemon.
 async fn complete(logger: &mut Logger) -> Outcome {
     let throws = logger.finished().await.map_err(failure)?;
     tracing::info!(published = logger.published(), "all throws are published");
@@ -161,7 +162,7 @@ async fn complete(logger: &mut Logger) -> Outcome {
         tracing::info!("all throws are judged");
         return Ok(Exit::Ok);
     }
-    tracing::warn!("no monitor says that it has judged all throws");
+    tracing::warn!("no daemon reported all throws as judged");
     Ok(Exit::Negative)
 }
 
@@ -174,7 +175,7 @@ fn failure(error: LoggerError) -> Failure {
     Failure { exit, error: error.into() }
 }
 
-/// A new one at each start: the moment and the process.
+/// A new boot identifier: start time and process number.
 pub(super) fn boot_id() -> String {
     format!("{}-{}", clock::now().as_microsecond(), std::process::id())
 }
@@ -220,7 +221,7 @@ mod tests {
             logger: LoggerSettings,
             fleet: FleetSettings,
         }
-        // Keys without a default are shown as comments; the examples of faults and incidents come last.
+        // Keys without a default are comments in the file; the examples of faults and incidents come last.
         let shipped = shipped();
         let settings = shipped.split("# Parts that wear out").next().unwrap();
         let uncommented =
@@ -304,9 +305,9 @@ mod tests {
             ("1:kt:-20", "write MACHINE:PART:SIZE:FROM"),
             ("0:kt:-20:5", "counted from 1"),
             ("1:magnet:-20:5", "\"magnet\" is not kt, friction"),
-            ("1:kt:much:5", "size: \"much\" is no number"),
-            ("1:kt:-20:-5", "first throw: \"-5\" is no number"),
-            ("1:kt:-20:5:slow", "ramp: \"slow\" is no number"),
+            ("1:kt:much:5", "size: \"much\" is not a number"),
+            ("1:kt:-20:-5", "first throw: \"-5\" is not a number"),
+            ("1:kt:-20:5:slow", "ramp: \"slow\" is not a number"),
         ] {
             let error = text.parse::<FaultArgument>().unwrap_err();
             assert!(error.contains(complaint), "{text}: {error}");

@@ -1,4 +1,4 @@
-//! `pointsd sql`: a question to the database, with the SQLite that wrote it.
+//! `pointsd sql`: queries the database with the SQLite version of the daemon.
 
 use std::io::{self, BufWriter, Write};
 
@@ -13,23 +13,22 @@ use super::{
 };
 use crate::store::{StoreError, Value, ask};
 
-/// Asks the database in SQL, read-only, while the daemon runs or not. Without a question: lists the views and their columns.
+/// Queries the database in SQL, read-only, also while the daemon runs. Without a query it lists the views and their
+/// columns.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Views made for it: health_history, machine_health, alarm_history, active_alarms, alarm_events, \
+#[command(after_help = "Views: health_history, machine_health, alarm_history, active_alarms, alarm_events, \
     data_gaps, throws_not_evaluated, operator_commands; `pointsd sql` lists all of them with their columns.\n\n\
     Examples:\n  \
     pointsd sql\n  \
     pointsd sql 'SELECT * FROM machine_health'\n  \
     pointsd sql --csv \"SELECT started_at, b0 FROM health_history WHERE machine = '21B'\" > b0.csv\n\n\
-    Exit codes: 0 answered, 65 no valid SQL or it would write, 66 there is no database."
-)]
+    Exit codes: 0 answered, 65 invalid SQL, or SQL that writes, 66 there is no database.")]
 pub(super) struct Arguments {
-    /// The question; without it, or with `.tables`, the list of views.
-    // A question may begin with a comment.
+    /// The query; `.tables` lists the views.
+    // A query may start with a comment (`--`).
     #[arg(value_name = "SQL", default_value = ".tables", hide_default_value = true, allow_hyphen_values = true)]
     question: String,
-    /// Print a JSON array with one object a row.
+    /// Print a JSON array with one object for each row.
     #[arg(long, conflicts_with = "csv")]
     json: bool,
     /// Print CSV with a header.
@@ -55,7 +54,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     })?;
     match asked.and_then(|()| answer.borrow_mut().end().map_err(Trouble::Output)) {
         Ok(()) => Ok(Exit::Ok),
-        // Whoever reads has seen enough.
+        // The reader closed the pipe.
         Err(Trouble::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Exit::Ok),
         Err(Trouble::Output(error)) => Err(error).context("cannot write the answer").or_exit(Exit::Io),
         Err(Trouble::Store(error @ StoreError::Read(_))) => Err(Failure { exit: Exit::Data, error: error.into() }),
@@ -63,7 +62,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     }
 }
 
-/// Every view with its columns.
+/// Lists every view with its columns.
 const VIEWS: &str = "SELECT schema.name AS view, group_concat(info.name, ', ') AS columns
                      FROM sqlite_schema AS schema, pragma_table_info(schema.name) AS info
                      WHERE schema.type = 'view' GROUP BY schema.name ORDER BY schema.name";
@@ -79,19 +78,19 @@ impl From<StoreError> for Trouble {
     }
 }
 
-/// A way to print an answer, row by row.
+/// Printer of an answer, row by row.
 trait Answer {
     fn columns(&mut self, names: &[String]) -> io::Result<()>;
     fn row(&mut self, values: Vec<Value>) -> io::Result<()>;
     fn end(&mut self) -> io::Result<()>;
 }
 
-/// A table for people, as wide as its content needs; on a terminal at most as wide as that. Printed when it is complete.
+/// A table, printed when it is complete; on a terminal at most as wide as the terminal.
 struct Plain(Option<Table>);
 
 impl Answer for Plain {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
-        // Of a second statement: the first one's answer is complete.
+        // Prints the answer to the previous statement, if there is one.
         self.end()?;
         let table = self.0.insert(Table::new());
         table.load_style(presets::NOTHING).set_content_arrangement(ContentArrangement::Dynamic).set_header(names);
@@ -170,7 +169,7 @@ fn plain(value: Value) -> serde_json::Value {
     }
 }
 
-/// For people: numbers to six significant digits.
+/// The text of a value; numbers with six significant digits.
 fn short(value: &Value) -> String {
     match value {
         Value::Real(number) => format!("{number:.5e}").parse::<f64>().map_or_else(|_| text(value), |it| it.to_string()),
@@ -191,7 +190,6 @@ fn text(value: &Value) -> String {
 fn hexadecimal(bytes: &[u8]) -> String {
     use std::fmt::Write;
     bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
-        // Writing to a string cannot fail.
         let _ = write!(text, "{byte:02x}");
         text
     })

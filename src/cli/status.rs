@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::{
     Exit, Failure, Outcome, alarms,
-    operator::{self, ANSWER_LIMIT, Client, Connection},
+    operator::{self, ANSWER_TIMEOUT, Client, Connection},
     output,
     runtime::{self, Signals},
 };
@@ -20,15 +20,15 @@ use crate::{
     wire::{Alarm, Health},
 };
 
-/// Most machines that are listed when all of them are healthy or learning: a screen.
-const SCREEN: usize = 40;
-/// Time between two pictures of `--watch`.
-const EVERY: Duration = Duration::from_secs(5);
+/// Largest fleet of which every machine is listed by default: one screen.
+const MAX_LISTED: usize = 40;
+/// Time between two updates with `--watch`.
+const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Shows all running daemons, the state of each machine with its last throws, and the open alarms. Of a large fleet only the
-/// machines that are neither healthy nor learning are listed, unless --all, --site or --state asks for more.
+/// Shows all running daemons, the state of each machine with its last throws, and the open alarms. In a large fleet
+/// healthy and learning machines are listed only with --all, --site or --state.
 ///
-/// Exit codes: 0 all is well; 1 a daemon is in trouble (disk, a task that hangs, lost messages), a machine has an alarm, is
+/// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, lost messages), a machine has an alarm, is
 /// not monitored or in maintenance, or an alarm is shelved; 69 no daemon answers.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd status\n  pointsd status --watch\n  \
@@ -36,16 +36,16 @@ const EVERY: Duration = Duration::from_secs(5);
 pub(super) struct Arguments {
     #[command(flatten)]
     connection: Connection,
-    /// Only machines of this site.
+    /// List only machines of this site.
     #[arg(long)]
     site: Option<Name>,
-    /// Only machines in this state: learning, healthy, warning, critical, `not_monitored` or maintenance.
+    /// List only machines in this state: learning, healthy, warning, critical, `not_monitored` or maintenance.
     #[arg(long, value_parser = machine_state)]
     state: Option<MachineState>,
     /// List every machine.
     #[arg(long)]
     all: bool,
-    /// Show it again every five seconds, until Ctrl-C.
+    /// Repeat every five seconds until Ctrl-C.
     #[arg(long, conflicts_with = "json")]
     watch: bool,
     /// Print one JSON object with daemons, health and alarms.
@@ -64,7 +64,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let Client { session, .. } = arguments.connection.open().await?;
         let outcome = loop {
             if arguments.watch {
-                // Home, and an empty screen.
+                // Moves the cursor home and clears the screen.
                 output::line("\x1b[H\x1b[2J")?;
             }
             let outcome = show(&session, arguments).await;
@@ -72,7 +72,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 break outcome;
             }
             tokio::select! {
-                () = tokio::time::sleep(EVERY) => {}
+                () = tokio::time::sleep(WATCH_INTERVAL) => {}
                 () = signals.stop() => break Ok(Exit::Ok),
             }
         };
@@ -82,7 +82,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 }
 
 async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
-    let ask = |selector| bus::ask(session, selector, None, ANSWER_LIMIT);
+    let ask = |selector| bus::ask(session, selector, None, ANSWER_TIMEOUT);
     let daemons = ask("points/v1/*/monitor/*/status").await.map_err(operator::failure)?;
     let health = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
     let alarms = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
@@ -135,7 +135,8 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
         arguments.site.as_ref().is_none_or(|site| *site == machine.site)
             && arguments.state.is_none_or(|wanted| wanted == state(rows))
     };
-    let is_short = arguments.all || arguments.state.is_some() || arguments.site.is_some() || machines.len() <= SCREEN;
+    let is_short =
+        arguments.all || arguments.state.is_some() || arguments.site.is_some() || machines.len() <= MAX_LISTED;
     let quiet = [MachineState::Healthy, MachineState::Learning];
     let mut shown: Vec<_> = machines
         .iter()
@@ -168,7 +169,7 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     Ok(())
 }
 
-/// From the worst state to the best.
+/// Sort order of the states, the most urgent first.
 fn rank(state: MachineState) -> u8 {
     match state {
         MachineState::Critical => 0,
@@ -188,7 +189,7 @@ fn target(direction: Option<Direction>) -> &'static str {
     }
 }
 
-/// "12 s", "5 min", "3 h" or "4 d": as coarse as a glance needs.
+/// An age in one unit: "12 s", "5 min", "3 h" or "4 d".
 fn age(age: SignedDuration) -> String {
     match age.as_secs() {
         seconds @ ..120 => format!("{seconds} s"),

@@ -1,4 +1,4 @@
-//! `pointsim table1`: the study's 4 cases x 6 tests, ours beside what is expected, as a table and as pictures.
+//! `pointsim table1`: repeats the study's 4 cases x 6 tests; measured and expected changes as tables and charts.
 
 use std::path::PathBuf;
 
@@ -20,22 +20,22 @@ const PAIRS: [&str; 3] = ["b0, a1", "b0, a0", "a1, a0"];
   pointsim table1 --out figures --seed 7
   pointsim table1 --lumped --json
 
-Exit codes: 0 every row is as expected and every case is named right; 1 it is not; 64 wrong command line; 70 a throw
+Exit codes: 0 every row is as expected and every case is named right; 1 otherwise; 64 wrong command line; 70 a throw
 could not be identified; 73 a figure cannot be written.")]
 pub(super) struct Arguments {
-    /// Writes the figures into this directory, as SVG.
+    /// Write the figures into this directory, as SVG.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Rails as one mass and spring instead of a beam.
+    /// Simulate the rails as one mass and spring instead of a beam.
     #[arg(long)]
     lumped: bool,
-    /// Throws a test; the table shows their mean.
+    /// Throws of each test; the table shows their mean.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=1000))]
     throws: u16,
-    /// Random numbers of the sensors' noise.
+    /// Seed of the sensors' noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Prints the results as JSON.
+    /// Print the results as JSON.
     #[arg(long)]
     json: bool,
 }
@@ -65,8 +65,8 @@ fn holds(test: &Test, at: usize) -> bool {
 fn tables(results: &[CaseResult], study: &Study) -> String {
     let rails = if study.rails == RailModel::Lumped { "lumped rails" } else { "finite-element rails" };
     let mut text = format!(
-        "Change of the coefficients from test 1 [%], {rails}, mean of {} throws a test.\n\
-         Each cell: ours (standard deviation) | expected; * where they differ by more than 2 points or 3 %.\n",
+        "Change of the coefficients from test 1 [%], {rails}, mean of {} throws for each test.\n\
+         Each cell: measured (standard deviation) | expected; * if they differ by more than 2 points or 3 %.\n",
         study.throws
     );
     for result in results {
@@ -91,7 +91,7 @@ fn tables(results: &[CaseResult], study: &Study) -> String {
     text
 }
 
-/// " [N/m]", or nothing for a number without unit.
+/// The unit as " [N/m]"; empty for a number without unit.
 fn unit(result: &CaseResult) -> String {
     if result.case.unit.is_empty() { String::new() } else { format!(" [{}]", result.case.unit) }
 }
@@ -127,7 +127,7 @@ fn report(results: &[CaseResult]) -> Vec<serde_json::Value> {
     results.iter().map(case).collect()
 }
 
-/// The figures of the study, with the names of their files.
+/// The figures of the study with their file names.
 fn figures(results: &[CaseResult]) -> Vec<(String, Sheet)> {
     let mut figures = vec![("figure05_pulse_response".to_owned(), pulse_response(&results[0].tests[0]))];
     for (at, result) in results.iter().enumerate() {
@@ -139,13 +139,13 @@ fn figures(results: &[CaseResult]) -> Vec<(String, Sheet)> {
     figures
 }
 
-/// The nominal throw as recorded, and the position that the identified model gives for the recorded current.
+/// The nominal throw as recorded, and the position of the identified model for the recorded current.
 fn pulse_response(test: &Test) -> Sheet {
     let period = test.trace.sample_rate_hz().recip();
     let samples = |values: &[f64]| -> Vec<(f64, f64)> {
         values.iter().enumerate().map(|(at, value)| (at as f64 * period, *value)).collect()
     };
-    // Once the motor is off, the stock rail and the brake hold the toe, which the model does not know.
+    // The model ends with the current: afterwards stock rail and brake hold the toe, which it does not include.
     let running = test.trace.current_a().iter().rposition(|current| current.abs() > 0.2).unwrap_or(0);
     let mut model = test.modelled_position_mm();
     model.truncate(running);
@@ -162,7 +162,7 @@ fn pulse_response(test: &Test) -> Sheet {
                 .line("identified model", samples(&model)),
         )
         .panel(
-            Panel::curves("What the model leaves", "time [s]", "difference [mm]")
+            Panel::curves("Error of the model", "time [s]", "difference [mm]")
                 .line("recorded - identified model", samples(&error)),
         )
 }
@@ -182,7 +182,7 @@ fn estimates(result: &CaseResult) -> Sheet {
     Sheet::new(format!("Estimates while {} changes", result.case.symbol)).columns(2).panel(ours).panel(expected)
 }
 
-/// What a test is expected to show, in % of the nominal machine.
+/// Expected coefficient of a test \[% of nominal\].
 fn expected_pct(test: &Test, at: usize) -> f64 {
     match test.expected.map(|expected| expected[at]) {
         Some(Expected::Change(pct)) => 100.0 + pct,

@@ -1,4 +1,4 @@
-//! `pointsim throw`: one simulated throw as a CSV file, and what the physics says of it.
+//! `pointsim throw`: simulates one throw, writes its trace as CSV, and prints its true coefficients.
 
 use std::path::{Path, PathBuf};
 
@@ -26,31 +26,31 @@ pub(super) struct Arguments {
     /// The CSV file to write: `time_s,current_a,position_mm`.
     #[arg(long, value_name = "FILE.csv")]
     out: PathBuf,
-    /// Which way the toe moves.
+    /// Direction of the throw.
     #[arg(long, value_enum, default_value_t = Way::NormalToReverse)]
     direction: Way,
-    /// Random numbers of the sensors.
+    /// Seed of the sensors' noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// TOML file with tables `[machine]` and `[sensors]`; what it leaves out has its default.
+    /// TOML file with tables `[machine]` and `[sensors]`; missing keys have their defaults.
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
-    /// Changes one value of the configuration, for example `machine.lead_mm=8` (repeatable).
+    /// Change one value of the configuration, for example `machine.lead_mm=8` (repeatable).
     #[arg(long = "set", value_name = "KEY=VALUE")]
     changes: Vec<String>,
-    /// Wears a part by this change of its coefficient in %: kt, friction, stiffness, `rail_stiffness` or inertia (repeatable).
+    /// Change the coefficient of a part by PCT %: kt, friction, stiffness, `rail_stiffness` or inertia (repeatable).
     #[arg(long = "fault", value_name = "PART=PCT", allow_hyphen_values = true)]
     faults: Vec<String>,
-    /// Starts from a machine with a series-wound motor.
+    /// Use a machine with a series-wound motor.
     #[arg(long)]
     series: bool,
     /// Temperature of the machine [°C].
     #[arg(long, default_value_t = 20.0, allow_hyphen_values = true)]
     temperature_c: f64,
-    /// An obstacle in the way of the toe, this many mm from normal.
+    /// Position of an obstacle in the way of the toe [mm from normal].
     #[arg(long)]
     obstruction_mm: Option<f64>,
-    /// Prints what the physics says, as JSON.
+    /// Print the true coefficients as JSON.
     #[arg(long)]
     json: bool,
 }
@@ -77,7 +77,7 @@ struct Settings {
     sensors: Sensors,
 }
 
-/// What is printed: the truth behind the trace.
+/// The printed output: the true coefficients and conditions of the throw.
 #[derive(Debug, Serialize)]
 struct Truth {
     #[serde(flatten)]
@@ -148,7 +148,7 @@ fn text(truth: &Truth, file: &Path) -> String {
     let (duration, peak) = (truth.duration_s, truth.peak_current_a);
     format!(
         "{}: {} samples at {} Hz\n{}, {end} in {duration:.2} s, peak current {peak:.1} A\n\
-         the physics says b0 = {b0:.2}, a1 = {a1:.3}, a0 = {a0:.4}",
+         true coefficients: b0 = {b0:.2}, a1 = {a1:.3}, a0 = {a0:.4}",
         file.display(),
         truth.samples,
         truth.sample_rate_hz,
@@ -170,7 +170,7 @@ fn settings(arguments: &Arguments) -> Result<Settings, super::Failure> {
     for change in &arguments.changes {
         apply(&mut table, change).or_exit(Exit::Usage)?;
     }
-    // The error has its key on a line of its own.
+    // The error has several lines.
     let one_line = |error: toml::de::Error| anyhow!("{}", error.to_string().trim().replace('\n', " "));
     table.try_into().map_err(one_line).context("the configuration is wrong").or_exit(Exit::Config)
 }
@@ -186,7 +186,7 @@ fn merge(into: &mut toml::Table, from: toml::Table) {
     }
 }
 
-/// Applies `a.b.c=value`; a value that is no TOML value is text.
+/// Applies `a.b.c=value`; a value that is not valid TOML is a text.
 fn apply(table: &mut toml::Table, change: &str) -> anyhow::Result<()> {
     let (key, text) = change.split_once('=').ok_or_else(|| anyhow!("--set {change}: write it as KEY=VALUE"))?;
     let value = format!("v = {text}")
@@ -210,7 +210,7 @@ fn condition(faults: &[String]) -> anyhow::Result<Condition> {
         let (part, size) = fault.split_once('=').ok_or_else(|| anyhow!("--fault {fault}: write it as PART=PCT"))?;
         let name = serde::de::value::StrDeserializer::<serde::de::value::Error>::new(part);
         let part = Part::deserialize(name).map_err(|error| anyhow!("--fault {fault}: {error}"))?;
-        let size_pct: f64 = size.parse().with_context(|| format!("--fault {fault}: {size} is no number"))?;
+        let size_pct: f64 = size.parse().with_context(|| format!("--fault {fault}: {size} is not a number"))?;
         if !(-90.0..=2000.0).contains(&size_pct) {
             bail!("--fault {fault}: the size must be -90 to 2000 %");
         }

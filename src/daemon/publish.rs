@@ -60,7 +60,7 @@ impl Publisher {
             let since = clock::monotonic().duration_since(start);
             let waited = since >= AUDIENCE_LIMIT;
             let returned = self.is_first || since >= RETURN;
-            if reaches && returned && (stopping || waited || self.audience.is_there().await) {
+            if reaches && returned && (stopping || waited || self.audience.is_connected().await) {
                 last = self.publish(last, &mut taken).await;
             }
             self.settle(&mut taken).await;

@@ -1,4 +1,4 @@
-//! The last throws of a machine, for daemons that were away: a queryable on the throw key gives them page by page.
+//! The backlog of a machine: its last throws, available page by page from a queryable on the throw key.
 
 use std::{
     collections::VecDeque,
@@ -15,10 +15,10 @@ use zenoh::{
 use super::error::LoggerError;
 use crate::{throw::ThrowRef, wire::BacklogQuery};
 
-/// Queries that may be queued, of all machines; a daemon asks for one page of a machine at a time.
-const QUERIES: usize = 256;
+/// Capacity of the queue of queries for all machines; a daemon asks for one page of a machine at a time.
+const QUEUE: usize = 256;
 
-/// Throws of one machine, oldest first, up to a number and a size.
+/// Throws of one machine, oldest first, limited in number and bytes.
 #[derive(Debug)]
 struct Kept {
     throws: VecDeque<(ThrowRef, ZBytes)>,
@@ -27,35 +27,35 @@ struct Kept {
     max_bytes: usize,
 }
 
-/// The backlog of one machine. Its queryable answers until this is dropped.
+/// The backlog of one machine; its queryable ends when this is dropped.
 pub(super) struct Backlog {
     kept: Arc<Mutex<Kept>>,
     _queryable: Queryable<()>,
 }
 
-/// A query and the backlog that it is about.
-struct Question {
+/// A query and the throws of its machine.
+struct BacklogRequest {
     query: Query,
     kept: Arc<Mutex<Kept>>,
 }
 
-/// The thread that answers: a reply waits for a slow link, which a callback of zenoh must not.
+/// The thread that sends the replies: a reply blocks on a slow link, and a callback of zenoh must not block.
 #[derive(Clone)]
-pub(super) struct Answering(mpsc::SyncSender<Question>);
+pub(super) struct AnswerThread(mpsc::SyncSender<BacklogRequest>);
 
-impl Answering {
-    /// Starts the thread. It ends when this and all backlogs are dropped.
+impl AnswerThread {
+    /// Starts the thread. It ends when the handle and all backlogs are dropped.
     pub(super) fn start() -> std::io::Result<Self> {
-        let (sender, questions) = mpsc::sync_channel::<Question>(QUERIES);
+        let (sender, requests) = mpsc::sync_channel::<BacklogRequest>(QUEUE);
         thread::Builder::new().name("backlog".into()).spawn(move || {
-            for Question { query, kept } in questions {
+            for BacklogRequest { query, kept } in requests {
                 answer(&query, &kept);
             }
         })?;
         Ok(Self(sender))
     }
 
-    /// Declares the backlog of a machine on its throw key.
+    /// Declares the backlog of a machine on its throw key, with its limits.
     pub(super) fn declare(
         &self,
         session: &Session,
@@ -64,12 +64,12 @@ impl Answering {
         max_bytes: usize,
     ) -> Result<Backlog, LoggerError> {
         let kept = Arc::new(Mutex::new(Kept { throws: VecDeque::new(), bytes: 0, max_throws, max_bytes }));
-        let (questions, asked) = (self.0.clone(), Arc::clone(&kept));
+        let (requests, answered) = (self.0.clone(), Arc::clone(&kept));
         let queryable = session
             .declare_queryable(key.to_owned())
             .callback(move |query| {
-                // A daemon that gets no answer asks again.
-                let _ = questions.try_send(Question { query, kept: Arc::clone(&asked) });
+                // With a full queue the query gets no reply, and the daemon retries.
+                let _ = requests.try_send(BacklogRequest { query, kept: Arc::clone(&answered) });
             })
             .wait()?;
         Ok(Backlog { kept, _queryable: queryable })
@@ -77,7 +77,7 @@ impl Answering {
 }
 
 impl Backlog {
-    /// Keeps a throw as it is published; the oldest make room.
+    /// Adds a published message; drops the oldest beyond the limits.
     pub(super) fn keep(&self, throw: ThrowRef, message: ZBytes) {
         let mut kept = lock(&self.kept);
         kept.bytes += message.len();
@@ -94,15 +94,15 @@ fn lock(kept: &Mutex<Kept>) -> MutexGuard<'_, Kept> {
 }
 
 fn answer(query: &Query, kept: &Mutex<Kept>) {
-    let asked = BacklogQuery::parse(query.parameters().as_str());
+    let wanted = BacklogQuery::parse(query.parameters().as_str());
     let page: Vec<ZBytes> = {
         let kept = lock(kept);
-        let start = asked.start(kept.throws.iter().map(|(throw, _)| throw));
-        kept.throws.iter().skip(start).take(asked.limit).map(|(_, message)| message.clone()).collect()
+        let start = wanted.start(kept.throws.iter().map(|(throw, _)| throw));
+        kept.throws.iter().skip(start).take(wanted.limit).map(|(_, message)| message.clone()).collect()
     };
     for message in page {
         if let Err(error) = query.reply(query.key_expr().clone(), message).encoding(Encoding::APPLICATION_CBOR).wait() {
-            tracing::debug!(%error, "a page of the backlog was not taken");
+            tracing::debug!(%error, "sending a page of the backlog failed");
             return;
         }
     }

@@ -1,23 +1,23 @@
-//! Why a logger cannot publish.
+//! The errors of a logger.
 
 use crate::{bus::BusError, throw::OutOfRange};
 
-/// Why throws cannot be published.
+/// An error that keeps a logger from publishing throws.
 #[derive(Debug, thiserror::Error)]
 pub enum LoggerError {
-    /// The simulated machine cannot be built or moved.
+    /// A parameter of the simulated fleet is out of its range.
     #[error("the simulated fleet: {0}")]
     Simulation(#[from] OutOfRange),
-    /// Zenoh cannot be used.
+    /// Zenoh refused a session, a token or a query.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// Zenoh refused something.
+    /// Zenoh refused a publisher, a queryable or a publication.
     #[error("zenoh: {0}")]
     Zenoh(#[from] zenoh::Error),
-    /// The system gives no thread.
-    #[error("the system gives no thread to publish from: {0}")]
+    /// The operating system did not start a thread.
+    #[error("cannot start the publishing thread: {0}")]
     Spawn(#[from] std::io::Error),
-    /// The publishing thread died.
+    /// The publishing thread ended without a result.
     #[error("the publishing thread died")]
     Thread,
 }

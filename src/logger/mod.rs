@@ -1,6 +1,6 @@
-//! The device at a point machine that records and publishes its throws, here with simulated machines behind it.
+//! The simulated logger: simulates the throws of a fleet and publishes them as a real logger does.
 //!
-//! Publishing runs on a thread of its own: simulating a throw takes the processor, and a put waits for a slow link.
+//! Publishing has its own thread, as a simulation needs the processor and a put blocks on a slow link.
 
 mod backlog;
 mod error;
@@ -29,15 +29,15 @@ use crate::{
     throw::MachineId,
     wire::{self, Health, Kind},
 };
-use backlog::Answering;
+use backlog::AnswerThread;
 use publish::Publishing;
 
-/// How long the monitor is given to judge the last throws.
-const JUDGED_LIMIT: Duration = Duration::from_mins(1);
-/// How often the monitor is asked how far it is.
-const JUDGED_PACE: Duration = Duration::from_millis(200);
+/// Time that the daemons get to judge the last throws.
+const JUDGED_TIMEOUT: Duration = Duration::from_mins(1);
+/// Time between two queries for the last judged throw.
+const JUDGED_POLL_INTERVAL: Duration = Duration::from_millis(200);
 
-/// A running logger. It stops when this is dropped.
+/// A running logger; stops when it is dropped.
 pub struct Logger {
     session: Session,
     machines: Vec<MachineId>,
@@ -48,10 +48,11 @@ pub struct Logger {
 }
 
 impl Logger {
-    /// Starts publishing the throws of a fleet: one boot; for each machine a backlog, a liveliness token and a publisher.
+    /// Starts to publish the throws of a fleet as one boot. Each machine gets a backlog, a liveliness token and a
+    /// publisher.
     ///
     /// # Errors
-    /// When the fleet cannot be built, zenoh refuses a key, or the system gives no thread.
+    /// When a setting of the fleet is out of range, zenoh refuses a declaration, or no thread can be started.
     pub async fn start(
         session: Session,
         settings: &LoggerSettings,
@@ -69,13 +70,13 @@ impl Logger {
             published: Arc::clone(&published),
             stop: stop.clone(),
         };
-        let (answering, max_bytes) = (Answering::start()?, settings.backlog_mib << 20);
+        let (answering, max_bytes) = (AnswerThread::start()?, settings.backlog_mib << 20);
         let (mut sources, mut tokens) = (Vec::with_capacity(machines.len()), Vec::with_capacity(machines.len()));
         for (id, machine) in machines.iter().zip(simulated) {
             let key = wire::machine_key(id, Kind::Throw);
             let backlog = answering.declare(&session, &key, settings.backlog_throws, max_bytes)?;
             sources.push(publishing.source(id, backlog, machine)?);
-            // After the backlog: a daemon that sees the token asks for it.
+            // The token follows the backlog: a daemon that sees the token asks for the backlog at once.
             tokens.push(bus::declare_alive(&session, &wire::machine_key(id, Kind::Alive)).await?);
         }
         let (sender, done) = oneshot::channel();
@@ -85,7 +86,7 @@ impl Logger {
                 Ok((throws, sources)) => (Ok(throws), sources),
                 Err(error) => (Err(error), Vec::new()),
             };
-            // The owner of the logger may have dropped it.
+            // Fails if the logger was dropped.
             let _ = sender.send(outcome);
             runtime.block_on(publishing.stop.cancelled());
             drop((sources, tokens));
@@ -93,24 +94,24 @@ impl Logger {
         Ok(Self { session, machines, boot_id, published, stop, done })
     }
 
-    /// The machines, in order of their numbers.
+    /// The machines of the fleet, in the order of their index.
     #[must_use]
     pub fn machines(&self) -> &[MachineId] {
         &self.machines
     }
 
-    /// Throws published so far, of all machines.
+    /// Number of throws published so far, of all machines.
     #[must_use]
     pub fn published(&self) -> u64 {
         self.published.load(Relaxed)
     }
 
-    /// Stops after the throw that is being published.
+    /// Stops the logger after the present throw.
     pub fn stop(&self) {
         self.stop.cancel();
     }
 
-    /// Waits until all throws are published, or it was stopped; returns how many of each machine.
+    /// Waits until all throws are published or the logger is stopped; returns the number of throws of each machine.
     ///
     /// # Errors
     /// When publishing failed.
@@ -118,22 +119,22 @@ impl Logger {
         (&mut self.done).await.unwrap_or(Err(LoggerError::Thread))
     }
 
-    /// Waits until the monitors have judged `throws` throws of every machine. False when they take too long, or
-    /// nobody answers. Until then the session must stay open: a monitor reads its backlog.
+    /// Waits until daemons have judged `throws` throws of every machine; false if this takes over a minute. The session
+    /// must stay open meanwhile, as the daemons may still read the backlog.
     pub async fn judged(&self, throws: u64) -> bool {
         let all = async {
             for machine in &self.machines {
                 while self.latest(machine).await.is_none_or(|latest| latest < throws) {
-                    time::sleep(JUDGED_PACE).await;
+                    time::sleep(JUDGED_POLL_INTERVAL).await;
                 }
             }
         };
-        throws == 0 || time::timeout(JUDGED_LIMIT, all).await.is_ok()
+        throws == 0 || time::timeout(JUDGED_TIMEOUT, all).await.is_ok()
     }
 
-    /// The highest throw number of this boot that a monitor has judged.
+    /// The highest throw number of this boot that a daemon has judged.
     async fn latest(&self, machine: &MachineId) -> Option<u64> {
-        // The last throws: those that came from the backlog were stored after later ones.
+        // Several throws, as the last one stored may come from the backlog and have a lower number.
         let selector = format!("{}?limit=100", wire::machine_key(machine, Kind::Health));
         let replies = bus::ask(&self.session, &selector, None, Duration::from_secs(5)).await.ok()?;
         replies

@@ -1,4 +1,4 @@
-//! The publishing thread: simulate, wait for the moment, put.
+//! The publishing thread: simulates each throw, waits until it is due, publishes it.
 
 use std::{
     sync::{
@@ -26,8 +26,8 @@ use crate::{
     wire::{self, Encoding, Kind},
 };
 
-/// How often a waiting thread looks whether it should stop.
-const LOOK: Duration = Duration::from_millis(50);
+/// Time between two checks of the stop flag while the thread waits.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 pub(super) struct Publishing {
     pub(super) session: Session,
@@ -37,7 +37,7 @@ pub(super) struct Publishing {
     pub(super) stop: CancellationToken,
 }
 
-/// A simulated machine and where its throws go.
+/// A simulated machine with its publisher and backlog.
 pub(super) struct Source {
     publisher: Publisher<'static>,
     backlog: Backlog,
@@ -61,8 +61,8 @@ impl Publishing {
         Ok(Source { publisher, backlog, machine })
     }
 
-    /// Publishes the throws of all machines in turn; returns how many of each, and the sources: a daemon reads their
-    /// backlogs.
+    /// Publishes the throws of all machines in turn. Returns the number of throws of each machine, and the sources,
+    /// whose backlogs a daemon may still read.
     pub(super) fn run(&self, mut sources: Vec<Source>) -> Result<(u64, Vec<Source>), LoggerError> {
         if self.settings.wait_for_monitor {
             self.wait_for_monitor(&sources)?;
@@ -74,14 +74,14 @@ impl Publishing {
         let count = sources.len().max(1) as f64;
         for round in 0..last {
             for (number, source) in sources.iter_mut().enumerate() {
-                // Machines throw one after the other, spread over the interval.
+                // The machines throw one after the other, evenly spread over the interval.
                 let share = number as f64 / count;
                 let due = (round as f64 + share) * interval.as_secs_f64();
                 let (throw, message) = self.message(source.machine.next_throw()?, started_at, round as f64 + share);
                 if !self.wait_until(start + Duration::from_secs_f64(due)) {
                     return Ok((round, sources));
                 }
-                // Kept before it is published: a daemon that misses it asks for it.
+                // The backlog comes first: a daemon may ask for the throw as soon as it is published.
                 source.backlog.keep(throw, message.clone());
                 source.publisher.put(message).wait()?;
                 self.published.fetch_add(1, Relaxed);
@@ -93,13 +93,13 @@ impl Publishing {
     fn wait_for_monitor(&self, sources: &[Source]) -> Result<(), LoggerError> {
         for source in sources {
             while !source.publisher.matching_status().wait()?.matching() && !self.stop.is_cancelled() {
-                thread::sleep(LOOK);
+                thread::sleep(POLL_INTERVAL);
             }
         }
         Ok(())
     }
 
-    /// Waits for a moment; false when asked to stop.
+    /// Waits until `moment`; false if the logger was stopped.
     fn wait_until(&self, moment: Instant) -> bool {
         loop {
             if self.stop.is_cancelled() {
@@ -109,7 +109,7 @@ impl Publishing {
             if left.is_zero() {
                 return true;
             }
-            thread::sleep(left.min(LOOK));
+            thread::sleep(left.min(POLL_INTERVAL));
         }
     }
 

@@ -1,4 +1,4 @@
-//! What a simulated logger can be told.
+//! Settings of the simulated logger.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -9,26 +9,26 @@ use crate::throw::{MachineId, Name, OutOfRange};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LoggerSettings {
-    /// The site of its machines.
+    /// Site of the machines.
     pub site: Name,
-    /// Its machines are called by this and their number from 1: `machine-1`.
+    /// Prefix of the machines' names, followed by a number from 1: `machine-1`.
     pub machine: Name,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Throws of each machine, 1 to 1,000,000,000; without it, until it is stopped.
+    /// Throws of each machine, 1 to 1,000,000,000; `None` for no end.
     pub throws: Option<u64>,
-    /// Time from one throw of a machine to its next \[s\], 1 to 1,000,000.
+    /// Time between two throws of a machine \[s\], 1 to 1,000,000.
     pub interval_s: f64,
-    /// How many times faster than real time, 0.001 to 1,000,000. Time stamps follow the simulated time.
+    /// Ratio of simulated to real time, 0.001 to 1,000,000. Time stamps are simulated time.
     pub time_scale: f64,
-    /// Last throws of each machine that are kept for a daemon that was away, 1 to 100,000.
+    /// Largest backlog of each machine \[throws\], 1 to 100,000.
     #[serde(alias = "cache")]
     pub backlog_throws: usize,
-    /// The same in bytes \[MiB\], 1 to 4,096.
+    /// Largest backlog of each machine \[MiB\], 1 to 4,096.
     pub backlog_mib: usize,
-    /// Wait for a monitor before the first throw.
+    /// Whether the first throw waits until a daemon has subscribed.
     pub wait_for_monitor: bool,
-    /// Time of the first throw; without it, that of the start.
+    /// Time of the first throw; `None` for the time of the start.
     pub started_at: Option<Timestamp>,
 }
 
@@ -55,7 +55,7 @@ fn fixed_name(text: &str) -> Name {
 }
 
 impl LoggerSettings {
-    /// Longest name that leaves room for a number.
+    /// Longest prefix that leaves room for the number.
     const MAX_NAME: usize = Name::MAX_LEN - 7;
 
     /// Checks every range.
@@ -73,11 +73,11 @@ impl LoggerSettings {
         ])
     }
 
-    /// The machine with this number, counted from 0.
+    /// The machine with index `number`, from 0.
     #[must_use]
     pub fn machine_id(&self, number: usize) -> MachineId {
         let name = format!("{}-{}", self.machine, number + 1);
-        // The prefix is a name with room for the number, so the whole is one too.
+        // `validate` keeps the prefix short, so that the name is valid.
         let machine = name.parse().unwrap_or_else(|_| self.machine.clone());
         MachineId { site: self.site.clone(), machine }
     }

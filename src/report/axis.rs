@@ -1,8 +1,8 @@
-//! Axes: the range shown, round ticks, and where a value lands.
+//! Axes: range, round ticks, and the position of a value.
 
 use super::calendar::{self, Tick};
 
-/// Shortest span of an axis of time \[s\]: one throw alone has none.
+/// Shortest span of a time axis \[s\]: the values of one throw alone have no span.
 const LEAST_TIME: f64 = 60.0;
 
 /// An axis with its range, linear or logarithmic.
@@ -14,7 +14,7 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    /// An axis that shows all the finite `values`; a logarithmic one shows the positive ones. With `from_zero` a linear
+    /// An axis over all finite `values`, or over the positive values if it is logarithmic. With `from_zero` a linear
     /// axis includes 0.
     pub(super) fn over(values: impl Iterator<Item = f64>, log: bool, from_zero: bool) -> Self {
         let shown = values.filter(|value| value.is_finite() && (!log || *value > 0.0));
@@ -34,11 +34,11 @@ impl Axis {
             (low, high) = (low - 0.5, high + 0.5);
         }
         let step = round_step((high - low) / 6.0);
-        // A little noise beyond a round number does not open a whole step for it.
+        // A value up to 5 % of a step beyond a round number does not extend the axis by a whole step.
         Self { low: (low / step + 0.05).floor() * step, high: (high / step - 0.05).ceil() * step, log }
     }
 
-    /// The range shown is narrowed to where the values end, for an axis of time.
+    /// A linear axis that ends at the lowest and the highest value, without margins.
     pub(super) fn tight(values: &(impl Iterator<Item = f64> + Clone)) -> Self {
         let rounded = Self::over(values.clone(), false, false);
         let finite = || values.clone().filter(|value| value.is_finite());
@@ -46,14 +46,14 @@ impl Axis {
         if high > low { Self { low, high, log: false } } else { rounded }
     }
 
-    /// A time axis over the range of its values \[s since 1970\], without margins.
+    /// A time axis over the values \[s since 1970\], at least [`LEAST_TIME`] long.
     pub(super) fn of_time(values: &(impl Iterator<Item = f64> + Clone)) -> Self {
         let Self { low, high, log } = Self::tight(values);
         let widen = 0.5 * (LEAST_TIME - (high - low)).max(0.0);
         Self { low: low - widen, high: high + widen, log }
     }
 
-    /// Dates and times on an axis as long as `characters` of a label.
+    /// Ticks with dates and times; the axis has room for `characters` of a label.
     pub(super) fn dates(&self, characters: f64) -> Vec<Tick> {
         calendar::ticks(self.low, self.high, characters)
     }
@@ -69,7 +69,7 @@ impl Axis {
         place.is_finite().then_some(place)
     }
 
-    /// Round numbers, with their labels.
+    /// Ticks at round numbers.
     pub(super) fn numbers(&self) -> Vec<Tick> {
         let tick = |value| Tick { value, label: self.label(value), below: None };
         self.ticks().into_iter().map(tick).collect()
@@ -90,7 +90,7 @@ impl Axis {
         (0..40).map(tick).take_while(|value| *value <= self.high + step * 1e-9).collect()
     }
 
-    /// A tick's label, with as many decimals as its neighbours need.
+    /// Label of a tick, with enough decimals to tell neighbouring ticks apart.
     fn label(&self, tick: f64) -> String {
         if self.log {
             return format!("{tick}");
@@ -102,7 +102,7 @@ impl Axis {
     }
 }
 
-/// The next number of 1, 2, 5 times a power of ten that is not below `rough`.
+/// The smallest number of the form 1, 2 or 5 times a power of ten that is at least `rough`.
 fn round_step(rough: f64) -> f64 {
     let power = 10.0_f64.powf(rough.log10().floor());
     [1.0, 2.0, 5.0]

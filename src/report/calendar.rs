@@ -1,8 +1,8 @@
-//! The ticks of an axis of time: dates and times in UTC at round moments, as many as there is room for.
+//! Ticks of a time axis: dates and times in UTC at round moments, as many as fit.
 
 use jiff::{SignedDuration, Timestamp, civil::Date, tz::TimeZone};
 
-/// A value that gets a line and a label, and a second label below where that is another than before.
+/// A tick: value and label, and a second label below if it differs from that of the previous tick.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tick {
     pub(super) value: f64,
@@ -11,19 +11,19 @@ pub(super) struct Tick {
 }
 
 const DAY: i64 = 86_400;
-/// A Monday, and the midnight from which steps of fixed length count \[s since 1970\].
+/// Midnight of a Monday \[s since 1970\], the origin of steps of fixed length.
 const MONDAY: i64 = 4 * DAY;
-/// Steps of fixed length, of up to two weeks \[s\].
+/// Steps of fixed length, up to two weeks \[s\].
 const FIXED: [i64; 22] = [
     1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1_800, 3_600, 7_200, 10_800, 21_600, 43_200, 86_400, 172_800, 345_600,
     604_800, 1_209_600,
 ];
 /// Longer steps \[months\].
 const MONTHS: [i64; 15] = [1, 3, 6, 12, 24, 60, 120, 240, 600, 1_200, 2_400, 6_000, 12_000, 24_000, 60_000];
-/// Least space between two labels beside each other \[characters\].
+/// Least space between neighbouring labels \[characters\].
 const GAP: f64 = 1.5;
 
-/// From one tick to the next.
+/// Distance between ticks.
 #[derive(Debug, Clone, Copy)]
 enum Step {
     Seconds(i64),
@@ -31,16 +31,16 @@ enum Step {
 }
 
 impl Step {
-    /// Least length \[s\].
+    /// Length, for months the shortest \[s\].
     fn length_s(self) -> f64 {
         match self {
             Self::Seconds(seconds) => seconds as f64,
-            // Of February, the shortest month.
+            // February is the shortest month.
             Self::Months(months) => (months * 28 * DAY) as f64,
         }
     }
 
-    /// The format of a tick's label, its width \[characters\], and the format of what is said below it where that changes.
+    /// Format of the label, its width \[characters\], and format of the second label below.
     const fn labels(self) -> (&'static str, f64, &'static str) {
         match self {
             Self::Seconds(..60) => ("%H:%M:%S", 8.0, "%-d %b %Y"),
@@ -51,13 +51,13 @@ impl Step {
         }
     }
 
-    /// Whether its labels have room where `characters` stand for `span_s`.
+    /// Whether the labels fit on an axis of `span_s` with room for `characters`.
     fn fits(self, span_s: f64, characters: f64) -> bool {
         let (_, width, _) = self.labels();
         self.length_s() / span_s * characters >= width + GAP
     }
 
-    /// The tick after so many from the first one at or before `low`.
+    /// The tick number `count`; number 0 is the last one at or before `low`.
     fn moment(self, low: Timestamp, count: i64) -> Option<Timestamp> {
         match self {
             Self::Seconds(step) => {
@@ -75,7 +75,7 @@ impl Step {
     }
 }
 
-/// Ticks between two moments \[s since 1970\] on an axis as long as `characters` of a label.
+/// Ticks between two moments \[s since 1970\] on an axis with room for `characters` of a label.
 pub(super) fn ticks(low: f64, high: f64, characters: f64) -> Vec<Tick> {
     let mut steps = FIXED.into_iter().map(Step::Seconds).chain(MONTHS.into_iter().map(Step::Months));
     let Some(step) = steps.find(|step| step.fits(high - low, characters)) else { return Vec::new() };
@@ -95,7 +95,7 @@ pub(super) fn ticks(low: f64, high: f64, characters: f64) -> Vec<Tick> {
             last = now;
         }
     }
-    // The first date may be about to change.
+    // Drops the first date if the next would overlap it.
     let next = ticks.iter().skip(1).find(|tick| tick.below.is_some()).map(|tick| tick.value);
     if let (Some(first), Some(next)) = (ticks.first_mut(), next) {
         let width = first.below.as_ref().map_or(0, String::len) as f64;
@@ -114,7 +114,7 @@ fn timestamp(second: f64) -> Option<Timestamp> {
 mod tests {
     use super::*;
 
-    /// A picture of the dashboard.
+    /// Length of the axis of a dashboard chart.
     const CHARACTERS: f64 = 42.0;
 
     fn said(from: &str, to: &str) -> Vec<String> {
@@ -152,7 +152,7 @@ mod tests {
 
     #[test]
     fn labels_never_overlap_and_always_tell_the_date() {
-        // From a minute to eight hundred years, beginning anywhere.
+        // Spans from a minute to eight hundred years, with different starts.
         for power in 0..110 {
             for shift in 0..40 {
                 let span = 60.0 * 1.2_f64.powi(power) + f64::from(shift);

@@ -1,4 +1,4 @@
-//! Pictures for reports: curves and grouped bars as SVG text, several panels to a sheet.
+//! Charts as SVG text: curves and grouped bars, several panels on a sheet.
 //!
 //! ```
 //! use pointsd::report::{Panel, Sheet};

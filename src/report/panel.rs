@@ -5,11 +5,11 @@ use super::svg::{Anchor, Canvas};
 
 /// Colours that people with colour blindness can tell apart (Okabe and Ito, 2008).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555"];
-/// A typical width of a character of 12 px: SVG text has no measure before it is drawn.
+/// Typical width of a character of 12 px \[px\]; the true width of SVG text is known only to the viewer.
 const CHARACTER: f64 = 6.8;
-/// Least space between two names beside each other \[px\].
+/// Least space between neighbouring names \[px\].
 const GAP: f64 = 10.0;
-/// Empty space right of the axes \[px\].
+/// Space right of the axes \[px\].
 const MARGIN: f64 = 24.0;
 const GRID: &str = "#dddddd";
 const FRAME: &str = "#444444";
@@ -24,7 +24,7 @@ enum Content {
 struct Curve {
     name: String,
     points: Vec<(f64, f64)>,
-    /// Half width of the band around the curve, one value a point; empty for no band.
+    /// Half width of the band around the curve, one value for each point; empty for no band.
     reach: Vec<f64>,
     dots: bool,
 }
@@ -35,14 +35,14 @@ pub struct Panel {
     title: String,
     y_label: String,
     log_y: bool,
-    /// Dashed horizontal lines: value and label.
+    /// Dashed horizontal lines: y and label.
     levels: Vec<(f64, String)>,
     /// Dashed vertical lines of a chart of curves: x and label.
     marks: Vec<(f64, String)>,
     content: Content,
 }
 
-/// The rectangle inside the axes, and its axes.
+/// The rectangle inside the axes, with the y axis.
 struct Frame {
     left: f64,
     top: f64,
@@ -64,13 +64,13 @@ impl Panel {
         Self::with(title, y_label, Content::Curves { x_label: x_label.into(), times: false, curves: Vec::new() })
     }
 
-    /// An empty chart of curves over moments \[s since 1970\], with dates and times in UTC on the axis.
+    /// An empty chart of curves over time \[s since 1970\], with dates and times in UTC on the x axis.
     #[must_use]
     pub fn history(title: impl Into<String>, y_label: impl Into<String>) -> Self {
         Self::with(title, y_label, Content::Curves { x_label: "UTC".to_owned(), times: true, curves: Vec::new() })
     }
 
-    /// An empty chart of bars; each group of bars has one bar for each of the `categories`, which are the colours.
+    /// An empty chart of bars; each group has one bar for each of the `categories`, which have different colours.
     #[must_use]
     pub fn bars<S: Into<String>>(
         title: impl Into<String>,
@@ -104,8 +104,7 @@ impl Panel {
         self.curve(name, points.into_iter().map(|(x, y)| (x, y, None)), true)
     }
 
-    /// Adds a curve inside a band: each point is x, y and how far the band reaches above and below. Ignored by a chart
-    /// of bars.
+    /// Adds a curve with a band: each point is x, y and half the width of the band. Ignored by a chart of bars.
     #[must_use]
     pub fn banded_line(self, name: impl Into<String>, points: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
         self.curve(name, points.into_iter().map(|(x, y, reach)| (x, y, Some(reach))), false)
@@ -144,7 +143,8 @@ impl Panel {
         self
     }
 
-    /// Adds a dashed vertical line with a label, where the x axis shows its place. Ignored by a chart of bars.
+    /// Adds a dashed vertical line with a label; drawn if `x` is in the range of the curves. Ignored by a chart of
+    /// bars.
     #[must_use]
     pub fn mark(mut self, x: f64, label: impl Into<String>) -> Self {
         self.marks.push((x, label.into()));
@@ -184,7 +184,7 @@ impl Panel {
             }
         }
         let (right, bottom) = (frame.left + frame.width, frame.top + frame.height);
-        // At the end of a history is what matters most.
+        // Labels keep clear of the end of a history, its most important part.
         let (label_at, anchor) = match self.content {
             Content::Curves { times: true, .. } => (frame.left + 4.0, Anchor::Start),
             _ => (right - 4.0, Anchor::End),
@@ -192,7 +192,7 @@ impl Panel {
         for (value, label) in &self.levels {
             let Some(y) = frame.y_of(*value) else { continue };
             canvas.line((frame.left, y), (right, y), FRAME, 1.2, true);
-            // Above the axes is the legend.
+            // The label of a high line goes below the line, as the legend is above the axes.
             let down = if y < frame.top + 16.0 { 14.0 } else { -5.0 };
             canvas.outlined_text(label_at, y + down, 12.0, anchor, label);
         }
@@ -201,7 +201,7 @@ impl Panel {
         self.legend(canvas, &frame);
     }
 
-    /// Extra height for the names of groups that do not fit beside each other and are slanted \[px\]; 0 when they fit.
+    /// Extra height for slanted names of groups \[px\]; 0 when the names fit side by side.
     fn slant(&self, width: f64) -> f64 {
         let Content::Bars { groups, .. } = &self.content else { return 0.0 };
         let longest = groups.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0) as f64 * CHARACTER;
@@ -238,16 +238,16 @@ impl Panel {
 }
 
 impl Curve {
-    /// The band: x, lower and upper edge.
+    /// The points of the band: x, lower edge, upper edge.
     fn band(&self) -> impl Iterator<Item = (f64, f64, f64)> {
         self.points.iter().zip(&self.reach).map(|((x, y), reach)| (*x, y - reach, y + reach))
     }
 }
 
-/// The most labels of marks that stand below each other before they begin at the top again.
+/// Rows of labels of neighbouring marks; the next label is at the top again.
 const MARK_ROWS: usize = 4;
 
-/// Draws the axis below the curves.
+/// Draws the x axis and returns it.
 fn x_axis(canvas: &mut Canvas, frame: &Frame, label: &str, times: bool, curves: &[Curve]) -> Axis {
     let values = curves.iter().flat_map(|curve| &curve.points).map(|point| point.0);
     let x = if times { Axis::of_time(&values) } else { Axis::tight(&values) };

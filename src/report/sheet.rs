@@ -22,20 +22,20 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// An empty sheet, one column wide. Without a title there is no room for one.
+    /// An empty sheet of one column. An empty title takes no space.
     #[must_use]
     pub fn new(title: impl Into<String>) -> Self {
         Self { title: title.into(), columns: 1, panel_size: (PANEL_WIDTH, PANEL_HEIGHT), panels: Vec::new() }
     }
 
-    /// Gives every panel this width and height \[px\].
+    /// Sets the width and height of every panel \[px\].
     #[must_use]
     pub fn panel_size(mut self, width: f64, height: f64) -> Self {
         self.panel_size = (width, height);
         self
     }
 
-    /// Puts this many panels beside each other, at least one.
+    /// Sets the number of panels in a row, at least one.
     #[must_use]
     pub fn columns(mut self, columns: usize) -> Self {
         self.columns = columns.max(1);
@@ -81,7 +81,7 @@ mod tests {
             .dotted_line("two", [(0.0, 2.0), (3.0, 2.5)]);
         let bars = Panel::bars("bars", "y", ["p", "q"]).group("g", [1.0, -2.0]).level(0.8, "limit");
         let svg = Sheet::new("sheet").columns(2).panel(curves).panel(bars).to_svg();
-        // The NaN leaves a lone point before it and a line after it.
+        // The NaN leaves a single point before it and a line after it.
         assert_eq!(svg.matches("<polyline").count(), 2);
         assert_eq!(svg.matches("<circle").count(), 2);
         assert!(svg.contains("a &lt; b &amp; c"));

@@ -1,8 +1,8 @@
-//! The few SVG elements that charts are made of.
+//! The SVG elements of charts. Errors of `write!` are ignored: a `String` accepts every write.
 
 use std::fmt::Write;
 
-/// Anchor of a text: the end that its coordinates give.
+/// The part of a text that is at its coordinates.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Anchor {
     Start,
@@ -20,7 +20,7 @@ impl Anchor {
     }
 }
 
-/// An SVG document being written; coordinates are pixels from the upper left.
+/// Writer of an SVG document; coordinates are pixels from the upper left corner.
 #[derive(Debug)]
 pub(super) struct Canvas {
     text: String,
@@ -42,7 +42,7 @@ impl Canvas {
         ));
     }
 
-    /// A text that stays readable over bars and lines.
+    /// A text with a white outline, readable over bars and lines.
     pub(super) fn outlined_text(&mut self, x: f64, y: f64, size: f64, anchor: Anchor, content: &str) {
         let (anchor, content) = (anchor.word(), escape(content));
         self.push(format_args!(
@@ -51,7 +51,7 @@ impl Canvas {
         ));
     }
 
-    /// A text that rises at 35 degrees and ends at this place.
+    /// A text that rises at 35 degrees and ends at (x, y).
     pub(super) fn slanted_text(&mut self, x: f64, y: f64, size: f64, content: &str) {
         let content = escape(content);
         self.push(format_args!(
@@ -59,7 +59,7 @@ impl Canvas {
         ));
     }
 
-    /// A text that reads upwards, centred at this place.
+    /// A text that runs upwards, centred at (x, y).
     pub(super) fn upright_text(&mut self, x: f64, y: f64, size: f64, content: &str) {
         let content = escape(content);
         self.push(format_args!(
@@ -85,7 +85,7 @@ impl Canvas {
         self.push(format_args!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius}\" fill=\"{fill}\"/>"));
     }
 
-    /// A closed area, so thin in colour that what lies on it can be read.
+    /// A closed area in a transparent colour.
     pub(super) fn area(&mut self, corners: impl Iterator<Item = (f64, f64)>, colour: &str) {
         let list = places(corners);
         self.push(format_args!("<polygon points=\"{list}\" fill=\"{colour}\" fill-opacity=\"0.2\"/>"));
@@ -104,7 +104,6 @@ impl Canvas {
     }
 
     fn push(&mut self, element: std::fmt::Arguments<'_>) {
-        // Writing to a string cannot fail.
         let _ = writeln!(self.text, "{element}");
     }
 }
@@ -112,7 +111,6 @@ impl Canvas {
 fn places(points: impl Iterator<Item = (f64, f64)>) -> String {
     let mut list = String::new();
     for (x, y) in points {
-        // Writing to a string cannot fail.
         let _ = write!(list, "{x:.1},{y:.1} ");
     }
     list.truncate(list.trim_end().len());

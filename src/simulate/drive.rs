@@ -1,8 +1,9 @@
 //! The toe drive of equation (8) and the friction clutch in it.
 //!
-//! The drive's force is F = `K_fs` (p theta - x - s) + `C_fs` (p theta' - x'), where s is how far the clutch has slipped. It
-//! holds up to its limit, then slips at just that force until screw and toe move alike again. What the motor does to an
-//! obstacle is so bounded: without a clutch 110 V would stall it at 27 A and press 110 kN on the rails.
+//! The drive's force is F = `K_fs` (p theta - x - s) + `C_fs` (p theta' - x'), where s is the slip of the clutch so
+//! far. The clutch holds up to its limit, then slips at that force until screw and toe move at the same speed again.
+//! This limits the force on an obstacle: without a clutch the motor would stall at 110 V and 27 A and press 110 kN on
+//! the rails.
 
 use super::dynamics::{SCREW, SCREW_SPEED, State, Toe};
 use super::machine::Parameters;
@@ -17,7 +18,7 @@ pub(super) struct Drive {
     toe: Toe,
     /// Slip of the clutch so far \[m at the toe\].
     slip_m: f64,
-    /// The force of a slipping clutch, with its sign \[N\].
+    /// Signed force of the slipping clutch \[N\]; `None` while it holds.
     slipping_n: Option<f64>,
 }
 
@@ -38,13 +39,13 @@ impl Drive {
         self.slipping_n.is_some()
     }
 
-    /// The part of the force that does not follow from the state \[N\].
+    /// The part of the drive's force that does not depend on the state \[N\].
     #[inline]
     pub(super) fn constant_force(&self) -> f64 {
         self.slipping_n.unwrap_or(-self.stiffness * self.slip_m)
     }
 
-    /// Force on the toe at `toe_m` in this state, were the clutch to hold \[N\].
+    /// Force on the toe at `toe_m` in this state if the clutch holds \[N\].
     #[inline]
     fn holding_force(&self, state: &State, toe_m: f64) -> f64 {
         let stretch = self.metres_per_radian * state[SCREW] - toe_m - self.slip_m;
@@ -57,7 +58,8 @@ impl Drive {
         self.metres_per_radian * state[SCREW_SPEED] - self.toe.speed(state)
     }
 
-    /// Whether the clutch, which held in the step to `reached`, could not have: then it slips, and the step is void.
+    /// Starts to slip if the force in the state `reached`, computed with a holding clutch, exceeds the limit. Then the
+    /// step has to be computed again.
     #[inline]
     pub(super) fn breaks_away(&mut self, reached: &State, toe_m: f64) -> bool {
         if self.slips() {
@@ -70,8 +72,8 @@ impl Drive {
         self.slips()
     }
 
-    /// Whether the slipping clutch has come to hold: it no longer slips the way its force says. The slip is then what
-    /// leaves the force as it is.
+    /// Ends the slip when the relative speed no longer has the sign of the clutch's force. The slip is set so that the
+    /// force does not jump.
     #[inline]
     pub(super) fn engages(&mut self, reached: &State) -> bool {
         let Some(force) = self.slipping_n.filter(|force| force * self.relative_speed(reached) <= 0.0) else {

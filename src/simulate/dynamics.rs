@@ -1,7 +1,8 @@
 //! Motor, gearbox, ball screw, toe drive and rails as one linear system, discretised exactly.
 //!
-//! Everything is on the screw: psi is the motor angle over the gear ratio, theta the screw angle, q the modes of the
-//! rails; angles and toe position count from the neutral position. With p the toe travel per screw angle:
+//! All quantities are referred to the screw: psi is the motor angle divided by the gear ratio, theta the screw angle, q
+//! the modes of the rails; angles and toe position count from the neutral position. With p the toe travel per screw
+//! angle:
 //!
 //! ```text
 //! (J_M + J_L) n² psi'' = n T_motor - B_M n² psi' - T_gh            (3), with the gearhead's torque opposing the motor
@@ -11,8 +12,8 @@
 //! q_k'' = -2 zeta w_k q_k' - w_k² q_k + f_k(toe) F + chairs and stops
 //! ```
 //!
-//! Between changes of contact this is z' = A z + B f with constant A, so a step under constant f is exact:
-//! z(t + h) = e^(A h) z(t) + G f, from the matrix exponential of the augmented system.
+//! Between changes of contact this is z' = A z + B f with constant A, so a step with constant f is exact: z(t + h) =
+//! e^(A h) z(t) + G f, from the matrix exponential of the augmented system.
 
 use nalgebra::DMatrix;
 
@@ -32,7 +33,7 @@ pub(super) const MODE: usize = 4;
 /// Index of the first q' in the state.
 pub(super) const MODE_SPEED: usize = 4 + MAX_MODES;
 
-/// A state, or the effect on the state of a constant force over one step.
+/// A state, or the change of the state by a constant force over one step.
 pub(super) type State = [f64; STATES];
 
 /// Stiffness of the stock rail where it stops the toe \[N/m\].
@@ -40,12 +41,12 @@ const STOP_STIFFNESS_N_M: f64 = 2e7;
 /// Damping of the stop \[N s/m\].
 const STOP_DAMPING_NS_M: f64 = 1e5;
 
-/// Connections that are closed during a step: stops, clutch and chairs open and close.
+/// The connections that hold during a step; each combination has its own matrix A.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Phase {
-    /// The toe leans on a stop, whose spring and damper then belong to A.
+    /// The toe touches a stop: A includes the stop's spring and damper.
     pub at_stop: bool,
-    /// The clutch slips: spring and damper of the toe drive carry a constant force, and do not belong to A.
+    /// The clutch slips: the toe drive has a constant force, and A excludes its spring and damper.
     pub slipping: bool,
 }
 
@@ -181,7 +182,7 @@ fn continuous(parameters: &Parameters, modes: &Modes, phase: Phase) -> ([State; 
     (a, b)
 }
 
-/// The toe's place and speed among the modes.
+/// Position and speed of the toe as sums over the modes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Toe {
     shape: [f64; MAX_MODES],
@@ -209,13 +210,13 @@ impl Toe {
         STOP_STIFFNESS_N_M * (stop_m - self.position(state)) - STOP_DAMPING_NS_M * self.speed(state)
     }
 
-    /// Force that stands for the stop's rest position in the equations with contact \[N\].
+    /// The constant part of the stop's force, from its rest position; the part that depends on the state is in A \[N\].
     pub(super) fn stop_offset_force(stop_m: f64) -> f64 {
         STOP_STIFFNESS_N_M * stop_m
     }
 }
 
-/// The machine at rest with the toe at `toe_m` from neutral: the drive is wound up by the rails.
+/// State of the machine at rest with the toe at `toe_m` from neutral; the bent rails strain the drive.
 pub(super) fn at_rest(parameters: &Parameters, modes: &Modes, toe_m: f64) -> State {
     let p = parameters.metres_per_radian();
     let force = toe_m / modes.toe_compliance();

@@ -1,11 +1,12 @@
-//! Faults: the part that wears, its size, and its development over the throws.
+//! Faults of the simulated machine: the part, the size, and the development over the throws.
 //!
-//! A size is what an engineer expects at the coefficient: a torque loss of 10 % lowers b0 by 10 %, friction of +25 %
-//! raises a1 by 25 %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
+//! A size is the change of the coefficient: a torque loss of 10 % lowers b0 by 10 %, friction of +25 % raises a1 by 25
+//! %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
 //!
-//! An estimate shows just that, with one exception. On a beam the chairs near the heel stick until the rail has bent, so
+//! Estimates show this change, with one exception. On a beam the chairs near the heel stick until the rail has bent, so
 //! their friction builds up over the first centimetres of toe travel, which no constant coefficient describes: friction
-//! of +25 % there is estimated as +30 % in a1 and +4 to +5 % in b0 and a0. With lumped rails it is +24.5, -0.4, 0 %.
+//! of +25 % there is estimated as +30 % in a1 and +4 to +5 % in b0 and a0. With lumped rails the estimates are +24.5 %
+//! in a1, -0.4 % in b0 and 0 % in a0.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +18,8 @@ use crate::throw::OutOfRange;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
-    /// Torque per ampere of the motor, as in the study: the back-EMF constant stays, so the speed stays and only b0 moves.
+    /// Torque per ampere of the motor, as in the study: the back-EMF constant and so the speed stay, and only b0
+    /// changes.
     Kt,
     /// Dry friction on the slide chairs (mu); a decrease scales every friction of the machine.
     Friction,
@@ -30,7 +32,7 @@ pub enum Part {
 }
 
 impl Part {
-    /// The cause that an alarm should name, as in messages: "kt", "friction", "stiffness" or "inertia".
+    /// The cause that the monitor should name, as in messages: "kt", "friction", "stiffness" or "inertia".
     #[must_use]
     pub const fn cause(self) -> &'static str {
         match self {
@@ -46,9 +48,9 @@ impl Part {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Shape {
-    /// All at once.
+    /// Full size from the first throw on.
     Step,
-    /// In a straight line to full size, where it stays.
+    /// Linear growth to the full size, then constant.
     Ramp {
         /// Throws until full size.
         throws: u64,
@@ -60,7 +62,7 @@ pub enum Shape {
     },
 }
 
-/// A part that changes from some throw on.
+/// A fault of one part, from one throw on.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fault {
@@ -70,12 +72,12 @@ pub struct Fault {
     pub shape: Shape,
     /// Full size, as a change of the coefficient \[%\]; negative for a loss.
     pub size_pct: f64,
-    /// The first throw that shows it, counted from 0 over both directions.
+    /// The first throw with the fault, counted from 0 over both directions.
     pub from_throw: u64,
 }
 
 impl Fault {
-    /// Size at this throw \[%\]; a random walk's is where `walk`, a sum of standard normal steps, has come to.
+    /// Size at a throw \[%\]. Only a random walk uses `walk`, its sum of standard normal steps up to this throw.
     #[must_use]
     pub fn size_at(&self, throw_index: u64, walk: f64) -> f64 {
         let Some(since) = throw_index.checked_sub(self.from_throw) else { return 0.0 };
@@ -87,18 +89,18 @@ impl Fault {
     }
 }
 
-/// The state of the parts relative to new: 1 for as new.
+/// Condition of the parts as ratios to a new machine; 1 means unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Condition {
-    /// Torque per ampere, as a ratio at b0.
+    /// Ratio of the torque per ampere, and of b0.
     pub kt: f64,
-    /// Friction, as a ratio at a1.
+    /// Ratio of a1 from friction.
     pub friction: f64,
-    /// Stiffness of the drive, as a ratio at a0.
+    /// Ratio of a0 from the stiffness of the drive.
     pub stiffness: f64,
-    /// Stiffness of the rails, as a ratio at a0.
+    /// Ratio of a0 from the stiffness of the rails.
     pub rail_stiffness: f64,
-    /// All inertia seen at the screw, as a ratio.
+    /// Ratio of the whole inertia at the screw.
     pub inertia: f64,
 }
 
@@ -109,7 +111,7 @@ impl Default for Condition {
 }
 
 impl Condition {
-    /// Adds a fault of this size \[%\].
+    /// Adds a fault of `size_pct` in `part`, on top of the faults so far.
     pub fn worsen(&mut self, part: Part, size_pct: f64) {
         let ratio = (1.0 + size_pct / 100.0).max(0.05);
         match part {
@@ -125,8 +127,7 @@ impl Condition {
 impl Parameters {
     /// These parameters with the parts in this condition.
     ///
-    /// Dry friction on the chairs is sized by the torque that it takes at running speed, see
-    /// [`Parameters::coefficients`].
+    /// Dry friction on the chairs counts by its torque at running speed, see [`Parameters::coefficients`].
     ///
     /// # Errors
     /// When a parameter is out of its range.
@@ -139,7 +140,7 @@ impl Parameters {
         worn.torque_constant *= condition.kt;
         let n2 = self.gear_ratio.powi(2);
         worn.load_inertia_kg_m2 += (condition.inertia - 1.0) * loads.inertia / n2;
-        // Less inertia than the couplings have is taken from the rotor.
+        // A loss larger than the inertia of the couplings reduces the rotor's inertia.
         if worn.load_inertia_kg_m2 < 0.0 {
             worn.rotor_inertia_kg_m2 += worn.load_inertia_kg_m2;
             worn.load_inertia_kg_m2 = 0.0;
@@ -159,7 +160,8 @@ impl Parameters {
             let chairs = loads.chair_dry_per_mu * self.rails.slide_friction;
             let speed = self.running_speed(loads.viscous, loads.drive_dry + chairs);
             let drag = ratio * (loads.viscous + (loads.drive_dry + chairs) / speed);
-            // More friction slows the machine, so the same torque counts more: solved for the slower speed.
+            // More friction slows the machine, and a slower machine turns the same torque into more a1. So `dry` is
+            // computed at the slower speed.
             let slower = self.running_speed(drag, 0.0);
             let dry = (drag - loads.viscous) * slower;
             self.rails.slide_friction = (dry - loads.drive_dry) / loads.chair_dry_per_mu;

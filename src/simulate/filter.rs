@@ -16,9 +16,9 @@ pub(super) struct Butterworth {
 }
 
 impl Butterworth {
-    /// Cut-off `cut_off_hz` for a signal on a grid of `rate_hz`; the cut-off is below half the rate.
+    /// A filter with the cut-off `cut_off_hz`, below half of `rate_hz`, for a signal sampled at `rate_hz`.
     pub(super) fn new(cut_off_hz: f64, rate_hz: f64) -> Self {
-        // Prewarped, so that the analogue -3 dB point stays where it is.
+        // Prewarping keeps the -3 dB point of the analogue filter.
         let k = (PI * cut_off_hz / rate_hz).tan();
         let section = |index: f64| {
             // Damping of the pole pair of a 4th-order Butterworth: 2 sin(pi (2 i + 1) / 8).
@@ -30,7 +30,7 @@ impl Butterworth {
         Self { sections: [section(0.0), section(1.0)] }
     }
 
-    /// Filters in place; the signal was constant for ever before its first value.
+    /// Filters in place; the signal counts as constant before its first value.
     pub(super) fn run(&self, signal: &mut [f64]) {
         for section in &self.sections {
             let Some(&first) = signal.first() else { return };

@@ -1,5 +1,5 @@
-//! A fleet of point machines: natural spread between them, weather and wear from throw to throw. One seed reproduces
-//! everything, and a machine's life does not depend on how many others the fleet has.
+//! A simulated fleet: natural spread between machines, weather and wear from throw to throw. The same seed gives the
+//! same throws, and the throws of a machine do not depend on the size of the fleet.
 
 use std::f64::consts::{PI, TAU};
 
@@ -14,15 +14,15 @@ use super::machine::{Coefficients, Parameters};
 use super::motion::Conditions;
 use super::sensors::{Sensors, Stuck, normal};
 
-/// Composition of a fleet: its machines, their sensors and differences, faults and incidents.
+/// Settings of a simulated fleet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FleetSettings {
     /// Number of machines.
     pub machines: usize,
-    /// The machine that they are all built to.
+    /// Nominal parameters; each machine differs from them by the spread.
     pub machine: Parameters,
-    /// Their sensors and loggers.
+    /// Sensors and loggers of the machines.
     pub sensors: Sensors,
     /// Differences between machines.
     pub spread: Spread,
@@ -30,9 +30,9 @@ pub struct FleetSettings {
     pub scatter: Scatter,
     /// Temperature over the throws.
     pub climate: Climate,
-    /// Parts that wear out, each on one machine; several on the same machine add up.
+    /// Faults, each on one machine; several faults on the same machine add up.
     pub faults: Vec<FleetFault>,
-    /// Throws that something happens to, each on one machine.
+    /// Incidents, each in some throws of one machine.
     pub incidents: Vec<Incident>,
 }
 
@@ -51,17 +51,17 @@ impl Default for FleetSettings {
     }
 }
 
-/// Natural spread between machines of one type: standard deviations of each coefficient \[%\].
+/// Natural spread between machines of one type: standard deviations \[%\].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Spread {
-    /// Of KT (and KV with it: magnets and windings differ).
+    /// Of KT and KV together: magnets and windings differ.
     pub kt_pct: f64,
-    /// Of all friction.
+    /// Of all friction, viscous and dry.
     pub friction_pct: f64,
     /// Of the rails' stiffness.
     pub stiffness_pct: f64,
-    /// Of the inertia.
+    /// Of the whole inertia at the screw.
     pub inertia_pct: f64,
 }
 
@@ -114,7 +114,7 @@ impl Default for Climate {
 }
 
 impl Climate {
-    /// Temperature at a throw \[°C\]; the record begins on a spring morning.
+    /// Temperature at a throw \[°C\]; throw 0 is on a spring morning, at the mean.
     #[must_use]
     pub fn at(&self, throw_index: u64) -> f64 {
         let days = throw_index as f64 / self.throws_per_day;
@@ -132,7 +132,7 @@ pub struct FleetFault {
     pub fault: Fault,
 }
 
-/// Something that happens to some throws of one machine.
+/// An incident in consecutive throws of one machine.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Incident {
@@ -140,13 +140,13 @@ pub struct Incident {
     pub machine: usize,
     /// The incident.
     pub kind: IncidentKind,
-    /// The first throw it happens to, counted from 0.
+    /// The first throw with the incident, counted from 0.
     pub from_throw: u64,
-    /// Number of throws it happens to.
+    /// Number of throws with the incident.
     pub throws: u64,
 }
 
-/// An incident: a single event that disturbs a throw or its recording.
+/// A disturbance of a throw or of its recording.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum IncidentKind {
@@ -155,23 +155,23 @@ pub enum IncidentKind {
         /// Distance of the obstruction from the normal position \[mm\].
         at_mm: f64,
     },
-    /// The supply sags.
+    /// Loss of supply voltage.
     WeakSupply {
         /// Voltage lost \[%\].
         loss_pct: f64,
     },
-    /// A channel stands still.
+    /// A sensor that repeats its last value.
     StuckSensor(Stuck),
 }
 
-/// A simulated throw with the true coefficients behind it.
+/// A simulated throw with its true coefficients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedThrow {
-    /// Count from 0 over both directions.
+    /// Index of the throw in the life of the machine, from 0 over both directions.
     pub throw_index: u64,
-    /// The way it moved.
+    /// Direction of the throw.
     pub direction: Direction,
-    /// The recording of the logger.
+    /// The trace as the logger records it.
     pub trace: Trace,
     /// Temperature of the machine \[°C\].
     pub temperature_c: f64,
@@ -179,7 +179,7 @@ pub struct SimulatedThrow {
     pub supply_v: f64,
     /// Cut-off of the anti-alias filter \[Hz\].
     pub anti_alias_hz: Option<f64>,
-    /// Wear of each part, relative to a new machine.
+    /// Condition of the parts in this throw.
     pub condition: Condition,
     /// True coefficients of this throw, equation (13).
     pub coefficients: Coefficients,
@@ -204,7 +204,7 @@ impl Wander {
     }
 }
 
-/// A machine of a fleet, with its own random numbers.
+/// A machine of a fleet, with its own random number generator.
 #[derive(Debug, Clone)]
 pub struct SimulatedMachine {
     number: usize,
@@ -220,34 +220,34 @@ pub struct SimulatedMachine {
 }
 
 impl SimulatedMachine {
-    /// Position in the fleet, from 0.
+    /// Index in the fleet, from 0.
     #[must_use]
     pub fn number(&self) -> usize {
         self.number
     }
 
-    /// The machine as it was built, before any wear.
+    /// Parameters of the machine when new.
     #[must_use]
     pub fn parameters(&self) -> &Parameters {
         &self.parameters
     }
 
-    /// The parts that wear out on this machine.
+    /// The faults of this machine, in the order in which they were added.
     pub fn faults(&self) -> impl Iterator<Item = &Fault> {
         self.faults.iter().map(|(fault, _)| fault)
     }
 
-    /// Adds a fault from here on.
+    /// Adds a fault, for the throws from here on.
     pub fn add_fault(&mut self, fault: Fault) {
         self.faults.push((fault, 0.0));
     }
 
-    /// Puts the worn parts right: the faults so far are gone.
+    /// Removes all faults.
     pub fn repair(&mut self) {
         self.faults.clear();
     }
 
-    /// The next throw; directions alternate, from normal first.
+    /// Simulates the next throw; directions alternate, starting with normal to reverse.
     ///
     /// # Errors
     /// When wear and scatter have taken a parameter out of its range.
@@ -324,25 +324,25 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// Most machines in a fleet.
+    /// Largest fleet, in machines.
     pub const MAX_MACHINES: usize = 10_000;
 
-    /// A fleet built to `settings`; the same seed gives the same fleet and the same throws.
+    /// A fleet with these settings; the same seed gives the same fleet and the same throws.
     ///
     /// # Errors
-    /// When a setting is out of its range, or a fault or incident is on a machine that the fleet does not have.
+    /// When a setting is out of its range, or a fault or incident names a machine outside the fleet.
     pub fn new(settings: &FleetSettings, seed: u64) -> Result<Self, OutOfRange> {
         settings.check()?;
         let machines = (0..settings.machines).map(|number| settings.build(number, seed)).collect::<Result<_, _>>()?;
         Ok(Self { machines })
     }
 
-    /// The machines, in order of their numbers.
+    /// The machines, in the order of their index.
     pub fn machines(&mut self) -> &mut [SimulatedMachine] {
         &mut self.machines
     }
 
-    /// The machines, to hand each to a task of its own.
+    /// The machines by value, for one task each.
     #[must_use]
     pub fn into_machines(self) -> Vec<SimulatedMachine> {
         self.machines
@@ -353,7 +353,7 @@ impl FleetSettings {
     /// Checks that every setting is in its range.
     ///
     /// # Errors
-    /// The first that is not.
+    /// The first setting out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         let Self { spread, scatter, climate, .. } = self;
         OutOfRange::check([("machines", self.machines as f64, 1.0, Fleet::MAX_MACHINES as f64, "machines")])?;

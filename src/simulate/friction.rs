@@ -1,18 +1,20 @@
 //! Dry friction at the motor, the screw and every slide chair, with true sticking.
 //!
 //! Each contact's force f is constant over a step and obeys Coulomb's law at its end: |f| <= limit, and where the
-//! contact slides f = -limit sign(v). Velocities at the end of the step are `v = v_free + D f` with the step's own response
-//! D, so that the law is a small complementarity problem, solved by projected Gauss-Seidel from the forces of the step
-//! before. While everything slides, which is nearly always, those already satisfy it and nothing is solved.
+//! contact slides f = -limit sign(v). Velocities at the end of the step are `v = v_free + D f`, with the response D of
+//! the step. The law is then a small complementarity problem; projected Gauss-Seidel solves it, starting with the
+//! forces of the previous step. While all contacts slide, which is nearly always, these forces already satisfy the law
+//! and no solution is needed.
 
 use super::dynamics::{MODE_SPEED, MOTOR_SPEED, SCREW_SPEED, STATES, State, Step, add_scaled};
 use super::machine::Parameters;
 use super::rails::{Chair, MAX_MODES, Modes};
 
-/// Most sweeps of Gauss-Seidel in a step: sticking contacts settle in a few, as they start from the step before.
+/// Largest number of Gauss-Seidel sweeps in a step. Sticking contacts converge in a few, as they start with the forces
+/// of the previous step.
 const MAX_SWEEPS: usize = 60;
 
-/// Motion of the parts at a contact.
+/// Place of a contact.
 #[derive(Debug, Clone, Copy)]
 enum Site {
     Motor,
@@ -43,29 +45,29 @@ struct Contact {
     site: Site,
     /// Sliding friction \[N m or N\].
     sliding: f64,
-    /// Greatest force now: sliding friction, or more near standstill.
+    /// Present limit of the force \[N m or N\]: sliding friction, or more near standstill.
     limit: f64,
     force: f64,
 }
 
-/// Response of every contact to every contact, for one kind of step.
+/// Effect of the force at each contact on the state and on all contacts, for one kind of step.
 #[derive(Debug, Clone)]
 pub(super) struct Response {
     /// Effect on the state of a unit force at each contact.
     effect: Vec<State>,
-    /// D, row by row: velocity at a contact per force at another.
+    /// D: the row is the contact with the velocity, the column the contact with the force.
     velocity: Vec<Vec<f64>>,
 }
 
-/// Chairs checked at once: enough for the compiler to use vector registers.
+/// Chairs in a block; 8 let the compiler use vector registers.
 const LANES: usize = 8;
 
-/// A block of chairs; one that is not full repeats its last chair.
+/// A block of chairs; the last chair is repeated in a block that is not full.
 #[derive(Debug, Clone, Copy)]
 struct Sliding {
-    /// Modal displacement at each chair: one row a chair, one column a mode.
+    /// Displacement of each mode (row) at each chair (column).
     shapes: [[f64; LANES]; MAX_MODES],
-    /// The way each chair slides, against its force; 0 for one that sticks.
+    /// Sign of the sliding speed of each chair, against its force; 0 for a chair that sticks.
     ways: [f64; LANES],
 }
 
@@ -83,7 +85,7 @@ impl Sliding {
         });
     }
 
-    /// Whether every chair slides the way its force is against.
+    /// Whether every chair slides on, against its force.
     #[inline]
     fn goes_on(&self, mode_speeds: &[f64; MAX_MODES]) -> bool {
         let mut speeds = [0.0; LANES];
@@ -97,15 +99,15 @@ impl Sliding {
     }
 }
 
-/// All dry friction of a machine, and its forces in the last step.
+/// Dry friction of a machine, with the forces of the last step.
 #[derive(Debug, Clone)]
 pub(super) struct Friction {
     /// Motor, screw, then the chairs.
     contacts: Vec<Contact>,
-    /// The chairs grouped in blocks, for the check at every step whether they still slide.
+    /// The chairs in blocks, for a fast check in each step that they still slide.
     sliding: Vec<Sliding>,
     stribeck: Option<Stribeck>,
-    /// Effect of the present forces on the state, kept until they change.
+    /// Effect of the present forces on the state; NaN when it must be computed again.
     effect: State,
     brake: f64,
 }
@@ -147,18 +149,19 @@ impl Friction {
         Response { effect, velocity }
     }
 
-    /// The brake grips or lets go.
+    /// Closes or releases the brake.
     pub(super) fn set_brake(&mut self, on: bool) {
         let motor = &mut self.contacts[0];
         motor.limit = motor.sliding + if on { self.brake } else { 0.0 };
-        // The forces kept from the step before may be out of the new limit: Gauss-Seidel starts from within.
+        // The force of the previous step may exceed the new limit, and Gauss-Seidel must start within the limits.
         motor.force = motor.force.clamp(-motor.limit, motor.limit);
         self.effect = [f64::NAN; STATES];
     }
 
     /// Adds this step's friction to `next`, the state that the step would reach without friction.
     ///
-    /// `state` is where the step starts; only break-away friction looks at it. The brake does not fade with speed.
+    /// `state` is the start of the step; only break-away friction needs it. The torque of the brake does not depend on
+    /// speed.
     pub(super) fn apply(&mut self, state: &State, next: &mut State, response: &Response, motor_on: bool) {
         if let Some(stribeck) = self.stribeck {
             self.update_limits(state, stribeck, motor_on);
@@ -177,7 +180,7 @@ impl Friction {
         *next = reached;
     }
 
-    /// Whether every force obeys Coulomb's law in the state that it leads to.
+    /// Whether every force satisfies Coulomb's law in the state `reached`.
     #[inline]
     fn all_hold(&self, reached: &State) -> bool {
         let mode_speeds: [f64; MAX_MODES] = std::array::from_fn(|mode| reached[MODE_SPEED + mode]);
@@ -186,7 +189,7 @@ impl Friction {
             && self.sliding.iter().all(|chairs| chairs.goes_on(&mode_speeds))
     }
 
-    /// The response changed: the kept effect is of the old one.
+    /// Discards the stored effect after the response changed.
     pub(super) fn forget_effect(&mut self) {
         self.effect = [f64::NAN; STATES];
     }
@@ -208,7 +211,7 @@ impl Friction {
             let toe_speed =
                 if matches!(contact.site, Site::Chair(_)) { speed } else { speed * stribeck.metres_per_radian };
             let relative = toe_speed / stribeck.toe_speed_m_s;
-            // Far above the Stribeck speed the excess is nothing, and most of a throw is there.
+            // Far above the Stribeck speed, as in most of a throw, the excess is negligible.
             let excess = if relative < 5.0 { stribeck.excess * (-relative * relative).exp() } else { 0.0 };
             let limit = contact.sliding * (1.0 + excess) + if at == 0 { brake } else { 0.0 };
             if limit.to_bits() != contact.limit.to_bits() {
@@ -248,7 +251,7 @@ impl Friction {
 }
 
 impl Contact {
-    /// Whether the force obeys Coulomb's law at the speed that it leads to.
+    /// Whether the contact slides at `speed` with its force at the limit and against the speed, or has no friction.
     #[inline]
     fn holds(&self, speed: f64) -> bool {
         self.limit == 0.0 || (self.force.abs() >= self.limit && self.force * speed <= 0.0 && speed != 0.0)

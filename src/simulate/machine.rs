@@ -1,4 +1,4 @@
-//! The physical parameters of one point machine, and what they say about its coefficients.
+//! Physical parameters of one point machine, and the coefficients that follow from them.
 
 use std::f64::consts::TAU;
 
@@ -19,10 +19,10 @@ pub enum MotorKind {
     Series,
 }
 
-/// Parameters of a point machine: motor, gearbox, ball screw, toe drive and switch rails, in SI units. Rotating parts are
-/// given on their own shaft.
+/// Parameters of a point machine: motor, gearbox, ball screw, toe drive and switch rails. Values of rotating parts
+/// refer to their own shaft.
 ///
-/// The default is a credible machine: 4.3 s a throw, 13 A of inrush, about 1 A running.
+/// The default is a plausible machine: 4.3 s a throw, 13 A of inrush, about 1 A running.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Parameters {
@@ -32,8 +32,9 @@ pub struct Parameters {
     pub supply_v: f64,
     /// Shape of the supply voltage over time.
     pub supply: Waveform,
-    /// Ripple that the rectifier's smoothing leaves of |sin|'s: 1 without smoothing. 0.17 makes the current of the default
-    /// machine ripple by ±1 A, as recorded on a real one; unsmoothed it would be ±6 A through 20 mH.
+    /// Share of the ripple of |sin| that is left after smoothing; 1 without smoothing. With 0.17 the current of the
+    /// default machine ripples by ±1 A, as recorded on a real machine; without smoothing it would ripple by ±6 A
+    /// through 20 mH.
     pub rectifier_ripple: f64,
     /// Armature resistance R at 20 °C, with the leads \[ohm\].
     pub resistance_ohm: f64,
@@ -73,8 +74,8 @@ pub struct Parameters {
     pub drive_stiffness_n_m: f64,
     /// Damping of the drive between nut and toe `C_fs` \[N s/m\].
     pub drive_damping_ns_m: f64,
-    /// Force at which the friction clutch in the toe drive slips \[N\]. Clutches of point machines are set to 4 to 10 kN;
-    /// a throw of the default machine takes 2.4 kN, with a slide-chair friction of 0.3 at -40 °C 3.0 kN.
+    /// Force at which the friction clutch in the toe drive slips \[N\]. Clutches of point machines are set to 4 to 10
+    /// kN. A throw of the default machine needs 2.4 kN, or 3.0 kN with a slide-chair friction of 0.3 at -40 °C.
     pub clutch_n: f64,
     /// Travel of the toe between the stock rails \[mm\].
     pub stroke_mm: f64,
@@ -86,9 +87,9 @@ pub struct Parameters {
     pub timeout_s: f64,
     /// The switch rails.
     pub rails: Rails,
-    /// Break-away friction over sliding friction (Stribeck), 1 for none.
+    /// Ratio of break-away friction to sliding friction (Stribeck); 1 for no excess.
     pub breakaway_ratio: f64,
-    /// Toe speed at which the break-away friction has fallen to 1/e of its excess \[m/s\].
+    /// Toe speed at which the excess of break-away over sliding friction has fallen to 1/e \[m/s\].
     pub stribeck_speed_m_s: f64,
     /// Change of KT and KV with temperature \[%/K\].
     pub magnet_pct_per_k: f64,
@@ -139,7 +140,7 @@ impl Default for Parameters {
     }
 }
 
-/// Coefficients by equation (13) with every inertia reduced to the screw: the values that identification should find.
+/// Coefficients by equation (13) with all inertia referred to the screw: the true values for the estimator.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Coefficients {
     /// KT n / `J_tot` \[rad s⁻² A⁻¹\]; of a series motor k n / `J_tot` \[rad s⁻² A⁻²\].
@@ -148,15 +149,16 @@ pub struct Coefficients {
     pub a1: f64,
     /// Restoring stiffness / `J_tot` \[s⁻²\].
     pub a0: f64,
-    /// The part of `a1` that is viscous \[s⁻¹\].
+    /// The part of `a1` from viscous friction alone \[s⁻¹\].
     pub a1_viscous: f64,
-    /// All inertia seen at the screw `J_tot` \[kg m²\].
+    /// Whole inertia at the screw `J_tot` \[kg m²\].
     pub inertia_kg_m2: f64,
-    /// Screw speed at which the motor's torque balances friction \[rad/s\]; over both directions the springs cancel.
+    /// Screw speed at which the motor's torque balances friction \[rad/s\]. Springs are left out: their effects in the
+    /// two directions cancel.
     pub running_speed_rad_s: f64,
 }
 
-/// Torques at the screw, gathered from all parts.
+/// Inertia, friction and stiffness of all parts, referred to the screw.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Loads {
     pub inertia: f64,
@@ -189,15 +191,15 @@ impl Parameters {
         }
     }
 
-    /// Running speed \[rad/s on the screw\] under `viscous` \[N m s\] and `constant` \[N m\] load: the armature in
-    /// steady state against the load.
+    /// Running speed \[rad/s on the screw\] in steady state, against a `viscous` \[N m s\] and a `constant` \[N m\]
+    /// load.
     pub(super) fn running_speed(&self, viscous: f64, constant: f64) -> f64 {
         let (kt, kv) = (self.torque_constant * self.gear_ratio, self.back_emf_constant * self.gear_ratio);
         let r = self.resistance_ohm;
         match self.motor {
             MotorKind::PermanentMagnet => (kt * self.supply_v / r - constant) / (viscous + kt * kv / r),
             MotorKind::Series => {
-                // k I² n = load(w), I = V / (R + k n w): monotone in w, so bisection.
+                // k I² n = load(w) with I = V / (R + k n w) is monotone in w: bisection.
                 let surplus = |w: f64| kt * (self.supply_v / (r + kv * w)).powi(2) - viscous * w - constant;
                 let (mut low, mut high) = (0.0, 1e4);
                 for _ in 0..80 {
@@ -211,9 +213,9 @@ impl Parameters {
 
     /// The coefficients that follow from these parameters at 20 °C.
     ///
-    /// Rails count with the mass, damping and stiffness of their quasi-static bending line. Dry friction is no part of
-    /// equation (10): it counts as the viscous friction that takes the same torque at running speed, which is what an
-    /// estimate from one throw shows.
+    /// Rails count with the mass, damping and stiffness of their quasi-static bending line. Equation (10) has no dry
+    /// friction. It counts as the viscous friction with the same torque at running speed, as in an estimate from one
+    /// throw.
     ///
     /// # Errors
     /// When a parameter is out of its range.
@@ -237,7 +239,7 @@ impl Parameters {
     /// Checks that every parameter is finite and in its range.
     ///
     /// # Errors
-    /// The first parameter that is not.
+    /// The first parameter out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         let positive = [
             ("supply_v", self.supply_v),
@@ -284,14 +286,15 @@ impl Parameters {
         self.rails.check().map_err(|error| error.within("rails"))
     }
 
-    /// These parameters at `temperature_c`: magnets and back-EMF, copper, grease and thermal thrust in the rails.
+    /// These parameters at `temperature_c`: magnets and back-EMF, copper resistance, grease, thermal thrust in the
+    /// rails.
     #[must_use]
     pub fn at_temperature(&self, temperature_c: f64) -> Self {
         const COPPER_PCT_PER_K: f64 = 0.39;
         let kelvin = temperature_c - 20.0;
         let linear = |pct: f64| (1.0 + pct / 100.0 * kelvin).max(0.05);
         let magnet = if self.motor == MotorKind::PermanentMagnet { linear(self.magnet_pct_per_k) } else { 1.0 };
-        // Viscosity falls by a constant share per kelvin, so it is exponential over a winter.
+        // Viscosity falls by a constant share per kelvin: exponential over a large difference.
         let viscous = (self.viscous_pct_per_k / 100.0 * kelvin).exp();
         let mut warm = self.clone();
         warm.torque_constant *= magnet;

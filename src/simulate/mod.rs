@@ -1,15 +1,15 @@
-//! The simulated point machine and fleets of them. Shares only the throw type with the monitor.
+//! The simulated point machine, and simulated fleets. It shares only the throw type with the monitor.
 //!
 //! | file | what it holds |
 //! |---|---|
 //! | `machine` | the parameters, and the coefficients that follow from them |
 //! | `rails` | the switch rails: finite elements, reduced to modes |
-//! | `dynamics` | everything linear, discretised exactly |
-//! | `friction` | dry friction with true sticking |
+//! | `dynamics` | the linear part, discretised exactly |
+//! | `friction` | dry friction with sticking |
 //! | `drive` | the toe drive and its friction clutch |
 //! | `supply`, `motion` | the voltage; one throw, step by step |
 //! | `filter`, `sensors` | from the true motion to the recorded trace |
-//! | `fault`, `fleet` | wear, weather, and many machines |
+//! | `fault`, `fleet` | faults; many machines, their weather and wear |
 
 mod drive;
 mod dynamics;

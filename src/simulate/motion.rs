@@ -1,8 +1,8 @@
 //! Simulates a throw step by step: armature, contactor, stops and friction.
 //!
-//! The armature (1) is integrated exactly over a step with the speed at the middle of the step, its mean torque drives
-//! the mechanics, which are exact under constant forces; see [`super::dynamics`]. The scheme is of second order in the
-//! step while nothing sticks or touches.
+//! The armature (1) is integrated exactly over a step, with the speed at the middle of the step. Its mean torque drives
+//! the mechanics, which are exact for constant forces; see [`super::dynamics`]. The scheme is of second order in the
+//! step while no contact sticks and no stop is touched.
 
 use crate::throw::{Direction, OutOfRange};
 
@@ -14,7 +14,7 @@ use super::rails::Modes;
 
 /// Step of the simulation in normal use \[s\].
 pub const STEP_S: f64 = 2e-4;
-/// Time constant of the current when the contactor opens: the arc ends it \[s\].
+/// Time constant of the current in the arc of the opening contactor \[s\].
 const ARC_TIME_S: f64 = 1e-3;
 /// Time simulated after the motor was cut off \[s\].
 const SETTLE_S: f64 = 0.4;
@@ -24,11 +24,11 @@ const SETTLE_S: f64 = 0.4;
 pub struct Conditions {
     /// Temperature of the machine \[°C\].
     pub temperature_c: f64,
-    /// Supply voltage over the nominal one.
+    /// Ratio of the supply voltage to the nominal voltage.
     pub supply_ratio: f64,
-    /// An obstacle between rail and stock rail, this far from normal \[mm\].
+    /// Position of an obstacle between rail and stock rail \[mm from normal\].
     pub obstruction_mm: Option<f64>,
-    /// The controller cuts the motor off after this time although the stroke is not over \[s\].
+    /// Time after which the controller cuts the motor off before the end of the stroke \[s\].
     pub cut_off_after_s: Option<f64>,
     /// Phase of a rectified supply when the motor is switched on \[rad\].
     pub supply_phase_rad: f64,
@@ -77,8 +77,8 @@ pub struct Motion {
 }
 
 impl Parameters {
-    /// Simulates one throw in steps of `step_s` ([`STEP_S`] is a good one), from the motor's start until it has been off
-    /// for 0.4 s.
+    /// Simulates one throw in steps of `step_s` (normally [`STEP_S`]), from the start of the motor to 0.4 s after its
+    /// cut-off.
     ///
     /// # Errors
     /// When a parameter is out of its range.
@@ -88,17 +88,17 @@ impl Parameters {
         let modes = self.rails.modes();
         let machine = self.at_temperature(conditions.temperature_c);
         let motion = Machine::new(&machine, &modes, direction, conditions, step_s).run();
-        // Not every combination of positive numbers is a machine that can be integrated.
+        // Some combinations of valid parameters cannot be integrated.
         let ends = [
             ("current_a", motion.current_a[motion.current_a.len() - 1]),
             ("toe_mm", motion.toe_mm[motion.toe_mm.len() - 1]),
         ];
-        OutOfRange::require(&ends, "finite: no machine has such parameters together", |_| true)?;
+        OutOfRange::require(&ends, "finite: these parameters together cannot be simulated", |_| true)?;
         Ok(motion)
     }
 }
 
-/// The step in one phase, and friction's response in it.
+/// The step in one phase, with the response of the friction.
 struct Kind {
     step: Step,
     response: Response,
@@ -112,7 +112,7 @@ impl Kind {
     }
 }
 
-/// The kinds of step, each built when its phase first comes: a throw that is watched only while it moves needs one.
+/// The kinds of step, each built at the first use: a throw without stops and slipping needs only one.
 #[derive(Default)]
 struct Kinds([Option<Kind>; 4]);
 
@@ -133,13 +133,13 @@ struct Machine<'a> {
     drive: Drive,
     friction: Friction,
     state: State,
-    /// Toe position in this state \[m from neutral\].
+    /// Toe position in `state` \[m from neutral\].
     toe_m: f64,
     current: f64,
     decay: Decay,
-    /// Motor speed one step ago, for the speed at the middle of the next.
+    /// Motor speed at the previous step, to extrapolate the speed at the middle of the next.
     last_speed: f64,
-    /// The stop that the toe leans on \[m from neutral\].
+    /// Position of the stop that the toe touches \[m from neutral\].
     contact: Option<f64>,
 }
 
@@ -236,7 +236,7 @@ impl<'a> Machine<'a> {
         self.update_contact();
     }
 
-    /// The state after one step from here, with `torque` \[N m\] at the motor, seen at the screw.
+    /// The state after one step, with the motor's `torque` referred to the screw \[N m\].
     fn reached(&mut self, torque: f64, on: bool) -> State {
         let phase = Phase { at_stop: self.contact.is_some(), slipping: self.drive.slips() };
         let build = || Kind::new(self.parameters, self.modes, &self.friction, self.h, phase);
@@ -254,12 +254,12 @@ impl<'a> Machine<'a> {
         next
     }
 
-    /// Takes the current over one step; returns the motor's mean torque \[N m\].
+    /// Advances the current by one step; returns the mean torque of the motor \[N m\].
     fn armature(&mut self, at: usize, on: bool) -> f64 {
         let p = self.parameters;
         let speed = self.state[MOTOR_SPEED];
         let mid_speed = (speed + 0.5 * (speed - self.last_speed)) * p.gear_ratio;
-        // R i + L i' = V - back-EMF; a series motor's back-EMF acts as a resistance that grows with speed.
+        // R i + L i' = V - back-EMF; the back-EMF of a series motor acts as a resistance that grows with speed.
         let (resistance, volts) = if on {
             let phase = self.conditions.supply_phase_rad;
             let ripple = p.rectifier_ripple * (p.supply.mean(at, self.h, phase) - 1.0);
@@ -296,7 +296,7 @@ impl<'a> Machine<'a> {
         let from_neutral = |mm: f64| (mm - p.neutral_mm) / 1000.0;
         let was = self.contact;
         if let Some(stop) = was {
-            // A stop pushes back and never pulls.
+            // A stop only pushes: the contact ends when its force would pull.
             if self.toe.stop_force(&self.state, stop) * self.direction.sign() > 0.0 {
                 self.contact = None;
             }
@@ -317,15 +317,15 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// Decay of a current over one step, e^(-R h / L); computed again only when the resistance changes.
+/// Decay of a current over one step, e^(-R h / L); kept while the resistance is constant.
 #[derive(Debug, Clone, Copy)]
 struct Decay {
     exponent: f64,
-    /// Factor by which the current has decayed at the end of the step.
+    /// Factor of the current at the end of the step.
     left: f64,
-    /// Mean over the step.
+    /// Mean of the factor over the step.
     mean: f64,
-    /// Mean of its square.
+    /// Mean of the squared factor over the step.
     mean_square: f64,
 }
 
@@ -336,7 +336,7 @@ impl Decay {
     }
 }
 
-/// Steps of `h` in `duration_s`, at least one.
+/// Number of steps of `h` in `duration_s`, at least one.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked parameters: a few million steps")]
 fn steps(duration_s: f64, h: f64) -> usize {
     (duration_s / h).ceil().max(1.0) as usize

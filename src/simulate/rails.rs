@@ -1,9 +1,9 @@
 //! The switch rails: Euler-Bernoulli finite elements clamped at the heel, reduced to a few modes.
 //!
-//! Both rails move together and are one beam of twice the mass and stiffness. Each element has cubic Hermite shape
-//! functions, two degrees of freedom a node (deflection, slope) and a consistent mass matrix; the toe node carries a
-//! lumped mass. The generalised eigenproblem K f = w² M f gives mass-normalised modes, of which the lowest are kept.
-//! The slide chairs are at the nodes, each carrying its share of the rails' weight.
+//! Both rails move together and count as one beam with twice the mass and stiffness. Each element has cubic Hermite
+//! shape functions, two degrees of freedom a node (deflection, slope) and a consistent mass matrix; the toe node
+//! carries a lumped mass. The generalised eigenproblem K f = w² M f gives mass-normalised modes; the lowest are kept.
+//! The slide chairs are at the nodes, and each carries its share of the rails' weight.
 
 use nalgebra::{Cholesky, DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
@@ -12,12 +12,12 @@ use crate::throw::OutOfRange;
 
 /// Acceleration of free fall \[m s⁻²\].
 const GRAVITY: f64 = 9.81;
-/// Most modes kept: the state vector has a fixed size.
+/// Largest number of modes: the state vector has a fixed size.
 pub const MAX_MODES: usize = 6;
-/// Most finite elements: keeps the eigenproblem in milliseconds.
+/// Largest number of finite elements: keeps the eigenproblem within milliseconds.
 const MAX_ELEMENTS: usize = 40;
 
-/// Order of the rails' model: quasi-static, or with vibration modes.
+/// Model of the rails: quasi-static, or with vibration modes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RailModel {
@@ -32,7 +32,7 @@ pub enum RailModel {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rails {
-    /// Order of the model.
+    /// The model of their bending.
     pub model: RailModel,
     /// Length from heel to toe \[m\].
     pub length_m: f64,
@@ -46,9 +46,9 @@ pub struct Rails {
     pub damping_ratio: f64,
     /// Coefficient of dry friction mu of rail on slide chair.
     pub slide_friction: f64,
-    /// Finite elements, a chair at the end of each (beam only).
+    /// Number of finite elements, with a chair at the end of each (beam only).
     pub elements: usize,
-    /// Modes kept, 1 to 6 (beam only).
+    /// Number of modes, 1 to 6 (beam only).
     pub modes: usize,
 }
 
@@ -68,7 +68,7 @@ impl Default for Rails {
     }
 }
 
-/// A slide chair: how much each mode moves there, and the weight it carries.
+/// A slide chair: the deflection of each mode there, and the weight on it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Chair {
     pub shape: [f64; MAX_MODES],
@@ -86,13 +86,13 @@ pub(super) struct Modes {
     pub chairs: Vec<Chair>,
 }
 
-/// The rails as the toe feels them when it is moved slowly.
+/// Mass, damping, stiffness and chair load of the rails at the toe in slow movement.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct QuasiStatic {
     pub mass_kg: f64,
     pub damping_ns_m: f64,
     pub stiffness_n_m: f64,
-    /// Weight on the chairs, each weighted with its share of the toe's movement \[N\].
+    /// Weight on the chairs, each multiplied by its movement relative to the toe's \[N\].
     pub normal_n: f64,
 }
 
@@ -116,7 +116,7 @@ impl Rails {
         ])
     }
 
-    /// The reduced rails. The parameters must have passed [`Rails::check`].
+    /// The modes of the rails. The parameters must have passed [`Rails::check`].
     pub(super) fn modes(&self) -> Modes {
         match self.model {
             RailModel::Lumped => self.lumped(),
@@ -124,8 +124,8 @@ impl Rails {
         }
     }
 
-    /// The static bending line s(z) = (3 z² - z³)/2 under a force at the toe: 33/140 of the mass, 3 EI/L³, and 3/8 of
-    /// the weight.
+    /// One mode, the static bending line s(z) = (3 z² - z³)/2 under a force at the toe: 33/140 of the mass, 3 EI/L³,
+    /// and 3/8 of the weight.
     fn lumped(&self) -> Modes {
         let rails_kg = 2.0 * self.mass_kg_m * self.length_m;
         let mass = 33.0 / 140.0 * rails_kg + self.toe_mass_kg;
@@ -161,7 +161,7 @@ impl Rails {
         let share = 2.0 * self.mass_kg_m * GRAVITY * self.length_m / self.elements as f64;
         let chairs = (1..=self.elements)
             .map(|node| {
-                // The toe node carries the half element at its one side.
+                // The toe node carries half an element.
                 let normal_n = if node == self.elements { 0.5 * share } else { share };
                 Chair { shape: shape_at(2 * (node - 1)), normal_n }
             })
@@ -194,7 +194,7 @@ impl Rails {
         for element in 0..self.elements {
             for row in 0..4 {
                 for column in 0..4 {
-                    // The heel's two freedoms are clamped: they have no row or column.
+                    // The two freedoms of the heel are clamped and have no row or column.
                     if let (Some(i), Some(j)) =
                         ((2 * element + row).checked_sub(2), (2 * element + column).checked_sub(2))
                     {

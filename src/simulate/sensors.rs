@@ -1,4 +1,4 @@
-//! From the true motion to the recorded trace: what sensors and logger make of it.
+//! Sensors and logger: from the true motion to the recorded trace.
 //!
 //! In this order, as in a real channel: gain and offset of the sensor, anti-alias filter, sampling (with jitter), noise,
 //! clipping, quantisation, stuck channels, dropped samples.
@@ -22,7 +22,7 @@ pub struct Channel {
     pub offset: f64,
     /// Error of the gain \[%\].
     pub gain_pct: f64,
-    /// Largest magnitude the channel can show; `None` for no limit.
+    /// Largest magnitude; larger values are clipped. `None` for no limit.
     pub full_scale: Option<f64>,
     /// Resolution of the converter over plus and minus full scale \[bits\]; needs `full_scale`.
     pub bits: Option<u32>,
@@ -34,7 +34,7 @@ impl Default for Channel {
     }
 }
 
-/// A channel.
+/// The two channels of a trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Which {
@@ -44,7 +44,7 @@ pub enum Which {
     Position,
 }
 
-/// Sensors and logger of one machine. The defaults are a good instrument: 1 kHz, 20 mA and 20 um of noise.
+/// Sensors and logger of one machine. The defaults are good sensors: 1 kHz, 20 mA and 20 um of noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sensors {
@@ -58,32 +58,32 @@ pub struct Sensors {
     pub current: Channel,
     /// Toe position \[mm\].
     pub position: Channel,
-    /// The current has the sign of the motor's polarity, negative from reverse to normal.
+    /// Whether the current has the sign of the motor's polarity: negative from reverse to normal.
     pub signed_current: bool,
     /// Standard deviation of the sampling instants \[s\].
     pub jitter_s: f64,
-    /// Share of samples that the logger lost and left out \[%\].
+    /// Share of samples that the logger drops \[%\].
     pub dropped_pct: f64,
     /// Cut-off of the 4th-order Butterworth filter in both channels \[Hz\]; `None` for no filter.
     pub anti_alias_hz: Option<f64>,
-    /// A channel that stands still from some time after the motor's start on.
+    /// A stuck channel; `None` if both work.
     pub stuck: Option<Stuck>,
 }
 
-/// A channel that stands still.
+/// A channel that repeats one value from a given time on.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stuck {
     /// The channel at fault.
     pub channel: Which,
-    /// From this time after the motor's start on \[s\].
+    /// Time of the last correct value, after the start of the motor \[s\].
     pub from_s: f64,
 }
 
 /// Recording of a throw as the logger samples it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
-    /// Time stamp of each sample, from the first \[s\]: nominal instants, with holes where samples were dropped.
+    /// Nominal time of each sample after the first \[s\]; dropped samples leave holes.
     pub time_s: Vec<f64>,
     /// The samples.
     pub trace: Trace,
@@ -107,17 +107,17 @@ impl Default for Sensors {
 }
 
 impl Sensors {
-    /// Sensors that show the truth, sampled at `sample_rate_hz`.
+    /// Sensors without noise and errors, sampled at `sample_rate_hz`.
     #[must_use]
     pub fn perfect(sample_rate_hz: f64) -> Self {
         let channel = Channel { noise: 0.0, ..Channel::default() };
         Self { sample_rate_hz, current: channel, position: channel, ..Self::default() }
     }
 
-    /// Checks that everything is finite and in its range.
+    /// Checks that every value is finite and in its range.
     ///
     /// # Errors
-    /// The first value that is not.
+    /// The first value out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         OutOfRange::check([
             ("sample_rate_hz", self.sample_rate_hz, 25.0, 20_000.0, "Hz"),
@@ -141,8 +141,8 @@ impl Sensors {
         }
     }
 
-    /// The simulation step that suits these sensors: a whole fraction of the sampling period, at most [`STEP_S`], and a
-    /// quarter of the period at most when a filter has to be run on that grid.
+    /// The simulation step for these sensors: a whole fraction of the sampling period, at most [`STEP_S`], and with an
+    /// anti-alias filter at most a quarter of the period.
     #[must_use]
     pub fn step_s(&self) -> f64 {
         let oversampling = if self.anti_alias_hz.is_some() { 4.0 } else { 1.0 };
@@ -150,7 +150,7 @@ impl Sensors {
         1.0 / (self.sample_rate_hz * steps)
     }
 
-    /// Records `motion`.
+    /// Records `motion` as the logger would.
     ///
     /// # Errors
     /// When a value is out of its range.
@@ -188,7 +188,7 @@ impl Sensors {
         Ok(recording(self.sample_rate_hz, time, current_a, position_mm))
     }
 
-    /// The channel on the simulation's grid, after gain and anti-alias filter.
+    /// The channel on the grid of the simulation, after gain and anti-alias filter.
     fn filtered(&self, motion: &Motion, truth: &[f64], gain: f64) -> Vec<f64> {
         let mut channel: Vec<f64> = truth.iter().map(|value| value * gain).collect();
         if let Some(cut_off_hz) = self.anti_alias_hz {
@@ -248,7 +248,7 @@ fn recording(sample_rate_hz: f64, time_s: Vec<f64>, current_a: Vec<f64>, positio
     Recording { time_s, trace }
 }
 
-/// The value at a fractional grid index, held beyond both ends.
+/// Linear interpolation at a fractional grid index; constant beyond both ends.
 fn interpolate(grid: &[f64], index: f64) -> f64 {
     let last = grid.len() - 1;
     if index <= 0.0 {
@@ -262,13 +262,13 @@ fn interpolate(grid: &[f64], index: f64) -> f64 {
     grid[low] + part * (grid[low + 1] - grid[low])
 }
 
-/// The whole part of a number that is not negative.
+/// The integer part of a number that is not negative.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "not negative, and bounded by the checks")]
 fn whole(value: f64) -> usize {
     value as usize
 }
 
-/// A standard normal number.
+/// A random number from the standard normal distribution.
 pub(super) fn normal<R: Rng>(rng: &mut R) -> f64 {
     rng.sample(StandardNormal)
 }

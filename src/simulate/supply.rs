@@ -10,11 +10,11 @@ use crate::throw::OutOfRange;
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Waveform {
-    /// A battery.
+    /// A constant voltage, as of a battery.
     #[default]
     Constant,
-    /// Full-wave rectified mains, |sin|: the current ripples at twice the mains frequency. A path for the motor's own
-    /// current is assumed, as records of such machines show it going below zero.
+    /// Full-wave rectified mains, |sin|: the current ripples at twice the mains frequency. The supply is assumed to
+    /// conduct in both directions, as recorded currents of such machines go below zero.
     RectifiedMains {
         /// Mains frequency \[Hz\].
         mains_hz: f64,
@@ -22,13 +22,14 @@ pub enum Waveform {
 }
 
 impl Waveform {
-    /// Mean over step `at` of `h` seconds, relative to the mean over a period; `phase_rad` is the mains' phase at time 0.
+    /// Mean over step `at` of `h` seconds, relative to the mean over a period; `phase_rad` is the phase of the mains at
+    /// time 0.
     pub(super) fn mean(self, at: usize, h: f64, phase_rad: f64) -> f64 {
         match self {
             Self::Constant => 1.0,
             Self::RectifiedMains { mains_hz } => {
                 let w = 2.0 * PI * mains_hz;
-                // The integral of |sin x| from 0 to x: 2 for each half wave that is over, 1 - cos within the last.
+                // The integral of |sin x| from 0 to x: 2 for each complete half wave, 1 - cos within the last.
                 let integral = |x: f64| {
                     let half_waves = (x / PI).floor();
                     2.0 * half_waves + 1.0 - (x - half_waves * PI).cos()

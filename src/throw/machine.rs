@@ -1,4 +1,4 @@
-//! Names of sites and machines. They become chunks of a key expression, so their alphabet is narrow.
+//! Names of sites and machines. They are chunks of zenoh key expressions, so few characters are allowed.
 
 use std::{fmt, str::FromStr};
 
@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 #[serde(try_from = "String", into = "String")]
 pub struct Name(String);
 
-/// Why a text is not a site or machine name.
+/// A text that is not a site or machine name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is no site or machine name: use 1 to {max} characters of A-Z a-z 0-9 _ -", max = Name::MAX_LEN)]
+#[error("{text:?} is not a site or machine name: use 1 to {max} characters of A-Z a-z 0-9 _ -", max = Name::MAX_LEN)]
 pub struct InvalidName {
     /// The text, cut to a printable length.
     pub text: String,
@@ -72,10 +72,10 @@ pub struct MachineId {
 }
 
 impl MachineId {
-    /// A machine from the texts of its two names.
+    /// The machine `machine` at `site`.
     ///
     /// # Errors
-    /// When either text is no [`Name`].
+    /// When either text is not a valid [`Name`].
     pub fn new(site: &str, machine: &str) -> Result<Self, InvalidName> {
         Ok(Self { site: site.parse()?, machine: machine.parse()? })
     }

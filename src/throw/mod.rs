@@ -16,7 +16,7 @@ pub use machine::{InvalidName, MachineId, Name};
 pub use range::OutOfRange;
 pub use trace::{InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
 
-/// The way in which a throw moves the toe.
+/// Direction of a throw.
 #[derive(
     Debug,
     Clone,
@@ -44,7 +44,7 @@ impl Direction {
     /// Both directions, normal to reverse first.
     pub const BOTH: [Self; 2] = [Self::NormalToReverse, Self::ReverseToNormal];
 
-    /// The word used in messages and in the database.
+    /// The word in messages and in the database: `normal_to_reverse` or `reverse_to_normal`.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
@@ -69,7 +69,7 @@ impl Direction {
     }
 }
 
-/// Plain words, for people: "normal to reverse".
+/// The text for people: "normal to reverse".
 impl fmt::Display for Direction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -79,23 +79,23 @@ impl fmt::Display for Direction {
     }
 }
 
-/// Identity of a throw within its machine: the boot of the logger and the sequence number within that boot.
+/// Identity of a throw among the throws of its machine: boot of the logger and sequence number in that boot.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct ThrowRef {
-    /// New at each start of the logger.
+    /// Identifier of the boot; the logger makes a new one at each start.
     pub boot_id: String,
-    /// Sequence number: increases by 1 with each throw of a boot.
+    /// Sequence number of the throw: +1 with each throw of a boot.
     pub throw_no: u64,
 }
 
 /// A throw as its logger recorded it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Throw {
-    /// Identity within its machine.
+    /// Boot and sequence number.
     pub id: ThrowRef,
     /// Wall time of the first sample (UTC).
     pub started_at: Timestamp,
-    /// The direction that the logger declared; `None` when it does not know.
+    /// Direction as the logger declared it; `None` for "unknown".
     pub direction: Option<Direction>,
     /// Motor current and toe position.
     pub trace: Trace,
@@ -103,6 +103,6 @@ pub struct Throw {
     pub temperature_c: Option<f64>,
     /// Supply voltage during the throw \[V\].
     pub supply_v: Option<f64>,
-    /// Cut-off of the anti-alias filter that both channels passed \[Hz\].
+    /// Cut-off of the anti-alias filter of both channels \[Hz\]; `None` if the logger declares no filter.
     pub anti_alias_hz: Option<f64>,
 }

@@ -1,4 +1,4 @@
-//! A number outside its range, in a configuration or in a machine's parameters.
+//! Range checks of numbers in configurations and in parameters of machines.
 
 /// A number outside its range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -6,14 +6,14 @@
 pub struct OutOfRange {
     /// The key, as in configuration files: `lead_mm`, or with its section `machine.lead_mm`.
     pub key: String,
-    /// Value that was given.
+    /// The value.
     pub value: f64,
     /// Allowed range with its unit: "0.5 to 500 mm".
     pub must: String,
 }
 
 impl OutOfRange {
-    /// Checks each number against its condition; NaN and infinite values fail always.
+    /// Checks that `good` holds for each number; NaN and infinite values always fail.
     ///
     /// # Errors
     /// The first number for which `good` does not hold.
@@ -38,13 +38,13 @@ impl OutOfRange {
         Ok(())
     }
 
-    /// Prefixes the field with a section of the configuration: `lead_mm` becomes `machine.lead_mm`.
+    /// Prefixes the key with a section of the configuration: `lead_mm` becomes `machine.lead_mm`.
     #[must_use]
     pub fn within(self, section: &str) -> Self {
         Self { key: format!("{section}.{}", self.key), ..self }
     }
 
-    /// The complaint without its key, for a message that names the key by itself.
+    /// The error text without the key, for a message that names the key elsewhere.
     #[must_use]
     pub fn problem(&self) -> String {
         format!("is {}, must be {}", self.value, self.must)

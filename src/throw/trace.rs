@@ -1,16 +1,16 @@
-//! The two sampled channels of a throw.
+//! Trace of a throw: its two sampled channels.
 
-/// Longest trace, in samples of each channel: 50 s at 20 kHz. Bounds the memory that one message can claim.
+/// Longest trace, in samples of each channel: 50 s at 20 kHz. Bounds the memory that one message can use.
 pub const MAX_SAMPLES: usize = 1_000_000;
-/// Lowest sampling rate that is a trace at all \[Hz\].
+/// Lowest sampling rate that a trace accepts \[Hz\].
 pub const MIN_SAMPLE_RATE_HZ: f64 = 1.0;
-/// Highest sampling rate \[Hz\].
+/// Highest sampling rate that a trace accepts \[Hz\].
 pub const MAX_SAMPLE_RATE_HZ: f64 = 1_000_000.0;
 
 /// Motor current and toe position, sampled together at a constant rate.
 ///
-/// The channels are equally long and hold 1 to [`MAX_SAMPLES`] samples. Values may be NaN or infinite: a broken
-/// sensor is a fact about the machine, to be stored and reported, so it is no error here.
+/// The channels are equally long and hold 1 to [`MAX_SAMPLES`] samples. Values may be NaN or infinite: a broken sensor
+/// is a fault of the machine that must be stored and reported, so it is not an error here.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trace {
     sample_rate_hz: f64,
@@ -18,7 +18,7 @@ pub struct Trace {
     position_mm: Vec<f64>,
 }
 
-/// Why two channels are no trace.
+/// Two channels that do not form a trace.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum InvalidTrace {
     /// The sampling rate is not finite or out of range.
@@ -79,8 +79,8 @@ impl Trace {
         &self.position_mm
     }
 
-    /// Whether there is a toe position at all: not where every sample is missing (NaN) or exactly 0, which is what loggers
-    /// without a toe sensor send.
+    /// Whether the trace has a toe position. Loggers without a toe sensor send only missing samples (NaN) or only
+    /// zeros.
     #[must_use]
     pub fn has_position(&self) -> bool {
         self.position_mm.iter().any(|mm| mm.is_finite() && *mm != 0.0)

@@ -1,4 +1,4 @@
-//! An open alarm on a page: its size when it was raised and now, what operators did about it, and where to look.
+//! An open alarm on a page: size when raised and now, acknowledgement or shelving, text, link to the throw.
 
 use super::{
     page,
@@ -16,23 +16,23 @@ pub(super) struct AlarmLine {
     pub(super) machine: MachineId,
     pub(super) badge: Badge,
     pub(super) cause: String,
-    /// The cause's word for forms.
+    /// The word of the cause in forms.
     pub(super) word: &'static str,
     pub(super) state: String,
     pub(super) raised_at: String,
-    /// "+28 % ± 4", where the cause has a size.
+    /// Size when raised, as "+28 % ± 4"; `None` for a cause without a size.
     pub(super) raised: Option<String>,
-    /// The same now, where the drift is known now.
+    /// Present size; `None` if the drift has ended.
     pub(super) now: Option<String>,
     pub(super) forecast: Option<String>,
     pub(super) text: String,
-    /// Address of the last throw of the evidence.
+    /// Address of the last throw in the evidence.
     pub(super) throw: Option<String>,
 }
 
 impl AlarmLine {
-    /// `raised`: the size and its standard deviation when the alarm was raised. `drifts`: those of the machine now.
-    /// `windows`: shelvings and maintenance that operators opened.
+    /// `raised` is the size with its standard deviation when the alarm was raised; `drifts` are the present drifts of
+    /// the machine; `windows` are open shelvings and maintenance.
     pub(super) fn new(alarm: &Alarm, raised: Option<(f64, f64)>, drifts: &[Drifting], windows: &[Window]) -> Self {
         let drift = drifts.iter().find(|drift| drift.cause == alarm.cause);
         let of = |cause| windows.iter().find(|window| window.machine == alarm.machine && window.cause == cause);

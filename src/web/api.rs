@@ -1,11 +1,11 @@
-//! `/api/v1/…`: what the pages show, as JSON, for reading only.
+//! `/api/v1/…`: the data of the pages as JSON, read-only.
 //!
 //! | address | answers with |
 //! |---|---|
-//! | `/api/v1/status` | the daemon: the same as `pointsd status --json` has for one daemon |
-//! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`, and `machines`: up to 100 with state, drifts now, last throw |
+//! | `/api/v1/status` | the daemon, as in `pointsd status --json` |
+//! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`, and `machines`: up to 100 with state, present drifts, last throw |
 //! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts`, `alarms` (open), `throws` (the newest 100), `commands` |
-//! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: the others by cause and site |
+//! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: numbers of the others by cause and site |
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -23,9 +23,9 @@ use super::{
 };
 use crate::{store::FleetQuery, wire};
 
-/// Throws of a machine in one answer.
+/// Largest number of throws in a response.
 const THROWS: u32 = 100;
-/// Commands of operators in one answer.
+/// Largest number of operators' commands in a response.
 const COMMANDS: u32 = 100;
 
 fn answer(value: &Value) -> Response {

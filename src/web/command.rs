@@ -1,4 +1,4 @@
-//! `POST /machines/{site}/{machine}/command`: an operator's command from the form on a machine's page.
+//! `POST /machines/{site}/{machine}/command`: a command from the form on the page of a machine.
 
 use std::{collections::HashMap, sync::Arc};
 
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{daemon::clock, diagnose::Command};
 
-/// Longest window that the form takes \[h\]; the daemon's settings may allow less.
+/// Longest window in the form \[h\], about ten years; the settings may allow less.
 const LONGEST_HOURS: i64 = 24 * 3660;
 
 pub(super) async fn post(
@@ -30,10 +30,10 @@ pub(super) async fn post(
     let config = web.view.config();
     let token = fields.get("token").map(String::as_str).unwrap_or_default();
     if !config.web.token.as_ref().is_some_and(|secret| secret.is(token)) {
-        tracing::warn!(%machine, "an operator's command from a page had a wrong token");
+        tracing::warn!(%machine, "command refused: wrong token");
         return Err(Failure::new(
             StatusCode::FORBIDDEN,
-            "Nothing was done: the token is wrong. It is web.token of the configuration.",
+            "Nothing was done: the token is wrong. It must be web.token of the configuration.",
         ));
     }
     let command = command(&fields, clock::now()).map_err(Failure::bad_request)?;
@@ -53,21 +53,20 @@ fn sentence(problem: &str) -> String {
     format!("{problem}.")
 }
 
-/// The command that the form's fields make.
+/// Makes a command from the fields of the form.
 fn command(fields: &HashMap<String, String>, now: Timestamp) -> Result<Command, String> {
     let text = |name: &str| fields.get(name).map(|text| text.trim().to_owned()).unwrap_or_default();
     let by = text("by");
     if by.is_empty() {
-        return Err("Who are you? The field for your name is empty.".to_owned());
+        return Err("Your name is missing.".to_owned());
     }
     let cause = || text("cause").parse().map_err(|_| "The form does not name the alarm.".to_owned());
     let until = || {
         let hours = text("hours").parse::<i64>().ok().filter(|hours| (1..=LONGEST_HOURS).contains(hours));
-        let hours = hours.ok_or("For how many hours? Write a whole number from 1.")?;
+        let hours = hours.ok_or("The number of hours must be a whole number from 1.")?;
         now.checked_add(SignedDuration::from_hours(hours)).map_err(|error| error.to_string())
     };
-    let why =
-        || Some(text("why")).filter(|why| !why.is_empty()).ok_or("Why? The field for the reason is empty.".to_owned());
+    let why = || Some(text("why")).filter(|why| !why.is_empty()).ok_or("The reason is missing.".to_owned());
     Ok(match text("command").as_str() {
         "ack" => Command::Ack { cause: cause()?, by },
         "shelve" => Command::Shelve { cause: cause()?, until: until()?, by, why: why()? },
@@ -99,11 +98,11 @@ mod tests {
         let shelve = Command::Shelve { cause: Cause::Friction, until, by, why: "greased".to_owned() };
         assert_eq!(made("command=shelve&cause=friction&by=A.+Meyer&hours=8&why=greased").unwrap(), shelve);
         for (form, says) in [
-            ("command=ack&cause=kt", "Who are you?"),
+            ("command=ack&cause=kt", "name is missing"),
             ("command=ack&cause=magnet&by=x", "name the alarm"),
-            ("command=shelve&cause=kt&by=x&why=y&hours=0", "how many hours"),
-            ("command=shelve&cause=kt&by=x&why=y&hours=99999999999", "how many hours"),
-            ("command=maintenance&by=x&hours=8&why=+", "Why?"),
+            ("command=shelve&cause=kt&by=x&why=y&hours=0", "number of hours"),
+            ("command=shelve&cause=kt&by=x&why=y&hours=99999999999", "number of hours"),
+            ("command=maintenance&by=x&hours=8&why=+", "reason is missing"),
             ("command=reboot&by=x", "no command"),
         ] {
             assert!(made(form).unwrap_err().contains(says), "{form}");

@@ -1,4 +1,4 @@
-//! Connections that cannot harm the daemon: a bounded number, one request each, few bytes read, a short life.
+//! HTTP connections with limits: their number, one request each, bytes of the request, and time.
 
 use std::{
     io,
@@ -17,18 +17,19 @@ use tokio::{
     time::{self, Instant, Sleep},
 };
 
-/// Connections at once; further ones wait in the system's queue. Each holds a few buffers and at most one page.
+/// Largest number of connections; more wait in the queue of the operating system. Each uses a few buffers and at most
+/// one page.
 const CONNECTIONS: usize = 64;
-/// Bytes read from a connection: a browser's request has one or two thousand.
+/// Largest request \[bytes\]; a browser sends one or two thousand.
 const READ_BYTES: usize = 16 << 10;
-/// Time for the request.
+/// Time limit of a request.
 const ASKING: Duration = Duration::from_secs(5);
-/// Time for the answer, from its first byte on: 200 kB at 20 kB/s.
+/// Time limit of a response from its first byte: 200 kB at 20 kB/s.
 const ANSWERING: Duration = Duration::from_secs(10);
-/// Pause after a failed accept, as when the process has no descriptors left.
+/// Pause after a failed accept, for example without free descriptors.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// Accepts connections while there is room.
+/// A listener that accepts a limited number of connections.
 pub(super) struct Bounded {
     listener: TcpListener,
     room: Arc<Semaphore>,
@@ -45,7 +46,7 @@ impl Listener for Bounded {
     type Addr = SocketAddr;
 
     async fn accept(&mut self) -> (Connection, SocketAddr) {
-        // Never closed, so never an error.
+        // Never an error: the semaphore is never closed.
         let place = Arc::clone(&self.room).acquire_owned().await.ok();
         loop {
             match self.listener.accept().await {
@@ -66,7 +67,7 @@ impl Listener for Bounded {
     }
 }
 
-/// A connection that ends at its deadline, or when the client has sent too much.
+/// A connection that fails at its deadline, or after too many bytes from the client.
 pub(super) struct Connection {
     stream: TcpStream,
     deadline: Pin<Box<Sleep>>,

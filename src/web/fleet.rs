@@ -1,4 +1,4 @@
-//! `/`: all machines, a line each, the worst first; the open alarms; and the daemon itself.
+//! `/`: the open alarms, all machines with the worst first, and the daemon.
 
 use std::{
     collections::{BTreeMap, HashSet},
@@ -27,24 +27,24 @@ use crate::{
     throw::MachineId,
 };
 
-/// Machines on one page: a fleet of this size needs no paging.
+/// Machines on one page.
 const MACHINES: u32 = 100;
-/// Throws in the small picture of a machine: the last weeks of most.
+/// Throws in the small chart of a machine: usually the last weeks.
 const SPARK: u32 = 40;
-/// Highest page number: far beyond the largest fleet.
+/// Bound of the page number, far above the largest fleet.
 const PAGES: u32 = 10_000;
-/// Longest text to search for.
+/// Longest search text: a site, a slash and a machine \[characters\].
 const SEARCH: usize = 129;
 /// Qualities of throws that were not rejected.
 const EVALUATED: [&str; 3] = ["good", "rough", "current_only"];
-/// Names of machines that never sent a throw, before the page gives their number alone.
+/// Largest number of names in a list; more are counted.
 const SILENT: usize = 20;
 
 #[derive(Template)]
 #[template(path = "fleet.html", config = "src/web/askama.toml")]
 struct Page {
     trouble: Vec<String>,
-    /// State, machines in it, and the address of the list of these alone.
+    /// Each state with its number of machines and the address of their list.
     tally: Vec<(Badge, String, String)>,
     machines: String,
     common: Vec<Common>,
@@ -63,7 +63,7 @@ struct Page {
     volatile: String,
 }
 
-/// Alarms of a common cause in one entry.
+/// All alarms of one system-wide cause (not monitored, lost data).
 struct Common {
     badge: Badge,
     says: String,
@@ -71,19 +71,19 @@ struct Common {
     address: String,
 }
 
-/// One machine.
+/// A machine in the table.
 struct Row {
     machine: MachineId,
     badge: Badge,
-    /// The worst drift now: cause, size, forecast.
+    /// Worst present drift: cause, size, forecast.
     drift: Option<(String, String, String)>,
-    /// What else there is to say.
+    /// Other drifts and alarms, maintenance, progress of the baseline, rejection of the last throw.
     notes: Vec<String>,
     spark: String,
     last_throw: String,
 }
 
-/// The filters as the address gives them.
+/// The filters in the address.
 #[derive(Debug, Default, Clone)]
 pub(super) struct Filters {
     pub(super) site: String,
@@ -149,7 +149,7 @@ impl Filters {
 }
 
 fn wrong() -> Failure {
-    Failure::bad_request("The address may have the filters site, state, cause and q, and a page, and nothing else.")
+    Failure::bad_request("The address may only have the filters site, state, cause and q, and a page.")
 }
 
 pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
@@ -183,7 +183,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         states: state::ALL.iter().map(|it| choice(it.as_str(), Badge(*it).word(), &filters.state)).collect(),
         rows: rows.iter().map(|row| shown(row, &windows, limits.friction_limit_pct)).collect(),
         shown: match rows.len() {
-            0 => "No machine passes these filters.".to_owned(),
+            0 => "No machine matches these filters.".to_owned(),
             _ => format!("{} to {} of {}", page::count(first + 1), page::count(last), page::count(matching)),
         },
         before: (filters.page > 0).then(|| filters.to_page(filters.page - 1).address()),
@@ -210,7 +210,7 @@ fn fault_line(fault: &Fault, windows: &[Window]) -> AlarmLine {
     AlarmLine::new(&fault.alarm, fault.raised, &fault.drifts, windows)
 }
 
-/// One entry for each common cause.
+/// Groups the alarms of system-wide causes.
 fn common(overview: &Overview) -> Vec<Common> {
     let mut causes: BTreeMap<Cause, Vec<_>> = BTreeMap::new();
     for alarm in &overview.common {
@@ -283,7 +283,8 @@ fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
     }
 }
 
-/// A line of the newest changes. Its height is at least the warning limit to both sides, so that scatter looks small.
+/// Points of the line of the newest changes. The scale includes the warning limit on both sides, so that scatter looks
+/// small.
 fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
     let count = changes.clone().count();
     if count < 2 {
@@ -293,7 +294,6 @@ fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
     let mut points = String::new();
     for (at, change) in changes.enumerate() {
         let (x, y) = (100.0 * at as f64 / (count - 1) as f64, 12.0 - 11.0 * change / reach);
-        // Writing to a string cannot fail.
         let _ = write!(points, "{x:.0},{y:.1} ");
     }
     points
@@ -305,7 +305,7 @@ fn daemon(view: &View, overview: &Overview) -> Vec<(&'static str, String)> {
     vec![
         ("version", report.version),
         ("loggers", page::count(report.loggers as u64)),
-        ("link", if report.connected { "connected" } else { "nobody is connected" }.to_owned()),
+        ("link", if report.connected { "connected" } else { "not connected" }.to_owned()),
         ("disk", format!("{}{space}", report.disk)),
         ("database", page::size(statistics.data_bytes)),
         ("throws kept", page::count(statistics.throws)),
@@ -316,7 +316,7 @@ fn daemon(view: &View, overview: &Overview) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// Machines of the configuration that never sent a throw.
+/// Names of configured machines without a throw.
 async fn silent(view: &View, reader: &Reader) -> Result<String, Failure> {
     let config = view.config();
     let named: Vec<&MachineId> = config.machines.named().collect();

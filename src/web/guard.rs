@@ -1,5 +1,4 @@
-//! Rules for every request: a permitted method, a host name of ours, an answer in time; and headers that keep a browser from
-//! doing anything else with the answer.
+//! Checks of every request (method, host name, origin), a time limit, and security headers of every response.
 
 use std::{io::Write as _, net::IpAddr, sync::Arc, time::Duration};
 
@@ -15,18 +14,18 @@ use tokio::time;
 
 use super::{overview::Web, page::Failure, trouble};
 
-/// Longest wait for an answer, less than a browser's patience and the daemon's limit for one query.
+/// Time limit of a request, below the timeout of the page's script and the daemon's limit for one query.
 const LIMIT: Duration = Duration::from_secs(4);
 
-/// Only our own style, script and forms; connections only to this daemon; in nobody's frame.
+/// Content security policy: style, script, forms and connections of this daemon only; not in frames.
 const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; base-uri 'none'; \
                       form-action 'self'; frame-ancestors 'none'";
 
-/// Smallest body that is worth compressing \[bytes\]: less fits one packet.
+/// Smallest compressed body \[bytes\]; a smaller one fits into one packet.
 const LEAST_COMPRESSED: usize = 1_024;
-/// Largest answer \[bytes\]. Every page bounds itself far below; a larger one is a fault of the program.
+/// Largest response \[bytes\]. Every page is far smaller; a larger one is a defect of the program.
 const LARGEST: usize = 16 << 20;
-/// Lines of a page with this mark change with every second and do not make the page another one.
+/// Mark of lines that change every second; they do not count for the tag of the page.
 const VOLATILE: &str = "data-volatile";
 
 pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: Next) -> Response {
@@ -34,7 +33,7 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
     let known = request.headers().get(header::IF_NONE_MATCH).cloned();
     let config = web.view.config();
     let mut response = if let Some(refusal) = refusal(&request, &config.web.hosts, config.web.token.is_some()) {
-        // A wrong request may come from anybody, so its answer says nothing of the daemon.
+        // A refused request may come from anybody, so the response has no data of the daemon.
         refusal.page(Vec::new())
     } else {
         let answer = time::timeout(LIMIT, next.run(request)).await;
@@ -51,7 +50,7 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
         (header::CACHE_CONTROL, "no-store"),
         (header::REFERRER_POLICY, "same-origin"),
         (header::VARY, "accept-encoding"),
-        // One request a connection: an idle one would keep its place from others.
+        // One request for each connection: an idle one would use up the number of connections.
         (header::CONNECTION, "close"),
     ] {
         headers.insert(name, HeaderValue::from_static(value));
@@ -59,7 +58,7 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
     shorten(response, known.as_ref(), wants_gzip).await
 }
 
-/// The answer with its tag; without its body where the browser has this page already, and compressed where that helps.
+/// Adds the tag. Removes the body if the browser has the same page already, else compresses a large body.
 async fn shorten(response: Response, known: Option<&HeaderValue>, wants_gzip: bool) -> Response {
     let (mut parts, body) = response.into_parts();
     let Ok(bytes) = to_bytes(body, LARGEST).await else { return StatusCode::INTERNAL_SERVER_ERROR.into_response() };
@@ -71,7 +70,7 @@ async fn shorten(response: Response, known: Option<&HeaderValue>, wants_gzip: bo
         parts.headers.insert(header::ETAG, tag);
         if is_known {
             parts.status = StatusCode::NOT_MODIFIED;
-            // The browser keeps the rules of the page that it has.
+            // The browser keeps the other headers of the page that it has.
             let kept = [header::ETAG, header::CONNECTION].map(|name| (parts.headers.remove(&name), name));
             parts.headers.clear();
             for (value, name) in kept {
@@ -90,12 +89,12 @@ async fn shorten(response: Response, known: Option<&HeaderValue>, wants_gzip: bo
             parts.headers.remove(header::CONTENT_LENGTH);
             Response::from_parts(parts, Body::from(short))
         }
-        // Compression into memory has no way to fail; the page as it is serves as well.
+        // Cannot happen: compression into memory does not fail.
         Err(_) => Response::from_parts(parts, Body::from(bytes)),
     }
 }
 
-/// A weak tag: two pages with the same tag say the same.
+/// A weak entity tag: the same for pages that differ only in volatile lines.
 fn tag(bytes: &[u8]) -> String {
     let lasting = |line: &&[u8]| !line.windows(VOLATILE.len()).any(|part| part == VOLATILE.as_bytes());
     let mut hash = crc32fast::Hasher::new();
@@ -117,19 +116,19 @@ fn refusal(request: &Request, names: &[String], commands: bool) -> Option<Failur
     if !is_post && !matches!(*request.method(), Method::GET | Method::HEAD) {
         return Some(Failure::new(
             StatusCode::METHOD_NOT_ALLOWED,
-            "The dashboard can only be read: ask with GET. Operators' commands need web.token in the configuration.",
+            "The dashboard can only be read, with GET. Operators' commands need web.token in the configuration.",
         ));
     }
     let Some(host) = asked_host(request.headers()) else {
         return Some(Failure::new(
             StatusCode::BAD_REQUEST,
-            "The request needs one header Host, with the name of this host.",
+            "The request needs exactly one header Host, with the name of this host.",
         ));
     };
     if !is_ours(host, names) {
         return Some(Failure::new(
             StatusCode::MISDIRECTED_REQUEST,
-            "The request asks for another host. Use the IP address of this one or localhost, or add the name to hosts in the section [web] of the configuration.",
+            "The request names another host. Use the IP address of this host or localhost, or add the name to hosts in the section [web] of the configuration.",
         ));
     }
     (is_post && !is_same_site(request.headers(), host)).then(|| {
@@ -157,7 +156,7 @@ fn asked_host(headers: &HeaderMap) -> Option<&str> {
     hosts.next().is_none().then_some(host)
 }
 
-/// Whether a name is ours. A foreign page that leads its own name to this address (DNS rebinding) still asks for that name.
+/// Whether `host` names this daemon. Protects from DNS rebinding: the browser sends the name of the foreign site.
 fn is_ours(host: &str, names: &[String]) -> bool {
     let bare = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some((address, _)) => address,

@@ -1,4 +1,4 @@
-//! `/machines/{site}/{machine}`: the state of one machine, its drifts as they are now, trends, alarms and last throws.
+//! `/machines/{site}/{machine}`: state, present drifts, trends, alarms and last throws of one machine.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -29,10 +29,10 @@ const THROWS: u32 = 20;
 const EVENTS: u32 = 50;
 /// Commands of operators in the table.
 const COMMANDS: u32 = 20;
-/// Baselines that can be marked: a machine takes one a direction, and again after work on it.
+/// Largest number of baselines in the charts; a machine has one for each direction, and new ones after work on it.
 const BASELINES: u32 = 20;
 
-/// How much of a machine's life the trends show.
+/// The throws in the trends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Span {
     Newest(u32),
@@ -43,7 +43,7 @@ impl Span {
     const CHOICES: [(Self, &str, &str); 3] = [
         (Self::Newest(100), "100", "last 100"),
         (Self::Newest(1_000), "1000", "last 1,000"),
-        (Self::All, "all", "all that are kept"),
+        (Self::All, "all", "all stored"),
     ];
 
     fn from_query(query: Option<&str>) -> Result<Self, Failure> {
@@ -61,11 +61,11 @@ struct Page {
     trouble: Vec<String>,
     machine: MachineId,
     badge: Badge,
-    /// The maintenance window, while it is open.
+    /// The open maintenance window.
     maintenance: Option<String>,
     alarms: Vec<AlarmLine>,
     ways: Vec<Way>,
-    /// Address, words, and whether it is what is shown.
+    /// Value for the address, text, and whether the span is selected.
     spans: Vec<(&'static str, &'static str, bool)>,
     trends: Vec<Picture>,
     features: Vec<Picture>,
@@ -78,17 +78,17 @@ struct Page {
     volatile: String,
 }
 
-/// One direction of a machine.
+/// The last throw of a direction.
 struct Way {
     direction: &'static str,
     baseline: String,
-    /// Change of the last throw, and the change that the machine makes by itself: of each coefficient.
+    /// For each coefficient: change in the last throw, and scatter of the machine.
     changes: Option<[(String, String); 3]>,
-    /// The last throw was rejected: why.
+    /// Reason for the rejection of the last throw.
     rejected: Option<String>,
 }
 
-/// One event in the life of an alarm, or one command.
+/// An alarm event or an operator's command.
 struct Event {
     at: String,
     badge: Option<Badge>,
@@ -98,7 +98,7 @@ struct Event {
     by: String,
 }
 
-/// One throw.
+/// A throw in the table.
 pub(super) struct Row {
     pub(super) address: String,
     pub(super) throw_no: u64,
@@ -180,7 +180,7 @@ fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {
     (state == MachineState::Maintenance).then(|| window.map_or_else(|| "in maintenance".to_owned(), page::window))
 }
 
-/// Each direction of a machine: its baseline, and its last throw beside what the machine does by itself.
+/// For each direction: baseline, last change, and scatter of the machine.
 fn ways(both: &Ways, baselines: &[BaselineRecord]) -> Vec<Way> {
     let way = |(direction, rows): &(Direction, Vec<Health>)| {
         let last = rows.last();
@@ -208,7 +208,7 @@ fn ways(both: &Ways, baselines: &[BaselineRecord]) -> Vec<Way> {
     both.iter().map(way).collect()
 }
 
-/// Why a throw was rejected, as a sentence where there is one.
+/// Reason for the rejection of a throw: a sentence, or the code.
 pub(super) fn reason(row: &Health) -> String {
     row.detail.clone().unwrap_or_else(|| row.quality.replace('_', " "))
 }
@@ -217,7 +217,7 @@ pub(super) fn reason(row: &Health) -> String {
 fn drawn(ways: &Ways) -> String {
     let times = || ways.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
     let (Some(first), Some(last)) = (times().min(), times().max()) else {
-        return "No throw whose direction is known.".to_owned();
+        return "No throw with a known direction.".to_owned();
     };
     let [there, back] = ways.each_ref().map(|(_, rows)| rows.len());
     format!(
@@ -238,7 +238,7 @@ fn rejected(ways: &Ways) -> String {
     if reasons.is_empty() { String::new() } else { format!("Rejected among these: {}.", reasons.join(", ")) }
 }
 
-/// Alarms as they were raised, baselines as they were taken, and what operators did, within what is shown; oldest first.
+/// Marks in the charts: raised alarms, complete baselines and commands since the first throw shown, oldest first.
 fn marks(ways: &Ways, events: &[Alarm], baselines: &[BaselineRecord], commands: &[CommandRow]) -> Vec<Mark> {
     let Some(first) = ways.iter().filter_map(|(_, rows)| rows.first()).map(|row| row.started_at).min() else {
         return Vec::new();
@@ -253,7 +253,7 @@ fn marks(ways: &Ways, events: &[Alarm], baselines: &[BaselineRecord], commands: 
     let commands = commands.map(|command| Mark { at: command.at, label: command.command.replace('_', " ") });
     let mut marks: Vec<Mark> = raised.chain(complete).chain(commands).filter(|mark| mark.at >= first).collect();
     marks.sort_by_key(|mark| mark.at);
-    // Both directions take their baselines within a throw of each other.
+    // The baselines of both directions are usually complete at the same time: one mark is enough.
     marks.dedup_by(|one, before| one.label == before.label && one.label == "baseline");
     marks
 }

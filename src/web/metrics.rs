@@ -1,7 +1,7 @@
-//! `/metrics`: the daemon's counts as `OpenMetrics` text, for Prometheus.
+//! `/metrics`: counters and states of the daemon as `OpenMetrics` text, for Prometheus.
 //!
-//! Label sets are bounded: causes and severities of alarms, reasons of rejection, states of the disk; and each machine's own
-//! series only up to `web.machine_metrics` machines.
+//! Label sets are bounded: causes, severities, reasons of rejection, states of the disk. Machines have their own series
+//! only in fleets of up to `web.machine_metrics` machines.
 
 use std::{
     sync::{Arc, atomic::AtomicU64},
@@ -43,7 +43,7 @@ const DISK_STATES: [&str; 4] = ["ok", "low", "full", "failing"];
 
 type Labels<const N: usize> = [(&'static str, String); N];
 
-/// Longest wait for the database; without it the answer has the daemon's own counts.
+/// Time limit for the database; after it the response has only the counters of the daemon.
 const LIMIT: Duration = Duration::from_secs(2);
 
 pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
@@ -58,7 +58,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
         let omitted = ConstGauge::new(omitted.cast_signed());
         registry.register(
             "machines_omitted",
-            "Machines without series of their own, above web.machine_metrics",
+            "Machines without own series, as there are more than web.machine_metrics",
             omitted,
         );
         if overview.machines <= u64::from(series)
@@ -82,7 +82,7 @@ async fn machine_rows(web: &Web, limit: u32) -> Result<Vec<FleetRow>, StoreError
     web.view.reader().fleet(&query, &web.view.config().monitor.as_machine()).await
 }
 
-/// Series of each machine: names have 1 to 64 of few characters, so labels are safe.
+/// Series of each machine. Names of machines are valid labels: at most 64 of `A-Z a-z 0-9 _ -`.
 fn machines(registry: &mut Registry, rows: &[FleetRow]) {
     let name = |row: &FleetRow| [("site", row.machine.site.to_string()), ("machine", row.machine.machine.to_string())];
     let with = |row: &FleetRow, label: &'static str, value: &str| {
@@ -105,31 +105,27 @@ fn machines(registry: &mut Registry, rows: &[FleetRow]) {
             }
         }
     }
-    registry.register("machine_state", "1 for the state in which the machine is", state);
+    registry.register("machine_state", "1 for the present state of the machine", state);
     let help = "Start of the last judged throw of the machine";
     registry.register_with_unit("machine_last_throw_timestamp", help, Unit::Seconds, last);
-    registry.register("machine_drift_percent", "Size of each active drift as it is now, from the baseline", drift);
+    registry.register("machine_drift_percent", "Present change from the baseline, for each active drift", drift);
     registry.register("machine_throws_to_limit", "Estimated throws until the drift reaches its critical limit", limit);
 }
 
 fn throws(registry: &mut Registry, view: &View) {
     let report = view.report();
     for (name, help, value) in [
-        ("throws_received", "Messages that arrived on the keys of throws", report.received),
-        ("throws_stored", "Throws that were stored", report.stored),
-        ("throws_judged", "Throws that were identified and diagnosed", report.judged),
-        ("throws_duplicate", "Throws that were stored before", report.duplicates),
-        ("replies_ignored", "Replies of loggers that were not what was asked for", report.ignored),
-        ("messages_quarantined", "Messages that were no throw, or could not be kept as one", report.quarantined),
-        ("messages_dropped", "Messages that were dropped because too many waited to be stored", report.dropped),
-        ("messages_lost", "Messages that arrived and could not be kept at all", report.lost),
-        ("alarm_events", "Events in the life of alarms", report.alarm_events),
-        ("messages_published", "Messages that were published", report.published),
-        (
-            "messages_unpublished",
-            "Messages about health that were dropped because nobody took them in time",
-            report.unpublished,
-        ),
+        ("throws_received", "Messages received on the keys of throws", report.received),
+        ("throws_stored", "Throws stored", report.stored),
+        ("throws_judged", "Throws identified and diagnosed", report.judged),
+        ("throws_duplicate", "Throws received again after they were stored", report.duplicates),
+        ("replies_ignored", "Replies of loggers that did not match the query", report.ignored),
+        ("messages_quarantined", "Messages that are not a valid throw", report.quarantined),
+        ("messages_dropped", "Messages dropped because the queue was full", report.dropped),
+        ("messages_lost", "Messages received that could not be stored", report.lost),
+        ("alarm_events", "Alarm events", report.alarm_events),
+        ("messages_published", "Messages published", report.published),
+        ("messages_unpublished", "Health messages dropped because the publishing queue was full", report.unpublished),
     ] {
         registry.register(name, help, ConstCounter::new(value));
     }
@@ -137,32 +133,26 @@ fn throws(registry: &mut Registry, view: &View) {
     for (reason, number) in view.refused() {
         refused.get_or_create(&[("reason", reason)]).inc_by(number);
     }
-    registry.register("throws_not_evaluated", "Judged throws that gave no estimate, by reason", refused);
+    registry.register("throws_not_evaluated", "Judged throws without an estimate, by reason", refused);
     let backlog = ConstGauge::new(report.backlog.cast_signed());
-    registry.register("throws_backlog", "Throws that are still in the backlogs of their loggers", backlog);
-    gauge(
-        registry,
-        "inbox",
-        "Room taken by messages that arrived and wait to be stored",
-        Unit::Bytes,
-        view.queued_bytes() as u64,
-    );
+    registry.register("throws_backlog", "Throws still in the backlogs of their loggers", backlog);
+    gauge(registry, "inbox", "Memory of received messages not stored yet", Unit::Bytes, view.queued_bytes() as u64);
 }
 
 fn database(registry: &mut Registry, overview: &Overview) {
     let statistics = &overview.statistics;
     for (name, help, value) in [
-        ("throws_waiting", "Stored throws that wait to be judged", statistics.pending),
-        ("outbox_messages", "Alarm events that wait to be published", statistics.outbox),
-        ("throws_missing", "Throws that were made and never came", statistics.missing_throws),
+        ("throws_waiting", "Throws stored and not judged yet", statistics.pending),
+        ("outbox_messages", "Alarm events not published yet", statistics.outbox),
+        ("throws_missing", "Throw numbers in gaps", statistics.missing_throws),
         ("throws_kept", "Throws in the database", statistics.throws),
-        ("traces_kept", "Throws in the database whose traces are kept", statistics.traces),
-        ("machines", "Machines that were ever heard", overview.machines),
+        ("traces_kept", "Throws in the database with their trace", statistics.traces),
+        ("machines", "Machines with any state or throw", overview.machines),
     ] {
         registry.register(name, help, ConstGauge::new(value.cast_signed()));
     }
     gauge(registry, "database", "Data in the database", Unit::Bytes, statistics.data_bytes);
-    gauge(registry, "wal", "The database's write-ahead log", Unit::Bytes, statistics.wal_bytes);
+    gauge(registry, "wal", "Write-ahead log of the database", Unit::Bytes, statistics.wal_bytes);
     if let Some(free) = statistics.free_disk_bytes {
         gauge(registry, "disk_free", "Free space on the disk of the database", Unit::Bytes, free);
     }
@@ -172,10 +162,10 @@ fn database(registry: &mut Registry, overview: &Overview) {
 
 fn daemon(registry: &mut Registry, report: &StatusReport) {
     let build = Info::new([("version", report.version.clone())]);
-    registry.register("build", "The program", build);
+    registry.register("build", "Version of the program", build);
     gauge(registry, "uptime", "Time since the daemon started", Unit::Seconds, report.uptime_s);
     let connected = ConstGauge::new(i64::from(report.connected));
-    registry.register("connected", "Whether a link to others is up", connected);
+    registry.register("connected", "Whether zenoh has a link", connected);
     let loggers = ConstGauge::new(i64::try_from(report.loggers).unwrap_or(i64::MAX));
     registry.register("loggers", "Loggers that are connected", loggers);
     let machines = Family::<Labels<1>, Gauge>::default();
@@ -190,13 +180,13 @@ fn daemon(registry: &mut Registry, report: &StatusReport) {
     for state in DISK_STATES {
         disk.get_or_create(&[("state", state.to_owned())]).set(i64::from(report.disk == state));
     }
-    registry.register("disk_state", "1 for the state in which the disk is", disk);
+    registry.register("disk_state", "1 for the present state of the disk", disk);
     let beats = Family::<Labels<1>, Gauge>::default();
     for task in TaskName::VARIANTS {
         let silent = report.silent.iter().any(|silent| silent == task.as_ref());
         beats.get_or_create(&[("loop", task.as_ref().to_owned())]).set(i64::from(!silent));
     }
-    registry.register("loop_alive", "Whether a loop of the daemon beats", beats);
+    registry.register("loop_alive", "Whether the heartbeat of a loop of the daemon is fresh", beats);
 }
 
 fn alarms(registry: &mut Registry, overview: &Overview) {
@@ -210,7 +200,7 @@ fn alarms(registry: &mut Registry, overview: &Overview) {
     for (cause, severity, number) in &overview.alarms_by_kind {
         open.get_or_create(&cell(cause, severity)).set(number.cast_signed());
     }
-    registry.register("alarms_open", "Alarms that are not back to normal", open);
+    registry.register("alarms_open", "Open alarms, by cause and severity", open);
 }
 
 fn gauge(registry: &mut Registry, name: &str, help: &str, unit: Unit, value: u64) {

@@ -1,19 +1,19 @@
 //! The dashboard and the metrics over HTTP.
 //!
-//! | address | answers with |
+//! | address | response |
 //! |---|---|
-//! | `/?site=…&state=…&cause=…&q=…&page=…` | the fleet, a line a machine, worst first, with the open alarms and the daemon itself |
-//! | `/machines/{site}/{machine}?span=100\|1000\|all` | its state, drifts, trends, alarms and last throws |
-//! | `POST /machines/{site}/{machine}/command` | an operator's command, where `web.token` is set |
+//! | `/?site=…&state=…&cause=…&q=…&page=…` | the fleet: open alarms, machines (worst first), the daemon |
+//! | `/machines/{site}/{machine}?span=100\|1000\|all` | one machine: state, drifts, trends, alarms, last throws |
+//! | `POST /machines/{site}/{machine}/command` | an operator's command, if `web.token` is set |
 //! | `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}` | one throw and its trace; `/trace.csv` below it is the trace |
 //! | `/api/v1/…` | the same as JSON (`api`) |
 //! | `/metrics` | `OpenMetrics` text |
-//! | `/healthz` | 200 while every task of the daemon beats, else 503 with the reason |
+//! | `/healthz` | 200 while all heartbeats of the daemon's loops are fresh, else 503 with the reason |
 //!
-//! The daemon comes first, whatever the readers do: connections, their bytes and their life are bounded (`connection`), so
-//! are the time of a request (`guard`) and the rows that it reads. One request at a time reads the database, on the
-//! connections for questions from outside, so that the judge has its own. The parts that every page shows are read at most
-//! once a second (`overview`). Every page begins with the trouble that keeps it from telling the truth (`trouble`).
+//! Clients cannot slow the daemon down: number, bytes and duration of connections are bounded (`connection`), and so
+//! are the time of a request (`guard`) and the rows that it reads. One request at a time reads the database, on
+//! connections that the judge does not use. Data of every page are read at most once a second (`overview`). Every page
+//! starts with the problems that make it incomplete or old (`trouble`).
 
 mod alarm;
 mod api;
@@ -50,7 +50,7 @@ use page::{Failure, asset};
 const STYLE: &str = include_str!("pages/style.css");
 const REFRESH: &str = include_str!("pages/refresh.js");
 
-/// Why the dashboard cannot be offered.
+/// The dashboard cannot listen on its address.
 #[derive(Debug, thiserror::Error)]
 #[error("the dashboard cannot listen on {address} (web.listen): {source}")]
 pub struct BindError {
@@ -58,7 +58,7 @@ pub struct BindError {
     source: std::io::Error,
 }
 
-/// The place where the dashboard listens.
+/// The listening socket of the dashboard.
 #[derive(Debug)]
 pub struct Place {
     listener: TcpListener,
@@ -66,10 +66,10 @@ pub struct Place {
 }
 
 impl Place {
-    /// Takes the address.
+    /// Listens on an address.
     ///
     /// # Errors
-    /// When it is taken, or is no address of this computer.
+    /// When the address is in use, or does not belong to this computer.
     pub async fn bind(address: SocketAddr) -> Result<Self, BindError> {
         let failed = |source| BindError { address, source };
         let listener = TcpListener::bind(address).await.map_err(failed)?;
@@ -77,22 +77,22 @@ impl Place {
         Ok(Self { listener, address })
     }
 
-    /// The address for a browser on this computer.
+    /// The address for a browser.
     #[must_use]
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
     }
 }
 
-/// Serves until it is dropped.
+/// Serves requests until the future is dropped.
 pub async fn serve(place: Place, view: View) {
     if !place.address.ip().is_loopback() {
-        tracing::warn!(address = %place.address, "the dashboard can be read by everybody who reaches this address");
+        tracing::warn!(address = %place.address, "the dashboard is readable for every computer that reaches this address");
     }
     tracing::info!("the dashboard is at {}", place.url());
     let web = Arc::new(Web::new(view));
     if let Err(error) = axum::serve(Bounded::new(place.listener), router(web)).await {
-        tracing::error!(%error, "the dashboard has ended");
+        tracing::error!(%error, "the dashboard ended");
     }
 }
 
@@ -120,7 +120,7 @@ async fn healthz(State(web): State<Arc<Web>>) -> Response {
     health(&web.view.report().silent)
 }
 
-/// The answer when these loops do not beat.
+/// The response of `/healthz`; `silent` are the loops without a fresh heartbeat.
 fn health(silent: &[String]) -> Response {
     if silent.is_empty() {
         return page::text(StatusCode::OK, "every loop of the daemon beats\n".to_owned());

@@ -1,4 +1,4 @@
-//! The part of the whole that every page and the metrics need: read together, at most once a second for all readers.
+//! Data that every page and the metrics need, read together and at most once a second.
 
 use std::{
     sync::Arc,
@@ -15,40 +15,41 @@ use crate::{
     wire::Alarm,
 };
 
-/// Requests that read the database at the same time: the other connections for questions are left to those on zenoh.
+/// Requests that read the database at the same time; the other read connections are for queries over zenoh.
 const READING: usize = 1;
-/// Oldest overview that a page shows.
+/// Maximum age of the overview on a page.
 const FRESH: Duration = Duration::from_secs(1);
-/// Alarms about machines' own condition on the fleet page, the worst ones where there are more: two screens.
+/// Largest number of fault alarms on the fleet page: two screens.
 pub(super) const FAULTS: u32 = 50;
-/// Sites to choose from.
+/// Largest number of sites in the filter.
 const SITES: u32 = 200;
 
-/// The whole at one moment.
+/// State of the fleet and of the daemon at one moment.
 #[derive(Debug)]
 pub(super) struct Overview {
-    /// Machines in each state that occurs.
+    /// Number of machines in each state; states without machines are left out.
     pub(super) tally: Vec<(MachineState, u64)>,
     pub(super) machines: u64,
-    /// Open alarms about machines' own condition, the worst first, up to [`FAULTS`].
+    /// Open alarms about the condition of machines, the worst first, up to [`FAULTS`].
     pub(super) faults: Vec<Fault>,
     pub(super) fault_count: u64,
-    /// Open alarms with a common cause, by cause and site.
+    /// Numbers of open alarms of system-wide causes (not monitored, lost data), by cause and site.
     pub(super) common: Vec<CommonAlarm>,
     pub(super) sites: Vec<String>,
-    /// The daemon's own open alarms.
+    /// Open alarms about the daemon itself.
     pub(super) own_alarms: Vec<Alarm>,
-    /// Open alarms that another version wrote in words unknown here.
+    /// Number of open alarms of another version that this version cannot read.
     pub(super) unreadable: usize,
-    /// Open alarms by cause and severity.
+    /// Numbers of open alarms by cause and severity.
     pub(super) alarms_by_kind: Vec<(String, String, u64)>,
     pub(super) statistics: Statistics,
 }
 
-/// The context of every request: the daemon, and what the requests share.
+/// The shared state of all requests.
 pub(super) struct Web {
     pub(super) view: View,
-    /// The last overview. A reader who finds it too old reads a new one while the others wait for that.
+    /// The last overview and the time of its reading. The first request that finds it too old reads a new one; the
+    /// others wait.
     cache: Mutex<Option<(Instant, Arc<Overview>)>>,
     reading: Semaphore,
 }
@@ -58,7 +59,7 @@ impl Web {
         Self { view, cache: Mutex::default(), reading: Semaphore::new(READING) }
     }
 
-    /// The right to read the database, held while reading and drawing.
+    /// Waits for the permit to read the database; the request holds it until its page is complete.
     pub(super) async fn turn(&self) -> Result<SemaphorePermit<'_>, StoreError> {
         self.reading.acquire().await.map_err(|_| StoreError::Closed)
     }
@@ -91,13 +92,13 @@ impl Web {
         Ok(overview)
     }
 
-    /// Has the next request read the overview anew: a command has just changed it.
+    /// Discards the overview after a command has changed the state.
     pub(super) async fn forget(&self) {
         *self.cache.lock().await = None;
     }
 }
 
-/// One machine alone.
+/// Selects one machine.
 pub(super) fn selector(machine: &MachineId) -> Selector {
     Selector { site: Some(machine.site.clone()), machine: Some(machine.machine.clone()) }
 }

@@ -1,4 +1,4 @@
-//! Parts of all pages: answers, failures in plain words, numbers, times and states as text.
+//! Common parts of the pages: responses, failures, and the format of numbers and times.
 
 use askama::Template;
 use axum::{
@@ -14,7 +14,7 @@ use crate::{
     throw::{MachineId, ThrowRef},
 };
 
-/// A failure instead of a page. As a response it is bare: `guard` gives it its page.
+/// A failure as response; `guard` turns it into a page.
 #[derive(Debug, Clone)]
 pub(super) struct Failure {
     status: StatusCode,
@@ -51,19 +51,19 @@ impl Failure {
 
 impl From<StoreError> for Failure {
     fn from(error: StoreError) -> Self {
-        tracing::debug!(%error, "a page cannot be answered");
+        tracing::debug!(%error, "a page could not be read");
         Self::new(StatusCode::SERVICE_UNAVAILABLE, format!("The database cannot be read: {error}."))
     }
 }
 
 impl From<PathRejection> for Failure {
     fn from(_: PathRejection) -> Self {
-        Self::bad_request("This address cannot be understood.")
+        Self::bad_request("This address is not valid.")
     }
 }
 
 impl Failure {
-    /// Its page, under a banner of this trouble.
+    /// The page of the failure, with `trouble` as banner.
     pub(super) fn page(&self, trouble: Vec<String>) -> Response {
         let title = self.status.canonical_reason().unwrap_or("Failure");
         let mut response = (self.status, html(&FailurePage { trouble, title, says: &self.says })).into_response();
@@ -86,7 +86,7 @@ impl IntoResponse for Failure {
 pub(super) fn html(page: &impl Template) -> Response {
     match page.render() {
         Ok(text) => Html(text).into_response(),
-        // A template that is checked when compiled and writes into memory.
+        // Cannot happen: the template is checked at compile time and writes to memory.
         Err(error) => text(StatusCode::INTERNAL_SERVER_ERROR, format!("the page cannot be written: {error}\n")),
     }
 }
@@ -99,13 +99,13 @@ pub(super) fn asset(kind: &'static str, content: &'static str) -> Response {
     ([(header::CONTENT_TYPE, HeaderValue::from_static(kind))], content).into_response()
 }
 
-/// A machine that could exist.
+/// A valid machine name, also of an unknown machine.
 pub(super) fn known_name(site: &str, machine: &str) -> Result<MachineId, Failure> {
-    let wrong = |_| Failure::not_found("There is no such machine: names have 1 to 64 of A-Z a-z 0-9 _ -");
+    let wrong = |_| Failure::not_found("There is no such machine: a name has 1 to 64 characters of A-Z a-z 0-9 _ -");
     MachineId::new(site, machine).map_err(wrong)
 }
 
-/// The address of a throw's page.
+/// The address of the page of a throw.
 pub(super) fn throw_address(machine: &MachineId, throw: &ThrowRef) -> String {
     let boot = utf8_percent_encode(&throw.boot_id, NON_ALPHANUMERIC);
     format!("/machines/{}/{}/throws/{boot}/{}", machine.site, machine.machine, throw.throw_no)

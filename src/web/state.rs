@@ -1,4 +1,4 @@
-//! The state of a machine on a page: the contract's word, with a colour and a sign of its own.
+//! The state of a machine on a page: word, colour and sign.
 
 use crate::{
     diagnose::{Cause, Drifting, MachineState, Severity},
@@ -15,12 +15,12 @@ pub(super) const ALL: [MachineState; 6] = [
     MachineState::Healthy,
 ];
 
-/// A state with its look.
+/// A state with the way it is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Badge(pub(super) MachineState);
 
 impl Badge {
-    /// The badge of one alarm.
+    /// The badge of an alarm, from its cause and severity.
     pub(super) fn of(alarm: &Alarm) -> Self {
         Self(match (alarm.cause, alarm.severity) {
             (Cause::NotMonitored, _) => MachineState::NotMonitored,
@@ -39,7 +39,7 @@ impl Badge {
         self.0.as_str()
     }
 
-    /// A sign that differs in shape, for readers who do not see the colour.
+    /// A sign with its own shape, for readers who do not see the colour.
     pub(super) const fn sign(self) -> &'static str {
         match self.0 {
             MachineState::Critical => "◆",
@@ -57,7 +57,7 @@ pub(super) fn size(change_pct: f64, sd: f64) -> String {
     format!("{} % ± {:.0}", signed(change_pct, 0), 2.0 * sd)
 }
 
-/// A number with its sign, a true minus, and no "−0".
+/// A signed number with a true minus sign, never "−0".
 pub(super) fn signed(value: f64, decimals: usize) -> String {
     let text = format!("{value:+.decimals$}");
     if text.chars().all(|c| !c.is_ascii_digit() || c == '0') {

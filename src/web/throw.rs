@@ -1,5 +1,5 @@
-//! `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}`: one throw with its trace, beside the identified model and a throw
-//! of the time of the baseline; and the trace as CSV.
+//! `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}`: one throw with its trace, the identified model and a
+//! typical throw of the baseline; and the trace as CSV.
 
 use std::{fmt::Write as _, sync::Arc};
 
@@ -23,7 +23,7 @@ use crate::{
     wire::Health,
 };
 
-/// Baselines that are looked at: the newest of each direction is among them.
+/// Baselines that are read; the newest of each direction is among them.
 const BASELINES: u32 = 8;
 
 #[derive(Template)]
@@ -43,16 +43,16 @@ struct Page {
     temperature: Option<String>,
     supply: Option<String>,
     pictures: Vec<Picture>,
-    /// The throw that stands for the baseline.
+    /// Address and number of the typical throw of the baseline.
     typical: Option<(String, u64)>,
     csv: Option<String>,
-    /// Why there is no trace.
+    /// Reason why the trace is not available.
     no_trace: Option<String>,
 }
 
 type Names = Result<Path<(String, String, String, String)>, PathRejection>;
 
-/// The machine and the throw that an address names.
+/// Parses the machine and the throw in an address.
 fn named(names: Names) -> Result<(MachineId, ThrowRef), Failure> {
     let Path((site, machine, boot_id, throw_no)) = names?;
     let wrong = |_| Failure::bad_request("The address must end in the number of the throw.");
@@ -65,7 +65,8 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     let _turn = web.turn().await?;
     let reader = web.view.reader();
     let found = reader.throw_of(&machine, &throw).await?;
-    let (stored, health) = found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw here.")))?;
+    let (stored, health) =
+        found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw in this database.")))?;
     let [before, after] = reader.neighbours_of(&machine, &throw).await?;
     let typical = typical(&web, &machine, &throw, health.as_ref()).await?;
     let settings = web.view.config().machines.of(&machine).clone();
@@ -100,7 +101,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     }))
 }
 
-/// A good throw of the same direction from the time of the newest baseline.
+/// Reads a good throw of the same direction from the time of the newest baseline.
 async fn typical(
     web: &Web,
     machine: &MachineId,
@@ -121,7 +122,8 @@ pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Res
     let (machine, throw) = named(names)?;
     let _turn = web.turn().await?;
     let found = web.view.reader().throw_of(&machine, &throw).await?;
-    let (stored, _) = found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw here.")))?;
+    let (stored, _) =
+        found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw in this database.")))?;
     let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;
     let kind = HeaderValue::from_static("text/csv; charset=utf-8");
     Ok(([(header::CONTENT_TYPE, kind)], csv_of(&throw.trace)).into_response())
@@ -129,7 +131,6 @@ pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Res
 
 fn csv_of(trace: &Trace) -> String {
     let mut text = "time_s,current_a,position_mm\n".to_owned();
-    // Writing to a string cannot fail.
     for (at, (current_a, position_mm)) in trace.current_a().iter().zip(trace.position_mm()).enumerate() {
         let time_s = at as f64 / trace.sample_rate_hz();
         let _ = write!(text, "{time_s:.7},{current_a},");
@@ -139,8 +140,8 @@ fn csv_of(trace: &Trace) -> String {
     text
 }
 
-/// Current and position beside those of the typical throw; the running current without its inrush; the position beside that
-/// of the identified model, and their difference.
+/// The charts: current and position with those of the typical throw, current without the inrush, position and model,
+/// and their difference.
 fn pictures(
     throw: &Throw,
     health: Option<&Health>,
@@ -179,21 +180,21 @@ fn pictures(
         let difference: Vec<f64> = measured.iter().zip(&model).map(|(measured, model)| measured - model).collect();
         let curves =
             [Curve { name: "measured", rate_hz, values: measured }, Curve { name: "model", rate_hz, values: &model }];
-        let says = "The position beside that of the model with the coefficients of this throw, driven by its current, while \
-                    the motor runs.";
+        let says = "Measured position, and position of the model with the coefficients of this throw, driven by its \
+                    current, while the motor runs.";
         pictures.push(trend::over_time("Position and model", "mm", &curves, says.to_owned()));
         let curves = [Curve { name: "", rate_hz, values: &difference }];
-        let says = "What the model leaves of the position, measured minus model.".to_owned();
+        let says = "Measured minus modelled position.".to_owned();
         pictures.push(trend::over_time("Residual", "mm", &curves, says));
     }
     pictures
 }
 
-/// Current from which the motor is on, as part of the peak: far above the noise, far below the inrush.
+/// Least current of a running motor, as share of the peak: far above the noise, far below the inrush.
 const ON: f64 = 0.05;
 
-/// The position of the model with these coefficients \[mm\]: at rest until the motor starts, then driven by its current for
-/// `duration_s`.
+/// The position of the model with these coefficients \[mm\]: at rest until the motor starts, then driven by its current
+/// for `duration_s`. Integrated by the midpoint rule.
 fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings: &estimate::Settings) -> Vec<f64> {
     let (current, position) = (trace.current_a(), trace.position_mm());
     let peak = current.iter().copied().fold(0.0_f64, |peak, it| if it.abs() > peak.abs() { it } else { peak });
@@ -204,7 +205,7 @@ fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings:
     let end = within.last().map_or(start, |(at, _)| at + 1);
     let neutral_rad = settings.neutral_mm / mm_per_rad;
     let sign = if position[end.saturating_sub(1)] < position[0] { -1.0 } else { 1.0 };
-    // The inrush drives the toe; a current of the other sign brakes it.
+    // The sign of the inrush is the driving one; current of the other sign brakes.
     let drive = |current: f64| {
         let forward = current * peak.signum();
         if settings.motor == Motor::Series { forward * forward.abs() } else { forward }
@@ -214,7 +215,6 @@ fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings:
     let (mut angle, mut speed) = (position[start] / mm_per_rad, 0.0);
     let mut model = vec![position[start]; start + 1];
     for pair in current[start..end].windows(2) {
-        // The midpoint rule.
         let (mid_angle, mid_speed) =
             (angle + 0.5 * step_s * speed, speed + 0.5 * step_s * acceleration(angle, speed, pair[0]));
         angle += step_s * mid_speed;
@@ -224,7 +224,7 @@ fn modelled_mm(trace: &Trace, [b0, a1, a0]: [f64; 3], duration_s: f64, settings:
     model
 }
 
-/// Each coefficient with two standard deviations, to the second digit of these.
+/// Each coefficient ± two standard deviations, rounded to two digits of the latter.
 fn coefficients(health: &Health) -> Option<[String; 3]> {
     let (values, sd) = (health.coefficients?, health.sd?);
     Some([0, 1, 2].map(|at| rounded(values[at], 2.0 * sd[at])))

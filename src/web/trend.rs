@@ -1,4 +1,4 @@
-//! Pictures: how the coefficients and features of a machine change, and the trace of one throw.
+//! Charts of coefficients and features over time, and of the trace of one throw.
 
 use jiff::Timestamp;
 
@@ -10,20 +10,20 @@ use crate::{
     wire::Health,
 };
 
-/// Most points of a curve: more than a picture has room for.
+/// Largest number of points of a curve: more than a chart resolves.
 pub(super) const POINTS: usize = 250;
-/// Samples of a trace are drawn as the least and the greatest of so many stretches.
+/// A trace is drawn as the least and the greatest sample of each of this many stretches.
 const STRETCHES: usize = 300;
-/// Size of a picture \[px\].
+/// Width and height of a chart \[px\].
 const SIZE: (f64, f64) = (420.0, 290.0);
 
-/// A picture with a sentence that says the same.
+/// A chart with its caption.
 pub(super) struct Picture {
     pub(super) svg: String,
     pub(super) says: String,
 }
 
-/// A moment that gets a mark.
+/// A vertical line with its label.
 pub(super) struct Mark {
     pub(super) at: Timestamp,
     pub(super) label: String,
@@ -32,22 +32,22 @@ pub(super) struct Mark {
 /// The throws of each direction, oldest first.
 pub(super) type Ways = [(Direction, Vec<Health>); 2];
 
-/// Every n-th row, the last one included, so that at most [`POINTS`] are left.
+/// Every n-th row up to the last, at most [`POINTS`].
 pub(super) fn thinned(rows: Vec<Health>) -> Vec<Health> {
     let step = rows.len().div_ceil(POINTS).max(1);
     let first = rows.len().saturating_sub(1) % step;
     rows.into_iter().skip(first).step_by(step).collect()
 }
 
-/// Two standard deviations of one throw of this machine \[%\] for b0, a1 and a0, from its newest baseline: the scatter of
-/// the machine itself, which is much larger than that of the sensors.
+/// Scatter of b0, a1 and a0 from throw to throw, two standard deviations \[%\], from the newest baseline. It is much
+/// larger than the error from sensor noise.
 pub(super) fn scatter_pct(baselines: &[BaselineRecord], direction: Direction) -> Option<[f64; 3]> {
     let baseline = baselines.iter().filter(|baseline| baseline.direction == direction).max_by_key(|it| it.taken_at)?;
     Some([0, 1, 2].map(|at| 200.0 * baseline.log_covariance[at][at].max(0.0).sqrt()))
 }
 
-/// Pictures of b0, a1, a0 and the inertia in % from the baseline, with limits, marks and the machine's own scatter. None while
-/// there is no baseline.
+/// Charts of the changes of b0, a1, a0 and inertia, with limits, marks and the scatter of the machine. Empty without a
+/// baseline.
 pub(super) fn coefficients(
     ways: &Ways,
     marks: &[Mark],
@@ -72,7 +72,7 @@ pub(super) fn coefficients(
                 svg: change(title, limits, own, ways, marks, |row| Some(row.change_pct?[at])),
                 says: format!(
                     "Change of {name} from the baseline. {}Warning at {limit} %, critical at {} %.",
-                    own.map(|own| format!("The band of ± {own:.1} % is this machine's own scatter. "))
+                    own.map(|own| format!("The band of ± {own:.1} % is the scatter of this machine. "))
                         .unwrap_or_default(),
                     limits.1
                 ),
@@ -83,16 +83,16 @@ pub(super) fn coefficients(
     pictures.push(Picture {
         svg: change("inertia", limits, None, ways, marks, |row| Some(inertia_pct(row.change_pct?, scatter))),
         says: format!(
-            "The change of inertia that explains b0, a1 and a0 together best. It is the inertia only where all three change \
-             alike. Warning at {} %, critical at {} %.",
+            "The change of inertia that fits the changes of b0, a1 and a0 best. It shows the inertia only if all three \
+             change alike. Warning at {} %, critical at {} %.",
             limits.0, limits.1
         ),
     });
     pictures
 }
 
-/// The change of the inertia \[%\] that explains the changes of b0, a1 and a0 best: all three are proportional to 1 / J. Each
-/// counts by the inverse of its variance.
+/// The change of inertia \[%\] that fits the changes of b0, a1 and a0 best, weighted by their inverse variances: all
+/// three are proportional to 1 / J.
 fn inertia_pct(change_pct: [f64; 3], scatter: Option<[f64; 3]>) -> f64 {
     let sd = scatter.unwrap_or([1.0; 3]).map(|sd| sd.max(0.1));
     let weight = sd.map(|sd| sd.powi(-2));
@@ -101,7 +101,7 @@ fn inertia_pct(change_pct: [f64; 3], scatter: Option<[f64; 3]>) -> f64 {
     100.0 * ((-mean).exp() - 1.0)
 }
 
-/// The wider scatter of the two directions.
+/// The larger scatter of the two directions, for each coefficient.
 fn widest([one, other]: [Option<[f64; 3]>; 2]) -> Option<[f64; 3]> {
     match (one, other) {
         (Some(one), Some(other)) => Some([0, 1, 2].map(|at| one[at].max(other[at]))),
@@ -128,7 +128,7 @@ fn change(
         panel = panel.banded_line("", [(first, 0.0, own), (last, 0.0, own)]);
     }
     panel = panel.level(warning, "warning").level(-warning, "warning");
-    // Far from the critical limit, its line would only make everything small.
+    // The critical limit is drawn only if a change is near it, as it would compress the chart.
     if furthest.1 > warning {
         panel = panel.level(critical, "critical");
     }
@@ -139,10 +139,10 @@ fn change(
     drawn_with(panel, rejected, marks)
 }
 
-/// A number that a throw has whether it gave an estimate or not.
+/// A feature, which a throw has with or without an estimate.
 type Feature = fn(&Health) -> Option<f64>;
 
-/// Pictures of what every throw shows, also one that was rejected: its duration and its currents.
+/// Charts of the features of every throw, also of rejected ones: duration and currents.
 pub(super) fn features(ways: &Ways, marks: &[Mark], baselines: &[BaselineRecord]) -> Vec<Picture> {
     let shown: [(&str, &str, Feature); 3] = [
         ("Duration", "s", |row| row.duration_s),
@@ -165,13 +165,14 @@ pub(super) fn features(ways: &Ways, marks: &[Mark], baselines: &[BaselineRecord]
             return None;
         }
         let says =
-            format!("{title} of each throw, rejected ones too. The dashed lines are those of the baseline's throws.");
+            format!("{title} of each throw, also of rejected ones. The dashed lines are the medians of the baseline.");
         Some(Picture { svg: drawn_with(panel, rejected_at(ways, least), marks), says })
     };
     shown.into_iter().filter_map(picture).collect()
 }
 
-/// The median of a feature over the throws shown that belong to the baseline, else over the first good ones shown.
+/// Median of a feature for each direction, over the throws in the chart up to the baseline, or over the first good
+/// ones.
 fn usual(ways: &Ways, baselines: &[BaselineRecord], value: fn(&Health) -> Option<f64>) -> Vec<(f64, String)> {
     let one = |(direction, rows): &(Direction, Vec<Health>)| {
         let baseline = baselines.iter().filter(|it| it.direction == *direction).max_by_key(|it| it.taken_at)?;
@@ -186,25 +187,25 @@ fn usual(ways: &Ways, baselines: &[BaselineRecord], value: fn(&Health) -> Option
     ways.iter().filter_map(one).collect()
 }
 
-/// Throws that stand for a baseline whose own throws are not shown.
+/// Number of first good throws that replace the throws of a baseline outside the chart.
 const BASELINE: usize = 25;
 
 fn x(at: Timestamp) -> f64 {
     at.as_duration().as_secs_f64()
 }
 
-/// The first and the last moment shown.
+/// Times of the first and the last throw in the chart.
 fn ends(ways: &Ways) -> Option<(f64, f64)> {
     let times = || ways.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
     Some((x(times().min()?), x(times().max()?)))
 }
 
-/// Dots for rejected throws, at this height.
+/// Dots for rejected throws, at `height`.
 fn rejected_at(ways: &Ways, height: f64) -> Vec<(f64, f64)> {
     let rows = ways.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected());
     let mut dots: Vec<f64> = rows.map(|row| x(row.started_at)).collect();
     dots.sort_by(f64::total_cmp);
-    // A value that is no number between two dots keeps them from being joined.
+    // A NaN after each dot interrupts the line.
     dots.into_iter().flat_map(|at| [(at, height), (at, f64::NAN)]).collect()
 }
 
@@ -225,7 +226,7 @@ pub(super) struct Curve<'a> {
     pub(super) values: &'a [f64],
 }
 
-/// A picture of curves over the time of a throw.
+/// A chart of curves over the time of a throw.
 pub(super) fn over_time(title: &str, unit: &str, curves: &[Curve<'_>], says: String) -> Picture {
     let panel = curves.iter().fold(Panel::curves(title, "s", unit), |panel, curve| {
         panel.line(curve.name, drawn(curve.rate_hz, curve.values))
@@ -239,7 +240,7 @@ pub(super) fn caption(title: &str, trace: &Trace) -> String {
     format!("{title} over the time of the throw, {samples} samples at {} Hz.", trace.sample_rate_hz())
 }
 
-/// The samples, or of many the first, the last, and the least and the greatest of each stretch.
+/// The samples; of many samples the first, the last, and the extremes of each stretch.
 fn drawn(sample_rate_hz: f64, values: &[f64]) -> Vec<(f64, f64)> {
     let stretch = values.len().div_ceil(STRETCHES).max(2);
     let mut kept = vec![0];

@@ -1,4 +1,4 @@
-//! The banner on every page: trouble that keeps the page from telling the truth about the machines.
+//! The banner on every page: problems that make the page incomplete or old.
 
 use std::time::Duration;
 
@@ -10,73 +10,72 @@ use super::{
 };
 use crate::{daemon::View, diagnose::AlarmState};
 
-/// Pending throws from which the pages say that they are behind: half a minute's work.
+/// Number of pending throws from which pages show a warning: half a minute of work.
 const BACKLOG: u64 = 1_000;
 
-/// Longest wait for the trouble that the database knows: a page is shown without it rather than not at all.
+/// Time limit for the problems in the database; after it the page is shown without them.
 const LIMIT: Duration = Duration::from_secs(2);
 
 impl Web {
-    /// All known trouble, for a page that needs nothing else of the overview. Takes a turn of its own.
+    /// All problems, for a page that needs nothing else from the overview. Waits for its own permit to read.
     pub(super) async fn trouble(&self) -> Vec<String> {
         if let Ok(Ok(overview)) = time::timeout(LIMIT, self.overview()).await {
             return all(&self.view, &overview);
         }
         let mut trouble = of_daemon(&self.view);
-        trouble.push("The database answers late or not at all: there may be more trouble than this.".to_owned());
+        trouble.push("The database does not answer: there may be more problems.".to_owned());
         trouble
     }
 }
 
-/// All known trouble.
+/// All problems.
 pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
     let mut trouble = of_daemon(view);
     trouble.extend(of_data(overview));
     trouble
 }
 
-/// The trouble that the daemon knows without its database.
+/// Problems known without the database.
 pub(super) fn of_daemon(view: &View) -> Vec<String> {
     let report = view.report();
     let mut trouble = Vec::new();
     match report.disk.as_str() {
         "ok" => {}
-        "low" => trouble
-            .push("The disk is nearly full: the traces of judged throws are dropped. Free some space.".to_owned()),
-        "full" => trouble.push(
-            "The disk is full: nothing can be stored, and what you see is from before. Free some space now.".to_owned(),
-        ),
-        _ => trouble
-            .push("Writing to the database fails: nothing can be stored, and what you see is from before.".to_owned()),
+        "low" => {
+            trouble.push("The disk is nearly full: traces of judged throws are removed. Free some space.".to_owned())
+        }
+        "full" => trouble
+            .push("The disk is full: nothing can be stored, and this page is old. Free some space now.".to_owned()),
+        _ => trouble.push("Writing to the database fails: nothing can be stored, and this page is old.".to_owned()),
     }
     if !report.silent.is_empty() {
-        trouble.push(format!("Parts of the daemon hang ({}): what you see may be old.", report.silent.join(", ")));
+        trouble.push(format!("Parts of the daemon hang ({}): this page may be old.", report.silent.join(", ")));
     }
     if report.loggers == 0 {
         trouble.push("No logger is connected: no throws arrive. Silence is not health.".to_owned());
     }
     if report.dropped + report.lost > 0 {
         let lost = page::count(report.dropped + report.lost);
-        trouble.push(format!("{lost} messages that arrived since the start could not be kept."));
+        trouble.push(format!("{lost} messages received since the start could not be stored."));
     }
     trouble
 }
 
-/// The trouble that the database knows.
+/// Problems stored in the database.
 fn of_data(overview: &Overview) -> Vec<String> {
-    // Alarms that are shelved or over stand in the list of alarms alone.
+    // Shelved and cleared alarms are only in the list of alarms.
     let is_active = |state| matches!(state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged);
     let own = overview.own_alarms.iter().filter(|alarm| is_active(alarm.state));
-    let mut trouble: Vec<String> = own.map(|alarm| format!("The daemon's own alarm: {}", alarm.text)).collect();
+    let mut trouble: Vec<String> = own.map(|alarm| format!("Alarm of the daemon itself: {}", alarm.text)).collect();
     if overview.unreadable > 0 {
         let unknown = overview.unreadable;
         trouble.push(format!(
-            "{unknown} open alarms were raised by another version in words unknown here: pointsd sql shows them."
+            "{unknown} open alarms of another version cannot be read by this version: pointsd sql shows them."
         ));
     }
     if overview.statistics.pending > BACKLOG {
         let waiting = page::count(overview.statistics.pending);
-        trouble.push(format!("{waiting} throws are pending, stored and not judged yet: the page is behind."));
+        trouble.push(format!("{waiting} throws are pending (stored, not judged yet): this page is old."));
     }
     trouble
 }

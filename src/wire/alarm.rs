@@ -1,4 +1,4 @@
-//! The alarm message (JSON): one event in the life of an alarm, as `points/v1/{site}/{machine}/alarm` carries it.
+//! The alarm message (JSON) on `points/v1/{site}/{machine}/alarm`: one event of an alarm.
 
 use std::ops::Deref;
 
@@ -11,14 +11,14 @@ use crate::{
     throw::MachineId,
 };
 
-/// One alarm event with its identity. Consumers deduplicate on (`alarm_id`, `event_no`).
+/// An alarm event with its alarm and machine. Consumers deduplicate on (`alarm_id`, `event_no`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alarm {
     /// Always [`Alarm::SCHEMA`].
     pub schema: String,
-    /// Which alarm; see [`alarm_id`].
+    /// Identity of the alarm, from [`alarm_id`].
     pub alarm_id: String,
-    /// Which machine: `site` and `machine` in JSON.
+    /// The machine: `site` and `machine` in JSON.
     #[serde(flatten)]
     pub machine: MachineId,
     /// The event with its evidence.
@@ -26,7 +26,7 @@ pub struct Alarm {
     pub event: AlarmEvent,
 }
 
-/// The fields of the event are fields of the message.
+/// Gives direct access to the fields of the event, as in the JSON message.
 impl Deref for Alarm {
     type Target = AlarmEvent;
 
@@ -36,10 +36,10 @@ impl Deref for Alarm {
 }
 
 impl Alarm {
-    /// The version of the message.
+    /// Name and version of the message.
     pub const SCHEMA: &str = "points.alarm/1";
 
-    /// An event of a machine's alarm.
+    /// The message of an event of an alarm of `machine`.
     #[must_use]
     pub fn new(machine: &MachineId, event: &AlarmEvent) -> Self {
         Self {
@@ -50,7 +50,7 @@ impl Alarm {
         }
     }
 
-    /// The event as it is published: without operators and boots, which only the database has.
+    /// The message without operators and boots, which stay in the database.
     #[must_use]
     pub fn published(mut self) -> Self {
         (self.event.by, self.event.why) = (None, None);
@@ -60,15 +60,15 @@ impl Alarm {
         self
     }
 
-    /// The message as JSON.
+    /// The published message as JSON.
     #[must_use]
     pub fn into_message(self) -> Vec<u8> {
         json(&self.published())
     }
 }
 
-/// The identity of one occurrence of an alarm: machine, cause and the moment it was raised, so that a monitor that
-/// repeats its work after a crash gives the same alarm the same name.
+/// The identity of an alarm: machine, cause and time of the raise. A daemon that judges a throw again after a crash
+/// makes the same identity.
 #[must_use]
 pub fn alarm_id(machine: &MachineId, cause: Cause, raised_at: Timestamp) -> String {
     format!("{}.{}.{}.{}", machine.site, machine.machine, cause.as_str(), raised_at.as_microsecond())

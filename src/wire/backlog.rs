@@ -1,21 +1,22 @@
-//! The selector with which a daemon asks a logger for its backlog, and the page that answers it:
+//! The selector of a query for a page of a logger's backlog, and the start of this page:
 //! `…/throw?after_boot=B;after_no=N;limit=K`.
 
 use std::fmt::Write as _;
 
 use crate::throw::ThrowRef;
 
-/// Most throws of one page, whatever the selector asks for.
+/// Largest page \[throws\]; a higher `limit` is reduced to it.
 pub const MAX_PAGE: usize = 1_000;
-/// Characters of a `boot_id` that end a parameter, and the one that escapes them. Zenoh itself has no escape.
+/// Characters that are escaped in a `boot_id`: those with a meaning in a selector, and `%`. Zenoh has no escape of its
+/// own.
 const ESCAPED: [char; 7] = ['%', ';', '=', '&', '|', '?', '#'];
 
-/// A question for one page of a backlog.
+/// A query for one page of a backlog.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BacklogQuery {
-    /// The page begins with the throw after this one; `None`: with the oldest that there is.
+    /// The page starts after this throw; `None` for the oldest throw of the backlog.
     pub after: Option<ThrowRef>,
-    /// Most throws of the page.
+    /// Largest number of throws in the page.
     pub limit: usize,
 }
 
@@ -31,8 +32,8 @@ impl BacklogQuery {
         }
     }
 
-    /// Reads the parameters of a selector. What is missing or cannot be read counts as not given: a logger answers with the
-    /// oldest throws rather than not at all.
+    /// Parses the parameters of a selector. An invalid parameter counts as missing, so that a logger answers with its
+    /// oldest throws instead of an error.
     #[must_use]
     pub fn parse(parameters: &str) -> Self {
         let value = |name: &str| {
@@ -46,9 +47,9 @@ impl BacklogQuery {
         Self { after, limit: limit.clamp(1, MAX_PAGE) }
     }
 
-    /// The index of the first throw of the page in a backlog: `kept` are its throws, oldest first.
+    /// The index of the first throw of the page in `kept`, the throws of the backlog, oldest first.
     ///
-    /// A boot that the backlog does not have, or that it has only later throws of, is answered from the first that follows.
+    /// For an unknown boot this is 0. For a boot of which only later throws are left, it is the first of these.
     #[must_use]
     pub fn start<'a>(&self, kept: impl DoubleEndedIterator<Item = &'a ThrowRef> + ExactSizeIterator) -> usize {
         let Some(after) = &self.after else { return 0 };

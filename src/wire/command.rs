@@ -1,34 +1,34 @@
-//! Operators' commands (JSON, in the payload of a query on `points/v1/{site}/{machine}/command`) and the reply.
+//! Commands of operators (JSON, in the payload of a query on `points/v1/{site}/{machine}/command`) and their replies.
 
 use serde::{Deserialize, Serialize};
 
 use super::json;
 use crate::diagnose::Command;
 
-/// Largest command, in bytes: names and a reason, no more.
+/// Largest command \[bytes\]: room for names and a reason.
 const MAX_BYTES: usize = 8 * 1024;
 
-/// Why a payload is no command.
+/// A payload that is not a command.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidCommand {
-    /// There is nothing in it, or too much.
+    /// The payload is empty or too large.
     #[error("the command has {bytes} bytes, must be 1 to {MAX_BYTES}")]
     Size {
-        /// Its size.
+        /// Size of the payload.
         bytes: usize,
     },
-    /// It is not a command in JSON.
+    /// The payload is not JSON, or not a command.
     #[error("not a command: {problem}; for example {{\"command\": \"ack\", \"cause\": \"friction\", \"by\": \"who\"}}")]
     Json {
-        /// What is wrong, with line and column.
+        /// The parser's error with line and column.
         problem: String,
     },
 }
 
-/// Reads a command.
+/// Decodes a command.
 ///
 /// # Errors
-/// When the payload is empty, too large or no command in JSON.
+/// When the payload is empty, too large or not a command in JSON.
 pub fn decode_command(payload: &[u8]) -> Result<Command, InvalidCommand> {
     if !(1..=MAX_BYTES).contains(&payload.len()) {
         return Err(InvalidCommand::Size { bytes: payload.len() });
@@ -36,25 +36,25 @@ pub fn decode_command(payload: &[u8]) -> Result<Command, InvalidCommand> {
     serde_json::from_slice(payload).map_err(|error| InvalidCommand::Json { problem: error.to_string() })
 }
 
-/// What the daemon answers to a command.
+/// The daemon's reply to a command.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reply {
-    /// Whether the command was carried out.
+    /// Whether the command was applied.
     pub done: bool,
-    /// One sentence: what was done, or why not.
+    /// One sentence: the effect of the command, or the reason for the refusal.
     pub text: String,
-    /// The daemon that answers, as `{site}/{id}` of its section `[monitor]`.
+    /// Name of the replying daemon: `{site}/{id}` of its section `[monitor]`.
     #[serde(default)]
     pub monitor: String,
 }
 
-/// A daemon that carries out the commands of a machine: the reply to a question without payload on the machine's
-/// command key. A command that names the session in its selector (`?session=…`) is for that daemon alone.
+/// A daemon that applies the commands of a machine: its reply to a query without payload on the machine's command key.
+/// With its session in the selector (`?session=…`) a command goes to this daemon only.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Commander {
-    /// Its name, as `{site}/{id}` of its section `[monitor]`.
+    /// Name: `{site}/{id}` of its section `[monitor]`.
     pub monitor: String,
-    /// Its zenoh session, which tells two daemons of the same name apart.
+    /// Identifier of its zenoh session; differs between two daemons of the same name.
     pub session: String,
 }
 

@@ -1,4 +1,4 @@
-//! The health of one throw: a row of the history, and the message on `points/v1/{site}/{machine}/health` (JSON).
+//! Health of one throw: a row of the history, and the message (JSON) on `points/v1/{site}/{machine}/health`.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -9,45 +9,45 @@ use crate::{
     throw::{Direction, MachineId, ThrowRef},
 };
 
-/// One throw's health. Numbers are null in JSON where the throw does not give them.
+/// Health of one throw. A value that the throw does not give is null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Health {
     /// Always [`Health::SCHEMA`].
     pub schema: String,
-    /// Which machine: `site` and `machine` in JSON.
+    /// The machine: `site` and `machine` in JSON.
     #[serde(flatten)]
     pub machine: MachineId,
-    /// Which throw: `boot_id` and `throw_no` in JSON.
+    /// The throw: `boot_id` and `throw_no` in JSON.
     #[serde(flatten)]
     pub throw: ThrowRef,
     /// Wall time of the first sample.
     pub started_at: Timestamp,
-    /// Its direction; `unknown` in JSON for `None`.
+    /// Direction of the throw; `None` is `unknown` in JSON.
     #[serde(with = "direction")]
     pub direction: Option<Direction>,
-    /// A grade (`good`, `rough`, `current_only`), or the code of the reason why the estimate was rejected.
+    /// Quality of the estimate (`good`, `rough`, `current_only`), or the code of the reason for its rejection.
     pub quality: String,
     /// `b0` = KT / J \[rad s⁻² A⁻¹\], `a1` = Kf / J \[s⁻¹\], `a0` = Kspr / J \[s⁻²\].
     #[serde(flatten, with = "coefficients")]
     pub coefficients: Option<[f64; 3]>,
-    /// Their standard deviations: `b0_sd`, `a1_sd`, `a0_sd`.
+    /// Standard deviations of the coefficients: `b0_sd`, `a1_sd`, `a0_sd`.
     #[serde(flatten, with = "sd")]
     pub sd: Option<[f64; 3]>,
-    /// Their change from the baseline \[%\]: `b0_pct`, `a1_pct`, `a0_pct`.
+    /// Changes of the coefficients from the baseline \[%\]: `b0_pct`, `a1_pct`, `a0_pct`.
     #[serde(flatten, with = "change_pct")]
     pub change_pct: Option<[f64; 3]>,
     /// Fit of the model `R²_T` \[%\].
     pub fit_pct: Option<f64>,
-    /// a1/b0 = Kf / KT \[A s rad⁻¹\]: known also where the start of the throw is unusable and the coefficients are not.
+    /// a1/b0 = Kf / KT \[A s rad⁻¹\]; does not need the start of the throw, so a "rough" throw has it too.
     #[serde(default)]
     pub a1_per_b0: Option<f64>,
-    /// Its standard deviation.
+    /// Standard deviation of `a1_per_b0`.
     #[serde(default)]
     pub a1_per_b0_sd: Option<f64>,
     /// a0/b0 = Kspr / KT \[A rad⁻¹\].
     #[serde(default)]
     pub a0_per_b0: Option<f64>,
-    /// Its standard deviation.
+    /// Standard deviation of `a0_per_b0`.
     #[serde(default)]
     pub a0_per_b0_sd: Option<f64>,
     /// Duration of the movement \[s\].
@@ -56,26 +56,26 @@ pub struct Health {
     pub peak_current_a: Option<f64>,
     /// Mean magnitude of the current while the motor ran \[A\].
     pub mean_current_a: Option<f64>,
-    /// State of the machine after this throw, or now in an answer about now; `None` for throws that an earlier version
-    /// judged.
+    /// State of the machine after this throw, or now in the reply to a query for the present health; `None` for throws
+    /// that an earlier version judged.
     #[serde(default)]
     pub state: Option<MachineState>,
-    /// The worst active drift, at the same moment.
+    /// The worst active drift at the time of `state`.
     #[serde(default)]
     pub drift: Option<Drifting>,
-    /// Why the estimate was rejected, as a sentence. Not published.
+    /// Reason for the rejection of the estimate, as a sentence. Not published.
     #[serde(skip)]
     pub detail: Option<String>,
-    /// Throws in this direction's baseline so far, of how many. Not published.
+    /// Throws in the baseline of this direction, and the throws that it needs. Not published.
     #[serde(skip)]
     pub baseline: Option<(u64, u64)>,
-    /// Evaluated throws of this direction since its baseline was complete. Not published.
+    /// Evaluated throws of this direction since the baseline was complete. Not published.
     #[serde(skip)]
     pub throws_since_baseline: u64,
 }
 
 impl Health {
-    /// The version of the message.
+    /// Name and version of the message.
     pub const SCHEMA: &str = "points.health/1";
 
     /// Whether the throw has an estimate.
@@ -84,7 +84,8 @@ impl Health {
         self.a1_per_b0.is_some() || self.coefficients.is_some()
     }
 
-    /// Whether the estimate was rejected. A machine with a current sensor alone has none, and is monitored by its features.
+    /// Whether the estimate was rejected. Throws with `current_only` may have no estimate: their features are
+    /// monitored.
     #[must_use]
     pub fn is_rejected(&self) -> bool {
         !self.is_evaluated() && self.quality != "current_only"
@@ -97,7 +98,7 @@ impl Health {
     }
 }
 
-/// `unknown` for a direction that is not known.
+/// JSON of a direction; `None` is `unknown`.
 mod direction {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
@@ -113,12 +114,12 @@ mod direction {
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Direction>, D::Error> {
         match String::deserialize(from)?.as_str() {
             UNKNOWN => Ok(None),
-            word => word.parse().map(Some).map_err(|_| D::Error::custom("no direction")),
+            word => word.parse().map(Some).map_err(|_| D::Error::custom("not a direction")),
         }
     }
 }
 
-/// The JSON of three numbers, one for each coefficient: all or none.
+/// JSON of one number for each coefficient, all three or none.
 macro_rules! three {
     ($name:ident, $b0:literal, $a1:literal, $a0:literal) => {
         mod $name {

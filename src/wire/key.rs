@@ -1,13 +1,13 @@
-//! Key expressions: `points/v1/{site}/{machine}/{kind}`. The key is the authority on who is speaking.
+//! Key expressions: `points/v1/{site}/{machine}/{kind}`. The site and machine of a message are those of its key.
 
 use std::fmt;
 
 use crate::throw::{InvalidName, MachineId, Name};
 
-/// The chunks that every key begins with.
+/// The first chunks of every key.
 const PREFIX: &str = "points/v1/";
 
-/// What a key carries.
+/// The last chunk of a key: the kind of its messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::AsRefStr, strum::EnumString, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Kind {
@@ -23,18 +23,18 @@ pub enum Kind {
     Alive,
 }
 
-/// Why a key names no machine.
+/// A key that is not a key of a machine.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidKey {
-    /// It is not of the form `points/v1/{site}/{machine}/{kind}`.
+    /// The key is not of the form `points/v1/{site}/{machine}/{kind}`.
     #[error("the key is not points/v1/{{site}}/{{machine}}/{{throw|health|alarm|command|alive}}")]
     Shape,
-    /// The site or the machine is no name.
+    /// The site or the machine is not a valid name.
     #[error(transparent)]
     Name(#[from] InvalidName),
 }
 
-/// The key of one machine's throws, health, alarms, commands or liveliness.
+/// The key of a machine for messages of `kind`.
 #[must_use]
 pub fn machine_key(machine: &MachineId, kind: Kind) -> String {
     format!("{PREFIX}{}/{}/{}", machine.site, machine.machine, kind.as_ref())
@@ -52,10 +52,10 @@ pub fn monitor_status_key(site: &Name, id: &Name) -> String {
     format!("{PREFIX}{site}/monitor/{id}/status")
 }
 
-/// The machine and the kind that a key names.
+/// Parses a key into machine and kind.
 ///
 /// # Errors
-/// When the key has another shape, or a name in it is none.
+/// When the key has another form or an invalid name.
 pub fn parse_key(key: &str) -> Result<(MachineId, Kind), InvalidKey> {
     let mut chunks = key.strip_prefix(PREFIX).ok_or(InvalidKey::Shape)?.split('/');
     let (Some(site), Some(machine), Some(kind), None) = (chunks.next(), chunks.next(), chunks.next(), chunks.next())
@@ -67,28 +67,28 @@ pub fn parse_key(key: &str) -> Result<(MachineId, Kind), InvalidKey> {
 }
 
 /// The part of the fleet that one daemon serves: `points/v1/**`, `points/v1/{site}/**` or
-/// `points/v1/{site}/{machine}/**`, where a name may be `*` or hold `$*`.
+/// `points/v1/{site}/{machine}/**`, where a name may be `*` or contain `$*`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Scope {
     site: String,
     machine: String,
 }
 
-/// Why a text is no scope.
+/// A text that is not a scope.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{text:?} is no scope: write points/v1/**, points/v1/{{site}}/** or points/v1/{{site}}/{{machine}}/**, \
-     a name may be * or hold $*"
+    "{text:?} is not a scope: write points/v1/**, points/v1/{{site}}/** or points/v1/{{site}}/{{machine}}/**, \
+     a name may be * or contain $*"
 )]
 pub struct InvalidScope {
     text: String,
 }
 
 impl Scope {
-    /// The scope in a text.
+    /// Parses a scope.
     ///
     /// # Errors
-    /// When it is none of the three forms.
+    /// When the text has none of the three forms.
     pub fn parse(text: &str) -> Result<Self, InvalidScope> {
         let invalid = || InvalidScope { text: text.chars().take(200).collect() };
         let rest = text.strip_prefix(PREFIX).and_then(|rest| rest.strip_suffix("**")).ok_or_else(invalid)?;

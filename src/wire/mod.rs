@@ -1,7 +1,7 @@
-//! Keys and payloads on zenoh: pure functions between bytes and values.
+//! Keys and payloads on zenoh: pure encoding and decoding.
 //!
-//! Whatever the bytes are, decoding returns a value or a reason. It never panics, never recurses deeper than a fixed
-//! bound and never allocates more than a small multiple of the payload.
+//! Decoding returns a value or an error for any bytes. It does not panic, recurses to a fixed depth at most, and
+//! allocates at most a small multiple of the payload.
 
 mod alarm;
 mod backlog;

@@ -2,35 +2,35 @@
 
 use jiff::Timestamp;
 
-/// Most rows that one query returns.
+/// Largest number of rows in the reply to a query.
 pub const MAX_HISTORY: usize = 10_000;
-/// Rows of a history query that names no limit.
+/// Rows in the reply to a history query without `limit`.
 const DEFAULT_LIMIT: usize = 1_000;
 
-/// What a query asks for.
+/// The parameters of a `health` or `alarm` query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HistoryQuery {
     /// No parameters: the open alarms, or the latest health of each machine.
     Current,
-    /// Everything from a moment on, the newest `limit` rows, oldest first.
+    /// The newest `limit` rows since `since`, oldest first.
     History {
-        /// Not before this; `None` for as far back as there is.
+        /// Time of the oldest row; `None` for no bound.
         since: Option<Timestamp>,
-        /// At most this many.
+        /// Largest number of rows.
         limit: usize,
     },
 }
 
-/// Why a query's parameters cannot be used.
+/// An invalid parameter of a query.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidQuery {
-    /// `since` is no time.
-    #[error("since={text:?} is no RFC 3339 time with Z or an offset, as 2026-05-04T10:11:12Z")]
+    /// `since` is not a time.
+    #[error("since={text:?} is not an RFC 3339 time with Z or an offset, as 2026-05-04T10:11:12Z")]
     Since {
         /// The text.
         text: String,
     },
-    /// `limit` is no number in range.
+    /// `limit` is not a number in range.
     #[error("limit={text:?} must be a whole number from 1 to {MAX_HISTORY}")]
     Limit {
         /// The text.
@@ -39,14 +39,14 @@ pub enum InvalidQuery {
 }
 
 impl HistoryQuery {
-    /// Reads the parameters of a selector (the part after `?`). Other parameters are ignored.
+    /// Parses the parameters of a selector (the part after `?`). Unknown parameters are ignored.
     ///
     /// # Errors
-    /// When `since` or `limit` cannot be used.
+    /// When `since` or `limit` is invalid.
     pub fn parse(parameters: &str) -> Result<Self, InvalidQuery> {
         let pairs = || parameters.split(';').filter_map(|pair| pair.split_once('='));
         let value = |name: &str| pairs().find(|(key, _)| key.trim() == name).map(|(_, value)| value.trim());
-        // `+` separates nothing in a zenoh selector, yet HTTP habits turn it into a space: both are taken.
+        // URL encoders write `+` as a space, so both are accepted in the offset.
         let since = value("since")
             .map(|text| text.replace(' ', "+").parse().map_err(|_| InvalidQuery::Since { text: cut(text) }))
             .transpose()?;

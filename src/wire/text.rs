@@ -1,14 +1,14 @@
-//! Values as JSON.
+//! JSON of values.
 
 use serde::Serialize;
 
-/// A value as JSON, for messages and the database.
+/// Encodes a value as JSON, for messages and the database.
 ///
 /// # Panics
-/// When the value has no JSON: a map with keys that are no text, or a `Serialize` that fails by itself. No type of this
-/// program does, and an empty message would be worse.
+/// When the value has no JSON form: a map whose keys are not text, or a `Serialize` that fails. No type of this program
+/// has this.
 #[must_use]
-#[expect(clippy::expect_used, reason = "an empty message would be taken for a true one")]
+#[expect(clippy::expect_used, reason = "a receiver could take an empty message for a valid one")]
 pub fn json<T: Serialize + ?Sized>(value: &T) -> Vec<u8> {
     serde_json::to_vec(value).expect("every message of this program has a JSON form")
 }

@@ -87,7 +87,7 @@ fn wrong_values_are_refused_with_their_name() {
     }
     for (option, value, exit, word) in [
         ("--fault", "magnet=5", 64, "magnet"),
-        ("--fault", "kt=much", 64, "much is no number"),
+        ("--fault", "kt=much", 64, "much is not a number"),
         ("--fault", "kt=-95", 64, "-90 to 2000"),
         ("--obstruction-mm", "300", 64, "obstruction_mm is 300"),
         ("--temperature-c", "500", 64, "temperature_c is 500"),

@@ -128,7 +128,7 @@ async fn without_a_daemon_operators_are_told_so() {
     for (arguments, (code, said)) in COMMANDS.iter().zip(all_commands("tcp/127.0.0.1:1")) {
         assert_eq!(code, Some(69), "{arguments:?}: {said}");
         assert!(
-            said.starts_with("error: nobody answers at ") && said.contains("Is pointsd running?"),
+            said.starts_with("error: no answer from ") && said.contains("Is pointsd running?"),
             "{arguments:?}: {said}"
         );
     }
@@ -170,7 +170,7 @@ async fn sighup_takes_over_what_is_safe() {
     let rig = Rig::new();
     let daemon = rig.start();
     daemon.signal("-HUP");
-    daemon.until_log("was read again");
+    daemon.until_log("configuration reloaded");
     assert!(daemon.terminate().success());
 }
 
@@ -246,7 +246,7 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
     for arguments in COMMANDS {
         let (code, text) = run(&[arguments, &["--config", &of_b]].concat());
         assert_eq!(code, Some(69), "{arguments:?}: {text}");
-        assert!(text.contains("nobody answers at tcp/127.0.0.1:"), "{text}");
+        assert!(text.contains("no answer from tcp/127.0.0.1:"), "{text}");
     }
 }
 

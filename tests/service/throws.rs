@@ -120,7 +120,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
         "not a throw in JSON",
         "not valid CBOR",
         "2000000 bytes",
-        "is no site or machine name",
+        "is not a site or machine name",
         "the name of pointsd itself",
         "more than 2 machines",
     ];

@@ -190,7 +190,7 @@ async fn every_page_tells_what_is_wrong_with_the_daemon() {
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE machine = 'pointsd' AND cause = 'data_loss'").await;
     // Nobody shows a liveliness token: silence is not health.
     let silence = "No logger is connected";
-    let own_alarm = "The daemon&#39;s own alarm: pointsd loses data: its database was broken and was set aside";
+    let own_alarm = "Alarm of the daemon itself: pointsd loses data: its database was broken and was set aside";
     let fresh = "/machines/north/21B?span=all";
     let deadline = Instant::now() + PATIENCE;
     while !get(&address, fresh).body.contains(own_alarm) {

@@ -1,8 +1,8 @@
-//! The faults of the demo's machines.
+//! The injected faults of the demo.
 
 use crate::simulate::Part;
 
-/// A fault of a machine of the demo.
+/// An injected fault; a step if it has no ramp.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Injected {
     pub(super) part: Part,
@@ -11,7 +11,7 @@ pub(super) struct Injected {
     pub(super) ramp_throws: Option<u64>,
 }
 
-/// One machine for each cause, and one that stays healthy.
+/// One machine for each cause, and a healthy one.
 pub(super) const MACHINES: [Option<Injected>; 5] = [
     Some(Injected { part: Part::Kt, size_pct: -20.0, from_throw: 120, ramp_throws: None }),
     Some(Injected { part: Part::Friction, size_pct: 45.0, from_throw: 110, ramp_throws: Some(40) }),

@@ -1,4 +1,4 @@
-//! `pointsd demo`: daemon, simulated fleet, database and dashboard in one process, over loopback.
+//! `pointsd demo`: daemon, simulated fleet, database and dashboard in one process.
 
 mod injected;
 mod outcome;
@@ -29,30 +29,30 @@ use crate::{
 use injected::{Injected, MACHINES};
 use screen::Screen;
 
-/// Throws of each machine: 50 a direction for the baseline, and as many again while parts wear out.
+/// Throws of each machine: 50 in each direction for the baseline, and 50 in each direction with the faults.
 const THROWS: u64 = 200;
-/// Throws of one machine a second.
+/// Throws of one machine per second.
 const RATE: f64 = 6.5;
-/// Time from one throw of a machine to its next \[s\]: a busy junction.
+/// Simulated time between two throws of a machine \[s\], as at a busy junction.
 const INTERVAL_S: f64 = 1200.0;
 
-/// Shows what pointsd does, in about a minute: five simulated machines, four of which wear out.
+/// Shows pointsd at work, in about a minute: five simulated machines, four of which wear out.
 ///
-/// Daemon, machines, database and dashboard run in this process and talk over loopback. With --keep or --folder the
-/// database stays; without, it is removed at the end.
+/// Daemon, machines, database and dashboard run in this process, connected over loopback. The database is removed at
+/// the end, unless --keep or --folder is given.
 ///
-/// Exit codes: 0 all four faults were named right and the healthy machine raised no alarm; 1 not so; 69 zenoh or the
-/// dashboard cannot be used; 73 the database cannot be created.
+/// Exit codes: 0 all four faults named right, no alarm on the healthy machine; 1 otherwise; 69 zenoh or the dashboard
+/// cannot be used; 73 the database cannot be created.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd demo --seed 7")]
 pub(super) struct Arguments {
     /// Seed of everything random.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Leave the daemon and its dashboard running at the end, until Ctrl-C.
+    /// Keep the daemon and its dashboard running until Ctrl-C, and the database after it.
     #[arg(long)]
     keep: bool,
-    /// Folder for the database; without it, a new one among the temporary files.
+    /// Folder for the database [default: a new temporary folder].
     #[arg(long, value_name = "FOLDER")]
     folder: Option<PathBuf>,
 }
@@ -72,8 +72,8 @@ async fn demo(arguments: &Arguments) -> Outcome {
     daemon.adopt("the dashboard", web::serve(place, daemon.view()));
     let endpoint = daemon.locators().await.into_iter().next().unwrap_or_default();
     output::line(format_args!(
-        "A daemon that listens on {endpoint}, and {} simulated point machines.\n\
-         Each throws {THROWS} times. The first 50 throws of each direction become its\n\
+        "The daemon listens on {endpoint}; {} simulated point machines publish.\n\
+         Each throws {THROWS} times. The first 50 throws in each direction are its\n\
          baseline; then four machines wear out.\n\
          In a browser: {url}\n",
         MACHINES.len()
@@ -115,13 +115,13 @@ async fn demo(arguments: &Arguments) -> Outcome {
         output::line(outcome::queries(&database))?;
     }
     if arguments.keep {
-        output::line(format_args!("\nThe daemon goes on at {endpoint}, its dashboard at {url}, until Ctrl-C."))?;
+        output::line(format_args!("\nThe daemon stays at {endpoint}, the dashboard at {url}, until Ctrl-C."))?;
         tokio::select! {
             () = signals.stop() => {}
             ended = daemon.ended() => return Err(died(ended)),
         }
     } else {
-        output::line("With --keep the daemon, its dashboard and its database stay.")?;
+        output::line("With --keep the daemon, the dashboard and the database stay.")?;
     }
     drop(logger);
     session.close().await.map_err(|error| Failure { exit: Exit::Unavailable, error: anyhow::anyhow!(error) })?;
@@ -130,17 +130,17 @@ async fn demo(arguments: &Arguments) -> Outcome {
 }
 
 fn died(Ended(task): Ended) -> Failure {
-    Failure { exit: Exit::Software, error: anyhow::anyhow!("{task} has ended on its own") }
+    Failure { exit: Exit::Software, error: anyhow::anyhow!("{task} ended unexpectedly") }
 }
 
-/// The demo's folder. Dropped, it is removed where it lies among the temporary files and nobody asked to keep it.
+/// The folder of the demo; a temporary one is removed when this is dropped, unless --keep is given.
 struct Folder {
     path: PathBuf,
     is_kept: bool,
 }
 
 impl Folder {
-    /// A folder without a database in it.
+    /// Creates the folder; an error if it has a database already.
     fn make(arguments: &Arguments) -> Result<Self, Failure> {
         let path = match &arguments.folder {
             Some(path) => path.clone(),
@@ -151,7 +151,7 @@ impl Folder {
             .or_exit(Exit::CannotCreate)?;
         let folder = Self { path, is_kept: arguments.keep || arguments.folder.is_some() };
         if folder.database().exists() {
-            let error = anyhow::anyhow!("{} is there already: name a new folder", folder.database().display());
+            let error = anyhow::anyhow!("{} exists already: name another folder", folder.database().display());
             return Err(Failure { exit: Exit::CannotCreate, error });
         }
         Ok(folder)
@@ -167,7 +167,7 @@ impl Drop for Folder {
         if !self.is_kept
             && let Err(error) = fs::remove_dir_all(&self.path)
         {
-            tracing::debug!(%error, folder = %self.path.display(), "the folder of the demo cannot be removed");
+            tracing::debug!(%error, folder = %self.path.display(), "removing the folder of the demo failed");
         }
     }
 }
@@ -194,7 +194,7 @@ fn logger_settings(seed: u64) -> LoggerSettings {
         throws: Some(THROWS),
         interval_s: INTERVAL_S,
         time_scale: INTERVAL_S * RATE,
-        // The last throw is made now.
+        // The last throw has the present time.
         started_at: clock::now().checked_sub(history).ok(),
         ..LoggerSettings::default()
     }

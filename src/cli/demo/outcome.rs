@@ -1,4 +1,4 @@
-//! How the demo ended: what was injected, what was reported, and where to look further.
+//! The result of the demo: injected faults, raised alarms, and example queries.
 
 use std::{path::Path, time::Duration};
 
@@ -13,19 +13,19 @@ use crate::{
     wire::Alarm,
 };
 
-/// More events than the demo can raise.
+/// Row limit, above the number of events that the demo can raise.
 const EVENTS: u32 = 10_000;
 
-/// One machine of the demo.
+/// A machine of the demo with its fault and its alarms.
 pub(super) struct Row {
     machine: MachineId,
     injected: Option<Injected>,
-    /// Its alarms, with the first and the last event of each.
+    /// First and last event of each alarm.
     alarms: Vec<(Alarm, Alarm)>,
 }
 
 impl Row {
-    /// The injected cause was named, and no other; nothing at all on a healthy machine.
+    /// Whether every drift alarm names the injected cause and there is one, or a healthy machine has no alarm.
     pub(super) fn is_right(&self) -> bool {
         match self.injected {
             None => self.alarms.is_empty(),
@@ -53,7 +53,7 @@ impl Row {
         };
         let size = last.and_then(|alarm| Some((alarm.change_pct?, alarm.change_pct_sd?)));
         let delay = self.injected.zip(first.and_then(|alarm| alarm.last_throw.as_ref())).map(|(injected, throw)| {
-            // Throws are numbered from 1 and injected from 0: the first throw with the fault counts as one.
+            // `throw_no` counts from 1 and `from_throw` from 0, so the first throw with the fault gives 1.
             i64::try_from(throw.throw_no).unwrap_or(i64::MAX) - i64::try_from(injected.from_throw).unwrap_or(0)
         });
         [
@@ -71,7 +71,7 @@ fn word(cause: &str) -> String {
     cause.parse::<Cause>().map_or_else(|_| cause.to_owned(), |cause| cause.to_string())
 }
 
-/// What the database says of each machine.
+/// Reads the alarms of each machine from the database.
 pub(super) async fn rows(reader: &Reader, machines: &[MachineId]) -> Result<Vec<Row>, StoreError> {
     let events = reader.alarm_history(&Selector::default(), Timestamp::UNIX_EPOCH, EVENTS).await?;
     let mut rows: Vec<Row> = machines
@@ -109,11 +109,11 @@ pub(super) fn sentence(rows: &[Row], took: Duration) -> String {
     format!("{right} of {} machines right, in {:.0} s.", rows.len(), took.as_secs_f64())
 }
 
-/// Questions to the database, to copy into a shell.
+/// Example queries, to copy into a shell.
 pub(super) fn queries(database: &Path) -> String {
     let database = database.display();
     format!(
-        "\nThe database is {database}. Ask it, for example:\n\
+        "\nThe database is {database}. Example queries:\n\
          pointsd sql --database {database} \\\n  \"SELECT machine, cause, severity, text FROM active_alarms\"\n\
          pointsd sql --database {database} \\\n  \"SELECT machine, direction, throw_no, b0_pct, a1_pct, a0_pct\n   \
          FROM health_history ORDER BY started_at DESC LIMIT 10\""

@@ -1,4 +1,4 @@
-//! The demo's terminal: throws arriving, baselines filling, alarms in plain sentences. In a pipe, a few lines.
+//! Terminal output of the demo: progress of throws and baselines, and alarms. In a pipe only baselines and alarms.
 
 use std::io::IsTerminal;
 
@@ -26,7 +26,7 @@ pub(super) struct Screen {
 struct Line {
     bar: ProgressBar,
     throws: u64,
-    /// Throws in the baseline, of how many, for each direction.
+    /// For each direction: throws in the baseline, and throws that it needs.
     baseline: [(u64, u64); 2],
     learned: bool,
 }
@@ -63,8 +63,8 @@ impl Screen {
         let completed = !line.learned && needed > 2 && so_far >= needed;
         if completed {
             line.learned = true;
-            line.bar.set_message("watched");
-            self.print(&format!("{}: its baseline is complete, {so_far} throws", judged.health.machine));
+            line.bar.set_message("monitored");
+            self.print(&format!("{}: baseline complete, {so_far} throws", judged.health.machine));
         }
         for event in &judged.events {
             self.alarm(number, event);
@@ -85,7 +85,7 @@ impl Screen {
         }
     }
 
-    /// Prints a line above the bars. A reader that has gone misses it; the demo's answer is its exit code.
+    /// Prints a line above the bars. Errors are ignored: the result of the demo is its exit code.
     fn print(&self, line: &str) {
         if self.terminal {
             let _ = self.bars.println(line);

@@ -1,5 +1,5 @@
-// Keeps the page fresh: asks again every few seconds and, when the daemon has a new page, replaces the banner and the inside
-// of <main>. Says since when there was no answer, so that an old page is not taken for a healthy machine.
+// Refreshes the page every few seconds: if the daemon has a new page, replaces the banner and the content of <main>. Without
+// an answer, shows the time of the last one, so that an old page is recognised.
 "use strict";
 const SOON_MS = 5000; // after a change
 const LATER_MS = 10000; // while nothing changes: 4 kB a minute
@@ -13,7 +13,7 @@ function say(text) {
   if (note.textContent !== text) note.textContent = text;
 }
 
-// A screen reader reads the banner again with each change, so it is changed only where it differs.
+// Replaces the banner only if it differs, as a screen reader reads it again after each change.
 function warn(fresh) {
   const banner = document.getElementById("trouble");
   if (banner.innerHTML === fresh.innerHTML) return;
@@ -22,10 +22,10 @@ function warn(fresh) {
 }
 
 function since() {
-  return `since ${answered.toISOString().slice(0, 19).replace("T", " ")} UTC: what you see is from then`;
+  return `since ${answered.toISOString().slice(0, 19).replace("T", " ")} UTC: this page is from then`;
 }
 
-// Each time on the page gets the same time in the reader's own zone.
+// Adds the local time to each time on the page, as a tooltip.
 function localTimes() {
   for (const time of document.querySelectorAll("time")) {
     const at = new Date(time.textContent.replace(" UTC", "Z").replace(" ", "T"));
@@ -33,7 +33,7 @@ function localTimes() {
   }
 }
 
-// Keeps the place of the page, of its tables and of the keyboard.
+// Replaces <main>, and keeps the scroll positions, open details and the focus.
 function replace(main, fresh) {
   const place = [scrollX, scrollY];
   const wide = [...main.querySelectorAll(".scroll")].map((box) => box.scrollLeft);
@@ -47,7 +47,7 @@ function replace(main, fresh) {
   localTimes();
 }
 
-// A reader who selects text, or who has begun to fill in a form, keeps the page as it is.
+// While text is selected or a form is being filled in, the page is not replaced.
 function isBusy() {
   if (getSelection().type === "Range") return true;
   const fields = document.querySelectorAll("main input:not([type=hidden]), main textarea, main select");

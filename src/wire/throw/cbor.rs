@@ -1,4 +1,4 @@
-//! Throws in CBOR (RFC 8949), channels as plain arrays or as typed arrays of RFC 8746.
+//! Throws in CBOR (RFC 8949); the channels are plain arrays or typed arrays (RFC 8746).
 
 use std::convert::Infallible;
 
@@ -15,15 +15,15 @@ use super::{
 };
 use crate::throw::{Direction, MAX_SAMPLES, Throw};
 
-/// "Self-described CBOR" (RFC 8949, 3.4.6), which some writers put in front.
+/// Tag "self-described CBOR" (RFC 8949, 3.4.6), which some encoders put before the map.
 const SELF_DESCRIBED: Tag = Tag::new(55799);
 /// Typed array of little-endian float32 (RFC 8746, table 4).
 const F32_LITTLE_ENDIAN: Tag = Tag::new(85);
 /// Typed array of little-endian float64.
 const F64_LITTLE_ENDIAN: Tag = Tag::new(86);
-/// Deepest nesting in fields that are ignored.
+/// Deepest nesting in ignored fields.
 const MAX_DEPTH: usize = 16;
-/// Longest text that any field may hold, in bytes; a longer one is wrong whatever it says.
+/// Longest text of a field \[bytes\].
 const MAX_TEXT_BYTES: usize = 4096;
 
 pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
@@ -36,7 +36,7 @@ pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
     Ok(fields)
 }
 
-/// What stops decoding: bytes that are no CBOR, or a field that cannot be used.
+/// Invalid CBOR, or an invalid field.
 enum Failure {
     Bytes(String),
     Field(InvalidThrow),
@@ -88,7 +88,7 @@ fn fields(decoder: &mut Decoder<'_>) -> Decoded<Fields> {
     Ok(fields)
 }
 
-/// Whether another item follows in an array or map of known (`Some`) or indefinite length; steps over the break.
+/// Whether another item follows in an array or map of known (`Some`) or indefinite length; skips the break.
 fn next_item(decoder: &mut Decoder<'_>, left: &mut Option<u64>) -> Decoded<bool> {
     match left {
         Some(0) => Ok(false),
@@ -104,7 +104,7 @@ fn next_item(decoder: &mut Decoder<'_>, left: &mut Option<u64>) -> Decoded<bool>
     }
 }
 
-/// A key of the message's map; `None` for one that is no short text, so that its value is ignored.
+/// A key of the message's map; `None` for a key that is not a text, whose value is ignored.
 fn key(decoder: &mut Decoder<'_>) -> Decoded<Option<String>> {
     match decoder.datatype()? {
         Type::String | Type::StringIndef => Ok(Some(joined_text(decoder)?)),
@@ -115,7 +115,7 @@ fn key(decoder: &mut Decoder<'_>) -> Decoded<Option<String>> {
     }
 }
 
-/// A text of definite or indefinite length, cut to what any field may hold.
+/// A text of definite or indefinite length, at most [`MAX_TEXT_BYTES`] long.
 fn joined_text(decoder: &mut Decoder<'_>) -> Decoded<String> {
     let mut text = String::new();
     for part in decoder.str_iter()? {
@@ -191,7 +191,7 @@ fn plain_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f6
     if left.is_some_and(|length| length > MAX_SAMPLES as u64) {
         return Err(too_many(field));
     }
-    // A length may be a lie: every sample takes at least one byte, so no more than the bytes left are reserved.
+    // The declared length may be wrong. Every sample takes at least one byte, so the bytes left bound the capacity.
     let bytes_left = decoder.input().len() - decoder.position();
     let declared = left.and_then(|length| usize::try_from(length).ok()).unwrap_or(0);
     let mut samples = Vec::with_capacity(declared.min(bytes_left));
@@ -219,7 +219,7 @@ fn typed_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f6
         }
     };
     if bytes.len() % width != 0 {
-        return Err(wrong(field, format!("{} bytes are no whole number of {width}-byte samples", bytes.len())));
+        return Err(wrong(field, format!("{} bytes are not a whole number of {width}-byte samples", bytes.len())));
     }
     if bytes.len() / width > MAX_SAMPLES {
         return Err(too_many(field));
@@ -235,7 +235,7 @@ fn too_many(field: &'static str) -> Failure {
     wrong(field, format!("more than {MAX_SAMPLES} samples"))
 }
 
-/// Steps over one item of any kind, to a bounded depth.
+/// Skips one item of any type, nested at most `depth` deep.
 fn skip(decoder: &mut Decoder<'_>, depth: usize) -> Decoded<()> {
     if depth == 0 {
         return Err(Failure::Bytes(format!("nested deeper than {MAX_DEPTH}")));
@@ -261,8 +261,8 @@ fn skip(decoder: &mut Decoder<'_>, depth: usize) -> Decoded<()> {
         Type::Bytes | Type::BytesIndef => decoder.bytes_iter()?.try_for_each(|part| part.map(drop))?,
         Type::String | Type::StringIndef => decoder.str_iter()?.try_for_each(|part| part.map(drop))?,
         Type::Break => return Err(Failure::Bytes("a break where a value should be".into())),
-        Type::Unknown(byte) => return Err(Failure::Bytes(format!("byte {byte:#04x} begins no value"))),
-        // Numbers, booleans, null and simple values: one token.
+        Type::Unknown(byte) => return Err(Failure::Bytes(format!("byte {byte:#04x} does not begin a value"))),
+        // Numbers, booleans, null and simple values are one token.
         _ => decoder.skip()?,
     }
     Ok(())
@@ -301,7 +301,7 @@ fn write(encoder: &mut Encoder<Vec<u8>>, throw: &Throw) -> Result<(), EncodeErro
     Ok(())
 }
 
-/// Sensors resolve 12 to 16 bits; float32 keeps 24.
+/// Encodes samples as float32: its 24 bits exceed the 12 to 16 bits of the sensors.
 #[expect(clippy::cast_possible_truncation, reason = "the message's resolution is float32")]
 fn f32_bytes(samples: &[f64]) -> Vec<u8> {
     samples.iter().flat_map(|sample| (*sample as f32).to_le_bytes()).collect()

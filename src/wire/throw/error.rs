@@ -1,22 +1,22 @@
-//! Why a message is no throw.
+//! The errors of decoding a throw.
 
 use crate::throw::InvalidTrace;
 
-/// Why a payload is no throw. `Display` is one sentence for a person.
+/// A payload that is not a throw. `Display` is one sentence for a person.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum InvalidThrow {
     /// The bytes are not CBOR.
     #[error("not valid CBOR at byte {at}: {problem}")]
     Cbor {
-        /// Byte offset.
+        /// Offset of the error \[bytes\].
         at: usize,
-        /// What is wrong there.
+        /// The error at this offset.
         problem: String,
     },
-    /// The bytes are not JSON, or a field has another type.
+    /// The bytes are not JSON, or a field has the wrong type.
     #[error("not a throw in JSON: {problem}")]
     Json {
-        /// What is wrong, with line and column.
+        /// The parser's error with line and column.
         problem: String,
     },
     /// A required field is missing.
@@ -25,15 +25,15 @@ pub enum InvalidThrow {
         /// The field.
         field: &'static str,
     },
-    /// A field's value cannot be used.
+    /// The value of a field is invalid.
     #[error("{field}: {problem}")]
     Field {
         /// The field.
         field: &'static str,
-        /// What is wrong with it.
+        /// The value and the allowed values.
         problem: String,
     },
-    /// The two channels are no trace.
+    /// The two channels do not form a trace.
     #[error(transparent)]
     Trace(#[from] InvalidTrace),
 }

@@ -1,17 +1,17 @@
-//! The fields of a throw message before they are checked, as both encodings fill them in.
+//! The fields of a throw message as decoded from CBOR or JSON, and their checks.
 
 use jiff::Timestamp;
 
 use super::error::InvalidThrow;
 use crate::throw::{Direction, Throw, ThrowRef, Trace};
 
-/// The only version of the message there is.
+/// Name and version of the message; no other is accepted.
 pub(super) const SCHEMA: &str = "points.throw/1";
-/// What a logger says when it does not know the direction.
+/// The direction of a throw whose logger does not know it.
 pub(super) const UNKNOWN_DIRECTION: &str = "unknown";
-/// Longest `boot_id`, in bytes: room for a UUID or a serial number, and no more that a key in the database must hold.
+/// Longest `boot_id` \[bytes\]: room for a UUID or a serial number. It is part of keys in the database.
 pub const MAX_BOOT_ID_BYTES: usize = 128;
-/// Highest `throw_no`: the database keeps it in a signed 64-bit integer.
+/// Highest `throw_no`: the database stores a signed 64-bit integer.
 const MAX_THROW_NO: u64 = i64::MAX as u64;
 
 #[derive(Debug, Default)]
@@ -40,7 +40,7 @@ impl Fields {
             throw_no: throw_no(required("throw_no", self.throw_no)?)?,
         };
         let current_a = required("current_a", self.current_a)?;
-        // A logger without a toe sensor: no sample was measured.
+        // A logger without a toe sensor may leave the channel out.
         let position_mm = self.position_mm.unwrap_or_else(|| vec![f64::NAN; current_a.len()]);
         let trace = Trace::new(required("sample_rate_hz", self.sample_rate_hz)?, current_a, position_mm)?;
         Ok(Throw {
@@ -63,7 +63,7 @@ fn wrong(field: &'static str, problem: String) -> InvalidThrow {
     InvalidThrow::Field { field, problem }
 }
 
-/// A text from outside, safe and short enough for a message to a person.
+/// A received text, escaped and cut for an error message.
 fn quote(text: &str) -> String {
     let short: String = text.chars().take(40).collect();
     format!("{short:?}")
@@ -86,7 +86,7 @@ fn throw_no(value: u64) -> Result<u64, InvalidThrow> {
 
 fn started_at(text: &str) -> Result<Timestamp, InvalidThrow> {
     let parsed = text.parse::<Timestamp>().ok().filter(|time| {
-        // SQL's date functions and RFC 3339 itself know the years 0000 to 9999.
+        // Years before 0000 are outside of RFC 3339 and of SQL's date functions.
         time.as_second() >= -62_167_219_200
     });
     parsed.ok_or_else(|| {

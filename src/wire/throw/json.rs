@@ -11,7 +11,10 @@ use super::{
     error::InvalidThrow,
     fields::{Fields, SCHEMA, UNKNOWN_DIRECTION},
 };
-use crate::throw::{Direction, MAX_SAMPLES, Throw};
+use crate::{
+    throw::{Direction, MAX_SAMPLES, Throw},
+    wire::text::json,
+};
 
 #[derive(Deserialize)]
 struct Read {
@@ -29,7 +32,7 @@ struct Read {
 }
 
 pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
-    // serde_json itself refuses nesting beyond 128 and bytes after the value.
+    // serde_json rejects nesting beyond 128 and bytes after the value.
     let read: Read =
         serde_json::from_slice(payload).map_err(|error| InvalidThrow::Json { problem: error.to_string() })?;
     Ok(Fields {
@@ -47,7 +50,7 @@ pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
     })
 }
 
-/// A whole number that other languages may have written as 7.0.
+/// A whole number, also in the form 7.0 of some languages.
 struct Count(u64);
 
 impl<'de> Deserialize<'de> for Count {
@@ -65,7 +68,7 @@ impl<'de> Deserialize<'de> for Count {
             }
 
             fn visit_f64<E: de::Error>(self, value: f64) -> Result<Count, E> {
-                // Beyond 2^53 a float no longer tells neighbouring counts apart.
+                // Beyond 2^53 a float does not represent every whole number.
                 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked to be exact")]
                 if value.fract() == 0.0 && (0.0..=9_007_199_254_740_992.0).contains(&value) {
                     Ok(Count(value as u64))
@@ -78,7 +81,7 @@ impl<'de> Deserialize<'de> for Count {
     }
 }
 
-/// One sampled channel; null is a sample that was not measured.
+/// A channel; null is a sample that was not measured.
 struct Channel(Vec<f64>);
 
 impl<'de> Deserialize<'de> for Channel {
@@ -145,6 +148,5 @@ pub(super) fn encode(throw: &Throw) -> Vec<u8> {
         supply_v: throw.supply_v,
         anti_alias_hz: throw.anti_alias_hz,
     };
-    // Texts and numbers into memory: nothing in it can fail.
-    serde_json::to_vec(&written).unwrap_or_default()
+    json(&written)
 }

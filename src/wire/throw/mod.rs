@@ -1,8 +1,8 @@
 //! The throw message: CBOR (what `pointsim` sends) or JSON (easy from any language), with the same fields.
 //!
-//! Unknown fields are ignored, optional ones may be missing or null; `position_mm` is one of them. Numbers may be written as integers. In the two
-//! channels null stands for a sample that was not measured and becomes NaN: a broken sensor is a fact to be stored.
-//! `started_at` is RFC 3339 with `Z` or any numeric offset; `direction` may be missing, which means "unknown".
+//! Unknown fields are ignored; optional fields (`position_mm` among them) may be missing or null. Numbers may be
+//! integers. In a channel, null is a sample that was not measured and becomes NaN. `started_at` is RFC 3339 with `Z` or
+//! any numeric offset; `direction` may be missing, which means "unknown".
 
 mod cbor;
 mod error;
@@ -14,7 +14,7 @@ pub use fields::MAX_BOOT_ID_BYTES;
 
 use crate::throw::Throw;
 
-/// How a throw is written.
+/// Encoding of a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
     /// `application/cbor`.
@@ -33,8 +33,8 @@ impl Encoding {
         }
     }
 
-    /// The encoding of a payload. A first byte `{` after white space is JSON whatever the content type says: no CBOR
-    /// map begins with it, and many clients leave the content type as it is.
+    /// The encoding of a payload. A first byte `{` after white space means JSON also without the content type, which
+    /// many clients do not set: no CBOR map begins with this byte.
     #[must_use]
     pub fn of(content_type: &str, payload: &[u8]) -> Self {
         let first = payload.iter().find(|byte| !byte.is_ascii_whitespace());
@@ -42,10 +42,10 @@ impl Encoding {
     }
 }
 
-/// Reads a throw.
+/// Decodes a throw.
 ///
 /// # Errors
-/// When the payload is not well-formed, a required field is missing, or a value cannot be used.
+/// When the payload is not well-formed, a required field is missing, or a value is invalid.
 pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, InvalidThrow> {
     match encoding {
         Encoding::Cbor => cbor::decode(payload),
@@ -54,7 +54,8 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
     .into_throw()
 }
 
-/// Writes a throw: in CBOR with little-endian float32 typed arrays (RFC 8746), in JSON with shortest decimal numbers.
+/// Encodes a throw: in CBOR with little-endian float32 typed arrays (RFC 8746), in JSON with the shortest decimal
+/// numbers.
 #[must_use]
 pub fn encode_throw(encoding: Encoding, throw: &Throw) -> Vec<u8> {
     match encoding {
