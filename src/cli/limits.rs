@@ -50,11 +50,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 fn text(finding: &Finding) -> String {
     let mut table = Table::new();
     table.load_style(presets::ASCII_MARKDOWN);
-    table.set_header([finding.label, "b0 [%]", "a1 [%]", "a0 [%]", "refused"]);
+    table.set_header([finding.label, "b0 [%]", "a1 [%]", "a0 [%]", "rejected"]);
     for row in &finding.rows {
         let mut cells = vec![row.label.clone()];
         cells.extend((0..3).map(|at| cell(row, at)));
-        cells.push(refused(row));
+        cells.push(rejected(row));
         table.add_row(cells);
     }
     for column in table.column_iter_mut() {
@@ -71,10 +71,10 @@ fn cell(row: &Row, at: usize) -> String {
     }
 }
 
-fn refused(row: &Row) -> String {
+fn rejected(row: &Row) -> String {
     let Some(reason) = &row.refusal else { return String::new() };
-    let refused = row.throws - row.errors_pct.len();
-    if refused == row.throws { format!("`{reason}`") } else { format!("{refused} of {}: `{reason}`", row.throws) }
+    let rejected = row.throws - row.errors_pct.len();
+    if rejected == row.throws { format!("`{reason}`") } else { format!("{rejected} of {}: `{reason}`", row.throws) }
 }
 
 /// Root mean square errors as bars, with a line at 1 %.
@@ -84,7 +84,7 @@ fn picture(finding: &Finding) -> Sheet {
         let count = row.errors_pct.len() as f64;
         let square = |at: usize| row.errors_pct.iter().map(|errors| errors[at] * errors[at]).sum::<f64>();
         let shown = |at: usize| if count > 0.0 { (square(at) / count).sqrt().max(LEAST_DRAWN_PCT) } else { f64::NAN };
-        let label = if count > 0.0 { row.label.clone() } else { format!("{} (refused)", row.label) };
+        let label = if count > 0.0 { row.label.clone() } else { format!("{} (rejected)", row.label) };
         panel = panel.group(label, (0..3).map(shown));
     }
     Sheet::new(finding.title).panel(panel)

@@ -223,7 +223,7 @@ mod tests {
         }
         // Keys without a default are comments in the file; the examples of faults and incidents come last.
         let shipped = shipped();
-        let settings = shipped.split("# Parts that wear out").next().unwrap();
+        let settings = shipped.split("# Faults and incidents").next().unwrap();
         let uncommented =
             |line: &str| line.strip_prefix("# ").filter(|key| key.contains(" = ")).unwrap_or(line).to_owned();
         let shown = settings.lines().map(uncommented).collect::<Vec<_>>().join("\n");

@@ -1,7 +1,7 @@
-//! A motor in a closed loop: equation (12) itself, with a current that answers to the movement.
+//! A motor in a closed loop: equation (12) with a current that depends on the movement.
 //!
-//! SRIV's instrument is made of the current. Where the current answers to what disturbs the position, the instrument knows
-//! the disturbance, and the estimate may be biased.
+//! The instrument of SRIV is computed from the current. If the current depends on a disturbance of the position, the
+//! instrument correlates with the disturbance, and the estimate may be biased.
 
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -15,19 +15,19 @@ use crate::estimate::{
 use crate::simulate::{Coefficients, Parameters};
 use crate::throw::OutOfRange;
 
-/// Sampling of logger and controller \[s\].
+/// Sampling interval of logger and controller \[s\].
 const INTERVAL_S: f64 = 1e-3;
-/// Steps of the movement between two samples.
+/// Integration steps between two samples.
 const FINE: usize = 20;
-/// Speed asked for \[rad/s on the screw\].
+/// Set point of the speed \[rad/s on the screw\].
 const SPEED_RAD_S: f64 = 17.0;
-/// Proportional gain \[A per rad/s\] and integral time \[s\] of the controller, and the current that it can give \[A\].
+/// Proportional gain \[A per rad/s\], integral time \[s\] and largest current \[A\] of the controller.
 const GAIN: f64 = 0.5;
 const INTEGRAL_S: f64 = 0.2;
 const MAX_CURRENT_A: f64 = 13.0;
-/// Time constant of the filter that makes a speed of the recorded position \[s\].
+/// Time constant of the filter from recorded position to speed \[s\].
 const SPEED_FILTER_S: f64 = 0.01;
-/// Duration of a change of the load \[s\].
+/// Correlation time of the load \[s\].
 const LOAD_S: f64 = 0.05;
 /// Noise of the current sensor \[A\].
 const CURRENT_NOISE_A: f64 = 0.02;
@@ -35,15 +35,15 @@ const CURRENT_NOISE_A: f64 = 0.02;
 /// Source of the motor's current.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Current {
-    /// Back-EMF alone answers to the speed, as in every motor on a battery.
+    /// A battery: only the back-EMF depends on the speed.
     Battery,
-    /// A controller that makes its speed of the recorded position, noise and all.
+    /// A controller with the speed from the recorded position, including its noise.
     Controller,
-    /// The current of an undisturbed throw on a battery, whatever the movement does.
+    /// The current of an undisturbed throw on a battery, independent of the movement.
     Replayed,
 }
 
-/// Errors of a current that answers and one that does not.
+/// Errors with a current that depends on the movement, and with one that does not.
 pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let machine = Parameters::default();
     let mut plant = Plant { known: machine.coefficients()?, machine, replayed: Vec::new() };
@@ -80,9 +80,9 @@ pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, O
     }
     Ok(Finding {
         name: "closed_loop",
-        title: "A current that answers to the movement",
-        about: "Mean error ± observed standard deviation (standard deviation that the estimator states). The load changes at \
-                random, each change lasting some 50 ms, with the given share of the running torque as standard deviation.",
+        title: "A current that depends on the movement",
+        about: "Mean error ± observed standard deviation (standard deviation that the estimator states). The load varies at \
+                random with a correlation time of 50 ms, and the given share of the running torque as standard deviation.",
         label: "current from, position noise [um], load [%]",
         rows,
     })
@@ -126,7 +126,7 @@ impl Plant {
             disturbance = keeps * disturbance + (1.0 - keeps * keeps).sqrt() * size * normal();
             let h = INTERVAL_S / FINE as f64;
             for _ in 0..FINE {
-                // Midpoint rule for equation (12) under a held current.
+                // Midpoint rule for equation (12) with constant current.
                 let slope = |angle: f64, speed: f64| b0 * driving - a1 * speed - a0 * angle - disturbance;
                 let (mid_angle, mid_speed) = (angle + 0.5 * h * speed, speed + 0.5 * h * slope(angle, speed));
                 angle += h * mid_speed;
@@ -137,7 +137,7 @@ impl Plant {
     }
 }
 
-/// A speed controller with proportional and integral part.
+/// A speed controller with a proportional and an integral part.
 #[derive(Default)]
 struct Controller {
     before: f64,
@@ -160,7 +160,7 @@ impl Controller {
 
 fn identify(row: &mut Row, known: &Coefficients, current: &[f64], position: &[f64], noise: f64) {
     let Ok(model) = Sriv::<2, 1, 3>::new([0]) else { return };
-    // The current is held from one sample to the next.
+    // The current is constant between two samples.
     let inputs = [Signal::Sampled(current, Hold::Zero)];
     let problem = Problem { interval_s: INTERVAL_S, output: position, inputs, equilibrium: None };
     let mut workspace = Workspace::default();

@@ -1,51 +1,51 @@
-//! A finding: a table of cases with the errors of their estimates.
+//! Findings: tables of cases with the errors of their estimates.
 
 use serde::Serialize;
 
-/// Names of the coefficients, in the order of every triple here.
+/// Names of the coefficients, in the order of all arrays of three.
 pub const NAMES: [&str; 3] = ["b0", "a1", "a0"];
 
-/// Answer to a question about the method, from simulated runs.
+/// One limit of the method, as a table of simulated cases.
 #[derive(Debug, Clone, Serialize)]
 pub struct Finding {
-    /// A word for files and programs.
+    /// Identifier, for file names and JSON.
     pub name: &'static str,
-    /// The question.
+    /// Title of the table.
     pub title: &'static str,
-    /// Meaning of the numbers.
+    /// Meaning of the numbers, as a sentence.
     pub about: &'static str,
-    /// Quantity that distinguishes the rows, with its unit.
+    /// Parameter of the rows, with its unit.
     pub label: &'static str,
-    /// Rows, one a case.
+    /// The cases.
     pub rows: Vec<Row>,
 }
 
 /// The estimates of one case.
 #[derive(Debug, Clone, Serialize)]
 pub struct Row {
-    /// The case.
+    /// Value of the parameter.
     pub label: String,
-    /// Throws made.
+    /// Number of throws.
     pub throws: usize,
-    /// The sensors were noisy: the errors are random.
+    /// Whether the sensors had noise, so that the errors are random.
     pub noisy: bool,
-    /// Errors of b0, a1, a0 in every throw that was accepted \[%\].
+    /// Errors of b0, a1, a0 in each accepted throw \[%\].
     pub errors_pct: Vec<[f64; 3]>,
-    /// Standard deviations that the estimator stated, mean over the throws \[%\].
+    /// Standard deviations stated by the estimator, mean over the throws \[%\].
     pub stated_sd_pct: [f64; 3],
-    /// Why throws were refused: the reason's code.
+    /// Code of the reason for the rejection of throws.
     pub refusal: Option<String>,
 }
 
 impl Row {
-    /// Mean errors of b0, a1, a0 \[%\]; `None` when every throw was refused.
+    /// Mean errors of b0, a1, a0 \[%\]; `None` if every throw was rejected.
     #[must_use]
     pub fn mean_pct(&self) -> Option<[f64; 3]> {
         let count = self.errors_pct.len() as f64;
         (count > 0.0).then(|| std::array::from_fn(|at| self.errors_pct.iter().map(|e| e[at]).sum::<f64>() / count))
     }
 
-    /// Error of largest magnitude of b0, a1, a0 \[%\]; `None` when every throw was refused.
+    /// Errors of largest magnitude of b0, a1, a0 \[%\]; `None` if every throw was rejected.
     #[must_use]
     pub fn worst_pct(&self) -> Option<[f64; 3]> {
         let larger = |a: f64, b: f64| if b.abs() > a.abs() { b } else { a };
@@ -68,7 +68,7 @@ impl Row {
         }
     }
 
-    /// Makes the mean of what the estimates stated from their sum.
+    /// Divides the sum of the stated standard deviations by the number of estimates.
     pub(super) fn finish(&mut self) {
         let count = self.errors_pct.len().max(1) as f64;
         self.stated_sd_pct = self.stated_sd_pct.map(|sum| sum / count);

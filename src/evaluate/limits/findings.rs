@@ -1,4 +1,4 @@
-//! Sensors, supply, toe drive and temperature: each finding is one table of runs.
+//! The findings on sensors, supply, toe drive and temperature.
 
 use super::finding::Finding;
 use super::trial::{Bench, Trial, without_dry_friction};
@@ -6,15 +6,15 @@ use crate::estimate::Settings;
 use crate::simulate::{Channel, Parameters, Sensors, Waveform};
 use crate::throw::{Direction, OutOfRange};
 
-/// Rates that loggers use \[Hz\].
+/// Sampling rates of loggers \[Hz\].
 const RATES_HZ: [f64; 9] = [25.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0, 20_000.0];
-/// Cut-off of the anti-alias filter over the sampling rate.
+/// Cut-off of the anti-alias filter as share of the sampling rate.
 const CUT_OFF_SHARE: f64 = 0.4;
 
-/// Phases of the mains at which the motor is switched on.
+/// Number of mains phases at the start of the motor.
 const PHASES: u32 = 8;
 
-/// The sampling rate: raw, raw but declared as filtered, and filtered.
+/// Effect of the sampling rate: raw, raw but declared as filtered, and filtered.
 pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, OutOfRange> {
     let sensors = |rate: f64, filtered: bool| Sensors {
         anti_alias_hz: filtered.then_some(CUT_OFF_SHARE * rate),
@@ -32,28 +32,28 @@ pub(super) fn sampling(bench: &mut Bench) -> Result<Vec<Finding>, OutOfRange> {
         table(
             "sampling_raw",
             "Raw samples",
-            "Error against the physics, without noise; the larger of both directions.",
+            "Error against the true coefficients, without noise; the larger of both directions.",
             false,
             false,
         )?,
         table(
             "sampling_undeclared",
             "Raw samples, wrongly declared as filtered",
-            "What the refusal above prevents: the same traces, but the message claims an anti-alias filter.",
+            "The same traces, but the message declares an anti-alias filter that does not exist.",
             false,
             true,
         )?,
         table(
             "sampling_filtered",
             "The same anti-alias filter in both channels",
-            "4th-order Butterworth at 0.4 of the rate, declared; error against the physics, without noise.",
+            "4th-order Butterworth at 0.4 of the rate, declared; error against the true coefficients, without noise.",
             true,
             true,
         )?,
     ])
 }
 
-/// A supply from rectified mains.
+/// Effect of a supply from rectified mains.
 pub(super) fn mains(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let supply = Waveform::RectifiedMains { mains_hz: 50.0 };
     let machine = Parameters { supply, ..without_dry_friction() };
@@ -70,13 +70,13 @@ pub(super) fn mains(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     Ok(Finding {
         name: "mains",
         title: "Rectified mains: a ripple of 100 Hz on the current",
-        about: "Error against the physics, without noise; the largest of both directions and eight phases of the mains.",
+        about: "Error against the true coefficients, without noise; the largest of both directions and eight phases of the mains.",
         label: "rate [Hz]",
         rows,
     })
 }
 
-/// Softness of the toe drive and dry friction on the slide chairs.
+/// Effect of a soft toe drive and of dry friction on the slide chairs.
 pub(super) fn drive(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for drive_stiffness_n_m in [1e8, 2e7, 1e7, 5e6] {
@@ -90,14 +90,14 @@ pub(super) fn drive(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     Ok(Finding {
         name: "drive",
         title: "A soft toe drive, and dry friction on the slide chairs",
-        about: "Error against the physics, in which dry friction counts as viscous friction of the same torque at running \
+        about: "Error against the true coefficients, where dry friction counts as viscous friction of the same torque at running \
                 speed; without noise, the larger of both directions.",
         label: "stiffness [N/m], mu",
         rows,
     })
 }
 
-/// The sensors' noise, with the standard deviation that the estimator states beside the observed one.
+/// Effect of the sensors' noise, with stated and observed standard deviations.
 pub(super) fn noise(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for (current_a, position_mm) in
@@ -119,7 +119,7 @@ pub(super) fn noise(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRa
     })
 }
 
-/// An offset of the current sensor, with and without quiet samples before the motor's start.
+/// Effect of an offset of the current sensor, with and without quiet samples before the start of the motor.
 pub(super) fn offset(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for before_s in [0.2, 0.01, 0.0] {
@@ -133,14 +133,14 @@ pub(super) fn offset(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     Ok(Finding {
         name: "offset",
         title: "Offset of the current sensor",
-        about: "Error against the physics, without noise; the larger of both directions. Quiet samples before the motor's \
+        about: "Error against the true coefficients, without noise; the larger of both directions. Quiet samples before the motor's \
                 start show the offset.",
         label: "offset, quiet samples",
         rows,
     })
 }
 
-/// A wrong idea of where the rails are unstressed.
+/// Effect of a wrong neutral position.
 pub(super) fn neutral(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for neutral_mm in [0.0, 57.5, 115.0] {
@@ -157,14 +157,14 @@ pub(super) fn neutral(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     }
     Ok(Finding {
         name: "neutral",
-        title: "Where the rails are unstressed",
-        about: "Error against the physics, without noise.",
+        title: "Neutral position of the rails",
+        about: "Error against the true coefficients, without noise.",
         label: "true [mm], configured [mm], direction",
         rows,
     })
 }
 
-/// Resolution of the converters.
+/// Effect of the resolution of the converters.
 pub(super) fn converters(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let mut rows = Vec::new();
     for (bits, noise) in [(10, 0.02), (12, 0.02), (12, 0.0), (16, 0.02), (16, 0.0)] {
@@ -198,7 +198,7 @@ pub(super) fn temperature(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     Ok(Finding {
         name: "temperature",
         title: "Temperature of a healthy machine",
-        about: "Estimates against the physics at 20 °C, without noise; the larger of both directions.",
+        about: "Estimates against the true coefficients at 20 °C, without noise; the larger of both directions.",
         label: "temperature [°C]",
         rows,
     })

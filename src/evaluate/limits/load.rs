@@ -1,4 +1,4 @@
-//! A constant load torque: what it does to the three coefficients, and why it cannot be the fourth.
+//! A constant load torque: its effect on the three coefficients, and as a fourth coefficient.
 
 use super::finding::{Finding, Row};
 use super::trial::{Bench, Trial, without_dry_friction};
@@ -9,9 +9,9 @@ use crate::estimate::{
 use crate::simulate::{Conditions, Parameters, Sensors};
 use crate::throw::{Direction, OutOfRange};
 
-/// A load against the movement, as dry friction of the screw gives it.
+/// Loads against the movement, simulated as dry friction of the screw \[N m\].
 const LOADS_NM: [f64; 5] = [0.0, 0.2, 0.5, 1.0, 2.0];
-/// The load under which the fourth coefficient is tried \[N m\].
+/// Load in the trial of the fourth coefficient \[N m\].
 const TRIED_NM: f64 = 0.5;
 
 /// Effect of a constant load on the three coefficients.
@@ -35,7 +35,7 @@ pub(super) fn torque(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     })
 }
 
-/// Compares the estimate of three coefficients with one that has the load as a fourth, on the same throws.
+/// Compares estimates with three coefficients and with the load as a fourth one, on the same throws.
 pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Finding, OutOfRange> {
     let machine = Parameters { screw_dry_nm: TRIED_NM, ..without_dry_friction() };
     let known = machine.coefficients()?;
@@ -67,7 +67,7 @@ pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Fin
     Ok(Finding {
         name: "fourth_coefficient",
         title: "The load as a fourth coefficient",
-        about: "The same throws under a load of 0.5 N m with 20 mA and 20 um of noise, from exactly known start: mean error \
+        about: "The same throws under a load of 0.5 N m with 20 mA and 20 um of noise, with exactly known start: mean error \
                 ± observed standard deviation (stated standard deviation).",
         label: "estimated",
         rows: vec![three, four],

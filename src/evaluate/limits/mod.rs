@@ -13,9 +13,9 @@ pub use finding::{Finding, NAMES, Row};
 /// Settings of the runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Runs {
-    /// Noisy throws a row, both directions in turn.
+    /// Noisy throws of each row, in alternating directions.
     pub throws: usize,
-    /// Of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
@@ -25,7 +25,7 @@ impl Default for Runs {
     }
 }
 
-/// Every finding, in the order of the page.
+/// Computes every finding, in the order of this page.
 ///
 /// # Errors
 /// When a machine cannot be simulated.

@@ -1,4 +1,4 @@
-//! One case: a machine, its sensors, and what the estimator is told of them.
+//! A trial: a machine, its sensors, and the settings of the estimator.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
@@ -8,21 +8,21 @@ use crate::estimate::{Grade, Identifier, Settings};
 use crate::simulate::{Conditions, Parameters, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw, ThrowRef};
 
-/// What is thrown, recorded and identified for one row.
+/// The throws of one row.
 #[derive(Debug, Clone)]
 pub(super) struct Trial {
     pub machine: Parameters,
     pub sensors: Sensors,
     pub temperature_c: f64,
     pub settings: Settings,
-    /// The filter that the message declares.
+    /// Cut-off of the declared anti-alias filter.
     pub declared_hz: Option<f64>,
     pub directions: Vec<Direction>,
-    /// Phases of the mains at which the motor is switched on, spread over half a period.
+    /// Number of mains phases at the start of the motor, spread over half a period.
     pub phases: u32,
-    /// Throws in each direction and phase.
+    /// Number of throws in each direction and phase.
     pub repeats: usize,
-    /// What the errors count from; `None` for what the physics says.
+    /// Reference of the errors; `None` for the true coefficients.
     pub reference: Option<[f64; 3]>,
 }
 
@@ -42,12 +42,12 @@ impl Default for Trial {
     }
 }
 
-/// The default machine without dry friction, which is no part of equation (10): its coefficients are known exactly.
+/// The default machine without dry friction, which equation (10) does not have. Its coefficients are known exactly.
 pub(super) fn without_dry_friction() -> Parameters {
     Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, ..Parameters::default() }
 }
 
-/// Runs trials one after the other.
+/// Runs trials with one random number generator.
 pub(super) struct Bench {
     pub rng: ChaCha12Rng,
     identifier: Identifier,
