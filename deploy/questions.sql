@@ -1,6 +1,6 @@
--- Twelve questions to the database of pointsd. Run one with
+-- Twelve example queries for the database of pointsd. Run one with
 --   pointsd sql "$(sed -n '/^-- 1\./,/^$/p' deploy/questions.sql)"
--- A test runs each of them and prints how long it took.
+-- A test runs each of them and prints its duration.
 
 -- 1. Which machines had the most alarms in the last 30 days?
 SELECT site, machine, count(*) AS alarms, sum(severity = 'critical') AS critical, max(raised_at) AS last_raised

@@ -251,7 +251,7 @@ impl StatusReport {
             parts.push(format!("HANGING: {}", self.silent.join(", ")));
         }
         if !self.connected {
-            parts.push("nobody is connected".to_owned());
+            parts.push("not connected".to_owned());
         }
         if self.dropped + self.lost > 0 {
             parts.push(format!("{} messages LOST", self.dropped + self.lost));
