@@ -1,4 +1,4 @@
--- A logger that repeats itself: the same recording under new numbers, other throws under numbers that are taken.
+-- Repetitions by a logger: the same recording with new numbers, or other throws with used numbers.
 
 ALTER TABLE throw ADD COLUMN trace_hash INTEGER;  -- CRC-32 of the current and of the position; NULL: stored by an earlier version
 ALTER TABLE throw ADD COLUMN repeats_row INTEGER; -- the throw_row of a throw of the machine with the same trace; NULL: none

@@ -1,5 +1,5 @@
--- A throw that may still be in the backlog of its logger is no gap yet. A logger that jumps to the end of its numbers makes
--- gaps whose sum is beyond 64 bits: each counts as 2^40 at most.
+-- Throws that may still be in the backlog of the logger are not a gap yet. A jump of the throw number can make gaps with a
+-- sum beyond 64 bits, so each counts as 2^40 at most.
 DROP VIEW data_gaps;
 
 CREATE VIEW data_gaps AS
@@ -11,5 +11,5 @@ SELECT machine.site, machine.machine, boot.boot_id, gap.first_no AS first_throw_
 FROM gap
 JOIN boot USING (boot_row)
 JOIN machine USING (machine_row)
--- What is awaited is a gap when no backlog has it, or when its machine is judged without it.
+-- Gaps that the backlog cannot fill, that were filled, or that the machine was judged without.
 WHERE gap.written_off_at_us IS NOT NULL OR gap.filled_at_us IS NOT NULL OR gap.told_at_us IS NOT NULL;

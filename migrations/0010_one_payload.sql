@@ -1,10 +1,9 @@
--- An alarm event is kept once, as its JSON with all of its evidence, beside the columns by which it is found. The columns
--- that repeated the rest go, and so do those of a baseline that its JSON has too. The views keep theirs.
+-- An alarm event is stored once, as JSON with all of its evidence, with the columns that identify it. Columns that repeat
+-- the JSON of an alarm event or of a baseline are dropped. The views keep their columns.
 --
--- The state of a machine, and what its drifts are now, are stored with its monitor: one derivation for SQL, pages and
--- messages.
+-- The state of a machine and its present drifts are stored with its monitor, as the one source for SQL, pages and messages.
 --
--- A program that writes the old columns must not use this database: it says so by its user_version.
+-- A program that writes the old columns must not use this database, and the user_version prevents this.
 PRAGMA user_version = 10;
 
 DROP VIEW active_alarms;
@@ -12,7 +11,7 @@ DROP VIEW alarm_history;
 DROP VIEW alarm_events;
 DROP VIEW machine_health;
 
--- Operators and boots were beside the message, which does not carry them.
+-- The old JSON was the message, which has neither operators nor boot ids.
 UPDATE alarm_event SET payload = json_patch(payload, json_object(
     'first_boot_id', first_boot_id, 'last_boot_id', last_boot_id, 'by', by_whom, 'why', why));
 
@@ -43,12 +42,12 @@ ALTER TABLE baseline DROP COLUMN by_whom;
 ALTER TABLE baseline DROP COLUMN why;
 ALTER TABLE baseline RENAME COLUMN details TO payload; -- JSON
 
-ALTER TABLE monitor ADD COLUMN state TEXT;   -- of the machine; NULL: not written since this migration
-ALTER TABLE monitor ADD COLUMN drifts TEXT;  -- JSON: its active drifts as they are now, the worst first; NULL: none
+ALTER TABLE monitor ADD COLUMN state TEXT;   -- state of the machine; NULL: not written since this migration
+ALTER TABLE monitor ADD COLUMN drifts TEXT;  -- JSON: its present drifts, the worst first; NULL: none
 ALTER TABLE estimate ADD COLUMN state TEXT;  -- of the machine after this throw
 ALTER TABLE estimate ADD COLUMN drift TEXT;  -- JSON: its worst drift after this throw; NULL: none
 
--- Features that the estimator gives since now.
+-- New features of the estimator.
 ALTER TABLE estimate ADD COLUMN release_s REAL;             -- from the motor's start until the toe moves
 ALTER TABLE estimate ADD COLUMN running_current_a REAL;     -- median of the second half of the motor's time
 ALTER TABLE estimate ADD COLUMN energy_j REAL;
@@ -73,7 +72,7 @@ FROM alarm
 JOIN machine USING (machine_row)
 JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no;
 
--- As it was at its last event, and as it is now (`…_now`).
+-- The values of the last event, and the present values (`…_now`).
 CREATE VIEW active_alarms AS
 SELECT alarm_history.*,
        drift.value ->> 'change_pct' AS change_now_pct, drift.value ->> 'change_pct_sd' AS change_now_pct_sd,
@@ -107,7 +106,7 @@ FROM alarm_event AS event
 JOIN alarm USING (alarm_row)
 JOIN machine USING (machine_row);
 
--- One row a machine and direction: the latest throw, and the state and the worst drift of the machine now.
+-- One row for each machine and direction: the latest throw, and the present state and worst drift of the machine.
 CREATE VIEW machine_health AS
 SELECT machine.site, machine.machine, way.direction, coalesce(monitor.state, 'learning') AS state,
        strftime('%Y-%m-%dT%H:%M:%S', (throw.started_at_us - (throw.started_at_us % 1000000 + 1000000) % 1000000) / 1000000, 'unixepoch') || printf('.%06dZ', (throw.started_at_us % 1000000 + 1000000) % 1000000) AS started_at,

@@ -1,9 +1,9 @@
--- What each machine takes of the database, kept up to date by triggers: when something has to go, the machine that takes
--- the most loses its own history first, and one that floods cannot push out the others'.
+-- The size of each machine in the database, updated by triggers: retention deletes from the largest machine first, so a
+-- machine with very many throws does not displace the history of others.
 ALTER TABLE machine ADD COLUMN throws       INTEGER NOT NULL DEFAULT 0; -- stored
 ALTER TABLE machine ADD COLUMN traces       INTEGER NOT NULL DEFAULT 0; -- stored
-ALTER TABLE machine ADD COLUMN stored_bytes INTEGER NOT NULL DEFAULT 0; -- its traces, and 800 for each throw's other rows
-ALTER TABLE machine ADD COLUMN traces_from  INTEGER NOT NULL DEFAULT 0; -- throw_row before which its traces were dropped
+ALTER TABLE machine ADD COLUMN stored_bytes INTEGER NOT NULL DEFAULT 0; -- bytes of its traces, and 800 for the other rows of each throw
+ALTER TABLE machine ADD COLUMN traces_from  INTEGER NOT NULL DEFAULT 0; -- its traces before this throw_row were deleted
 
 -- The rows of one machine in the order of arrival.
 CREATE INDEX throw_of_machine ON throw (machine_row);

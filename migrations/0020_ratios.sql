@@ -1,5 +1,5 @@
--- Where the start of a throw is unusable, the common scale of b0, a1 and a0 is unknown and only their ratios are: b0, a1 and a0
--- are then NULL, and quality is 'rough'. Throws with such an estimate are evaluated.
+-- If the start of a throw is not usable, only the ratios of b0, a1 and a0 can be identified: b0, a1 and a0 are NULL, and
+-- quality is 'rough'. Such throws are evaluated.
 ALTER TABLE estimate ADD COLUMN a1_per_b0    REAL;   -- Kf / KT [A s rad^-1]
 ALTER TABLE estimate ADD COLUMN a1_per_b0_sd REAL;   -- its standard deviation
 ALTER TABLE estimate ADD COLUMN a0_per_b0    REAL;   -- Kspr / KT [A rad^-1]

@@ -1,8 +1,7 @@
--- Two more views: the baselines that were taken, and the messages that are no throws.
--- The newest throws of the whole fleet are found by their time.
+-- Views of the baselines and of the quarantined messages; indexes for the newest throws of the fleet and for its state.
 
 CREATE INDEX throw_by_start ON throw (started_at_us);
--- The state of every machine without reading the monitors themselves, which have some kilobytes each.
+-- The state of every machine without its monitor, which has some kilobytes.
 CREATE INDEX monitor_state ON monitor (machine_row, state, drifts);
 
 CREATE VIEW baselines AS

@@ -1,12 +1,12 @@
 //! The CUSUM comparator: one two-sided cumulative sum on each coefficient and direction (Page 1954).
 //!
-//! The reference value of a coefficient is half its cause's warning limit, the textbook choice for a shift of that size. Its
-//! decision limit is H standard deviations of the direction's baseline; the one H of a run is tuned on healthy machines
-//! of the same scatter until their alarms come at the rate of the false-alarm budget that the monitor is given.
+//! The reference value of a coefficient is half the warning limit of its cause, the textbook choice for a shift of this
+//! size. The decision limit is H standard deviations of the baseline. H is tuned once for each noise, on healthy
+//! machines with the same scatter, until their alarms have the rate of the monitor's false-alarm budget.
 //!
 //! When a sum passes its limit the rule waits for [`CONFIRM_THROWS`] more throws of that direction, so that slower
-//! coefficients can follow, and then names: one coefficient alone, its cause; all three to the same side, inertia; anything
-//! else has no name. The sums then start again from zero.
+//! coefficients can follow. Then it names a cause: that of the only coefficient beyond its limit; inertia if all three
+//! are beyond it on the same side; otherwise none. The sums restart from zero.
 
 use nalgebra::Vector3;
 
@@ -19,7 +19,7 @@ use super::{
 };
 use crate::diagnose::{Cause, Observation};
 
-/// Throws of a direction between a sum passing its limit and the naming.
+/// Throws of a direction from the first sum beyond its limit to the verdict.
 const CONFIRM_THROWS: usize = 3;
 
 /// Sensitivity of the sums.
@@ -36,12 +36,12 @@ pub(super) struct Design {
 struct Sums {
     high: Vector3<f64>,
     low: Vector3<f64>,
-    /// +1 or -1 for each coefficient whose sum passed its limit since the first did, and throws since then.
+    /// For each coefficient: sign of its sum beyond the limit, or 0; with the number of throws since the first one.
     passed: Option<([i8; 3], usize)>,
 }
 
 impl Sums {
-    /// Adds a deviation; the cause or [`Cause::Unattributed`] when it is time to name.
+    /// Adds a deviation; returns the verdict when it is due, [`Cause::Unattributed`] for no name.
     fn add(&mut self, deviation: Vector3<f64>, sd: Vector3<f64>, design: &Design) -> Option<Cause> {
         self.high = (self.high + deviation - design.reference).map(|s| s.max(0.0));
         self.low = (self.low - deviation - design.reference).map(|s| s.max(0.0));
@@ -85,13 +85,13 @@ pub(super) struct Cusum {
 }
 
 impl Cusum {
-    /// A comparator with a baseline of `baseline` throws a direction.
+    /// A comparator with a baseline of `baseline` throws in each direction.
     pub(super) fn new(design: Design, baseline: usize) -> Self {
         let baselines = [(); 2].map(|()| Baseline::new(baseline));
         Self { design, baselines, sums: [Sums::default(), Sums::default()], caller: Caller::default() }
     }
 
-    /// Takes in throw `at` of the machine.
+    /// Applies the rule to throw `at` of the machine.
     pub(super) fn observe(&mut self, at: usize, observation: &Observation) {
         let Some((direction, log_theta)) = log_theta(observation) else { return };
         let Some((mean, sd)) = self.baselines[direction].take(log_theta) else { return };
@@ -102,19 +102,19 @@ impl Cusum {
         }
     }
 
-    /// Ends the life: the calls made so far.
+    /// The calls of the whole life.
     pub(super) fn into_calls(self) -> Vec<Call> {
         self.caller.calls
     }
 }
 
-/// Machines, and throws a direction of each, on which H is tuned.
+/// Number of machines for the tuning of H, and of throws in each direction.
 const TUNING: (usize, usize) = (100, 2500);
-/// H lies in here \[standard deviations\], and the bisection halves it this often.
+/// Range of H \[standard deviations\], and number of steps of the bisection.
 const DECISION_SD: (f64, f64, usize) = (0.0, 100.0, 14);
 
 impl Design {
-    /// Tunes H until healthy machines alarm once in `throws_per_false_alarm` throws of a machine.
+    /// Tunes H to one alarm in `throws_per_false_alarm` throws of healthy machines.
     pub(super) fn tuned(seed: u64, noise: Noise, limits: Limits, baseline: usize, throws_per_false_alarm: f64) -> Self {
         let reference = Vector3::new(limits[0], limits[1], limits[2]) / 2.0;
         let lives = tuning_lives(seed, noise, baseline);
@@ -134,7 +134,7 @@ impl Design {
     }
 }
 
-/// The deviations of one direction from its baseline, and the baseline's standard deviations.
+/// Deviations of a direction from its baseline, and the standard deviations of the baseline.
 type TuningLife = (Vec<Vector3<f64>>, Vector3<f64>);
 
 fn tuning_lives(seed: u64, noise: Noise, baseline: usize) -> Vec<TuningLife> {

@@ -1,4 +1,4 @@
-//! One machine's life in front of the monitor and both comparators.
+//! One life, observed by the monitor and both comparators.
 
 use super::{
     cusum::{Cusum, Design},
@@ -12,7 +12,7 @@ use super::{
 };
 use crate::diagnose::{MachineMonitor, Observation, Settings};
 
-/// Where the throws of a life come from.
+/// Source of the throws of a life.
 #[derive(Debug)]
 pub(super) enum Source {
     /// Coefficients drawn from the calibrated scatter.
@@ -22,7 +22,7 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// What the monitor gets to see of throw `at`.
+    /// The observation of throw `at`.
     pub(super) fn observe(&mut self, at: usize, life: &Timeline) -> Observation {
         match self {
             Self::Parameter(machine) => {
@@ -34,28 +34,28 @@ impl Source {
     }
 }
 
-/// What the rules need to know.
+/// Settings of the three rules.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rules<'a> {
     pub(super) settings: &'a Settings,
     pub(super) limits: Limits,
-    /// Throws of a direction that the comparators take for their baseline.
+    /// Throws in the comparators' baseline of each direction.
     pub(super) baseline: usize,
     pub(super) cusum: Design,
 }
 
-/// What the three rules said over one life.
+/// The calls of the three rules over one life.
 #[derive(Debug)]
 pub(super) struct Heard {
-    /// Drift that the monitor named, or could not name.
+    /// Drift calls of the monitor.
     pub(super) monitor: Vec<Call>,
-    /// Alarms of any kind that the monitor raised.
+    /// Number of all alarms of the monitor.
     pub(super) raised: usize,
     pub(super) paper: Vec<Call>,
     pub(super) cusum: Vec<Call>,
 }
 
-/// Lives a life in front of the three rules.
+/// Simulates a life and applies the three rules.
 pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> Heard {
     let mut monitor = MachineMonitor::new("evaluated");
     let mut paper = PaperRule::new(rules.limits, rules.baseline);

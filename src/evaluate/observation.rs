@@ -1,4 +1,4 @@
-//! Observations that a life feeds to the monitor.
+//! The observations of a life.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Matrix3;
@@ -10,14 +10,14 @@ use crate::{
     throw::{Direction, ThrowRef},
 };
 
-/// When throw `at` starts.
+/// Start time of throw `at`.
 pub(super) fn started_at(at: usize) -> Timestamp {
     #[expect(clippy::cast_possible_wrap, reason = "a life has few throws")]
     let seconds = (at * 86_400 / THROWS_A_DAY) as i64;
     Timestamp::UNIX_EPOCH + SignedDuration::from_secs(seconds)
 }
 
-/// Throw `at` of a machine that is thrown to and fro, at equal times through the day.
+/// Observation of throw `at`; directions alternate, at equal intervals through the day.
 pub(super) fn observation(
     at: usize,
     estimate: Option<([f64; 3], Matrix3<f64>)>,

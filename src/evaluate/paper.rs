@@ -1,11 +1,12 @@
-//! The paper's bare rule, in service: after every throw, the last six of a direction against its baseline.
+//! The paper's rule in continuous operation: after every throw it compares the last six of a direction with the
+//! baseline.
 //!
-//! The paper looks at six tests. A coefficient moved when the mean of the last six throws is past the warning limit of its
-//! cause (b0: motor, a1: friction, a0: stiffness). Any movement is judged: when the three inertia estimates of the last
-//! six throws and of the last six of the baseline are correlated pairwise by at least 0.8 the cause is inertia (the
-//! inertia's own limit counts for b0); else, when one coefficient moved alone, it is that coefficient's; else the rule
-//! has no name for it. Both sixes are in the correlation because six throws after a step differ by noise alone, and
-//! equal halves show a step best.
+//! The paper uses six tests. A coefficient has moved if the mean of the last six throws is beyond the warning limit of
+//! its cause (b0: motor, a1: friction, a0: stiffness). Then the rule decides: if the three inertia estimates, over the
+//! last six throws and the last six of the baseline, are pairwise correlated by at least 0.8, the cause is inertia
+//! (with the limit of inertia for b0); else, if one coefficient alone moved, the cause is that of this coefficient;
+//! else there is no name. The correlation includes six baseline throws because six throws after a step differ by noise
+//! only, and equal halves show a step best.
 
 use nalgebra::Vector3;
 
@@ -16,9 +17,9 @@ use super::{
 };
 use crate::diagnose::{Cause, Observation};
 
-/// Tests that the paper judges together.
+/// Number of tests in the paper's rule.
 const TESTS: usize = 6;
-/// Least pairwise correlation of the three inertia estimates that means inertia.
+/// Least pairwise correlation of the three inertia estimates for the cause inertia.
 const CORRELATED: f64 = 0.8;
 
 /// The rule on one machine.
@@ -31,13 +32,13 @@ pub(super) struct PaperRule {
 }
 
 impl PaperRule {
-    /// A rule with a baseline of `baseline` throws a direction.
+    /// A rule with a baseline of `baseline` throws in each direction.
     pub(super) fn new(limits: Limits, baseline: usize) -> Self {
         let baselines = [(); 2].map(|()| Baseline::new(baseline));
         Self { limits, baselines, recent: [Vec::new(), Vec::new()], caller: Caller::default() }
     }
 
-    /// Takes in throw `at` of the machine.
+    /// Applies the rule to throw `at` of the machine.
     pub(super) fn observe(&mut self, at: usize, observation: &Observation) {
         let Some((direction, log_theta)) = log_theta(observation) else { return };
         let Some((mean, _)) = self.baselines[direction].take(log_theta) else { return };
@@ -54,13 +55,13 @@ impl PaperRule {
         }
     }
 
-    /// Ends the life: the calls made so far.
+    /// The calls of the whole life.
     pub(super) fn into_calls(self) -> Vec<Call> {
         self.caller.calls
     }
 }
 
-/// The rule itself, on the change of (ln b0, ln a1, ln a0) and the logarithms of the tests to correlate.
+/// The rule for a change of (ln b0, ln a1, ln a0), with the logarithms of the tests for the correlation.
 fn verdict(change: Vector3<f64>, tests: &[Vector3<f64>], limits: Limits) -> Option<Cause> {
     let size = change.map(|x| x.exp_m1().abs());
     let [kt, friction, stiffness, inertia] = limits;
@@ -76,8 +77,8 @@ fn verdict(change: Vector3<f64>, tests: &[Vector3<f64>], limits: Limits) -> Opti
     }
 }
 
-/// Whether J = nominal / estimate of the three coefficients is correlated by at least 0.8 in each pair. The nominal value
-/// scales a series and leaves its correlations alone.
+/// Whether J = nominal / estimate of the three coefficients is correlated by at least 0.8 in each pair. The nominal
+/// values do not change the correlations.
 fn correlated(tests: &[Vector3<f64>]) -> bool {
     let inertia = || tests.iter().map(|log_theta| log_theta.map(|x| (-x).exp()));
     let mean = inertia().sum::<Vector3<f64>>() / tests.len() as f64;
@@ -95,7 +96,7 @@ mod tests {
 
     /// The tests of the paper's Table 1, as ln(b0, a1, a0) over nominal for each value of the parameter over nominal.
     fn tests(ratios: &[f64], along: Vector3<f64>) -> Vec<Vector3<f64>> {
-        // Small differences that belong to no test: without any, two series are constant and have no correlation.
+        // Small extra differences: two constant series would have no correlation.
         let ripple = |at: usize| {
             Vector3::new(1.0, (at % 2) as f64, (at / 2 % 2) as f64)
                 * 1e-3

@@ -1,12 +1,13 @@
-//! A machine at parameter depth: its coefficients drawn from a calibrated scatter, without simulating a movement.
+//! A machine at parameter depth: coefficients from a calibrated scatter, without a simulated movement.
 //!
 //! The logarithms of (b0, a1, a0) of a throw are the sum of
-//! - the machine's nominal values, slightly different in the two directions,
-//! - the drift that the life prescribes,
-//! - natural scatter (weather, lubrication): a first-order autoregression over the machine's successive throws, shared
-//!   by both directions because both see the same weather; standard deviations 0.5, 3 and 1 %,
-//! - the estimator's error, with the covariance measured on simulated throws: standard deviations 0.53, 0.60 and 0.52 %
-//!   at the default sensor noise of 0.02 A, correlations 0.97, 0.91 and 0.79. Each observation carries it.
+//! - the nominal values of the machine, slightly different in the two directions,
+//! - the drift of the life,
+//! - natural scatter (weather, lubrication): a first-order autoregression over consecutive throws, common to both
+//!   directions; standard deviations 0.5, 3 and 1 %,
+//! - the error of the estimator, with the covariance measured on simulated throws: standard deviations 0.53, 0.60 and
+//!   0.52 % at the default sensor noise of 0.02 A, correlations 0.97, 0.91 and 0.79. Each observation contains this
+//!   covariance.
 
 use nalgebra::{Matrix3, Vector3};
 use rand::RngExt as _;
@@ -17,14 +18,14 @@ use super::scenario::Noise;
 
 /// Standard deviation of the natural scatter of ln b0, ln a1, ln a0.
 const SCATTER_SD: [f64; 3] = [0.005, 0.03, 0.01];
-/// Serial correlation of the natural scatter between successive throws of a machine, unless a run sets another.
+/// Serial correlation of the natural scatter between consecutive throws, unless a run sets another.
 pub(super) const SCATTER_PHI: f64 = 0.5;
 /// Nominal b0 \[rad s⁻² A⁻¹\], a1 \[s⁻¹\], a0 \[s⁻²\] of the simulated machine.
 const NOMINAL: [f64; 3] = [203.0, 5.9, 1.56];
-/// Standard deviation between machines, and between the directions of one machine, of each coefficient's logarithm.
+/// Standard deviations of the logarithms between machines, and between the directions of one machine.
 const SPREAD_SD: [f64; 2] = [0.05, 0.02];
 
-/// Standard deviations of the estimator's errors of ln b0, ln a1, ln a0: measured at 0.005, 0.02 and 0.05 A.
+/// Standard deviations of the estimator's errors of ln b0, ln a1, ln a0, measured at 0.005, 0.02 and 0.05 A of noise.
 const fn estimator_sd(noise: Noise) -> [f64; 3] {
     match noise {
         Noise::Low => [0.0013, 0.0015, 0.0013],
@@ -36,11 +37,11 @@ const fn estimator_sd(noise: Noise) -> [f64; 3] {
 /// Correlations of the estimator's errors.
 const ESTIMATOR_CORRELATION: [[f64; 3]; 3] = [[1.0, 0.97, 0.91], [0.97, 1.0, 0.79], [0.91, 0.79, 1.0]];
 
-/// A machine with drawn coefficients, and its weather.
+/// A machine with random coefficients, and its weather.
 #[derive(Debug, Clone)]
 pub(super) struct ParameterMachine {
     random: ChaCha8Rng,
-    /// ln of the nominal coefficients, in each direction.
+    /// Logarithms of the nominal coefficients in each direction.
     nominal: [Vector3<f64>; 2],
     weather: Vector3<f64>,
     phi: f64,
@@ -49,7 +50,7 @@ pub(super) struct ParameterMachine {
 }
 
 impl ParameterMachine {
-    /// A machine of the fleet, drawn from `random`, with sensors of this `noise` and weather correlated by `phi`.
+    /// A random machine with sensors of this `noise`, and weather with the serial correlation `phi`.
     pub(super) fn new(mut random: ChaCha8Rng, noise: Noise, phi: f64) -> Self {
         let between_machines = draw(&mut random).map(|x| x * SPREAD_SD[0]);
         let nominal = [(); 2].map(|()| {
@@ -59,12 +60,12 @@ impl ParameterMachine {
         let weather = draw(&mut random).component_mul(&Vector3::from(SCATTER_SD));
         let sd = estimator_sd(noise);
         let estimator_covariance = Matrix3::from_fn(|i, j| sd[i] * sd[j] * ESTIMATOR_CORRELATION[i][j]);
-        // Positive definite by its constants (tested); zeros would show as a missing error.
+        // Positive definite by its constants; a test would find zeros as missing errors.
         let estimator_factor = estimator_covariance.cholesky().map_or_else(Matrix3::zeros, |factor| factor.l());
         Self { random, nominal, weather, phi, estimator_covariance, estimator_factor }
     }
 
-    /// The next throw's estimated (b0, a1, a0) and their covariance, when the true logarithms moved by `drift`.
+    /// Estimates (b0, a1, a0) of the next throw and their covariance, with the true logarithms changed by `drift`.
     pub(super) fn throw(&mut self, direction: usize, drift: Vector3<f64>) -> ([f64; 3], Matrix3<f64>) {
         let innovation = (1.0 - self.phi * self.phi).sqrt();
         let fresh = draw(&mut self.random).component_mul(&Vector3::from(SCATTER_SD));

@@ -1,4 +1,4 @@
-//! Picture of a run as SVG: delay and share named right against the size of the fault.
+//! Charts of a run as SVG: delay and share named right over the size of the fault.
 
 use super::{
     report::{Report, Row, Tally},
@@ -6,23 +6,23 @@ use super::{
 };
 use crate::report::{Panel, Sheet};
 
-/// Curve of the picture: its name, and its value for a row.
+/// A curve: its name, and its value for a row.
 type Curve = (&'static str, fn(&Row) -> Option<f64>);
 
 const DELAYS: [Curve; 4] = [
     ("pointsd", |row| row.monitor.delay_median),
-    ("the paper's bare rule", |row| row.paper.delay_median),
+    ("the paper's rule", |row| row.paper.delay_median),
     ("CUSUM", |row| row.cusum.delay_median),
     ("pointsd, 95 %", |row| row.monitor.delay_p95),
 ];
 const RIGHT: [Curve; 3] = [
     ("pointsd", |row| Some(right_pct(&row.monitor, row))),
-    ("the paper's bare rule", |row| Some(right_pct(&row.paper, row))),
+    ("the paper's rule", |row| Some(right_pct(&row.paper, row))),
     ("CUSUM", |row| Some(right_pct(&row.cusum, row))),
 ];
 
-/// Small multiples: a column for each cause, rows for delay and share named right of steps and of ramps. Parameter depth,
-/// default noise, plain conditions. Delays are medians, and pointsd's 95th percentile.
+/// A grid of charts: a column for each cause; rows for delay and share named right, of steps and of ramps. Parameter
+/// depth, default noise, plain conditions. Delays are medians, for pointsd also the 95th percentile.
 #[must_use]
 pub fn picture(report: &Report) -> String {
     let title = format!("Naming a fault: delay and share right, seed {}", report.seed);

@@ -1,4 +1,4 @@
-//! A run as a list of independent lives: any number of threads can live them in any order.
+//! A run as a list of independent lives, for any number of threads in any order.
 
 use rand_chacha::ChaCha8Rng;
 
@@ -20,20 +20,20 @@ use crate::diagnose::{MachineMonitor, Settings};
 /// Number of lives and throws to simulate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Amount {
-    /// Lives of each row at parameter depth.
+    /// Lives in each row at parameter depth.
     pub trials: usize,
-    /// Lives of each row of complete throws.
+    /// Lives in each row at trace depth.
     pub trace_trials: usize,
-    /// Healthy throws at parameter depth.
+    /// Healthy throws at parameter depth, in total.
     pub healthy_throws: usize,
-    /// Healthy complete throws.
+    /// Healthy throws at trace depth, in total.
     pub trace_healthy_throws: usize,
-    /// Lives for each serial correlation of the budget's section.
+    /// Lives in the budget section for each serial correlation.
     pub budget_lives: usize,
 }
 
 impl Amount {
-    /// Amount for which the goals are stated.
+    /// The amount for which the goals hold.
     pub const FULL: Self = Self {
         trials: 500,
         trace_trials: 20,
@@ -41,26 +41,26 @@ impl Amount {
         trace_healthy_throws: 5_000,
         budget_lives: 400,
     };
-    /// A first look, in seconds.
+    /// About a tenth, which takes seconds.
     pub const QUICK: Self =
         Self { trials: 50, trace_trials: 2, healthy_throws: 100_000, trace_healthy_throws: 500, budget_lives: 100 };
 }
 
-/// Monitored throws of a healthy life with drawn coefficients.
+/// Monitored throws of a healthy life at parameter depth.
 const HEALTHY_LIFE: usize = 10_000;
-/// Monitored throws of a healthy life of complete throws, which cost more.
+/// Monitored throws of a healthy life at trace depth, where a throw takes more time.
 const HEALTHY_TRACE_LIFE: usize = 500;
 
-/// Serial correlations of the budget's section.
+/// Serial correlations in the budget section.
 const BUDGET_PHI: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
-/// Throws of a machine for each false alarm that the budget's section allows.
+/// Throws of a machine for each false alarm that the budget section allows.
 const BUDGET_THROWS: f64 = 5_000.0;
-/// Monitored throws of a life of the budget's section, unless an alarm ends it.
+/// Monitored throws of a life in the budget section, if no alarm ends it.
 const BUDGET_LIFE: usize = 5_000;
-/// A warning limit that no drift is below: the least that the settings allow \[%\].
+/// The smallest warning limit that the settings allow \[%\]: practically no limit.
 const NO_LIMIT_PCT: f64 = 0.001;
 
-/// A life to be simulated.
+/// A life to simulate.
 #[derive(Debug, Clone, Copy)]
 enum Task {
     Healthy { depth: Depth, machine: usize, throws: usize },
@@ -74,9 +74,9 @@ pub struct Outcome(Kind);
 
 #[derive(Debug, Clone, Copy)]
 enum Kind {
-    /// Alarms of the monitor, the paper's rule and the CUSUM.
+    /// Number of alarms of the monitor, the paper's rule and the CUSUM.
     Healthy([usize; 3]),
-    /// The judgements of the same three, and whether the monitor named a sound part at critical severity.
+    /// The judgements of the same three, and whether the monitor named a healthy part at critical severity.
     Row([Judgement; 3], bool),
     Budget {
         throws: usize,
@@ -84,7 +84,7 @@ enum Kind {
     },
 }
 
-/// A run that is ready to start.
+/// The lives and settings of a run.
 #[derive(Debug)]
 pub struct Plan {
     seed: u64,
@@ -118,7 +118,7 @@ impl Plan {
         self.tasks.len()
     }
 
-    /// Lives one life. The same number gives the same outcome, whoever asks and in whatever order.
+    /// Simulates one life. The outcome depends only on the plan and the number of the life.
     ///
     /// # Panics
     /// When `life` is not below [`Plan::lives`].
@@ -131,7 +131,7 @@ impl Plan {
         })
     }
 
-    /// Puts the outcomes of all lives, in the order of their numbers, into the report.
+    /// Makes the report from the outcomes of all lives, in the order of their numbers.
     #[must_use]
     pub fn report(&self, outcomes: &[Outcome]) -> Report {
         let mut healthy = Vec::new();
@@ -181,7 +181,8 @@ impl Plan {
         Kind::Row(judgements, accuses_wrongly(&heard.monitor, &life))
     }
 
-    /// A healthy life under limits so small that only the drift rule's budget keeps alarms away, up to the first alarm.
+    /// A healthy life up to the first alarm, with limits so small that only the budget of the drift rule prevents
+    /// alarms.
     fn budget(&self, phi: usize, machine: usize) -> Kind {
         let random = stream(self.seed, domain::BUDGET, phi, machine);
         let mut source = ParameterMachine::new(random, Noise::Default, BUDGET_PHI[phi]);
@@ -206,7 +207,7 @@ impl Plan {
     }
 }
 
-/// The machine that lives a life.
+/// The simulated machine of a life.
 pub(super) fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, life: &Timeline) -> Source {
     match depth {
         Depth::Parameter => Source::Parameter(Box::new(ParameterMachine::new(random, noise, SCATTER_PHI))),
@@ -214,7 +215,7 @@ pub(super) fn source(depth: Depth, situation: Situation, noise: Noise, random: C
     }
 }
 
-/// All lives of a run: complete throws first, so that no thread is left with a long one at the end.
+/// All lives of a run, the long ones at trace depth first, so that the threads end at about the same time.
 fn tasks(amount: Amount, scenarios: &[Scenario]) -> Vec<Task> {
     let healthy = |depth, total: usize, each: usize| {
         let throws = move |machine| each.min(total - machine * each);
@@ -249,7 +250,7 @@ fn limits(settings: &Settings) -> Limits {
     PARTS.map(|part| settings.limit_pct(part).unwrap_or_default() / 100.0)
 }
 
-/// The settings of the budget's section: a budget that is spent within a run, and limits that stop nothing.
+/// Settings of the budget section: a budget with several false alarms in a run, and practically no warning limits.
 fn budget_settings(settings: &Settings) -> Settings {
     let days = BUDGET_THROWS / settings.throws_per_day;
     Settings {

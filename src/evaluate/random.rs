@@ -1,10 +1,9 @@
-//! Seeded randomness: every life of every row draws from a stream of its own, so results do not depend on the order in
-//! which lives are run.
+//! Random streams: each life of each row has its own, so results do not depend on the order of the lives.
 
 use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
-/// The random stream of life `trial` of row `row` in `domain` (a kind of run), for the whole run's `seed`.
+/// The random stream of life `trial` of row `row` in `domain` (kind of run), for the `seed` of the run.
 pub(super) fn stream(seed: u64, domain: u64, row: usize, trial: usize) -> ChaCha8Rng {
     let mut key = [0; 32];
     for (chunk, word) in key.chunks_exact_mut(8).zip([seed, domain, row as u64, trial as u64]) {

@@ -1,4 +1,4 @@
-//! The results of a run, as the JSON of `pointsd evaluate --json` has them.
+//! The results of a run, as in the JSON of `pointsd evaluate --json`.
 
 use serde::{Serialize, Serializer};
 
@@ -7,21 +7,21 @@ use super::{
     scenario::{Depth, Noise, Scenario, Shape},
 };
 
-/// Least share of lives named right that a plain row must reach.
+/// Goal: least share of lives named right in a plain row.
 pub const GOAL_RIGHT: f64 = 0.99;
-/// Largest median delay of a plain step, in throws.
+/// Goal: largest median delay in a plain row with steps \[throws\].
 pub const GOAL_STEP_DELAY: f64 = 3.0;
-/// By how much the measured rate of false alarms may differ from the budget, as a factor.
+/// Goal: largest factor between the measured rate of false alarms and the budget.
 pub const GOAL_BUDGET_FACTOR: f64 = 3.0;
 
-/// Everything that a run found.
+/// All results of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
-    /// The run's seed.
+    /// Seed of the run.
     pub seed: u64,
     /// False alarms on healthy machines.
     pub healthy: Vec<Healthy>,
-    /// The table.
+    /// Faults: the rows of the table.
     pub rows: Vec<Row>,
     /// The budget of false alarms against what was measured.
     pub budget: Vec<Budget>,
@@ -32,11 +32,11 @@ pub struct Report {
 pub struct Healthy {
     /// Depth of the simulation.
     pub depth: Depth,
-    /// Throws with a baseline behind them.
+    /// Monitored throws, after the baseline.
     pub throws: usize,
-    /// Alarms of any kind.
+    /// Alarms of the monitor, of any kind.
     pub false_alarms: usize,
-    /// Alarms of the paper's bare rule.
+    /// Alarms of the paper's rule.
     pub paper_false_alarms: usize,
     /// Alarms of the CUSUM.
     pub cusum_false_alarms: usize,
@@ -45,15 +45,15 @@ pub struct Healthy {
 /// The budget of false alarms against what was measured.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Budget {
-    /// Serial correlation of the natural scatter between successive throws of a machine.
+    /// Serial correlation of the natural scatter between consecutive throws of a machine.
     pub phi: f64,
-    /// Throws of a machine for each false alarm that the configured budget allows.
+    /// Throws of a machine per false alarm in the configured budget.
     pub throws_per_false_alarm: f64,
-    /// Throws watched.
+    /// Monitored throws.
     pub throws: usize,
-    /// Alarms raised in them.
+    /// Alarms in these throws.
     pub false_alarms: usize,
-    /// Measured rate over the configured one.
+    /// Ratio of the measured to the configured rate.
     pub ratio: f64,
 }
 
@@ -62,7 +62,7 @@ pub struct Budget {
 pub struct Row {
     /// Depth of the simulation.
     pub depth: Depth,
-    /// The part at fault; two joined by `+`.
+    /// The faulty part; two are joined by `+`.
     pub cause: String,
     /// Development of the fault.
     pub shape: Shape,
@@ -70,21 +70,21 @@ pub struct Row {
     pub size_pct: f64,
     /// Noise of the current sensor.
     pub noise: Noise,
-    /// Whether the row is one of the hard ones.
+    /// Whether the row is hard; otherwise it is plain.
     pub hard: bool,
-    /// The conditions, in words.
+    /// The conditions as text.
     pub case: &'static str,
-    /// Lives.
+    /// Number of lives.
     pub trials: usize,
-    /// The monitor's score.
+    /// Results of the monitor.
     #[serde(flatten)]
     pub monitor: Tally,
-    /// Lives in which the monitor named a sound part at critical severity, at any time.
+    /// Lives in which the monitor named a healthy part at critical severity at any time.
     pub wrong_critical: usize,
-    /// The paper's bare rule on the same throws.
+    /// Results of the paper's rule on the same throws.
     #[serde(serialize_with = "without_names")]
     pub paper: Tally,
-    /// The CUSUM on the same throws.
+    /// Results of the CUSUM on the same throws.
     #[serde(serialize_with = "without_names")]
     pub cusum: Tally,
 }
@@ -92,29 +92,29 @@ pub struct Row {
 /// Results of a rule on the lives of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Tally {
-    /// Named right.
+    /// Lives named right; see the definitions in [`super`].
     pub right: usize,
-    /// Named wrong, or alarmed before there was a fault, or by chance where the baseline has learned it.
+    /// Lives named wrong.
     pub wrong: usize,
-    /// Alarmed without a name.
+    /// Lives with an alarm without a name.
     pub ambiguous: usize,
-    /// Lives without any name, or with only one of two causes named.
+    /// Lives without an alarm, or with only one of two causes named.
     pub missed: usize,
     /// Median throws from the onset of the fault to the right name.
     pub delay_median: Option<f64>,
-    /// 95th percentile of the same.
+    /// 95th percentile of the throws from the onset to the right name.
     pub delay_p95: Option<f64>,
 }
 
 impl Healthy {
-    /// Results before any throw.
+    /// Results without any throws.
     pub(super) fn none(depth: Depth) -> Self {
         Self { depth, throws: 0, false_alarms: 0, paper_false_alarms: 0, cusum_false_alarms: 0 }
     }
 }
 
 impl Tally {
-    /// Counts the judgements of a row's lives.
+    /// Counts the judgements of the lives of a row.
     pub(super) fn of(judgements: impl Iterator<Item = Judgement>) -> Self {
         let mut tally = Self::default();
         let mut delays = Vec::new();
@@ -136,14 +136,14 @@ impl Tally {
     }
 }
 
-/// The smallest of the sorted values that at least this share of them does not exceed.
+/// The quantile of sorted values: the smallest value with at least this share of values up to it.
 fn quantile(sorted: &[usize], share: f64) -> Option<f64> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a count, at least 1")]
     let rank = (share * sorted.len() as f64).ceil().max(1.0) as usize;
     sorted.get(rank - 1).map(|&delay| delay as f64)
 }
 
-/// A comparator's tally: an alarm without a name names nothing, so it counts as missed.
+/// The tally of a comparator, where an alarm without a name counts as missed.
 fn without_names<S: Serializer>(tally: &Tally, serializer: S) -> Result<S::Ok, S::Error> {
     #[derive(Serialize)]
     struct Comparator {
@@ -158,7 +158,7 @@ fn without_names<S: Serializer>(tally: &Tally, serializer: S) -> Result<S::Ok, S
 }
 
 impl Row {
-    /// The row of a scenario whose lives were judged.
+    /// The row of a scenario after its lives were judged.
     pub(super) fn new(scenario: &Scenario, trials: usize, wrong_critical: usize, tallies: [Tally; 3]) -> Self {
         let [monitor, paper, cusum] = tallies;
         let cause: Vec<&str> = scenario.faults.iter().map(|(part, _)| part.as_str()).collect();
@@ -166,7 +166,7 @@ impl Row {
             depth: scenario.depth,
             cause: cause.join("+"),
             shape: scenario.shape,
-            // Free of the last binary digits of the multiplication by a limit.
+            // Rounded, to remove binary rounding errors.
             size_pct: (scenario.faults[0].1 * 1e4).round() / 1e2,
             noise: scenario.noise,
             hard: scenario.hard,
@@ -179,7 +179,7 @@ impl Row {
         }
     }
 
-    /// Goals that this row does not meet, in words; empty when it meets all.
+    /// The goals that this row does not meet, as sentences.
     #[must_use]
     pub fn shortfalls(&self) -> Vec<String> {
         let mut shortfalls = Vec::new();
@@ -192,7 +192,7 @@ impl Row {
             shortfalls.push(format!("median delay {delay} throws"));
         }
         if self.wrong_critical > 0 && self.cause.contains('+') {
-            shortfalls.push(format!("a sound part named at critical severity in {} lives", self.wrong_critical));
+            shortfalls.push(format!("a healthy part named at critical severity in {} lives", self.wrong_critical));
         }
         for (name, comparator) in [("the paper's rule", &self.paper), ("CUSUM", &self.cusum)] {
             if comparator.right > self.monitor.right {
@@ -204,19 +204,19 @@ impl Row {
 }
 
 impl Budget {
-    /// A budget of one alarm in `throws_per_false_alarm` throws, nothing measured yet.
+    /// A budget of one alarm in `throws_per_false_alarm` throws, without measurements.
     pub(super) fn new(phi: f64, throws_per_false_alarm: f64) -> Self {
         Self { phi, throws_per_false_alarm, throws: 0, false_alarms: 0, ratio: 0.0 }
     }
 
-    /// Adds a life that was watched for `throws`, up to its first alarm when it `alarmed`.
+    /// Adds a life of `throws` monitored throws, which ended with an alarm if `alarmed`.
     pub(super) fn add(&mut self, throws: usize, alarmed: bool) {
         self.throws += throws;
         self.false_alarms += usize::from(alarmed);
         self.ratio = self.false_alarms as f64 / (self.throws as f64 / self.throws_per_false_alarm);
     }
 
-    /// Whether the measured rate is within the goal's factor of the configured one.
+    /// Whether the ratio meets the goal [`GOAL_BUDGET_FACTOR`].
     #[must_use]
     pub fn holds(&self) -> bool {
         (1.0 / GOAL_BUDGET_FACTOR..=GOAL_BUDGET_FACTOR).contains(&self.ratio)
@@ -224,7 +224,7 @@ impl Budget {
 }
 
 impl Report {
-    /// Every goal that the run did not meet, one sentence each.
+    /// The goals that the run did not meet, as sentences.
     #[must_use]
     pub fn shortfalls(&self) -> Vec<String> {
         let healthy = self.healthy.iter().filter(|healthy| healthy.false_alarms > 0);

@@ -1,13 +1,13 @@
-//! The study's table of 4 cases x 6 tests, through the simulated machine and the estimator.
+//! The study's table of 4 cases x 6 tests, repeated with the simulated machine and the estimator.
 //!
-//! In each case one physical parameter takes six values; test 1 is the nominal machine. A test is the mean of several
-//! throws, as one throw alone scatters by half a per cent and more. The expected changes are those of
-//! an independent simulation of the same study (20 mA and 20 um of noise). The rule of the study reads the correlation of
-//! the three inertia estimates J = nominal/estimate over the six tests: inertia when all pairs are at least 0.8. As a
-//! correlation has no scale, changes of a tenth of a per cent, from noise or from the leakage of dry friction, count in it
-//! as much as a doubling does: without any noise the friction case has 0.98 in all pairs, as friction on a beam's chairs
-//! moves b0 and a0 by a tenth of what it moves a1. So the correlation shown is the study's own, that of one throw a test,
-//! as a mean over the throws; and the verdict reads the correlation beyond the scatter of a machine in service.
+//! In each case one physical parameter has six values; test 1 is the nominal machine. A test is the mean of several
+//! throws, as one throw scatters by half a per cent and more. The expected changes come from an independent simulation
+//! of the study (20 mA and 20 um of noise). The study's rule uses the correlation of the three inertia estimates J =
+//! nominal/estimate over the six tests: inertia if all pairs reach 0.8. A correlation has no scale, so changes of a
+//! tenth of a per cent, from noise or dry friction, count as much as a doubling: without noise the friction case has
+//! 0.98 in all pairs, as friction on the chairs of a beam changes b0 and a0 by a tenth of the change of a1. Therefore
+//! the table shows the correlation of the study (one throw for each test, mean over the throws), and the verdict uses
+//! the correlation beyond the scatter of a machine in service.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
@@ -16,11 +16,11 @@ use crate::estimate::{Estimate, Identifier, Rejection, Settings};
 use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
 use crate::throw::{Direction, OutOfRange, Throw, ThrowRef, Trace};
 
-/// Correlation from which the study calls a pair of inertia estimates equal.
+/// Correlation from which two inertia estimates agree, as in the study.
 pub const CORRELATION_LIMIT: f64 = 0.8;
-/// How many of its own standard deviations a coefficient must move to have moved.
+/// Least significant change of a coefficient \[standard deviations\].
 const MOVED_SIGMAS: f64 = 4.0;
-/// Throw-to-throw scatter of a healthy machine in service, as a share: running currents repeat within 0.3 to 2 %.
+/// Scatter between throws of a healthy machine in service, as a share: running currents repeat within 0.3 to 2 %.
 const SERVICE_SCATTER: f64 = 0.01;
 /// The study throws in one direction.
 const DIRECTION: Direction = Direction::NormalToReverse;
@@ -28,14 +28,14 @@ const DIRECTION: Direction = Direction::NormalToReverse;
 /// Expected change of one coefficient from test 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Expected {
-    /// This change \[%\].
+    /// A change of this size \[%\].
     Change(f64),
-    /// No more than this, either way \[%\].
+    /// A change of at most this size, of either sign \[%\].
     Within(f64),
 }
 
 impl Expected {
-    /// How far a change may be from the one expected: 2 points, or 3 % of the figure where that is more.
+    /// Whether a change is as expected, within 2 points or 3 % of the expected change.
     #[must_use]
     pub fn holds(self, change_pct: f64) -> bool {
         match self {
@@ -48,15 +48,15 @@ impl Expected {
 /// One case of the study.
 #[derive(Debug, Clone, Copy)]
 pub struct Case {
-    /// The parameter's symbol.
+    /// Symbol of the parameter.
     pub symbol: &'static str,
-    /// Its unit.
+    /// Unit of the parameter.
     pub unit: &'static str,
-    /// The cause that it stands for, as in messages.
+    /// Cause of the parameter, as in messages.
     pub cause: &'static str,
-    /// Its values in tests 2 to 6.
+    /// Values of the parameter in tests 2 to 6.
     pub values: [f64; 5],
-    /// Its value in the nominal machine.
+    /// Value of the parameter in the nominal machine.
     pub nominal: fn(&Parameters) -> f64,
     set: fn(&mut Parameters, f64),
     expected: fn(usize) -> [Expected; 3],
@@ -84,7 +84,7 @@ pub const CASES: [Case; 4] = [
         nominal: |machine| machine.rails.slide_friction,
         set: |machine, value| machine.rails.slide_friction = value,
         expected: |at| {
-            // Only the largest value has a figure; those below lie between none and that.
+            // The study has a figure for the largest value only; smaller values have smaller changes.
             let a1 = if at == 4 { Expected::Change(2.5) } else { Expected::Within(2.5) };
             [Expected::Within(2.0), a1, Expected::Within(2.0)]
         },
@@ -112,20 +112,20 @@ pub const CASES: [Case; 4] = [
     },
 ];
 
-/// One test: its parameter value and what was identified.
+/// A test: the value of the parameter, and the estimates.
 #[derive(Debug, Clone)]
 pub struct Test {
-    /// Value of the case's parameter.
+    /// Value of the parameter.
     pub value: f64,
     /// Mean estimates of b0, a1, a0.
     pub coefficients: [f64; 3],
-    /// Their standard deviations, as the estimator states them.
+    /// Stated standard deviations of the coefficients.
     pub sd: [f64; 3],
     /// Change of b0, a1, a0 from test 1 \[%\].
     pub change_pct: [f64; 3],
-    /// What the physics says the change is \[%\].
+    /// True change of b0, a1, a0 from test 1 \[%\].
     pub physics_pct: [f64; 3],
-    /// What the study's table says; `None` for test 1.
+    /// Expected changes; `None` for test 1.
     pub expected: Option<[Expected; 3]>,
     /// The first throw of the test, as recorded.
     pub trace: Trace,
@@ -136,43 +136,43 @@ pub struct Test {
 pub struct CaseResult {
     /// The case.
     pub case: Case,
-    /// Test 1 is the nominal machine.
+    /// The six tests; test 1 is the nominal machine.
     pub tests: Vec<Test>,
-    /// Correlations of the inertia estimates of one throw a test, mean over the throws: `b0_a1`, `b0_a0`, `a1_a0`; 0 where
-    /// an estimate does not vary.
+    /// Correlations of the inertia estimates with one throw for each test, mean over the throws: `b0_a1`, `b0_a0`,
+    /// `a1_a0`; 0 if an estimate is constant.
     pub correlation: [f64; 3],
-    /// Those of the tests' means with a scatter of 1 % in each estimate, so that only larger changes count.
+    /// Correlations of the means of the tests with an added scatter of 1 %, so that only larger changes count.
     pub correlation_beyond_scatter: [f64; 3],
 }
 
-/// Why the study could not be run.
+/// An error that ends the study.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Failure {
-    /// The machine cannot be simulated.
+    /// A parameter of the machine is out of its range.
     #[error(transparent)]
     Machine(#[from] OutOfRange),
-    /// More throws were refused than accepted.
+    /// More throws were rejected than accepted.
     #[error("{symbol} = {value}: {reason}")]
     Refused {
-        /// The case's parameter.
+        /// Symbol of the parameter.
         symbol: &'static str,
-        /// Its value.
+        /// Value of the parameter.
         value: f64,
-        /// Why.
+        /// Reason of the last rejection.
         reason: Rejection,
     },
 }
 
-/// How the study is run.
+/// Settings of the study.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Study {
     /// Model of the rails.
     pub rails: RailModel,
-    /// Sensors, with fresh noise for every throw.
+    /// Sensors, with new noise for every throw.
     pub sensors: Sensors,
-    /// Throws a test, at least 1.
+    /// Throws of each test, at least 1.
     pub throws: usize,
-    /// Of the sensors' noise.
+    /// Seed of the sensors' noise.
     pub seed: u64,
 }
 
@@ -216,7 +216,7 @@ fn run_case(
             let trace = study.sensors.record(&motion, DIRECTION, rng)?.trace;
             match identify(identifier, &machine, &trace, &study.sensors) {
                 Ok(estimate) => estimates.push(estimate),
-                // Now and then noise looks like damage: that throw is made again, as in service.
+                // Noise sometimes looks like a damaged trace: the throw is repeated.
                 Err(_) if refusals < study.throws => {
                     refusals += 1;
                     continue;
@@ -250,7 +250,7 @@ fn run_case(
     })
 }
 
-/// Correlations of the inertia estimates nominal/estimate over the tests' b0, a1, a0: b0 and a1, b0 and a0, a1 and a0.
+/// Correlations of the inertia estimates nominal/estimate over the tests: b0 and a1, b0 and a0, a1 and a0.
 fn correlations(tests: &[[f64; 3]], scatter: f64) -> [f64; 3] {
     let inertia = |at: usize| -> Vec<f64> { tests.iter().map(|test| tests[0][at] / test[at]).collect() };
     let (b0, a1, a0) = (inertia(0), inertia(1), inertia(2));
@@ -281,7 +281,7 @@ fn identify(
         supply_v: None,
         anti_alias_hz: sensors.anti_alias_hz,
     };
-    // The table compares coefficients, and needs their common scale.
+    // The table needs the coefficients, not only their ratios.
     identifier
         .identify(&throw, &settings)
         .outcome
@@ -292,7 +292,7 @@ fn change_pct(is: [f64; 3], was: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|at| (is[at] / was[at] - 1.0) * 100.0)
 }
 
-/// Pearson's correlation with this standard deviation of unrelated scatter in each side; 0 where one does not vary.
+/// Pearson's correlation with an added uncorrelated scatter in each series; 0 if a series is constant.
 fn correlation(a: &[f64], b: &[f64], scatter: f64) -> f64 {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let (mean_a, mean_b) = (mean(a), mean(b));
@@ -303,8 +303,8 @@ fn correlation(a: &[f64], b: &[f64], scatter: f64) -> f64 {
 }
 
 impl Test {
-    /// Toe position that the identified model (12) gives for the recorded current \[mm\], one value a sample, in steps of
-    /// the sampling period with the current as it is between samples; the start is where the motor is switched on.
+    /// Toe position of the identified model (12) for the recorded current, from the start of the motor \[mm\], one
+    /// value for each sample. The current is interpolated between samples.
     #[must_use]
     pub fn modelled_position_mm(&self) -> Vec<f64> {
         let [b0, a1, a0] = self.coefficients;
@@ -325,7 +325,7 @@ impl Test {
 }
 
 impl CaseResult {
-    /// Whether each of b0, a1, a0 moved, in any test, beyond its own uncertainty.
+    /// Whether each of b0, a1, a0 changed significantly in any test.
     #[must_use]
     pub fn moved(&self) -> [bool; 3] {
         let first = &self.tests[0];
@@ -337,7 +337,7 @@ impl CaseResult {
         })
     }
 
-    /// The cause that the study's rule reads from this case.
+    /// The verdict of the study's rule on this case.
     #[must_use]
     pub fn verdict(&self) -> &'static str {
         let moved = self.moved();

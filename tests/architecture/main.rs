@@ -1,4 +1,4 @@
-//! Keeps the architecture: the core is pure, the rooms are layers, and no file imports one that imports it back.
+//! Checks the architecture: the core is pure, the rooms form layers, and imports between files have no cycle.
 
 #![expect(clippy::unwrap_used, reason = "a test may stop on an error, in its helpers too")]
 
@@ -9,7 +9,7 @@ use std::path::Path;
 use paths::{Name, Sources, Target};
 use petgraph::{algo::tarjan_scc, graphmap::DiGraphMap};
 
-/// The rooms of the core, each with the other rooms that it may name.
+/// Each room of the core, with the other rooms that it may use.
 const CORE: &[(&str, &[&str])] = &[
     ("throw", &[]),
     ("estimate", &["throw"]),
@@ -20,7 +20,7 @@ const CORE: &[(&str, &[&str])] = &[
     ("wire", &["diagnose", "estimate", "throw"]),
 ];
 
-/// The rooms of the shell, each with the other rooms that it may name.
+/// Each room of the shell, with the other rooms that it may use.
 const SHELL: &[(&str, &[&str])] = &[
     ("store", &["diagnose", "estimate", "throw", "wire"]),
     ("bus", &["diagnose", "throw", "wire"]),
@@ -36,7 +36,7 @@ const SHELL: &[(&str, &[&str])] = &[
     ),
 ];
 
-/// What only the shell may name: runtimes, the network, files, databases, processes, clocks and random sources.
+/// Paths for the shell only: runtimes, the network, files, databases, processes, clocks and random sources.
 const IMPURE: &[&str] = &[
     "axum",
     "jiff::Timestamp::now",
@@ -55,7 +55,7 @@ const IMPURE: &[&str] = &[
     "zenoh",
 ];
 
-/// What the dashboard may not name: all that could write or publish. An operator's command goes through the daemon's view.
+/// Paths that the dashboard may not use, because they could write or publish. Commands go through the daemon's view.
 const WRITES: &[&str] = &["crate::daemon::Daemon", "crate::store::Store", "sqlx", "std::fs", "std::process", "zenoh"];
 
 fn whole(target: &Target) -> String {
@@ -66,8 +66,7 @@ fn whole(target: &Target) -> String {
     }
 }
 
-/// Whether `target` is `forbidden` or lies below it. A type of this crate is known by its room and its name, whatever
-/// the file that defines it.
+/// Whether `target` is `forbidden` or below it. A type of this crate is identified by its room and its name only.
 fn is_below(target: &Target, forbidden: &str) -> bool {
     let whole = whole(target);
     let below =
@@ -78,7 +77,7 @@ fn is_below(target: &Target, forbidden: &str) -> bool {
     }
 }
 
-/// What the files of `room` name and may not: other rooms than those allowed, or anything forbidden.
+/// The forbidden paths in the files of `room`, and paths to rooms that are not `allowed`.
 fn offences(sources: &Sources, room: &str, allowed: &[&str], forbidden: &[&str]) -> Vec<String> {
     let mut offences = Vec::new();
     for (module, file) in sources.files.iter().filter(|(module, _)| module.first().is_some_and(|first| first == room)) {
@@ -96,7 +95,7 @@ fn offences(sources: &Sources, room: &str, allowed: &[&str], forbidden: &[&str])
     offences
 }
 
-/// Files that import each other, directly or through others.
+/// Cycles of imports between files.
 fn circles(sources: &Sources) -> Vec<String> {
     let mut imports = DiGraphMap::<&Name, ()>::new();
     for module in sources.files.keys() {
@@ -160,7 +159,7 @@ fn no_file_imports_a_file_that_imports_it_back() {
     assert!(circles.is_empty(), "{}", circles.join("\n"));
 }
 
-/// A small crate of files that are given as (place, text).
+/// A small crate with these files: (path, text).
 fn crate_of(files: &[(&str, &str)]) -> Sources {
     let mut sources = Sources::default();
     for (place, text) in files {

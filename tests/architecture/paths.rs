@@ -1,4 +1,4 @@
-//! Reads the sources of the crate and resolves every path in them to what it names.
+//! Reads the sources of the crate and resolves every path in them.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -12,32 +12,32 @@ use syn::{
     visit::{self, Visit},
 };
 
-/// A module or an item, from the crate's root: `["diagnose", "text"]`.
+/// Path of a module or an item from the root of the crate: `["diagnose", "text"]`.
 pub(crate) type Name = Vec<String>;
 
-/// What a path names.
+/// Target of a path.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Target {
-    /// An item of this crate: the file that defines it, and its name.
+    /// An item of this crate: its file and its name.
     Item(Name, String),
     /// A module of this crate.
     Module(Name),
-    /// Something of another crate, with its whole path.
+    /// An item of another crate: its whole path.
     Foreign(Name),
 }
 
-/// One file of the crate.
+/// A file of the crate.
 #[derive(Debug, Default)]
 pub(crate) struct File {
-    /// Where it is, below `src`.
+    /// Path below `src`.
     pub(crate) path: PathBuf,
-    /// Names of the items that it defines.
+    /// Names of the defined items.
     items: BTreeSet<String>,
-    /// Names that a `use` brings in, with the path behind each.
+    /// Imported names, with their paths.
     imports: BTreeMap<String, Name>,
-    /// Modules behind `use path::*`.
+    /// Modules of `use path::*`.
     globs: Vec<Name>,
-    /// Paths in `use` declarations that import, and in code. Re-exports (`pub use`) only give another name.
+    /// Paths in imports and in code, without re-exports (`pub use`).
     mentions: BTreeSet<Name>,
 }
 
@@ -48,7 +48,7 @@ pub(crate) struct Sources {
 }
 
 impl Sources {
-    /// Reads every file below `src`, but the programs in `bin` and the modules that are only compiled for tests.
+    /// Reads every file below `src`, except the programs in `bin` and the modules for tests.
     pub(crate) fn read(src: &Path) -> Self {
         let mut sources = Self::default();
         sources.read_folder(src, src);
@@ -67,7 +67,7 @@ impl Sources {
         }
     }
 
-    /// Adds the file at `place` below `src`.
+    /// Adds a file with its path below `src`.
     pub(crate) fn add(&mut self, place: &Path, text: &str) {
         let mut module: Name =
             place.with_extension("").iter().map(|part| part.to_string_lossy().into_owned()).collect();
@@ -79,14 +79,14 @@ impl Sources {
         self.files.insert(module, file);
     }
 
-    /// What every path in the file of `module` names.
+    /// Targets of all paths in the file of `module`.
     pub(crate) fn targets(&self, module: &[String]) -> BTreeSet<Target> {
         self.files[module].mentions.iter().filter_map(|path| self.resolve(module, path, 0)).collect()
     }
 
     fn resolve(&self, from: &[String], path: &[String], depth: u32) -> Option<Target> {
         let (first, rest) = path.split_first()?;
-        // A circle of aliases names nothing.
+        // A cycle of aliases has no target.
         if depth > 16 {
             return None;
         }
@@ -102,7 +102,7 @@ impl Sources {
         }
     }
 
-    /// Follows `path` from inside the module `from`.
+    /// Resolves `path` from the module `from`.
     fn walk(&self, from: &[String], path: &[String], depth: u32) -> Option<Target> {
         let Some((first, rest)) = path.split_first() else {
             return Some(Target::Module(from.to_vec()));
@@ -150,7 +150,7 @@ impl Reader<'_> {
     }
 
     fn add_import(&mut self, name: Option<&String>, path: &[String], imports: bool) {
-        // `use name;` with one segment is a crate, and the same name would lead back to itself.
+        // `use name;` imports a crate; an entry for it would refer to itself.
         if let (Some(name), true) = (name, path.len() > 1) {
             self.0.imports.insert(name.clone(), path.to_vec());
         }

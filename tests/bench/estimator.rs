@@ -1,4 +1,4 @@
-//! The estimator beside its peer.
+//! Time of the estimator and of the peer implementation.
 
 use std::hint::black_box;
 
@@ -23,7 +23,7 @@ fn trace() -> Trace {
     sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(1)).expect("a sound throw").trace
 }
 
-/// SRIV with its covariance beside the peer without, from the same start to the same tolerance.
+/// SRIV with covariance and the peer without, with the same start and tolerance.
 pub(crate) fn estimation(criterion: &mut Criterion) {
     let trace = trace();
     let input = &trace.current_a()[..SAMPLES];

@@ -1,4 +1,4 @@
-//! The simulated machine: time of one throw, and beside it the error of its step against a fine one.
+//! The simulated machine: time of one throw, and error of its step against a fine step.
 
 use criterion::Criterion;
 use pointsd::simulate::{Conditions, Motion, Parameters, STEP_S, Sensors};
@@ -7,7 +7,7 @@ use rand::SeedableRng;
 
 /// Times a 5 s throw with 5 modes and prints its largest errors against a step 64 times as fine.
 pub(crate) fn simulator(criterion: &mut Criterion) {
-    // A longer stroke for a 5 s throw; friction at every chair, so that nothing of the machine is idle.
+    // A longer stroke for a 5 s throw; friction at every chair, so that every part of the model works.
     let mut machine = Parameters { stroke_mm: 132.0, ..Parameters::default() };
     machine.rails.slide_friction = 0.05;
     let direction = Direction::NormalToReverse;

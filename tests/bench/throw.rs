@@ -1,4 +1,4 @@
-//! How long one throw takes: identification beside its peer, and simulation beside its reference.
+//! Time of one throw: identification and its peer, simulation and its reference.
 
 #![expect(clippy::expect_used, reason = "a benchmark may stop on an error")]
 

@@ -1,5 +1,5 @@
-//! Who may publish, read and command in a cabinet. Each test first or also sees the permitted case, so that silence
-//! means refusal.
+//! Access rules of a cabinet: who may publish, read and command. Each test includes the permitted case, so that a
+//! missing message proves a rejection.
 
 use std::{
     sync::{Arc, Mutex, atomic::Ordering},
@@ -29,7 +29,7 @@ async fn each_logger_speaks_for_its_own_machine_only() {
     until_heard(&own).await;
     until_heard(&foreign).await;
 
-    // One link keeps the order: when the second has come, the first is not coming any more.
+    // A link keeps the order: after the second message the first cannot arrive any more.
     foreign.put("forged").await.unwrap();
     own.put("true").await.unwrap();
     assert_eq!(next(&throws).await, (THROW_A.to_owned(), b"true".to_vec()));
@@ -63,7 +63,7 @@ async fn a_logger_cannot_answer_or_be_alive_for_another() {
     assert!(ask(&cabinet, "points/v1/*/*/throw/@adv/pub/smuggled?_anyke", None).await.is_empty());
     assert!(
         smuggled.load(Ordering::SeqCst) > 0,
-        "the question came to it, the answer in another's name did not come back"
+        "the query reached it, the reply in the name of another machine was dropped"
     );
     assert!(ask(&cabinet, "points/v1/north/21B/throw/@adv/**?_anyke", None).await.is_empty());
     assert_eq!(alive(&cabinet, "points/v1/**/alive").await, [ALIVE_A]);
@@ -75,7 +75,7 @@ async fn who_shows_no_certificate_of_our_authority_gets_no_link() {
     let good = client_config(&railway().folder("logger.north.21A"), &endpoint);
     assert!(gets_a_link(good.clone()).await);
 
-    // A stranger's certificate in a known name, with our authority to check us by.
+    // A certificate of a foreign authority with a known name; the client trusts our authority.
     let mut forged = good.clone();
     for (key, file) in [("connect_certificate", "cert.pem"), ("connect_private_key", "key.pem")] {
         let path = stranger().folder("logger.north.21A").join(file);
@@ -105,7 +105,7 @@ async fn an_expired_certificate_opens_no_link() {
             tokio::task::yield_now().await;
         }
     };
-    // It is valid for a second at most; that it is the time alone is what the valid one of the same name shows.
+    // This certificate is valid for a second; a valid one of the same name shows that only the time matters.
     tokio::time::timeout(PATIENCE, expired).await.expect("it expires");
     assert!(gets_a_link(client_config(&railway().folder("logger.north.21A"), &endpoint)).await);
 }
@@ -132,7 +132,7 @@ async fn a_certificate_in_an_unlisted_name_gets_nothing() {
     let commands = answer(&cabinet, "points/v1/*/*/command", COMMAND).await;
     let _alive = cabinet.liveliness().declare_token("points/v1/north/monitor/cabinet/alive").await.unwrap();
     let guest = client("guest", &endpoint).await;
-    // A session hears what it says itself: another one of the same guest speaks.
+    // A session receives its own messages, so a second session of the guest publishes.
     let speaker = client("guest", &endpoint).await;
     let viewer = client("viewer", &endpoint).await;
     let (hears, sees) = (guest.declare_subscriber("**").await.unwrap(), viewer_of(&viewer).await);
@@ -141,9 +141,9 @@ async fn a_certificate_in_an_unlisted_name_gets_nothing() {
     speaker.put(THROW_A, "forged").await.unwrap();
     speaker.put(ALARM, "forged").await.unwrap();
     publish_until(&cabinet, ALARM, &sees).await;
-    assert!(tokio::time::timeout(SILENCE, alarms.recv_async()).await.is_err(), "it read an alarm");
-    assert!(hears.try_recv().unwrap().is_none(), "it read something");
-    assert!(throws.try_recv().unwrap().is_none(), "its throw was taken");
+    assert!(tokio::time::timeout(SILENCE, alarms.recv_async()).await.is_err(), "the guest read an alarm");
+    assert!(hears.try_recv().unwrap().is_none(), "the guest read a message");
+    assert!(throws.try_recv().unwrap().is_none(), "the throw of the guest was accepted");
 
     assert!(ask(&guest, "points/v1/*/*/health", None).await.is_empty());
     assert!(ask(&guest, COMMAND, Some("{}")).await.is_empty());
@@ -183,7 +183,7 @@ async fn a_viewer_reads_and_an_operator_commands() {
     for reader in [&viewer, &operator] {
         reader.put(ALARM, "forged").await.unwrap();
         reader.put(THROW_A, "forged").await.unwrap();
-        // A later question on the same link was answered: what was put before it has been decided.
+        // The link keeps the order: the reply to a later query shows that the puts before it are decided.
         assert_eq!(ask(reader, "points/v1/**/health", None).await, [HEALTH]);
         assert!(throws.try_recv().unwrap().is_none());
         assert!(alarms_of_cabinet.try_recv().unwrap().is_none());
@@ -211,14 +211,14 @@ async fn a_message_above_the_limit_is_refused_and_the_next_good_one_is_taken() {
     let (cabinet, endpoint) = cabinet().await;
     let throws = throw_subscriber(&cabinet).await;
     let logger = client("logger.north.21A", &endpoint).await;
-    // Without a cache: a refused message must not be fetched again.
+    // Without a cache, so that a rejected message is not requested again.
     let publisher =
         logger.declare_publisher(THROW_A).congestion_control(zenoh::qos::CongestionControl::Block).await.unwrap();
     let matching = publisher.matching_listener().await.unwrap();
     while !publisher.matching_status().await.unwrap().matching() {
         tokio::time::timeout(PATIENCE, matching.recv_async()).await.expect("the subscription arrives").unwrap();
     }
-    // At the limit; above it; above what may be put together from pieces.
+    // At the limit; above it; above the limit of a fragmented message.
     for (size, taken) in [(LIMIT, true), (LIMIT + 1, false), (64, true), (3 * LIMIT, false), (65, true)] {
         publisher.put(vec![7_u8; size]).await.unwrap();
         if taken {
@@ -270,7 +270,7 @@ async fn throws_made_while_the_link_was_down_are_read_from_the_backlog_through_t
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_of_connections_keeps_others_out_only_while_it_lasts() {
-    // The shipped bounds, smaller and quicker.
+    // The shipped limits, with smaller values and times.
     let text = cabinet_toml("tls/127.0.0.1:0", None);
     let text = replaced(&text, "accept_timeout = 10000", "accept_timeout = 1000");
     let text = replaced(&text, "accept_pending = 32", "accept_pending = 4");
@@ -279,7 +279,7 @@ async fn a_flood_of_connections_keeps_others_out_only_while_it_lasts() {
     let address = endpoint.trim_start_matches("tls/").to_owned();
     let logger = client_config(&railway().folder("logger.north.21A"), &endpoint);
 
-    // Sockets that are opened and say nothing are closed by the cabinet.
+    // The cabinet closes silent connections.
     let mut silent = Vec::new();
     for _ in 0..40 {
         silent.push(TcpStream::connect(&address).await.unwrap());
@@ -295,7 +295,7 @@ async fn a_flood_of_connections_keeps_others_out_only_while_it_lasts() {
     };
     tokio::time::timeout(PATIENCE, gets_in).await.expect("after the flood a logger has its link");
 
-    // Links with a good certificate are counted too; there is room again when one ends.
+    // Links with a good certificate count too; the end of a link frees its place.
     let first = client("viewer", &endpoint).await;
     let _second = client("operator", &endpoint).await;
     assert!(!gets_a_link(logger.clone()).await, "a third link, above the limit");
@@ -305,7 +305,7 @@ async fn a_flood_of_connections_keeps_others_out_only_while_it_lasts() {
             tokio::task::yield_now().await;
         }
     };
-    tokio::time::timeout(PATIENCE, gets_in).await.expect("where a link has ended there is room");
+    tokio::time::timeout(PATIENCE, gets_in).await.expect("the end of a link frees its place");
 }
 
 /// A subscriber to alarms.
@@ -315,7 +315,7 @@ async fn viewer_of(session: &zenoh::Session) -> Alarms {
 
 type Alarms = zenoh::pubsub::Subscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>;
 
-/// Publishes until `reader` has it: a subscription takes its time to be known.
+/// Publishes until `reader` receives the alarm, because a new subscription takes some time to spread.
 async fn publish_until(session: &zenoh::Session, key: &'static str, reader: &Alarms) {
     let publish = async {
         loop {
@@ -328,7 +328,7 @@ async fn publish_until(session: &zenoh::Session, key: &'static str, reader: &Ala
     tokio::time::timeout(PATIENCE, publish).await.expect("a reader gets the alarm");
 }
 
-/// A cable that can be cut: passes TCP on, or drops every link and takes no new one.
+/// A TCP relay that can be cut: then it drops every link and accepts no new one.
 struct Wire {
     endpoint: String,
     whole: tokio::sync::watch::Sender<bool>,

@@ -1,4 +1,4 @@
-//! A cabinet joined to the central router: what passes, and for whom.
+//! A cabinet connected to the central router: which messages pass, for which clients.
 
 use std::sync::atomic::Ordering;
 
@@ -43,7 +43,7 @@ async fn alarms_and_commands_pass_the_central_router_and_throws_stay_in_the_cabi
     publisher.put("a throw").await.unwrap();
     assert_eq!(next(&throws).await.0, THROW_A);
     assert!(tokio::time::timeout(SILENCE, curious.recv_async()).await.is_err(), "a throw left the cabinet");
-    // The central router's own certificate gives nobody behind it a voice in the cabinet.
+    // A client of the central router cannot publish in the cabinet with the certificate of the router.
     operator.put(THROW_A, "forged").await.unwrap();
     assert!(tokio::time::timeout(SILENCE, throws.recv_async()).await.is_err(), "a throw came from the router");
 }

@@ -1,5 +1,5 @@
-//! The real daemon with the shipped cabinet configuration: from a logger's throw over TLS to an alarm that an operator
-//! acknowledges and a viewer does not.
+//! The real daemon with the shipped cabinet configuration: a logger sends a throw over TLS, an alarm is raised, an
+//! operator acknowledges it, and a viewer cannot.
 
 use std::{
     fs,
@@ -17,15 +17,15 @@ const ALARM: &str = "points/v1/north/21A/alarm";
 const COMMAND: &str = "points/v1/north/21A/command";
 const STATUS: &str = "points/v1/north/monitor/cabinet/status";
 
-/// The shipped configuration, its database in `folder`, listening at `address`.
+/// The shipped configuration with the database in `folder` and the listener at `address`.
 fn configured(folder: &Path, address: &str) -> String {
     let text = cabinet_toml(&format!("tls/{address}"), None);
     let text = replaced(&text, "/var/lib/pointsd/", &format!("{}/", folder.display()));
-    // One throw that cannot be evaluated is an alarm at once.
+    // One throw without an estimate raises an alarm.
     format!("{text}\n[diagnosis]\nnot_monitored_throws = 1\n")
 }
 
-/// A daemon that is stopped at the end of the test, however that ends.
+/// A daemon that is stopped at the end of the test, also after a failure.
 struct Running(Child);
 
 impl Drop for Running {
@@ -44,9 +44,9 @@ fn free_address() -> String {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string()
 }
 
-/// The JSON replies to a question.
+/// The JSON replies to a query.
 async fn ask_json(session: &Session, selector: &str, payload: Option<Value>) -> Vec<Value> {
-    // A machine's open alarms all have one key: zenoh would keep the last of them only.
+    // All open alarms of a machine have the same key, of which zenoh would return the last reply only.
     let mut get = session
         .get(selector)
         .consolidation(zenoh::query::ConsolidationMode::None)
@@ -106,7 +106,7 @@ async fn the_real_daemon_takes_commands_from_operators_only() {
     let unmoved = not_monitored(until_answered(&viewer, ALARM).await);
     assert_eq!(unmoved.as_ref(), Some(&raised), "a viewer's command changed the alarm");
 
-    // The program, with `operator.toml` as INSTALL.md shows it.
+    // The program with `operator.toml` from INSTALL.md.
     assert_eq!(pointsd_ack(folder.path(), &endpoint), Some(0));
     let reply = ask_json(&operator, COMMAND, Some(ack)).await;
     assert_eq!(reply[0]["done"], false, "acknowledged a moment before: {reply:?}");
@@ -128,7 +128,7 @@ fn pointsd(arguments: &[&str]) -> Command {
     command
 }
 
-/// `pointsd ack` with the configuration that INSTALL.md shows; its exit code.
+/// Exit code of `pointsd ack` with the configuration from INSTALL.md.
 fn pointsd_ack(folder: &Path, endpoint: &str) -> Option<i32> {
     let page = read("INSTALL.md");
     let (_, rest) = page.split_once("```toml\n").expect("the page shows operator.toml");
@@ -142,7 +142,7 @@ fn pointsd_ack(folder: &Path, endpoint: &str) -> Option<i32> {
     command.output().unwrap().status.code()
 }
 
-/// A throw in which nothing moves.
+/// A throw without movement.
 fn still_machine() -> Value {
     serde_json::json!({
         "schema": "points.throw/1", "boot_id": "first", "throw_no": 1, "started_at": "2026-01-01T06:00:00Z",

@@ -1,4 +1,4 @@
-//! What `deploy/` ships: units, certificates, and the zenoh configurations under attack, over TLS on loopback.
+//! The files of `deploy/`: units, certificates, and the zenoh configurations under attack, over TLS on loopback.
 
 #[cfg(test)]
 mod access;

@@ -1,4 +1,4 @@
-//! Every shipped configuration is one that zenoh takes, and what its comments say is so.
+//! Zenoh accepts every shipped configuration, and its comments are true.
 
 use super::site::{read, zenoh_table};
 

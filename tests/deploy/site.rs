@@ -1,4 +1,4 @@
-//! The shipped configurations with nothing changed but addresses and folders: a cabinet, its clients, a central router.
+//! The shipped configurations with changed addresses and folders only: a cabinet, its clients, a central router.
 
 use std::{
     fs,
@@ -11,9 +11,9 @@ use std::{
 use tempfile::TempDir;
 use zenoh::{Config, Session};
 
-/// How long something that must happen may take on a busy machine.
+/// Time limit for an expected event on a busy computer.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
-/// How long is waited for what must not happen, after the same was seen to happen for someone else.
+/// Wait for an event that must not happen, after it happened for another client.
 pub(crate) const SILENCE: Duration = Duration::from_millis(500);
 
 pub(crate) const THROW_A: &str = "points/v1/north/21A/throw";
@@ -27,13 +27,13 @@ pub(crate) fn read(file: &str) -> String {
     fs::read_to_string(deploy(file)).unwrap_or_else(|error| panic!("deploy/{file}: {error}"))
 }
 
-/// A text with a marked part replaced; the shipped file must hold it, or the test would test something else.
+/// The text with `from` replaced; fails if the shipped file does not contain it.
 pub(crate) fn replaced(text: &str, from: &str, to: &str) -> String {
-    assert!(text.contains(from), "the shipped file no longer holds {from:?}");
+    assert!(text.contains(from), "the shipped file does not contain {from:?}");
     text.replace(from, to)
 }
 
-/// One certificate authority with the certificates of its devices, made by the shipped script.
+/// A certificate authority and the certificates of its devices, made by the shipped script.
 pub(crate) struct Authority(TempDir);
 
 impl Authority {
@@ -49,7 +49,7 @@ impl Authority {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     }
 
-    /// The folder of a certificate that ends as it begins.
+    /// Folder of a certificate that expires at once.
     pub(crate) fn expiring(&self, name: &str) -> PathBuf {
         let folder = self.0.path().join("expiring");
         fs::create_dir_all(&folder).unwrap();
@@ -65,7 +65,7 @@ impl Authority {
     }
 }
 
-/// The railway's authority. `guest` has a certificate of it, and is on no list.
+/// The authority of the railway. The access rules do not contain its client `guest`.
 pub(crate) fn railway() -> &'static Authority {
     static AUTHORITY: OnceLock<Authority> = OnceLock::new();
     AUTHORITY.get_or_init(|| {
@@ -81,13 +81,13 @@ pub(crate) fn railway() -> &'static Authority {
     })
 }
 
-/// An authority of somebody else, who took the name of a logger.
+/// A foreign authority with a certificate for the name of a logger.
 pub(crate) fn stranger() -> &'static Authority {
     static AUTHORITY: OnceLock<Authority> = OnceLock::new();
     AUTHORITY.get_or_init(|| Authority::new(&["logger.north.21A", "cabinet.north"]))
 }
 
-/// `cabinet.toml`, listening on a port of the system's choice, joined to `router` if there is one.
+/// `cabinet.toml` with a free port, connected to `router` if given.
 pub(crate) fn cabinet_toml(listen: &str, router: Option<&str>) -> String {
     let folder = railway().folder("cabinet.north");
     let text = read("zenoh/cabinet.toml");
@@ -104,7 +104,7 @@ pub(crate) fn zenoh_table(text: &str) -> Config {
     table["zenoh"].clone().try_into().unwrap()
 }
 
-/// The cabinet's zenoh session, without the daemon in it: what reaches it would reach the daemon.
+/// The zenoh session of the cabinet without the daemon; each message to it would reach the daemon.
 pub(crate) async fn cabinet() -> (Session, String) {
     open_and_locate(zenoh_table(&cabinet_toml("tls/127.0.0.1:0", None))).await
 }
@@ -121,7 +121,7 @@ pub(crate) fn client_config(folder: &Path, endpoint: &str) -> Config {
     Config::from_json5(&replaced(&text, "tls/cabinet.example:7447", endpoint)).unwrap()
 }
 
-/// A client of the railway that is connected to `endpoint`.
+/// A client with a certificate of the railway, connected to `endpoint`.
 pub(crate) async fn client(name: &str, endpoint: &str) -> Session {
     tokio::time::timeout(PATIENCE, zenoh::open(client_config(&railway().folder(name), endpoint)))
         .await
@@ -129,7 +129,7 @@ pub(crate) async fn client(name: &str, endpoint: &str) -> Session {
         .unwrap()
 }
 
-/// Whether a session with this configuration gets a link at all, when it tries only once.
+/// Whether a session with this configuration gets a link at the first attempt.
 pub(crate) async fn gets_a_link(mut config: Config) -> bool {
     config.insert_json5("connect/timeout_ms", "0").unwrap();
     config.insert_json5("connect/exit_on_failure", "true").unwrap();
@@ -139,17 +139,17 @@ pub(crate) async fn gets_a_link(mut config: Config) -> bool {
 pub(crate) type Publisher = zenoh::pubsub::Publisher<'static>;
 pub(crate) type Subscriber = zenoh::pubsub::Subscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>;
 
-/// A publisher of throws as a logger declares it.
+/// A publisher of throws with the settings of a logger.
 pub(crate) async fn throw_publisher(session: &Session, key: &'static str) -> Publisher {
     session.declare_publisher(key).await.unwrap()
 }
 
-/// A subscriber to every throw as the daemon declares it.
+/// A subscriber to all throws with the settings of the daemon.
 pub(crate) async fn throw_subscriber(session: &Session) -> Subscriber {
     session.declare_subscriber("points/v1/*/*/throw").await.unwrap()
 }
 
-/// Waits until what this publisher sends has somewhere to go.
+/// Waits until the publisher has a subscriber.
 pub(crate) async fn until_heard(publisher: &Publisher) {
     tokio::time::timeout(PATIENCE, async {
         let matching = publisher.matching_listener().await.unwrap();
@@ -167,7 +167,7 @@ pub(crate) async fn next(subscriber: &Subscriber) -> (String, Vec<u8>) {
     (sample.key_expr().to_string(), sample.payload().to_bytes().into_owned())
 }
 
-/// The keys of all replies to a query; a refused query ends at its time limit with none.
+/// The keys of all replies to a query; a rejected query ends at its time limit with none.
 pub(crate) async fn ask(session: &Session, selector: &str, payload: Option<&str>) -> Vec<String> {
     let get = session.get(selector).timeout(Duration::from_secs(1));
     let replies = match payload {
@@ -184,7 +184,7 @@ pub(crate) async fn ask(session: &Session, selector: &str, payload: Option<&str>
     keys
 }
 
-/// The tokens that are alive for this session.
+/// The liveliness tokens visible to this session.
 pub(crate) async fn alive(session: &Session, key: &str) -> Vec<String> {
     let replies = session.liveliness().get(key).timeout(Duration::from_secs(1)).await.unwrap();
     let mut keys = Vec::new();
@@ -196,7 +196,7 @@ pub(crate) async fn alive(session: &Session, key: &str) -> Vec<String> {
     keys
 }
 
-/// Answers queries on `key` with one reply on `reply_key`, and counts them.
+/// Answers queries on `key` with a reply on `reply_key`, and counts the queries.
 pub(crate) async fn answer(
     session: &Session,
     key: &'static str,

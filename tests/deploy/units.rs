@@ -1,4 +1,4 @@
-//! The systemd units, judged by systemd itself.
+//! The systemd units, checked by systemd-analyze.
 
 use std::{
     fs,
@@ -10,12 +10,12 @@ use super::site::{deploy, read, replaced};
 const UNITS: &[(&str, &str)] =
     &[("pointsd", env!("CARGO_BIN_EXE_pointsd")), ("pointsim", env!("CARGO_BIN_EXE_pointsim"))];
 
-/// Runs `systemd-analyze`, or says that it is not here.
+/// Runs `systemd-analyze`; `None`, with a message, if it is not installed.
 fn analyze(arguments: &[&str]) -> Option<Output> {
     match Command::new("systemd-analyze").args(arguments).output() {
         Ok(output) => Some(output),
         Err(error) => {
-            eprintln!("skipped: systemd-analyze is not here ({error})");
+            eprintln!("skipped: systemd-analyze is not installed ({error})");
             None
         }
     }
@@ -38,7 +38,7 @@ fn the_exposure_of_each_unit_is_at_most_1_0() {
 fn systemd_finds_no_fault_in_the_units() {
     let folder = tempfile::tempdir().unwrap();
     for (name, program) in UNITS {
-        // The program is not installed where a test runs.
+        // The program is not installed on the test computer.
         let text = replaced(&read(&format!("systemd/{name}.service")), &format!("/usr/bin/{name}"), program);
         let unit = folder.path().join(format!("{name}.service"));
         fs::write(&unit, text).unwrap();

@@ -1,4 +1,4 @@
-//! The life cycle of alarms: acknowledge, shelve, out of service, clear, raise again, and no chatter.
+//! The life cycle of alarms: acknowledge, shelve, out of service, clear, raise again, without chatter.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
@@ -191,7 +191,7 @@ fn an_alarm_at_its_limit_does_not_chatter() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
-    /// Whatever the clock does, no two occurrences of an alarm share their identity, and events count up from 1.
+    /// With any jumps of the clock each occurrence of an alarm has its own identity, and its events count from 1.
     #[test]
     fn identities_are_unique_whatever_the_clock_does(seed in 0_u64..1000, jumps in prop::collection::vec(0_u8..4, 40)) {
         let settings = Settings::default();

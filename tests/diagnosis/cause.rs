@@ -1,11 +1,12 @@
-//! Every cause is named right, soon, and nothing is named where nothing is wrong.
+//! Each cause is named correctly within a few throws, and a healthy machine has no alarms.
 
 use nalgebra::Vector3;
 use pointsd::diagnose::{Cause, MachineMonitor, Settings, Severity};
 
 use crate::fleet::{Machine, Nature, shift};
 
-/// Name, and throws until the alarm, of the first alarm within `throws` of a fault that grows over `ramp` throws.
+/// First alarm within `throws` after the onset of a fault that grows over `ramp` throws: cause, and throws since the
+/// onset.
 fn first_alarm(seed: u64, cause: Cause, pct: f64, ramp: u32, throws: u32) -> Option<(Cause, u32)> {
     let settings = Settings::default();
     let mut machine = Machine::new(seed, Nature::default());

@@ -1,4 +1,4 @@
-//! The evaluation itself: it repeats, whatever the order of its lives, and its report has the promised shape.
+//! The evaluation: its results do not depend on the order of the lives, and its report has the documented form.
 
 use pointsd::{
     diagnose::Settings,

@@ -1,5 +1,6 @@
-//! Machines in the field: a generator that shares no assumption with the diagnosis. Its scatter may have heavy tails and
-//! strong serial correlation, its weather has days, seasons and wet spells, and its faults come in shapes of their own.
+//! Machines in the field: a generator without the assumptions of the diagnosis. Its scatter may have heavy tails and
+//! strong serial correlation, its weather has days, seasons and wet periods, and its faults have different time
+//! courses.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
@@ -13,12 +14,12 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::fleet::{Nature, normal};
 
-/// How a machine in the field scatters.
+/// Scatter of a machine in the field.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scatter {
     /// Standard deviation of ln b0, ln a1, ln a0.
     pub(crate) sd: [f64; 3],
-    /// Serial correlation from one throw of the machine to the next.
+    /// Serial correlation between consecutive throws of the machine.
     pub(crate) phi: f64,
     /// Degrees of freedom of Student's t; `None`: Gauss.
     pub(crate) tail: Option<u32>,
@@ -28,7 +29,7 @@ impl Scatter {
     pub(crate) const USUAL: Self = Self { sd: [0.005, 0.03, 0.01], phi: 0.5, tail: None };
 }
 
-/// One machine.
+/// A machine in the field.
 pub(crate) struct Machine {
     pub(crate) rng: ChaCha8Rng,
     pub(crate) throws: u64,
@@ -51,7 +52,7 @@ impl Machine {
         Self { rng, throws: 0, scatter, state, centre, root, started_at }
     }
 
-    /// A number with unit variance: Gauss or Student.
+    /// A random number with unit variance: Gauss or Student.
     fn draw(&mut self) -> f64 {
         let gauss = normal(&mut self.rng);
         let Some(tail) = self.scatter.tail else { return gauss };
@@ -65,7 +66,7 @@ impl Machine {
         usize::from(self.throws % 2 == 1)
     }
 
-    /// The next throw, one every 72 minutes, with `shift` added to ln b0, ln a1, ln a0.
+    /// The next throw, 72 minutes later, with `shift` added to ln b0, ln a1, ln a0.
     pub(crate) fn throw(&mut self, shift: Vector3<f64>, temperature_c: Option<f64>) -> Observation {
         let Scatter { sd, phi, .. } = self.scatter;
         let fresh = (1.0 - phi * phi).sqrt();
@@ -90,7 +91,7 @@ impl Machine {
         }
     }
 
-    /// The next throw into a monitor.
+    /// Gives the next throw to a monitor.
     pub(crate) fn feed(
         &mut self,
         monitor: &mut MachineMonitor,
@@ -102,15 +103,15 @@ impl Machine {
     }
 }
 
-/// What a kelvin does to ln b0, ln a1, ln a0 of a machine: magnets weaken, grease thins, rails lose their thrust.
+/// Change of ln b0, ln a1, ln a0 per kelvin: weaker magnets, thinner grease, less thrust of the rails.
 pub(crate) const PER_KELVIN: [f64; 3] = [-0.0015, -0.008, -0.001];
 
-/// A temperature over the throws of a life, 20 a day.
+/// Temperature over the throws of a life, with 20 throws on each day.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Climate {
     /// Winter and summer mean \[°C\].
     pub(crate) season_c: (f64, f64),
-    /// Throws of the winter, and throws from winter to summer.
+    /// Throws in winter, and throws from winter to summer.
     pub(crate) change: (u64, u64),
     /// Daily swing \[K\].
     pub(crate) day_k: f64,
@@ -125,7 +126,7 @@ impl Climate {
         winter + (summer - winter) * 0.5 * (1.0 - (std::f64::consts::PI * part).cos()) + self.day_k * day
     }
 
-    /// What the temperature makes of the coefficients, beside its value.
+    /// Effect of the temperature on the logarithms, and the temperature.
     pub(crate) fn effect(&self, throw: u64) -> (Vector3<f64>, f64) {
         let celsius = self.celsius(throw);
         (Vector3::from(PER_KELVIN) * (celsius - 10.0), celsius)

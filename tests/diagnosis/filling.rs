@@ -1,4 +1,4 @@
-//! The first throws of a machine: a fault among them does not become normal, and no doubt lasts for ever.
+//! The first throws of a machine: the baseline does not learn a fault, and its learning ends.
 
 use nalgebra::Vector3;
 use pointsd::{
@@ -49,8 +49,8 @@ fn healthy_machines_complete_their_baseline_without_an_alarm() {
     }
 }
 
-/// The first dozen throws of each direction happened in weather that does not come back: every later throw differs from
-/// them beyond chance, by less than any limit.
+/// The first twelve throws of each direction are in unusual weather: all later throws differ significantly from them,
+/// by less than every limit.
 #[test]
 fn an_unlucky_first_dozen_does_not_end_the_learning() {
     let settings = Settings::default();
@@ -70,7 +70,7 @@ fn an_unlucky_first_dozen_does_not_end_the_learning() {
     }
 }
 
-/// Fewer throws than usual make a complete baseline: it knows its scatter no better than one that still fills.
+/// A complete baseline with few throws has an uncertain scatter, as one that is still learning.
 #[test]
 fn a_small_complete_baseline_names_every_cause() {
     const TRIALS: u64 = 10;

@@ -1,4 +1,4 @@
-//! Machines at parameter depth: coefficients drawn from a calibrated scatter, with the estimator's correlated errors.
+//! Machines at parameter depth: coefficients from a calibrated scatter, with the correlated errors of the estimator.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
@@ -13,12 +13,12 @@ use rand_chacha::ChaCha8Rng;
 /// The coefficients of the nominal machine.
 pub(crate) const NOMINAL: [f64; 3] = [203.0, 5.9, 1.56];
 
-/// How a machine scatters.
+/// Scatter of a machine.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Nature {
-    /// Relative standard deviation of the machine's own scatter of b0, a1, a0.
+    /// Relative standard deviation of the machine's natural scatter of b0, a1, a0.
     pub(crate) scatter: [f64; 3],
-    /// Its correlation from one throw to the next.
+    /// Serial correlation of the natural scatter between consecutive throws.
     pub(crate) phi: f64,
     /// Relative standard deviation of the estimator's error of b0, a1, a0.
     pub(crate) sensor: [f64; 3],
@@ -45,12 +45,12 @@ pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
     (-2.0 * (1.0 - a).ln()).sqrt() * (std::f64::consts::TAU * b).cos()
 }
 
-/// One machine that throws to and fro.
+/// A machine that throws in alternating directions.
 pub(crate) struct Machine {
     pub(crate) nature: Nature,
     pub(crate) rng: ChaCha8Rng,
     pub(crate) throws: u64,
-    /// Only this direction, or both in turn.
+    /// The only direction of the throws; `None`: both in turn.
     pub(crate) only: Option<Direction>,
     state: Vector3<f64>,
     root: Matrix3<f64>,
@@ -100,7 +100,7 @@ impl Machine {
         monitor
     }
 
-    /// One throw into a monitor.
+    /// Gives the next throw to a monitor.
     pub(crate) fn feed(&mut self, monitor: &mut MachineMonitor, shift: Vector3<f64>, settings: &Settings) -> Verdict {
         monitor.observe(&self.throw(shift), settings)
     }
@@ -119,7 +119,7 @@ pub(crate) fn shift(cause: Cause, pct: f64) -> Vector3<f64> {
 }
 
 impl Machine {
-    /// A number below `limit`, from this machine's own stream.
+    /// A random number below `limit` from the stream of this machine.
     pub(crate) fn rng_u(&mut self, limit: u64) -> u64 {
         self.rng.random_range(0..limit)
     }

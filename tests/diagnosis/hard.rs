@@ -1,5 +1,5 @@
-//! What is not one clean fault: two at once, one direction only, temperature, outliers, a short baseline; and the
-//! budget of false alarms.
+//! Hard cases: two faults at once, one direction only, temperature, outliers, a short baseline; and the budget of false
+//! alarms.
 
 use nalgebra::Vector3;
 use pointsd::{
@@ -32,7 +32,7 @@ fn two_causes_at_once_are_never_one_wrong_name_at_critical_severity() {
     }
 }
 
-/// Fitted with a viscous model, a rise of dry friction moves b0 and a0 by up to 0.4 of what it moves a1.
+/// With a viscous model, an increase of dry friction changes b0 and a0 by up to 0.4 of the change of a1.
 #[test]
 fn dry_friction_that_leaks_is_friction() {
     for seed in 0..20_u32 {
@@ -47,7 +47,7 @@ fn dry_friction_that_leaks_is_friction() {
     }
 }
 
-/// Motor and inertia changing alike cancel in b0 and leave what friction and stiffness together would do.
+/// Equal changes of motor and inertia cancel in b0 and look like friction and stiffness together.
 #[test]
 fn what_cannot_be_told_apart_is_not_named() {
     let (mut named, mut said) = (0, 0);
@@ -72,14 +72,14 @@ fn a_fault_of_one_direction_is_said_to_be_of_that_direction() {
     let mut events = Vec::new();
     let mut now = Vec::new();
     for throw in 0..40 {
-        // The machine's next throw is normal to reverse when an even number was made.
+        // The next throw is normal to reverse after an even number of throws.
         let fault = if machine.throws.is_multiple_of(2) { Vector3::zeros() } else { shift(Cause::Friction, 40.0) };
         let verdict = machine.feed(&mut monitor, fault, &settings);
         events.extend(verdict.events);
         now = verdict.drifts;
         assert!(throw < 30 || !events.is_empty());
     }
-    // The first throws cannot tell it, the alarm of now can.
+    // The first throws do not show the direction of the fault, the present alarm does.
     assert_eq!((events[0].cause, now[0].cause), (Cause::Friction, Cause::Friction));
     assert_eq!(now[0].direction, Some(Direction::BOTH[1]));
     assert!((now[0].change_pct - 40.0).abs() < 3.0 * now[0].change_pct_sd, "{:?}", now[0]);
@@ -127,7 +127,7 @@ fn a_dozen_throws_are_a_usable_baseline() {
 
 #[test]
 fn the_rate_of_false_alarms_is_that_of_the_budget_within_a_factor_of_three() {
-    /// Throws between two false alarms that the budget allows.
+    /// Throws for each false alarm in the budget.
     const BUDGET_THROWS: f64 = 2_000.0;
     const MACHINES: u64 = 40;
     const LIFE: u32 = 1_500;

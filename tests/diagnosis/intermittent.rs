@@ -1,4 +1,4 @@
-//! A fault that shows in every fifth or tenth throw only is found, named, and ends; healthy machines have none.
+//! A fault in every fifth or tenth throw is detected and named, and its alarm clears; healthy machines have none.
 
 use nalgebra::Vector3;
 use pointsd::diagnose::{AlarmState, Cause, MachineMonitor, Settings};

@@ -1,4 +1,4 @@
-//! Throws that fail, get slow, cannot be evaluated, or never arrive.
+//! Alarms for throws that fail, become slow, have no estimate, or never arrive.
 
 use jiff::SignedDuration;
 use nalgebra::Vector3;
@@ -106,9 +106,9 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
     let mut now = machine.throw(Vector3::zeros()).started_at;
     let there = |monitor: &mut MachineMonitor, now| monitor.logger(true, now, &Settings::default());
     let away = |monitor: &mut MachineMonitor, now| monitor.logger(false, now, &Settings::default());
-    // One that never showed itself alive is not missed.
+    // A logger that was never connected is not missed.
     assert_eq!(pass(&mut monitor, &mut now, 60, away), []);
-    // A flapping link, and a logger that starts anew, are no alarm.
+    // An unstable link and a restart of the logger raise no alarm.
     for minutes in [1, 9, 5] {
         assert_eq!(pass(&mut monitor, &mut now, 1, there), []);
         assert_eq!(pass(&mut monitor, &mut now, minutes, away), []);
@@ -116,8 +116,8 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
     assert_eq!(pass(&mut monitor, &mut now, 1, there), []);
     let raised = (Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged);
     let cleared = (Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged);
-    // Half of the delay before the daemon stops. The hours for which it is down, or by which a clock jumps, do not count:
-    // loggers have yet to connect again. Then it says so once.
+    // Half of the delay passes before the daemon stops. The hours of its absence, or of a clock jump, do not count, as
+    // loggers have to connect again. Then the alarm is raised once.
     assert_eq!(pass(&mut monitor, &mut now, 6, away), []);
     let mut monitor: MachineMonitor = serde_json::from_str(&serde_json::to_string(&monitor).unwrap()).unwrap();
     now += SignedDuration::from_hours(30);
@@ -125,11 +125,11 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
     assert_eq!(summary(&pass(&mut monitor, &mut now, 120, away)), [raised]);
     assert_eq!(monitor.state(), MachineState::NotMonitored);
     assert_eq!(summary(&pass(&mut monitor, &mut now, 5, there)), [cleared]);
-    // It comes back with a throw before it shows itself.
+    // The logger sends a throw before its liveliness token.
     assert_eq!(summary(&pass(&mut monitor, &mut now, 15, away)), [raised]);
     assert_eq!(summary(&feed(&mut machine, &mut monitor, 1, |_| {})), [cleared]);
     assert_eq!(pass(&mut monitor, &mut now, 5, there), []);
-    // When it is back with throws that cannot be evaluated, the machine still is not monitored.
+    // After its return with throws without an estimate the machine is still not monitored.
     assert_eq!(summary(&pass(&mut monitor, &mut now, 15, away)), [raised]);
     let many = i64::from(settings.not_monitored_throws);
     assert_eq!(feed(&mut machine, &mut monitor, many.try_into().unwrap(), |o| o.estimate = None), []);
@@ -151,7 +151,7 @@ fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
     let events = pass(&mut monitor, &mut now, 1, full);
     assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Critical, AlarmState::ActiveUnacknowledged)]);
     assert_eq!(events[0].text, "full");
-    // At its limit it does not toggle.
+    // At its limit the alarm does not toggle.
     assert_eq!(pass(&mut monitor, &mut now, 9, well), []);
     assert_eq!(pass(&mut monitor, &mut now, 1, full), []);
     let events = pass(&mut monitor, &mut now, 60 * 24 * 30, well);

@@ -1,4 +1,4 @@
-//! How large a drift is now, where it shows, and when it gets critical: what is said of them holds.
+//! The stated size, direction and time to the critical limit of a drift are true.
 
 use nalgebra::Vector3;
 use pointsd::{
@@ -13,12 +13,12 @@ use crate::{
 
 const LIVES: u64 = 4;
 
-/// A ramp to `top` percent over `throws` throws, straight or accelerating; at `throw` its size in percent.
+/// Size in percent, at `throw`, of a ramp to `top` percent over `throws` throws, straight or accelerating.
 fn ramp(top: f64, throws: u32, power: i32, throw: u32) -> f64 {
     top * (f64::from(throw) / f64::from(throws)).min(1.0).powi(power)
 }
 
-/// A monitor that knows a healthy machine.
+/// A healthy machine and its monitor with a complete baseline.
 fn known(seed: u64) -> (Machine, pointsd::diagnose::MachineMonitor) {
     let mut machine = Machine::new(seed, Scatter::USUAL);
     let mut monitor = pointsd::diagnose::MachineMonitor::new("21B");
@@ -68,7 +68,11 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
     }
     let share = |part: u32, of: u32| 100.0 * f64::from(part) / f64::from(of);
     println!("size {:.1} % of {said}, forecasts {:.1} % of {forecasts}", share(held, said), share(reached, forecasts));
-    assert!((90.0..=98.5).contains(&share(held, said)), "the interval held {:.1} % of {said} sizes", share(held, said));
+    assert!(
+        (90.0..=98.5).contains(&share(held, said)),
+        "the interval contained {:.1} % of {said} sizes",
+        share(held, said)
+    );
     let within = share(reached, forecasts);
     assert!((89.0..=100.0).contains(&within), "forecasts held {within:.1} % of {forecasts}");
     assert!(share(forecast, ramps) >= 80.0, "a forecast in {forecast} of {ramps} ramps");

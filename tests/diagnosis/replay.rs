@@ -1,4 +1,4 @@
-//! `pointsd replay`: stored throws under other settings, into a database of their own.
+//! `pointsd replay`: stored throws with other settings, into a separate database.
 
 use std::{
     fs,
@@ -13,7 +13,7 @@ use pointsd::{
     throw::{MachineId, Throw, ThrowRef},
 };
 
-/// Throws of the baseline, both directions, and throws with the fault.
+/// Throws of the baseline in both directions, and throws with the fault.
 const THROWS: (u64, u64) = (24, 16);
 
 fn configuration(folder: &Path, name: &str, diagnosis: &str) -> std::path::PathBuf {
@@ -25,7 +25,7 @@ fn configuration(folder: &Path, name: &str, diagnosis: &str) -> std::path::PathB
     file
 }
 
-/// A life whose motor loses a quarter of its torque after the baseline, in the database.
+/// Writes a life to the database in which the motor loses a quarter of its torque after the baseline.
 async fn record(config: &Path) {
     let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: -25.0, from_throw: THROWS.0 };
     let fleet =
@@ -79,7 +79,7 @@ async fn other_settings_show_which_alarms_differ_and_leave_the_old_database_alon
     let motor: Vec<_> = alarms.iter().filter(|alarm| alarm["cause"] == "kt").collect();
     assert!(!motor.is_empty() && motor.iter().all(|alarm| alarm["difference"] == "gone"), "{changed}");
 
-    // The old database still says what it said.
+    // The source database is unchanged.
     assert_eq!(answer(&same, "again.db")["alarms"], unchanged["alarms"]);
 }
 
@@ -95,7 +95,7 @@ async fn what_is_missing_or_in_the_way_is_said() {
     Offline::open(Config::load(&config).unwrap()).await.unwrap().close().await.unwrap();
     let empty = replay(&config, &into, &[]);
     assert_eq!(empty.status.code(), Some(65), "{}", String::from_utf8_lossy(&empty.stderr));
-    assert!(!into.exists(), "a database is left behind");
+    assert!(!into.exists(), "a database was left");
 
     fs::write(&into, "somebody's").unwrap();
     let taken = replay(&config, &into, &[]);

@@ -1,5 +1,5 @@
-//! Snapshots that version 1 of the program wrote: a demo after its faults were alarmed, with one alarm acknowledged, one
-//! shelved, and one machine in maintenance without an end.
+//! Snapshots of program version 1: a demo after its alarms, one of them acknowledged, one shelved, and one machine in
+//! maintenance without an end.
 
 use jiff::SignedDuration;
 use pointsd::{
@@ -39,7 +39,7 @@ fn a_snapshot_of_version_1_is_taken_over_with_baselines_alarms_and_their_states(
     let due = shelved.tick(now + SignedDuration::from_hours(9), &settings);
     assert_eq!(due[0].state, AlarmState::ActiveUnacknowledged);
 
-    // A window without an end gets one with the first tick.
+    // The first tick gives a window without an end its end.
     assert_eq!(maintained.tick(now, &settings), []);
     let until = maintained.maintenance_until().unwrap();
     assert_eq!(until, now + SignedDuration::from_hours(24 * i64::from(settings.longest_shelving_days)));

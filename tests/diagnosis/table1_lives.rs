@@ -1,5 +1,5 @@
-//! The six tests of each case of the study's Table 1, lived by one machine after a healthy baseline: exactly the case's
-//! cause is alarmed.
+//! Each case of the study's Table 1 as a life: after a healthy baseline the six tests raise exactly the alarm of the
+//! cause.
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 /// Throws of the baseline in each direction, and throws of each test.
 const THROWS: (usize, usize) = (20, 8);
 
-/// One machine in front of its monitor.
+/// A machine and its monitor.
 struct Life {
     random: ChaCha8Rng,
     identifier: Identifier,
@@ -71,7 +71,7 @@ impl Life {
     }
 }
 
-/// What a life raises whose machine goes through tests 1 to 6, `change` making each test's machine from its value.
+/// Causes of the alarms of a life through tests 1 to 6; `change` sets the value of each test in the machine.
 fn raised(settings: Settings, values: [f64; 6], change: fn(&mut Parameters, f64)) -> Vec<Cause> {
     let mut life = Life::new(settings);
     let machine = |value: f64| {
@@ -88,7 +88,7 @@ fn raised(settings: Settings, values: [f64; 6], change: fn(&mut Parameters, f64)
             life.throw(&machine(value));
         }
     }
-    // A machine that takes longer is slow whatever the cause; this is about the cause.
+    // Every cause can make throws slow; the test checks the cause only.
     life.raised.retain(|cause| *cause != Cause::SlowThrow);
     life.raised
 }
@@ -103,7 +103,7 @@ fn case_1_raises_the_motor_alone() {
     assert_eq!(raised(settings(), values, |machine, kt| machine.torque_constant = kt), [Cause::Kt]);
 }
 
-/// The study's friction changes a1 by 2.5 % at most, which is no fault in service: the limit is set to its laboratory.
+/// The friction of the study changes a1 by 2.5 % at most, below the default limit: the test uses a laboratory limit.
 #[test]
 fn case_2_raises_friction_alone_at_the_laboratorys_limit_and_nothing_at_the_default() {
     let values = [0.0, 0.001, 0.0025, 0.005, 0.01, 0.02];

@@ -1,4 +1,4 @@
-//! Temperature: its effect is learned for life, and what it hides is said.
+//! Temperature: its effect is learned permanently, and the alarm text says what it can hide.
 
 use nalgebra::Vector3;
 use pointsd::diagnose::{AlarmEvent, Cause, MachineMonitor, MachineState, Settings, Severity, Verdict};
@@ -8,8 +8,8 @@ use crate::{
     fleet::shift,
 };
 
-/// A baseline in winter, a change to summer over `over` throws, `held` throws there, then the fault. Gives the verdicts from
-/// the fault on, and the events before.
+/// A baseline in winter, a change to summer over `over` throws, `held` throws in summer, then the fault. Returns the
+/// verdicts after the onset, and the events before it.
 fn summer(seed: u64, over: u64, held: u64, day_k: f64, fault: Vector3<f64>) -> (Vec<Verdict>, Vec<AlarmEvent>) {
     let climate = Climate { season_c: (-10.0, 29.0), change: (100, over), day_k };
     let mut machine = Machine::new(seed, Scatter::USUAL);
@@ -45,7 +45,7 @@ fn a_fault_in_summer_is_named_on_a_baseline_from_winter() {
 #[test]
 fn what_an_unknown_effect_of_the_temperature_hides_is_said() {
     for seed in 0..10 {
-        // Thirty throws after a jump to summer nothing is known of it yet.
+        // Thirty throws after a jump to summer its effect is not learned yet.
         let (after, before) = summer(41_000 + seed, 0, 30, 2.0, shift(Cause::Friction, 30.0));
         let blind = after[0].blind.unwrap();
         assert!(blind.below_pct > 5.0 && (blind.temperature_c - blind.baseline_c - 39.0).abs() < 6.0, "{blind:?}");

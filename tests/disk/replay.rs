@@ -1,8 +1,8 @@
-//! The disk after a power cut, from the shim's log.
+//! The disk after a power cut, reconstructed from the log of the shim.
 //!
-//! Model: what was synced is there. A write or truncation that was not may be there, not at all, or in part (by
-//! sectors of 512 bytes, any of them). Names change in order, as in a journalling file system: a cut keeps a
-//! beginning of the list that reaches at least to the last sync of the folder, and to the creation of each synced file.
+//! Model: synced data are on the disk. A write or truncation without a sync is on the disk completely, partly (any of
+//! its sectors of 512 bytes) or not at all. Name changes happen in order, as in a journalling file system: after a cut
+//! the first changes exist, at least up to the last sync of the folder and the creation of each synced file.
 
 #![allow(dead_code, reason = "shared by test targets, each of which needs some of it")]
 
@@ -12,7 +12,7 @@ use rand::{Rng, RngExt};
 
 const SECTOR: usize = 512;
 
-/// One line of the log.
+/// A record of the log.
 pub(crate) struct Record {
     kind: u8,
     path: String,
@@ -21,12 +21,12 @@ pub(crate) struct Record {
 }
 
 impl Record {
-    /// The database was switched to another file.
+    /// Whether the database was moved to another file.
     pub(crate) fn is_move(&self) -> bool {
         self.kind == b'L'
     }
 
-    /// Somebody was promised something.
+    /// Whether the record is an acknowledgement to a client.
     pub(crate) fn is_acknowledgement(&self) -> bool {
         self.kind == b'A'
     }
@@ -36,8 +36,8 @@ impl Record {
     }
 }
 
-/// The log as it would be with `synchronous = NORMAL`: SQLite then syncs its write-ahead log after its first page, the
-/// header, and before it is copied into the database, but not when a transaction is committed.
+/// The log with `synchronous = NORMAL`: SQLite then syncs the write-ahead log after its header and before a checkpoint,
+/// but not at each commit.
 pub(crate) fn without_commit_syncs(records: Vec<Record>) -> Vec<Record> {
     const HEADER: usize = 32;
     let files: Vec<usize> = (0..records.len()).filter(|&at| !records[at].is_acknowledgement()).collect();
@@ -50,7 +50,7 @@ pub(crate) fn without_commit_syncs(records: Vec<Record>) -> Vec<Record> {
     records.into_iter().zip(weaker).filter(|(_, dropped)| !dropped).map(|(record, _)| record).collect()
 }
 
-/// Reads the shim's log; a record that was cut short ends it.
+/// Reads the log of the shim up to its end or an incomplete record.
 pub(crate) fn read_log(path: &Path) -> Vec<Record> {
     let bytes = fs::read(path).unwrap();
     let mut rest = &bytes[..];
@@ -86,7 +86,7 @@ impl Change {
         }
     }
 
-    /// Any of its sectors.
+    /// Writes random sectors of the change.
     fn apply_torn(&self, content: &mut Vec<u8>, rng: &mut impl Rng) {
         match self {
             Self::Write(at, data) => {
@@ -122,15 +122,15 @@ enum Naming {
     Symlink(String, String),
 }
 
-/// What the disk holds and what is only in memory, after part of the log.
+/// Content of the disk and of the page cache after part of the log.
 #[derive(Default)]
 pub(crate) struct Disk {
     contents: Vec<Content>,
-    /// The names as the process sees them.
+    /// The names from the view of the process.
     live: BTreeMap<String, usize>,
     namings: Vec<Naming>,
     namings_synced: usize,
-    /// The lines of what was acknowledged so far.
+    /// The acknowledgements so far, one in a line.
     pub(crate) acknowledged: String,
 }
 
@@ -188,7 +188,7 @@ impl Disk {
         self.namings_synced = self.namings_synced.max(content.created);
     }
 
-    /// Writes the disk as it may be after a cut now, into `folder`; the log's paths were in `was`.
+    /// Writes a possible state of the disk after a cut into `folder`; the paths of the log were in `was`.
     pub(crate) fn after_cut(&self, was: &Path, folder: &Path, rng: &mut impl Rng) {
         let last = rng.random_range(self.namings_synced..=self.namings.len());
         let place = |path: &str| folder.join(Path::new(path).strip_prefix(was).unwrap());
@@ -209,7 +209,7 @@ impl Disk {
 }
 
 impl Content {
-    /// Severity 0: nothing that was not synced; 1: all but a torn last change; 2: anything.
+    /// Severity 0: synced data only; 1: all changes, with the last one torn; 2: any of the changes.
     fn torn(&self, severity: u32, rng: &mut impl Rng) -> Vec<u8> {
         let mut content = self.synced.clone();
         for (index, change) in self.pending.iter().enumerate() {

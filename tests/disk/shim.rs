@@ -1,4 +1,4 @@
-//! Builds the libraries that are preloaded into a process: one for all that it writes into a database, and others.
+//! Builds the libraries that the tests preload into a process, among them the shim for its database files.
 
 use std::{
     path::{Path, PathBuf},
@@ -6,13 +6,13 @@ use std::{
     sync::OnceLock,
 };
 
-/// The shim as a shared library; `None`, with a message, where there is no C compiler.
+/// The shim as a shared library; `None`, with a message, without a C compiler.
 pub(crate) fn library() -> Option<&'static Path> {
     static LIBRARY: OnceLock<Option<PathBuf>> = OnceLock::new();
     LIBRARY.get_or_init(|| built("tests/disk/shim.c")).as_deref()
 }
 
-/// A C file of this package as a shared library; `None`, with a message, where there is no C compiler.
+/// A C file of this package as a shared library; `None`, with a message, without a C compiler.
 pub(crate) fn built(source: &str) -> Option<PathBuf> {
     let source = Path::new(env!("CARGO_MANIFEST_DIR")).join(source);
     let name = source.file_stem()?.to_str()?;

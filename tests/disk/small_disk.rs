@@ -1,4 +1,4 @@
-//! A disk without space, for real: a small file system of its own, where the tests may mount one.
+//! A small file system in memory that can be filled, on computers where the tests may mount one.
 
 use std::{
     fs, io,
@@ -13,7 +13,7 @@ pub(crate) struct SmallDisk {
 }
 
 impl SmallDisk {
-    /// `None`, with a message, where mounting is not allowed.
+    /// `None`, with a message, if mounting is not allowed.
     pub(crate) fn mount() -> Option<Self> {
         let place = tempfile::tempdir().unwrap();
         let folder = place.path().join("disk");
@@ -22,7 +22,7 @@ impl SmallDisk {
         match mount {
             Ok(output) if output.status.success() => Some(Self { folder, _place: place }),
             other => {
-                println!("skipped: no small file system can be mounted here ({other:?})");
+                println!("skipped: the test may not mount a file system ({other:?})");
                 None
             }
         }
@@ -32,7 +32,7 @@ impl SmallDisk {
         &self.folder
     }
 
-    /// Takes all the space that is left.
+    /// Uses all free space.
     pub(crate) fn fill(&self) {
         let mut size = 1 << 20;
         let mut filler = fs::File::options().create(true).append(true).open(self.folder.join("filler")).unwrap();
@@ -43,7 +43,7 @@ impl SmallDisk {
         }
     }
 
-    /// Gives it back.
+    /// Frees the space of [`Self::fill`].
     pub(crate) fn free(&self) {
         fs::remove_file(self.folder.join("filler")).unwrap();
     }

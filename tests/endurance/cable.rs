@@ -1,4 +1,4 @@
-//! A cable that can be cut: passes TCP on, or holds everything back, as a link does whose packets are lost.
+//! A TCP relay that can be cut: then it holds all data back, as a link with lost packets does.
 
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -6,15 +6,15 @@ use tokio::{
     sync::watch,
 };
 
-/// The near end of a cable.
+/// Client end of the relay.
 pub(crate) struct Cable {
-    /// Where to connect instead of the far end.
+    /// Endpoint for clients.
     pub(crate) endpoint: String,
     whole: watch::Sender<bool>,
 }
 
 impl Cable {
-    /// A cable to a zenoh endpoint, whole at first.
+    /// A relay to a zenoh endpoint, connected at first.
     pub(crate) async fn to(endpoint: &str) -> Self {
         let far = endpoint.trim_start_matches("tcp/").to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -41,14 +41,14 @@ async fn pass(near: TcpStream, far: String, mut state: watch::Receiver<bool>) {
     if state.wait_for(|whole| *whole).await.is_err() {
         return;
     }
-    // Whoever listens there may be restarting; the near end is closed then, and tries again.
+    // The server may be restarting: the relay closes the link, and the client tries again.
     let Ok(far) = TcpStream::connect(far).await else { return };
     let ((near_in, near_out), (far_in, far_out)) = (near.into_split(), far.into_split());
     tokio::join!(one_way(near_in, far_out, state.clone()), one_way(far_in, near_out, state));
 }
 
-/// Until one end closes or the cable is gone. What was read while the cable is cut arrives when it is mended: TCP sends
-/// it again.
+/// Copies until an end closes or the relay is dropped. Data read during a cut arrive after it, as TCP repeats lost
+/// packets.
 async fn one_way(
     mut from: tokio::net::tcp::OwnedReadHalf,
     mut to: tokio::net::tcp::OwnedWriteHalf,
@@ -57,7 +57,7 @@ async fn one_way(
     let mut buffer = vec![0; 1 << 16];
     loop {
         let count = from.read(&mut buffer).await.unwrap_or(0);
-        // The news that an end has closed does not pass a cut cable either.
+        // A cut also holds back the close of an end.
         let gone = state.wait_for(|whole| *whole).await.is_err();
         if gone || count == 0 || to.write_all(&buffer[..count]).await.is_err() {
             return;

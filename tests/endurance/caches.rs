@@ -1,5 +1,5 @@
-//! What loggers have kept, what they leave out, and what they make up: a daemon takes what is missing at its own pace, once,
-//! in bounded memory.
+//! Backlogs of loggers, complete, with gaps, or false: a daemon reads the missing throws once, at its own rate, in
+//! bounded memory.
 
 use std::{fs, time::Duration};
 
@@ -15,23 +15,23 @@ use crate::{
     rig::{Rig, matched, stub},
 };
 
-/// Machines and throws of each: together more than the daemon has room for.
+/// Machines, and throws of each: together more than the memory budget of the daemon.
 const MACHINES: usize = 3;
 const THROWS: u64 = 1_600;
 const ROOM: usize = 128 << 20;
-/// What a daemon may take at most while it fetches them, which is far less than they are \[MiB\].
+/// Largest memory of the daemon while it reads them, far less than their size \[MiB\].
 const MEMORY_MIB: f64 = 110.0;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_daemon_that_starts_behind_full_caches_takes_all_of_them() {
     let cached = (1..=THROWS).map(|throw_no| wire::encode_throw(Encoding::Cbor, &throw("b1", throw_no)).len());
     let cached = MACHINES * cached.sum::<usize>();
-    assert!(cached > ROOM, "{cached} bytes in the caches");
+    assert!(cached > ROOM, "{cached} bytes in the backlogs");
     let rig = Rig::new().same_port();
     let daemon = rig.start();
     let plan = Plan { throws: THROWS, machines: MACHINES, kept: 2_000, pace: Duration::ZERO, ..Plan::default() };
     let logger = Logger::start(&daemon.endpoint, plan).await;
-    // All of its publishers have seen the daemon then.
+    // Then all publishers are connected to the daemon.
     daemon.until_status("a throw of the last machine", |now| now["received"].as_u64() >= Some(MACHINES as u64)).await;
     daemon.kill();
     for file in fs::read_dir(rig.database().parent().unwrap()).unwrap() {
@@ -48,14 +48,14 @@ async fn a_daemon_that_starts_behind_full_caches_takes_all_of_them() {
     let (now, peak) = (status(&session).await.unwrap(), peak_mib(daemon.id()));
     println!("{all} throws, {} MiB, from caches: at most {peak:.0} MiB of memory; {now:?}", cached >> 20);
     assert_eq!((now.dropped, now.lost, now.quarantined), (0, 0, 0));
-    daemon.until_status("nothing is awaited", |now| now["backlog"] == 0).await;
+    daemon.until_status("an empty backlog", |now| now["backlog"] == 0).await;
     assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
     assert!(now.duplicates < all / 20, "{now:?}");
     assert!(peak < MEMORY_MIB, "{peak:.0} MiB");
     assert!(daemon.terminate().success());
 }
 
-/// A logger that leaves a throw out and has no backlog: later ones are stored at once, and no other machine waits for it.
+/// A logger without a backlog leaves out a throw: later throws are stored at once, and no other machine waits.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn throws_behind_a_missing_one_are_stored_at_once_in_bounded_memory() {
     const THROWS: u64 = 4_000;
@@ -75,12 +75,12 @@ async fn throws_behind_a_missing_one_are_stored_at_once_in_bounded_memory() {
         }
     }
     let all = THROWS - 1 + THROWS / 200;
-    // What was above the share of one sender was dropped, and is a gap.
+    // Throws above the share of one sender were dropped and are gaps.
     let accounted = move |now: &serde_json::Value| {
         let count = |name: &str| now[name].as_u64().unwrap();
         count("stored") + count("dropped") == all && count("judged") == count("stored")
     };
-    daemon.until_status("each throw stored or counted", accounted).await;
+    daemon.until_status("every throw as stored or counted", accounted).await;
     let (now, peak) = (status(&session).await.unwrap(), peak_mib(daemon.id()));
     println!("{THROWS} throws behind a missing one: at most {peak:.0} MiB of memory; {now:?}");
     assert!(now.stored > THROWS / 2 && now.backlog == 0, "{now:?}");
@@ -90,12 +90,12 @@ async fn throws_behind_a_missing_one_are_stored_at_once_in_bounded_memory() {
     assert!(daemon.terminate().success());
 }
 
-/// What is fetched from a backlog is not fetched again, however often the daemon is killed and started.
+/// A daemon that is repeatedly killed does not read the same page of a backlog again.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_daemon_that_is_started_twenty_times_gets_no_throw_twice() {
     const STARTS: usize = 20;
     const MACHINES: usize = 3;
-    /// Throws of one page.
+    /// Number of throws in a page.
     const PAGE: u64 = 32;
     let rig = Rig::new().same_port();
     let mut daemon = rig.start();
@@ -118,7 +118,7 @@ async fn a_daemon_that_is_started_twenty_times_gets_no_throw_twice() {
     assert!(daemon.terminate().success());
 }
 
-/// Loggers whose backlogs never end, repeat what is known, speak under other names, or are no throws: they harm themselves.
+/// Loggers with endless backlogs, known throws, foreign names, or messages that are no throws harm only themselves.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn loggers_that_lie_harm_only_themselves() {
     const REPLIES: u64 = 3_000;
@@ -150,7 +150,7 @@ async fn loggers_that_lie_harm_only_themselves() {
             publisher.put(throw_of(throw_no)).await.unwrap();
         }
     }
-    // An honest one beside them, with a gap that its backlog fills.
+    // A correct logger has a gap, which its backlog fills.
     let plan = Plan { throws: 40, machine: "m", machines: 1, ..Plan::default() };
     let honest = Logger::start(&daemon.endpoint, plan).await;
     rig.until_sql("SELECT 1 FROM (SELECT count(*) AS n FROM health_history WHERE site = 'north') WHERE n = 40").await;
@@ -161,7 +161,10 @@ async fn loggers_that_lie_harm_only_themselves() {
     daemon.until_status("lies are counted", |now| now["ignored"].as_u64() > Some(REPLIES)).await;
     let (now, peak) = (status(&session).await.unwrap(), peak_mib(daemon.id()));
     println!("lying loggers: at most {peak:.0} MiB of memory; {now:?}");
-    assert!(rig.sql("SELECT 1 FROM health_history WHERE site = 'good'").is_empty(), "one spoke for another");
+    assert!(
+        rig.sql("SELECT 1 FROM health_history WHERE site = 'good'").is_empty(),
+        "a throw with a foreign name was stored"
+    );
     assert!(peak < MEMORY_MIB, "{peak:.0} MiB");
     drop(honest.stop());
     assert!(daemon.terminate().success());

@@ -1,5 +1,5 @@
-//! A wall clock that jumps under the running daemon: back a day, ahead ten years, and right again. Alarms and their
-//! order are those of a clock that does not jump, and nothing is dropped for its age.
+//! Jumps of the wall clock during operation: a day back, ten years ahead, and correct again. Alarms and their order are
+//! the same as without jumps, and no row is deleted for its age.
 
 use std::{fs, path::Path};
 
@@ -14,10 +14,10 @@ use crate::{
 #[path = "../service/faketime.rs"]
 mod faketime;
 
-/// Throws between two jumps, of each of two machines.
+/// Throws of each of two machines between two jumps.
 const THROWS: u64 = 30;
 
-/// A life of the daemon in which the clock jumps before each of its parts; all its alarm events were heard.
+/// A run of the daemon with a clock jump before each part; ends when the witness received all alarm events.
 async fn life(library: &Path, jumps: &[&str]) -> Rig {
     let mut rig = Rig::with(QUICK_ALARMS).same_port();
     let clock = rig.folder().join("clock");
@@ -31,7 +31,7 @@ async fn life(library: &Path, jumps: &[&str]) -> Rig {
     let mut loggers = Vec::new();
     for (part, jump) in jumps.iter().enumerate() {
         fs::write(&clock, jump).unwrap();
-        // Half of the parts begin with a restart: the daemon finds a database from another time.
+        // Half of the parts start with a restart, so the daemon opens a database with other times.
         if part % 2 == 1 {
             assert!(daemon.terminate().success());
             daemon = rig.start();
@@ -68,6 +68,6 @@ async fn a_clock_that_jumps_harms_neither_order_nor_alarms_nor_what_is_kept() {
     let order: Vec<_> = order.iter().map(|row| (row["boot_id"].as_str().unwrap(), row["throw_no"].as_u64())).collect();
     assert!(order.is_sorted(), "{order:?}");
     assert_eq!(order.len() as u64, 5 * THROWS);
-    assert_eq!(jumped.sql("SELECT count(*) AS n FROM trace")[0]["n"], 10 * THROWS, "a trace was dropped");
+    assert_eq!(jumped.sql("SELECT count(*) AS n FROM trace")[0]["n"], 10 * THROWS, "a trace was deleted");
     assert!(jumped.sql("SELECT * FROM data_gaps").is_empty());
 }

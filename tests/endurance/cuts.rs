@@ -1,7 +1,7 @@
-//! Power cuts under the running daemon: what the world heard is on the disk, at whichever moment the power goes.
+//! Power cuts of the running daemon: at each moment the disk contains everything that was acknowledged.
 //!
-//! The daemon runs below the shim; what is heard outside is noted in the shim's log at the place that the log had
-//! reached, so that each cut knows what was acknowledged before it.
+//! The daemon runs with the shim. A witness adds each message to the log of the shim, so that each cut has a list of
+//! the acknowledgements before it.
 
 use std::{path::Path, time::Duration};
 
@@ -17,7 +17,7 @@ use crate::{
     witness::Witness,
 };
 
-/// Runs the daemon below the shim, with a logger and a witness; its log, and the folder that its database was in.
+/// Runs the daemon with the shim, a logger and a witness; returns the log and the folder of the database.
 async fn run_and_log(throws: usize) -> Option<(Vec<Record>, tempfile::TempDir)> {
     let library = shim::library()?;
     let mut rig = Rig::with(QUICK_ALARMS).same_port();
@@ -39,7 +39,7 @@ async fn run_and_log(throws: usize) -> Option<(Vec<Record>, tempfile::TempDir)> 
     Some((read_log(&path), rig.into_folder()))
 }
 
-/// Cuts the power at `cuts` points of the log.
+/// Checks the disk after a power cut at `cuts` points of the log.
 async fn cut(records: &[Record], was: &Path, cuts: usize, seed: u64) -> Verdict {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut points: Vec<usize> = (0..cuts).map(|_| rng.random_range(0..=records.len())).collect();
@@ -69,10 +69,10 @@ async fn power_cuts_lose_nothing_that_the_daemon_had_told() {
     println!("{cuts} cuts: {lost} lost, {duplicated} duplicated, {unreadable} unreadable");
     assert_eq!((*lost, *duplicated, *unreadable, *given_up), (0, 0, 0, 0), "{:#?}", &notes[..notes.len().min(20)]);
 
-    // The same run on a disk that is not told to sync when a transaction is committed.
+    // The same run without a sync at each commit.
     let weaker = without_commit_syncs(records);
     let Verdict { lost, unreadable, notes, .. } = cut(&weaker, folder.path(), cuts, 2).await;
     println!("{cuts} cuts with synchronous = NORMAL: {lost} lost, {unreadable} unreadable");
-    assert!(lost > 0, "nothing was lost without syncs: this test proves nothing");
+    assert!(lost > 0, "no loss without syncs: the test cannot detect losses");
     assert_eq!(unreadable, 0, "{:#?}", &notes[..notes.len().min(20)]);
 }

@@ -1,6 +1,6 @@
-//! What is in a database after a failure, beside what was acknowledged before it.
+//! Compares a database after a failure with the acknowledgements before it.
 //!
-//! Acknowledged is a throw whose health was published, and an alarm event that a subscriber got.
+//! Acknowledged are throws with a published health message, and alarm events that a subscriber received.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -16,14 +16,14 @@ use pointsd::{
 
 use crate::logger;
 
-/// What is wrong with the databases that were opened after cuts.
+/// Defects of the databases after cuts.
 #[derive(Debug, Default)]
 pub(crate) struct Verdict {
-    /// Acknowledged throws and alarm events that are not there, and alarm events that would never be published.
+    /// Missing acknowledged throws and alarm events, and alarm events that would never be published.
     pub(crate) lost: usize,
     pub(crate) duplicated: usize,
     pub(crate) unreadable: usize,
-    /// Traces that were given up for want of space; their throws are there.
+    /// Traces deleted for lack of space; their throws exist.
     pub(crate) given_up: usize,
     pub(crate) notes: Vec<String>,
 }
@@ -35,14 +35,14 @@ impl Verdict {
     }
 }
 
-/// Machine, start of its logger, number.
+/// Machine, boot id and number of a throw.
 type Key = (String, String, u64);
 
 fn key(machine: &MachineId, throw: &ThrowRef) -> Key {
     (machine.machine.to_string(), throw.boot_id.clone(), throw.throw_no)
 }
 
-/// Opens the database as the daemon would, and compares it with what was acknowledged.
+/// Opens the database in the same way as the daemon, and compares it with the acknowledgements.
 pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Verdict) {
     let settings = Settings { path: folder.join("points.db"), ballast_mib: 0, low_disk_mib: 0, ..Settings::default() };
     let opened = match Store::open(&settings, Timestamp::UNIX_EPOCH).await {
@@ -91,7 +91,7 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
             _ => panic!("{line:?}"),
         }
     }
-    // What nobody has heard must be about to be published.
+    // Events that were not acknowledged must be in the outbox.
     let about: BTreeSet<(String, u32)> = waiting.iter().map(message).collect();
     verdict.duplicated += waiting.len() - about.len();
     for event in events.iter().filter(|event| !heard.contains(event) && !about.contains(event)) {

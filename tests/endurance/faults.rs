@@ -1,8 +1,7 @@
-//! A disk that fails under the running daemon: the nth write or sync, once or for ever.
+//! A disk that fails during operation: the nth write or sync, once or permanently.
 //!
-//! The daemon goes on, or says loudly that it cannot, or ends with an exit code that is not 0. It never drops silently:
-//! what was acknowledged is in the database, which is opened right after a `kill -9`; and a fault that passes is got
-//! over without a restart, or with one where the daemon could not start.
+//! The daemon continues, or reports the fault, or ends with an exit code other than 0. It loses no acknowledged data:
+//! the database is checked after a `kill -9`. A temporary fault needs no restart, except during the start.
 
 use std::{
     path::Path,
@@ -22,21 +21,21 @@ use crate::{
 };
 
 const ERRNOS: [u32; 2] = [5, 28]; // EIO, ENOSPC
-/// Throws that are published, of each of two machines.
+/// Published throws of each of two machines.
 const THROWS: u64 = 8;
-/// How long a daemon that has complained is watched for what it still acknowledges.
+/// Time for further acknowledgements after the daemon has reported a fault.
 const AFTERMATH: Duration = Duration::from_millis(300);
-/// Daemons at a time: they mostly wait.
+/// Parallel daemons; they mostly wait.
 const AT_ONCE: usize = 4;
 
-/// What became of a daemon with a fault.
+/// Outcome of a run with a fault.
 #[derive(Debug, PartialEq, Eq, Clone, Copy)]
 enum Fate {
-    /// Everything that was published was heard.
+    /// The witness received all published throws.
     WentOn,
-    /// It said that something is wrong, and was killed.
+    /// The daemon reported the fault, and was killed.
     Complained,
-    /// It ended with an exit code that is not 0, and everything was heard from the next one.
+    /// The daemon ended with an exit code other than 0, and the witness received everything from the next one.
     Restarted,
 }
 
@@ -48,7 +47,7 @@ fn plan() -> Plan {
     Plan { throws: THROWS, machines: 2, pace: Duration::from_millis(2), ..Plan::default() }
 }
 
-/// Runs a daemon with a fault; its fate, or what is wrong with it.
+/// Runs a daemon with a fault; an error is a defect of the daemon.
 async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
     let mut rig = Rig::with(QUICK_ALARMS).same_port();
     rig.set("LD_PRELOAD", library);
@@ -57,7 +56,7 @@ async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
     let mut daemon = match rig.try_start() {
         Ok(daemon) => daemon,
         Err(NotStarted { status, .. }) if !status.success() => return restarted(rig).await,
-        Err(NotStarted { log, .. }) => return Err(format!("it ended as if nothing were wrong: {log:?}")),
+        Err(NotStarted { log, .. }) => return Err(format!("exit code 0 in spite of the fault: {log:?}")),
     };
     let witness = Witness::listen(&daemon.endpoint, None).await;
     let logger = Logger::start(&daemon.endpoint, plan()).await;
@@ -68,7 +67,7 @@ async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
         }
         if let Some(status) = daemon.ended() {
             if status.success() {
-                return Err(format!("it ended as if nothing were wrong: {:?}", daemon.log()));
+                return Err(format!("exit code 0 in spite of the fault: {:?}", daemon.log()));
             }
             break Fate::Restarted;
         }
@@ -98,7 +97,7 @@ async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
     Ok(fate)
 }
 
-/// After an end with an exit code: without the fault everything is heard.
+/// Starts the daemon again without the fault; the witness must receive everything.
 async fn restarted(mut rig: Rig) -> Result<Fate, String> {
     rig.set("SHIM_FAIL", "");
     let daemon = rig.start();
@@ -108,7 +107,7 @@ async fn restarted(mut rig: Rig) -> Result<Fate, String> {
     Ok(Fate::Restarted)
 }
 
-/// Each fault of the first so many writes and syncs; by default of two of them.
+/// The faults of the run, each at one write or sync.
 fn faults() -> Vec<String> {
     let which = match size("POINTSD_FAULTS", 0) {
         0 => vec![3, 60],

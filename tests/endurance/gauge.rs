@@ -1,16 +1,16 @@
-//! What a running daemon takes and does, as the system and the daemon itself say.
+//! Memory, files, threads and status of a running daemon.
 
 use std::{fs, path::Path, time::Duration};
 
 use pointsd::{bus, daemon::StatusReport};
 use zenoh::Session;
 
-/// What a process takes of the computer.
+/// Resources of a process.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Usage {
-    /// Memory in use \[MiB\]: its own, and the parts of its files that it has looked at.
+    /// Resident memory \[MiB\]: allocated memory and cached parts of its files.
     pub(crate) rss_mib: f64,
-    /// Of this, what it has allocated \[MiB\].
+    /// Allocated part of the resident memory \[MiB\].
     pub(crate) own_mib: f64,
     /// Open files and sockets.
     pub(crate) files: usize,
@@ -19,7 +19,7 @@ pub(crate) struct Usage {
 }
 
 impl Usage {
-    /// Of a process that runs.
+    /// The resources of a running process.
     pub(crate) fn of(process: u32) -> Self {
         Self {
             rss_mib: f64::from(figure(process, "VmRSS:")) / 1024.0,
@@ -30,7 +30,7 @@ impl Usage {
     }
 }
 
-/// The most memory that a process has had in use \[MiB\].
+/// Peak resident memory of a process \[MiB\].
 pub(crate) fn peak_mib(process: u32) -> f64 {
     f64::from(figure(process, "VmHWM:")) / 1024.0
 }
@@ -41,17 +41,17 @@ fn figure(process: u32, key: &str) -> u32 {
     line.split_whitespace().next().unwrap().parse().unwrap()
 }
 
-/// What the allocator of a process holds, as `heap.c` tells.
+/// Memory of the allocator of a process, reported by `heap.c`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Heap {
-    /// Handed out and not given back \[MiB\]: this is what a leak makes grow.
+    /// Allocated and not freed \[MiB\]; a leak increases it.
     pub(crate) live_mib: f64,
-    /// Given back, and kept by the allocator for the next request \[MiB\].
+    /// Freed, and kept by the allocator for later requests \[MiB\].
     pub(crate) free_mib: f64,
 }
 
 impl Heap {
-    /// Of a process that tells it to this file; `None` while there is no such file.
+    /// Reads the report of a process; `None` before the file exists.
     pub(crate) fn told_to(file: &Path) -> Option<Self> {
         let text = fs::read_to_string(file).ok()?;
         let mut mib = text.split_whitespace().map_while(|bytes| Some(bytes.parse::<f64>().ok()? / f64::from(1 << 20)));
@@ -59,12 +59,12 @@ impl Heap {
     }
 }
 
-/// Size of a file \[MiB\]; 0 where there is none.
+/// Size of a file \[MiB\]; 0 if it does not exist.
 pub(crate) fn mib(file: &Path) -> f64 {
     fs::metadata(file).map_or(0.0, |file| file.len() as f64 / f64::from(1 << 20))
 }
 
-/// What the daemon says of itself; `None` when it does not answer in time.
+/// Status of the daemon; `None` if it does not reply in time.
 pub(crate) async fn status(session: &Session) -> Option<StatusReport> {
     let replies = bus::ask(session, "points/v1/*/monitor/*/status", None, Duration::from_secs(5)).await.ok()?;
     serde_json::from_slice(&replies.first()?.1).ok()

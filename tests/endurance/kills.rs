@@ -1,4 +1,4 @@
-//! `kill -9` again and again, at any moment from the start of the process on, while a logger keeps publishing.
+//! Repeated `kill -9` of the daemon at random moments, while a logger publishes.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -17,13 +17,13 @@ use crate::{
     witness::Witness,
 };
 
-/// Longest life of most daemons, and of one in twelve, which gets as far as publishing what the ones before it left.
+/// Longest life of most daemons, and of one in twelve, which has time to publish the outbox of the others.
 const SHORT: Duration = Duration::from_millis(1500);
 const LONG: Duration = Duration::from_secs(9);
-/// Machines whose logger keeps far more than is published while no daemon runs, and one whose logger keeps nothing.
+/// Machines with a backlog for any absence of the daemon; one more machine has a backlog of one throw.
 const REMEMBERED: usize = 3;
 
-/// The numbers of each machine: how often each is stored, or in an open gap.
+/// Throw numbers of each machine that are stored, or in an open gap.
 #[derive(Default)]
 struct Numbers {
     stored: BTreeMap<String, Vec<u64>>,
@@ -42,7 +42,7 @@ impl Numbers {
         numbers
     }
 
-    /// Of one machine, stored and missing together, in order.
+    /// The stored and missing numbers of a machine, in order.
     fn known(&self, machine: &str) -> Vec<u64> {
         let of = |all: &BTreeMap<String, Vec<u64>>| all.get(machine).cloned().unwrap_or_default();
         let mut known = [of(&self.stored), of(&self.missing)].concat();
@@ -93,13 +93,13 @@ async fn a_daemon_that_is_killed_again_and_again_loses_nothing() {
     witness.until("every alarm event", |heard| heard.events.len() >= events.len()).await;
     plain.until("every alarm event, without asking,", |heard| heard.events.len() >= events.len()).await;
     assert!(daemon.terminate().success());
-    // A gap is told a minute after it was noticed: events may have come while the others were waited for.
+    // The alarm for a gap comes a minute after its detection, so more events may have come during the wait.
     let at_the_end = events_of(&reader).await;
 
     let missing = |name: &str| settled.missing.get(name).map_or(0, Vec::len);
     let heard = witness.heard();
     println!(
-        "{kills} kills: {} throws of each of {REMEMBERED} machines, {} missing; {} of one without a cache, {} missing; \
+        "{kills} kills: {} throws of each of {REMEMBERED} machines, {} missing; {} of one with backlog 1, {} missing; \
          {} alarm events, {} messages heard",
         silent.published,
         (1..=REMEMBERED).map(|number| missing(&format!("m{number}"))).sum::<usize>(),
@@ -121,7 +121,8 @@ async fn a_daemon_that_is_killed_again_and_again_loses_nothing() {
         assert_eq!(events.difference(&all).collect::<Vec<_>>(), Vec::<&(String, u32)>::new(), "not heard");
         assert_eq!(all.difference(&at_the_end).collect::<Vec<_>>(), Vec::<&(String, u32)>::new(), "not stored");
     }
-    // What a subscriber asks for, it gets beside what is published: only a plain one sees the order of publication.
+    // A subscriber that also queries gets events in any order; only the plain subscriber shows the order of
+    // publication.
     for (alarm_id, numbers) in in_order_of_arrival(&plain.heard().events) {
         assert!(numbers.is_sorted(), "{alarm_id}: events arrived as {numbers:?}");
     }

@@ -1,8 +1,8 @@
-//! Links that are cut for longer than zenoh waits, a router that dies, a logger that starts anew. Twenty machines keep
-//! throwing: afterwards each throw is stored once, or is in a recorded gap that the logger's cache could not cover, and
-//! every alarm event reached a subscriber outside, whose own link was cut as well.
+//! Links that are cut for longer than the lease of zenoh, a router that ends, a logger that restarts. Twenty machines
+//! throw all the time. Afterwards each throw is stored once, or is in a recorded gap that the logger's backlog could
+//! not fill, and every alarm event reached a subscriber, whose own link was cut too.
 //!
-//! `POINTSD_CUT_SECONDS=30` cuts for so long at 10 throws a second; without it all goes faster.
+//! `POINTSD_CUT_SECONDS=30` sets the length of the cuts, with 10 throws/s; the default is faster.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -21,10 +21,10 @@ use crate::{
 };
 
 const MACHINES: usize = 20;
-/// Throws of each machine that its logger keeps, as in the shipped configuration.
+/// Throws of each machine in the backlog of its logger, as in the shipped configuration.
 const CACHE: usize = 64;
 
-/// Seconds of a cut, and throws a second.
+/// Length of a cut, and throws per second.
 fn scale() -> (Duration, f64) {
     match size("POINTSD_CUT_SECONDS", 0) {
         0 => (Duration::from_secs(4), 50.0),
@@ -32,7 +32,7 @@ fn scale() -> (Duration, f64) {
     }
 }
 
-/// Twenty machines with a cache, or one whose logger keeps nothing.
+/// A logger of twenty machines, and a logger of one machine with a backlog of one throw.
 async fn loggers(endpoint: &str, boot_id: &str, rate: f64) -> [Logger; 2] {
     let plan = |machine, machines, kept, rate| Plan {
         machine,
@@ -46,10 +46,10 @@ async fn loggers(endpoint: &str, boot_id: &str, rate: f64) -> [Logger; 2] {
     [remembers, Logger::start(endpoint, plan("f", 1, 1, rate / 10.0)).await]
 }
 
-/// What was published: the last number of each machine and start of its logger.
+/// Last published number of each machine and boot id.
 type Published = BTreeMap<(String, String), u64>;
 
-/// Stops the loggers; their caches answer until what is returned is dropped.
+/// Stops the loggers; their backlogs reply until the returned values are dropped.
 fn stop([remembers, forgets]: [Logger; 2], boot_id: &str, published: &mut Published) -> [crate::logger::Silent; 2] {
     let silent = [remembers.stop(), forgets.stop()];
     let machines = (1..=MACHINES).map(|number| (format!("m{number}"), silent[0].published));
@@ -59,7 +59,7 @@ fn stop([remembers, forgets]: [Logger; 2], boot_id: &str, published: &mut Publis
     silent
 }
 
-/// The numbers of each machine and start, stored and missing.
+/// Stored and missing numbers of each machine and boot id.
 #[derive(Default)]
 struct Known {
     stored: BTreeMap<(String, String), Vec<u64>>,
@@ -92,7 +92,7 @@ impl Known {
     }
 }
 
-/// Waits until everything is known, judged, published and heard; checks it; says what it saw.
+/// Waits until all throws are stored or missing, judged and published; checks and prints the result.
 async fn settle(rig: &Rig, witness: &Witness, published: &Published, what: &str) {
     let reader = Reader::open(&rig.database()).await.unwrap();
     let deadline = Instant::now() + 3 * PATIENCE;
@@ -111,7 +111,7 @@ async fn settle(rig: &Rig, witness: &Witness, published: &Published, what: &str)
     witness.until("every alarm event", |heard| heard.events.len() >= events.len()).await;
     let heard = witness.heard();
     println!(
-        "{what}: {} throws of {MACHINES} machines stored, {} missing; {} of one without a cache, {} missing; {} alarm \
+        "{what}: {} throws of {MACHINES} machines stored, {} missing; {} of one with backlog 1, {} missing; {} alarm \
          events, {} messages heard",
         Known::count(&known.stored, true),
         Known::count(&known.missing, true),
@@ -123,7 +123,7 @@ async fn settle(rig: &Rig, witness: &Witness, published: &Published, what: &str)
     for (who, last) in published {
         assert_eq!(known.all(who), (1..=*last).collect::<Vec<_>>(), "{who:?}: each is stored once, or missing once");
     }
-    assert_eq!(Known::count(&known.missing, true), 0, "throws in the caches did not come: {:?}", known.missing);
+    assert_eq!(Known::count(&known.missing, true), 0, "throws in the backlogs were not stored: {:?}", known.missing);
     assert_eq!(heard.events.iter().cloned().collect::<BTreeSet<_>>(), events, "every event, and nothing else");
 }
 
@@ -146,7 +146,7 @@ async fn cut_links_and_new_loggers_lose_nothing_that_a_cache_holds() {
         field.mend();
         tokio::time::sleep(cut / 2).await;
         control_room.mend();
-        // The next start of the loggers ends this one's caches: what they hold has to be there before.
+        // The next loggers replace these backlogs, so their throws must be stored before.
         silent.extend(stop(loggers, boot_id, &mut published));
         settle(&rig, &witness, &published, &format!("a cut of {cut:?}, start {boot_id}")).await;
         silent.clear();
@@ -157,7 +157,7 @@ async fn cut_links_and_new_loggers_lose_nothing_that_a_cache_holds() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_router_that_dies_loses_nothing_that_a_cache_holds() {
     let (cut, rate) = scale();
-    // Any pointsd is a router; this one serves a site that is not there.
+    // Every pointsd is a router; this one serves a site without machines.
     let router_rig = Rig::with("[subscribe]\nkey = \"points/v1/nowhere/**\"\n[monitor]\nid = \"router\"\n").same_port();
     let router = router_rig.start();
     let endpoint = router.endpoint.clone();
@@ -172,7 +172,7 @@ async fn a_router_that_dies_loses_nothing_that_a_cache_holds() {
     tokio::time::sleep(cut / 2).await;
     let mut published = Published::new();
     let silent = stop(loggers, "b1", &mut published);
-    settle(&rig, &witness, &published, &format!("a router dead for {cut:?}")).await;
+    settle(&rig, &witness, &published, &format!("a router down for {cut:?}")).await;
     drop(silent);
     assert!(daemon.terminate().success());
     assert!(router.terminate().success());

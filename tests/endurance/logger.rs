@@ -1,5 +1,5 @@
-//! A logger that keeps publishing, whatever becomes of the daemon: machines with faults that come and go, and sensors
-//! that fail now and then, so that alarms are raised and cleared all the time.
+//! A logger that publishes independently of the daemon. Its machines have temporary faults, and sensors that sometimes
+//! fail, so that alarms are raised and cleared all the time.
 
 use std::{
     collections::VecDeque,
@@ -28,34 +28,34 @@ use zenoh::{
 
 use crate::rig;
 
-/// What the daemon of these tests is told, so that alarms come within a few throws.
+/// Configuration for alarms after a few throws.
 pub(crate) const QUICK_ALARMS: &str =
     "[diagnosis]\nbaseline_throws = 12\nnot_monitored_throws = 1\noff_delay_throws = 2\n";
 
-/// Throws of one phase of a machine's life: healthy and worn out phases take turns.
+/// Throws of a phase of a machine; healthy and worn phases alternate.
 const PHASE: u64 = 24;
-/// One throw of so many cannot be evaluated.
+/// Period of the throws that cannot be evaluated.
 const UNREADABLE: u64 = 7;
 
-/// What a logger does.
+/// Settings of a logger.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
-    /// Throws of each machine, after which it falls silent.
+    /// Number of throws of each machine.
     pub(crate) throws: u64,
-    /// Its machines at the site `north` are called by this and their number from 1.
+    /// Prefix of the names of its machines at the site `north`, followed by their number from 1.
     pub(crate) machine: &'static str,
-    /// How many.
+    /// Number of machines.
     pub(crate) machines: usize,
-    /// Last throws of each machine that are kept for a daemon that was away; 0: none, and nobody answers for them.
+    /// Throws of each machine in the backlog; 0: no backlog.
     pub(crate) kept: usize,
-    /// Time from one throw to the next, of whichever machine.
+    /// Time between consecutive throws of all machines.
     pub(crate) pace: Duration,
-    /// This start of the logger.
+    /// Identifies this start of the logger.
     pub(crate) boot_id: String,
 }
 
 impl Default for Plan {
-    /// Two machines that are never forgotten and never stop.
+    /// Two machines with a long backlog that never stop.
     fn default() -> Self {
         let pace = Duration::from_millis(10);
         Self { throws: u64::MAX, machine: "m", machines: 2, kept: 10_000, pace, boot_id: "b1".to_owned() }
@@ -70,18 +70,18 @@ pub(crate) struct Logger {
     thread: JoinHandle<Vec<Source>>,
 }
 
-/// A logger that has stopped publishing. Its backlogs still answer, until this is dropped.
+/// A logger that has stopped publishing. Its backlogs reply until it is dropped.
 pub(crate) struct Silent {
-    /// Throws of each machine: their numbers are 1 to this.
+    /// Last published number of each machine; the first is 1.
     pub(crate) published: u64,
     _sources: Vec<Source>,
     _session: Session,
 }
 
-/// What is kept of a machine, oldest first.
+/// The backlog of a machine, oldest throw first.
 type Kept = Arc<Mutex<VecDeque<(ThrowRef, Vec<u8>)>>>;
 
-/// One machine of a logger.
+/// A machine of a logger.
 struct Source {
     publisher: Publisher<'static>,
     kept: Kept,
@@ -89,7 +89,7 @@ struct Source {
     _token: LivelinessToken,
 }
 
-/// A throw of a machine's life.
+/// A throw of a machine with alternating phases.
 pub(crate) fn throw(boot_id: &str, throw_no: u64) -> Throw {
     let id = ThrowRef { boot_id: boot_id.to_owned(), throw_no };
     if throw_no.is_multiple_of(UNREADABLE) {
@@ -99,14 +99,14 @@ pub(crate) fn throw(boot_id: &str, throw_no: u64) -> Throw {
     let phase = if (throw_no / PHASE).is_multiple_of(2) { healthy } else { worn };
     let like = &phase[usize::try_from(throw_no % PHASE).unwrap()];
     let first: Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
-    // No throw repeats to the last digit.
+    // Different samples for each throw.
     let mut current = like.trace.current_a().to_vec();
     current[0] += 1e-6 * throw_no as f64;
     let trace = Trace::new(like.trace.sample_rate_hz(), current, like.trace.position_mm().to_vec()).unwrap();
     Throw { id, started_at: first + SignedDuration::from_mins(10 * throw_no.cast_signed()), trace, ..like.clone() }
 }
 
-/// A healthy phase and one with friction risen by half.
+/// Throws of a healthy phase, and of a phase with 50 % more friction.
 fn simulated() -> &'static (Vec<Throw>, Vec<Throw>) {
     static THROWS: OnceLock<(Vec<Throw>, Vec<Throw>)> = OnceLock::new();
     THROWS.get_or_init(|| {
@@ -118,7 +118,7 @@ fn simulated() -> &'static (Vec<Throw>, Vec<Throw>) {
 }
 
 impl Logger {
-    /// Declares its publishers, waits until a daemon listens, and publishes.
+    /// Declares the publishers, waits for a daemon, and publishes.
     pub(crate) async fn start(endpoint: &str, plan: Plan) -> Self {
         let session = rig::client_of(endpoint).await;
         let sources: Vec<_> = (1..=plan.machines).map(|number| declare(&session, &plan, number)).collect();
@@ -148,13 +148,13 @@ impl Logger {
         Self { session, stop, rounds, thread }
     }
 
-    /// Stops after the throws at hand.
+    /// Stops after the current round of throws.
     pub(crate) fn stop(self) -> Silent {
         self.stop.store(true, Relaxed);
         self.finish()
     }
 
-    /// Publishes all that it has to.
+    /// Waits until all throws are published.
     pub(crate) fn finish(self) -> Silent {
         let sources = self.thread.join().unwrap();
         let published = *self.rounds.lock().unwrap();
@@ -174,7 +174,7 @@ fn declare(session: &Session, plan: &Plan, number: usize) -> Source {
     let machine = MachineId::new("north", &format!("{}{number}", plan.machine)).unwrap();
     let (key, kept) = (wire::machine_key(&machine, Kind::Throw), Kept::default());
     let answering = Arc::clone(&kept);
-    // A reply waits for a slow link: not in zenoh's own thread.
+    // A reply may wait for a slow link, so it has its own thread.
     let on_query = move |query| {
         let kept = Arc::clone(&answering);
         thread::spawn(move || answer(&query, &kept));

@@ -1,6 +1,7 @@
-//! Anything on the live subscription: noise, huge and deeply nested payloads, wrong types and keys, good messages with a
-//! field changed, thousands of machines that nobody has. Good throws go between: each is stored once, and the daemon's
-//! memory and its quarantine stay within bounds. `POINTSD_POISON=1000000` sets the number of messages.
+//! Invalid messages on the live subscription: noise, huge and deeply nested payloads, wrong types and keys, good
+//! messages with a changed field, thousands of invented machines. Each good throw among them is stored once, and the
+//! memory and the quarantine of the daemon stay within their limits. `POINTSD_POISON=1000000` sets the number of
+//! messages.
 
 use std::{
     collections::BTreeMap,
@@ -29,19 +30,19 @@ use crate::{
 };
 
 const GOOD: &str = "points/v1/good/1/throw";
-/// One good throw in so many messages.
+/// Period of the good throws among the messages.
 const EVERY: usize = 100;
-/// Messages between two looks at the daemon: it may be so far behind, which is less than its queue holds.
+/// Messages between two queries of the daemon's status, fewer than its queue holds.
 const ROUND: usize = 2_000;
-/// What its memory may grow to: 128 MiB of queue, 64 MiB on the way to the database, 256 MiB of the longest traces are
-/// its own bounds; none of them is reached by what is sent here.
+/// Limit of the memory. The limits of the daemon are 128 MiB in the queue, 64 MiB on the way to the database and 256
+/// MiB for the longest traces; the messages of this test reach none of them.
 const MEMORY_MIB: f64 = 400.0;
 const QUARANTINE: usize = 500;
-/// A line for each refused message is for people, not for a million of them.
+/// Without the log line for each rejected message, of which there may be a million.
 const QUIET: &str = "info,zenoh=warn,pointsd::daemon::receive=error,pointsd::store=error";
 const MACHINES: usize = 2_000;
 
-/// Makes messages.
+/// Generator of messages.
 struct Poison {
     rng: ChaCha8Rng,
     like: Throw,
@@ -60,7 +61,7 @@ impl Poison {
             0 | 12 | 13 => (machine, cbor, self.noise(300)),
             1 | 14 | 15 => (machine, json, self.noise(300)),
             2 | 16 => (machine, ContentType::default(), self.noise(40)),
-            // Arrays and maps within each other, and lengths that are promised and not there.
+            // Nested arrays and maps, and declared lengths without content.
             3 => (machine, cbor, vec![[0x81, 0xa1, 0x9f, 0xbf, 0xd8][self.rng.random_range(0..5)]; 5_000]),
             4 => (machine, json, vec![[b'[', b'{', b'"'][self.rng.random_range(0..3)]; 5_000]),
             5 => (machine, cbor, [&[0x9b][..], &u64::MAX.to_be_bytes(), &[0xfb; 30]].concat()),
@@ -71,7 +72,7 @@ impl Poison {
                 (name, cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", self.number as u64)))
             }
             9 => (self.key(), cbor, wire::encode_throw(Encoding::Cbor, &stub("boot", 1))),
-            // One boot id for other contents each time.
+            // The same boot id with other content each time.
             10 => {
                 let mut again = stub("boot", 1 + self.number as u64 % 3);
                 again.temperature_c = Some(self.rng.random_range(-40.0..60.0));
@@ -91,7 +92,7 @@ impl Poison {
         bytes
     }
 
-    /// A real throw with some bytes changed, or cut off.
+    /// A real throw with changed or missing bytes.
     fn damaged(&mut self) -> Vec<u8> {
         let mut bytes = wire::encode_throw(Encoding::Cbor, &self.like);
         for _ in 0..self.rng.random_range(1..20) {
@@ -150,7 +151,7 @@ impl Poison {
     }
 }
 
-/// Watches the daemon's memory until it is told to stop; returns the most it saw \[MiB\].
+/// Samples the memory of the daemon until `stop` is set; returns the maximum \[MiB\].
 fn watch(process: u32, stop: Arc<AtomicBool>) -> std::thread::JoinHandle<f64> {
     std::thread::spawn(move || {
         let mut most = 0.0_f64;
@@ -166,10 +167,10 @@ async fn put(session: &Session, (key, content_type, payload): Message) {
     session.put(key, payload).encoding(content_type).congestion_control(CongestionControl::Block).await.unwrap();
 }
 
-/// How often the daemon is asked.
+/// Interval of the status queries.
 const PACE: Duration = Duration::from_millis(10);
 
-/// Waits until the daemon has dealt with all that it received, and has received so many.
+/// Waits until the daemon has received and handled `sent` messages.
 async fn until_handled(session: &Session, sent: u64) -> pointsd::daemon::StatusReport {
     let deadline = Instant::now() + PATIENCE;
     loop {
@@ -211,7 +212,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
         if number % ROUND == ROUND - 1 {
             until_handled(&session, sent).await;
         }
-        // Beyond what a link takes, at its limit, and at the limit of a message.
+        // Above the limit of a link, at this limit, and at the limit of a message.
         if number % (messages / 2) == messages / 4 {
             for bytes in [17 << 20, 31 << 20, 100 << 20] {
                 let payload =
@@ -219,7 +220,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
                 put(&session, (GOOD.to_owned(), ContentType::APPLICATION_CBOR, payload)).await;
             }
             session.delete(GOOD).await.unwrap();
-            // The link may have been closed over them: it is there again when the daemon answers and hears.
+            // The daemon may have closed the link: wait until it replies and receives again.
             sent = until_handled(&session, 0).await.received;
             while !publisher.matching_status().await.unwrap().matching() {
                 tokio::time::sleep(PACE).await;
@@ -263,12 +264,12 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
     assert!(daemon.terminate().success());
 }
 
-/// Links that are used once, sockets that say nothing, sockets that say noise.
+/// Links that are used once, silent connections, and connections that send noise.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn links_that_come_and_go_leave_no_memory_behind() {
     const LINKS: u64 = 200;
     const SOCKETS: usize = 2_000;
-    /// What the first links, and the memory that the allocator keeps, take \[MiB\].
+    /// Memory of the first links and memory kept by the allocator \[MiB\].
     const GROWTH_MIB: f64 = 24.0;
     let rig = Rig::new();
     let daemon = rig.start();

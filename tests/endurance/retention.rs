@@ -1,4 +1,4 @@
-//! The running daemon keeps its database within its bounds: raw traces go first, then throws with their estimates,
+//! The running daemon keeps its database within its limits: it deletes traces first, then throws with their estimates,
 //! alarms last.
 
 use std::time::{Duration, Instant};
@@ -16,7 +16,7 @@ use crate::{
     witness::Witness,
 };
 
-/// How many of each there are.
+/// Number of stored rows of each kind.
 #[derive(Debug)]
 struct Kept {
     traces: u64,
@@ -36,7 +36,7 @@ impl Kept {
         Self { traces: number("traces"), throws: number("throws"), alarms: number("alarms"), bytes: number("bytes") }
     }
 
-    /// Waits until the daemon has dropped enough.
+    /// Waits until the daemon has deleted enough.
     async fn until(rig: &Rig, is_enough: impl Fn(&Self) -> bool) -> Self {
         let deadline = Instant::now() + PATIENCE;
         loop {
@@ -60,8 +60,8 @@ async fn rows_are_bounded_traces_before_throws_before_alarms() {
     witness.until("every throw", |heard| heard.health.len() == 240).await;
     let kept = Kept::until(&rig, |kept| kept.traces <= 100 && kept.throws <= 150).await;
     assert_eq!((kept.traces, kept.throws), (100, 150));
-    assert_eq!(kept.alarms, witness.heard().events.len() as u64, "an alarm was dropped");
-    // The newest stay, of both machines as many.
+    assert_eq!(kept.alarms, witness.heard().events.len() as u64, "an alarm was deleted");
+    // The newest throws stay, the same number for both machines.
     let oldest = rig.sql("SELECT min(throw_no) AS oldest FROM health_history")[0]["oldest"].as_u64();
     assert_eq!(oldest, Some(120 - 75 + 1));
     assert!(daemon.log().iter().any(|line| line.contains("dropped the oldest")));
@@ -74,7 +74,7 @@ async fn bytes_are_bounded_and_estimates_outlive_their_traces() {
     let daemon = rig.start();
     let session = daemon.client().await;
     let publisher = rig::matched(&session, "points/v1/north/21B/throw").await;
-    // Noise cannot be compressed: each of these takes two thirds of a megabyte.
+    // Noise cannot be compressed: each throw has two thirds of a megabyte.
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let mut noise = || (0..100_000).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
     for throw_no in 1..=40 {
@@ -90,7 +90,7 @@ async fn bytes_are_bounded_and_estimates_outlive_their_traces() {
     assert!(daemon.terminate().success());
 }
 
-/// Three hundred alarms that came and went, with two events each, written by SQL: a machine needs weeks for that.
+/// Three hundred cleared alarms with two events each, written by SQL, as a machine would need weeks for them.
 const OLD_ALARMS: &str = "
     INSERT INTO machine (site, machine) VALUES ('north', '21B');
     INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)

@@ -1,5 +1,5 @@
-//! A subscriber that never reads and an SQL reader that never closes: throws are taken in and judged as without them, and
-//! neither memory nor the write-ahead log grows beyond its bound. `POINTSD_SLOW_THROWS` sets how many throws.
+//! A subscriber that never reads and an SQL reader that never closes: the rates of storing and judging stay the same,
+//! and memory and the write-ahead log stay within their limits. `POINTSD_SLOW_THROWS` sets the number of throws.
 
 use std::{
     env, fs,
@@ -28,23 +28,23 @@ use crate::{
 };
 
 const KEY: &str = "points/v1/north/21B/throw";
-/// The configured bound of the log, and what one group of writes may take it over \[MiB\].
+/// Configured limit of the log, and the excess by one group of writes \[MiB\].
 const LOG_MIB: f64 = 32.0;
 const GROUP_MIB: f64 = 8.0;
-/// What hanging readers may cost in memory: the buffers of one link, and of the bounded queues before it \[MiB\].
+/// Memory for readers that hang: buffers of a link, and of the bounded queues before it \[MiB\].
 const MEMORY_MIB: f64 = 64.0;
-/// Throws that are published before the daemon is waited for.
+/// Throws published before the test waits for the daemon.
 const AHEAD: u64 = 1_000;
-/// Rates of one run differ by this factor on a busy computer.
+/// Factor between the rates of a run on a busy computer.
 const NOISE: f64 = 3.0;
 
-/// Set: this process is the subscriber that hangs, and this is where the daemon listens.
+/// Environment variable for the process of the subscriber that hangs: endpoint of the daemon.
 const HANGING_AT: &str = "POINTSD_HANGING_AT";
 const LISTENS: &str = "it listens";
 const HEARS: &str = "it hears";
 
-/// A subscriber to every throw, alarm and health message that stays in its first callback. It is a process of its own:
-/// zenoh's sessions share their threads, and a callback that hangs would hang the other tests' sessions too.
+/// A subscriber to all messages that stays in its first callback. It has its own process, because the sessions of a
+/// process share their threads.
 struct Hanging {
     child: Child,
     said: Lines<BufReader<ChildStdout>>,
@@ -86,12 +86,12 @@ async fn hang() {
     };
     let _subscriber = session.declare_subscriber("points/v1/**").callback(hangs).await.unwrap();
     println!("{LISTENS}");
-    // Until it is killed; or longer than any test, should nobody be left to do so.
+    // Until it is killed, at the latest after the longest test.
     tokio::time::sleep(20 * PATIENCE).await;
     std::process::exit(1);
 }
 
-/// The most that was seen while throws went in.
+/// Maxima during the ingestion of throws.
 #[derive(Debug, Default, Clone, Copy)]
 struct Most {
     rss_mib: f64,
@@ -122,11 +122,11 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// Publishes throws as fast as they are taken; returns how many were stored a second, and judged.
+    /// Publishes throws at the rate of the daemon; returns the throws stored and judged per second.
     async fn rates(&mut self, count: u64) -> [f64; 2] {
         let start = Instant::now();
         for number in 0..count {
-            // Never further ahead than what waits may take: what is beyond that is dropped and counted.
+            // Never more than the queue of the daemon holds, which drops and counts the rest.
             if number % AHEAD == AHEAD - 1 {
                 self.until(|now| now.stored, start).await;
             }
@@ -141,7 +141,7 @@ impl Source<'_> {
         [stored, start.elapsed()].map(|time| count as f64 / time.as_secs_f64())
     }
 
-    /// Waits until the daemon has got as far as was published.
+    /// Waits until the daemon has handled all published throws.
     async fn until(&self, far: impl Fn(&StatusReport) -> u64, start: Instant) {
         loop {
             let now = status(self.session).await;
@@ -179,7 +179,7 @@ async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
     hanging.until(LISTENS);
     source.rates(20).await;
     hanging.until(HEARS);
-    // Another has begun a transaction and looks at the database as it was then.
+    // Another connection has started a read transaction.
     let options = SqliteConnectOptions::new().filename(rig.database()).read_only(true);
     let mut reader = SqliteConnection::connect_with(&options).await.unwrap();
     let mut transaction = reader.begin().await.unwrap();

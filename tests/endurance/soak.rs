@@ -1,14 +1,13 @@
-//! An hour at fifty times a cabinet's load: does anything grow?
+//! An hour with fifty times the load of a cabinet: memory, files, threads and database must not grow.
 //!
-//! A cabinet has 20 machines that throw 200 times a day each; fifty times that is 2.3 throws a second. Links are cut now
-//! and then, parts wear out, the logger starts anew half way, and retention works on small bounds. `POINTSD_SOAK_SECONDS`
-//! sets the length; the samples are written to `soak.csv` and drawn in `soak.svg` in the folder `POINTSD_SOAK_OUT`.
+//! A cabinet has 20 machines that throw 200 times a day each; fifty times this load is 2.3 throws per second. Links are
+//! sometimes cut, parts wear, the logger restarts after half the time, and retention has small limits.
+//! `POINTSD_SOAK_SECONDS` sets the length; the folder `POINTSD_SOAK_OUT` gets the samples as `soak.csv` and `soak.svg`.
 //!
-//! After ten minutes memory, files, threads and database may not grow any more. A long run begins with many long cuts:
-//! after each of them loggers send all that they have cached, so that queues and buffers have had their largest burst, and
-//! caches are small enough to be full, when growth is judged. What is allocated of this memory, as the allocator tells, shows
-//! a leak sooner than what it takes from the system. It grows by the first alarm of a machine and the like too, and is judged
-//! as a part of the whole, from when the monitors have all the throws that they keep.
+//! Growth is judged after ten minutes. A long run starts with many long cuts, each followed by the whole backlog of the
+//! loggers, so that queues and buffers have reached their largest size before. The allocated memory, reported by the
+//! allocator, shows a leak earlier than the resident memory. It is judged as a share of the whole, after the monitors
+//! have all throws that they keep, because the first alarm of a machine also increases it.
 
 use std::{
     fs,
@@ -37,30 +36,30 @@ const THROWS_A_DAY: f64 = 200.0;
 const TIMES: f64 = 50.0;
 /// Throws a second: 2.3.
 const RATE: f64 = MACHINES as f64 * THROWS_A_DAY * TIMES / 86_400.0;
-/// Throws and traces that are kept: the bounds are reached within the first ten minutes.
+/// Retention limit for throws and traces, reached within the first ten minutes.
 const KEPT: u32 = 1_000;
-/// Last throws of each machine that the logger keeps: all caches are full in seven minutes.
+/// Throws of each machine in the backlog, which is full after seven minutes.
 const CACHE: u32 = 50;
-/// Caches, allocator and database fill up in this time of a long run.
+/// Backlogs, allocator and database reach their full size in this time of a long run.
 const WARM_UP_S: f64 = 600.0;
-/// While they do, the link is cut this often and this long: eight times.
+/// Period and length of the cuts in this time: eight cuts.
 const WARM_UP_CUT: (Duration, Duration) = (Duration::from_secs(75), Duration::from_secs(25));
-/// Throws of a machine until its monitor keeps no more than before: of each direction a baseline and the longest window.
+/// Most throws that a monitor keeps: a baseline and the longest window of each direction.
 const KEPT_BY_MONITOR: u32 = 2 * (50 + 24);
-/// Growth in an hour, after that, which counts as none \[%\].
+/// Allowed growth per hour after this time \[%\].
 const FLAT_PCT: f64 = 5.0;
 
 #[derive(Debug, Clone)]
 struct Sample {
     at_s: f64,
     usage: Usage,
-    /// `None` where there is no C compiler to ask the allocator with.
+    /// `None` without a C compiler for `heap.c`.
     heap: Option<Heap>,
     database_mib: f64,
     log_mib: f64,
-    /// Messages received and not yet stored.
+    /// Received messages that are not stored yet.
     waiting: u64,
-    /// Throws stored and not yet judged.
+    /// Stored throws that are not judged yet.
     unjudged: u64,
     stored: u64,
     judged: u64,
@@ -84,18 +83,18 @@ impl Sample {
         )
     }
 
-    /// What is allocated; not a number where nobody tells.
+    /// Allocated memory; NaN without a report.
     fn live_mib(&self) -> f64 {
         self.heap.map_or(f64::NAN, |heap| heap.live_mib)
     }
 
-    /// What the allocator keeps for later; not a number where nobody tells.
+    /// Memory that the allocator keeps for later; NaN without a report.
     fn kept_mib(&self) -> f64 {
         self.heap.map_or(f64::NAN, |heap| heap.free_mib)
     }
 }
 
-/// What happens when, from the length of the run.
+/// Times of the events of a run, from its length.
 struct Plan {
     length: Duration,
     sample: Duration,
@@ -116,7 +115,7 @@ impl Plan {
         self.length.as_secs_f64() > 2.0 * WARM_UP_S
     }
 
-    /// In every period of an hour's run the link is down for 5 s, or for 25 s, after which zenoh has given it up.
+    /// In every period of an hour's run the link is cut for 5 s, or for 25 s, after which zenoh closes it.
     fn link_is_up(&self, at: Duration) -> bool {
         if self.is_long() && at.as_secs_f64() < WARM_UP_S {
             let (period, down) = (WARM_UP_CUT.0.as_millis(), WARM_UP_CUT.1.as_millis());
@@ -149,12 +148,12 @@ impl Logger {
         Self(child)
     }
 
-    /// Ends it; returns how many throws it has published.
+    /// Stops it; returns the number of published throws.
     fn stop(mut self) -> u64 {
         assert!(Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status().unwrap().success());
         let lines = BufReader::new(self.0.stderr.take().unwrap()).lines().map_while(Result::ok);
-        let last = lines.filter(|line| line.contains("stopped")).last().expect("it says that it stopped");
-        let (_, published) = last.split_once("published=").expect("and how many it published");
+        let last = lines.filter(|line| line.contains("stopped")).last().expect("a line about its stop");
+        let (_, published) = last.split_once("published=").expect("the number of published throws");
         assert!(self.0.wait().unwrap().success());
         published.trim().parse().unwrap()
     }
@@ -162,7 +161,7 @@ impl Logger {
 
 impl Drop for Logger {
     fn drop(&mut self) {
-        // A test that failed must not leave it behind.
+        // A failed test must end it too.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -211,7 +210,7 @@ async fn nothing_grows_at_fifty_times_a_cabinets_load() {
         }
     }
     published += logger.stop();
-    // A throw behind a missing one waits up to a minute for its logger, which is gone.
+    // A throw after a missing one waits up to a minute for the logger, which has stopped.
     let all_stored = async { while status(&session).await.is_none_or(|status| status.judged < published) {} };
     let in_time = tokio::time::timeout(2 * PATIENCE, all_stored).await;
     let end = status(&session).await.unwrap();
@@ -228,14 +227,14 @@ async fn nothing_grows_at_fifty_times_a_cabinets_load() {
     recording.judge();
 }
 
-/// The environment that the service's unit sets.
+/// Environment variables of the systemd unit.
 fn unit_environment() -> impl Iterator<Item = (&'static str, &'static str)> {
     let unit = include_str!("../../deploy/systemd/pointsd.service");
     let set = unit.lines().filter_map(|line| line.strip_prefix("Environment="));
     set.map(|set| set.split_once('=').expect("NAME=value"))
 }
 
-/// Where the daemon's allocator tells what it holds.
+/// File with the report of the daemon's allocator.
 fn heap_file(rig: &Rig) -> PathBuf {
     rig.folder().join("heap")
 }
@@ -260,10 +259,10 @@ async fn sample(rig: &Rig, daemon: &Daemon, session: &Session, at: Duration, lin
     })
 }
 
-/// What is judged of a sample.
+/// A quantity of a sample.
 type Figure = fn(&Sample) -> f64;
 
-/// The samples, in memory and as they come in a file.
+/// The samples, in memory and in a file.
 struct Recording {
     folder: PathBuf,
     file: fs::File,
@@ -318,7 +317,7 @@ impl Recording {
                     .level(0.0, ""),
             )
             .panel(
-                panel("Throws that wait, and the link", "throws")
+                panel("Waiting throws, and the link", "throws")
                     .line("to be stored", self.curve(|sample| sample.waiting as f64))
                     .line("to be judged", self.curve(|sample| sample.unjudged as f64))
                     .line("link down", self.curve(|sample| f64::from(u8::from(!sample.link)))),
@@ -331,7 +330,7 @@ impl Recording {
         println!("{} samples: {}", self.samples.len(), path.display());
     }
 
-    /// Growth in an hour by least squares, as a part of the mean of the `whole` \[%\].
+    /// Growth per hour by least squares, as a share of the mean of the `whole` \[%\].
     fn growth_pct(samples: &[Sample], of: Figure, whole: Figure) -> f64 {
         let count = samples.len() as f64;
         let mean = |value: &dyn Fn(&Sample) -> f64| samples.iter().map(value).sum::<f64>() / count;
@@ -349,7 +348,7 @@ impl Recording {
         let monitors_full_s = f64::from(KEPT_BY_MONITOR * MACHINES) / RATE;
         let full = since(monitors_full_s);
         if settled.last().is_none_or(|last| last.at_s < 2.0 * monitors_full_s) {
-            println!("too short to say whether anything grows: POINTSD_SOAK_SECONDS=3600 does");
+            println!("too short to judge growth: use POINTSD_SOAK_SECONDS=3600");
             return;
         }
         let resident: Figure = |sample| sample.usage.rss_mib;

@@ -1,4 +1,4 @@
-//! An outside subscriber: what the world has heard of the daemon.
+//! A subscriber that records all messages of the daemon.
 
 use std::{
     collections::BTreeSet,
@@ -18,19 +18,19 @@ use zenoh::{
 
 use crate::rig;
 
-/// What was heard.
+/// The received messages.
 #[derive(Debug, Default)]
 pub(crate) struct Heard {
-    /// Machine, boot and number of every throw whose health was published.
+    /// Machine, boot id and number of each throw with a received health message.
     pub(crate) health: BTreeSet<(String, String, u64)>,
-    /// Every alarm event in the order of its first arrival.
+    /// Alarm events in the order of their first arrival.
     pub(crate) events: Vec<(String, u32)>,
-    /// Alarm messages, repetitions counted.
+    /// Number of alarm messages, with repetitions.
     pub(crate) messages: usize,
 }
 
 impl Heard {
-    /// All of it as lines of acknowledgement.
+    /// The received messages as acknowledgement lines.
     pub(crate) fn acknowledged(&self) -> String {
         let throws = self.health.iter().map(|(machine, boot_id, throw_no)| throw_line(machine, boot_id, *throw_no));
         throws.chain(self.events.iter().map(|(alarm_id, event_no)| event_line(alarm_id, *event_no))).collect()
@@ -45,15 +45,15 @@ fn event_line(alarm_id: &str, event_no: u32) -> String {
     format!("event {alarm_id} {event_no}\n")
 }
 
-/// The subscriber. It listens until it is dropped.
+/// A subscriber that receives until it is dropped.
 pub(crate) struct Witness {
     heard: Arc<Mutex<Heard>>,
     _session: Session,
 }
 
 impl Witness {
-    /// Subscribes to health and alarms. With `log`, the shim's log of the daemon, each thing that is heard is noted
-    /// there as acknowledged, at the place that the log has reached.
+    /// Subscribes to health and alarms. Adds an acknowledgement for each message to `log`, the shim's log of the
+    /// daemon.
     pub(crate) async fn listen(endpoint: &str, log: Option<&Path>) -> Self {
         let session = rig::client_of(endpoint).await;
         let heard = Arc::<Mutex<Heard>>::default();
@@ -74,7 +74,7 @@ impl Witness {
             .background()
             .await
             .unwrap();
-        // A daemon that appears, because it or the link was away, is asked for what was missed.
+        // Queries a daemon that connects again for the missed events.
         let asking = session.clone();
         let on_daemon = move |token: Sample| {
             if token.kind() == SampleKind::Put {
@@ -86,7 +86,7 @@ impl Witness {
         Self { heard, _session: session }
     }
 
-    /// Subscribes to alarms as a first program would, with nothing but what zenoh does by itself.
+    /// Subscribes to alarms with a plain zenoh subscriber.
     pub(crate) async fn listen_plainly(endpoint: &str) -> Self {
         let session = rig::patient_client_of(endpoint).await;
         let heard = Arc::<Mutex<Heard>>::default();
@@ -99,7 +99,7 @@ impl Witness {
         self.heard.lock().unwrap()
     }
 
-    /// Waits until something is heard.
+    /// Waits until the received messages fulfil a condition.
     pub(crate) async fn until(&self, what: &str, is_heard: impl Fn(&Heard) -> bool) {
         let waiting = async {
             while !is_heard(&self.heard()) {
@@ -108,7 +108,7 @@ impl Witness {
         };
         let waited = tokio::time::timeout(rig::PATIENCE, waiting).await;
         let heard = self.heard();
-        assert!(waited.is_ok(), "{what} is not heard; {} throws and {:?}", heard.health.len(), heard.events);
+        assert!(waited.is_ok(), "not received: {what}; received: {} throws and {:?}", heard.health.len(), heard.events);
     }
 }
 
@@ -125,7 +125,7 @@ fn alarm_taker(heard: Arc<Mutex<Heard>>, log: Option<Arc<File>>) -> impl Fn(Samp
     }
 }
 
-/// Asks for the last alarm events.
+/// Queries the last alarm events.
 fn ask(session: &Session, on_alarm: Arc<impl Fn(Sample) + Send + Sync + 'static>) {
     let get = session.get("points/v1/**/alarm?limit=10000").target(QueryTarget::All);
     let on_reply = move |reply: Reply| reply.into_result().into_iter().for_each(|sample| on_alarm(sample));

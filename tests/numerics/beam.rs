@@ -1,10 +1,11 @@
-//! The simulated machine against an independent reference: equations (1) to (9) written down again, rails as a chain of
-//! rigid links (Hencky) that is not reduced to modes, integrated by Runge-Kutta in small steps, friction as a steep tanh.
+//! The simulated machine against an independent reference: a second implementation of equations (1) to (9), with the
+//! rails as a chain of rigid links (Hencky) without reduction to modes, small Runge-Kutta steps, and friction as a
+//! steep tanh.
 
 use pointsd::simulate::{Conditions, Motion, Parameters, Rails, STEP_S, Waveform};
 use pointsd::throw::Direction;
 
-/// Links of the chain: two between one slide chair and the next.
+/// Links of the chain: two between consecutive slide chairs.
 const LINKS: usize = 26;
 const STATES: usize = 5 + 2 * LINKS;
 
@@ -110,7 +111,7 @@ fn largest_difference(motion: &Motion, reference: &[(f64, f64)]) -> (f64, f64) {
 #[test]
 fn the_machine_follows_an_independent_integration_of_its_equations() {
     for slide_friction in [0.0, 0.1] {
-        // The springs of equation (8) and the chairs leave no room for the reference's steep tanh at the screw.
+        // Without friction at the screw: with the springs of equation (8) its steep tanh would need smaller steps.
         let rails = Rails { slide_friction, damping_ratio: 0.0, ..Rails::default() };
         let machine = Parameters { screw_dry_nm: 0.0, rails, ..Parameters::default() };
         let reference = Reference::new(&machine).run(1.0, 20);
@@ -170,7 +171,7 @@ fn break_away_friction_holds_the_machine_longer() {
     let (plain, sticky) = (current_at_start(1.0), current_at_start(2.0));
     let expected = 1.0 / Parameters::default().torque_constant;
     println!("starts at {plain:.2} A, with break-away friction at {sticky:.2} A");
-    // Gearbox and drive wind up before the toe moves; the break-away friction comes on top of that.
+    // Gearbox and drive wind up before the toe moves; then the break-away friction is added.
     assert!(plain > expected, "{plain} A, friction alone needs {expected}");
     assert!(((sticky - plain) / expected - 1.0).abs() < 0.05, "{plain} and {sticky} A, {expected} apart expected");
 }

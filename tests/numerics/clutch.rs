@@ -1,4 +1,4 @@
-//! The friction clutch of the toe drive: what an obstruction looks like, and that a throw without one never shows it.
+//! The friction clutch of the toe drive: an obstruction makes it slip, a normal throw does not.
 
 use std::f64::consts::TAU;
 
@@ -25,7 +25,7 @@ fn slipping(machine: &Parameters) -> (f64, f64) {
 fn an_obstruction_anywhere_shows_the_current_of_the_slipping_clutch() {
     let machine = Parameters { screw_stiffness_nm: 0.0, ..Parameters::default() };
     let (expected_a, speed) = slipping(&machine);
-    // What the motor's back-EMF takes in is what clutch and friction turn into heat.
+    // The power of the back-EMF is the heat of clutch and friction.
     let torque = machine.torque_constant * machine.gear_ratio * expected_a;
     let electric = machine.supply_v * expected_a - machine.resistance_ohm * expected_a * expected_a;
     assert!((electric / (torque * speed) - 1.0).abs() < 1e-9);
@@ -44,7 +44,7 @@ fn an_obstruction_anywhere_shows_the_current_of_the_slipping_clutch() {
                 "the controller gives up"
             );
             let (toe_mm, current_a) = (motion.toe_mm[motion.cut_off], motion.current_a[motion.cut_off]);
-            // The obstacle gives way by half a millimetre under the clutch's force, and the rails' where they help.
+            // The obstacle yields by half a millimetre under the force of the clutch, and of the rails where they help.
             assert!((toe_mm - at_mm).abs() < 0.6, "{direction}, obstacle at {at_mm} mm: the toe is at {toe_mm} mm");
             assert!(
                 (current_a / expected_a - 1.0).abs() < 0.005,
@@ -93,7 +93,7 @@ fn no_normal_throw_slips() {
                 let throw = |clutch_n| {
                     Parameters { clutch_n, ..machine.clone() }.simulate(direction, &conditions, STEP_S).unwrap()
                 };
-                // Half the clutch would do as well: there is room for wear.
+                // Half the clutch force is enough for a throw, so the clutch has a reserve for wear.
                 let motion = throw(machine.clutch_n / 2.0);
                 assert!(motion.completed, "{direction}, {temperature_c} °C: {machine:?}");
                 assert_eq!(motion, throw(1e9), "{direction}, {temperature_c} °C: {machine:?}");
@@ -104,7 +104,7 @@ fn no_normal_throw_slips() {
 
 #[test]
 fn stiff_rails_are_more_than_the_clutch_can_bend() {
-    // 3 EI / L³ of both rails at the full stroke, three times the clutch's force.
+    // The force 3 EI / L³ of both rails at the full stroke is three times that of the clutch.
     let mut machine = Parameters::default();
     machine.rails.bending_stiffness_n_m2 = 3.0 * machine.clutch_n / 0.115 * machine.rails.length_m.powi(3) / 6.0;
     let motion = machine.simulate(Direction::NormalToReverse, &Conditions::default(), STEP_S).unwrap();

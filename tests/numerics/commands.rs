@@ -1,4 +1,4 @@
-//! The programs themselves: a throw written by `pointsim` is identified by `pointsd` as the physics says.
+//! The programs: `pointsd` identifies a throw from `pointsim` with the simulated coefficients.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -47,10 +47,7 @@ fn a_written_throw_is_identified_within_three_of_its_standard_deviations() {
         for name in ["b0", "a1", "a0"] {
             let (expected, is) = (truth[name].as_f64().unwrap(), found[name].as_f64().unwrap());
             let sd = found[format!("{name}_sd")].as_f64().unwrap();
-            assert!(
-                (is - expected).abs() < 3.0 * sd,
-                "{direction}: {name} is {is} (sd {sd}), the physics says {expected}"
-            );
+            assert!((is - expected).abs() < 3.0 * sd, "{direction}: {name} is {is} (sd {sd}), expected {expected}");
         }
         assert_eq!(found["direction"], truth["direction"]);
         let (duration, expected) = (found["duration_s"].as_f64().unwrap(), truth["duration_s"].as_f64().unwrap());
@@ -102,7 +99,7 @@ fn wrong_values_are_refused_with_their_name() {
         assert!(error.contains(word), "{option} {value}: {error}");
         assert_eq!(error.trim_end().lines().count(), 1, "{option} {value}: {error}");
     }
-    assert!(!file.exists(), "nothing is written when the settings are wrong");
+    assert!(!file.exists(), "a file was written with invalid settings");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The covariance against the scatter of repeated measurements.
+//! The stated covariance against the scatter of repeated measurements.
 
 use pointsd::estimate::Identifier;
 use pointsd::simulate::{Channel, Conditions, Parameters, Sensors};
@@ -7,7 +7,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use super::identify::{settings_of, throw_with};
 
-/// Throws of each noise mix and direction.
+/// Throws for each combination of noise and direction.
 const THROWS: u64 = 334;
 
 #[test]

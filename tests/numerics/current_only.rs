@@ -7,7 +7,7 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use super::identify::throw_with;
 
-/// A throw recorded with a current sensor only, at 110 V; `position` is what the logger sends instead of a toe position.
+/// A throw recorded with a current sensor only, at 110 V; the logger sends `position` as each toe position.
 fn identify(
     machine: &Parameters,
     direction: Direction,

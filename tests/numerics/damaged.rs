@@ -1,4 +1,4 @@
-//! Damaged traces: each is refused with its reason.
+//! Damaged traces: each is rejected with its reason.
 
 use pointsd::estimate::{Identification, Identifier, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, Sensors};
@@ -29,8 +29,8 @@ impl Channels {
     }
 }
 
-/// One random injury. The word says which, for the report.
-#[expect(clippy::too_many_lines, reason = "one arm for each kind of injury")]
+/// Damages the channels at random; returns the name of the damage.
+#[expect(clippy::too_many_lines, reason = "one arm for each kind of damage")]
 pub(crate) fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static str {
     let len = channels.current.len();
     let from = rng.random_range(0..len);
@@ -138,7 +138,7 @@ pub(crate) fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static 
     }
 }
 
-/// What is done to a healthy trace, and the word, or one of the words, that must come out.
+/// Description, accepted results joined by `|`, and the damage to a healthy trace.
 type Damage = (&'static str, &'static str, fn(&mut Channels));
 
 const TABLE: &[Damage] = &[

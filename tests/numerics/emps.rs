@@ -14,11 +14,11 @@ use super::identify::throw_with;
 const FORCE_N: f64 = 35.150_651_88;
 const INTERVAL_S: f64 = 1e-3;
 
-/// Force \[N\] and position \[m\]; `None`, with a message, where the data are not at hand.
+/// Force \[N\] and position \[m\]; `None`, with a message, without the data.
 fn recorded() -> Option<(Vec<f64>, Vec<f64>)> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/emps.csv");
     let Ok(text) = fs::read_to_string(&path) else {
-        println!("skipped: {} is not there", path.display());
+        println!("skipped: {} does not exist", path.display());
         return None;
     };
     let rows = text.lines().skip(1).map(|line| {
@@ -33,7 +33,7 @@ fn mass_friction_and_offset_of_a_real_drive_come_out_as_published() {
     let Some((force, position)) = recorded() else { return };
     let velocity: Vec<f64> =
         (1..position.len() - 1).map(|k| (position[k + 1] - position[k - 1]) / (2.0 * INTERVAL_S)).collect();
-    // The sign of a velocity averaged over 20 ms: the encoder's step makes single differences jump about zero.
+    // The sign of the mean velocity over 20 ms, because single differences alternate around zero by the encoder's step.
     let sign: Vec<f64> = (0..velocity.len())
         .map(|k| {
             let mean = velocity[k.saturating_sub(10)..(k + 11).min(velocity.len())].iter().sum::<f64>();
@@ -73,9 +73,9 @@ fn the_plain_model_from_force_to_position_is_refused() {
     let problem = Problem { interval_s: INTERVAL_S, output: &position, inputs, equilibrium: None };
     let found = sriv.identify(&problem, &mut Workspace::default()).unwrap();
     assert_eq!(found.termination, Termination::Converged);
-    assert_eq!(found.sound(0.98), Err(Unsound::Unstable), "nonsense looks sound: {found:?}");
+    assert_eq!(found.sound(0.98), Err(Unsound::Unstable), "an unstable model was accepted: {found:?}");
 
-    // The whole record as if it were a throw: out and back.
+    // The whole record, both directions, as one throw.
     let millimetres = position.iter().map(|x| 1000.0 * x).collect();
     let throw = throw_with(Trace::new(1000.0, force, millimetres).unwrap(), None);
     let refused = Identifier::default().identify(&throw, &Settings::default()).outcome.unwrap_err();

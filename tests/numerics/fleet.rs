@@ -1,4 +1,4 @@
-//! Faults, sensors and fleets: a size means what it says at the coefficient, and one seed reproduces everything.
+//! Faults, sensors and fleets: a fault changes its coefficient by its size, and a seed reproduces all results.
 
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::simulate::{
@@ -55,7 +55,8 @@ fn the_size_of_a_fault_is_what_the_estimate_shows() {
         for direction in Direction::BOTH {
             let found = change_pct(estimate(&worn, direction), estimate(&new, direction));
             for (at, expected) in expected.iter().enumerate() {
-                // On a beam the chairs' friction builds up with the travel, and leaks into the other coefficients.
+                // On a beam the friction of the chairs increases with the travel and also changes the other
+                // coefficients.
                 let leak = match (part, new.rails.model) {
                     (Part::Friction, RailModel::Beam) => 0.25 * size_pct.abs(),
                     (Part::Friction, RailModel::Lumped) => 0.03 * size_pct.abs(),
@@ -80,7 +81,7 @@ fn a_fault_develops_as_its_shape_says() {
     assert!(step[..5].iter().all(|size| near(*size, 0.0)) && step[5..].iter().all(|size| near(*size, -10.0)));
     let ramp = sizes(Shape::Ramp { throws: 10 });
     assert!(near(ramp[5], -1.0) && near(ramp[9], -5.0) && near(ramp[14], -10.0) && near(ramp[19], -10.0));
-    // Three standard steps of a walk that is 10 % wide after 9 throws.
+    // A walk of 10 % after 9 throws makes steps of a third of this.
     assert!(near(sizes(Shape::RandomWalk { throws: 9 })[6], -10.0));
 }
 
@@ -192,7 +193,7 @@ fn throws_scatter_as_much_and_as_correlated_as_set() {
     };
     for (name, values, sd_pct) in [("b0", b0, 0.5), ("a1", a1, 3.0)] {
         let (sd, correlation) = moments(&values);
-        // 600 throws at a correlation of 0.6 are worth 150.
+        // 600 throws with a correlation of 0.6 are equivalent to 150 independent ones.
         assert!((sd / sd_pct - 1.0).abs() < 0.2, "{name}: {sd} %");
         assert!((correlation - 0.6).abs() < 0.12, "{name}: {correlation}");
     }

@@ -1,11 +1,11 @@
-//! One throw through the whole estimator: simulate, then find the physics again.
+//! One simulated throw through the whole estimator, which must return the simulated coefficients.
 
 use pointsd::estimate::{Identification, Identifier, Settings};
 use pointsd::simulate::{Conditions, Parameters, Rails, Sensors};
 use pointsd::throw::{Direction, Throw, ThrowRef, Trace};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-/// A throw of nobody in particular with this trace.
+/// A throw with this trace and arbitrary identity.
 pub(crate) fn throw_with(trace: Trace, anti_alias_hz: Option<f64>) -> Throw {
     Throw {
         id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
@@ -25,12 +25,12 @@ pub(crate) fn simulated(machine: &Parameters, sensors: &Sensors, direction: Dire
     throw_with(sensors.record(&motion, direction, &mut rng).unwrap().trace, sensors.anti_alias_hz)
 }
 
-/// The settings that belong to a simulated machine.
+/// The settings for a simulated machine.
 pub(crate) fn settings_of(machine: &Parameters) -> Settings {
     Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() }
 }
 
-/// The default machine without any dry friction: all of its physics is in equation (10).
+/// The default machine without dry friction, which equation (10) describes completely.
 pub(crate) fn without_dry_friction() -> Parameters {
     let machine = Parameters::default();
     let rails = Rails { slide_friction: 0.0, ..machine.rails };

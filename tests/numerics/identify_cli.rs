@@ -1,4 +1,4 @@
-//! `pointsd identify` as a user runs it: one sentence that says what is wrong and where.
+//! `pointsd identify` as a user runs it: an error is one sentence with its reason and its place.
 
 use std::fmt::Write as _;
 use std::process::{Command, Output};

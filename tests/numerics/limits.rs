@@ -1,4 +1,4 @@
-//! What the page on the method's limits says, held against its own runs.
+//! The statements of the page on the limits of the method, checked with its runs.
 
 use pointsd::evaluate::limits::{Finding, Row, Runs, run};
 
@@ -16,7 +16,7 @@ fn the_page_holds() {
     let row = |finding: &str, label: &str| {
         find(&findings, finding).iter().find(|row| row.label == label).unwrap_or_else(|| panic!("{finding}: {label}"))
     };
-    // Raw samples: refused where the inrush is not sampled, close to the physics where it is.
+    // Raw samples: rejected if the rate is too low for the inrush, otherwise close to the true coefficients.
     for rate in ["25", "50", "100", "200"] {
         assert!(row("sampling_raw", rate).errors_pct.is_empty(), "{rate} Hz raw");
     }
@@ -26,17 +26,17 @@ fn the_page_holds() {
     for (rate, limit) in [("50", 5.0), ("100", 3.0), ("200", 1.5), ("500", 1.5), ("1000", 1.0), ("20000", 0.3)] {
         assert!(largest(row("sampling_filtered", rate)) < limit, "{rate} Hz: {:?}", row("sampling_filtered", rate));
     }
-    // A load is friction to the three coefficients, and no fourth coefficient.
+    // A load appears as friction, and a fourth coefficient for it cannot be identified.
     let loaded = row("load", "1, +40.0 %").worst_pct().unwrap();
     assert!(loaded[0].abs() < 1.0 && (loaded[1] - 40.0).abs() < 2.0 && loaded[2].abs() < 1.0, "{loaded:?}");
     let four = row("fourth_coefficient", "b0, a1, a0 and the load");
     assert!(four.errors_pct.len() < 4 || largest(four) > 20.0, "{four:?}");
-    // Sensor noise in the loop does no harm.
+    // Sensor noise in the control loop has no effect.
     for label in ["battery, 20, 0", "controller, 20, 0", "controller, 200, 0"] {
         let mean = row("closed_loop", label).mean_pct().unwrap();
         assert!(mean.iter().all(|error| error.abs() < 1.0), "{label}: {mean:?}");
     }
-    // The neutral position belongs to a1.
+    // The neutral position has an effect on a1.
     assert!(largest(row("neutral", "57.5, 57.5, R to N")) < 1.0);
     assert!(largest(row("neutral", "0, 57.5, N to R")) > 50.0);
     assert_eq!(findings.len(), 13);

@@ -1,4 +1,4 @@
-//! The simulated machine against its own physics.
+//! The simulated machine against analytical results.
 
 use pointsd::simulate::{
     Channel, Conditions, Fault, Fleet, FleetFault, FleetSettings, Parameters, Part, RailModel, Rails, STEP_S, Scatter,
@@ -24,7 +24,7 @@ fn the_default_machine_is_a_credible_one() {
         assert!((peak - 13.0).abs() < 1.0, "{peak} A");
         let running = &motion.current_a[5000..motion.cut_off];
         let mean = running.iter().sum::<f64>() / running.len() as f64;
-        // About 1 A against the rails, less where their spring helps.
+        // About 1 A against the spring of the rails, less with it.
         let expected = if direction == Direction::NormalToReverse { 0.7..1.3 } else { 0.2..0.7 };
         assert!(expected.contains(&mean), "{direction}: {mean} A running");
         let beyond = motion.toe_mm.iter().fold(0.0_f64, |most, &mm| most.max(-mm).max(mm - machine.stroke_mm));
@@ -104,7 +104,7 @@ fn a_random_walk_is_as_wide_as_set_after_its_throws() {
         .map(|machine| (0..4).map(|_| machine.next_throw().unwrap().condition.kt).last().unwrap() - 1.0)
         .collect();
     let sd = (ends.iter().map(|end| end * end).sum::<f64>() / machines as f64).sqrt();
-    // 60 machines tell a standard deviation to 9 %.
+    // 60 machines determine a standard deviation to 9 %.
     assert!((sd / 0.05 - 1.0).abs() < 0.3, "{sd}");
 }
 
@@ -129,7 +129,7 @@ fn magnet_and_back_emf_fade_together_and_rails_soften_with_heat() {
     let (cold, hot) = (machine.at_temperature(-10.0), machine.at_temperature(40.0));
     for (is, was, pct) in [
         (hot.torque_constant, machine.torque_constant, -3.0),
-        // The same flux makes torque and back-EMF.
+        // Torque and back-EMF have the same flux.
         (hot.back_emf_constant, machine.back_emf_constant, -3.0),
         (hot.rails.bending_stiffness_n_m2, machine.rails.bending_stiffness_n_m2, -2.0),
         (cold.torque_constant, machine.torque_constant, 4.5),

@@ -1,4 +1,5 @@
-//! A supply from rectified mains: its ripple as recorded on a real machine, and that it does no harm where it is sampled.
+//! A supply from rectified mains: its ripple is as recorded on a real machine, and does not disturb the estimator if it
+//! is sampled.
 
 use std::f64::consts::PI;
 

@@ -1,5 +1,5 @@
-//! Random mutations of good traces and of the messages that carry them: none makes decoder or estimator panic, and hardly any
-//! passes for a sound estimate that is far from the undamaged throw's.
+//! Random mutations of good traces and of their messages: decoder and estimator never panic, and almost no mutation
+//! gives an accepted estimate far from that of the undamaged throw.
 
 use std::collections::BTreeMap;
 
@@ -15,7 +15,7 @@ use serde_json::Value;
 use super::damaged::{Channels, mutate};
 use super::identify::{settings_of, simulated};
 
-/// How the bytes of a throw are laid out.
+/// Encodings of a throw.
 const LAYOUTS: [&str; 4] = ["CBOR float32", "CBOR float64", "CBOR plain", "JSON"];
 const FIELDS: [&str; 10] = [
     "schema",
@@ -30,7 +30,7 @@ const FIELDS: [&str; 10] = [
     "supply_v",
 ];
 
-/// One field's name and value, and where it comes in the message.
+/// Name of a field, and index of its value in the message.
 type Field<'a> = (&'a str, usize);
 
 fn complete(direction: Direction, seed: u64) -> Throw {
@@ -44,7 +44,7 @@ fn complete(direction: Direction, seed: u64) -> Throw {
     }
 }
 
-/// A message whose fields bear these names, and the values of those fields.
+/// A message with these names and the values of these fields.
 fn message(layout: &str, throw: &Throw, fields: &[Field<'_>]) -> Vec<u8> {
     if layout == "JSON" {
         let value: Value = serde_json::from_slice(&wire::encode_throw(Encoding::Json, throw)).unwrap();
@@ -91,7 +91,7 @@ fn message(layout: &str, throw: &Throw, fields: &[Field<'_>]) -> Vec<u8> {
     encoder.into_writer()
 }
 
-/// The fields with one injury between them: names or values changed about, a value of another type, a field lost or twice.
+/// The fields with one mutation: exchanged names or values, a value of another type, a missing or repeated field.
 fn mutated_fields(rng: &mut ChaCha8Rng) -> (&'static str, Vec<Field<'static>>) {
     let mut fields: Vec<Field<'_>> = FIELDS.into_iter().zip(0..).collect();
     let (one, other) = (rng.random_range(0..fields.len()), rng.random_range(0..fields.len()));
@@ -115,7 +115,7 @@ fn mutated_fields(rng: &mut ChaCha8Rng) -> (&'static str, Vec<Field<'static>>) {
     }
 }
 
-/// One random injury to a message's bytes.
+/// Mutates the bytes of a message; returns the name of the mutation.
 fn mutate_bytes(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) -> &'static str {
     let from = rng.random_range(0..bytes.len());
     let longest = [4, 64, 4096][rng.random_range(0..3)];
@@ -163,14 +163,14 @@ fn mutate_bytes(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) -> &'static str {
     }
 }
 
-/// Largest relative difference between two estimates of what should be one throw.
+/// Largest relative difference between two estimates of the same throw.
 fn change(estimate: &Estimate, whole: &Estimate) -> f64 {
     [estimate.b0 / whole.b0, estimate.a1 / whole.a1, estimate.a0 / whole.a0]
         .into_iter()
         .fold(0.0, |most: f64, ratio| most.max((ratio - 1.0).abs()))
 }
 
-/// What came of the mutations of one kind.
+/// Results of the mutations of one kind.
 #[derive(Debug, Default)]
 struct Count {
     mutated: usize,
@@ -178,7 +178,7 @@ struct Count {
     nonsense: usize,
 }
 
-/// Good throws as channels and as messages, and what the estimator makes of them undamaged.
+/// Good throws as channels and as messages, with their estimates.
 struct Good {
     identifier: Identifier,
     settings: Settings,
@@ -210,7 +210,7 @@ impl Good {
         Self { identifier, settings, channels, throws }
     }
 
-    /// Mutates a trace: the kind of mutation, and how far the estimate is off where there is one.
+    /// Mutates a trace; returns the kind of mutation and the change of the estimate, if it is accepted.
     fn trace(&mut self, rng: &mut ChaCha8Rng) -> (&'static str, Option<f64>) {
         let (channels, whole) = &self.channels[rng.random_range(0..self.channels.len())];
         let mut channels = channels.clone();
@@ -219,7 +219,7 @@ impl Good {
         (kind, good(found.outcome).map(|estimate| change(&estimate, whole)))
     }
 
-    /// The same for a message.
+    /// Mutates a message; returns the same as [`Self::trace`].
     fn message(&mut self, rng: &mut ChaCha8Rng) -> (&'static str, Option<f64>) {
         let (throw, messages, whole) = &self.throws[rng.random_range(0..self.throws.len())];
         let layout = rng.random_range(0..LAYOUTS.len());
@@ -232,19 +232,19 @@ impl Good {
         };
         let Ok(throw) = wire::decode_throw(Encoding::of("", &bytes), &bytes) else { return (kind, None) };
         let found = self.identifier.identify(&throw, &self.settings);
-        // A direction that contradicts the movement is a flag on the throw.
+        // A direction that contradicts the movement is only flagged.
         let contradicted = found.direction_contradicted;
         let sound = good(found.outcome).filter(|_| !contradicted);
         (kind, sound.map(|estimate| change(&estimate, whole)))
     }
 }
 
-/// The estimate that would enter a baseline.
+/// The estimate, if it would enter a baseline.
 fn good(outcome: Result<Estimate, Rejection>) -> Option<Estimate> {
     outcome.ok().filter(|estimate| estimate.grade == Grade::Good)
 }
 
-/// `POINTSD_MUTATIONS=100000` sets their number, `POINTSD_MUTATIONS_SEED` the first seed.
+/// `POINTSD_MUTATIONS=100000` sets the number of mutations, `POINTSD_MUTATIONS_SEED` the first seed.
 #[test]
 fn random_damage_to_traces_and_messages_never_passes_for_a_sound_estimate_far_from_the_truth() {
     let from_env = |name: &str| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
@@ -269,7 +269,7 @@ fn random_damage_to_traces_and_messages_never_passes_for_a_sound_estimate_far_fr
         println!("{what}, {kind}: {count:?}");
     }
     println!("{runs} mutations, {} accepted more than 5 % away:\n{}", nonsense.len(), nonsense.join("\n"));
-    // A scaled inrush is that of a machine with another inertia, and another sampling rate that of a faster machine: where the
-    // injury leaves no edge, one throw cannot tell.
+    // A scaled inrush looks like another inertia, and another sampling rate like a faster machine. Without an edge in
+    // the trace one throw cannot show such a mutation.
     assert!(nonsense.len() as u64 <= (runs / 10_000).max(2), "{nonsense:#?}");
 }

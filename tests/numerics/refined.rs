@@ -1,4 +1,4 @@
-//! The prefilter that matches the noise: half the scatter, no bias, an honest covariance, and a test of the model.
+//! The prefilter that matches the noise: half the scatter, no bias, a true covariance, and a test of the model.
 
 use pointsd::estimate::{
     Hold, Identifier, Noise, Settings,
@@ -81,11 +81,7 @@ fn the_whitened_residual_is_the_noise_and_more_where_the_model_is_wrong() {
     let shaken: Vec<f64> = output.iter().enumerate().map(|(k, y)| y + 0.02 * (0.05 * k as f64).sin()).collect();
     let bad = ratio(&shaken, &noise).unwrap();
     assert!(bad > 1.3, "{bad}");
-    assert_eq!(
-        ratio(&output, &Noise { inputs: [0.0], ..noise }),
-        None,
-        "without noise in the current there is nothing to refine"
-    );
+    assert_eq!(ratio(&output, &Noise { inputs: [0.0], ..noise }), None, "a trace without current noise was refined");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! SRIV against independent answers: another implementation, and the literature's benchmark.
+//! SRIV against independent results: another implementation, and a benchmark of the literature.
 
 use std::array;
 
@@ -36,7 +36,7 @@ pub(crate) fn second_order(
             level
         })
         .collect();
-    // Runge-Kutta with 20 steps an interval: no matrix exponential in common with the estimator.
+    // Runge-Kutta with 20 steps in each interval, independent of the estimator's matrix exponential.
     let (mut state, mut output) = ([0.0, 0.0], Vec::with_capacity(len));
     let slope = |state: [f64; 2], u: f64| [state[1], b0 * u - a1 * state[1] - a0 * state[0]];
     let along = |s: [f64; 2], d: [f64; 2], h: f64| [s[0] + h * d[0], s[1] + h * d[1]];
@@ -55,7 +55,7 @@ pub(crate) fn second_order(
     (input, output)
 }
 
-/// Ours in the peer's order: `a_1` … `a_N`, then the numerator.
+/// Our parameters in the order of the peer: `a_1` … `a_N`, then the numerator.
 fn compare<const N: usize, const P: usize>(u: &[f64], y: &[f64], h: f64, hold: Hold, lambda: f64) -> f64 {
     let mut sriv = Sriv::<N, 1, P>::new([P - N - 1]).unwrap();
     (sriv.start, sriv.tolerance) = (Start::Lag(lambda), 1e-10);
@@ -137,7 +137,7 @@ impl RaoGarnier {
         Self { input, output }
     }
 
-    /// The output with white noise of a tenth of its power.
+    /// The output with white noise; the noise has a tenth of its power.
     fn noisy(&self, seed: u64) -> Vec<f64> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let len = self.output.len() as f64;

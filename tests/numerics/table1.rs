@@ -1,4 +1,4 @@
-//! The study's table through simulator and estimator, with lumped rails and with the beam.
+//! The table of the study, repeated with simulator and estimator, with lumped rails and with the beam.
 
 use pointsd::evaluate::table1::{CORRELATION_LIMIT, CaseResult, Expected, Study, run};
 use pointsd::simulate::RailModel;

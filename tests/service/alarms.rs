@@ -1,5 +1,5 @@
-//! The alarms about the monitoring itself, on the running daemon: a logger that goes, throws that never come, a database
-//! that is broken. Each is still there, and once, after a restart.
+//! Alarms about the monitoring itself: a missing logger, throws that never arrive, a damaged database. Each exists
+//! once, also after a restart.
 
 use std::{os::unix::net::UnixDatagram, process::Stdio};
 
@@ -13,7 +13,7 @@ use crate::rig::{PATIENCE, Rig, matched, pointsd, stub};
 
 const KEY: &str = "points/v1/north/21B/throw";
 const ALIVE: &str = "points/v1/north/21B/alive";
-/// A logger is missed after 1.2 s.
+/// Configuration with an alarm 1.2 s after a logger is gone.
 const HASTY: &str = "[diagnosis]\nlogger_gone_minutes = 0.02\n";
 
 type Alarms = Subscriber<FifoChannelHandler<Sample>>;
@@ -38,7 +38,7 @@ async fn a_logger_that_goes_is_an_alarm_until_it_is_back() {
     let publisher = matched(&logger, KEY).await;
     publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
-    // Known, and kept: what is in the snapshot outlives a kill.
+    // The snapshot with the logger is stored, so it outlives a kill.
     rig.until_sql("SELECT 1 AS n FROM monitor WHERE snapshot LIKE '%\"logger\":\"there\"%'").await;
 
     drop((token, publisher));
@@ -52,14 +52,14 @@ async fn a_logger_that_goes_is_an_alarm_until_it_is_back() {
     let cleared = next(&alarms).await;
     assert_eq!((&cleared.alarm_id, cleared.state), (&raised.alarm_id, AlarmState::ClearedUnacknowledged));
 
-    // It dies while the daemon is down.
+    // The logger ends while the daemon is down.
     daemon.kill();
     drop((token, logger, alarms));
     drop(session);
     let daemon = rig.start();
     let session = daemon.client().await;
     let alarms = listen(&session).await;
-    // What was told just before the kill may be told again.
+    // An event from just before the kill may be published again.
     let again = loop {
         let alarm = next(&alarms).await;
         if (&alarm.alarm_id, alarm.event_no) > (&cleared.alarm_id, cleared.event_no) {
@@ -82,7 +82,7 @@ async fn throws_that_were_missing_before_a_restart_are_an_alarm_after_it_and_onl
     rig.judged(2).await;
     assert!(daemon.terminate().success());
     drop((publisher, session));
-    // The minute in which they may still come passes while the daemon is down.
+    // The minute for late throws passes while the daemon is down.
     rig.change("UPDATE gap SET detected_at_us = detected_at_us - 61000000").await;
 
     let daemon = rig.start();
@@ -101,14 +101,14 @@ async fn throws_that_were_missing_before_a_restart_are_an_alarm_after_it_and_onl
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer() {
-    // A daemon whose own name lies outside the part of the fleet that it serves.
+    // A daemon with its own name outside its part of the fleet.
     let rig = Rig::with("[subscribe]\nkey = \"points/v1/north/**\"\n[monitor]\nsite = \"cabinets\"\nid = \"c7\"\n");
     let daemon = rig.start();
     assert!(daemon.terminate().success());
     std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
 
     for start in 0..2 {
-        // A restart that finds the file still there does not raise it again.
+        // A restart with the file in place does not raise the alarm again.
         let daemon = rig.start();
         let question = "SELECT 1 AS n FROM active_alarms WHERE machine = 'c7' AND cause = 'data_loss'";
         rig.until_sql(question).await;
@@ -132,7 +132,8 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
     assert_eq!(states, ["active_unacknowledged", "active_acknowledged"]);
 }
 
-/// Or a logger of that name could clear the daemon's own alarms. After the first of them it is a machine in the database.
+/// Otherwise a logger with this name could clear the daemon's own alarms, whose machine the database contains after the
+/// first.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn no_logger_speaks_in_the_name_of_the_daemon() {
     let rig = Rig::new();

@@ -1,4 +1,4 @@
-//! A wrong configuration: exit 78, with file, line and key, before anything is touched.
+//! A wrong configuration: exit 78, with file, line and key, without any change of files.
 
 use std::fs;
 
@@ -29,7 +29,7 @@ fn a_wrong_configuration_is_named_with_file_line_and_key() {
     assert_eq!(output.status.code(), Some(78));
 }
 
-/// Nothing of the file is changed, and a restart would not help.
+/// The daemon does not change the file, and systemd does not restart it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_database_of_another_program_is_a_wrong_configuration() {
     let rig = Rig::new();

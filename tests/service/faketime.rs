@@ -1,8 +1,8 @@
-//! The library that fakes the clocks of a process.
+//! libfaketime, which changes the clocks of a process.
 
 use std::path::PathBuf;
 
-/// Where Debian, Fedora and Arch put the library that fakes the clock.
+/// Paths of the library in Debian, Fedora and Arch.
 const LIBRARIES: [&str; 4] = [
     "/usr/lib/x86_64-linux-gnu/faketime/libfaketimeMT.so.1",
     "/usr/lib/aarch64-linux-gnu/faketime/libfaketimeMT.so.1",
@@ -10,7 +10,7 @@ const LIBRARIES: [&str; 4] = [
     "/usr/lib/faketime/libfaketimeMT.so.1",
 ];
 
-/// `None`, with a message, where it is not installed.
+/// `None`, with a message, if it is not installed.
 pub(crate) fn library() -> Option<PathBuf> {
     let library = LIBRARIES.iter().map(PathBuf::from).find(|path| path.exists());
     if library.is_none() {

@@ -1,4 +1,4 @@
-//! Recorded throws in JSON, as a foreign logger would have sent them, into the database without a daemon.
+//! Import of recorded throws in JSON, as from a foreign logger, into the database without a daemon.
 
 use std::{fs, path::Path};
 
@@ -21,7 +21,7 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     let json = |number: usize| encode_throw(Encoding::Json, &made[number]);
     let (one, many) = (rig.folder().join("one.json"), rig.folder().join("many.jsonl"));
     fs::write(&one, json(0)).unwrap();
-    // One a line, with an empty line between, and the throw of the other file again.
+    // One throw in a line, with an empty line, and again the throw of the other file.
     fs::write(&many, [&json(1)[..], b"\n\n", &json(2), b"\r\n", &json(0), b"\n", &json(3), b"\n"].concat()).unwrap();
 
     let (code, said, error) = import(&rig, &[&one, &many], &[]);
@@ -37,7 +37,7 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     }
 
     let (code, said, error) = import(&rig, &[&many], &["--json"]);
-    assert_eq!((code, said.as_str()), (Some(0), ""), "known before: nothing is judged again; {error}");
+    assert_eq!((code, said.as_str()), (Some(0), ""), "known throws are not judged again; {error}");
     fs::write(&one, [json(4), encode_throw(Encoding::Json, &stub("recorded", 9))].join(&b'\n')).unwrap();
     let (code, said, error) = import(&rig, &[&one], &["--json"]);
     assert_eq!(code, Some(0), "{error}");

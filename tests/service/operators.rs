@@ -60,7 +60,7 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
 
     let kept = rig.sql("SELECT command, cause, by_whom, why FROM operator_commands ORDER BY carried_out_at");
     let of = |key: &str| kept.iter().map(|row| row[key].as_str().unwrap_or("-").to_owned()).collect::<Vec<_>>();
-    assert_eq!(of("command"), ["ack", "shelve", "rebaseline"], "what was refused is not there: {kept:?}");
+    assert_eq!(of("command"), ["ack", "shelve", "rebaseline"], "rejected commands are not stored: {kept:?}");
     assert_eq!(of("cause"), ["kt", "kt", "-"]);
     assert_eq!(of("why"), ["-", "at work", "new motor"]);
     assert_eq!(of("by_whom"), ["tester"; 3]);
@@ -76,12 +76,12 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     assert_eq!(rows.iter().map(|row| row["n"].as_i64().unwrap()).collect::<Vec<_>>(), [50, 50]);
 }
 
-/// A machine out of service is never silent: it is in `status` with its exit code, in health, in SQL, and it ends.
+/// A machine in maintenance is visible in `status` and its exit code, in health and in SQL, and its window has an end.
 fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
     let (code, text) = daemon.operate(&["maintenance", "north/machine-2", "--why", "new chairs", "--by", "tester"]);
     assert_eq!(code, Some(0), "{text}");
     let (code, text) = daemon.operate(&["status", "--json"]);
-    assert_eq!(code, Some(1), "a machine in maintenance needs somebody: {text}");
+    assert_eq!(code, Some(1), "a machine in maintenance needs attention: {text}");
     let status: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(status["daemons"][0]["machines"]["maintenance"], 1, "{text}");
     let states = |machine: &str| -> Vec<serde_json::Value> {
@@ -93,10 +93,10 @@ fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
     let rows = rig.sql("SELECT DISTINCT state FROM machine_health WHERE machine = 'machine-2'");
     assert_eq!(rows[0]["state"], "maintenance");
     let commands = rig.sql("SELECT until FROM operator_commands WHERE command = 'maintenance_start'");
-    assert!(commands[0]["until"].is_string(), "it has an end: {commands:?}");
+    assert!(commands[0]["until"].is_string(), "the window has no end: {commands:?}");
 }
 
-/// Every command of an operator, for a machine.
+/// Every operator command for a machine.
 const COMMANDS: [&[&str]; 9] = [
     &["status"],
     &["status", "--json"],
@@ -109,7 +109,7 @@ const COMMANDS: [&[&str]; 9] = [
     &["rebaseline", "north/21B", "--why", "new motor", "--by", "tester"],
 ];
 
-/// Runs every command at once; returns their exit codes, and what they say on stderr. Nothing may be on stdout.
+/// Runs every command in parallel; returns their exit codes and stderr. Stdout must be empty.
 fn all_commands(endpoint: &str) -> Vec<(Option<i32>, String)> {
     let start = |arguments: &[&str]| {
         pointsd(arguments).args(["--connect", endpoint]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
@@ -158,7 +158,7 @@ async fn a_machine_that_no_daemon_serves_is_told_apart_from_no_daemon() {
     let (code, said) = daemon.operate(&["ack", "south/21B", "kt", "--by", "tester"]);
     assert_eq!(code, Some(1), "{said}");
     assert!(said.contains("no machine south/21B is known here"), "{said}");
-    // Silence is not health.
+    // No reply is an error, not an empty list.
     let (code, said) = daemon.operate(&["alarms", "north/21B"]);
     assert_eq!(code, Some(69), "{said}");
     assert!(said.contains("no daemon knows north/21B"), "{said}");
@@ -191,7 +191,7 @@ async fn no_alarms_is_not_said_of_a_machine_that_nobody_knows() {
     assert!(daemon.terminate().success());
 }
 
-/// A daemon of this name on a port of its own, with an open motor alarm on north/machine-1.
+/// A daemon with this name on its own port, with an open motor alarm on north/machine-1.
 fn daemon_with_alarm(id: &str, extra: &str) -> (Rig, Daemon) {
     let rig = Rig::with(&format!("[monitor]\nid = {id:?}\n{extra}")).same_port();
     let daemon = rig.start();
@@ -204,7 +204,7 @@ fn run(arguments: &[&str]) -> (Option<i32>, String) {
     (output.status.code(), String::from_utf8([output.stdout, output.stderr].concat()).unwrap())
 }
 
-/// State of the alarm, and what operators had done.
+/// State of the alarm, and number of operator commands.
 fn state(rig: &Rig) -> (String, usize) {
     let alarms = rig.sql("SELECT state FROM active_alarms WHERE cause = 'kt'");
     (alarms[0]["state"].as_str().unwrap().to_owned(), rig.sql("SELECT * FROM operator_commands").len())
@@ -231,7 +231,7 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
         assert!(text.contains("fleet/") && !text.contains("fleet/a") && !text.contains("monitor/a"), "{text}");
     }
 
-    // B is gone, and A has taken its place: every command says so and sends nothing.
+    // B has stopped, and A listens at its address: every command reports this and sends nothing.
     assert!(b.terminate().success());
     assert!(a.terminate().success());
     let moved = rig_a.listening_like(&rig_b);
@@ -253,7 +253,7 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_machine_that_two_daemons_serve_takes_no_command() {
     let (rig_a, a) = daemon_with_alarm("a", "");
-    // The second daemon is joined to the first, and serves the same machines.
+    // The second daemon is connected to the first, and serves the same machines.
     let (rig_b, b) = daemon_with_alarm("b", &format!("[zenoh.connect]\nendpoints = [{:?}]\n", a.endpoint));
     a.until_status("link", |status| status["connected"] == true).await;
     for config in [rig_a.config(), rig_b.config()] {
@@ -269,7 +269,7 @@ async fn a_machine_that_two_daemons_serve_takes_no_command() {
     assert!(b.terminate().success() && a.terminate().success());
 }
 
-/// A reader that goes away ends the command, and nothing is wrong.
+/// A closed pipe ends the command without an error.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
     let (rig, daemon) = daemon_with_alarm("a", "");

@@ -1,5 +1,5 @@
-//! Foreign clients: Python with `eclipse-zenoh`, among them the programs of the README as they stand there. Skipped, and said
-//! so, where Python or the package is absent.
+//! Foreign clients: Python with `eclipse-zenoh`, among them the programs of the README. Skipped, with a message,
+//! without Python or the package.
 
 use std::{
     fs,
@@ -21,7 +21,7 @@ use crate::{
     rig::{PATIENCE, Rig, stub, throws},
 };
 
-/// Publishes throws in JSON, one a line of its input, and prints the alarms that come back.
+/// Publishes throws in JSON from the lines of its input, and prints the received alarms.
 const CLIENT: &str = r#"
 import json, sys, time, zenoh
 config = zenoh.Config.from_json5(json.dumps({
@@ -45,7 +45,7 @@ fn has_python() -> bool {
     let probe = Command::new("python3").args(["-c", "import zenoh"]).output();
     let is_there = probe.is_ok_and(|output| output.status.success());
     if !is_there {
-        println!("skipped: no python3 with eclipse-zenoh here (pip install eclipse-zenoh)");
+        println!("skipped: no python3 with eclipse-zenoh (pip install eclipse-zenoh)");
     }
     is_there
 }
@@ -65,7 +65,7 @@ async fn python_publishes_throws_and_receives_the_alarm() {
         .unwrap();
     let mut input = client.stdin.take().unwrap();
     for (number, throw) in throws("python", 60).iter().enumerate() {
-        // The motor has weakened: it needs a third more current for the same torque.
+        // A weak motor: it needs a third more current for the same torque.
         let more = if number < 40 { 1.0 } else { 1.33 };
         let current: Vec<f64> = throw.trace.current_a().iter().map(|current| current * more).collect();
         let message = json!({
@@ -89,7 +89,7 @@ async fn python_publishes_throws_and_receives_the_alarm() {
     assert!(daemon.terminate().success());
 }
 
-/// The Python program under a heading of the README, with another endpoint, in the folder of a rig.
+/// Runs the Python program under a heading of the README, with another endpoint, in the folder of the rig.
 fn readme(heading: &str, endpoint: &str, rig: &Rig) -> Child {
     let text = include_str!("../../README.md");
     let (_, section) = text.split_once(&format!("### {heading}\n")).unwrap();
@@ -110,7 +110,7 @@ fn end(mut child: Child) {
     child.wait().unwrap();
 }
 
-/// Boots and numbers in a list of rows, sorted.
+/// Boot ids and numbers in rows, sorted.
 fn numbers(rows: &[Value]) -> Vec<(String, u64)> {
     let of = |row: &Value| (row["boot_id"].as_str().unwrap().to_owned(), row["throw_no"].as_u64().unwrap());
     let mut numbers: Vec<_> = rows.iter().map(of).collect();
@@ -175,7 +175,7 @@ async fn the_readmes_logger_loses_nothing_when_it_or_the_daemon_is_killed() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_readmes_subscriber_gets_every_alarm_over_its_own_cut_links() {
-    /// Zenoh gives a silent link up after 10 s.
+    /// Length of a cut; zenoh closes a silent link after 10 s.
     const CUT: Duration = Duration::from_secs(12);
     const CUTS: usize = 2;
     if !has_python() {
@@ -188,7 +188,7 @@ async fn the_readmes_subscriber_gets_every_alarm_over_its_own_cut_links() {
     let mut subscriber = readme("A first subscriber in Python", &cable.endpoint, &rig);
     let mut lines = BufReader::new(subscriber.stdout.take().unwrap()).lines().map_while(Result::ok);
     let mut alarms = 0;
-    // Each new machine whose throw cannot be evaluated is an alarm.
+    // Each new machine with a throw without an estimate raises an alarm.
     let raise = async |number: usize| {
         let key = format!("points/v1/north/m{number}/throw");
         let throw = encode_throw(Encoding::Json, &stub("b1", 1));

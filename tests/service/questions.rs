@@ -1,14 +1,14 @@
-//! The questions of `deploy/questions.sql` on a large database: each has an answer, and in time.
+//! The queries of `deploy/questions.sql` on a large database: each returns rows within the time limit.
 
 use std::time::{Duration, Instant};
 
 use crate::rig::{Rig, pointsd};
 
-/// Throws in the database; a million with `POINTSD_ROWS=1000000`.
+/// Number of throws in the database; set by `POINTSD_ROWS=1000000`.
 const ROWS: u64 = 50_000;
-/// Machines among which they are spread.
+/// Number of machines of these throws.
 const MACHINES: u64 = 500;
-/// Time of one answer: what the README promises, and room for the program's start on a loaded computer.
+/// Time limit of a query: as stated in the README, plus the start of the program on a loaded computer.
 const LIMIT: Duration = Duration::from_secs(2);
 
 fn questions() -> Vec<String> {
@@ -17,7 +17,7 @@ fn questions() -> Vec<String> {
     blocks.filter(|block| block.contains("SELECT")).map(ToOwned::to_owned).collect()
 }
 
-/// A database of this size, with alarms, rejected throws, baselines and commands.
+/// Fills a database with this number of throws, with alarms, rejected throws, baselines and commands.
 async fn large(rig: &Rig, rows: u64) {
     assert!(rig.start().terminate().success());
     for statement in [

@@ -1,4 +1,4 @@
-//! The real programs in a folder of their own, on ports that the system gives.
+//! The real programs in a temporary folder, on free ports.
 
 #![allow(dead_code, reason = "shared by test targets, each of which needs some of it")]
 
@@ -23,7 +23,7 @@ use pointsd::{
 };
 use zenoh::{Session, bytes::Encoding, qos::CongestionControl};
 
-/// Longest wait for anything: far beyond what a loaded machine takes.
+/// Longest wait for an event, sufficient on a loaded computer.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 
 /// A folder with a configuration and a database.
@@ -40,20 +40,20 @@ pub(crate) struct Rig {
 /// A running `pointsd run`.
 pub(crate) struct Daemon {
     child: Child,
-    /// Where it listens.
+    /// Its listener for clients.
     pub(crate) endpoint: String,
     log: Arc<Log>,
 }
 
-/// The lines that a daemon has logged.
+/// Log lines of a daemon.
 #[derive(Default)]
 struct Log {
     lines: Mutex<Vec<String>>,
-    /// Rung with each new one.
+    /// Notified for each new line.
     more: Condvar,
 }
 
-/// How a start failed.
+/// A failed start.
 #[derive(Debug)]
 pub(crate) struct NotStarted {
     pub(crate) status: ExitStatus,
@@ -65,7 +65,7 @@ impl Rig {
         Self::with("")
     }
 
-    /// A rig with more lines of configuration.
+    /// A rig with additional lines of configuration.
     pub(crate) fn with(extra: &str) -> Self {
         let temporary = tempfile::tempdir().unwrap();
         Self {
@@ -79,38 +79,38 @@ impl Rig {
         }
     }
 
-    /// Puts its files into a folder that is there already.
+    /// Moves its files to an existing folder.
     pub(crate) fn moved_to(self, folder: &Path) -> Self {
         Self { folder: folder.to_owned(), ..self }
     }
 
-    /// Other lines for the configuration's section `[store]`.
+    /// Sets the lines of the section `[store]`.
     pub(crate) fn store(self, lines: &str) -> Self {
         Self { store: lines.to_owned(), ..self }
     }
 
-    /// The daemon listens on the same port at every start, so that others find it again.
+    /// The daemon listens on the same port at every start, so that clients can connect again.
     pub(crate) fn same_port(self) -> Self {
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         Self { listen: format!("tcp/127.0.0.1:{port}"), ..self }
     }
 
-    /// The daemon listens where that of another rig did.
+    /// The daemon has the port of another rig's daemon.
     pub(crate) fn listening_like(self, other: &Self) -> Self {
         Self { listen: other.listen.clone(), ..self }
     }
 
-    /// The daemon is a leaf behind a router, and listens nowhere.
+    /// The daemon connects to a router, and has no listener.
     pub(crate) fn behind(self, router: &str) -> Self {
         Self { router: Some(router.to_owned()), ..self }
     }
 
-    /// Gives the daemon an environment variable from the next start on.
+    /// Sets an environment variable of the daemon from the next start.
     pub(crate) fn set(&mut self, name: &str, value: impl Into<OsString>) {
         self.environment.push((name.into(), value.into()));
     }
 
-    /// Its folder, without the rig.
+    /// Ends the rig and returns its folder.
     pub(crate) fn into_folder(self) -> tempfile::TempDir {
         self.temporary
     }
@@ -141,7 +141,7 @@ impl Rig {
         self.try_start().unwrap_or_else(|failed| panic!("the daemon is not ready: {failed:?}"))
     }
 
-    /// Starts the daemon and waits until it is ready, or has ended.
+    /// Starts the daemon and waits until it is ready or has ended.
     pub(crate) fn try_start(&self) -> Result<Daemon, NotStarted> {
         let (mut daemon, ready) = self.launch();
         match ready.recv_timeout(PATIENCE) {
@@ -152,11 +152,11 @@ impl Rig {
             Err(mpsc::RecvTimeoutError::Disconnected) => {
                 Err(NotStarted { status: daemon.child.wait().unwrap(), log: daemon.log() })
             }
-            Err(mpsc::RecvTimeoutError::Timeout) => panic!("the daemon hangs: {:?}", daemon.log()),
+            Err(mpsc::RecvTimeoutError::Timeout) => panic!("the daemon does not become ready: {:?}", daemon.log()),
         }
     }
 
-    /// Starts the daemon, which sends where it listens once it is ready.
+    /// Starts the daemon; the receiver gets its endpoint when it is ready.
     pub(crate) fn launch(&self) -> (Daemon, mpsc::Receiver<String>) {
         let mut command = pointsd(&["run", "--config"]);
         command.arg(self.config()).envs(self.environment.iter().cloned());
@@ -185,7 +185,7 @@ impl Rig {
         reader.health_history(&Selector::default(), jiff::Timestamp::UNIX_EPOCH, 1_000_000).await.unwrap()
     }
 
-    /// Waits until so many throws are judged.
+    /// Waits until `count` throws are judged.
     pub(crate) async fn judged(&self, count: usize) -> Vec<pointsd::wire::Health> {
         let deadline = Instant::now() + PATIENCE;
         loop {
@@ -205,11 +205,11 @@ impl Rig {
         serde_json::from_slice(&output.stdout).unwrap()
     }
 
-    /// Waits until a question that looks for something has an answer.
+    /// Waits until a query returns a row.
     pub(crate) async fn until_sql(&self, question: &str) {
         let deadline = Instant::now() + PATIENCE;
         while self.sql(question).is_empty() {
-            assert!(Instant::now() < deadline, "{question} has no answer");
+            assert!(Instant::now() < deadline, "{question} returns no row");
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
     }
@@ -225,7 +225,7 @@ impl Rig {
 }
 
 impl Daemon {
-    /// SIGTERM, and the exit code within the limit that systemd's unit promises.
+    /// Sends SIGTERM, and waits for the exit within the time limit of the systemd unit.
     pub(crate) fn terminate(mut self) -> ExitStatus {
         self.signal("-TERM");
         self.wait(Duration::from_secs(10))
@@ -250,7 +250,7 @@ impl Daemon {
         self.ended().is_none()
     }
 
-    /// How it ended, if it has.
+    /// Its exit status, if it has ended.
     pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().unwrap()
     }
@@ -259,12 +259,12 @@ impl Daemon {
         self.log.lines.lock().unwrap().clone()
     }
 
-    /// Waits until it logs a line with these words.
+    /// Waits until it logs a line that contains `words`.
     pub(crate) fn until_log(&self, words: &str) {
         let absent = |lines: &mut Vec<String>| !lines.iter().any(|line| line.contains(words));
         let lines = self.log.lines.lock().unwrap();
         let (lines, waited) = self.log.more.wait_timeout_while(lines, PATIENCE, absent).unwrap();
-        assert!(!waited.timed_out(), "it never says {words:?}: {lines:?}");
+        assert!(!waited.timed_out(), "no log line with {words:?}: {lines:?}");
     }
 
     fn wait(&mut self, limit: Duration) -> ExitStatus {
@@ -283,15 +283,15 @@ impl Daemon {
         client_of(&self.endpoint).await
     }
 
-    /// What `pointsd status` tells of it.
+    /// The output of `pointsd status --json`.
     pub(crate) fn status(&self) -> serde_json::Value {
-        // It says by its exit code whether all is well, too.
+        // The exit code may report alarms, so it is ignored.
         let (_, text) = self.operate(&["status", "--json"]);
         let mut status: serde_json::Value = serde_json::from_str(&text).unwrap_or_else(|_| panic!("{text}"));
         status["daemons"][0].take()
     }
 
-    /// Waits until its status is as wanted.
+    /// Waits until its status fulfils a condition.
     pub(crate) async fn until_status(&self, what: &str, is_so: impl Fn(&serde_json::Value) -> bool) {
         let deadline = Instant::now() + PATIENCE;
         loop {
@@ -312,12 +312,12 @@ impl Daemon {
     }
 }
 
-/// A client of whoever listens there, which comes back soon after a cut.
+/// A client of this endpoint that connects again soon after a cut.
 pub(crate) async fn client_of(endpoint: &str) -> Session {
     client(&format!("endpoints = [{endpoint:?}], retry = {{ period_init_ms = 50, period_max_ms = 200 }}")).await
 }
 
-/// A client that comes back when zenoh's own patience says.
+/// A client with the default retry times of zenoh.
 pub(crate) async fn patient_client_of(endpoint: &str) -> Session {
     client(&format!("endpoints = [{endpoint:?}]")).await
 }
@@ -335,7 +335,7 @@ impl Drop for Daemon {
     }
 }
 
-/// A program of this package. Cargo names it again when the tests run: what they try may also be another build.
+/// A program of this package; an environment variable can name another build.
 fn program(variable: &str, built: &str) -> Command {
     Command::new(std::env::var_os(variable).unwrap_or_else(|| built.into()))
 }
@@ -378,7 +378,7 @@ pub(crate) fn throws_of(fleet: &FleetSettings, boot_id: &str, count: u64) -> Vec
         .collect()
 }
 
-/// A throw that cannot be evaluated, and costs nothing.
+/// A small throw that cannot be evaluated.
 pub(crate) fn stub(boot_id: &str, throw_no: u64) -> Throw {
     Throw {
         id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
@@ -391,12 +391,12 @@ pub(crate) fn stub(boot_id: &str, throw_no: u64) -> Throw {
     }
 }
 
-/// Puts a payload on a key.
+/// Publishes a payload on a key.
 pub(crate) async fn put(session: &Session, key: &str, encoding: Encoding, payload: Vec<u8>) {
     session.put(key, payload).encoding(encoding).congestion_control(CongestionControl::Block).await.unwrap();
 }
 
-/// A publisher whose subscriber is there.
+/// A publisher that is connected to a subscriber.
 pub(crate) async fn matched(session: &Session, key: &'static str) -> zenoh::pubsub::Publisher<'static> {
     let publisher = session
         .declare_publisher(key)

@@ -1,4 +1,4 @@
-//! `pointsd sql` and `pointsd backup` on the database of a store that is open.
+//! `pointsd sql` and `pointsd backup` on the database of an open store.
 
 use std::{path::Path, process::Command};
 
@@ -62,8 +62,8 @@ async fn a_backup_is_complete_opens_and_never_overwrites() {
     assert_eq!(code, Some(0), "{error}");
     assert!(said.contains("checked") && error.is_empty(), "{said} {error}");
     let (code, ..) = pointsd(&["backup", copy.to_str().unwrap()], store.path());
-    assert_eq!(code, Some(73), "a second backup went over the first");
-    // The daemon that was copied had not stopped: the copy is checked when it is first opened.
+    assert_eq!(code, Some(73), "a second backup replaced the first");
+    // The copy is checked when it is first opened, as the source was in use.
     let opened = open(restored.path()).await;
     assert_eq!(opened.report.found, Found::Unclean);
     assert_eq!(opened.store.statistics().await.unwrap().pending, 40);

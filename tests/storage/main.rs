@@ -1,6 +1,6 @@
 //! The database: migrations, views, failures of disk and power.
 
-#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "here a failure is the test's failure")]
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a failure here fails the test")]
 
 mod commands;
 mod full_disk;

@@ -1,4 +1,4 @@
-//! Every throw once, in order, and the missing ones in gaps.
+//! Each throw is stored once and in order; missing throws are recorded as gaps.
 
 use std::time::Duration;
 
@@ -35,7 +35,7 @@ async fn a_throw_comes_back_as_it_went_in_and_a_repeat_is_one_row() {
     assert_eq!(back.temperature_c, Some(12.5));
 }
 
-/// A logger that restarts without a new boot id counts from 1 again; one with a stuck counter stays at its number.
+/// A logger that restarts without a new boot id counts from 1 again; a logger with a stuck counter repeats its number.
 #[tokio::test]
 async fn another_throw_under_a_taken_number_is_kept_once_under_a_free_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -113,7 +113,7 @@ async fn a_batch_is_answered_in_its_order() {
     assert!(matches!(answers[151], Err(StoreError::ThrowNumber(u64::MAX))));
 }
 
-/// A logger gone mad must not stop the writer.
+/// Extreme numbers and times from a defective logger do not stop the writer.
 #[tokio::test]
 async fn the_largest_numbers_and_oddest_times_are_taken() {
     let folder = tempfile::tempdir().unwrap();
@@ -131,7 +131,7 @@ async fn the_largest_numbers_and_oddest_times_are_taken() {
     assert!(store.statistics().await.unwrap().missing_throws > 1 << 60);
 }
 
-/// A logger that invents a new start for each throw makes its own throws no slower, nor those of others.
+/// A logger with a new boot id for each throw slows neither its own throws nor those of others.
 #[tokio::test]
 async fn the_cost_of_a_throw_does_not_grow_with_the_starts_of_its_logger() {
     const STARTS: u64 = 200;
@@ -146,7 +146,7 @@ async fn the_cost_of_a_throw_does_not_grow_with_the_starts_of_its_logger() {
     sqlx::query(many).execute(&mut connection).await.unwrap();
     let mut seconds = [Vec::new(), Vec::new()];
     for number in 0..STARTS {
-        // In turns, so that whatever else the computer does slows both.
+        // Both in turn, so that other load on the computer slows both.
         for (machine, seconds) in ["21B", "22A"].into_iter().zip(&mut seconds) {
             let start = tokio::time::Instant::now();
             spooled(&store, machine, &format!("new {number}"), 1).await;
@@ -157,11 +157,11 @@ async fn the_cost_of_a_throw_does_not_grow_with_the_starts_of_its_logger() {
         seconds.sort_by(f64::total_cmp);
         seconds[seconds.len() / 2]
     });
-    // A cost that grows with the starts makes it ten.
+    // With a cost in proportion to the starts the factor would be ten.
     assert!(after_many < 3.0 * after_none, "{after_many} s after 20,000 starts, {after_none} s after none");
 }
 
-/// The throws that are judged next, while a backlog is waited for.
+/// The throws for the next judgements while the backlog is open.
 async fn next(store: &Store) -> Vec<(String, u64)> {
     let throws = store.reader().to_judge(None, 16, at(100), Duration::from_hours(1)).await.unwrap();
     throws.into_iter().map(|throw| (throw.id.boot_id, throw.id.throw_no)).collect()
@@ -171,8 +171,8 @@ fn ids(list: &[(&str, u64)]) -> Vec<(String, u64)> {
     list.iter().map(|(boot_id, throw_no)| ((*boot_id).to_owned(), *throw_no)).collect()
 }
 
-/// Live throws of a third start arrive before the rest of the first and all of the second: the backlog brings them, and
-/// they are judged in the order in which they were made.
+/// Live throws of the third start arrive before the rest of the first and the whole second start. The backlog delivers
+/// those, and all are judged in the order of their recording.
 #[tokio::test]
 async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
     let folder = tempfile::tempdir().unwrap();
@@ -182,7 +182,7 @@ async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
         spooled(&store, "21B", boot_id, throw_no).await;
     }
     assert_eq!(next(&store).await, ids(&[("b1", 1), ("b1", 2)]));
-    // Nothing of b1 is left but 4; b2 is new; b3 begins at 1.
+    // The backlog has throw 4 of b1, the new start b2, and b3 from 1.
     let page: Vec<_> = [("b1", 4), ("b2", 1), ("b2", 2), ("b3", 1)].map(|(boot, no)| throw(boot, no)).into();
     let stored = store.spool_page(&machine("21B"), Some(&id("b1", 2)), &page, at(1)).await.unwrap();
     assert_eq!((stored.new, stored.duplicates), (4, 0));
@@ -190,7 +190,7 @@ async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
     assert_eq!((stored.cursor.missing, stored.cursor.awaits), (Some(3), true));
     let until_gap = [("b1", 1), ("b1", 2), ("b1", 4), ("b2", 1), ("b2", 2), ("b3", 1), ("b3", 2), ("b3", 3)];
     assert_eq!(next(&store).await, ids(&until_gap));
-    // A page that begins later than the next number makes the difference a gap.
+    // A page that starts after the next expected number makes a gap.
     let page = [throw("b3", 6), throw("b3", 7)];
     let stored = store.spool_page(&machine("21B"), Some(&id("b3", 3)), &page, at(2)).await.unwrap();
     assert_eq!((stored.new, stored.duplicates, stored.cursor.awaits), (1, 1, false));
@@ -216,6 +216,6 @@ async fn a_missing_throw_holds_up_its_machine_for_a_time_and_no_other() {
     let of = |list: &[(&str, u64)]| ids(list);
     assert_eq!(judged(10, 60).await, of(&[("21B", 1), ("22A", 1)]));
     assert_eq!(judged(70, 60).await, of(&[("21B", 1), ("21B", 3), ("22A", 1)]));
-    // The clock was set back: nothing waits for a time that has been.
+    // After the clock was set back no throw waits for the earlier time.
     assert_eq!(judged(-1000, 60).await, of(&[("21B", 1), ("21B", 3), ("22A", 1)]));
 }

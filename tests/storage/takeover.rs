@@ -1,6 +1,6 @@
-//! A database of the released version before, with everything in it, is taken over. `released.sql` is its dump: machine-1
-//! with an acknowledged motor alarm, machine-2 with a shelved friction alarm, machine-3 in a maintenance window without
-//! end, machine-4 with gaps, a contradicting throw in quarantine, an unpublished alarm and a pending throw.
+//! Migration of a database of the last release. Its dump is `released.sql`: machine-1 has an acknowledged motor alarm,
+//! machine-2 a shelved friction alarm, machine-3 a maintenance window without an end; machine-4 has gaps, a
+//! contradicting throw in quarantine, an unpublished alarm and a pending throw.
 
 use std::path::Path;
 
@@ -97,7 +97,7 @@ async fn a_database_of_the_version_before_is_taken_over_with_everything() {
     store.close().await.unwrap();
 }
 
-/// The pipeline goes on where the version before stopped: the pending throw is judged, and the monitor keeps its alarm.
+/// The pipeline continues after the last throw of the old version: the pending throw is judged, and the alarm stays.
 #[tokio::test]
 async fn a_pending_throw_of_the_version_before_is_judged() {
     let folder = tempfile::tempdir().unwrap();
