@@ -1,7 +1,8 @@
-//! Condition monitoring of railway point machines: which part is wearing out, from the physics of every throw.
+//! Condition monitoring of railway point machines: identifies the physical parameters of every throw, and names the
+//! part that wears.
 //!
-//! The crate has a pure core and a thin shell. The core takes values and returns values or decisions; it names no
-//! runtime, network, database, clock or random source. The shell does the I/O and calls the core.
+//! The crate has a pure core and a thin shell. The core is functions of values, without runtime, network, database,
+//! clock or random source. The shell does the I/O and calls the core.
 //!
 //! | room | what it holds | may use |
 //! |---|---|---|

@@ -23,7 +23,7 @@ const GROUP_SIZE: usize = 5;
 /// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
 /// alarms.
 ///
-/// Exit codes: 0 shown; 1 with --check, if an alarm is open; 69 no daemon answers, or none knows the machine.
+/// Exit codes: 0 shown; 1 with --check, if an alarm is open; 69 no reply, or unknown machine.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01 --json\n  \
                         pointsd alarms --severity critical --check || mail -s 'points' duty@example.org")]

@@ -190,7 +190,6 @@ pub(super) struct Sender {
 }
 
 impl Sender {
-    /// Name of the operator.
     pub(super) fn name(&self) -> Result<String, Failure> {
         let named = self.by.clone().or_else(|| std::env::var("USER").ok()).filter(|name| !name.trim().is_empty());
         named.ok_or_else(|| Failure { exit: Exit::Usage, error: anyhow::anyhow!("no name given: use --by NAME") })

@@ -57,7 +57,6 @@ pub(super) struct Arguments {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Occurrence {
     raised_at: Timestamp,
-    /// The throw that raised it.
     throw_no: Option<u64>,
     /// The highest severity of the alarm.
     severity: Severity,
@@ -120,7 +119,6 @@ fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
     name.into()
 }
 
-/// Counts of a replay.
 struct Replayed {
     throws: u64,
     without_trace: u64,

@@ -31,7 +31,6 @@ pub(super) struct Design {
     decision_sd: f64,
 }
 
-/// The sums of one direction.
 #[derive(Debug, Clone, Default)]
 struct Sums {
     high: Vector3<f64>,

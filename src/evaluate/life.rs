@@ -22,7 +22,6 @@ pub(super) enum Source {
 }
 
 impl Source {
-    /// The observation of throw `at`.
     pub(super) fn observe(&mut self, at: usize, life: &Timeline) -> Observation {
         match self {
             Self::Parameter(machine) => {

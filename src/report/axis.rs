@@ -69,7 +69,6 @@ impl Axis {
         place.is_finite().then_some(place)
     }
 
-    /// Ticks at round numbers.
     pub(super) fn numbers(&self) -> Vec<Tick> {
         let tick = |value| Tick { value, label: self.label(value), below: None };
         self.ticks().into_iter().map(tick).collect()

@@ -247,7 +247,6 @@ impl Curve {
 /// Rows of labels of neighbouring marks; the next label is at the top again.
 const MARK_ROWS: usize = 4;
 
-/// Draws the x axis and returns it.
 fn x_axis(canvas: &mut Canvas, frame: &Frame, label: &str, times: bool, curves: &[Curve]) -> Axis {
     let values = curves.iter().flat_map(|curve| &curve.points).map(|point| point.0);
     let x = if times { Axis::of_time(&values) } else { Axis::tight(&values) };

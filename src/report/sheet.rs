@@ -5,9 +5,7 @@ use super::{
     svg::{Anchor, Canvas},
 };
 
-/// Width of one panel \[px\].
 const PANEL_WIDTH: f64 = 640.0;
-/// Height of one panel \[px\].
 const PANEL_HEIGHT: f64 = 380.0;
 /// Height of the sheet's title \[px\].
 const TITLE_HEIGHT: f64 = 44.0;

@@ -129,7 +129,6 @@ fn shaped(modal: &[State; MAX_MODES], shape: &[f64; MAX_MODES]) -> State {
     effect
 }
 
-/// `target += factor * source`.
 #[inline]
 pub(super) fn add_scaled(target: &mut State, source: &State, factor: f64) {
     for (to, from) in target.iter_mut().zip(source) {

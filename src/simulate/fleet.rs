@@ -55,13 +55,13 @@ impl Default for FleetSettings {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Spread {
-    /// Of KT and KV together: magnets and windings differ.
+    /// Spread of KT and KV, by magnets and windings.
     pub kt_pct: f64,
-    /// Of all friction, viscous and dry.
+    /// Spread of viscous and dry friction.
     pub friction_pct: f64,
-    /// Of the rails' stiffness.
+    /// Spread of the rails' stiffness.
     pub stiffness_pct: f64,
-    /// Of the whole inertia at the screw.
+    /// Spread of the total inertia at the screw.
     pub inertia_pct: f64,
 }
 
@@ -75,13 +75,13 @@ impl Default for Spread {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Scatter {
-    /// Of the torque per ampere.
+    /// Scatter of the torque per ampere.
     pub kt_pct: f64,
-    /// Of all friction: moisture, dirt, grease.
+    /// Scatter of all friction, by moisture, dirt and grease.
     pub friction_pct: f64,
-    /// Of the rails' stiffness.
+    /// Scatter of the rails' stiffness.
     pub stiffness_pct: f64,
-    /// Of the supply voltage.
+    /// Scatter of the supply voltage.
     pub supply_pct: f64,
     /// Correlation of one throw with the next, 0 to below 1.
     pub correlation: f64,
@@ -103,7 +103,7 @@ pub struct Climate {
     pub daily_swing_k: f64,
     /// Half the difference between summer and winter \[K\].
     pub yearly_swing_k: f64,
-    /// Throws a day.
+    /// Number of throws in a day.
     pub throws_per_day: f64,
 }
 

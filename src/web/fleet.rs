@@ -83,7 +83,6 @@ struct Row {
     last_throw: String,
 }
 
-/// The filters in the address.
 #[derive(Debug, Default, Clone)]
 pub(super) struct Filters {
     pub(super) site: String,

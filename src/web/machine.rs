@@ -23,7 +23,6 @@ use crate::{
     wire::{Alarm, Health},
 };
 
-/// Throws in the table.
 const THROWS: u32 = 20;
 /// Alarm events in the table.
 const EVENTS: u32 = 50;

@@ -82,7 +82,6 @@ impl IntoResponse for Failure {
     }
 }
 
-/// A page as a response.
 pub(super) fn html(page: &impl Template) -> Response {
     match page.render() {
         Ok(text) => Html(text).into_response(),
@@ -105,7 +104,6 @@ pub(super) fn known_name(site: &str, machine: &str) -> Result<MachineId, Failure
     MachineId::new(site, machine).map_err(wrong)
 }
 
-/// The address of the page of a throw.
 pub(super) fn throw_address(machine: &MachineId, throw: &ThrowRef) -> String {
     let boot = utf8_percent_encode(&throw.boot_id, NON_ALPHANUMERIC);
     format!("/machines/{}/{}/throws/{boot}/{}", machine.site, machine.machine, throw.throw_no)

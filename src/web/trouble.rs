@@ -28,7 +28,6 @@ impl Web {
     }
 }
 
-/// All problems.
 pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
     let mut trouble = of_daemon(view);
     trouble.extend(of_data(overview));

@@ -15,18 +15,15 @@ use syn::{
 /// Path of a module or an item from the root of the crate: `["diagnose", "text"]`.
 pub(crate) type Name = Vec<String>;
 
-/// Target of a path.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Target {
     /// An item of this crate: its file and its name.
     Item(Name, String),
-    /// A module of this crate.
     Module(Name),
     /// An item of another crate: its whole path.
     Foreign(Name),
 }
 
-/// A file of the crate.
 #[derive(Debug, Default)]
 pub(crate) struct File {
     /// Path below `src`.

@@ -308,7 +308,6 @@ async fn a_flood_of_connections_keeps_others_out_only_while_it_lasts() {
     tokio::time::timeout(PATIENCE, gets_in).await.expect("the end of a link frees its place");
 }
 
-/// A subscriber to alarms.
 async fn viewer_of(session: &zenoh::Session) -> Alarms {
     session.declare_subscriber("points/v1/**/alarm").await.unwrap()
 }

@@ -29,7 +29,6 @@ impl Scatter {
     pub(crate) const USUAL: Self = Self { sd: [0.005, 0.03, 0.01], phi: 0.5, tail: None };
 }
 
-/// A machine in the field.
 pub(crate) struct Machine {
     pub(crate) rng: ChaCha8Rng,
     pub(crate) throws: u64,

@@ -12,7 +12,6 @@ use rand::{Rng, RngExt};
 
 const SECTOR: usize = 512;
 
-/// A record of the log.
 pub(crate) struct Record {
     kind: u8,
     path: String,

@@ -14,7 +14,6 @@ pub(crate) struct Usage {
     pub(crate) own_mib: f64,
     /// Open files and sockets.
     pub(crate) files: usize,
-    /// Threads.
     pub(crate) threads: u32,
 }
 

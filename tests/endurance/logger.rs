@@ -44,7 +44,6 @@ pub(crate) struct Plan {
     pub(crate) throws: u64,
     /// Prefix of the names of its machines at the site `north`, followed by their number from 1.
     pub(crate) machine: &'static str,
-    /// Number of machines.
     pub(crate) machines: usize,
     /// Throws of each machine in the backlog; 0: no backlog.
     pub(crate) kept: usize,

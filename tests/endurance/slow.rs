@@ -113,7 +113,6 @@ fn watch(process: u32, rig: &Rig, stop: Arc<AtomicBool>) -> thread::JoinHandle<M
     })
 }
 
-/// A source of throws.
 struct Source<'a> {
     session: &'a Session,
     publisher: Publisher<'static>,

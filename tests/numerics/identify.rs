@@ -18,14 +18,12 @@ pub(crate) fn throw_with(trace: Trace, anti_alias_hz: Option<f64>) -> Throw {
     }
 }
 
-/// Simulates one throw of `machine` as `sensors` see it.
 pub(crate) fn simulated(machine: &Parameters, sensors: &Sensors, direction: Direction, seed: u64) -> Throw {
     let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     throw_with(sensors.record(&motion, direction, &mut rng).unwrap().trace, sensors.anti_alias_hz)
 }
 
-/// The settings for a simulated machine.
 pub(crate) fn settings_of(machine: &Parameters) -> Settings {
     Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() }
 }

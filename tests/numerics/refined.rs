@@ -11,7 +11,6 @@ use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use super::identify::{settings_of, throw_with, without_dry_friction};
 use super::sriv::{normal, second_order};
 
-/// Throws of each direction.
 const THROWS: u64 = 300;
 
 #[test]

@@ -53,7 +53,6 @@ struct Log {
     more: Condvar,
 }
 
-/// A failed start.
 #[derive(Debug)]
 pub(crate) struct NotStarted {
     pub(crate) status: ExitStatus,
@@ -231,7 +230,6 @@ impl Daemon {
         self.wait(Duration::from_secs(10))
     }
 
-    /// SIGKILL.
     pub(crate) fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
@@ -245,12 +243,10 @@ impl Daemon {
         self.child.id()
     }
 
-    /// Whether it still runs.
     pub(crate) fn runs(&mut self) -> bool {
         self.ended().is_none()
     }
 
-    /// Its exit status, if it has ended.
     pub(crate) fn ended(&mut self) -> Option<ExitStatus> {
         self.child.try_wait().unwrap()
     }
@@ -278,7 +274,6 @@ impl Daemon {
         }
     }
 
-    /// A client of this daemon.
     pub(crate) async fn client(&self) -> Session {
         client_of(&self.endpoint).await
     }
@@ -391,7 +386,6 @@ pub(crate) fn stub(boot_id: &str, throw_no: u64) -> Throw {
     }
 }
 
-/// Publishes a payload on a key.
 pub(crate) async fn put(session: &Session, key: &str, encoding: Encoding, payload: Vec<u8>) {
     session.put(key, payload).encoding(encoding).congestion_control(CongestionControl::Block).await.unwrap();
 }

@@ -29,7 +29,6 @@ const MAX_CURRENT_A: f64 = 13.0;
 const SPEED_FILTER_S: f64 = 0.01;
 /// Correlation time of the load \[s\].
 const LOAD_S: f64 = 0.05;
-/// Noise of the current sensor \[A\].
 const CURRENT_NOISE_A: f64 = 0.02;
 
 /// Source of the motor's current.

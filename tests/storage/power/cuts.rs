@@ -1,4 +1,4 @@
-//! Power cuts: nothing acknowledged is lost, nothing is there twice, every database opens.
+//! Power cuts: no acknowledged data are lost, no row is duplicated, every database can be opened.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use super::{
     worker::{self, HOLDER, NORMAL, THROWS},
 };
 
-/// Cuts a run of the worker at `cuts` points; `None` where there is no compiler.
+/// Cuts a run of the worker at `cuts` points; `None` without a compiler.
 async fn cut(cuts: usize, seed: u64, variables: &[(&str, &str)]) -> Option<Verdict> {
     let library = shim::library()?;
     let folder = tempfile::tempdir().unwrap();
@@ -77,6 +77,6 @@ async fn power_cuts_lose_nothing_that_was_acknowledged() {
 #[tokio::test]
 async fn the_harness_finds_the_losses_of_a_weaker_setting() {
     let Some(verdict) = cut(cuts(), 3, &[(THROWS, "60"), (NORMAL, "1")]).await else { return };
-    assert!(verdict.lost > 0, "synchronous = NORMAL lost nothing: this test proves nothing");
+    assert!(verdict.lost > 0, "no loss with synchronous = NORMAL: the test cannot detect losses");
     assert_eq!(verdict.unreadable, 0, "{:?}", verdict.notes);
 }

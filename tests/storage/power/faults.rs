@@ -1,4 +1,4 @@
-//! Disks that fail: the nth write or sync, once or for ever.
+//! A disk that fails: the nth write or sync, once or permanently.
 
 use std::{fs, path::Path};
 
@@ -10,7 +10,7 @@ use super::{
 const EIO: u32 = 5;
 const ENOSPC: u32 = 28;
 
-/// Which calls fail: the first 200 of each kind, or by default some of them.
+/// Numbers of the calls that fail: a few, or the first `POINTSD_FAULTS`.
 fn which() -> Vec<u32> {
     match std::env::var("POINTSD_FAULTS") {
         Ok(all) => (1..=all.parse().expect("POINTSD_FAULTS is a number")).collect(),
@@ -18,7 +18,7 @@ fn which() -> Vec<u32> {
     }
 }
 
-/// The same with a reader that holds an old state.
+/// Calls that fail while a reader holds an old state.
 fn which_late() -> Vec<(&'static str, u32)> {
     let all = std::env::var_os("POINTSD_FAULTS").is_some();
     let (writes, syncs) = if all { (25, 10) } else { (1200, 400) };
@@ -55,7 +55,7 @@ async fn a_failing_write_or_sync_loses_nothing_that_was_acknowledged() {
                         run(library, &format!("{what}:{nth}:{errno}:{times}"), &[(THROWS, "12")]).await;
                     wrong.extend(faults);
                     runs += 1;
-                    // A fault that passes is got over without a restart.
+                    // A temporary fault needs no restart.
                     if times == "once" && acknowledged.throws.len() < 4 * 12 {
                         wrong.push(format!("{what}:{nth}:{errno}: only {} throws stored", acknowledged.throws.len()));
                     }
@@ -63,7 +63,7 @@ async fn a_failing_write_or_sync_loses_nothing_that_was_acknowledged() {
             }
         }
     }
-    // Late enough to hit the checkpoints and the move away from a reader.
+    // These calls are in the checkpoints and in the move away from a reader.
     for (what, nth) in which_late() {
         let fault = format!("{what}:{nth}:{ENOSPC}:once");
         let (acknowledged, faults) = run(library, &fault, &[(THROWS, "60"), (HOLDER, "1")]).await;

@@ -1,4 +1,4 @@
-//! `kill -9` at random moments, again and again on the same database.
+//! Repeated `kill -9` at random moments, with the same database.
 
 use std::{fs, process::Command, time::Duration};
 
@@ -30,7 +30,7 @@ async fn a_worker_that_is_killed_again_and_again_loses_nothing() {
         worker.wait().unwrap();
         killed_at_work += usize::from(acknowledged() != before);
     }
-    assert!(killed_at_work > 0, "no worker got as far as storing anything");
+    assert!(killed_at_work > 0, "no worker stored a throw");
     let acknowledged = acknowledged();
     let verdict = inspect(folder.path(), &acknowledged).await;
     println!("{kills} kills, {killed_at_work} of them at work, {} throws acknowledged", acknowledged.throws.len());

@@ -1,9 +1,8 @@
 //! Processes that are killed, power cuts, disks that fail.
 //!
-//! A worker process fills a database while a preloaded shim logs every write and sync, or makes some of them fail.
-//! The power-cut test then builds the disk as it would have been after a cut at any point of the log, with what was
-//! not synced dropped, kept or torn, and opens it. `POINTSD_CUTS`, `POINTSD_FAULTS` and `POINTSD_KILLS` set how
-//! many are tried.
+//! A worker process fills a database while a preloaded shim logs every write and sync, or makes some of them fail. The
+//! power-cut test reconstructs the disk after a cut at any point of the log, with unsynced data dropped, kept or torn,
+//! and opens the database. `POINTSD_CUTS`, `POINTSD_FAULTS` and `POINTSD_KILLS` set the number of runs.
 
 mod cuts;
 mod faults;
@@ -24,12 +23,12 @@ use pointsd::store::{Found, Settings, Store, ThrowRow};
 
 use crate::given::{query, throw};
 
-/// What the worker was promised.
+/// Acknowledgements of the worker.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Acknowledged {
     /// Machine and number of throws that were stored.
     throws: BTreeSet<(String, u64)>,
-    /// The same of throws that were judged.
+    /// Machine and number of judged throws.
     judged: BTreeSet<(String, u64)>,
     /// Alarm events: machine and event number.
     events: BTreeSet<(String, u64)>,
@@ -52,7 +51,7 @@ impl Acknowledged {
     }
 }
 
-/// What is wrong with a database that was opened after a failure.
+/// Defects of a database after a failure.
 #[derive(Debug, Default)]
 pub(crate) struct Verdict {
     lost: usize,
@@ -61,7 +60,7 @@ pub(crate) struct Verdict {
     notes: Vec<String>,
 }
 
-/// Opens the database in `folder` as the daemon would, and compares it with what was acknowledged.
+/// Opens the database in `folder` in the same way as the daemon, and compares it with the acknowledgements.
 async fn inspect(folder: &Path, acknowledged: &Acknowledged) -> Verdict {
     let mut verdict = Verdict::default();
     let settings = Settings { ballast_mib: 0, low_disk_mib: 0, ..crate::given::settings(folder) };
@@ -108,7 +107,7 @@ async fn inspect(folder: &Path, acknowledged: &Acknowledged) -> Verdict {
         verdict.lost += promised.iter().filter(|key| !found.contains(key)).count();
     }
     verdict.duplicated += messages.len() - messages.iter().collect::<BTreeSet<_>>().len();
-    // An event and its message are one.
+    // Each event has its message.
     verdict.lost += events.iter().collect::<BTreeSet<_>>().symmetric_difference(&messages.iter().collect()).count();
     store.close().await.unwrap();
     verdict

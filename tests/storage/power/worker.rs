@@ -1,5 +1,5 @@
-//! The process that is cut off or disturbed: four machines' throws, judged, with alarms, as fast as they go, behind a
-//! reader that does not let go.
+//! The process under test: it stores and judges throws of four machines, with alarms, at full speed, with a reader that
+//! holds an old state.
 
 use std::{
     fs::{File, OpenOptions},
@@ -23,14 +23,14 @@ pub(super) const FOLDER: &str = "POINTSD_WORKER_FOLDER";
 pub(super) const THROWS: &str = "POINTSD_WORKER_THROWS";
 /// Set: commit with `synchronous = NORMAL`.
 pub(super) const NORMAL: &str = "POINTSD_WORKER_NORMAL";
-/// Set: a reader holds an old state from half way on.
+/// Set: a reader holds an old state in the second half.
 pub(super) const HOLDER: &str = "POINTSD_WORKER_HOLDER";
 
 const MACHINES: [&str; 4] = ["21A", "21B", "22A", "22B"];
-/// Tries of each call, as a daemon would.
+/// Tries of each call, as in the daemon.
 const TRIES: usize = 3;
 
-/// Tells the parent, in one write, so that the shim sees it in order.
+/// Sends acknowledgements to the parent, each in one write, so that the log of the shim has them in order.
 #[derive(Clone)]
 struct Acknowledge(Arc<Mutex<File>>);
 
@@ -40,7 +40,7 @@ impl Acknowledge {
     }
 }
 
-/// Runs the worker below the shim on a database in `folder`, with these environment variables.
+/// Runs the worker with the shim on a database in `folder`, with these environment variables.
 pub(super) fn run_below(library: &Path, folder: &Path, variables: &[(&str, &str)]) -> Output {
     Command::new(std::env::current_exe().unwrap())
         .args(["--exact", "power::worker::run", "--nocapture"])
@@ -57,7 +57,7 @@ async fn run() {
     let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else { return };
     let throws = std::env::var(THROWS).map_or(60, |throws| throws.parse().unwrap());
     let Some(store) = open(&folder).await else { return };
-    // After a kill: on from what was acknowledged.
+    // After a kill the worker continues after the last acknowledgement.
     let before = Acknowledged::of_lines(&std::fs::read_to_string(folder.join("points.db.ack")).unwrap_or_default());
     let next = move |name: &str| 1 + before.throws.iter().filter(|(machine, _)| machine == name).count() as u64;
     let file = OpenOptions::new().create(true).append(true).open(folder.join("points.db.ack")).unwrap();
@@ -76,7 +76,7 @@ async fn run() {
     for life in rest {
         life.await.unwrap();
     }
-    // A failing disk may refuse this; what was acknowledged must be there all the same.
+    // This may fail on a failing disk; acknowledged data must be stored anyway.
     let _ = store.close().await;
     drop(holder);
 }
@@ -119,7 +119,7 @@ async fn machine_life(store: Store, acknowledge: Acknowledge, name: &'static str
     }
 }
 
-/// `None`: given up. `Some(None)`: stored by an attempt that was not answered.
+/// `None`: all tries failed. `Some(None)`: stored by a try that returned an error.
 async fn spool(store: &Store, name: &str, throw_no: u64) -> Option<Option<ThrowRow>> {
     let (machine, throw) = (machine(name), throw("b1", throw_no));
     for _ in 0..TRIES {
