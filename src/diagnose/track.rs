@@ -96,8 +96,9 @@ impl Tracks {
         let baseline = track.baseline.as_mut()?;
         let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
         if throw.ratios_only {
-            // The common scale is arbitrary: no change of it is seen.
-            raw.add_scalar_mut(-raw.mean());
+            // The common scale is arbitrary, and no change of it is seen. A single fault moves one of the three: with this scale the
+            // two others stay.
+            raw.add_scalar_mut(-median(raw.as_mut_slice().to_vec().as_mut_slice()));
         }
         track.since_baseline += 1;
         let oldest = track.recent.push(RecentThrow::new(order, raw, distance, throw.sensor.into()));

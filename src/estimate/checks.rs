@@ -1,7 +1,7 @@
 //! Checks of a trace before any model is fitted.
 
 use super::{
-    movement::{MIN_QUIET, Movement, mean, median},
+    movement::{MIN_QUIET, Movement, mean, median, quantum},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -90,30 +90,6 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
     Ok(())
 }
 
-/// The least difference between neighbours that differ: the step of the converter, if there is one to see.
-pub(super) fn quantum(values: &[f64]) -> f64 {
-    const LANES: usize = 4;
-    // Four at a time and without a branch: this runs over every sample, several times a throw.
-    let mut least = [f64::INFINITY; LANES];
-    let mut meet = |lane: usize, before: f64, after: f64| {
-        let difference = (after - before).abs();
-        let difference = if difference > 0.0 { difference } else { f64::INFINITY };
-        least[lane] = if difference < least[lane] { difference } else { least[lane] };
-    };
-    let (before, after) = (&values[..values.len().max(1) - 1], values.get(1..).unwrap_or_default());
-    let ((before, before_rest), (after, after_rest)) = (before.as_chunks::<LANES>(), after.as_chunks::<LANES>());
-    for (before, after) in before.iter().zip(after) {
-        for lane in 0..LANES {
-            meet(lane, before[lane], after[lane]);
-        }
-    }
-    for (before, after) in before_rest.iter().zip(after_rest) {
-        meet(0, *before, *after);
-    }
-    let least = least.into_iter().fold(f64::INFINITY, f64::min);
-    if least.is_finite() { least } else { 0.0 }
-}
-
 /// Whether the trace shows one complete movement, driven by a current that the sensors resolve.
 pub(super) fn course(
     movement: &Movement,
@@ -190,7 +166,7 @@ pub(super) fn early(movement: &Movement, position: &[f64]) -> Result<(), Rejecti
     }
     let start = movement.start();
     let moved_mm = (mean(position[start - 2..=start].iter().copied()) - movement.position.mean).abs();
-    let noise_mm = (EARLY_SIGMAS * movement.position.sd).max(quantum(position));
+    let noise_mm = (EARLY_SIGMAS * movement.position.sd).max(movement.position.quantum);
     if moved_mm > noise_mm.max(LEAST_SLIP * movement.travel_mm) {
         return Err(Rejection::MovedBeforeCurrent { moved_mm });
     }
@@ -288,7 +264,8 @@ pub(super) fn spikes(
         SPIKE_TRAVEL_SHARE * movement.travel_mm
     };
     let range = if filtered { SPIKE_FILTERED_FACTOR * range } else { range };
-    let threshold = range.max(SPIKE_SIGMAS * movement.level(channel).sd).max(3.0 * quantum(values).min(range));
+    let threshold =
+        range.max(SPIKE_SIGMAS * movement.level(channel).sd).max(3.0 * movement.level(channel).quantum.min(range));
     let bend = |k: usize| values[k] - 0.5 * (values[k - 1] + values[k + 1]);
     let steep = |k: usize| SPIKE_SLOPE_SHARE * (values[k + 1] - values[k - 1]).abs();
     let mut spikes = (3..movement.near_end.min(values.len().saturating_sub(3))).filter(|&k| {
@@ -339,10 +316,9 @@ pub(super) fn steps(
     interval_s: f64,
     sums: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
-    let quantum = quantum(values);
     // A step at rest is in the noise at rest, but not in that of differences.
     let (rest, noise) = (movement.level(channel), second_difference_noise(values, sums));
-    let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(quantum);
+    let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(rest.quantum);
     let start = movement.start();
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
     let wide = 2 * ((0.5 * STEP_S / interval_s) as usize).clamp(2, 16);
@@ -367,9 +343,9 @@ pub(super) fn steps(
         sum
     }));
     let step = |k: usize, width: usize| {
-        let mean = |from: usize| (sums[from + width] - sums[from]) / width as f64;
-        let [far_before, before, after, far_after] = [k + 1 - 2 * width, k + 1 - width, k + 1, k + 1 + width].map(mean);
-        1.5 * (after - before) - 0.5 * (far_after - far_before)
+        let [a, b, c, d, e] =
+            [k + 1 - 2 * width, k + 1 - width, k + 1, k + 1 + width, k + 1 + 2 * width].map(|at| sums[at]);
+        (1.5 * (d - c - (c - b)) - 0.5 * (e - d - (b - a))) / width as f64
     };
     // The variance of a step is 5 / width of a sample's.
     let [long, short] = [wide, wide / 2].map(|width| sd * (5.0 / width as f64).sqrt());
@@ -426,7 +402,7 @@ pub(super) fn noise_level(
     let usual = second_difference_noise(&current[..last], scratch);
     let quiet = &current[..movement.quiet];
     if quiet.len() < NOISE_SAMPLES
-        || usual < (NOISE_QUANTA * quantum(current)).max(LEAST_NOISE * settings.current_noise_a)
+        || usual < (NOISE_QUANTA * movement.current.quantum).max(LEAST_NOISE * settings.current_noise_a)
     {
         return Ok(());
     }
@@ -509,8 +485,9 @@ const LARGEST_QUANTUM_MM: f64 = 0.5;
 fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) -> Result<(), Rejection> {
     let span = movement.arrived.saturating_sub(movement.start()).max(1);
     let mean_step = movement.travel_mm / span as f64;
-    let allowed =
-        JUMP_MEAN_STEPS * mean_step + JUMP_SIGMAS * noise_mm + JUMP_QUANTA * quantum(position).min(LARGEST_QUANTUM_MM);
+    let allowed = JUMP_MEAN_STEPS * mean_step
+        + JUMP_SIGMAS * noise_mm
+        + JUMP_QUANTA * movement.position.quantum.min(LARGEST_QUANTUM_MM);
     let steps = position.windows(2).map(|w| (w[1] - w[0]).abs());
     match steps.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) {
         Some((at, jump_mm)) if jump_mm > allowed => {

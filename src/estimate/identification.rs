@@ -51,8 +51,8 @@ pub struct Estimate {
     /// Covariance of (b0, a1, a0) from throw to throw, in their units: the sensors' noise.
     #[serde(with = "rows")]
     pub covariance: Matrix3<f64>,
-    /// Covariance of what is the same in every throw of one machine: dry friction that the model counts as viscous, and a load
-    /// that wanders. A comparison with a baseline does not contain it.
+    /// Covariance of what is the same in every throw of one machine: dry friction that the model counts as viscous, a load
+    /// that wanders, and what a brake may hide at the start. A comparison with a baseline does not contain it.
     #[serde(with = "rows", default)]
     pub systematic: Matrix3<f64>,
     /// `R²_T` \[%\].
@@ -76,15 +76,6 @@ impl Estimate {
     #[must_use]
     pub fn total_covariance(&self) -> Matrix3<f64> {
         self.covariance + self.systematic
-    }
-
-    /// Covariance that a comparison with a baseline has to allow for. Errors that are the same in every throw cancel in it, but not
-    /// for a rough estimate, whose baseline is of good ones; they do not average out over a window, whatever its length.
-    #[must_use]
-    pub fn drift_covariance(&self) -> Matrix3<f64> {
-        /// Throws in the longest window of the diagnosis.
-        const LONGEST_WINDOW: f64 = 24.0;
-        if self.grade == Grade::Rough { self.covariance + LONGEST_WINDOW * self.systematic } else { self.covariance }
     }
 
     /// Standard deviations of the whole error of (b0, a1, a0), in their units.

@@ -3,8 +3,8 @@
 use nalgebra::Matrix3;
 
 use super::{
-    armature,
-    checks::{self, quantum, second_difference_noise},
+    armature, brake,
+    checks::{self, second_difference_noise},
     covariance::Noise,
     current_only, decimate,
     filter::Hold,
@@ -113,6 +113,8 @@ struct Departure {
     slow_mm: f64,
     /// Delay of the start \[s\].
     delay_s: f64,
+    /// Standard deviation of the common scale that brakes leave open.
+    brake_sd: f64,
 }
 
 impl Identifier {
@@ -312,7 +314,9 @@ impl Identifier {
                 let channels = (self.input.as_slice(), self.output.as_slice(), self.workspace.model_output());
                 let noise = (window.interval_s, window.output_noise);
                 let delay_s = lateness::check(channels, problem.equilibrium, solution.parameters, foot, noise)?;
-                Ok(Departure { delay_s, ..departure })
+                let channels = (self.input.as_slice(), self.output.as_slice());
+                let brake_sd = brake::scale_sd(channels, problem.equilibrium, solution.parameters, foot, noise)?;
+                Ok(Departure { delay_s, brake_sd, ..departure })
             })
             .and_then(|departure| {
                 let refined = if settings.refined {
@@ -405,8 +409,8 @@ impl Identifier {
             output_noise: (position_sd * radians_per_mm).powi(2) * colour,
             noise_samples: movement.position.samples,
             offsets: [
-                offset_variance(movement.current, &self.current),
-                offset_variance(movement.position, &self.position) * radians_per_mm * radians_per_mm,
+                offset_variance(movement.current),
+                offset_variance(movement.position) * radians_per_mm * radians_per_mm,
             ],
             series: settings.motor == Motor::Series,
             running: movement.mean_a,
@@ -428,15 +432,14 @@ impl Identifier {
         } else {
             second_difference_noise(&self.position, &mut self.scratch).min(settings.position_noise_mm)
         };
-        let rounding = |values: &[f64]| quantum(values) / 12.0_f64.sqrt();
-        (current.max(rounding(&self.current)), position.max(rounding(&self.position)))
+        let rounding = |level: Level| level.quantum / 12.0_f64.sqrt();
+        (current.max(rounding(movement.current)), position.max(rounding(movement.position)))
     }
 }
 
 /// Variance of a mean over quiet samples; with less noise than half a step of the converter averaging does not help.
-fn offset_variance(level: Level, values: &[f64]) -> f64 {
-    let step = quantum(values);
-    let rounding = if level.sd < 0.5 * step { step * step / 12.0 } else { 0.0 };
+fn offset_variance(level: Level) -> f64 {
+    let rounding = if level.sd < 0.5 * level.quantum { level.quantum * level.quantum / 12.0 } else { 0.0 };
     if level.samples == 0 { 0.0 } else { level.sd * level.sd / level.samples as f64 + rounding }
 }
 
@@ -493,7 +496,12 @@ fn misfit(
     }
     let slow = slow / output.len() as f64 - window.output_noise / stretch as f64;
     let beyond = (slow - 2.0 * through).max(0.0).sqrt() * lead_mm / std::f64::consts::TAU;
-    Ok(Departure { noise_ratio: if through > 0.0 { slow / through } else { 0.0 }, slow_mm: beyond, delay_s: 0.0 })
+    Ok(Departure {
+        noise_ratio: if through > 0.0 { slow / through } else { 0.0 },
+        slow_mm: beyond,
+        delay_s: 0.0,
+        brake_sd: 0.0,
+    })
 }
 
 fn finish(
@@ -518,8 +526,10 @@ fn finish(
             _ => {}
         }
     }
-    let scale =
-        (SCALE_PER_S * departure.delay_s).hypot(SCALE_PER_MM * departure.slow_mm).hypot(SCALE_PER_RISE * window.rise);
+    let scale = (SCALE_PER_S * departure.delay_s)
+        .hypot(SCALE_PER_MM * departure.slow_mm)
+        .hypot(SCALE_PER_RISE * window.rise)
+        .hypot(departure.brake_sd);
     Ok(Estimate {
         grade: Grade::Good,
         b0,

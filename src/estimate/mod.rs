@@ -1,6 +1,7 @@
 //! From one throw to b0, a1, a0 with their covariance (SRIV, continuous time).
 
 mod armature;
+mod brake;
 mod checks;
 mod covariance;
 mod current_only;

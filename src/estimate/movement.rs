@@ -19,6 +19,8 @@ pub(super) struct Level {
     pub(super) mean: f64,
     pub(super) sd: f64,
     pub(super) samples: usize,
+    /// Step of the converter, over the whole trace; 0 where none shows.
+    pub(super) quantum: f64,
 }
 
 /// The course of a throw. Indices count samples of the channels given to [`Movement::of`].
@@ -74,6 +76,7 @@ impl Movement {
         if before == 0 {
             position_level.mean = position[0];
         }
+        (level.quantum, position_level.quantum) = (quantum(current), quantum(position));
         let end_mm = median_of(&position[len - (len / 50).clamp(1, 50)..], scratch);
         // An obstructed drive springs back once the motor lets go: what counts is how far it got.
         let with_motor = motor_off.map_or(end_mm, |off| median_of(&position[off.saturating_sub(4)..=off], scratch));
@@ -179,7 +182,7 @@ impl Level {
         let mean = mean(values.iter().copied());
         let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
         let sd = if values.len() > 1 { (squares / (values.len() - 1) as f64).sqrt() } else { 0.0 };
-        Self { mean, sd, samples: values.len() }
+        Self { mean, sd, samples: values.len(), quantum: 0.0 }
     }
 }
 
@@ -227,4 +230,28 @@ pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
 pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
+/// The least difference between neighbours that differ: the step of the converter, if there is one to see.
+pub(super) fn quantum(values: &[f64]) -> f64 {
+    const LANES: usize = 4;
+    // Four at a time and without a branch: this runs over every sample, several times a throw.
+    let mut least = [f64::INFINITY; LANES];
+    let mut meet = |lane: usize, before: f64, after: f64| {
+        let difference = (after - before).abs();
+        let difference = if difference > 0.0 { difference } else { f64::INFINITY };
+        least[lane] = if difference < least[lane] { difference } else { least[lane] };
+    };
+    let (before, after) = (&values[..values.len().max(1) - 1], values.get(1..).unwrap_or_default());
+    let ((before, before_rest), (after, after_rest)) = (before.as_chunks::<LANES>(), after.as_chunks::<LANES>());
+    for (before, after) in before.iter().zip(after) {
+        for lane in 0..LANES {
+            meet(lane, before[lane], after[lane]);
+        }
+    }
+    for (before, after) in before_rest.iter().zip(after_rest) {
+        meet(0, *before, *after);
+    }
+    let least = least.into_iter().fold(f64::INFINITY, f64::min);
+    if least.is_finite() { least } else { 0.0 }
 }

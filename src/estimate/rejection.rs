@@ -208,6 +208,9 @@ pub enum Rejection {
         /// Delay, negative for a toe that starts early \[ms\].
         delay_ms: f64,
     },
+    /// The first movement lacks torque that the motor gives.
+    #[error("the toe starts with less torque than the current gives: a brake that releases late, or drags")]
+    BrakedStart,
     /// A lone value far from its neighbours.
     #[error("the {channel} has a spike of {height:.2} at {at_s:.3} s")]
     Spike {
@@ -346,6 +349,7 @@ impl Rejection {
             Self::OnsetMissing { .. } => "onset_missing",
             Self::RoughRise { .. } => "rough_rise",
             Self::LateStart { .. } => "late_start",
+            Self::BrakedStart => "braked_start",
             Self::Spike { .. } => "spike",
             Self::Undersampled { .. } => "undersampled",
             Self::Noisy { .. } => "noisy",
@@ -375,7 +379,7 @@ impl Rejection {
     /// Whether only the model or the start of the throw failed, so that the rest of the movement may still show the ratios of the
     /// coefficients.
     pub(super) fn leaves_ratios(&self) -> bool {
-        matches!(self, Self::Misfit { .. } | Self::LateStart { .. } | Self::Uncertain { .. })
+        matches!(self, Self::Misfit { .. } | Self::LateStart { .. } | Self::BrakedStart | Self::Uncertain { .. })
     }
 
     /// Whether the machine, not the sensors, is to blame: the points did not complete their movement.

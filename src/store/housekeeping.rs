@@ -113,8 +113,7 @@ async fn oldest_of_largest(
     choice: &'static str,
     rows: u64,
 ) -> sqlx::Result<Vec<i64>> {
-    let holdings: Vec<Holding> =
-        sqlx::query_as(holdings).bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
+    let holdings: Vec<Holding> = sqlx::query_as(holdings).bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
     let mut chosen = Vec::new();
     for (machine_row, rows) in shares(holdings, rows) {
         chosen.extend(oldest(connection, choice, rows, Some(machine_row)).await?);

@@ -1,0 +1,109 @@
+//! What a brake can hide at the start of a movement.
+//!
+//! A brake that lets go after the motor is on takes charge away: with B the brake's torque over KT, the movement is
+//! y = b0 ∬ (u - min(B, u)) until the release and y = b0 ∬ u after it, friction and stiffness taken off. Later the machine runs at
+//! nearly constant speed, and lost charge and inertia are the same to it: only the curvature of the first 50 ms tells them apart,
+//! to some 20 % with 20 um of noise. So brakes of every torque and release are tried. The scale is open as far as brakes that
+//! the start fits reach; torques up to the motor's largest and releases up to 40 ms are taken for possible.
+
+use super::rejection::Rejection;
+
+/// Stretch that is looked at, and latest release \[s\].
+const START_S: f64 = 0.06;
+const LATEST_S: f64 = 0.04;
+/// Torques that are tried, as a share of the motor's largest.
+const TORQUES: [f64; 8] = [0.06, 0.1, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0];
+/// Fewest samples of a start that says anything.
+const LEAST_SAMPLES: usize = 12;
+/// Half of a 95 % interval in standard deviations.
+const WIDE: f64 = 1.96;
+/// Largest relative standard deviation: a brake takes half of the charge of the start at most.
+const LARGEST_SD: f64 = 0.5;
+/// Twice the logarithm of the likelihood by which a brake must be better than none to be a fact.
+const CERTAIN: f64 = 16.0;
+/// Root mean square of what rails and toe drive add to the start, as a share of the travel.
+const MODEL_SHARE: f64 = 1e-4;
+/// What no brake explains counts from this multiple of the noise's variance on, and so many times, as its samples are not
+/// independent.
+const NOISE_ROOM: f64 = 1.2;
+const CORRELATED: f64 = 15.0;
+
+/// Relative standard deviation of the common scale of b0, a1 and a0 that brakes leave open.
+///
+/// `noise` is the variance of the output.
+///
+/// # Errors
+/// When there is a brake: then the scale means nothing.
+pub(super) fn scale_sd(
+    (input, output): (&[f64], &[f64]),
+    equilibrium: Option<&[f64]>,
+    [b0, a1, a0]: [f64; 3],
+    foot: usize,
+    (interval_s, noise): (f64, f64),
+) -> Result<f64, Rejection> {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let samples = |time_s: f64| (time_s / interval_s) as usize;
+    let last = samples(START_S).min(output.len() - foot - 1);
+    if last < LEAST_SAMPLES {
+        return Ok(LARGEST_SD);
+    }
+    let travel = output[output.len() - 1];
+    let (input, output) = (&input[foot..=foot + last], &output[foot..=foot + last]);
+    let peak = input.iter().fold(0.0, |peak: f64, u| peak.max(*u));
+    // The movement over b0 as it is without a brake.
+    let mut free = vec![0.0; last + 1];
+    let (mut charge, mut angle, mut before) = (0.0, 0.0, 0.0);
+    for k in 1..=last {
+        let shift = equilibrium.map_or(0.0, |shift| shift[foot + k - 1]);
+        charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
+        angle += (0.5 * (output[k - 1] + output[k]) - shift) * interval_s;
+        let balance = charge - (a1 * output[k] + a0 * angle) / b0;
+        free[k] = free[k - 1] + 0.5 * (before + balance) * interval_s;
+        before = balance;
+    }
+    // Sums over the samples after k: of 1, k, k², f, k f, f², y, k y, f y.
+    let mut after = vec![[0.0; 9]; last + 1];
+    for k in (0..last).rev() {
+        let (at, f, y) = ((k + 1) as f64, free[k + 1], output[k + 1]);
+        let terms = [1.0, at, at * at, f, at * f, f * f, y, at * y, f * y];
+        after[k] = std::array::from_fn(|i| after[k + 1][i] + terms[i]);
+    }
+    let square: f64 = output.iter().map(|y| y * y).sum();
+    // b0, its variance over that of the output, and the sum of squares that is left.
+    let fit = |cross: f64, own: f64| (cross / own, 1.0 / own, square - cross * cross / own);
+    let without = fit(after[0][8], after[0][5]);
+    let mut found = vec![without];
+    for torque in TORQUES.map(|share| share * peak) {
+        let (mut lost_charge, mut lost, mut cross, mut own) = (0.0, 0.0, 0.0, 0.0);
+        for k in 1..=samples(LATEST_S).min(last) {
+            let taken = torque.min(0.5 * (input[k - 1] + input[k]).max(0.0)) * interval_s;
+            lost += (lost_charge + 0.5 * taken) * interval_s;
+            lost_charge += taken;
+            let moved = free[k] - lost;
+            cross += moved * output[k];
+            own += moved * moved;
+            // After the release the loss grows by `rate` a sample: f - a - rate k.
+            let rate = lost_charge * interval_s;
+            let a = lost - rate * k as f64;
+            let [n, s, ss, f, sf, ff, y, sy, fy] = after[k];
+            let square = ff - 2.0 * (a * f + rate * sf) + a * a * n + 2.0 * a * rate * s + rate * rate * ss;
+            let brake = fit(cross + fy - a * y - rate * sy, own + square);
+            // One that holds longer than the start leaves no movement to fit.
+            if brake.0 > 0.0 {
+                found.push(brake);
+            }
+        }
+    }
+    let least = found.iter().fold(f64::INFINITY, |least, (.., left)| left.min(least));
+    let beyond = (least / (last - 3) as f64 - NOISE_ROOM * noise).max(0.0);
+    let variance = noise + (MODEL_SHARE * travel).powi(2) + CORRELATED * beyond;
+    if without.2 - least > CERTAIN * variance {
+        return Err(Rejection::BrakedStart);
+    }
+    // The farthest scale within 1.96 standard deviations of the best.
+    let farthest = found.iter().map(|(scale, own, left)| {
+        let reach = WIDE * WIDE - (left - least) / variance;
+        if reach > 0.0 { (scale / b0 - 1.0).abs() + (own * variance * reach).sqrt() / b0 } else { 0.0 }
+    });
+    Ok((farthest.fold(0.0, f64::max) / WIDE).min(LARGEST_SD))
+}
