@@ -169,7 +169,7 @@ fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observat
         throw: stored.id.clone(),
         started_at: stored.started_at,
         direction: found.and_then(|found| found.direction).or(declared.and_then(|throw| throw.direction)),
-        estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.covariance)),
+        estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
         grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
         ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
         incomplete: rejection.is_some_and(Rejection::is_incomplete),

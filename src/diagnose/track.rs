@@ -95,13 +95,15 @@ impl Tracks {
         let track = &mut self.sides[side(throw.direction)];
         let baseline = track.baseline.as_mut()?;
         let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
+        let mut sensor = throw.sensor;
         if throw.ratios_only {
             // The common scale is arbitrary, and no change of it is seen. A single fault moves one of the three: with this scale the
             // two others stay.
-            raw.add_scalar_mut(-median(raw.as_mut_slice().to_vec().as_mut_slice()));
+            let mut sorted: [f64; 3] = raw.into();
+            raw.add_scalar_mut(-median(&mut sorted));
         }
         track.since_baseline += 1;
-        let oldest = track.recent.push(RecentThrow::new(order, raw, distance, throw.sensor.into()));
+        let oldest = track.recent.push(RecentThrow::new(order, raw, distance, sensor.into()));
         if let Some(oldest) = oldest.filter(|_| !suspected) {
             baseline.learn_temperature(oldest.raw());
         }

@@ -78,6 +78,15 @@ impl Estimate {
         self.covariance + self.systematic
     }
 
+    /// Covariance that a comparison with a baseline has to allow for. Errors that are the same in every throw cancel in it, but not
+    /// for ratios, whose baseline is of whole estimates; they do not average out over a window, whatever its length.
+    #[must_use]
+    pub fn drift_covariance(&self) -> Matrix3<f64> {
+        /// Throws in the longest window of the diagnosis.
+        const LONGEST_WINDOW: f64 = 24.0;
+        if self.ratios_only { self.covariance + LONGEST_WINDOW * self.systematic } else { self.covariance }
+    }
+
     /// Standard deviations of the whole error of (b0, a1, a0), in their units.
     #[must_use]
     pub fn sd(&self) -> [f64; 3] {

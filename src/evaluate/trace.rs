@@ -68,7 +68,7 @@ impl TraceMachine {
             incomplete: found.outcome.as_ref().is_err_and(crate::estimate::Rejection::is_incomplete),
             grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
-            estimate: found.outcome.ok().map(|estimate| (estimate.coefficients(), estimate.covariance)),
+            estimate: found.outcome.ok().map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
             features: found.features,
             temperature_c: throw.temperature_c,
         }
