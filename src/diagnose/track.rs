@@ -98,7 +98,8 @@ impl Tracks {
         let mut sensor = throw.sensor;
         if throw.ratios_only {
             // The common scale is arbitrary, and no change of it is seen. A single fault moves one of the three: with this scale the
-            // two others stay.
+            // two others stay, and the scale is in no doubt.
+            sensor.add_scalar_mut(-sensor[(0, 0)]);
             let mut sorted: [f64; 3] = raw.into();
             raw.add_scalar_mut(-median(&mut sorted));
         }

@@ -41,7 +41,7 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
     match report.disk.as_str() {
         "ok" => {}
         "low" => {
-            trouble.push("The disk is nearly full: traces of judged throws are removed. Free some space.".to_owned())
+            trouble.push("The disk is nearly full: traces of judged throws are removed. Free some space.".to_owned());
         }
         "full" => trouble
             .push("The disk is full: nothing can be stored, and this page is old. Free some space now.".to_owned()),

@@ -185,11 +185,11 @@ fn what_a_brake_hides_is_in_the_interval_or_the_throw_is_rough() {
     assert!(plain.covariance[(0, 0)].sqrt() < 0.01 * plain.b0 && plain.sd()[0] < 0.4 * plain.b0, "{plain:?}");
 }
 
-/// The table of the page of limits: 100 throws a row, or as many as POINTSD_THROWS says.
+/// The table of the page of limits: 100 throws a row, or as many as `POINTSD_THROWS` says.
 #[test]
 #[ignore = "a table of some minutes"]
 fn table_of_conditions() {
-    let throws: u64 = std::env::var("POINTSD_THROWS").map_or(100, |text| text.parse().unwrap());
+    let throws: u32 = std::env::var("POINTSD_THROWS").map_or(100, |text| text.parse().unwrap());
     let plain = Drive::default();
     let brake = |brake_nm, brake_s| Drive { brake_nm, brake_s, ..plain };
     let rows = [
@@ -220,10 +220,11 @@ fn table_of_conditions() {
     println!("| condition | good | rough | rejected | 95 % intervals that hold: of the coefficients | of the ratios |");
     println!("|---|---|---|---|---|---|");
     for (name, drive) in rows {
-        let found: Vec<Estimate> = (0..throws).filter_map(|seed| drive.identify(seed).outcome.ok()).collect();
+        let found: Vec<Estimate> = (0..throws).filter_map(|seed| drive.identify(seed.into()).outcome.ok()).collect();
         let good = found.iter().filter(|e| e.grade == Grade::Good).count();
         let scaled: Vec<&Estimate> = found.iter().filter(|e| !e.ratios_only).collect();
-        let share = |hold: usize, of: usize| if of == 0 { "-".to_owned() } else { format!("{} %", 100 * hold / of) };
+        let share =
+            |hold: usize, of: usize| (100 * hold).checked_div(of).map_or("-".to_owned(), |pct| format!("{pct} %"));
         let truth = [FRICTION / TORQUE, STIFFNESS / TORQUE];
         let near = |e: &&Estimate| (0..2).all(|at| (e.ratios()[at] - truth[at]).abs() < 1.96 * e.ratios_sd()[at]);
         println!(
