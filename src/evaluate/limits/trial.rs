@@ -92,7 +92,9 @@ impl Bench {
                 let quality = found.quality();
                 match found.outcome {
                     Ok(estimate) if estimate.grade == Grade::Good => {
-                        row.add(estimate.coefficients(), estimate.sd(), reference);
+                        // The scatter of a row is that of the noise.
+                        let noise_sd = estimate.covariance.diagonal().map(f64::sqrt).into();
+                        row.add(estimate.coefficients(), noise_sd, reference);
                     }
                     _ => row.refusal = Some(quality.to_owned()),
                 }
