@@ -7,12 +7,12 @@ use jiff::Timestamp;
 use super::status::Standing;
 use crate::{
     diagnose::{
-        AlarmEvent, AlarmState, Command, CommandError, Irregularity, MachineMonitor, Observation, Settings, Severity,
-        Verdict,
+        AlarmEvent, AlarmState, Command, CommandError, Common, Irregularity, MachineMonitor, Observation, Settings,
+        Severity, Verdict,
     },
     estimate::{Estimate, Identification, Rejection},
     store::{Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
-    throw::MachineId,
+    throw::{MachineId, Name},
     wire::{Health, json},
 };
 
@@ -22,6 +22,9 @@ const UNREADABLE: &str = "unreadable_trace";
 const REPEATED: &str = "repeated_trace";
 /// `quality` of a throw on which the estimator itself failed.
 const ESTIMATOR_FAILED: &str = "estimator_failed";
+
+/// The alarms of all machines of a site together stand under this name.
+const ALL_MACHINES: &str = "all-machines";
 
 /// The monitors of all machines.
 #[derive(Default)]
@@ -78,9 +81,10 @@ impl Fleet {
         // A trace that was sent before says nothing new: it is no evidence, neither of health nor of a drift.
         let repeats = stored.repeats && identification.as_ref().is_some_and(|found| found.outcome.is_ok());
         let identification = identification.filter(|_| !repeats);
+        let common = self.common(&stored.machine.site, Some(&stored.machine), stored.started_at);
         let monitor = self.monitor(&stored.machine);
         let observation = observation(stored, identification.as_ref());
-        let mut verdict = monitor.observe(&observation, settings);
+        let mut verdict = monitor.observe_beside(&observation, &common, settings);
         let irregularities =
             [(repeats, Irregularity::RepeatedTrace), (stored.renumbered, Irregularity::RepeatedNumber)];
         for (_, irregularity) in irregularities.into_iter().filter(|(is_so, _)| *is_so) {
@@ -116,7 +120,30 @@ impl Fleet {
             }
         }
         self.to_store.clear();
+        let sites: HashSet<Name> = self.monitors.keys().map(|machine| machine.site.clone()).collect();
+        for site in sites {
+            let common = self.common(&site, None, now);
+            changed.extend(self.follow_site(&site, &common, now, settings));
+        }
         changed
+    }
+
+    /// What the machines of a site, but for one, have in common.
+    fn common(&self, site: &Name, but: Option<&MachineId>, at: Timestamp) -> Common {
+        let others = self.monitors.iter().filter(|(machine, _)| machine.site == *site && Some(*machine) != but);
+        MachineMonitor::common(others.map(|(_, monitor)| monitor), at)
+    }
+
+    /// Updates the alarm of a site, which stands under [`ALL_MACHINES`] as if that were a machine.
+    fn follow_site(&mut self, site: &Name, common: &Common, now: Timestamp, settings: &Settings) -> Option<Outcome> {
+        let id = MachineId::new(site.as_str(), ALL_MACHINES).ok()?;
+        if *common == Common::default() && !self.monitors.contains_key(&id) {
+            return None;
+        }
+        let name = format!("All machines of {site}");
+        let monitor = self.monitors.entry(id.clone()).or_insert_with(|| MachineMonitor::new(&name));
+        let events = monitor.follow_site(common, now, settings);
+        (!events.is_empty()).then(|| outcome(&id, monitor, now, events))
     }
 
     /// Updates the alarm of the daemon itself, which stands under its own name as if it were a machine.

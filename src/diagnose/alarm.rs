@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     correlation::Correlation,
     course::LimitForecast,
-    event::{AlarmEvent, AlarmState, Cause, RunnerUp, Severity},
+    event::{AlarmEvent, AlarmState, Cause, RunnerUp, SensorChannel, Severity},
 };
 use crate::throw::{Direction, ThrowRef};
 
@@ -20,6 +20,7 @@ pub(super) struct Evidence {
     pub(super) change_pct: Option<f64>,
     pub(super) change_pct_sd: Option<f64>,
     pub(super) direction: Option<Direction>,
+    pub(super) channel: Option<SensorChannel>,
     pub(super) runner_up: Option<RunnerUp>,
     pub(super) correlation: Option<Correlation>,
     pub(super) first_throw: Option<ThrowRef>,
@@ -36,6 +37,7 @@ impl Evidence {
             change_pct: None,
             change_pct_sd: None,
             direction: None,
+            channel: None,
             runner_up: None,
             correlation: None,
             first_throw: throw.cloned(),
@@ -333,6 +335,7 @@ fn blank(cause: Cause, raised_at: Timestamp) -> AlarmEvent {
         change_pct: None,
         change_pct_sd: None,
         direction: None,
+        channel: None,
         runner_up: None,
         correlation: None,
         first_throw: None,
@@ -350,6 +353,7 @@ fn take_evidence(event: &mut AlarmEvent, evidence: Evidence) -> String {
     event.change_pct = evidence.change_pct;
     event.change_pct_sd = evidence.change_pct_sd;
     event.direction = evidence.direction;
+    event.channel = evidence.channel;
     event.runner_up = evidence.runner_up;
     event.correlation = evidence.correlation;
     event.first_throw = evidence.first_throw;

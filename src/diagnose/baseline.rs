@@ -71,7 +71,8 @@ impl BaselineThrow {
     pub(super) fn new(order: u64, throw: &Evaluated) -> Self {
         Self {
             order,
-            log: throw.log,
+            // Rounded, so that the state stays small: 1e-9 of a logarithm is far below any scatter.
+            log: throw.log.map(|log| (1e9 * log).round() / 1e9),
             temperature_c: throw.temperature_c.map(|t| t as f32),
             duration_s: throw.duration_s.map(|d| d as f32),
         }

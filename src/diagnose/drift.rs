@@ -10,6 +10,7 @@ use super::{
     scatter::Scatter,
     settings::Settings,
     temperature::doubt,
+    testimony::Testimony,
     window::Window,
 };
 use crate::throw::Direction;
@@ -47,6 +48,10 @@ pub(super) struct Drift {
     provisional: bool,
     /// Named, when detected.
     pub(super) attribution: Option<Attribution>,
+    /// The window in which it shows most.
+    pub(super) strongest: Option<Window>,
+    /// What the gauges say about it.
+    pub(super) testimony: Testimony,
     /// Its name has an active alarm.
     is_alarmed: bool,
     /// Present level of each direction.
@@ -78,7 +83,20 @@ impl Drift {
             .filter(|_| excess > 1.0)
             .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), open, settings));
         let is_alarmed = attribution.as_ref().is_some_and(|attribution| open.contains(&attribution.cause()));
-        Self { excess, provisional, attribution, is_alarmed, levels, last_few, latest, hidden, caution }
+        let (strongest, testimony) = (strongest.map(|(window, _)| window), Testimony::default());
+        Self {
+            excess,
+            provisional,
+            attribution,
+            strongest,
+            testimony,
+            is_alarmed,
+            levels,
+            last_few,
+            latest,
+            hidden,
+            caution,
+        }
     }
 
     /// Whether a drift is detected and above its limit, whatever its name.
@@ -90,11 +108,15 @@ impl Drift {
     /// What the throw says about `cause`, whose alarm is active in the direction `alarmed` (inner `None`: in both).
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     pub(super) fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
-        let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause);
+        let excused = self.testimony.excuses();
+        let named = self.attribution.as_ref().filter(|attribution| attribution.cause() == cause && !excused);
         let undoubted = named.filter(|attribution| cause == Cause::Unattributed || attribution.lead >= DECISIVE);
-        let other = self.attribution.as_ref().is_some_and(|attribution| {
-            matches!(attribution.naming, Naming::One(_)) && !attribution.includes(cause) && attribution.relevance > 1.0
-        });
+        let other = excused && self.matters()
+            || self.attribution.as_ref().is_some_and(|attribution| {
+                matches!(attribution.naming, Naming::One(_))
+                    && !attribution.includes(cause)
+                    && attribution.relevance > 1.0
+            });
         let levels = self.levels.iter().flatten();
         let (size, bound) = levels.map(|window| extent(cause, window, settings)).fold((0.0, 0.0), max_of_each);
         let (side, last_few) = &self.latest;
@@ -107,13 +129,14 @@ impl Drift {
         let claim = match named {
             Some(_) if self.matters() && stays => Claim::Named,
             // No name has settled, whatever the throws in between were taken for.
-            _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed => Claim::Counts,
+            _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed && !excused => Claim::Counts,
             _ => Claim::None,
         };
         Reading {
             claim,
             undoubted: undoubted.map_or(0.0, |attribution| attribution.relevance),
             patience: self.caution
+                + if matches!(self.testimony, Testimony::Either { waits: true, .. }) { TOO_CLOSE_PATIENCE } else { 0 }
                 + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
                     (Naming::One(_), _) if attribution.lead >= SAFE => 0,
                     (Naming::One(_), _) => DOUBTED_PATIENCE,

@@ -9,12 +9,13 @@ use super::{
     condition::{Condition, Transition},
     course::LimitForecast,
     drift::{Drift, alarm_causes},
-    event::{AlarmEvent, Cause, Severity},
+    event::{AlarmEvent, Cause, RunnerUp, Severity},
     explain::{Explanation, percent, single},
     history::History,
     intermittent::Intermittent,
     operational::Context,
     settings::Settings,
+    testimony::Testimony,
     text,
     track::{Suspicion, Tracks},
     verdict::Drifting,
@@ -80,7 +81,11 @@ impl DriftAlarms {
                 Transition::Clear { at_once } => alarms.clear(cause, text::cleared(name, cause, at_once), at),
                 Transition::ProposeRebaseline => alarms.remark(cause, text::maybe_repaired(name, cause), at),
                 Transition::Withdraw => {
-                    let other = drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause);
+                    let other = match drift.testimony {
+                        Testimony::Sensor(_) => Cause::Sensor,
+                        Testimony::Supply => Cause::Supply,
+                        _ => drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause),
+                    };
                     alarms.clear(cause, text::withdrawn(name, cause, other), at)
                 }
             });
@@ -90,10 +95,11 @@ impl DriftAlarms {
     }
 
     /// Takes in how far a throw is from the ones before it: side, departure, covariance of one throw, and whether the baseline
-    /// is complete.
+    /// is complete; a drift that a sensor explains is `excused`.
     pub(super) fn judge_departure(
         &mut self,
         (side, departure, of_one_throw, complete): (usize, Vector3<f64>, Matrix3<f64>, bool),
+        excused: bool,
         alarms: &mut Alarms,
         context: Context,
     ) -> Option<AlarmEvent> {
@@ -109,7 +115,7 @@ impl DriftAlarms {
         }
         let budget = settings.false_alarms_per_throw();
         let found = self.intermittent.found(&of_one_throw, budget, settings)?;
-        if alarms.active().any(|event| event.cause.is_drift()) {
+        if excused || alarms.active().any(|event| event.cause.is_drift()) {
             return None;
         }
         self.intermittent.alarmed = Some(found.cause);
@@ -219,6 +225,13 @@ impl DriftAlarms {
             limit_in_throws = forecast.filter(|_| severity == Severity::Warning);
             *main = now;
         }
+        let alike = match drift.testimony {
+            Testimony::Either { channel, waits } => Some((channel, waits)),
+            _ => None,
+        };
+        if let (Some(_), Naming::One(_)) = (alike, attribution.naming) {
+            attribution.runner_up = Some(RunnerUp { cause: Cause::Sensor, margin: 0.0 });
+        }
         let main = attribution.main();
         let subject = text::subject(context.name, direction);
         Some(Evidence {
@@ -226,12 +239,13 @@ impl DriftAlarms {
             change_pct: main.map(|main| percent(main.size)),
             change_pct_sd: main.map(text::sd_pct),
             direction,
+            channel: None,
             runner_up: attribution.runner_up,
             correlation: Some(attribution.correlation),
             first_throw: self.onset.as_ref().map(|onset| onset.first.clone()),
             last_throw: context.throw.cloned(),
             limit_in_throws,
-            text: text::drift(&subject, &attribution, throws, limit_in_throws.as_ref()),
+            text: text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref()),
         })
     }
 

@@ -87,6 +87,32 @@ impl fmt::Display for Cause {
     }
 }
 
+/// The sensor that an alarm with [`Cause::Sensor`] is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SensorChannel {
+    /// Of the motor current.
+    Current,
+    /// Of the toe position.
+    Position,
+    /// The logger's clock, which gives the sampling rate.
+    Clock,
+    /// Of the temperature.
+    Temperature,
+}
+
+/// Plain words, for people.
+impl fmt::Display for SensorChannel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Current => "current sensor",
+            Self::Position => "position sensor",
+            Self::Clock => "logger's clock",
+            Self::Temperature => "temperature sensor",
+        })
+    }
+}
+
 /// How bad.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
@@ -177,6 +203,9 @@ pub struct AlarmEvent {
     pub change_pct_sd: Option<f64>,
     /// The direction in which it shows; `None` for both.
     pub direction: Option<Direction>,
+    /// The sensor, of an alarm about one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub channel: Option<SensorChannel>,
     /// The next best cause.
     pub runner_up: Option<RunnerUp>,
     /// The paper's three numbers.

@@ -160,6 +160,29 @@ fn fit_with_leak<const K: usize>(
     fit
 }
 
+/// How an effect `d` explains the drift `m` with covariance `v`: its size, the size's standard deviation, and its score beside
+/// that of causes.
+pub(super) fn fit_along(
+    d: &Vector3<f64>,
+    m: &Vector3<f64>,
+    v: &Matrix3<f64>,
+    settings: &Settings,
+) -> Option<(f64, f64, f64)> {
+    let (mut size, mut found) = (0.0, None);
+    for _ in 0..2 {
+        let error = Matrix3::from_diagonal_element((settings.model_error / MODEL_ERROR_SD * size).powi(2));
+        let u = v + error;
+        let inverse = u.try_inverse()?;
+        let information = (d.transpose() * inverse * d).x;
+        size = (d.transpose() * inverse * m).x / information;
+        let rest = m - d * size;
+        let misfit = (rest.transpose() * inverse * rest).x;
+        let score = misfit + u.determinant().ln() + information.ln() + 2.0 * SIZE_SCALE.ln();
+        found = Some((size, information.sqrt().recip(), score));
+    }
+    found
+}
+
 /// What a cause of this size does to the coefficients, for each unit of its size, when friction leaks by `leak`.
 fn effect(part: &Explanation, leak: f64) -> Vector3<f64> {
     if part.cause == Cause::Friction && part.size > 0.0 {

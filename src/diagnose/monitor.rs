@@ -1,6 +1,7 @@
 //! The monitor of one machine: what one throw, one command or the passing of time does to it.
 
 use jiff::Timestamp;
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -10,9 +11,11 @@ use super::{
     drift_alarms::{DRIFTS, DriftAlarms, Onset},
     event::{AlarmEvent, Cause, Severity},
     explain::percent,
+    instruments::Instruments,
     observation::{Evaluated, Irregularity, Observation},
     operational::{Context, Operation},
     settings::Settings,
+    site::{self, Common, Trail},
     snapshot::VersionOne,
     text,
     thermometer::Thermometer,
@@ -44,6 +47,11 @@ pub struct MachineMonitor {
     operation: Operation,
     #[serde(default)]
     thermometer: Thermometer,
+    #[serde(default)]
+    instruments: Instruments,
+    /// For the other machines of the site.
+    #[serde(default)]
+    trail: Trail,
     /// As of the last evaluated throw.
     #[serde(default)]
     blind: Option<Blindness>,
@@ -66,6 +74,8 @@ impl MachineMonitor {
             alarms: Alarms::default(),
             operation: Operation::default(),
             thermometer: Thermometer::default(),
+            instruments: Instruments::default(),
+            trail: Trail::default(),
             blind: None,
             maintenance: None,
         }
@@ -92,12 +102,23 @@ impl MachineMonitor {
 
     /// Takes in one throw, evaluated or not. Throws come in the order in which the machine made them.
     pub fn observe(&mut self, observation: &Observation, settings: &Settings) -> Verdict {
+        self.observe_beside(observation, &Common::default(), settings)
+    }
+
+    /// The same for a machine whose neighbours moved by `common`: what it has in common with them is not its fault.
+    pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
         let at = to_micros(observation.started_at);
         let temperature = self.thermometer.read(observation.temperature_c, at);
-        let evaluated =
+        let mut evaluated =
             Evaluated::of(observation).map(|throw| Evaluated { temperature_c: temperature.celsius, ..throw });
         let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
+        if let (Some(throw), Some(residual)) = (&mut evaluated, &residual) {
+            if let Some(of_one_throw) = self.tracks.of_one_throw(throw.direction) {
+                self.trail.push(at, residual, &of_one_throw);
+            }
+            throw.log = (Vector3::from(throw.log) - site::excused(residual, common)).into();
+        }
         let mut verdict =
             Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };
         if self.maintenance.is_none() {
@@ -123,6 +144,9 @@ impl MachineMonitor {
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
         verdict.events.extend(operation.on_throw(observation.incomplete, alarms, context));
         if let Some(throw) = evaluated {
+            let suspicious = self.drift.is_suspicious(&self.alarms);
+            let features = &observation.features;
+            self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
             self.observe_evaluated(throw, &observation.throw, at, settings, verdict);
         }
         let blind = self.blind;
@@ -133,7 +157,7 @@ impl MachineMonitor {
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {
             let longer_pct = 100.0 * (duration_s / normal_s - 1.0);
-            let explained = self.alarms.active().any(is_drift);
+            let explained = self.alarms.active().any(|event| is_drift(event) || event.cause == Cause::Supply);
             let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
             verdict.events.extend(operation.on_duration(longer_pct, direction, explained, alarms, context));
         }
@@ -154,13 +178,17 @@ impl MachineMonitor {
         let drift = residual.map(|residual| {
             let open: Vec<Cause> = self.alarms.active().map(|event| event.cause).collect();
             let caution = self.drift.intermittent.caution(self.tracks.lag1());
-            let drift = self.tracks.drift(throw.direction, caution, &open, settings);
+            let mut drift = self.tracks.drift(throw.direction, caution, &open, settings);
+            drift.testimony = self.instruments.testimony(&drift, settings);
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
+            verdict.events.extend(events);
+            let events = self.instruments.judge(&drift, drift.testimony, &mut self.alarms, context);
             verdict.events.extend(events);
             drift
         });
+        let excused = drift.as_ref().is_some_and(|drift| drift.testimony.excuses());
         if let Some(departure) = departure {
-            verdict.events.extend(self.drift.judge_departure(departure, &mut self.alarms, context));
+            verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
         }
         let hidden = drift.as_ref().and_then(|drift| drift.hidden);
         self.blind = hidden.and_then(|(cause, below_pct)| {
@@ -208,6 +236,18 @@ impl MachineMonitor {
     pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
         operation.on_liveliness(there, alarms, context)
+    }
+
+    /// What machines with these monitors have in common in the hours before `at`.
+    #[must_use]
+    pub fn common<'a>(machines: impl Iterator<Item = &'a Self>, at: Timestamp) -> Common {
+        site::common(machines.map(|monitor| &monitor.trail), to_micros(at))
+    }
+
+    /// Follows the common movement of a site, for the monitor that stands for all its machines.
+    pub fn follow_site(&mut self, common: &Common, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
+        let (_, alarms, context) = self.parts(to_micros(now), None, settings);
+        site::judge(common, alarms, context)
     }
 
     /// Whether the machine's logger ever declared a token.
@@ -297,6 +337,8 @@ impl MachineMonitor {
         self.tracks = Tracks::default();
         self.drift.reset();
         self.drift.now.clear();
+        self.instruments = Instruments::default();
+        self.trail = Trail::default();
         self.blind = None;
         let text = text::rebaselined(&self.name, by, why);
         let drifts: Vec<Cause> =
@@ -307,6 +349,7 @@ impl MachineMonitor {
     fn end_maintenance(&mut self, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
         self.maintenance = None;
         self.tracks.forget_recent();
+        self.instruments.forget_recent();
         self.drift.reset();
         self.operation.reset();
         self.alarms.set_out_of_service(false, actor, now)
@@ -390,6 +433,8 @@ impl From<VersionOne> for MachineMonitor {
             alarms,
             operation: old.operation,
             thermometer: Thermometer::default(),
+            instruments: Instruments::default(),
+            trail: Trail::default(),
             blind: None,
             maintenance,
         }

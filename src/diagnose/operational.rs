@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
-    event::{AlarmEvent, Cause, Severity},
+    event::{AlarmEvent, Cause, SensorChannel, Severity},
     observation::Irregularity,
     settings::Settings,
     text,
@@ -191,8 +191,13 @@ impl Operation {
         streak(&mut self.believed, disbelief.is_none());
         let Context { name, at, settings, .. } = context;
         if let Some(disbelief) = disbelief.filter(|_| self.disbelieved >= DISBELIEVED_IN_A_ROW) {
-            alarms.raise(Cause::Sensor, context.warning(text::temperature_disbelieved(name, disbelief)), at)
-        } else if self.believed >= settings.off_delay_throws {
+            let evidence = context.warning(text::temperature_disbelieved(name, disbelief));
+            alarms.raise(Cause::Sensor, Evidence { channel: Some(SensorChannel::Temperature), ..evidence }, at)
+        } else if self.believed >= settings.off_delay_throws
+            && alarms.active().all(|event| {
+                event.cause != Cause::Sensor || event.channel.is_none_or(|c| c == SensorChannel::Temperature)
+            })
+        {
             alarms.clear(Cause::Sensor, text::temperature_believed(name), at)
         } else {
             None

@@ -3,9 +3,10 @@
 use super::{
     cause::{Attribution, Naming, Rival},
     course::LimitForecast,
-    event::{Cause, RunnerUp},
+    event::{Cause, RunnerUp, SensorChannel},
     explain::{Explanation, percent},
     intermittent::Departures,
+    testimony::Fault,
     thermometer::Disbelief,
     verdict::Blindness,
 };
@@ -20,10 +21,20 @@ pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
 }
 
 /// What a drift is, how sure, what to look at, and when it gets critical.
-pub(super) fn drift(subject: &str, attribution: &Attribution, throws: u64, forecast: Option<&LimitForecast>) -> String {
+/// `alike` is the sensor that explains it as well, and whether more throws may tell.
+pub(super) fn drift(
+    subject: &str,
+    attribution: &Attribution,
+    alike: Option<(SensorChannel, bool)>,
+    throws: u64,
+    forecast: Option<&LimitForecast>,
+) -> String {
     let over = if throws == 1 { "1 throw".to_owned() } else { format!("{throws} throws") };
     let what = match &attribution.naming {
-        Naming::One(one) => format!("{} over {over}{}", change(one), runner_up(attribution.runner_up.as_ref())),
+        Naming::One(one) => match alike {
+            Some((sensor, _)) => format!("{} or {sensor}: {} over {over}, or the sensor errs", one.cause, change(one)),
+            None => format!("{} over {over}{}", change(one), runner_up(attribution.runner_up.as_ref())),
+        },
         Naming::Either(a, b) => {
             format!("{} or {}, too close to call: {} or {} over {over}", a.cause, b.cause, change(a), change(b))
         }
@@ -42,7 +53,68 @@ pub(super) fn drift(subject: &str, attribution: &Attribution, throws: u64, forec
     let when = forecast.map_or_else(String::new, |f| {
         format!(" Reaches the critical limit in about {} throws ({} to {}).", round(f.mid), round(f.low), round(f.high))
     });
-    format!("{subject}: {what}.{rule} {}{when}", advice(attribution))
+    let sensor = alike.map_or_else(String::new, |(sensor, waits)| {
+        let more = if waits { "" } else { " A published supply_v would tell them apart." };
+        format!(" {}{more}", look_at_sensor(sensor))
+    });
+    format!("{subject}: {what}.{rule} {}{sensor}{when}", advice(attribution))
+}
+
+/// A sensor, or the clock, explains a drift, and no part does.
+pub(super) fn sensor(name: &str, fault: &Fault) -> String {
+    let pct = percent(fault.size);
+    let (what, why) = match fault.channel {
+        SensorChannel::Current => ("reads", "the motor's resistance seems changed alike, its back-EMF not"),
+        SensorChannel::Position => ("reads", "the travel is no longer the stroke"),
+        SensorChannel::Clock => ("runs", "all movements seem to take another time"),
+        SensorChannel::Temperature => ("reads", "the weather is another"),
+    };
+    let way = match (fault.channel, pct > 0.0) {
+        (SensorChannel::Clock, true) => "fast",
+        (SensorChannel::Clock, false) => "slow",
+        (_, true) => "too much",
+        (_, false) => "too little",
+    };
+    format!(
+        "Machine {name}: the {} {what} {:.1} % {way} (±{:.1} %): {why}. The machine itself shows no fault. {}",
+        fault.channel,
+        pct.abs(),
+        196.0 * fault.size_sd * fault.size.exp(),
+        look_at_sensor(fault.channel)
+    )
+}
+
+/// The supply voltage is not as it was.
+pub(super) fn supply(name: &str, change_pct: f64) -> String {
+    let way = if change_pct < 0.0 { "lower" } else { "higher" };
+    format!(
+        "Machine {name}: the supply voltage is {:.0} % {way} than the baseline's, and the throws' duration agrees. Check \
+         battery, charger, feeder and connections.",
+        change_pct.abs()
+    )
+}
+
+/// All machines of a site moved together.
+pub(super) fn site(name: &str, cause: Cause, pct: f64) -> String {
+    let way = if pct < 0.0 { "down" } else { "up" };
+    format!(
+        "{name}: {cause} {way} {:.0} % on all of them together: the weather (rain, frost, heat), or work that was done on \
+         all. No machine is alarmed for it.",
+        pct.abs()
+    )
+}
+
+pub(super) fn site_over(name: &str, cause: Cause) -> String {
+    format!("{name}: {cause} no longer changes on all of them together.")
+}
+
+fn look_at_sensor(channel: SensorChannel) -> &'static str {
+    match channel {
+        SensorChannel::Current => "Check the current sensor's gain and wiring.",
+        SensorChannel::Position => "Check the position sensor's gain and mounting.",
+        SensorChannel::Clock => "Check the logger's sampling rate against sample_rate_hz.",
+        SensorChannel::Temperature => "Check the temperature sensor and its cable.",
+    }
 }
 
 /// A fault that shows in some throws only.
@@ -255,12 +327,15 @@ fn advice(attribution: &Attribution) -> String {
 fn look_at(cause: Cause, size: f64) -> &'static str {
     match (cause, size > 0.0) {
         (Cause::Kt, false) => "Check the motor: magnets, brushes, commutator.",
-        (Cause::Kt, true) => "Check the current sensor and the motor.",
+        (Cause::Kt, true) => "Check the motor: a part may have been changed.",
         (Cause::Friction, true) => "Check slide chairs and lubrication.",
         (Cause::Friction, false) => "If it was cleaned or lubricated, take a new baseline.",
         (Cause::Stiffness, true) => "Check rods, stretcher bars and heel for binding.",
         (Cause::Stiffness, false) => "Check rods, stretcher bars and fastenings for looseness or cracks.",
-        (Cause::Inertia, true) => "Check for added load: ice, ballast, a dragging second drive.",
+        (Cause::Inertia, true) => {
+            "Check the brake, which may let go late, and play in the drive: both look the same. Then look for added load: \
+             ice, ballast, a dragging second drive."
+        }
         (Cause::Inertia, false) => "Check couplings and rods: a moving part may be disconnected.",
         _ => "Check the machine.",
     }

@@ -128,6 +128,11 @@ impl Tracks {
         })
     }
 
+    /// Covariance of one throw of a direction.
+    pub(super) fn of_one_throw(&self, direction: Direction) -> Option<Matrix3<f64>> {
+        Some(self.sides[side(direction)].baseline.as_ref()?.scatter().of_one_throw())
+    }
+
     /// Version 1 kept residuals with the temperature taken out.
     pub(super) fn add_temperature(&mut self) {
         for track in &mut self.sides {

@@ -70,7 +70,7 @@ impl Caller {
         if let Some(cause) = thinks
             && !self.thinks.contains(&thinks)
         {
-            self.calls.push(Call { at, cause, critical: false });
+            self.calls.push(Call { at, cause, critical: false, or_sensor: false });
         }
         self.thinks[direction] = thinks;
     }

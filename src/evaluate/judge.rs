@@ -12,15 +12,20 @@ pub(super) struct Call {
     pub(super) cause: Cause,
     /// Whether at critical severity.
     pub(super) critical: bool,
+    /// The alarm says that a sensor explains it as well.
+    pub(super) or_sensor: bool,
 }
 
 impl Call {
     /// The call that an event of the monitor makes at throw `at`: a drift alarm that is raised or becomes critical.
     pub(super) fn of(event: &AlarmEvent, at: usize) -> Option<Self> {
-        let drift = is_part(event.cause) || event.cause == Cause::Unattributed;
+        let named = is_part(event.cause)
+            || matches!(event.cause, Cause::Unattributed | Cause::Sensor | Cause::Supply | Cause::SlowThrow);
         let active = matches!(event.state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged);
         let critical = event.severity == Severity::Critical;
-        (drift && active && (event.event_no == 1 || critical)).then_some(Self { at, cause: event.cause, critical })
+        let or_sensor = event.runner_up.is_some_and(|other| other.cause == Cause::Sensor);
+        let call = Self { at, cause: event.cause, critical, or_sensor };
+        (named && active && (event.event_no == 1 || critical)).then_some(call)
     }
 }
 
@@ -52,14 +57,17 @@ pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
         return Judgement::Wrong;
     }
     let truth: Vec<Cause> = life.truth().collect();
-    let named = || after.iter().filter(|call| is_part(call.cause));
+    // Words that say both name no part where a sensor is at fault.
+    let open = |call: &Call| call.or_sensor && truth.contains(&Cause::Sensor);
+    let named = || after.iter().filter(|call| is_part(call.cause) && !open(call));
     let wrong_first = named().next().is_some_and(|first| !truth.contains(&first.cause));
     let wrong_critical = named().any(|call| call.critical && !truth.contains(&call.cause));
     if wrong_first || wrong_critical {
         return Judgement::Wrong;
     }
     let first = |cause: Cause| after.iter().find(|call| call.cause == cause).map(|call| call.at);
-    let unattributed = first(Cause::Unattributed);
+    let both = after.iter().find(|call| open(call)).map(|call| call.at);
+    let unattributed = first(Cause::Unattributed).into_iter().chain(both).min();
     let all_named = truth.iter().map(|&cause| first(cause)).collect::<Option<Vec<_>>>();
     let all_named = all_named.and_then(|throws| throws.into_iter().max());
     let (right, ambiguous) = match truth.len() {
@@ -105,8 +113,10 @@ mod tests {
     /// Judges calls given as (throws after the onset, cause, critical).
     fn judged(life: &Timeline, calls: &[(isize, Cause, bool)]) -> Judgement {
         let at = |after: isize| life.onset.checked_add_signed(after).unwrap();
-        let calls: Vec<Call> =
-            calls.iter().map(|&(after, cause, critical)| Call { at: at(after), cause, critical }).collect();
+        let calls: Vec<Call> = calls
+            .iter()
+            .map(|&(after, cause, critical)| Call { at: at(after), cause, critical, or_sensor: false })
+            .collect();
         judge(&calls, life)
     }
 
@@ -145,12 +155,15 @@ mod tests {
     #[test]
     fn a_sound_part_at_critical_severity_is_told_apart_from_a_warning() {
         let life = life(Situation::Pair, &[Cause::Kt, Cause::Friction]);
-        let call = |cause, critical| [Call { at: life.onset + 5, cause, critical }];
+        let call = |cause, critical| [Call { at: life.onset + 5, cause, critical, or_sensor: false }];
         assert!(accuses_wrongly(&call(Cause::Inertia, true), &life));
         assert!(!accuses_wrongly(&call(Cause::Inertia, false), &life));
         assert!(!accuses_wrongly(&call(Cause::Friction, true), &life));
         assert!(!accuses_wrongly(&call(Cause::Unattributed, true), &life));
-        assert!(accuses_wrongly(&[Call { at: life.onset - 1, cause: Cause::Kt, critical: true }], &life));
+        assert!(accuses_wrongly(
+            &[Call { at: life.onset - 1, cause: Cause::Kt, critical: true, or_sensor: false }],
+            &life
+        ));
     }
 
     #[test]

@@ -95,6 +95,26 @@ pub(super) enum Situation {
     SoftToe,
     /// Complete throws sampled at 100 Hz behind an anti-alias filter.
     Slow,
+    /// Complete throws whose sensor, clock or supply errs, with or without a published supply voltage.
+    Instrument {
+        /// What errs.
+        which: Instrument,
+        /// The throws carry the supply voltage.
+        volts: bool,
+    },
+}
+
+/// What errs instead of a part.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) enum Instrument {
+    /// Gain of the current sensor.
+    Current,
+    /// Gain of the position sensor.
+    Position,
+    /// Rate of the logger's clock.
+    Clock,
+    /// The supply voltage itself.
+    Supply,
 }
 
 impl Situation {
@@ -111,6 +131,14 @@ impl Situation {
             Self::Leakage => "dry friction leaking into b0 and a0",
             Self::SoftToe => "soft toe drive, dry friction",
             Self::Slow => "100 Hz, anti-aliased",
+            Self::Instrument { which, volts } => match (which, volts) {
+                (Instrument::Current, true) => "current sensor's gain, supply_v published",
+                (Instrument::Current, false) => "current sensor's gain",
+                (Instrument::Position, _) => "position sensor's gain",
+                (Instrument::Clock, _) => "logger's clock",
+                (Instrument::Supply, true) => "weak supply, supply_v published",
+                (Instrument::Supply, false) => "weak supply",
+            },
         }
     }
 }
@@ -131,6 +159,16 @@ const PLAIN_FROM: f64 = 2.0;
 const LEAKING_FRICTION: f64 = 0.54;
 /// Friction coefficient of the slide chairs in the row with a soft toe drive.
 const SOFT_TOE_MU: f64 = 0.15;
+
+/// What errs, whether the supply voltage is published, the cause to be named and the size.
+const INSTRUMENTS: [(Instrument, bool, Cause, f64); 6] = [
+    (Instrument::Current, true, Cause::Sensor, 0.08),
+    (Instrument::Current, false, Cause::Sensor, 0.08),
+    (Instrument::Position, false, Cause::Sensor, 0.06),
+    (Instrument::Clock, false, Cause::Sensor, 0.05),
+    (Instrument::Supply, true, Cause::Supply, -0.35),
+    (Instrument::Supply, false, Cause::SlowThrow, -0.35),
+];
 
 /// Scenario of a row of the table.
 #[derive(Debug, Clone, PartialEq)]
@@ -226,6 +264,9 @@ fn trace_rows(limits: Limits) -> Vec<Scenario> {
         rows.push(row(Situation::Slow, (part, PLAIN_FROM * limit), Shape::Step));
     }
     rows.push(row(Situation::SoftToe, (Cause::Friction, added_by_dry_chairs(SOFT_TOE_MU)), Shape::Step));
+    for (which, volts, cause, size) in INSTRUMENTS {
+        rows.push(row(Situation::Instrument { which, volts }, (cause, size), Shape::Step));
+    }
     rows
 }
 

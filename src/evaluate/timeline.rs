@@ -115,7 +115,9 @@ impl Timeline {
             Situation::Temperature { .. } => baseline + SWING_THROWS + healthy,
             _ => baseline + healthy,
         };
-        let sign = |bit: usize, size: f64| if size > LARGEST_LOSS || trial >> bit & 1 == 0 { 1.0 } else { -1.0 };
+        let sign = |bit: usize, size: f64| {
+            if !(0.0..=LARGEST_LOSS).contains(&size) || trial >> bit & 1 == 0 { 1.0 } else { -1.0 }
+        };
         let mut faults = Vec::new();
         let mut onset = start;
         if situation == Situation::Repaired {

@@ -5,14 +5,16 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     observation::{observation, started_at},
-    scenario::{Noise, RAMP_THROWS, Shape, Situation},
+    scenario::{Instrument, Noise, PARTS, RAMP_THROWS, Shape, Situation},
     timeline::{Fault, Timeline},
 };
 use crate::{
     diagnose::{Cause, Observation},
     estimate::{Identifier, Settings},
-    simulate::{self, Fleet, FleetFault, FleetSettings, Part, Sensors, SimulatedMachine, SimulatedThrow},
-    throw::{Throw, ThrowRef},
+    simulate::{
+        self, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Part, Sensors, SimulatedMachine, SimulatedThrow,
+    },
+    throw::{Throw, ThrowRef, Trace},
 };
 
 /// Stiffness of a soft toe drive \[N/m\]: dry friction winds it up and leaks into b0 and a0.
@@ -27,6 +29,10 @@ pub(super) struct TraceMachine {
     machine: Option<SimulatedMachine>,
     identifier: Identifier,
     settings: Settings,
+    /// The throws carry the supply voltage.
+    volts: bool,
+    /// The instrument that errs, by how much, from which throw on.
+    errs: Option<(Instrument, f64, usize)>,
 }
 
 impl TraceMachine {
@@ -36,10 +42,19 @@ impl TraceMachine {
         if situation == Situation::SoftToe {
             fleet.machine.drive_stiffness_n_m = SOFT_TOE_N_M;
         }
-        fleet.faults = life.faults.iter().map(|fault| FleetFault { machine: 0, fault: simulated(fault) }).collect();
+        let parts = life.faults.iter().filter(|fault| PARTS.contains(&fault.part));
+        fleet.faults = parts.map(|fault| FleetFault { machine: 0, fault: simulated(fault) }).collect();
+        let (mut volts, mut errs) = (true, None);
+        if let (Situation::Instrument { which, volts: published }, Some(fault)) = (situation, life.faults.first()) {
+            (volts, errs) = (published, Some((which, 1.0 + fault.size, fault.onset)));
+            if which == Instrument::Supply {
+                let kind = IncidentKind::WeakSupply { loss_pct: -100.0 * fault.size };
+                fleet.incidents = vec![Incident { machine: 0, kind, from_throw: fault.onset as u64, throws: u64::MAX }];
+            }
+        }
         let settings = Settings { lead_mm: fleet.machine.lead_mm, ..Settings::default() };
         let machine = Fleet::new(&fleet, random.random()).ok().and_then(|fleet| fleet.into_machines().pop());
-        Self { machine, identifier: Identifier::default(), settings }
+        Self { machine, identifier: Identifier::default(), settings, volts, errs }
     }
 
     /// What the monitor gets to see of throw `at`; without an estimate when the simulator has no such throw.
@@ -55,9 +70,9 @@ impl TraceMachine {
             id: ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 },
             started_at: started_at(at),
             direction: Some(simulated.direction),
-            trace: simulated.trace,
+            trace: self.recorded(at, simulated.trace),
             temperature_c: Some(simulated.temperature_c),
-            supply_v: Some(simulated.supply_v),
+            supply_v: self.volts.then_some(simulated.supply_v),
             anti_alias_hz: simulated.anti_alias_hz,
         };
         let found = self.identifier.identify(&throw, &self.settings);
@@ -72,6 +87,22 @@ impl TraceMachine {
             features: found.features,
             temperature_c: throw.temperature_c,
         }
+    }
+}
+
+impl TraceMachine {
+    /// The trace as the instrument that errs records it.
+    fn recorded(&self, at: usize, trace: Trace) -> Trace {
+        let Some((which, ratio, _)) = self.errs.filter(|(.., onset)| at >= *onset) else { return trace };
+        let [mut rate_hz, mut current, mut position] = [trace.sample_rate_hz(), 1.0, 1.0];
+        match which {
+            Instrument::Current => current = ratio,
+            Instrument::Position => position = ratio,
+            Instrument::Clock => rate_hz /= ratio,
+            Instrument::Supply => return trace,
+        }
+        let times = |values: &[f64], gain: f64| values.iter().map(|value| gain * value).collect();
+        Trace::new(rate_hz, times(trace.current_a(), current), times(trace.position_mm(), position)).unwrap_or(trace)
     }
 }
 

@@ -95,6 +95,7 @@ mod tests {
             change_pct: Some(18.0),
             change_pct_sd: None,
             direction: Some(Direction::NormalToReverse),
+            channel: None,
             runner_up: Some(RunnerUp { cause: Cause::Kt, margin: 3.5 }),
             correlation: Some(Correlation { b0_a1: 0.1, b0_a0: 0.2, a1_a0: 0.3 }),
             first_throw: Some(ThrowRef { boot_id: "b".into(), throw_no: 7 }),

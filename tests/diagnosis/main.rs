@@ -4,16 +4,19 @@
 
 mod alarm;
 mod cause;
+mod drive;
 mod evaluate;
 mod field;
 mod filling;
 mod fleet;
 mod hard;
+mod instruments;
 mod intermittent;
 mod operational;
 mod ramps;
 mod replay;
 mod restart;
+mod site;
 mod snapshot;
 mod table1_lives;
 mod weather;

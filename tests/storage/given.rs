@@ -121,6 +121,7 @@ pub(crate) fn event(event_no: u32, state: AlarmState) -> AlarmEvent {
         change_pct: Some(18.0),
         change_pct_sd: Some(2.0),
         direction: Some(Direction::NormalToReverse),
+        channel: None,
         runner_up: None,
         correlation: None,
         first_throw: Some(ThrowRef { boot_id: "b1".to_owned(), throw_no: 40 }),

@@ -1,0 +1,112 @@
+//! The site as a witness: what moves all machines of a site in the same hours is weather, and no machine's fault.
+//!
+//! Every monitor keeps its last departures. Before a throw is judged, the median of the other machines' latest departures is
+//! taken out of it, where at least three machines of the last hours agree and the median is beyond chance. It excuses, and
+//! never accuses: a machine that did not move along is judged as it is, and no departure grows or changes its sign.
+
+use std::collections::VecDeque;
+
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    alarm::{Alarms, Evidence},
+    event::{AlarmEvent, Cause, Severity},
+    explain::{percent, relevance},
+    operational::Context,
+    robust::median,
+    text,
+};
+
+/// Departures that a machine keeps: the latest before a throw of another machine that is judged later is among them.
+const KEPT: usize = 4;
+/// How old the latest departure of a witness may be: weather changes within half a day.
+const HOURS: i64 = 12;
+/// Fewest other machines that can tell what they have in common.
+const WITNESSES: usize = 3;
+/// Share of them that has to move the same way, by half of the median at least.
+const AGREE: f64 = 0.75;
+/// The median has to be so many times its own standard deviation, which is 1.25 / sqrt(n) of one machine's.
+const BEYOND_CHANCE: f64 = 4.0 * 1.25;
+
+/// A common movement is over below this part of the warning limit.
+const OVER_BELOW: f64 = 0.5;
+
+/// What machines of a site have in common, as logarithms of b0, a1, a0; zero where they do not agree.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Common(Vector3<f64>);
+
+/// The last departures of one machine from its baseline.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Trail {
+    /// Time and logarithms, oldest first.
+    last: VecDeque<(Timestamp, [f32; 3])>,
+    /// Standard deviations of one throw.
+    sd: [f32; 3],
+}
+
+impl Trail {
+    /// Takes in a throw's departure of a machine whose throws scatter with this covariance.
+    pub(super) fn push(&mut self, at: Timestamp, departure: &Vector3<f64>, of_one_throw: &Matrix3<f64>) {
+        // Rounded to 1e-4, below any scatter that counts, so that the state stays small.
+        #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
+        let rounded = |values: &Vector3<f64>| [0, 1, 2].map(|i| ((1e4 * values[i]).round() / 1e4) as f32);
+        self.sd = rounded(&of_one_throw.diagonal().map(|variance| variance.sqrt().max(1e-3)));
+        self.last.push_back((at, rounded(departure)));
+        if self.last.len() > KEPT {
+            self.last.pop_front();
+        }
+    }
+
+    /// The latest departure, and the standard deviations, in the hours before `at`.
+    fn latest(&self, at: Timestamp) -> Option<([f32; 3], [f32; 3])> {
+        let hours = SignedDuration::ZERO..=SignedDuration::from_hours(HOURS);
+        let latest = self.last.iter().rev().find(|(then, _)| hours.contains(&at.duration_since(*then)))?;
+        Some((latest.1, self.sd))
+    }
+}
+
+/// What the machines with these trails have in common at `at`.
+pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp) -> Common {
+    let latest: Vec<_> = trails.filter_map(|trail| trail.latest(at)).collect();
+    let count = latest.len() as f64;
+    if latest.len() < WITNESSES {
+        return Common::default();
+    }
+    Common(Vector3::from_fn(|i, _| {
+        let logs = || latest.iter().map(|(log, _)| f64::from(log[i]));
+        let middle = median(&mut logs().collect::<Vec<_>>());
+        let score = median(&mut latest.iter().map(|(log, sd)| f64::from(log[i] / sd[i])).collect::<Vec<_>>());
+        let along = logs().filter(|log| log * middle.signum() >= 0.5 * middle.abs()).count() as f64;
+        let holds = along >= AGREE * count && score.abs() * count.sqrt() > BEYOND_CHANCE;
+        if holds { middle } else { 0.0 }
+    }))
+}
+
+/// The part of a departure that the site's common movement excuses.
+pub(super) fn excused(departure: &Vector3<f64>, common: &Common) -> Vector3<f64> {
+    departure.zip_map(
+        &common.0,
+        |own, common| {
+            if own * common > 0.0 { own.signum() * own.abs().min(common.abs()) } else { 0.0 }
+        },
+    )
+}
+
+/// Raises and clears the alarm that stands for all machines of a site, which move together by `common`.
+pub(super) fn judge(common: &Common, alarms: &mut Alarms, context: Context) -> Vec<AlarmEvent> {
+    /// The causes that move one coefficient each.
+    const CAUSES: [Cause; 3] = [Cause::Kt, Cause::Friction, Cause::Stiffness];
+    let of = |(cause, log): (Cause, &f64)| {
+        let size = relevance(cause, *log, context.settings);
+        if size > 1.0 {
+            let change_pct = Some(percent(*log));
+            let text = text::site(context.name, cause, percent(*log));
+            let evidence = Evidence { change_pct, ..Evidence::plain(Severity::Warning, None, text) };
+            return alarms.raise(cause, evidence, context.at);
+        }
+        (size < OVER_BELOW).then(|| alarms.clear(cause, text::site_over(context.name, cause), context.at)).flatten()
+    };
+    CAUSES.into_iter().zip(&common.0).filter_map(of).collect()
+}

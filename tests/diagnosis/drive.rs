@@ -1,0 +1,165 @@
+//! A drive with sensors that err: one inertia, viscous and dry friction, a spring and an armature in steps of 50 us. Shares
+//! nothing with the simulated machine, the estimator or the diagnosis.
+
+use std::f64::consts::TAU;
+
+use jiff::{SignedDuration, Timestamp};
+use pointsd::{
+    diagnose::{MachineMonitor, Observation, Settings, Verdict},
+    estimate::{self, Identifier, Rejection},
+    throw::{Direction, Throw, ThrowRef, Trace},
+};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+
+use crate::fleet::normal;
+
+const STEP_S: f64 = 5e-5;
+const STROKE_MM: f64 = 115.0;
+const MM_PER_RADIAN: f64 = 10.0 / TAU;
+
+/// What differs from the machine as built and its sensors as calibrated: 1 for nothing.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct State {
+    pub(crate) volts: f64,
+    pub(crate) torque: f64,
+    pub(crate) back_emf: f64,
+    pub(crate) friction: f64,
+    pub(crate) stiffness: f64,
+    pub(crate) inertia: f64,
+    pub(crate) ohms: f64,
+    pub(crate) current_gain: f64,
+    pub(crate) position_gain: f64,
+    /// Seconds of the logger in a second.
+    pub(crate) clock: f64,
+    pub(crate) stroke: f64,
+    /// Time for which the brake holds after the motor is on \[s\].
+    pub(crate) brake_s: f64,
+}
+
+impl State {
+    pub(crate) const SOUND: Self = Self {
+        volts: 1.0,
+        torque: 1.0,
+        back_emf: 1.0,
+        friction: 1.0,
+        stiffness: 1.0,
+        inertia: 1.0,
+        ohms: 1.0,
+        current_gain: 1.0,
+        position_gain: 1.0,
+        clock: 1.0,
+        stroke: 1.0,
+        brake_s: 0.0,
+    };
+}
+
+/// A drive in front of its monitor.
+pub(crate) struct Drive {
+    rng: ChaCha8Rng,
+    identifier: Identifier,
+    pub(crate) monitor: MachineMonitor,
+    /// Torque and back-EMF per ampere and speed, inertia, viscous and dry friction, spring, on the screw.
+    built: [f64; 6],
+    wander: [f64; 4],
+    throws: u64,
+    /// The logger publishes the supply voltage.
+    pub(crate) publishes_volts: bool,
+}
+
+impl Drive {
+    pub(crate) fn new(seed: u64, publishes_volts: bool) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut like = |value: f64| value * (0.05 * normal(&mut rng)).exp();
+        let built = [like(6.4), 6.4, like(0.031), like(0.10), like(1.5), like(0.05)];
+        let wander = [(); 4].map(|()| normal(&mut rng));
+        let monitor = MachineMonitor::new("21B");
+        Self { rng, identifier: Identifier::default(), monitor, built, wander, throws: 0, publishes_volts }
+    }
+
+    pub(crate) fn feed(&mut self, state: State, settings: &Settings) -> Verdict {
+        let observation = self.observe(state);
+        self.monitor.observe(&observation, settings)
+    }
+
+    pub(crate) fn observe(&mut self, state: State) -> Observation {
+        for value in &mut self.wander {
+            *value = 0.5 * *value + 0.75_f64.sqrt() * normal(&mut self.rng);
+        }
+        let direction = Direction::BOTH[usize::from(self.throws % 2 == 1)];
+        self.throws += 1;
+        let (trace, volts) = self.record(state, direction);
+        let throw = Throw {
+            id: ThrowRef { boot_id: "a".to_owned(), throw_no: self.throws },
+            started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * self.throws.cast_signed()),
+            direction: Some(direction),
+            trace,
+            temperature_c: None,
+            supply_v: self.publishes_volts.then_some(volts),
+            anti_alias_hz: None,
+        };
+        let found = self.identifier.identify(&throw, &estimate::Settings::default());
+        Observation {
+            throw: throw.id,
+            started_at: throw.started_at,
+            direction: found.direction,
+            incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
+            grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
+            ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
+            estimate: found.outcome.ok().map(|e| (e.coefficients(), e.drift_covariance())),
+            features: found.features,
+            temperature_c: None,
+        }
+    }
+
+    /// The trace and the supply voltage of a throw.
+    fn record(&mut self, state: State, direction: Direction) -> (Trace, f64) {
+        let [torque, back_emf, inertia, viscous, dry, spring] = self.built;
+        let scattered = |at: usize, sd: f64| (sd * self.wander[at]).exp();
+        let torque = torque * state.torque * scattered(0, 0.005);
+        let back_emf = back_emf * state.back_emf;
+        let friction = state.friction * scattered(1, 0.03);
+        let (viscous, dry) = (viscous * friction, dry * friction);
+        let spring = spring * state.stiffness * scattered(2, 0.01);
+        let volts = 110.0 * state.volts * scattered(3, 0.01);
+        let (ohms, inertia) = (4.0 * state.ohms, inertia * state.inertia);
+        let travel = STROKE_MM * state.stroke / MM_PER_RADIAN;
+        let rest = if direction == Direction::NormalToReverse { 0.0 } else { travel };
+        let (mut amperes, mut speed, mut angle) = (0.0_f64, 0.0_f64, 0.0_f64);
+        let (mut on, mut since_off) = (true, 0.0);
+        let (mut current, mut toe) = (Vec::new(), Vec::new());
+        while since_off < 0.2 {
+            current.push(amperes);
+            toe.push(angle);
+            let time = current.len() as f64 * STEP_S;
+            if on {
+                amperes += STEP_S / 0.02 * (volts - ohms * amperes - back_emf * speed);
+            } else {
+                amperes *= 1.0 - STEP_S / 1e-3;
+                since_off += STEP_S;
+            }
+            let drive = torque * amperes - viscous * speed - spring * (angle - rest);
+            let held = time < state.brake_s || (speed == 0.0 && drive <= dry);
+            if on && !held {
+                speed = (speed + STEP_S / inertia * (drive - dry)).max(0.0);
+                angle += STEP_S * speed;
+            } else if !on {
+                speed = 0.0;
+            }
+            on &= angle < travel;
+        }
+        let phase = self.rng.random::<f64>() * 1e-3;
+        let (mut recorded_a, mut recorded_mm) = (Vec::new(), Vec::new());
+        let mut at = -0.2 + phase;
+        while at < current.len() as f64 * STEP_S {
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index within the throw")]
+            let k = (at.max(0.0) / STEP_S) as usize;
+            let (amperes, way) = (current[k], toe[k] * MM_PER_RADIAN);
+            let mm = if rest == 0.0 { way } else { STROKE_MM * state.stroke - way };
+            recorded_a.push(state.current_gain * direction.sign() * amperes + 0.02 * normal(&mut self.rng));
+            recorded_mm.push(state.position_gain * mm + 0.02 * normal(&mut self.rng));
+            at += 1e-3 / state.clock;
+        }
+        (Trace::new(1000.0, recorded_a, recorded_mm).unwrap(), volts)
+    }
+}

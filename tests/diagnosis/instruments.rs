@@ -1,0 +1,163 @@
+//! Sensor, supply or machine: lives of a drive whose sensors err or whose parts fail, with and without a published supply
+//! voltage. No sound part is ever named alone.
+
+use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, SensorChannel, Settings};
+
+use crate::drive::{Drive, State};
+
+/// What the alarms of a life must say.
+#[derive(Debug, Clone, Copy)]
+enum Truth {
+    Sensor(SensorChannel),
+    Supply,
+    Part(Cause),
+    /// Motor and current sensor look the same.
+    MotorOrSensor,
+    /// A late start looks like inertia, or makes its throws rough: nothing has to be said, and inertia not alone.
+    LateStart,
+    /// Slow throws, and no part.
+    Slow,
+    Nothing,
+}
+
+/// What happens, whether the supply voltage is published, and what must be said.
+fn cases() -> [(&'static str, bool, State, Truth); 34] {
+    use SensorChannel::{Clock, Current, Position};
+    use Truth::{LateStart, MotorOrSensor, Nothing, Part, Sensor, Slow, Supply};
+
+    const SOUND: State = State::SOUND;
+    [
+        ("current sensor reads 8 % too much", true, State { current_gain: 1.08, ..SOUND }, Sensor(Current)),
+        ("current sensor reads 8 % too little", true, State { current_gain: 0.92, ..SOUND }, Sensor(Current)),
+        ("position sensor reads 6 % too much", true, State { position_gain: 1.06, ..SOUND }, Sensor(Position)),
+        ("position sensor reads 6 % too little", true, State { position_gain: 0.94, ..SOUND }, Sensor(Position)),
+        ("clock 5 % fast", true, State { clock: 1.05, ..SOUND }, Sensor(Clock)),
+        ("clock 5 % slow", true, State { clock: 0.95, ..SOUND }, Sensor(Clock)),
+        ("brake 2 ms late", true, State { brake_s: 0.002, ..SOUND }, LateStart),
+        ("brake 6 ms late", true, State { brake_s: 0.006, ..SOUND }, LateStart),
+        ("supply 35 % down", true, State { volts: 0.65, ..SOUND }, Supply),
+        ("torque down 10 %", true, State { torque: 0.9, ..SOUND }, Part(Cause::Kt)),
+        ("magnets down 10 %", true, State { torque: 0.9, back_emf: 0.9, ..SOUND }, Part(Cause::Kt)),
+        ("friction up 40 %", true, State { friction: 1.4, ..SOUND }, Part(Cause::Friction)),
+        ("stiffness up 20 %", true, State { stiffness: 1.2, ..SOUND }, Part(Cause::Stiffness)),
+        ("inertia up 12 %", true, State { inertia: 1.12, ..SOUND }, Part(Cause::Inertia)),
+        ("current sensor reads 8 % too much", false, State { current_gain: 1.08, ..SOUND }, MotorOrSensor),
+        ("current sensor reads 8 % too little", false, State { current_gain: 0.92, ..SOUND }, MotorOrSensor),
+        ("position sensor reads 6 % too much", false, State { position_gain: 1.06, ..SOUND }, Sensor(Position)),
+        ("position sensor reads 6 % too little", false, State { position_gain: 0.94, ..SOUND }, Sensor(Position)),
+        ("clock 5 % fast", false, State { clock: 1.05, ..SOUND }, Sensor(Clock)),
+        ("clock 5 % slow", false, State { clock: 0.95, ..SOUND }, Sensor(Clock)),
+        ("brake 2 ms late", false, State { brake_s: 0.002, ..SOUND }, LateStart),
+        ("brake 6 ms late", false, State { brake_s: 0.006, ..SOUND }, LateStart),
+        ("supply 35 % down", false, State { volts: 0.65, ..SOUND }, Slow),
+        ("torque down 10 %", false, State { torque: 0.9, ..SOUND }, MotorOrSensor),
+        ("magnets down 10 %", false, State { torque: 0.9, back_emf: 0.9, ..SOUND }, Part(Cause::Kt)),
+        ("friction up 40 %", false, State { friction: 1.4, ..SOUND }, Part(Cause::Friction)),
+        ("stiffness up 20 %", false, State { stiffness: 1.2, ..SOUND }, Part(Cause::Stiffness)),
+        ("inertia up 12 %", false, State { inertia: 1.12, ..SOUND }, Part(Cause::Inertia)),
+        ("supply 20 % up", true, State { volts: 1.2, ..SOUND }, Supply),
+        ("magnets down 10 %, warm", true, State { torque: 0.9, back_emf: 0.9, ohms: 1.08, ..SOUND }, Part(Cause::Kt)),
+        ("magnets down 10 %, cold", true, State { torque: 0.9, back_emf: 0.9, ohms: 0.92, ..SOUND }, Part(Cause::Kt)),
+        ("resistance up 15 %", true, State { ohms: 1.15, ..SOUND }, Nothing),
+        ("stroke set 6 % longer", false, State { stroke: 1.06, ..SOUND }, Nothing),
+        (
+            "supply 35 % down and friction up 80 %",
+            true,
+            State { volts: 0.65, friction: 1.8, ..SOUND },
+            Part(Cause::Friction),
+        ),
+    ]
+}
+
+/// Events in 70 throws of `state` after 120 sound ones.
+fn live(seed: u64, volts: bool, state: State) -> Vec<AlarmEvent> {
+    let settings = Settings::default();
+    let mut drive = Drive::new(seed, volts);
+    for throw in 0..120 {
+        let events = drive.feed(State::SOUND, &settings).events;
+        assert!(events.is_empty(), "seed {seed}, throw {throw}: {}", events[0].text);
+    }
+    (0..70).flat_map(|_| drive.feed(state, &settings).events).collect()
+}
+
+impl Truth {
+    /// Whether the alarms of a life say so.
+    fn is_said(self, events: &[AlarmEvent]) -> bool {
+        let said = |cause| events.iter().any(|event| event.cause == cause);
+        match self {
+            Self::Sensor(channel) => events.iter().any(|event| event.channel == Some(channel)),
+            Self::Supply => said(Cause::Supply),
+            Self::Part(cause) => said(cause) && !said(Cause::Sensor),
+            Self::MotorOrSensor => events.iter().any(|event| event.text.contains("motor or current sensor")),
+            Self::LateStart => true,
+            Self::Slow => said(Cause::SlowThrow),
+            Self::Nothing => events.is_empty(),
+        }
+    }
+
+    /// Whether an alarm that is raised names a sound part, or a sound sensor, and nothing else.
+    fn is_denied_by(self, event: &AlarmEvent) -> bool {
+        let open = event.runner_up.is_some_and(|other| other.cause == Cause::Sensor && other.margin == 0.0);
+        if event.state != AlarmState::ActiveUnacknowledged {
+            return false;
+        }
+        match (self, event.cause) {
+            (_, Cause::SlowThrow | Cause::Unattributed) | (Self::Supply | Self::Part(_), Cause::Supply) => false,
+            (Self::Sensor(channel), Cause::Sensor) => event.channel != Some(channel),
+            (Self::Sensor(_) | Self::MotorOrSensor, _) => !open,
+            (Self::Part(cause), named) => named != cause,
+            (Self::LateStart, Cause::Inertia) => !event.text.contains("brake"),
+            _ => true,
+        }
+    }
+}
+
+fn lives(seeds: std::ops::Range<u64>) {
+    for (what, volts, state, truth) in cases() {
+        let (mut said, count) = (0, seeds.end - seeds.start);
+        for seed in seeds.clone() {
+            let events = live(seed, volts, state);
+            let wrong = events.iter().find(|event| truth.is_denied_by(event));
+            let texts: Vec<_> = events.iter().map(|event| &event.text).collect();
+            assert!(wrong.is_none(), "{what}, supply_v {volts}, seed {seed}: {texts:#?}");
+            said += u64::from(truth.is_said(&events));
+        }
+        println!("{what}, supply_v {volts}: said in {said} of {count}");
+        assert!(10 * said >= 9 * count, "{what}, supply_v {volts}: said in {said} of {count}");
+    }
+}
+
+#[test]
+fn sensor_supply_and_machine_are_told_apart() {
+    lives(100..102);
+}
+
+/// Forty lives of each case: minutes.
+#[test]
+#[ignore = "minutes"]
+fn sensor_supply_and_machine_are_told_apart_in_forty_lives() {
+    lives(200..240);
+}
+
+#[test]
+fn a_sensor_that_is_mended_clears_its_alarm_also_after_a_restart() {
+    let settings = Settings::default();
+    let mut drive = Drive::new(300, false);
+    let mut events = Vec::new();
+    for throw in 0..240 {
+        let state = State { position_gain: if (120..160).contains(&throw) { 1.06 } else { 1.0 }, ..State::SOUND };
+        events.extend(drive.feed(state, &settings).events);
+        if throw % 50 == 49 {
+            let snapshot = serde_json::to_string(&drive.monitor).unwrap();
+            drive.monitor = MachineMonitor::from_snapshot(&snapshot).unwrap();
+        }
+    }
+    let states: Vec<_> = events.iter().map(|event| (event.cause, event.channel, event.state.as_str())).collect();
+    let position = Some(SensorChannel::Position);
+    let [raised, cleared] = ["active_unacknowledged", "cleared_unacknowledged"];
+    assert_eq!(states, [(Cause::Sensor, position, raised), (Cause::Sensor, position, cleared)]);
+    let pct = events[0].change_pct.unwrap();
+    assert!((pct - 6.0).abs() < 0.5, "{pct}");
+    let json = serde_json::to_value(&events[0]).unwrap();
+    assert_eq!((&json["cause"], &json["channel"]), (&"sensor".into(), &"position".into()));
+}

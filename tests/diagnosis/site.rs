@@ -1,0 +1,107 @@
+//! The site as a witness: weather that moves all machines of a site is no machine's fault, and a fault of one is still found.
+
+use jiff::Timestamp;
+use nalgebra::Vector3;
+use pointsd::diagnose::{AlarmEvent, Cause, Common, MachineMonitor, Settings};
+
+use crate::{
+    field::{Machine, Scatter},
+    fleet::shift,
+};
+
+/// Machines of one site, thrown in turn.
+struct Site {
+    machines: Vec<(Machine, MachineMonitor)>,
+    events: Vec<(usize, AlarmEvent)>,
+    now: Timestamp,
+}
+
+impl Site {
+    fn new(seed: u64, count: u64) -> Self {
+        let machine = |at| (Machine::new(seed + at, Scatter::USUAL), MachineMonitor::new("21B"));
+        Self { machines: (0..count).map(machine).collect(), events: Vec::new(), now: Timestamp::UNIX_EPOCH }
+    }
+
+    /// One throw of every machine with `weather`, which each feels a little more or less; `own` on top.
+    fn throw(&mut self, weather: Vector3<f64>, own: impl Fn(usize) -> Vector3<f64>) {
+        for at in 0..self.machines.len() {
+            let feels = 0.7 + 0.15 * (at % 5) as f64;
+            let observation = self.machines[at].0.throw(feels * weather + own(at), None);
+            let others = self.machines.iter().enumerate().filter(|(other, _)| *other != at);
+            let common = MachineMonitor::common(others.map(|(_, (_, monitor))| monitor), observation.started_at);
+            self.now = observation.started_at;
+            // A restart changes nothing.
+            let snapshot = serde_json::to_string(&self.machines[at].1).unwrap();
+            self.machines[at].1 = MachineMonitor::from_snapshot(&snapshot).unwrap();
+            let events = self.machines[at].1.observe_beside(&observation, &common, &Settings::default()).events;
+            self.events.extend(events.into_iter().map(|event| (at, event)));
+        }
+    }
+}
+
+fn wet(throw: u64) -> Vector3<f64> {
+    if throw % 60 >= 45 { shift(Cause::Friction, -20.0) } else { Vector3::zeros() }
+}
+
+#[test]
+fn wet_spells_alarm_no_machine_of_five_and_a_fault_of_one_is_named() {
+    let (mut weather_alarms, mut alone) = (0, 0);
+    for seed in 0..8 {
+        for machines in [1, 5] {
+            let mut site = Site::new(70_000 + 10 * seed, machines);
+            for throw in 0..420 {
+                let weather = if throw < 120 { Vector3::zeros() } else { wet(throw) };
+                site.throw(weather, |_| Vector3::zeros());
+            }
+            let count = if machines == 5 { &mut weather_alarms } else { &mut alone };
+            *count += site.events.len();
+            site.events.clear();
+            for throw in 420..480 {
+                site.throw(wet(throw), |at| if at == 0 { shift(Cause::Friction, 40.0) } else { Vector3::zeros() });
+            }
+            let named: Vec<_> = site.events.iter().map(|(at, event)| (*at, event.cause)).collect();
+            assert!(machines == 1 || named.contains(&(0, Cause::Friction)), "seed {seed}: {named:?}");
+            assert!(named.iter().all(|(at, _)| *at == 0), "seed {seed}: {named:?}");
+        }
+    }
+    println!("{weather_alarms} events of 40 machines on sites of five, {alone} of 8 machines alone");
+    assert!(alone > 0, "the weather of this test is worth a witness");
+    assert_eq!(weather_alarms, 0);
+}
+
+#[test]
+fn faults_of_two_in_five_excuse_nobody_and_accuse_nobody() {
+    for seed in 0..6 {
+        let mut site = Site::new(71_000 + 10 * seed, 5);
+        for _ in 0..120 {
+            site.throw(Vector3::zeros(), |_| Vector3::zeros());
+        }
+        for _ in 0..60 {
+            site.throw(Vector3::zeros(), |at| if at < 2 { shift(Cause::Friction, 40.0) } else { Vector3::zeros() });
+        }
+        for at in 0..5 {
+            let named = site.events.iter().any(|(machine, event)| *machine == at && event.cause == Cause::Friction);
+            assert_eq!(named, at < 2, "seed {seed}, machine {at}");
+        }
+    }
+}
+
+#[test]
+fn the_alarm_of_the_whole_site_is_raised_once_and_ends() {
+    let settings = Settings::default();
+    let mut site = Site::new(72_000, 5);
+    let mut whole = MachineMonitor::new("All machines of north");
+    let mut events = Vec::new();
+    for throw in 0..200 {
+        let weather = if (140..170).contains(&throw) { shift(Cause::Friction, -25.0) } else { Vector3::zeros() };
+        site.throw(weather, |_| Vector3::zeros());
+        let now = site.now;
+        let common = MachineMonitor::common(site.machines.iter().map(|(_, monitor)| monitor), now);
+        events.extend(whole.follow_site(&common, now, &settings));
+    }
+    assert!(site.events.is_empty(), "{:?}", site.events);
+    let said: Vec<_> = events.iter().map(|event| (event.cause, event.state.as_str())).collect();
+    assert_eq!(said, [(Cause::Friction, "active_unacknowledged"), (Cause::Friction, "cleared_unacknowledged")]);
+    assert!(events[0].text.contains("All machines of north: friction down"), "{}", events[0].text);
+    assert!(Common::default() == MachineMonitor::common(std::iter::empty(), events[0].event_at));
+}
