@@ -12,6 +12,7 @@ mod exit;
 mod identify;
 mod import;
 mod limits;
+mod load;
 mod maintenance;
 mod operator;
 mod output;

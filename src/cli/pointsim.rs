@@ -15,6 +15,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Run(super::simulate_run::Arguments),
+    Load(super::load::Arguments),
     /// Simulates one throw and writes its trace as CSV.
     Throw(super::throw::Arguments),
     /// Repeats the study's 4 cases x 6 tests; prints and plots the results.
@@ -30,6 +31,7 @@ pub(super) fn main() -> Outcome {
     };
     match arguments.command {
         Command::Run(arguments) => super::simulate_run::main(&arguments),
+        Command::Load(arguments) => super::load::main(&arguments),
         Command::Throw(arguments) => super::throw::main(&arguments),
         Command::Table1(arguments) => super::table1::main(&arguments),
         Command::Limits(arguments) => super::limits::main(&arguments),

@@ -166,9 +166,9 @@ async fn complete(logger: &mut Logger) -> Outcome {
     Ok(Exit::Negative)
 }
 
-fn failure(error: LoggerError) -> Failure {
+pub(super) fn failure(error: LoggerError) -> Failure {
     let exit = match &error {
-        LoggerError::Simulation(_) => Exit::Config,
+        LoggerError::Simulation(_) | LoggerError::Trace(_) => Exit::Config,
         LoggerError::Bus(_) | LoggerError::Zenoh(_) => Exit::Unavailable,
         LoggerError::Spawn(_) | LoggerError::Thread => Exit::Software,
     };

@@ -12,8 +12,8 @@ use crate::{
     wire::Health,
 };
 
-/// Throws that are identified together. The longest traces take 16 MB each, so this bounds memory at 256 MB.
-const BATCH: u32 = 16;
+/// Most throws that are identified together and committed at once. The store gives fewer when their traces are long.
+const BATCH: u32 = 64;
 
 /// A judged throw, for observers in the same process.
 #[derive(Debug, Clone)]

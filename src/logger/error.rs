@@ -1,6 +1,9 @@
 //! The errors of a logger.
 
-use crate::{bus::BusError, throw::OutOfRange};
+use crate::{
+    bus::BusError,
+    throw::{InvalidTrace, OutOfRange},
+};
 
 /// An error that keeps a logger from publishing throws.
 #[derive(Debug, thiserror::Error)]
@@ -14,6 +17,9 @@ pub enum LoggerError {
     /// Zenoh refused a publisher, a queryable or a publication.
     #[error("zenoh: {0}")]
     Zenoh(#[from] zenoh::Error),
+    /// The samples of a prepared trace are out of range.
+    #[error("the prepared trace: {0}")]
+    Trace(#[from] InvalidTrace),
     /// The operating system did not start a thread.
     #[error("cannot start the publishing thread: {0}")]
     Spawn(#[from] std::io::Error),

@@ -4,6 +4,7 @@
 
 mod backlog;
 mod error;
+mod load;
 mod publish;
 mod settings;
 
@@ -21,6 +22,7 @@ use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
 pub use error::LoggerError;
+pub use load::{Load, Loaded};
 pub use settings::LoggerSettings;
 
 use crate::{

@@ -108,11 +108,15 @@ impl Store {
             submitted.push(self.submit(machine, throw, *received_at).await);
         }
         let mut answers = Vec::with_capacity(throws.len());
-        for submitted in submitted {
-            answers.push(match submitted {
+        for (submitted, (_, throw, _)) in submitted.into_iter().zip(throws) {
+            let answer = match submitted {
                 Ok(answer) => answer.await.unwrap_or(Err(StoreError::Closed)),
                 Err(error) => Err(error),
-            });
+            };
+            if let Ok(Spooled::New(row)) = answer {
+                self.reader.recent.keep(row, throw);
+            }
+            answers.push(answer);
         }
         answers
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use jiff::Timestamp;
-use sqlx::SqliteConnection;
+use sqlx::{Sqlite, SqliteConnection, query::Query, sqlite::SqliteArguments};
 
 use super::{
     rows::{GapRow, ThrowRow},
@@ -65,6 +65,19 @@ pub struct MonitorRecord {
     pub drifts: Vec<Drifting>,
 }
 
+type Statements<'q> = Query<'q, Sqlite, SqliteArguments>;
+
+impl MonitorRecord {
+    fn bind<'q>(&'q self, query: Statements<'q>, machine_row: i64, at_us: i64) -> Statements<'q> {
+        query
+            .bind(machine_row)
+            .bind(&self.snapshot)
+            .bind(at_us)
+            .bind(self.state.as_str())
+            .bind((!self.drifts.is_empty()).then(|| text(&self.drifts)))
+    }
+}
+
 /// Judgements to be written, in their order.
 pub(super) struct Judgements {
     pub(super) judgements: Arc<[Judgement]>,
@@ -94,7 +107,13 @@ impl Judgement {
         let Some(machine_row) = machine_row else {
             return self.was_written_at(connection, repeated, at_us).await;
         };
-        self.add_estimate(connection, machine_row).await?;
+        let monitor = self.outcome.monitor.as_ref();
+        let statements = if monitor.is_some() { sql::ADD_ESTIMATE_AND_SET_MONITOR } else { sql::ADD_ESTIMATE };
+        let mut add = self.bind_estimate(sqlx::query(statements), machine_row);
+        if let Some(monitor) = monitor {
+            add = monitor.bind(add, machine_row, at_us);
+        }
+        add.execute(&mut *connection).await?;
         for baseline in &self.baselines {
             sqlx::query(sql::ADD_BASELINE)
                 .bind(machine_row)
@@ -104,7 +123,7 @@ impl Judgement {
                 .execute(&mut *connection)
                 .await?;
         }
-        self.outcome.write(connection, machine_row).await?;
+        self.outcome.write_events(connection, machine_row).await?;
         if drop_trace {
             sqlx::query(sql::DROP_TRACE).bind(self.row.0).execute(&mut *connection).await?;
             count(connection, "dropped_traces", 1).await?;
@@ -124,11 +143,11 @@ impl Judgement {
         Ok(repeated && judged_at_us == Some(at_us))
     }
 
-    async fn add_estimate(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
+    fn bind_estimate<'q>(&'q self, query: Statements<'q>, machine_row: i64) -> Statements<'q> {
         let (health, found) = (&self.health, self.identification.as_ref());
         let features = found.map(|found| found.features.clone()).unwrap_or_default();
         let estimate: Option<&Estimate> = found.and_then(|found| found.outcome.as_ref().ok());
-        let mut add = sqlx::query(sql::ADD_ESTIMATE)
+        let mut add = query
             .bind(self.row.0)
             .bind(machine_row)
             .bind(health.direction.map(Direction::as_str))
@@ -169,9 +188,6 @@ impl Judgement {
             .bind(health.throws_since_baseline.cast_signed())
             .bind(health.state.map(MachineState::as_str))
             .bind(health.drift.as_ref().map(text))
-            .execute(connection)
-            .await
-            .map(drop)
     }
 }
 
@@ -191,17 +207,16 @@ impl Write for Outcome {
 
 impl Outcome {
     async fn write(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
-        let at_us = self.at.as_microsecond();
-        if let Some(MonitorRecord { snapshot, state, drifts }) = &self.monitor {
-            sqlx::query(sql::SET_MONITOR)
-                .bind(machine_row)
-                .bind(snapshot)
-                .bind(at_us)
-                .bind(state.as_str())
-                .bind((!drifts.is_empty()).then(|| text(drifts)))
-                .execute(&mut *connection)
-                .await?;
+        if let Some(monitor) = &self.monitor {
+            let set = monitor.bind(sqlx::query(sql::SET_MONITOR), machine_row, self.at.as_microsecond());
+            set.execute(&mut *connection).await?;
         }
+        self.write_events(connection, machine_row).await
+    }
+
+    /// Writes everything but the monitor.
+    async fn write_events(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
+        let at_us = self.at.as_microsecond();
         for GapRow(gap_row) in &self.reported_gaps {
             sqlx::query(sql::REPORT_GAP).bind(gap_row).bind(at_us).execute(&mut *connection).await?;
         }

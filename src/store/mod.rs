@@ -19,6 +19,7 @@ mod page;
 mod place;
 mod quarantine;
 mod reader;
+mod recent;
 mod rows;
 mod salvage;
 mod settings;

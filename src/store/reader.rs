@@ -9,7 +9,7 @@ use std::{
 
 use jiff::Timestamp;
 use sqlx::{
-    FromRow, Sqlite, SqlitePool,
+    FromRow, Row as _, Sqlite, SqlitePool,
     query::QueryAs,
     sqlite::{SqliteArguments, SqlitePoolOptions, SqliteRow},
 };
@@ -20,6 +20,7 @@ use super::{
     error::{StoreError, is_corrupt},
     open,
     page::{self, Cursor},
+    recent::Recent,
     rows::{Gap, OutboxRow, Quarantined, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp},
     statements as sql,
 };
@@ -32,6 +33,8 @@ use crate::{
 const CONNECTIONS: u32 = 2;
 /// Connections for questions from outside; more questions at once wait.
 const QUESTIONS: u32 = 3;
+/// Samples a channel after which a batch of throws to be judged is large enough: 32 MiB.
+const SAMPLES: usize = 2 << 20;
 /// Steps of SQLite's machine between two looks at the clock: some milliseconds.
 const STEPS: i32 = 100_000;
 
@@ -42,6 +45,8 @@ pub struct Reader {
     pools: Arc<RwLock<Pools>>,
     /// Cancelled when a query finds the content of the file broken.
     broken: CancellationToken,
+    /// The throws that were stored last.
+    pub(super) recent: Recent,
 }
 
 /// Questions from outside have connections of their own: many of them must not delay the pipeline.
@@ -63,7 +68,7 @@ impl Reader {
         let pools = Pools::connect(path)
             .await
             .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
-        Ok(Self { pools: Arc::new(RwLock::new(pools)), broken: CancellationToken::new() })
+        Ok(Self { pools: Arc::new(RwLock::new(pools)), broken: CancellationToken::new(), recent: Recent::default() })
     }
 
     pub(super) async fn close(&self) {
@@ -171,15 +176,33 @@ impl Reader {
         wait: Duration,
     ) -> Result<Vec<StoredThrow>, StoreError> {
         let (from_us, to_us) = waiting(now, wait);
-        let turn = |after: Option<&MachineId>| {
+        let turn = async |after: Option<&MachineId>| {
             let (site, machine) = after.map(|id| (id.site.to_string(), id.machine.to_string())).unzip();
-            sqlx::query_as(sql::TO_JUDGE).bind(site).bind(limit).bind(from_us).bind(to_us).bind(machine)
+            let query = sqlx::query(sql::TO_JUDGE).bind(site).bind(limit).bind(from_us).bind(to_us).bind(machine);
+            self.limited(query.fetch_all(&self.pool())).await
         };
-        let next = self.rows(turn(after)).await?;
-        if next.is_empty() && after.is_some() {
-            return self.rows(turn(None)).await;
+        let mut rows = turn(after).await?;
+        if rows.is_empty() && after.is_some() {
+            rows = turn(None).await?;
         }
-        Ok(next)
+        let (mut throws, mut samples) = (Vec::with_capacity(rows.len()), 0);
+        for row in rows {
+            let throw_row = ThrowRow(row.try_get("throw_row").map_err(StoreError::read)?);
+            let stored = match self.recent.take(throw_row) {
+                Some(throw) => StoredThrow::from_memory(&row, throw).map_err(StoreError::read)?,
+                None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(throw_row.0)).await?.pop() {
+                    Some(stored) => stored,
+                    // Retention dropped it a moment ago.
+                    None => continue,
+                },
+            };
+            samples += stored.throw.as_ref().map_or(0, |throw| throw.trace.len());
+            throws.push(stored);
+            if samples >= SAMPLES {
+                break;
+            }
+        }
+        Ok(throws)
     }
 
     /// Where the backlog of a machine is to be read from.

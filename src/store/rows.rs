@@ -192,12 +192,34 @@ fn trace(row: &SqliteRow) -> sqlx::Result<Result<Trace, UnreadableTrace>> {
     Ok(codec::trace(row.try_get("sample_rate_hz")?, samples, &current, &position, crc32.unwrap_or_default()))
 }
 
+impl StoredThrow {
+    /// A throw that is still in memory, with the columns that storing it added.
+    pub(super) fn from_memory(row: &SqliteRow, throw: Throw) -> sqlx::Result<Self> {
+        let throw = Throw { id: throw_ref(row)?, ..throw };
+        Self::new(row, throw.started_at, Ok(throw))
+    }
+
+    fn new(row: &SqliteRow, started_at: Timestamp, throw: Result<Throw, UnreadableTrace>) -> sqlx::Result<Self> {
+        let id = throw_ref(row)?;
+        Ok(Self {
+            row: ThrowRow(row.try_get("throw_row")?),
+            machine: machine_id(row)?,
+            renumbered: id.boot_id.ends_with(RENUMBERED),
+            id,
+            started_at,
+            received_at: time(row, "received_at_us")?,
+            throw,
+            repeats: row.try_get("repeats")?,
+        })
+    }
+}
+
 impl FromRow<'_, SqliteRow> for StoredThrow {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        let (id, started_at) = (throw_ref(row)?, time(row, "started_at_us")?);
+        let started_at = time(row, "started_at_us")?;
         let throw = match trace(row)? {
             Ok(trace) => Ok(Throw {
-                id: id.clone(),
+                id: throw_ref(row)?,
                 started_at,
                 direction: word::<Direction>(row, "direction")?,
                 trace,
@@ -207,18 +229,7 @@ impl FromRow<'_, SqliteRow> for StoredThrow {
             }),
             Err(unreadable) => Err(unreadable),
         };
-        let received_at = time(row, "received_at_us")?;
-        let (repeats, renumbered) = (row.try_get("repeats")?, id.boot_id.ends_with(RENUMBERED));
-        Ok(Self {
-            row: ThrowRow(row.try_get("throw_row")?),
-            machine: machine_id(row)?,
-            id,
-            started_at,
-            received_at,
-            throw,
-            repeats,
-            renumbered,
-        })
+        Self::new(row, started_at, throw)
     }
 }
 

@@ -98,17 +98,16 @@ impl Spool {
             .bind(self.content_crc32)
             .bind(boot.position)
             .bind(self.trace_hash)
-            .fetch_one(&mut *connection)
-            .await?;
-        sqlx::query(sql::ADD_TRACE)
-            .bind(row)
             .bind(&self.current.codec)
             .bind(&self.current.data)
             .bind(&self.position.codec)
             .bind(&self.position.data)
             .bind(self.trace_crc32)
-            .execute(connection)
-            .await?;
+            // All, so that the statement after the one that returns the row runs too.
+            .fetch_all(connection)
+            .await?
+            .pop()
+            .ok_or(sqlx::Error::RowNotFound)?;
         Ok(ThrowRow(row))
     }
 
@@ -145,7 +144,6 @@ impl Spool {
         }
         count(connection, "contradicted_throws", 1).await?;
         let throw_no = again.highest_no + 1;
-        set_highest(connection, again.boot_row, throw_no).await?;
         // It was made after the throws of the boot so far: it is judged after them.
         let judged_as = Boot { position: boot.position.saturating_add(SPACING / 2), ..again };
         self.insert(connection, machine_row, judged_as, throw_no).await.map(Spooled::New)
@@ -182,10 +180,21 @@ impl Write for Spool {
     type Output = Spooled;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Spooled> {
+        if let Some(Next { machine_row, boot }) = self.next(connection).await? {
+            return self.insert(connection, machine_row, boot, self.throw_no).await.map(Spooled::New);
+        }
         let (spooled, boot) = self.store(connection, repeated, Follows::All).await?;
         cursor::advance(connection, boot.machine_row, self.received_at_us).await?;
         Ok(spooled)
     }
+}
+
+/// The place of a throw that is the next one of a known start of its logger, while nothing of its machine is missing.
+#[derive(sqlx::FromRow)]
+struct Next {
+    machine_row: i64,
+    #[sqlx(flatten)]
+    boot: Boot,
 }
 
 /// The place of a start of a logger that is received for the first time.
@@ -207,6 +216,16 @@ pub(super) struct StoredAt {
 impl Spool {
     pub(super) fn throw_no(&self) -> i64 {
         self.throw_no
+    }
+
+    async fn next(&self, connection: &mut SqliteConnection) -> sqlx::Result<Option<Next>> {
+        sqlx::query_as(sql::FOLLOWS)
+            .bind(self.machine.site.as_str())
+            .bind(self.machine.machine.as_str())
+            .bind(&self.id.boot_id)
+            .bind(self.throw_no)
+            .fetch_optional(connection)
+            .await
     }
 
     /// Stores the throw, and records what is missing before it.
@@ -253,7 +272,6 @@ impl Spool {
                 let after = Place { boot_row: Some(boot_row), position, throw_no: highest_no };
                 cursor::open(connection, machine_row, after, self.received_at_us).await?;
             }
-            set_highest(connection, boot.boot_row, self.throw_no).await?;
         } else if !fill_gap(connection, boot.boot_row, self.throw_no, self.received_at_us).await?
             && self.throw_no <= boot.pruned_to_no
         {
@@ -362,10 +380,6 @@ async fn add_boot(
         .fetch_one(connection)
         .await?;
     Ok(Boot { boot_row, position, highest_no, pruned_to_no: -1, tail_open })
-}
-
-async fn set_highest(connection: &mut SqliteConnection, boot_row: i64, throw_no: i64) -> sqlx::Result<()> {
-    sqlx::query(sql::SET_HIGHEST).bind(boot_row).bind(throw_no).execute(connection).await.map(drop)
 }
 
 /// Adds the gap from the first to the last number, both included. False when that is empty.

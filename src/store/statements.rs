@@ -87,6 +87,27 @@ macro_rules! largest_machine {
     };
 }
 
+/// The parameters have no numbers, so that statements can be joined.
+macro_rules! add_estimate {
+    () => {
+        "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
+         b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, b0_a1_cov, b0_a0_cov, a1_a0_cov, fit_pct, \
+         a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, iterations, start_s, end_s, \
+         duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, release_s, running_current_a, \
+         energy_j, quiet_current_a, start_position_mm, resistance_ohm, back_emf_v_s_per_rad, baseline_throws, \
+         baseline_needed, throws_since_baseline, state, drift) \
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+    };
+}
+
+macro_rules! set_monitor {
+    () => {
+        "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts) VALUES (?, ?, ?, ?, ?) \
+         ON CONFLICT (machine_row) DO UPDATE SET snapshot = excluded.snapshot, updated_at_us = excluded.updated_at_us, \
+         state = excluded.state, drifts = excluded.drifts"
+    };
+}
+
 statements! {
     // Opening and closing.
     FOREIGN_TABLE = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite@_%' ESCAPE '@' \
@@ -110,16 +131,21 @@ statements! {
     OPEN_TAIL = "UPDATE boot SET tail_open = 1 WHERE boot_row = ?1";
     COUNTS_FROM_ZERO = "SELECT counts_from_zero FROM machine WHERE machine_row = ?1";
     SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
-    SET_HIGHEST = "UPDATE boot SET highest_no = ?2 WHERE boot_row = ?1 AND highest_no < ?2";
+    // The usual throw: the next one of a known start, while nothing is missing.
+    FOLLOWS = "SELECT machine_row, boot_row, position, highest_no, pruned_to_no, tail_open FROM machine JOIN boot USING (machine_row) \
+        WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND highest_no = ?4 - 1 \
+        AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)";
     STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
-    ADD_THROW = "INSERT INTO throw (machine_row, boot_row, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, \
+    // Three statements in one call: each call goes to another thread and back.
+    ADD_THROW = "UPDATE boot SET highest_no = ?3 WHERE boot_row = ?2 AND highest_no < ?3; \
+        INSERT INTO throw (machine_row, boot_row, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, \
         samples, temperature_c, supply_v, anti_alias_hz, content_crc32, boot_position, trace_hash, repeats_row) \
         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, (SELECT throw_row FROM throw INDEXED BY throw_by_trace \
-        WHERE machine_row = ?1 AND trace_hash = ?14 LIMIT 1)) RETURNING throw_row";
+        WHERE machine_row = ?1 AND trace_hash = ?14 LIMIT 1)) RETURNING throw_row; \
+        INSERT INTO trace (throw_row, current_codec, current_data, position_codec, position_data, crc32) \
+        VALUES (last_insert_rowid(), ?15, ?16, ?17, ?18, ?19)";
     SAME_CONTENT = "SELECT throw_row FROM throw INDEXED BY throw_by_trace \
         WHERE machine_row = ?1 AND trace_hash = ?2 AND content_crc32 = ?3 AND boot_row = ?4 LIMIT 1";
-    ADD_TRACE = "INSERT INTO trace (throw_row, current_codec, current_data, position_codec, position_data, crc32) \
-        VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
 
     // Gaps.
     GAP_AT = "SELECT gap_row, first_no, last_no FROM gap \
@@ -150,7 +176,7 @@ statements! {
     // Judging.
     // Machines with pending throws, after one and in turn; of each the first throws that wait for nothing, so that
     // neither a long queue nor an open backlog of one machine holds up another.
-    TO_JUDGE = concat!("WITH RECURSIVE waiting (machine_row) AS (\
+    TO_JUDGE = "WITH RECURSIVE waiting (machine_row) AS (\
         SELECT min(machine_row) FROM throw INDEXED BY throw_pending WHERE judged_at_us IS NULL \
         AND machine_row > coalesce((SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?5), 0) \
         UNION ALL SELECT (SELECT min(throw.machine_row) FROM throw INDEXED BY throw_pending \
@@ -166,26 +192,23 @@ statements! {
         FROM ready JOIN throw AS own ON own.throw_row IN (SELECT throw_row FROM throw AS next INDEXED BY throw_pending \
         WHERE next.machine_row = ready.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no) \
         ORDER BY boot_position, throw_no LIMIT ?2)) \
-        SELECT ", throw_rows!(), " WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2) \
-        ORDER BY throw.machine_row, boot_position, throw_no");
+        SELECT throw_row, site, machine, boot_id, throw_no, received_at_us, repeats_row IS NOT NULL AS repeats \
+        FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+        WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2) \
+        ORDER BY throw.machine_row, boot_position, throw_no";
+    STORED_THROW = concat!("SELECT ", throw_rows!(), " WHERE throw_row = ?1");
     PENDING = concat!("SELECT ", throw_rows!(), " \
         WHERE judged_at_us IS NULL AND throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     THROWS = concat!("SELECT ", throw_rows!(), " \
         WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     JUDGED = "UPDATE throw SET judged_at_us = ?2 WHERE throw_row = ?1 AND judged_at_us IS NULL RETURNING machine_row";
     JUDGED_AT = "SELECT judged_at_us FROM throw WHERE throw_row = ?1";
-    ADD_ESTIMATE = "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
-        b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, b0_a1_cov, b0_a0_cov, a1_a0_cov, fit_pct, \
-        a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, iterations, start_s, end_s, \
-        duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, release_s, running_current_a, \
-        energy_j, quiet_current_a, start_position_mm, resistance_ohm, back_emf_v_s_per_rad, baseline_throws, \
-        baseline_needed, throws_since_baseline, state, drift) \
-        VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
+    ADD_ESTIMATE = add_estimate!();
+    // Two statements in one call, as for ADD_THROW.
+    ADD_ESTIMATE_AND_SET_MONITOR = concat!(add_estimate!(), "; ", set_monitor!());
     ADD_BASELINE = "INSERT INTO baseline (machine_row, direction, taken_at_us, payload) VALUES (?1, ?2, ?3, ?4) \
         ON CONFLICT DO NOTHING";
-    SET_MONITOR = "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts) VALUES (?1, ?2, ?3, ?4, ?5) \
-        ON CONFLICT (machine_row) DO UPDATE SET snapshot = excluded.snapshot, updated_at_us = excluded.updated_at_us, \
-        state = excluded.state, drifts = excluded.drifts";
+    SET_MONITOR = set_monitor!();
     MONITORS = "SELECT site, machine, snapshot, state FROM monitor JOIN machine USING (machine_row) ORDER BY site, machine";
     MACHINES = "SELECT site, machine FROM machine ORDER BY site, machine";
 

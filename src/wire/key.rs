@@ -40,6 +40,12 @@ pub fn machine_key(machine: &MachineId, kind: Kind) -> String {
     format!("{PREFIX}{}/{}/{}", machine.site, machine.machine, kind.as_ref())
 }
 
+/// The key expression of all machines of a site.
+#[must_use]
+pub fn site_key(site: &Name, kind: Kind) -> String {
+    format!("{PREFIX}{site}/*/{}", kind.as_ref())
+}
+
 /// The key of a monitor's liveliness token: `points/v1/{site}/monitor/{id}/alive`.
 #[must_use]
 pub fn monitor_alive_key(site: &Name, id: &Name) -> String {

@@ -16,7 +16,9 @@ pub use alarm::{Alarm, alarm_id};
 pub use backlog::{BacklogQuery, MAX_PAGE};
 pub use command::{Commander, InvalidCommand, Reply, decode_command};
 pub use health::Health;
-pub use key::{InvalidKey, InvalidScope, Kind, Scope, machine_key, monitor_alive_key, monitor_status_key, parse_key};
+pub use key::{
+    InvalidKey, InvalidScope, Kind, Scope, machine_key, monitor_alive_key, monitor_status_key, parse_key, site_key,
+};
 pub use query::{HistoryQuery, InvalidQuery, MAX_HISTORY};
 pub use text::json;
 pub use throw::{Encoding, InvalidThrow, MAX_BOOT_ID_BYTES, decode_throw, encode_throw};

@@ -7,7 +7,7 @@ use pointsd::{
 };
 use zenoh::bytes::Encoding as ContentType;
 
-use crate::rig::{Daemon, Rig, matched, put, stub, throws, throws_of};
+use crate::rig::{Daemon, Rig, matched, pointsim, put, stub, throws, throws_of};
 
 const KEY: &str = "points/v1/north/21B/throw";
 
@@ -252,5 +252,21 @@ async fn a_drift_is_seen_although_each_trace_comes_five_times() {
     }
     send(&rig, &daemon, &all).await;
     assert!(!texts(&rig, "kt").is_empty(), "the weak motor is hidden");
+    assert!(daemon.terminate().success());
+}
+
+/// The load generator sends what it was asked for, each throw different from all others, and counts what was judged.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_load_is_judged_whole() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let load = ["load", "--machines", "10", "--rate", "50", "--seconds", "2", "--json", "--connect", &daemon.endpoint];
+    let output = pointsim(&load).output().unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((output.status.code(), &report["published"], &report["judged"]), (Some(0), &100.into(), &100.into()));
+    assert!(report["latency_ms"]["p50"].as_f64().unwrap() > 0.0, "{report}");
+    let stored =
+        rig.sql("SELECT machine, count(*) AS throws FROM health_history WHERE quality = 'good' GROUP BY machine");
+    assert!(stored.len() == 10 && stored.iter().all(|machine| machine["throws"] == 10), "{stored:?}");
     assert!(daemon.terminate().success());
 }

@@ -166,7 +166,7 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         ("/machines/north/21B/throws/boot/18446744073709551615", 404, "has no such throw"),
         ("/machines/north/21B/throws/boot/three", 400, "the number of the throw"),
         ("/machines/north/21B?span=7", 400, "span=1000"),
-        ("/machines/north/%FF", 400, "cannot be understood"),
+        ("/machines/north/%FF", 400, "not valid"),
         ("/machines/../../etc/passwd", 404, "There is no such page"),
         ("/machines/north/..%2F..%2Fetc", 404, "There is no such machine"),
         ("/?state=good", 400, "site, state, cause and q"),

@@ -1,0 +1,99 @@
+//! `pointsim load`: throws of many machines at a given rate, and what the daemon made of them.
+
+use std::time::Duration;
+
+use serde_json::json;
+
+use super::{
+    Exit, Outcome, ResultExt,
+    operator::{self, Client, Connection},
+    output, simulate_run,
+};
+use crate::{
+    logger::{Load, Loaded},
+    throw::{MachineId, Name},
+};
+
+/// A daemon that judges nothing for so long is not going to.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Publishes the throws of many machines at a given rate, and reports how many the daemon judged and how soon.
+///
+/// The throws are simulated before the load begins, so that simulating does not limit it; fresh sensor noise makes each trace
+/// different. The machines are new to the daemon: use a database that may be thrown away.
+///
+/// Exit codes: 0 all throws were judged; 1 some were not; 64 an option is wrong; 69 the daemon cannot be reached.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example: a national network at its busiest, for a minute\n  \
+                        pointsim load --machines 20000 --rate 500 --seconds 60")]
+pub(super) struct Arguments {
+    #[command(flatten)]
+    connection: Connection,
+    /// Number of machines.
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    machines: u32,
+    /// Throws a second, of all machines together.
+    #[arg(long, value_name = "R", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    rate: u32,
+    /// Duration of the load [s].
+    #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=86_400))]
+    seconds: u32,
+    /// The machines are `m-1`, `m-2` and so on of this site.
+    #[arg(long, default_value = "load")]
+    site: Name,
+    /// Seed of everything random.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Print one JSON object.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    super::runtime::block_on(async {
+        let Client { session, .. } = arguments.connection.open().await?;
+        let machines =
+            (1..=arguments.machines).map(|number| MachineId::new(arguments.site.as_str(), &format!("m-{number}")));
+        let load = Load {
+            machines: machines.collect::<Result<_, _>>().or_exit(Exit::Usage)?,
+            rate: arguments.rate.into(),
+            throws: u64::from(arguments.rate) * u64::from(arguments.seconds),
+            seed: arguments.seed,
+        };
+        let publishing = session.clone();
+        let (throws, rate) = (load.throws, load.rate);
+        // Publishing waits for the link, which an async worker must not.
+        let task = tokio::task::spawn_blocking(move || load.run(&publishing, &simulate_run::boot_id(), PATIENCE));
+        let loaded = task.await.or_exit(Exit::Software)?.map_err(simulate_run::failure);
+        operator::close(session).await;
+        report(throws, rate, &loaded?, arguments.json)
+    })
+}
+
+fn report(throws: u64, rate: f64, loaded: &Loaded, as_json: bool) -> Outcome {
+    let judged = loaded.latencies.len() as u64;
+    let published_per_s = throws as f64 / loaded.publishing.as_secs_f64().max(1.0 / rate);
+    let [p50_ms, p99_ms, worst_ms] =
+        [0.5, 0.99, 1.0].map(|share| loaded.quantile(share).map(|time| 1e3 * time.as_secs_f64()));
+    let behind_s = loaded.behind.as_secs_f64();
+    if as_json {
+        output::json(&json!({
+            "published": throws, "published_per_s": published_per_s, "judged": judged,
+            "judged_meanwhile": loaded.judged_meanwhile, "behind_s": behind_s,
+            "latency_ms": { "p50": p50_ms, "p99": p99_ms, "worst": worst_ms },
+        }))?;
+    } else {
+        let latency = match (p50_ms, p99_ms, worst_ms) {
+            (Some(p50), Some(p99), Some(worst)) => format!(
+                "\nfrom publication to health: median {p50:.1} ms, 99 % within {p99:.1} ms, all within {worst:.1} ms"
+            ),
+            _ => String::new(),
+        };
+        output::line(format!(
+            "published {throws} throws, {published_per_s:.0} a second\njudged {judged}, {} of them before the last was published, \
+             the last {behind_s:.1} s after it{latency}",
+            loaded.judged_meanwhile
+        ))?;
+    }
+    Ok(if judged == throws { Exit::Ok } else { Exit::Negative })
+}

@@ -1,0 +1,45 @@
+//! The throws stored last, in memory: the judge takes most throws from here, without reading and unpacking their traces.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+use super::rows::ThrowRow;
+use crate::throw::Throw;
+
+/// Most samples that are kept, of all channels: 32 MiB, or 400 throws of 5 s at 1 kHz.
+const MAX_SAMPLES: usize = 4 << 20;
+
+/// Throws that are stored and not judged yet, up to a size.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Recent(Arc<Mutex<Kept>>);
+
+#[derive(Debug, Default)]
+struct Kept {
+    throws: HashMap<ThrowRow, Throw>,
+    samples: usize,
+}
+
+impl Recent {
+    /// Keeps a stored throw until it is taken. When there is no room, all others go first: throws that retention dropped
+    /// would stay for ever, and those of a long queue can be read from the database.
+    pub(super) fn keep(&self, row: ThrowRow, throw: &Throw) {
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let samples = 2 * throw.trace.len();
+        if kept.samples + samples > MAX_SAMPLES {
+            *kept = Kept::default();
+        }
+        if samples <= MAX_SAMPLES && kept.throws.insert(row, throw.clone()).is_none() {
+            kept.samples += samples;
+        }
+    }
+
+    /// Takes a throw, which is no longer kept then.
+    pub(super) fn take(&self, row: ThrowRow) -> Option<Throw> {
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let throw = kept.throws.remove(&row)?;
+        kept.samples -= 2 * throw.trace.len();
+        Some(throw)
+    }
+}
