@@ -5,7 +5,7 @@ use std::sync::{
     atomic::{AtomicU64, Ordering::Relaxed},
 };
 
-use tokio::sync::mpsc;
+use tokio::sync::{Notify, mpsc};
 use zenoh::{
     Session,
     pubsub::Subscriber,
@@ -14,8 +14,8 @@ use zenoh::{
 
 use super::{
     error::BusError,
+    fair_queue::FairQueue,
     message::{Limits, Message},
-    queue_budget::{MAX_MESSAGES, QueueBudget},
 };
 
 /// Largest batch \[bytes of payload\]; decoded throws take up to four times as much memory.
@@ -24,28 +24,29 @@ const BATCH_BYTES: usize = 8 << 20;
 /// machine shows the gap.
 const DROPPED_KEYS: usize = 1_024;
 
-/// Counters of the inbox since its start, and the budget of its queue.
+/// Counters of the inbox since its start, and its queue.
 #[derive(Debug, Default)]
 pub struct InboxCounters {
     /// Messages received.
     pub received: AtomicU64,
     /// Messages dropped because the queue was full or their key had used its share.
     pub dropped: AtomicU64,
-    budget: QueueBudget,
+    queue: FairQueue,
+    /// Notified when a message was queued.
+    queued: Notify,
 }
 
 impl InboxCounters {
     /// Memory of the queued messages \[bytes\].
     #[must_use]
     pub fn queued_bytes(&self) -> usize {
-        self.budget.reserved()
+        self.queue.bytes()
     }
 }
 
 /// The subscription to live throws and its queue.
 pub struct Inbox {
     subscriber: Option<Subscriber<()>>,
-    messages: mpsc::Receiver<Message>,
     counters: Arc<InboxCounters>,
 }
 
@@ -59,16 +60,15 @@ impl Inbox {
         key_expression: &str,
         limits: Limits,
     ) -> Result<(Self, mpsc::Receiver<String>), BusError> {
-        let (sender, messages) = mpsc::channel(MAX_MESSAGES);
         let (dropped, dropped_keys) = mpsc::channel(DROPPED_KEYS);
         let counters = Arc::<InboxCounters>::default();
-        let callback = Callback { messages: sender, dropped, counters: Arc::clone(&counters), limits };
+        let callback = Callback { dropped, counters: Arc::clone(&counters), limits };
         let subscriber = session
             .declare_subscriber(key_expression.to_owned())
             .callback(move |sample| callback.on_sample(&sample))
             .await
             .map_err(BusError::new(format!("subscribe to {key_expression}")))?;
-        Ok((Self { subscriber: Some(subscriber), messages, counters }, dropped_keys))
+        Ok((Self { subscriber: Some(subscriber), counters }, dropped_keys))
     }
 
     /// The counters, shared with the callback.
@@ -81,16 +81,18 @@ impl Inbox {
     /// 0 after [`Self::close`] once the queue is empty. Cancel safe.
     pub async fn receive(&mut self, batch: &mut Vec<Message>, limit: usize) -> usize {
         let before = batch.len();
-        let mut next = self.messages.recv().await;
-        let mut bytes = 0;
-        while let Some(message) = next {
-            self.counters.budget.release(&message.key, message.memory());
-            bytes += message.memory();
-            batch.push(message);
-            let is_full = batch.len() - before >= limit || bytes >= BATCH_BYTES;
-            next = if is_full { None } else { self.messages.try_recv().ok() };
+        loop {
+            let mut bytes = 0;
+            while batch.len() - before < limit && bytes < BATCH_BYTES {
+                let Some(message) = self.counters.queue.pop() else { break };
+                bytes += message.memory();
+                batch.push(message);
+            }
+            if batch.len() > before || self.subscriber.is_none() {
+                return batch.len() - before;
+            }
+            self.counters.queued.notified().await;
         }
-        batch.len() - before
     }
 
     /// Ends the subscription. Queued messages can still be received.
@@ -100,13 +102,11 @@ impl Inbox {
         {
             tracing::warn!(%error, "undeclaring the subscription failed");
         }
-        self.messages.close();
     }
 }
 
 /// Runs in the threads of zenoh, so it never waits.
 struct Callback {
-    messages: mpsc::Sender<Message>,
     dropped: mpsc::Sender<String>,
     counters: Arc<InboxCounters>,
     limits: Limits,
@@ -120,11 +120,8 @@ impl Callback {
         self.counters.received.fetch_add(1, Relaxed);
         let (key, content_type) = (sample.key_expr().as_str(), sample.encoding().to_string());
         let memory = self.limits.kept(sample.payload().len()) + key.len() + content_type.len();
-        if self.counters.budget.reserve(key, memory) {
-            if self.messages.try_send(Message::of(sample, self.limits)).is_ok() {
-                return;
-            }
-            self.counters.budget.release(key, memory);
+        if self.counters.queue.push(key, memory, || Message::of(sample, self.limits)) {
+            return self.counters.queued.notify_one();
         }
         self.counters.dropped.fetch_add(1, Relaxed);
         // A key that does not fit is not needed, see [`DROPPED_KEYS`].

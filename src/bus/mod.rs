@@ -5,6 +5,7 @@
 
 mod backlog;
 mod error;
+mod fair_queue;
 mod inbox;
 mod message;
 mod operator;

@@ -8,13 +8,14 @@ use std::{
 /// Capacity \[bytes\]: about one second of 40 kB throws at the measured rate of the database.
 const CAPACITY: usize = 128 << 20;
 /// Least cost of a message \[bytes\]: bounds the number of small messages.
-pub(super) const LEAST_COST: usize = 8 << 10;
+const LEAST_COST: usize = 8 << 10;
 /// Largest number of messages in the inbox.
-pub(super) const MAX_MESSAGES: usize = CAPACITY / LEAST_COST;
+#[cfg(test)]
+const MAX_MESSAGES: usize = CAPACITY / LEAST_COST;
 /// Share of one key while more than half of the capacity is in use \[bytes\]: 64 throws of 64 kB.
 const SHARE: usize = CAPACITY / 32;
 /// Counters of keys, addressed by hash; keys with the same hash share one counter.
-const SLOTS: usize = 1_024;
+pub(super) const SLOTS: usize = 1_024;
 
 /// Bytes in use, in total and for each slot of keys.
 #[derive(Debug)]
@@ -58,8 +59,12 @@ impl QueueBudget {
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "a remainder below SLOTS")]
+    pub(super) fn slot_number(&self, key: &str) -> usize {
+        (self.hasher.hash_one(key) % SLOTS as u64) as usize
+    }
+
     fn slot(&self, key: &str) -> &AtomicUsize {
-        &self.slots[(self.hasher.hash_one(key) % SLOTS as u64) as usize]
+        &self.slots[self.slot_number(key)]
     }
 }
 

@@ -20,7 +20,7 @@ use zenoh::Session;
 use super::{clock, receive::Intake, status::Status};
 use crate::{
     bus::{self, Ending, Limits},
-    store::{Cursor, Store, StoreError},
+    store::{Cursor, Store, StoreError, seldom},
     throw::{MachineId, ThrowRef},
     wire::{self, BacklogQuery, Kind},
 };
@@ -158,7 +158,7 @@ impl Backlog {
                     }
                 }
             }
-            Err(error) => tracing::warn!(%error, "missing throws cannot be read; retrying"),
+            Err(error) => seldom!(warn, %error, "missing throws cannot be read; retrying"),
         }
         if let Ok(awaited) = self.asker.store.reader().awaited().await {
             self.asker.status.backlog.store(awaited, Relaxed);
@@ -184,7 +184,7 @@ impl Backlog {
                 if since.elapsed() >= PATIENCE {
                     match self.asker.store.write_off(machine, clock::now()).await {
                         Ok(()) => return schedule.done(machine),
-                        Err(error) => tracing::warn!(%error, "a gap cannot be stored; retrying"),
+                        Err(error) => seldom!(warn, %error, "a gap cannot be stored; retrying"),
                     }
                 }
                 PAUSE
@@ -282,7 +282,7 @@ impl Asker {
     /// Asks a logger page by page. Returns the size of its next page.
     async fn ask(&self, machine: &MachineId, mut page: usize) -> (Ended, usize) {
         let ended = self.pages(machine, &mut page).await.unwrap_or_else(|error| {
-            tracing::warn!(%machine, %error, "a backlog cannot be stored; retrying");
+            seldom!(warn, %machine, %error, "a backlog cannot be stored; retrying");
             Ended::Broken
         });
         (ended, page)
@@ -347,7 +347,7 @@ impl Asker {
         self.status.duplicates.fetch_add((read - throws.len()) as u64, Relaxed);
         self.status.ignored.fetch_add(ignored, Relaxed);
         if ignored > 0 {
-            tracing::warn!(%machine, ignored, "replies of a logger are not what was asked for: ignored");
+            seldom!(warn, %machine, ignored, "replies of a logger are not what was asked for: ignored");
         }
         ((!throws.is_empty()).then_some(throws), answer.ending)
     }

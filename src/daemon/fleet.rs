@@ -55,9 +55,10 @@ impl Fleet {
         fleet
     }
 
-    /// Machines in each state, and shelved alarms, without the daemon's own.
+    /// Machines in each state and shelved alarms; the daemon's own alarms apart.
     pub(super) fn standing(&self, own_machine: &MachineId) -> Standing {
-        let mut standing = Standing::default();
+        let own_alarms = self.monitors.get(own_machine).map_or(0, |monitor| monitor.open_alarms().len() as u64);
+        let mut standing = Standing { own_alarms, ..Standing::default() };
         for (_, monitor) in self.monitors.iter().filter(|(machine, _)| *machine != own_machine) {
             *standing.machines.entry(monitor.state()).or_default() += 1;
             let shelved = monitor.open_alarms().iter().filter(|alarm| alarm.state == AlarmState::Shelved).count();

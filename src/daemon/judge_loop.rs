@@ -27,7 +27,7 @@ use super::{
 use crate::{
     bus::Outlet,
     diagnose::Command,
-    store::{GapRow, Judgement, Outcome, Store, StoreError},
+    store::{GapRow, Judgement, Outcome, Store, StoreError, seldom},
     throw::MachineId,
     wire::{self, Alarm, Kind, Reply},
 };
@@ -130,7 +130,7 @@ impl JudgeLoop {
             Ok(judgements) => judgements,
             Err(StoreError::Closed) => return Err(StoreError::Closed),
             Err(error) => {
-                tracing::error!(%error, "pending throws cannot be read; retrying");
+                seldom!(error, %error, "pending throws cannot be read; retrying");
                 self.pause().await;
                 return Ok(false);
             }
@@ -158,7 +158,7 @@ impl JudgeLoop {
             match write(self.judge.store.clone()).await {
                 Ok(()) => return Ok(true),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
-                Err(error) => tracing::warn!(%error, what, "cannot be stored; retrying"),
+                Err(error) => seldom!(warn, %error, what, "cannot be stored; retrying"),
             }
             self.update_daemon_alarms().await?;
             self.links.status.heartbeats.beat(TaskName::Identify);
@@ -231,7 +231,7 @@ impl JudgeLoop {
     /// alarm is published before it is committed, and once more after.
     async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
-        let trouble = self.judge.store.trouble();
+        let trouble = self.judge.store.trouble(self.links.status.trouble(config.subscribe.max_machines));
         let new = self.judge.fleet.trouble(&self.own_machine, trouble.as_ref(), now, &config.diagnosis);
         let raised = clock::monotonic();
         self.daemon_alarms.extend(new.map(|outcome| PendingDaemonAlarm { outcome, raised, published: false }));
@@ -272,7 +272,7 @@ impl JudgeLoop {
         let mut old = HashMap::<_, (u64, Vec<_>)>::new();
         let wait = self.judge.backlog_wait();
         let gaps = self.judge.store.reader().unreported_gaps(GAPS, now, wait).await.unwrap_or_else(|error| {
-            tracing::warn!(%error, "gaps cannot be read; retrying");
+            seldom!(warn, %error, "gaps cannot be read; retrying");
             Vec::new()
         });
         for gap in gaps {

@@ -9,7 +9,7 @@ use jiff::{SignedDuration, Timestamp};
 use tokio::time::{self, MissedTickBehavior};
 
 use super::clock;
-use crate::store::{Housekeeping, Store, StoreError};
+use crate::store::{Housekeeping, Store, StoreError, seldom};
 
 /// How often. Between two rounds the fastest flood stores 40 MiB: by so much the database may be larger than its bound.
 const PACE: Duration = Duration::from_secs(1);
@@ -48,7 +48,7 @@ pub(super) async fn run(store: Store, last_heard: Option<Timestamp>) {
                 );
             }
             Err(StoreError::Closed) => return,
-            Err(error) => tracing::warn!(%error, "the database cannot be kept within its bounds now"),
+            Err(error) => seldom!(warn, %error, "the database cannot be kept within its bounds now"),
         }
     }
 }

@@ -13,7 +13,7 @@ use zenoh::Session;
 use super::{clock, heartbeat::TaskName, status::Status};
 use crate::{
     bus::{self, Audience, Outlet},
-    store::Store,
+    store::{Store, seldom},
 };
 
 /// Messages that are read from the outbox together.
@@ -81,7 +81,7 @@ impl Publisher {
             let rows = match self.store.reader().outbox_pending(last, BATCH).await {
                 Ok(rows) => rows,
                 Err(error) => {
-                    tracing::warn!(%error, "the outbox cannot be read; it is tried again");
+                    seldom!(warn, %error, "the outbox cannot be read; it is tried again");
                     return last;
                 }
             };
@@ -95,11 +95,11 @@ impl Publisher {
                         taken.push_back((message.row, clock::monotonic()));
                     }
                     Ok(Err(error)) => {
-                        tracing::warn!(%error, "an alarm cannot be published; it is tried again");
+                        seldom!(warn, %error, "an alarm cannot be published; it is tried again");
                         return last;
                     }
                     Err(_) => {
-                        tracing::warn!("publishing an alarm takes too long; it is tried again");
+                        seldom!(warn, "publishing an alarm takes too long; it is tried again");
                         return last;
                     }
                 }
@@ -117,7 +117,7 @@ impl Publisher {
         let rows: Vec<i64> = taken.iter().take(settled).map(|(row, _)| *row).collect();
         match self.store.outbox_sent(&rows).await {
             Ok(()) => drop(taken.drain(..settled)),
-            Err(error) => tracing::warn!(%error, "published messages stay in the outbox; they may be sent again"),
+            Err(error) => seldom!(warn, %error, "published messages stay in the outbox; they may be sent again"),
         }
     }
 }

@@ -14,14 +14,14 @@ use tokio_util::sync::CancellationToken;
 use super::{clock, heartbeat::TaskName, status::Status};
 use crate::{
     bus::{Inbox, Message},
-    store::{QUARANTINED_BYTES, Refused, Spooled, Store, StoreError},
+    store::{QUARANTINED_BYTES, Refused, Spooled, Store, StoreError, seldom},
     throw::{MachineId, Throw},
     wire::{self, Encoding},
 };
 
-/// Messages that are taken together. Many, because all that must be refused of them costs the disk one sync: a flood of
-/// bad messages must not hold good ones up.
-const BATCH: usize = 1_024;
+/// Messages that are taken together. Many, because all that must be refused of them costs the disk one sync; few enough
+/// that a throw waits a fraction of a second for the batch before its own.
+const BATCH: usize = 256;
 /// First pause after a failed write; doubled up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
 /// A disk that was freed is noticed within this time.
@@ -86,6 +86,7 @@ impl Intake {
         let reason = if machine == self.itself {
             "this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned()
         } else if known.len() >= self.max_machines && !known.contains_key(&machine) {
+            self.status.machines_refused.add(1);
             format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
         } else {
             *known.entry(machine.clone()).or_default() |= live;
@@ -98,11 +99,11 @@ impl Intake {
         let Some(Refused { key, reason, bytes, .. }) = refused.first() else { return };
         // One line for all of them, or a flood of messages becomes one of the log.
         let count = refused.len() as u64;
-        tracing::warn!(key, reason, bytes, and_others = count - 1, "a message goes to quarantine");
+        seldom!(warn, key, reason, bytes, and_others = count - 1, "a message goes to quarantine");
         match self.store.quarantine(refused).await {
             Ok(()) => self.status.quarantined.fetch_add(count, Relaxed),
             Err(error) => {
-                tracing::error!(%error, messages = count, "messages could not even be put in quarantine");
+                seldom!(error, %error, messages = count, "messages could not even be put in quarantine");
                 self.status.lost.fetch_add(count, Relaxed)
             }
         };

@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use super::{clock, heartbeat::Heartbeats};
 use crate::{
     bus::{InboxCounters, OutletCounters},
-    diagnose::MachineState,
-    store::{DiskLevel, Store, Window},
+    diagnose::{MachineState, Severity},
+    store::{DiskLevel, Recent, Store, Window},
 };
 
 /// Counters and states of the loops. Shared by all of them.
@@ -45,6 +45,8 @@ pub struct Status {
     standing: Mutex<Standing>,
     /// The same by the code of the reason: a few, as the estimator has them.
     refused: Mutex<BTreeMap<String, u64>>,
+    /// Throws of new machines that were refused, as `max_machines` are known.
+    pub(super) machines_refused: Recent,
     /// Alarm events.
     pub alarm_events: AtomicU64,
     /// Loggers that are connected now.
@@ -63,6 +65,9 @@ pub struct Standing {
     pub machines: BTreeMap<MachineState, u64>,
     /// Open alarms that are shelved.
     pub shelved_alarms: u64,
+    /// Open alarms about the daemon itself: its disk, its database, what it has to refuse.
+    #[serde(default)]
+    pub own_alarms: u64,
 }
 
 impl Standing {
@@ -72,11 +77,11 @@ impl Standing {
         self.machines.get(&state).copied().unwrap_or(0)
     }
 
-    /// Whether every machine is healthy or learns its baseline, and no alarm is shelved.
+    /// Whether every machine is healthy or learns its baseline, no alarm is shelved, and the daemon has none of its own.
     #[must_use]
     pub fn is_well(&self) -> bool {
         let well = |state: &MachineState| matches!(state, MachineState::Healthy | MachineState::Learning);
-        self.machines.keys().all(well) && self.shelved_alarms == 0
+        self.machines.keys().all(well) && self.shelved_alarms + self.own_alarms == 0
     }
 }
 
@@ -115,6 +120,9 @@ pub struct StatusReport {
     pub quarantined: u64,
     /// Throws and messages that could not be kept at all.
     pub lost: u64,
+    /// Throws of new machines that were refused, as `max_machines` are known.
+    #[serde(default)]
+    pub machines_refused: u64,
     /// Throws identified and diagnosed.
     pub judged: u64,
     /// Of these, throws that gave no estimate.
@@ -152,6 +160,7 @@ impl Status {
             not_evaluated: AtomicU64::new(0),
             standing: Mutex::default(),
             refused: Mutex::default(),
+            machines_refused: Recent::default(),
             alarm_events: AtomicU64::new(0),
             loggers: AtomicUsize::new(0),
             connected: AtomicBool::new(false),
@@ -170,6 +179,16 @@ impl Status {
 
     pub(super) fn set_standing(&self, standing: Standing) {
         *self.standing.lock().unwrap_or_else(PoisonError::into_inner) = standing;
+    }
+
+    /// What the daemon has to refuse, for its own alarm.
+    pub(super) fn trouble(&self, max_machines: usize) -> Option<(Severity, String)> {
+        let refused = self.machines_refused.shown()?;
+        let said = format!(
+            "{refused} throws of new machines were refused: {max_machines} machines are known, as many as \
+             subscribe.max_machines allows. Look in the quarantine who sends them"
+        );
+        Some((Severity::Critical, said))
     }
 
     /// Throws that gave no estimate, by the code of the reason.
@@ -218,6 +237,7 @@ impl Gauges {
             duplicates: status.duplicates.load(Relaxed),
             quarantined: status.quarantined.load(Relaxed),
             lost: status.lost.load(Relaxed),
+            machines_refused: status.machines_refused.count(),
             judged: status.judged.load(Relaxed),
             not_evaluated: status.not_evaluated.load(Relaxed),
             alarm_events: status.alarm_events.load(Relaxed),
@@ -265,6 +285,9 @@ impl StatusReport {
                 .collect();
         if !states.is_empty() {
             parts.push(format!("machines: {}", states.join(", ")));
+        }
+        if self.standing.own_alarms > 0 {
+            parts.push(format!("{} ALARMS OF THE DAEMON ITSELF", self.standing.own_alarms));
         }
         if self.standing.shelved_alarms > 0 {
             parts.push(format!("{} alarms shelved", self.standing.shelved_alarms));

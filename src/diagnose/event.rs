@@ -99,6 +99,8 @@ pub enum SensorChannel {
     Clock,
     /// Of the temperature.
     Temperature,
+    /// Of the supply voltage.
+    Supply,
 }
 
 /// Plain words, for people.
@@ -109,6 +111,7 @@ impl fmt::Display for SensorChannel {
             Self::Position => "position sensor",
             Self::Clock => "logger's clock",
             Self::Temperature => "temperature sensor",
+            Self::Supply => "sensor of the supply voltage",
         })
     }
 }

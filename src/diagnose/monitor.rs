@@ -18,11 +18,11 @@ use super::{
     site::{self, Common, Trail},
     snapshot::VersionOne,
     text,
-    thermometer::Thermometer,
+    thermometer::{Disbelief, Thermometer},
     track::Tracks,
     verdict::{Blindness, Drifting, MachineState, Verdict},
 };
-use crate::throw::{Direction, ThrowRef};
+use crate::throw::{Direction, POSSIBLE_SUPPLY_V, ThrowRef};
 
 /// A maintenance window.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -123,7 +123,9 @@ impl MachineMonitor {
             Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };
         if self.maintenance.is_none() {
             let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
-            verdict.events.extend(operation.on_temperature(temperature.disbelief, alarms, context));
+            let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
+            let disbelief = temperature.disbelief.or(supply_v.map(Disbelief::Supply));
+            verdict.events.extend(operation.on_sensors(disbelief, alarms, context));
             self.observe_in_service(observation, evaluated.as_ref(), at, settings, &mut verdict);
         }
         verdict.baseline = observation.direction.map(|d| self.baseline_progress(d, settings));

@@ -180,8 +180,8 @@ impl Operation {
         }
     }
 
-    /// The temperature of a throw was believed, or not.
-    pub(super) fn on_temperature(
+    /// The temperature and the supply voltage of a throw were believed, or not.
+    pub(super) fn on_sensors(
         &mut self,
         disbelief: Option<Disbelief>,
         alarms: &mut Alarms,
@@ -191,14 +191,19 @@ impl Operation {
         streak(&mut self.believed, disbelief.is_none());
         let Context { name, at, settings, .. } = context;
         if let Some(disbelief) = disbelief.filter(|_| self.disbelieved >= DISBELIEVED_IN_A_ROW) {
-            let evidence = context.warning(text::temperature_disbelieved(name, disbelief));
-            alarms.raise(Cause::Sensor, Evidence { channel: Some(SensorChannel::Temperature), ..evidence }, at)
+            let channel = match disbelief {
+                Disbelief::Supply(_) => SensorChannel::Supply,
+                Disbelief::Impossible(_) | Disbelief::Jump(..) => SensorChannel::Temperature,
+            };
+            let evidence = context.warning(text::sensor_disbelieved(name, disbelief));
+            alarms.raise(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, at)
         } else if self.believed >= settings.off_delay_throws
-            && alarms.active().all(|event| {
-                event.cause != Cause::Sensor || event.channel.is_none_or(|c| c == SensorChannel::Temperature)
-            })
+            && alarms
+                .active()
+                .filter(|event| event.cause == Cause::Sensor)
+                .all(|event| matches!(event.channel, None | Some(SensorChannel::Temperature | SensorChannel::Supply)))
         {
-            alarms.clear(Cause::Sensor, text::temperature_believed(name), at)
+            alarms.clear(Cause::Sensor, text::sensor_believed(name), at)
         } else {
             None
         }

@@ -68,6 +68,7 @@ pub(super) fn sensor(name: &str, fault: &Fault) -> String {
         SensorChannel::Position => ("reads", "the travel is no longer the stroke"),
         SensorChannel::Clock => ("runs", "all movements seem to take another time"),
         SensorChannel::Temperature => ("reads", "the weather is another"),
+        SensorChannel::Supply => ("reads", "the supply is another"),
     };
     let way = match (fault.channel, pct > 0.0) {
         (SensorChannel::Clock, true) => "fast",
@@ -114,6 +115,7 @@ fn look_at_sensor(channel: SensorChannel) -> &'static str {
         SensorChannel::Position => "Check the position sensor's gain and mounting.",
         SensorChannel::Clock => "Check the logger's sampling rate against sample_rate_hz.",
         SensorChannel::Temperature => "Check the temperature sensor and its cable.",
+        SensorChannel::Supply => "Check the sensor of the supply voltage and its cable.",
     }
 }
 
@@ -176,19 +178,25 @@ pub(super) fn blind(name: &str, blind: &Blindness) -> String {
     )
 }
 
-pub(super) fn temperature_disbelieved(name: &str, disbelief: Disbelief) -> String {
+pub(super) fn sensor_disbelieved(name: &str, disbelief: Disbelief) -> String {
     let what = match disbelief {
-        Disbelief::Impossible(celsius) => format!("reads {celsius:.4} °C, which cannot be"),
-        Disbelief::Jump(from, to) => format!("jumped from {from:.0} to {to:.0} °C, faster than any weather"),
+        Disbelief::Impossible(celsius) => {
+            format!("temperature sensor reads {celsius:.4} °C, which cannot be. The last good temperature counts")
+        }
+        Disbelief::Jump(from, to) => format!(
+            "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather. The last good temperature counts"
+        ),
+        Disbelief::Supply(volts) => {
+            format!(
+                "sensor of the supply voltage reads {volts:.4} V, which cannot be. What depends on the voltage is left out"
+            )
+        }
     };
-    format!(
-        "Machine {name}: the temperature sensor {what}. Its values are not used: the last good temperature counts. Check \
-         the sensor and its cable."
-    )
+    format!("Machine {name}: the {what}. Check the sensor and its cable.")
 }
 
-pub(super) fn temperature_believed(name: &str) -> String {
-    format!("Machine {name}: the temperature sensor can be believed again.")
+pub(super) fn sensor_believed(name: &str) -> String {
+    format!("Machine {name}: the sensors of temperature and supply voltage can be believed again.")
 }
 
 pub(super) fn silent(name: &str, hours: f64) -> String {

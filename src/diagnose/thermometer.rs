@@ -10,13 +10,15 @@ const JUMP_K: (f64, f64) = (20.0, 2.0);
 /// Readings in a row, each near the one before, after which a jump is a new place of the sensor and is believed.
 const SETTLED_READINGS: u32 = 6;
 
-/// A temperature that is not used.
+/// A temperature or a supply voltage that is not used.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Disbelief {
     /// Outside of what is possible \[°C\].
     Impossible(f64),
     /// It jumped from the first to the second \[°C\].
     Jump(f64, f64),
+    /// A supply voltage outside of what is possible \[V\].
+    Supply(f64),
 }
 
 /// What a throw's temperature is worth.

@@ -15,7 +15,7 @@ use super::{features::Features, movement::Movement};
 /// Lowest rate that shows the inrush: 60 samples in the 0.3 s in which it decays \[Hz\].
 const LEAST_RATE_HZ: f64 = 200.0;
 
-/// Adds the supply voltage, the energy, the resistance and the back-EMF constant to the features of a throw.
+/// Adds the energy, the resistance and the back-EMF constant to the features of a throw.
 pub(super) fn add_supply(
     features: &mut Features,
     supply_v: f64,
@@ -24,7 +24,6 @@ pub(super) fn add_supply(
     interval_s: f64,
     lead_mm: f64,
 ) {
-    features.supply_v = Some(supply_v);
     features.energy_j = features.charge_as.map(|charge_as| charge_as * supply_v);
     if interval_s * LEAST_RATE_HZ > 1.0 || movement.sign == 0.0 {
         return;

@@ -159,7 +159,8 @@ impl Identifier {
             .and_then(|()| self.estimate(throw, settings, &movement, interval_s, factor, released));
         let moved = direction_moved(&movement, &outcome);
         let mut features = movement.features(&self.current, &self.position, interval_s);
-        if let Some(supply_v) = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet) {
+        features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
+        if let Some(supply_v) = features.supply_v.and(throw.possible_supply_v()) {
             let channels = (self.current.as_slice(), self.position.as_slice());
             armature::add_supply(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
         }
@@ -184,8 +185,10 @@ impl Identifier {
         let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
         let mut features = current_only::features(&movement, &self.current, interval_s);
         features.supply_v = throw.supply_v;
-        features.energy_j = throw.supply_v.zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
-        let known = throw.supply_v.zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
+        features.energy_j =
+            throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
+        let known =
+            throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
         let outcome = checks::values(trace.current_a(), &[], 1.0 / trace.sample_rate_hz())
             .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))

@@ -58,7 +58,7 @@ impl Store {
         let (connection, report) = open::open(settings, &disk, &place, now).await?;
         let reader = Reader::open(&settings.path).await?;
         let writer = Writer::start(Link {
-            options: open::writing(settings),
+            options: open::writing(settings, false),
             connection: Some(connection),
             disk: Arc::clone(&disk),
             place: place.clone(),

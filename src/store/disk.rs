@@ -14,7 +14,7 @@ use std::{
 
 use tokio::time::Instant;
 
-use super::{error::StoreError, settings::MIB};
+use super::{error::StoreError, pace::Recent, settings::MIB};
 
 /// How long the alarm about something that is over lasts: long enough to be seen.
 const SHOWN: Duration = Duration::from_hours(1);
@@ -46,7 +46,8 @@ pub(super) struct Disk {
     failures: AtomicU64,
     /// When the database file was last found deleted or replaced, and whether it could be written anew.
     replaced: Mutex<Option<(Instant, bool)>>,
-    dropped_pending: Mutex<Option<(Instant, u64)>>,
+    /// Throws that were dropped before they were judged.
+    pub(super) dropped_pending: Recent,
 }
 
 impl Disk {
@@ -61,7 +62,7 @@ impl Disk {
             failing: AtomicBool::new(false),
             failures: AtomicU64::new(0),
             replaced: Mutex::new(None),
-            dropped_pending: Mutex::new(None),
+            dropped_pending: Recent::default(),
         }
     }
 
@@ -104,19 +105,6 @@ impl Disk {
     pub(super) fn replaced(&self) -> Option<bool> {
         let replaced = *self.replaced.lock().unwrap_or_else(PoisonError::into_inner);
         replaced.filter(|(at, mended)| !mended || at.elapsed() < SHOWN).map(|(_, mended)| mended)
-    }
-
-    /// Throws were dropped before they were judged.
-    pub(super) fn note_dropped_pending(&self, throws: u64) {
-        let mut dropped = self.dropped_pending.lock().unwrap_or_else(PoisonError::into_inner);
-        let before = dropped.map_or(0, |(_, before)| before);
-        *dropped = Some((Instant::now(), before + throws));
-    }
-
-    /// Throws that were dropped before they were judged, since the start; `None` when that was not in the last hour.
-    pub(super) fn dropped_pending(&self) -> Option<u64> {
-        let dropped = *self.dropped_pending.lock().unwrap_or_else(PoisonError::into_inner);
-        dropped.filter(|(at, _)| at.elapsed() < SHOWN).map(|(_, throws)| throws)
     }
 
     /// Write transactions that failed since the start.

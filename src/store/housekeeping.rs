@@ -208,7 +208,7 @@ impl Store {
                 Drop::Throws(..) => done.throws += dropped,
                 Drop::Pending => {
                     done.throws += dropped;
-                    self.disk.note_dropped_pending(dropped);
+                    self.disk.dropped_pending.add(dropped);
                 }
                 Drop::Alarms(_) => done.alarms += dropped,
                 Drop::Messages => done.messages += dropped,

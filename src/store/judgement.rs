@@ -226,7 +226,7 @@ impl Outcome {
         for event in &self.events {
             let alarm = Alarm::new(&self.machine, event);
             // After an unknown commit the event is there already, and its message too.
-            if add_alarm_event(connection, machine_row, &alarm).await? {
+            if add_alarm_event(connection, machine_row, &alarm, at_us).await? {
                 let key = machine_key(&self.machine, Kind::Alarm);
                 let add = sqlx::query(sql::ADD_MESSAGE).bind(key).bind(alarm.into_message()).bind(at_us);
                 add.execute(&mut *connection).await?;
@@ -255,7 +255,12 @@ async fn add_command(
 }
 
 /// Returns whether the event was not there before.
-async fn add_alarm_event(connection: &mut SqliteConnection, machine_row: i64, alarm: &Alarm) -> sqlx::Result<bool> {
+async fn add_alarm_event(
+    connection: &mut SqliteConnection,
+    machine_row: i64,
+    alarm: &Alarm,
+    at_us: i64,
+) -> sqlx::Result<bool> {
     sqlx::query(sql::ADD_ALARM)
         .bind(&alarm.alarm_id)
         .bind(machine_row)
@@ -272,6 +277,7 @@ async fn add_alarm_event(connection: &mut SqliteConnection, machine_row: i64, al
         .bind(alarm.severity.as_str())
         .bind(alarm.state.as_str())
         .bind(text(alarm))
+        .bind(at_us.max(alarm.event_at.as_microsecond()))
         .execute(&mut *connection)
         .await?;
     let set = sqlx::query(sql::SET_ALARM).bind(&alarm.alarm_id).bind(alarm.event_no).bind(alarm.state.as_str());

@@ -12,6 +12,7 @@ use tokio::time::Instant;
 use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_refused},
+    pace::seldom,
     place::{Identity, Place},
     reader::Reader,
     statements as sql,
@@ -111,7 +112,7 @@ impl Link {
 
     /// Closes the connection after an error, and frees the ballast when the disk is full.
     async fn recover(&mut self, error: &sqlx::Error) {
-        tracing::warn!(%error, "a write transaction failed; its connection is replaced");
+        seldom!(warn, %error, "a write transaction failed; its connection is replaced");
         self.broken |= is_corrupt(error);
         self.disconnect().await;
         self.disk.note_failure(is_full(error));

@@ -69,16 +69,18 @@ pub struct Report {
     pub newer_schema: bool,
 }
 
-/// How the writer opens the database.
-pub(super) fn writing(settings: &Settings) -> SqliteConnectOptions {
+/// How the writer opens the database. Only a fresh one is told how to reuse its free pages: SQLite writes that into the
+/// header each time, and a file that turns out to be broken, or too new, must stay as it was.
+pub(super) fn writing(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
     let synchronous = match settings.synchronous {
         Synchronous::Full => SqliteSynchronous::Full,
         Synchronous::Normal => SqliteSynchronous::Normal,
     };
-    SqliteConnectOptions::new()
+    let options = SqliteConnectOptions::new();
+    let options = if fresh { options.auto_vacuum(SqliteAutoVacuum::Incremental) } else { options };
+    options
         .filename(&settings.path)
         .create_if_missing(true)
-        .auto_vacuum(SqliteAutoVacuum::Incremental)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(synchronous)
         .busy_timeout(BUSY)
@@ -207,31 +209,42 @@ async fn prepare(settings: &Settings, disk: &Disk, fresh: bool) -> Result<(Sqlit
 }
 
 async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnection, Report), Trouble> {
-    let mut connection = SqliteConnection::connect_with(&writing(settings)).await?;
-    let needed: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut connection).await?;
+    let mut connection = SqliteConnection::connect_with(&writing(settings, fresh)).await?;
+    match bring_up_to_date(&mut connection, fresh).await {
+        Ok(report) => Ok((connection, report)),
+        Err(trouble) => {
+            // Dropped, it would be closed some time later, perhaps when its file has another name.
+            let _ = connection.close().await;
+            Err(trouble)
+        }
+    }
+}
+
+async fn bring_up_to_date(connection: &mut SqliteConnection, fresh: bool) -> Result<Report, Trouble> {
+    let needed: i64 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
     let known = newest_known();
     if needed > known {
         return Err(Trouble::TooNew { needed, known });
     }
-    let before = applied(&mut connection).await?;
+    let before = applied(&mut *connection).await?;
     let found = match (fresh, before.is_empty()) {
         (true, _) | (false, true) => Found::Fresh,
-        (false, false) if stopped_cleanly(&mut connection).await? => {
+        (false, false) if stopped_cleanly(&mut *connection).await? => {
             // A clean stop says nothing about what happened to the file since.
-            check(&mut connection, Some(CHECK_LIMIT)).await?;
+            check(&mut *connection, Some(CHECK_LIMIT)).await?;
             Found::Clean
         }
         (false, false) => {
-            check(&mut connection, None).await?;
+            check(&mut *connection, None).await?;
             Found::Unclean
         }
     };
-    migrator().run(&mut connection).await?;
-    sqlx::query(sql::SET_CLEAN).bind(false).execute(&mut connection).await?;
+    migrator().run(&mut *connection).await?;
+    sqlx::query(sql::SET_CLEAN).bind(false).execute(&mut *connection).await?;
     let known = |version: &i64| MIGRATIONS.iter().any(|migration| migration.version == *version);
     let newer_schema = before.iter().any(|version| !known(version));
-    let upgraded_by = applied(&mut connection).await?.len() - before.len();
-    Ok((connection, Report { found, upgraded_by, newer_schema }))
+    let upgraded_by = applied(&mut *connection).await?.len() - before.len();
+    Ok(Report { found, upgraded_by, newer_schema })
 }
 
 /// The newest migration of this program.

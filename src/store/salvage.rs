@@ -3,11 +3,11 @@
 //! SQLite reads a b-tree from any key that its sound pages lead to. So a table is copied in ranges of its key; a range
 //! that fails is halved until single keys are left, and only those are lost. Rows whose parent is lost go at the end.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use sqlx::{AssertSqlSafe, Connection, SqliteConnection};
 
-use super::error::is_full;
+use super::{error::is_full, graft::graft};
 
 /// Keys that one statement copies while nothing fails.
 const RANGE: i64 = 1024;
@@ -144,8 +144,12 @@ pub(super) async fn salvage(
     with_traces: bool,
 ) -> sqlx::Result<Salvaged> {
     let mut salvaged = Salvaged::default();
+    let mut grafted = None;
     if !attach(connection, broken).await {
-        return Ok(salvaged);
+        grafted = with_new_schema(connection, broken, with_traces).await;
+        if grafted.is_none() {
+            return Ok(salvaged);
+        }
     }
     sqlx::query("PRAGMA foreign_keys = OFF").execute(&mut *connection).await?;
     for Table(table, key, sound) in TABLES.into_iter().filter(|table| with_traces || table.0 != "trace") {
@@ -166,12 +170,32 @@ pub(super) async fn salvage(
     }
     sqlx::query("PRAGMA foreign_keys = ON").execute(&mut *connection).await?;
     sqlx::query("DETACH broken").execute(&mut *connection).await?;
+    if let Some(copy) = grafted {
+        std::fs::remove_file(copy)?;
+    }
     for Table(table, ..) in TABLES {
         let count = AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
         let rows: i64 = sqlx::query_scalar(count).fetch_one(&mut *connection).await?;
         salvaged.rows.push((table, rows.cast_unsigned()));
     }
     Ok(salvaged)
+}
+
+/// Attaches a copy with the schema of the fresh database, where there is room for it.
+async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path, has_room: bool) -> Option<PathBuf> {
+    if !has_room {
+        return None;
+    }
+    match graft(connection, broken).await {
+        Ok(copy) => {
+            let copy = copy?;
+            attach(connection, &copy).await.then_some(copy)
+        }
+        Err(error) => {
+            tracing::error!(%error, "the schema of the broken database cannot be replaced");
+            None
+        }
+    }
 }
 
 /// Attaches the broken file for reading only; without its log where that cannot be read.

@@ -114,6 +114,7 @@ statements! {
         AND name <> '_sqlx_migrations' AND NOT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'trace') LIMIT 1";
     CLEAN = "SELECT clean FROM shutdown";
     SET_CLEAN = "UPDATE shutdown SET clean = ?1 WHERE clean <> ?1";
+    SCHEMA = "SELECT type, name, tbl_name, rootpage, sql FROM sqlite_schema WHERE rootpage > 0 ORDER BY rowid";
     COUNT = "INSERT INTO counter (name, value) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET value = value + ?2";
     COUNTERS = "SELECT name, value FROM counter ORDER BY name";
 
@@ -215,8 +216,8 @@ statements! {
     // Alarms.
     ADD_ALARM = "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state) \
         VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT (alarm_id) DO NOTHING";
-    ADD_ALARM_EVENT = "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload) \
-        SELECT alarm_row, ?2, ?3, ?4, ?5, ?6 FROM alarm WHERE alarm_id = ?1 ON CONFLICT DO NOTHING";
+    ADD_ALARM_EVENT = "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload, known_at_us) \
+        SELECT alarm_row, ?2, ?3, ?4, ?5, ?6, ?7 FROM alarm WHERE alarm_id = ?1 ON CONFLICT DO NOTHING";
     SET_ALARM = "UPDATE alarm SET last_event_no = ?2, state = ?3 WHERE alarm_id = ?1 AND last_event_no <= ?2";
     OPEN_ALARMS = "SELECT payload \
         FROM alarm JOIN machine USING (machine_row) \
@@ -225,8 +226,8 @@ statements! {
         ORDER BY raised_at_us, alarm.alarm_row";
     ALARM_HISTORY = "SELECT payload \
         FROM alarm_event JOIN alarm USING (alarm_row) JOIN machine USING (machine_row) \
-        WHERE event_at_us >= ?3 AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) \
-        ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?4";
+        WHERE coalesce(known_at_us, event_at_us) >= ?3 AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) \
+        ORDER BY coalesce(known_at_us, event_at_us) DESC, alarm_row DESC, event_no DESC LIMIT ?4";
 
     // The outbox.
     ADD_MESSAGE = "INSERT INTO outbox (key, payload, created_at_us) VALUES (?1, ?2, ?3)";

@@ -4,11 +4,12 @@ use super::{database::Store, disk::DiskLevel, place::Place};
 use crate::diagnose::Severity;
 
 impl Store {
-    /// Severity and text of everything that is wrong now, or was since the last call. Cheap: for every few seconds.
+    /// Severity and text of everything that is wrong now, or was since the last call, and of `more`. Cheap: for every few
+    /// seconds.
     /// The alarm that comes from it can be committed although the disk is full: the refused write gives up the ballast,
     /// which is room for thousands of alarms.
     #[must_use]
-    pub fn trouble(&self) -> Option<(Severity, String)> {
+    pub fn trouble(&self, more: Option<(Severity, String)>) -> Option<(Severity, String)> {
         let disk = match self.disk.worst_level() {
             DiskLevel::Ample => None,
             DiskLevel::Low => Some((
@@ -46,14 +47,15 @@ impl Store {
             };
             (Severity::Critical, said)
         });
-        let dropped = self.disk.dropped_pending().map(|throws| {
+        let dropped = self.disk.dropped_pending.shown().map(|throws| {
             let said = format!(
                 "{throws} throws were dropped before they were judged: its database holds store.max_size_mib of them, \
                  mostly of one machine. Look which logger sends so much"
             );
             (Severity::Critical, said)
         });
-        let all: Vec<(Severity, String)> = disk.into_iter().chain(set_aside).chain(replaced).chain(dropped).collect();
+        let all: Vec<(Severity, String)> =
+            disk.into_iter().chain(set_aside).chain(replaced).chain(dropped).chain(more).collect();
         let severity = all.iter().map(|(severity, _)| *severity).max()?;
         let said: Vec<&str> = all.iter().map(|(_, said)| said.as_str()).collect();
         Some((severity, format!("pointsd loses data: {}.", said.join("; "))))

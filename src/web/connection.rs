@@ -1,6 +1,8 @@
-//! HTTP connections with limits: their number, one request each, bytes of the request, and time.
+//! HTTP connections with limits: their number, one request each, bytes of the request, and time. When all places are taken,
+//! the connection that has waited the longest for its request is closed, so that slow clients keep nobody out.
 
 use std::{
+    collections::VecDeque,
     io,
     net::SocketAddr,
     pin::Pin,
@@ -13,7 +15,7 @@ use axum::serve::Listener;
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::{TcpListener, TcpStream},
-    sync::{OwnedSemaphorePermit, Semaphore},
+    sync::{OwnedSemaphorePermit, Semaphore, oneshot},
     time::{self, Instant, Sleep},
 };
 
@@ -24,6 +26,8 @@ const CONNECTIONS: usize = 64;
 const READ_BYTES: usize = 16 << 10;
 /// Time limit of a request.
 const ASKING: Duration = Duration::from_secs(5);
+/// Of this, what a connection has while others wait for a place: a browser sends its request at once.
+const GRACE: Duration = Duration::from_millis(250);
 /// Time limit of a response from its first byte: 200 kB at 20 kB/s.
 const ANSWERING: Duration = Duration::from_secs(10);
 /// Pause after a failed accept, for example without free descriptors.
@@ -33,11 +37,29 @@ const PAUSE: Duration = Duration::from_millis(500);
 pub(super) struct Bounded {
     listener: TcpListener,
     room: Arc<Semaphore>,
+    /// Connections whose request has not come yet, the oldest first. A dropped sender ends its connection.
+    asking: VecDeque<(Instant, oneshot::Sender<()>)>,
 }
 
 impl Bounded {
     pub(super) fn new(listener: TcpListener) -> Self {
-        Self { listener, room: Arc::new(Semaphore::new(CONNECTIONS)) }
+        Self { listener, room: Arc::new(Semaphore::new(CONNECTIONS)), asking: VecDeque::new() }
+    }
+
+    /// Waits for a place. The connection that has waited the longest for its request gives its place up after its grace.
+    async fn place(&mut self) -> Option<OwnedSemaphorePermit> {
+        loop {
+            self.asking.retain(|(_, asking)| !asking.is_closed());
+            let oldest = self.asking.front().map(|(since, _)| *since + GRACE);
+            tokio::select! {
+                biased;
+                // Never an error: the semaphore is never closed.
+                place = Arc::clone(&self.room).acquire_owned() => return place.ok(),
+                () = time::sleep_until(oldest.unwrap_or_else(Instant::now)), if oldest.is_some() => {
+                    self.asking.pop_front();
+                }
+            }
+        }
     }
 }
 
@@ -46,13 +68,18 @@ impl Listener for Bounded {
     type Addr = SocketAddr;
 
     async fn accept(&mut self) -> (Connection, SocketAddr) {
-        // Never an error: the semaphore is never closed.
-        let place = Arc::clone(&self.room).acquire_owned().await.ok();
         loop {
             match self.listener.accept().await {
                 Ok((stream, from)) => {
+                    let place = self.place().await;
+                    let (asking, evicted) = oneshot::channel();
+                    self.asking.push_back((Instant::now(), asking));
                     let deadline = Box::pin(time::sleep(ASKING));
-                    return (Connection { stream, deadline, read_bytes: 0, answering: false, _place: place }, from);
+                    let evicted = Some(evicted);
+                    return (
+                        Connection { stream, deadline, evicted, read_bytes: 0, answering: false, _place: place },
+                        from,
+                    );
                 }
                 Err(error) => {
                     tracing::debug!(%error, "a connection to the dashboard failed");
@@ -71,6 +98,8 @@ impl Listener for Bounded {
 pub(super) struct Connection {
     stream: TcpStream,
     deadline: Pin<Box<Sleep>>,
+    /// Resolves when another connection needs the room; `None` once the request is there.
+    evicted: Option<oneshot::Receiver<()>>,
     read_bytes: usize,
     answering: bool,
     _place: Option<OwnedSemaphorePermit>,
@@ -78,10 +107,11 @@ pub(super) struct Connection {
 
 impl Connection {
     fn in_time(&mut self, context: &mut Context<'_>) -> io::Result<()> {
-        match self.deadline.as_mut().poll(context) {
-            Poll::Ready(()) => Err(io::ErrorKind::TimedOut.into()),
-            Poll::Pending => Ok(()),
+        let is_evicted = self.evicted.as_mut().is_some_and(|evicted| Pin::new(evicted).poll(context).is_ready());
+        if is_evicted || self.deadline.as_mut().poll(context).is_ready() {
+            return Err(io::ErrorKind::TimedOut.into());
         }
+        Ok(())
     }
 }
 
@@ -98,6 +128,10 @@ impl AsyncRead for Connection {
         if self.read_bytes > READ_BYTES {
             return Poll::Ready(Err(io::ErrorKind::InvalidData.into()));
         }
+        // A request without a body that came whole waits for its answer: it is not the one to make way.
+        if buffer.filled().ends_with(b"\r\n\r\n") {
+            self.evicted = None;
+        }
         polled
     }
 }
@@ -105,7 +139,7 @@ impl AsyncRead for Connection {
 impl AsyncWrite for Connection {
     fn poll_write(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         if !self.answering {
-            self.answering = true;
+            (self.answering, self.evicted) = (true, None);
             self.deadline.as_mut().reset(Instant::now() + ANSWERING);
         }
         self.in_time(context)?;

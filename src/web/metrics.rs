@@ -123,6 +123,7 @@ fn throws(registry: &mut Registry, view: &View) {
         ("messages_quarantined", "Messages that are not a valid throw", report.quarantined),
         ("messages_dropped", "Messages dropped because the queue was full", report.dropped),
         ("messages_lost", "Messages received that could not be stored", report.lost),
+        ("machines_refused", "Throws of new machines refused above subscribe.max_machines", report.machines_refused),
         ("alarm_events", "Alarm events", report.alarm_events),
         ("messages_published", "Messages published", report.published),
         ("messages_unpublished", "Health messages dropped because the publishing queue was full", report.unpublished),

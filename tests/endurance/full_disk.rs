@@ -40,6 +40,8 @@ async fn fill_and_free(ballast_mib: u64) {
     let (_, line) = daemon.operate(&["status"]);
     assert!(line.contains("DISK FULL"), "{line}");
     assert!(daemon.log().iter().any(|line| line.contains("ERROR") && line.contains("throws cannot be stored")));
+    let count = daemon.log().iter().filter(|line| line.contains("a write transaction failed")).count();
+    assert!(count <= 3, "the log repeats itself {count} times");
     // It stays alive, and answers, while throws keep coming.
     let received = daemon.status()["received"].as_u64().unwrap();
     daemon.until_status("throws that wait", |status| status["received"].as_u64() > Some(received + 20)).await;

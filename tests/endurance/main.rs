@@ -27,6 +27,7 @@ mod caches;
 mod clock;
 mod cuts;
 mod faults;
+mod flood;
 mod full_disk;
 mod kills;
 mod links;

@@ -12,5 +12,6 @@ mod operators;
 mod python;
 mod questions;
 mod rig;
+mod silence;
 mod throws;
 mod web;

@@ -112,6 +112,11 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     publisher.put(good(2)).await.unwrap();
     rig.judged(3).await;
     let (_, status) = daemon.operate(&["status", "--json"]);
+    // Machines that are kept out are the daemon's own alarm.
+    rig.until_sql("SELECT 1 FROM active_alarms WHERE machine = 'pointsd' AND text LIKE '%subscribe.max_machines%'")
+        .await;
+    daemon.until_status("an alarm of its own", |status| status["own_alarms"] == 1).await;
+    assert_eq!(daemon.operate(&["status"]).0, Some(1));
     assert!(daemon.terminate().success());
     let reasons = rig.sql("SELECT reason FROM quarantine ORDER BY quarantine_row");
     let reasons: Vec<&str> = reasons.iter().map(|row| row["reason"].as_str().unwrap()).collect();

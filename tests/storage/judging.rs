@@ -1,12 +1,12 @@
 //! Judgements, alarms and messages: together or not at all, and once.
 
 use pointsd::{
-    diagnose::{AlarmState, MachineState},
+    diagnose::{AlarmEvent, AlarmState, MachineState},
     store::{Found, Judgement, OutboxRow, Selector, StoredMonitor, ThrowRow},
     wire::{Alarm, alarm_id},
 };
 
-use crate::given::{alarm, at, event, judgement, machine, open, query, spooled};
+use crate::given::{alarm, at, event, judgement, machine, open, outcome, query, spooled};
 
 #[tokio::test]
 async fn a_judgement_is_written_once_and_the_views_show_it() {
@@ -135,4 +135,17 @@ async fn a_restart_finds_snapshots_and_what_waits() {
     }
     let elsewhere = Selector { machine: Some("22A".parse().unwrap()), ..Selector::default() };
     assert!(reader.health_history(&elsewhere, at(0), 5).await.unwrap().is_empty());
+}
+
+/// The clock of a logger that stands in 1970 dates its alarms, and hides none of them.
+#[tokio::test]
+async fn alarms_since_a_moment_include_those_that_a_wrong_clock_dates_before_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let in_1970 = jiff::Timestamp::from_second(100).unwrap();
+    let early = AlarmEvent { event_at: in_1970, raised_at: in_1970, ..event(1, AlarmState::ActiveUnacknowledged) };
+    store.record(outcome("21B", vec![early])).await.unwrap();
+    for (since, found) in [(0, 1), (2, 0)] {
+        assert_eq!(store.reader().alarm_history(&Selector::default(), at(since), 10).await.unwrap().len(), found);
+    }
 }

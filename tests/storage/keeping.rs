@@ -71,7 +71,7 @@ async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_droppe
     assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
     let dropped = statistics.counters["dropped_pending_throws"];
     assert_eq!((statistics.throws + dropped, statistics.pending), (1000, statistics.throws));
-    let (severity, said) = store.trouble().unwrap();
+    let (severity, said) = store.trouble(None).unwrap();
     assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("before they were judged"), "{said}");
     // What was dropped is known: it is no gap, and when it comes again it is a repetition.
     assert_eq!(statistics.missing_throws, 0);
@@ -171,7 +171,7 @@ async fn a_log_without_its_database_is_set_aside() {
     let opened = open(left.path()).await;
     let Found::SetAside { to, .. } = &opened.report.found else { panic!("{:?}", opened.report) };
     assert_eq!(fs::read(to).unwrap(), log);
-    assert!(opened.store.trouble().unwrap().1.contains("set aside"), "no alarm would be raised");
+    assert!(opened.store.trouble(None).unwrap().1.contains("set aside"), "no alarm would be raised");
 }
 
 #[tokio::test]
@@ -293,13 +293,13 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
         }
         // As the daemon does every 5 s.
         let noticed = async {
-            while store.trouble().is_none() {
+            while store.trouble(None).is_none() {
                 tokio::time::sleep(std::time::Duration::from_millis(100)).await;
                 store.outbox_sent(&[]).await.unwrap();
             }
         };
         tokio::time::timeout(std::time::Duration::from_secs(10), noticed).await.unwrap();
-        let (severity, said) = store.trouble().unwrap();
+        let (severity, said) = store.trouble(None).unwrap();
         assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("deleted or replaced"), "{said}");
         judged(&store, 31, 40).await;
         assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(40,)]);

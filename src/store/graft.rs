@@ -1,0 +1,121 @@
+//! A database whose schema cannot be read gets that of a fresh one, in a copy: its tables begin on the pages where this program
+//! puts them. Without the schema, SQLite reads no table, however sound it is.
+//!
+//! With auto-vacuum the first pages of the tables depend on the order in which they were made, and on nothing else: there
+//! is one layout of a database that the migrations made, and one of a database that was moved or restored from a backup.
+
+use std::{
+    fs::{self, OpenOptions},
+    io,
+    os::unix::fs::FileExt,
+    path::{Path, PathBuf},
+};
+
+use sqlx::{AssertSqlSafe, Connection, FromRow, SqliteConnection, sqlite::SqliteConnectOptions};
+
+use super::{disk::beside, statements as sql};
+
+/// Size of a page: SQLite's own choice, which the program never changes \[bytes\].
+const PAGE: usize = 4096;
+
+/// Adds a row of the schema; SQLite allows that after `PRAGMA writable_schema`.
+const ADD: &str = "INSERT INTO sqlite_schema (type, name, tbl_name, rootpage, sql) VALUES (?1, ?2, ?3, ?4, ?5)";
+
+/// A row of the schema.
+#[derive(FromRow)]
+struct Entry {
+    r#type: String,
+    name: String,
+    tbl_name: String,
+    rootpage: i64,
+    sql: Option<String>,
+}
+
+/// Copies the broken file and gives the copy the layout that fits best; `None` when neither fits.
+pub(super) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::Result<Option<PathBuf>> {
+    let copy = beside(broken, "-grafted");
+    let pages = fs::copy(broken, &copy)? / PAGE as u64;
+    let mut best = (0, None);
+    for layout in [entries(fresh).await?, moved(fresh, &beside(broken, "-layout")).await?] {
+        let sound = apply(&copy, pages, &layout).await?;
+        if sound > best.0 {
+            best = (sound, Some(layout));
+        }
+    }
+    // Each table begins on a page of its own: in a wrong layout some fit by chance, few of them.
+    match best {
+        (sound, Some(layout)) if 2 * sound > layout.iter().filter(|entry| entry.is_table()).count() => {
+            apply(&copy, pages, &layout).await?;
+            Ok(Some(copy))
+        }
+        _ => {
+            fs::remove_file(&copy)?;
+            Ok(None)
+        }
+    }
+}
+
+impl Entry {
+    fn is_table(&self) -> bool {
+        self.r#type == "table"
+    }
+}
+
+async fn entries(connection: &mut SqliteConnection) -> sqlx::Result<Vec<Entry>> {
+    sqlx::query_as(sql::SCHEMA).fetch_all(connection).await
+}
+
+/// The layout that moving or restoring a database gives it.
+async fn moved(fresh: &mut SqliteConnection, to: &Path) -> sqlx::Result<Vec<Entry>> {
+    let path = to.to_string_lossy().replace('\'', "''");
+    sqlx::query(AssertSqlSafe(format!("VACUUM INTO '{path}'"))).execute(fresh).await?;
+    let mut connection = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(to)).await?;
+    let entries = entries(&mut connection).await;
+    connection.close().await?;
+    fs::remove_file(to)?;
+    entries
+}
+
+/// Writes a layout into the copy; returns how many of its tables have a sound first page.
+async fn apply(copy: &Path, pages: u64, layout: &[Entry]) -> sqlx::Result<usize> {
+    begin_anew(copy, pages)?;
+    let options = SqliteConnectOptions::new().filename(copy);
+    let mut connection = SqliteConnection::connect_with(&options).await?;
+    sqlx::query("PRAGMA writable_schema = ON").execute(&mut connection).await?;
+    sqlx::query("BEGIN").execute(&mut connection).await?;
+    for Entry { r#type, name, tbl_name, rootpage, sql } in layout {
+        let add = sqlx::query(ADD).bind(r#type).bind(name).bind(tbl_name).bind(rootpage).bind(sql);
+        add.execute(&mut connection).await?;
+    }
+    sqlx::query("COMMIT").execute(&mut connection).await?;
+    connection.close().await?;
+    let mut connection = SqliteConnection::connect_with(&options).await?;
+    let mut sound = 0;
+    for table in layout.iter().filter(|entry| entry.is_table()) {
+        let probe = AssertSqlSafe(format!("SELECT EXISTS (SELECT 1 FROM {:?})", table.name));
+        sound += usize::from(sqlx::query(probe).fetch_one(&mut connection).await.is_ok());
+    }
+    connection.close().await?;
+    Ok(sound)
+}
+
+/// Gives the file a first page with an empty schema (<https://sqlite.org/fileformat2.html>), and ends it after its own pages.
+fn begin_anew(copy: &Path, pages: u64) -> io::Result<()> {
+    let mut page = [0; PAGE];
+    page[..16].copy_from_slice(b"SQLite format 3\0");
+    let count = u32::try_from(pages).unwrap_or(u32::MAX).to_be_bytes();
+    for (at, bytes) in [
+        (16, &[16, 0, 1, 1, 0, 64, 32, 32][..]), // page size, rollback journal, payload fractions
+        (24, &[0, 0, 0, 1]),                     // change counter
+        (28, &count),
+        (40, &[0, 0, 0, 1, 0, 0, 0, 4]), // schema cookie and format
+        (56, &[0, 0, 0, 1]),             // UTF-8
+        (92, &[0, 0, 0, 1, 0, 46, 80, 0]),
+        (100, &[13, 0, 0, 0, 0, 16, 0, 0]), // an empty leaf
+    ] {
+        page[at..at + bytes.len()].copy_from_slice(bytes);
+    }
+    let file = OpenOptions::new().write(true).open(copy)?;
+    file.set_len(pages * PAGE as u64)?;
+    file.write_all_at(&page, 0)
+}

@@ -1,0 +1,218 @@
+//! What hides a fault must show. A motor has lost 15 %, and each row of the table hides it in another way: within 20 throws
+//! the operator sees an alarm, a state, the exit code of `pointsd status` and a metric.
+
+use std::{fs, os::unix::fs::FileExt, time::Instant};
+
+use pointsd::{
+    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    throw::Throw,
+    wire::{Encoding, encode_throw},
+};
+
+use crate::{
+    rig::{Daemon, PATIENCE, Rig, matched, throws_of},
+    web::{address, get},
+};
+
+/// Healthy throws, from which the daemon learns its baseline.
+const HEALTHY: usize = 30;
+/// Throws within which the operator sees that something is wrong.
+const WITHIN: usize = 20;
+const CONFIG: &str = "[diagnosis]\nbaseline_throws = 12\n[web]\nlisten = \"127.0.0.1:0\"\n";
+
+/// What happens to the daemon before the motor weakens.
+#[derive(Clone, Copy, PartialEq)]
+enum Before {
+    Nothing,
+    Maintenance,
+    /// A clean stop, a broken page, and a start.
+    BrokenPage,
+    Deleted,
+}
+
+/// One way to hide a fault.
+struct Row {
+    name: &'static str,
+    before: Before,
+    /// What the logger makes of the throws of the weak motor, after those of the sound one.
+    disguise: fn(&[Throw], &[Throw]) -> Vec<Throw>,
+    /// Words of an open alarm; of a machine in maintenance, words of `pointsd status`.
+    says: &'static str,
+    /// A metric that is not zero.
+    metric: &'static str,
+}
+
+const DATA_LOSS: &str = "pointsd_alarms_open{cause=\"data_loss\",severity=\"warning\"}";
+const OWN: &str = "pointsd_alarms_open{cause=\"data_loss\",severity=\"critical\"}";
+
+const ROWS: [Row; 8] = [
+    Row {
+        name: "1 maintenance without an end",
+        before: Before::Maintenance,
+        disguise: as_they_are,
+        says: "is in maintenance until ",
+        metric: "pointsd_machine_states{state=\"maintenance\"}",
+    },
+    Row {
+        name: "2 numbers that are taken",
+        before: Before::Nothing,
+        disguise: |_, weak| {
+            let again = |(at, throw): (usize, &Throw)| numbered(throw, at + 1);
+            weak.iter().enumerate().map(again).collect()
+        },
+        says: "without a new boot_id",
+        metric: DATA_LOSS,
+    },
+    Row {
+        name: "3 a frozen recorder",
+        before: Before::Nothing,
+        disguise: |sound, weak| (0..weak.len()).map(|at| numbered(&sound[10 + at % 2], HEALTHY + 1 + at)).collect(),
+        says: "repeats itself",
+        metric: DATA_LOSS,
+    },
+    Row {
+        name: "4 a failed temperature sensor",
+        before: Before::Nothing,
+        disguise: |_, weak| {
+            let wrong = [-242.0, -273.15, 850.0, 1e6];
+            let failed = |(at, throw): (usize, &Throw)| Throw { temperature_c: Some(wrong[at % 4]), ..throw.clone() };
+            weak.iter().enumerate().map(failed).collect()
+        },
+        says: "motor",
+        metric: "pointsd_alarms_open{cause=\"sensor\",severity=\"warning\"}",
+    },
+    Row {
+        name: "a failed sensor of the supply voltage",
+        before: Before::Nothing,
+        disguise: |_, weak| {
+            let wrong = [0.0, -3.0, 5000.0, 1e6];
+            let failed = |(at, throw): (usize, &Throw)| Throw { supply_v: Some(wrong[at % 4]), ..throw.clone() };
+            weak.iter().enumerate().map(failed).collect()
+        },
+        says: "sensor of the supply voltage reads",
+        metric: "pointsd_alarms_open{cause=\"sensor\",severity=\"warning\"}",
+    },
+    Row {
+        name: "8 a broken page",
+        before: Before::BrokenPage,
+        disguise: as_they_are,
+        says: "was broken and was set aside",
+        metric: OWN,
+    },
+    Row {
+        name: "9 the database deleted under the daemon",
+        before: Before::Deleted,
+        disguise: as_they_are,
+        says: "deleted or replaced",
+        metric: OWN,
+    },
+    Row {
+        name: "13 each trace five times",
+        before: Before::Nothing,
+        disguise: |_, weak| (0..weak.len()).map(|at| numbered(&weak[at / 5], HEALTHY + 1 + at)).collect(),
+        says: "repeats itself",
+        metric: DATA_LOSS,
+    },
+];
+
+fn as_they_are(_: &[Throw], weak: &[Throw]) -> Vec<Throw> {
+    weak.to_vec()
+}
+
+fn numbered(throw: &Throw, number: usize) -> Throw {
+    let mut again = throw.clone();
+    again.id.throw_no = number as u64;
+    again
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn what_hides_a_fault_shows_within_twenty_throws() {
+    let shown: Vec<_> = ROWS.iter().map(|row| tokio::spawn(show(row))).collect();
+    for row in shown {
+        row.await.unwrap();
+    }
+}
+
+async fn show(row: &'static Row) {
+    let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: -15.0, from_throw: HEALTHY as u64 };
+    let fleet = FleetSettings { faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
+    let all = throws_of(&fleet, "boot", (HEALTHY + WITHIN) as u64);
+    let (sound, weak) = all.split_at(HEALTHY);
+    let rig = Rig::with(CONFIG);
+    let daemon = rig.start();
+    send(&daemon, sound).await;
+    rig.judged(HEALTHY).await;
+    let daemon = befall(&rig, daemon, row.before);
+    send(&daemon, &(row.disguise)(sound, weak)).await;
+    rig.judged(HEALTHY + WITHIN).await;
+
+    let web = address(&daemon);
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        let unseen = unseen(row, &rig, &daemon, &web);
+        if unseen.is_empty() {
+            break;
+        }
+        assert!(Instant::now() < deadline, "{}: {unseen:#?}", row.name);
+        tokio::time::sleep(std::time::Duration::from_millis(500)).await;
+    }
+    assert!(daemon.terminate().success(), "{}", row.name);
+}
+
+async fn send(daemon: &Daemon, throws: &[Throw]) {
+    let session = daemon.client().await;
+    let publisher = matched(&session, "points/v1/north/21B/throw").await;
+    for throw in throws {
+        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+    }
+}
+
+fn befall(rig: &Rig, daemon: Daemon, before: Before) -> Daemon {
+    match before {
+        Before::Nothing => {}
+        Before::Maintenance => {
+            let (code, said) = daemon.operate(&["maintenance", "north/21B", "--why", "new chairs", "--by", "tester"]);
+            assert_eq!(code, Some(0), "{said}");
+        }
+        Before::BrokenPage => {
+            assert!(daemon.terminate().success());
+            let page = "SELECT max(pageno) AS page FROM dbstat WHERE name = 'trace' AND pagetype = 'leaf'";
+            let page = rig.sql(page)[0]["page"].as_u64().unwrap();
+            let file = fs::OpenOptions::new().write(true).open(rig.database()).unwrap();
+            file.write_all_at(&[0x5a; 4096], (page - 1) * 4096).unwrap();
+            return rig.start();
+        }
+        Before::Deleted => {
+            for suffix in ["", "-wal", "-shm"] {
+                fs::remove_file(rig.folder().join(format!("points.db{suffix}"))).unwrap();
+            }
+            daemon.until_log("the database moved to a new file");
+        }
+    }
+    daemon
+}
+
+/// What an operator does not see yet.
+fn unseen(row: &Row, rig: &Rig, daemon: &Daemon, web: &str) -> Vec<String> {
+    let mut unseen = Vec::new();
+    let mut see = |is_seen: bool, what: &str, instead: String| {
+        if !is_seen {
+            unseen.push(format!("{what}: {instead}"));
+        }
+    };
+    let (code, text) = daemon.operate(&["status"]);
+    see(code == Some(1), "exit code 1 of status", format!("{code:?} {text}"));
+    let flat = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let alarms = format!("{:?}", rig.sql("SELECT text FROM active_alarms"));
+    see(alarms.contains(row.says) || flat.contains(row.says), "alarm", format!("{alarms} {flat}"));
+    let states = rig.sql("SELECT DISTINCT state FROM machine_health WHERE machine = '21B'");
+    let is_well = states.iter().any(|state| state["state"] == "healthy" || state["state"] == "learning");
+    see(states.len() == 1 && !is_well, "a state that is not healthy", format!("{states:?}"));
+    let word = states.first().map(|state| state["state"].as_str().unwrap().replace('_', " ")).unwrap_or_default();
+    let page = get(web, "/machines/north/21B").body;
+    see(page.contains(&format!(" {word}</span>")), "the state on the page", page);
+    let metrics = get(web, "/metrics").body;
+    let counts = |line: &&str| line.strip_prefix(row.metric).is_some_and(|rest| rest.trim() != "0");
+    see(metrics.lines().find(counts).is_some(), row.metric, metrics.clone());
+    unseen
+}
