@@ -1,4 +1,4 @@
-//! Answers questions from the database, and hands operators' commands to the loop that judges.
+//! Answers queries from the database, and forwards operators' commands to the judge loop.
 
 use jiff::Timestamp;
 
@@ -11,7 +11,7 @@ use crate::{
 
 type Replies = Result<Vec<(String, Vec<u8>)>, String>;
 
-/// Answers questions about health.
+/// Answers health queries.
 pub(super) async fn health(mut questions: Questions, reader: Reader) {
     while let Some(question) = questions.next().await {
         let replies = health_replies(&question, &reader).await;
@@ -31,7 +31,7 @@ async fn health_replies(question: &Question, reader: &Reader) -> Replies {
     Ok(messages.filter(|(key, _)| question.asks_about(key)).collect())
 }
 
-/// Answers questions about alarms; not those that also go to the queryable `elsewhere`, which answers them.
+/// Answers alarm queries, except those that the queryable `elsewhere` receives and answers too.
 pub(super) async fn alarms(mut questions: Questions, reader: Reader, elsewhere: Option<String>) {
     while let Some(question) = questions.next().await {
         if elsewhere.as_ref().is_some_and(|elsewhere| question.asks_about(elsewhere)) {
@@ -54,7 +54,8 @@ async fn alarm_replies(question: &Question, reader: &Reader) -> Replies {
     Ok(messages.filter(|(key, _)| question.asks_about(key)).collect())
 }
 
-/// Takes operators' commands, and says who does so: `itself`. A command for another daemon gets no reply.
+/// Receives operators' commands, and answers queries for the name of the daemon, `itself`. A command for another daemon
+/// gets no reply.
 pub(super) async fn commands(mut questions: Questions, orders: Orders, itself: Commander) {
     while let Some(question) = questions.next().await {
         let replies = match question.parameter("session") {
@@ -78,14 +79,14 @@ async fn command_reply(question: &Question, orders: &Orders, itself: &Commander)
     Ok(vec![(key, orders.carry_out(machine, command).await?.to_json())])
 }
 
-/// Answers questions about the daemon itself.
+/// Answers status queries.
 pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges) {
     while let Some(question) = questions.next().await {
         let mut report = gauges.report();
         match gauges.store.reader().windows(None).await {
             Ok(windows) => report.windows = windows,
-            // The rest of the status is wanted most when the database does not answer.
-            Err(error) => tracing::warn!(%error, "the status has no maintenance windows: the database does not answer"),
+            // The rest of the status is most important when the database does not answer.
+            Err(error) => tracing::warn!(%error, "the database does not answer: status without maintenance windows"),
         }
         bus::answer(question, Ok(vec![(key.clone(), wire::json(&report))])).await;
     }
@@ -99,11 +100,11 @@ fn row_limit(limit: usize) -> u32 {
     u32::try_from(limit).unwrap_or(u32::MAX)
 }
 
-/// Narrows the database query where the question names a site or machine; the rest is filtered by key.
+/// Limits the database query to a site or machine in the key; other keys are filtered afterwards.
 fn selector(question: &Question) -> Selector {
     let mut chunks = question.key().split('/').skip(2);
     let mut name = || chunks.next().and_then(|chunk| chunk.parse().ok());
-    // After `**` the position of a chunk says nothing.
+    // After `**` the position of a chunk is unknown.
     if question.key().contains("**") {
         return Selector::default();
     }

@@ -1,15 +1,15 @@
-//! How many commands are carried out: each is kept with who, when and why, and a flood of them must not push the record
-//! of the others out of the database.
+//! Rate limit of commands. Each is stored with name, time and reason, and a flood must not displace the record of other
+//! commands.
 
 use std::time::{Duration, Instant};
 
-/// Commands that are carried out at once: an operator may put a whole site into maintenance with a script.
+/// Burst of commands: a script may put a whole site into maintenance.
 const BURST: f64 = 200.0;
-/// Time in which one more is allowed. At this pace the kept commands ([`KEPT`](crate::store::COMMANDS_KEPT)) are those of
-/// 34 days, whoever sends how many.
+/// Time for each further command. At this rate the stored commands ([`COMMANDS_KEPT`](crate::store::COMMANDS_KEPT))
+/// cover at least 34 days.
 const EVERY: Duration = Duration::from_secs(6);
 
-/// What is left of the commands that are allowed.
+/// Number of commands allowed now.
 #[derive(Debug)]
 pub(super) struct Budget {
     left: f64,
@@ -21,7 +21,7 @@ impl Budget {
         Self { left: BURST, at: now }
     }
 
-    /// Takes one; or says how long to wait for it.
+    /// Takes one command from the budget, or returns the time until one is available.
     pub(super) fn take(&mut self, now: Instant) -> Result<(), Duration> {
         let earned = now.duration_since(self.at).as_secs_f64() / EVERY.as_secs_f64();
         (self.left, self.at) = ((self.left + earned).min(BURST), now);

@@ -1,10 +1,10 @@
-//! The clocks of the shell. The dashboard, the commands and the loggers use it too; the core gets the time as a parameter.
+//! The clocks of the shell: the only calls of the system clock. The core gets the time as a parameter.
 
 use std::time::Instant;
 
 use jiff::Timestamp;
 
-/// Wall time. It may jump; nothing but records and texts depends on it.
+/// Wall time, for records and texts only, as it may jump.
 #[must_use]
 #[expect(clippy::disallowed_methods, reason = "this is the place")]
 pub fn now() -> Timestamp {

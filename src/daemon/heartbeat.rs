@@ -1,4 +1,4 @@
-//! Heartbeats of the four loops that must live: receive, identify, write, publish.
+//! Heartbeats of the four essential loops: receive, identify, write, publish.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering::Relaxed},
@@ -9,21 +9,21 @@ use strum::VariantArray;
 
 use super::clock;
 
-/// A loop whose last beat is older than this hangs. The longest thing that any of them waits for is a link that zenoh
-/// gives up after 5 s, a query of 10 s, or the identification of 16 of the longest traces.
+/// Age of a heartbeat from which a loop hangs. The longest waits are 5 s for a stalled link in zenoh, 10 s for a query,
+/// and the identification of 16 of the longest traces.
 const FRESH: Duration = Duration::from_secs(30);
 
-/// A loop that must beat.
+/// A loop with a heartbeat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::AsRefStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum TaskName {
-    /// Receives messages and stores them.
+    /// Receives and stores messages.
     Receive,
     /// Identifies and diagnoses.
     Identify,
-    /// The database's writer answers.
+    /// The writer of the database.
     Write,
-    /// Publishes.
+    /// Publishes the outbox.
     Publish,
 }
 
@@ -35,18 +35,18 @@ pub struct Heartbeats {
 }
 
 impl Heartbeats {
-    /// Heartbeats with a beat of each loop now.
+    /// Heartbeats of all loops, fresh now.
     #[must_use]
     pub fn new() -> Self {
         Self { start: clock::monotonic(), last_ms: [const { AtomicU64::new(0) }; TaskName::VARIANTS.len()] }
     }
 
-    /// Notes a beat of a loop.
+    /// Records a heartbeat.
     pub fn beat(&self, task: TaskName) {
         self.last_ms[task as usize].store(self.elapsed_ms(), Relaxed);
     }
 
-    /// Loops whose last beat is too old.
+    /// Loops without a fresh heartbeat.
     #[must_use]
     pub fn silent(&self) -> Vec<TaskName> {
         let now = self.elapsed_ms();

@@ -1,4 +1,4 @@
-//! Identification on a bounded number of blocking threads. The answers come in the order of the throws.
+//! Identification on a bounded number of blocking threads; the results are in the order of the throws.
 
 use tokio::task;
 
@@ -7,16 +7,16 @@ use crate::{
     throw::Throw,
 };
 
-/// Most threads that are taken when the configuration leaves it open.
+/// Largest number of threads if the configuration does not set it.
 const MOST_THREADS: usize = 8;
 
-/// Identifiers, one a thread, each with its work buffers.
+/// One identifier for each thread, with its buffers.
 pub(super) struct Pool {
     idle: Vec<Identifier>,
 }
 
 impl Pool {
-    /// A pool of so many threads; 0 for as many as there are processors, at most `MOST_THREADS`.
+    /// A pool with `threads` threads; 0 for the number of processors, at most `MOST_THREADS`.
     #[must_use]
     pub(super) fn new(threads: usize) -> Self {
         let available = || std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
@@ -24,8 +24,8 @@ impl Pool {
         Self { idle: (0..threads).map(|_| Identifier::default()).collect() }
     }
 
-    /// Identifies each throw with its settings. `None` where the estimator itself failed on a throw, which is a fault
-    /// of the program that must not keep the other throws from being judged.
+    /// Identifies each throw with its settings. `None` if the estimator panicked: a defect that must not block other
+    /// throws.
     pub(super) async fn identify(&mut self, throws: Vec<(Throw, Settings)>) -> Vec<Option<Identification>> {
         let threads = self.idle.len().max(1);
         let share = throws.len().div_ceil(threads).max(1);
@@ -46,7 +46,7 @@ impl Pool {
         for part in running {
             let (identifier, found): (_, Vec<_>) = match part.await {
                 Ok(done) => done,
-                // `guarded` catches panics, and nobody cancels: this is a runtime that shuts down.
+                // Only when the runtime shuts down: `guarded` catches panics, and nothing cancels the task.
                 Err(_) => return all,
             };
             self.idle.push(identifier);
@@ -61,7 +61,7 @@ fn guarded(identifier: &mut Identifier, throw: &Throw, settings: &Settings) -> O
     let attempt = std::panic::AssertUnwindSafe(|| identifier.identify(throw, settings));
     let found = std::panic::catch_unwind(attempt).ok();
     if found.is_none() {
-        // Its buffers may be in any state.
+        // After a panic the buffers may be inconsistent.
         *identifier = Identifier::default();
     }
     found

@@ -1,4 +1,4 @@
-//! One process at a time uses a database: two would each keep monitors that the other does not see.
+//! The lock of a database: only one process may use it, as each process has its own monitors.
 
 use std::{
     fs::{File, TryLockError},
@@ -13,30 +13,30 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Why the lock of a database could not be taken.
+/// The lock of a database could not be taken.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
-    /// Another process has it.
+    /// Another process has the lock.
     #[error("another pointsd works on {}: stop it first, or name another database in store.path", database.display())]
     Taken {
         /// The database.
         database: PathBuf,
     },
     /// The lock file cannot be used.
-    #[error("cannot use the lock file {} beside the database: may this user write to its folder?", path.display())]
+    #[error("cannot use the lock file {} of the database: may this user write to its folder?", path.display())]
     File {
         /// The lock file.
         path: PathBuf,
-        /// Why.
+        /// Error of the system.
         source: std::io::Error,
     },
 }
 
-/// The right to work on a database, until it is dropped or the process ends, however it ends.
+/// The lock of a database, held until it is dropped or the process ends in any way.
 #[derive(Debug)]
 pub struct DatabaseLock {
     _file: File,
-    /// A lock file can be removed, and a second process would make another one. This name has no file.
+    /// A second lock by an abstract socket name, which, unlike the lock file, cannot be removed.
     _name: UnixListener,
 }
 
@@ -44,7 +44,7 @@ impl DatabaseLock {
     /// Takes the lock of a database.
     ///
     /// # Errors
-    /// When another process has it, or its file cannot be created.
+    /// When another process has the lock, or its file cannot be created.
     pub fn take(database: &Path) -> Result<Self, LockError> {
         let mut path = database.as_os_str().to_owned();
         path.push(".lock");
@@ -65,11 +65,11 @@ impl DatabaseLock {
     }
 }
 
-/// A name in Linux's abstract namespace, the same for every path that leads to the database's folder.
+/// A name in the abstract namespace of Linux, the same for all paths to the same database.
 fn name_of(database: &Path) -> io::Result<SocketAddr> {
     let folder = database.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let path = std::fs::canonicalize(folder)?.join(database.file_name().unwrap_or_default());
-    // A path may be longer than such a name: its checksums tell paths apart well enough.
+    // A path may be too long for a name, so two checksums of it are used.
     let (bytes, reversed) = (path.as_os_str().as_bytes(), path.as_os_str().as_bytes().iter().rev().copied());
     let checksums = (crc32fast::hash(bytes), crc32fast::hash(&reversed.collect::<Vec<_>>()));
     SocketAddr::from_abstract_name(format!("pointsd-{:08x}{:08x}-{}", checksums.0, checksums.1, bytes.len()))

@@ -1,11 +1,11 @@
-//! The running monitor: pipeline, supervision, configuration.
+//! The daemon: pipeline, supervision, configuration.
 //!
 //! ```text
 //! zenoh -> receive -> store (committed) -> judge: identify, diagnose, commit -> publish -> zenoh
-//!                                            ^ operators' commands, the passing of time
+//!                                            ^ operators' commands, ticks
 //! ```
-//! Each loop is a task. The queues between them are bounded, or are tables. The end of a task ends the daemon: every
-//! task is needed.
+//! Each loop is a task. The queues between them are bounded, or are tables. Every task is needed, so the end of a task
+//! ends the daemon.
 
 mod answer;
 mod backlog;

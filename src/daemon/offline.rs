@@ -1,4 +1,4 @@
-//! The pipeline without zenoh: recorded throws go through spool, identification and diagnosis into the database.
+//! The pipeline without zenoh, for recorded throws.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::{
     throw::{MachineId, Throw},
 };
 
-/// Why the daemon cannot start.
+/// An error at the start of the daemon.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// The database cannot be used.
@@ -25,18 +25,18 @@ pub enum StartError {
     /// Zenoh cannot be used.
     #[error(transparent)]
     Bus(#[from] BusError),
-    /// The database is not ours.
+    /// Another process uses the database.
     #[error(transparent)]
     Lock(#[from] LockError),
-    /// The system gives no thread.
-    #[error("the system gives no thread to publish from: {0}")]
+    /// The operating system did not start a thread.
+    #[error("cannot start the publishing thread: {0}")]
     Thread(#[from] std::io::Error),
 }
 
-/// Throws that are stored before they are judged: a few commits for many throws.
+/// Throws stored before they are judged together, to save commits.
 const GROUP: usize = 64;
 
-/// The pipeline of one database, without a daemon.
+/// The pipeline on a database without a daemon.
 pub struct Offline {
     store: Store,
     judge: Judge,
@@ -48,19 +48,19 @@ impl Offline {
     /// Opens the database of a configuration.
     ///
     /// # Errors
-    /// When it cannot be used, or a daemon works on it.
+    /// When the database cannot be used, or a daemon uses it.
     pub async fn open(mut config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         let store = Store::open(&config.store, clock::now()).await?.store;
-        // No logger is there to be waited for.
+        // There is no logger with a backlog.
         config.subscribe.backlog_wait_s = 0.0;
-        // The sender may go: the receiver keeps the last value.
+        // The receiver keeps the value without the sender.
         let (_, config) = watch::channel(Arc::new(config));
         let judge = Judge::restore(store.clone(), config).await?;
         Ok(Self { store, judge, waiting: 0, _lock: lock })
     }
 
-    /// Takes a throw in; judges from time to time. Returns what was judged meanwhile, and what became of the throw.
+    /// Stores a throw, and judges after every [`GROUP`]. Returns the result of storing it, and the throws judged now.
     ///
     /// # Errors
     /// When the database cannot be written to.
@@ -71,7 +71,7 @@ impl Offline {
         Ok((spooled, judged))
     }
 
-    /// Judges everything that waits.
+    /// Judges all pending throws.
     ///
     /// # Errors
     /// When the database cannot be written to.
@@ -91,7 +91,7 @@ impl Offline {
     /// Closes the database.
     ///
     /// # Errors
-    /// When it could not be closed in good order; nothing is lost.
+    /// When it could not be closed cleanly; no data is lost.
     pub async fn close(self) -> Result<(), StoreError> {
         self.store.close().await
     }

@@ -1,4 +1,4 @@
-//! Operators' commands on their way to the loop that judges, and the answers on their way back.
+//! The queue of operators' commands to the judge loop, with the channels for the answers.
 
 use std::time::Duration;
 
@@ -9,19 +9,19 @@ use tokio::{
 
 use crate::{diagnose::Command, throw::MachineId, wire::Reply};
 
-/// Commands that may wait.
+/// Capacity of the queue.
 const WAITING: usize = 16;
-/// Longest wait for an answer: the loop that judges may be in the middle of a batch.
+/// Time until a command fails; the judge loop may be in the middle of a batch.
 const LIMIT: Duration = Duration::from_secs(20);
 
-/// A command with the way back to the operator.
+/// A command with the channel for its answer.
 pub(super) struct Order {
     pub(super) machine: MachineId,
     pub(super) command: Command,
     pub(super) reply: oneshot::Sender<Reply>,
 }
 
-/// Takes commands for the loop that judges. Cheap to clone.
+/// Sender of commands to the judge loop. Cheap to clone.
 #[derive(Debug, Clone)]
 pub(super) struct Orders(mpsc::Sender<Order>);
 
@@ -31,13 +31,13 @@ impl Orders {
         (Self(sender), receiver)
     }
 
-    /// Has a command carried out and committed.
+    /// Sends a command and waits until it is applied and committed.
     ///
     /// # Errors
-    /// A sentence, when the loop does not answer in time. The command may be carried out later all the same.
+    /// A sentence, if the loop does not answer in time. The command may still be applied later.
     pub(super) async fn carry_out(&self, machine: MachineId, command: Command) -> Result<Reply, String> {
         let (reply, answer) = oneshot::channel();
-        let busy = || "the daemon is busy: look whether the command was carried out before you repeat it".to_owned();
+        let busy = || "the daemon is busy: check whether the command was applied before you repeat it".to_owned();
         let answer = time::timeout(LIMIT, async {
             self.0.send(Order { machine, command, reply }).await.map_err(|_| busy())?;
             answer.await.map_err(|_| busy())

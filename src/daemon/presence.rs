@@ -1,4 +1,4 @@
-//! Liveliness of the loggers, for the status and for the monitors, which raise an alarm when a logger is gone.
+//! Liveliness of the loggers, for the status and for the monitors, which raise an alarm without a logger.
 
 use std::{
     collections::HashSet,
@@ -14,7 +14,7 @@ use crate::{
     wire::{self, Kind},
 };
 
-/// Most loggers whose tokens are followed.
+/// Largest number of watched tokens.
 const MOST: usize = 100_000;
 
 pub(super) async fn run(mut tokens: PresenceWatch, status: Arc<Status>, alive: watch::Sender<HashSet<MachineId>>) {
@@ -23,10 +23,10 @@ pub(super) async fn run(mut tokens: PresenceWatch, status: Arc<Status>, alive: w
         alive.send_modify(|alive| {
             if change.alive && alive.len() < MOST {
                 if alive.insert(machine.clone()) {
-                    tracing::info!(%machine, "its logger appeared");
+                    tracing::info!(%machine, "logger connected");
                 }
             } else if alive.remove(&machine) {
-                tracing::warn!(%machine, "its logger is gone");
+                tracing::warn!(%machine, "logger disconnected");
             }
             status.loggers.store(alive.len(), Relaxed);
         });

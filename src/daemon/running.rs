@@ -1,4 +1,4 @@
-//! The daemon: how it starts, and what others in the process may ask of it.
+//! The running daemon: start, and interface for other parts of the process.
 
 use std::{
     collections::HashSet,
@@ -36,10 +36,10 @@ use crate::{
     wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
-/// Judged throws that a slow observer may lag behind before it misses some.
+/// Capacity of the channel of judged throws; a slower observer misses some.
 const WATCHED: usize = 4_096;
 
-/// Names of the tasks that a stop waits for.
+/// Names of the tasks for which a stop waits.
 pub(super) const RECEIVE: &str = "receive";
 pub(super) const JUDGE: &str = "judge";
 pub(super) const PUBLISH: &str = "publish";
@@ -59,17 +59,17 @@ pub struct Daemon {
     pub(super) lock: DatabaseLock,
 }
 
-/// Cancelled one after the other, so that each loop can finish the work that the one before it handed over.
+/// Cancelled one after the other, so that each loop can finish the work of the previous one.
 #[derive(Default)]
 pub(super) struct Stops {
     pub(super) receive: CancellationToken,
     pub(super) judge: CancellationToken,
     pub(super) publish: CancellationToken,
-    /// The time is up: leave unfinished work.
+    /// Cancelled at the time limit: unfinished work is left.
     pub(super) give_up: CancellationToken,
 }
 
-/// What the steps of a start share.
+/// State shared by the steps of a start.
 struct Starting {
     config: Arc<Config>,
     session: Session,
@@ -84,7 +84,7 @@ struct Starting {
 }
 
 impl Daemon {
-    /// Opens the database and zenoh, and starts every loop. Returns when everything works.
+    /// Opens the database and zenoh, and starts every loop. Returns when all loops run.
     ///
     /// # Errors
     /// When the database or zenoh cannot be used.
@@ -110,7 +110,7 @@ impl Daemon {
         let (alive, loggers) = watch::channel(HashSet::new());
         let (outlet, outlet_end) = Outlet::start(start.session.clone())?;
 
-        // The picture of the module, from its end to its beginning: each loop runs before the one that feeds it.
+        // In reverse order of the pipeline in the module's documentation: each loop runs before its source.
         start.publish(outlet.clone(), opened.report.found == Found::Fresh).await?;
         start.judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
         let gauges = start.receive(&outlet, loggers).await?;
@@ -125,18 +125,18 @@ impl Daemon {
         Ok(Self { session, store, gauges, config, watchers, orders, tasks, stops, outlet_end, alive, lock })
     }
 
-    /// Notifies systemd that everything works.
+    /// Notifies systemd that the daemon is ready.
     pub fn announce_ready(&self) {
         watchdog::notify(&[NotifyState::Ready, NotifyState::Status(&self.report().line())]);
     }
 
-    /// Throws as they are judged, from now on.
+    /// Receiver of the throws judged from now on.
     #[must_use]
     pub fn watch(&self) -> broadcast::Receiver<Judged> {
         self.watchers.subscribe()
     }
 
-    /// The zenoh session, for other rooms of this process.
+    /// The zenoh session.
     #[must_use]
     pub fn session(&self) -> &Session {
         &self.session
@@ -159,18 +159,18 @@ impl Daemon {
         self.gauges.report()
     }
 
-    /// A read-only view for other rooms of this process.
+    /// A view of the daemon for the dashboard.
     #[must_use]
     pub fn view(&self) -> View {
         View { gauges: self.gauges.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
     }
 
-    /// Runs a task of another room like the daemon's own: its end is the end of the daemon.
+    /// Runs a task like those of the daemon: its end is the end of the daemon.
     pub fn adopt<T>(&mut self, name: &'static str, task: impl Future<Output = T> + Send + 'static) {
         self.tasks.spawn(name, task);
     }
 
-    /// Waits until a task ends on its own, which is a failure.
+    /// Waits until a task ends unexpectedly.
     pub async fn ended(&mut self) -> Ended {
         tokio::select! {
             ended = self.tasks.next_end() => ended,
@@ -209,7 +209,7 @@ impl Starting {
         self.config.zenoh.get_json("mode").is_ok_and(|mode| mode.contains("client"))
     }
 
-    /// `is_first`: the database is new, so no subscriber knows a process before this one.
+    /// Starts the publishing loop; `is_first` for a new database, so that no subscriber knew an earlier process.
     async fn publish(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
         let publisher = Publisher {
             store: self.store.clone(),
@@ -248,7 +248,7 @@ impl Starting {
         Ok(())
     }
 
-    /// Live throws, and the backlogs of the loggers.
+    /// Starts the reception of live throws and of the loggers' backlogs.
     async fn receive(
         &mut self,
         outlet: &Outlet,
@@ -301,7 +301,7 @@ impl Starting {
             give_up: self.stops.give_up.clone(),
         };
         self.tasks.spawn(RECEIVE, receiver.run(self.stops.receive.clone()));
-        // Ends with the receiving loop: the next start asks for the rest.
+        // Ends with the receiving loop: the next start fetches the rest.
         self.tasks.spawn("backlog", backlog.run(self.stops.receive.clone()));
         Ok(gauges)
     }
@@ -312,7 +312,7 @@ impl Starting {
         Ok(())
     }
 
-    /// Queries and commands on zenoh.
+    /// Starts the answers to queries and commands.
     async fn answer(&mut self, orders: &Orders, gauges: &Gauges) -> Result<(), BusError> {
         let (session, monitor) = (self.session.clone(), &self.config.monitor);
         let own_machine = monitor.as_machine();
@@ -329,7 +329,7 @@ impl Starting {
         let questions = Questions::declare(&session, &self.scope(Kind::Command)).await?;
         self.tasks.spawn("answer commands", answer::commands(questions, orders.clone(), commander.clone()));
 
-        // The daemon's own alarms stand under its own name, which need not lie in the part of the fleet that it serves.
+        // The name of the daemon, for alarms about itself, may be outside of its part of the fleet.
         let own = |kind| machine_key(&own_machine, kind);
         if bus::intersect(&self.scope(Kind::Alarm), &own(Kind::Alarm)) {
             return Ok(());
@@ -347,17 +347,17 @@ fn report_database(report: &store::Report, settings: &store::Settings) {
     let database = settings.path.display();
     match &report.found {
         Found::Fresh => tracing::info!(%database, "a new database"),
-        Found::Clean => tracing::info!(%database, "the database was closed in good order"),
-        Found::Unclean => tracing::warn!(%database, "the database was not closed in good order; checked, and sound"),
+        Found::Clean => tracing::info!(%database, "the database was closed cleanly"),
+        Found::Unclean => tracing::warn!(%database, "the database was not closed cleanly; the check found no damage"),
         Found::SetAside { to, why, salvaged } => {
             let set_aside = to.display();
-            tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: it was set aside and a fresh one begun");
+            tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: set aside, and a new one created");
         }
     }
     if report.upgraded_by > 0 {
-        tracing::info!(migrations = report.upgraded_by, "the database was brought up to date");
+        tracing::info!(migrations = report.upgraded_by, "the database was migrated");
     }
     if report.newer_schema {
-        tracing::warn!("a newer version of the program has used this database; what it added is left alone");
+        tracing::warn!("a newer version of pointsd has used this database; its additions are ignored");
     }
 }

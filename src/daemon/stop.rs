@@ -1,4 +1,4 @@
-//! Stopping: in the order of the throws, with a limit for each step.
+//! Stop of the daemon: in the order of the pipeline, with a time limit for each step.
 
 use std::time::Duration;
 
@@ -11,43 +11,43 @@ use super::{
 };
 use crate::store::StoreError;
 
-/// Receiving the messages that have arrived.
+/// Time limit to store the received messages.
 const RECEIVE_LIMIT: Duration = Duration::from_secs(3);
-/// Judging pending throws; the rest is judged after the next start.
+/// Time limit to judge pending throws; the rest is judged after the next start.
 const JUDGE_LIMIT: Duration = Duration::from_millis(2_500);
-/// Leaving the work when the time is up.
+/// Time limit to leave unfinished work.
 const LEAVE_LIMIT: Duration = Duration::from_millis(700);
-/// Publishing pending messages; the rest is published after the next start.
+/// Time limit to publish the outbox; the rest is published after the next start.
 const PUBLISH_LIMIT: Duration = Duration::from_secs(1);
-/// Closing the session.
+/// Time limit to close the session.
 const SESSION_LIMIT: Duration = Duration::from_secs(1);
-/// Closing the database, which may copy its whole log: a disk that hangs must not keep the process.
+/// Time limit to close the database, which may copy its whole log, or hang with the disk.
 const CLOSE_LIMIT: Duration = Duration::from_secs(10);
 
 impl Daemon {
-    /// Stops in the order of the throws: receives what has arrived, judges and publishes what it can in a few seconds,
-    /// closes the session and the database. Ends within 20 s, whatever hangs.
+    /// Stops in the order of the pipeline: stores the received messages, judges and publishes for a few seconds, closes
+    /// the session and the database. Ends within 20 s in any case.
     ///
     /// # Errors
-    /// When the database could not be closed in good order; nothing acknowledged is lost.
+    /// When the database could not be closed cleanly; nothing acknowledged is lost.
     pub async fn stop(self) -> Result<(), StoreError> {
         let Self { session, store, mut tasks, stops, outlet_end, alive, gauges, lock, .. } = self;
-        notify(&[NotifyState::Stopping, NotifyState::Status("storing what has arrived")]);
+        notify(&[NotifyState::Stopping, NotifyState::Status("storing received messages")]);
         stops.receive.cancel();
         if !tasks.end_of(RECEIVE, RECEIVE_LIMIT).await {
-            tracing::error!("messages that have arrived cannot be stored in time");
+            tracing::error!("received messages could not be stored in time");
             stops.give_up.cancel();
             tasks.end_of(RECEIVE, LEAVE_LIMIT).await;
         }
         stops.judge.cancel();
         if !tasks.end_of(JUDGE, JUDGE_LIMIT).await {
-            tracing::warn!("throws are still pending; the next start goes on with them");
+            tracing::warn!("throws are still pending: judged after the next start");
             stops.give_up.cancel();
             tasks.end_of(JUDGE, LEAVE_LIMIT).await;
         }
         stops.publish.cancel();
         if !tasks.end_of(PUBLISH, PUBLISH_LIMIT).await {
-            tracing::warn!("alarms still wait to be published; the next start goes on with them");
+            tracing::warn!("alarms are not published yet: published after the next start");
         }
         tracing::info!("{}", gauges.report().line());
         drop((alive, tasks));
@@ -56,10 +56,10 @@ impl Daemon {
         }
         match time::timeout(SESSION_LIMIT, session.close()).await {
             Ok(Ok(())) => {}
-            Ok(Err(error)) => tracing::warn!(%error, "the zenoh session was not closed in good order"),
-            Err(_) => tracing::warn!("the zenoh session takes too long to close"),
+            Ok(Err(error)) => tracing::warn!(%error, "closing the zenoh session failed"),
+            Err(_) => tracing::warn!("closing the zenoh session takes too long"),
         }
-        // Committed rows are durable, closed or not: the next start checks the database.
+        // Committed rows are durable also without a close: the next start checks the database.
         let closed = time::timeout(CLOSE_LIMIT, store.close()).await.unwrap_or(Err(StoreError::CloseTimeout));
         drop(lock);
         closed

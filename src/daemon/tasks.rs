@@ -1,4 +1,4 @@
-//! The daemon's tasks: no task ends unseen.
+//! The tasks of the daemon, whose ends are observed.
 
 use std::{collections::HashMap, time::Duration};
 
@@ -7,11 +7,11 @@ use tokio::{
     time,
 };
 
-/// A task that ended on its own.
+/// The name of a task that ended unexpectedly.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ended(pub &'static str);
 
-/// The daemon's tasks with their names. Those that still run are aborted when it is dropped.
+/// Tasks with their names; running tasks are aborted when this is dropped.
 #[derive(Default)]
 pub(super) struct Tasks {
     running: JoinSet<()>,
@@ -26,7 +26,7 @@ impl Tasks {
         self.names.insert(handle.id(), name);
     }
 
-    /// Waits until a task ends, by itself or by a panic.
+    /// Waits until a task ends or panics.
     pub(super) async fn next_end(&mut self) -> Ended {
         let id = match self.running.join_next_with_id().await {
             Some(Ok((id, ()))) => id,
@@ -36,7 +36,7 @@ impl Tasks {
         Ended(self.names.remove(&id).unwrap_or("a task"))
     }
 
-    /// Waits until the task of this name has ended, at most for `limit`. Returns whether it has.
+    /// Waits at most `limit` until the task `name` has ended; returns whether it has.
     pub(super) async fn end_of(&mut self, name: &'static str, limit: Duration) -> bool {
         let end = async {
             while self.names.values().any(|running| *running == name) {

@@ -1,5 +1,4 @@
-//! The daemon as other rooms of the same process see it: its status, its database for reading, its limits, and operators'
-//! commands.
+//! The interface of the daemon for the dashboard: status, reader of the database, configuration, operators' commands.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -32,25 +31,25 @@ impl View {
         self.gauges.report()
     }
 
-    /// Throws since the start that gave no estimate, by the code of the reason.
+    /// Throws without an estimate since the start, by the code of the reason.
     #[must_use]
     pub fn refused(&self) -> BTreeMap<String, u64> {
         self.gauges.status.refused()
     }
 
-    /// Bytes of messages that arrived and wait to be stored.
+    /// Memory of received messages not stored yet \[bytes\].
     #[must_use]
     pub fn queued_bytes(&self) -> usize {
         self.gauges.inbox.queued_bytes()
     }
 
-    /// The reading side of the database.
+    /// The reader of the database.
     #[must_use]
     pub fn reader(&self) -> &Reader {
         self.gauges.store.reader()
     }
 
-    /// The database's figures. Counts rows: not for every request.
+    /// Figures of the database. Counts rows, so it is too slow for every request.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -58,15 +57,15 @@ impl View {
         self.gauges.store.statistics().await
     }
 
-    /// Has an operator's command carried out and committed.
+    /// Applies and commits an operator's command.
     ///
     /// # Errors
-    /// A sentence, when the daemon does not answer in time.
+    /// A sentence, if the daemon does not answer in time.
     pub async fn carry_out(&self, machine: MachineId, command: Command) -> Result<Reply, String> {
         self.orders.carry_out(machine, command).await
     }
 
-    /// The configuration in force.
+    /// The present configuration.
     #[must_use]
     pub fn config(&self) -> Arc<Config> {
         Arc::clone(&self.config.borrow())

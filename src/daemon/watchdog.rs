@@ -1,4 +1,4 @@
-//! systemd: its watchdog is fed only while every loop beats, its status line is kept up to date.
+//! Notifications to systemd: the watchdog, fed only while all heartbeats are fresh, and the status line.
 
 use std::time::Duration;
 
@@ -8,26 +8,26 @@ use tokio::{sync::mpsc, time};
 use super::{heartbeat::TaskName, status::Gauges};
 use crate::store::StoreError;
 
-/// Time between two checks of the heartbeats without a watchdog of systemd.
+/// Time between two checks of the heartbeats, without a watchdog of systemd.
 const LOOK: Duration = Duration::from_secs(5);
-/// Time between two status lines in the log while nothing is wrong.
+/// Time between two status lines in the log without problems.
 const ROUTINE: Duration = Duration::from_mins(10);
 
-/// How often systemd is asked for more time while the daemon starts, for how long each time, and how often at most:
-/// after an hour something hangs that a restart may mend.
+/// Extensions of the start timeout of systemd: interval, time of each, and largest number. After an hour the start
+/// hangs, and a restart may help.
 const EXTEND_EVERY: Duration = Duration::from_secs(10);
 const EXTEND_BY_USEC: u32 = 60_000_000;
 const EXTENSIONS: u32 = 360;
 
 /// Notifies systemd.
 pub(super) fn notify(states: &[NotifyState<'_>]) {
-    // Without systemd there is nobody to notify.
+    // Without systemd this fails or does nothing.
     if let Err(error) = sd_notify::notify(states) {
-        tracing::debug!(%error, "systemd was not notified");
+        tracing::debug!(%error, "notifying systemd failed");
     }
 }
 
-/// Asks systemd for more time during work that may take minutes: a check of a large database, a migration.
+/// Extends the start timeout of systemd during work that may take minutes: a check of a large database, a migration.
 pub(super) async fn patiently<T>(what: &str, work: impl Future<Output = T>) -> T {
     let ask = async {
         let mut pace = time::interval(EXTEND_EVERY);
@@ -43,7 +43,7 @@ pub(super) async fn patiently<T>(what: &str, work: impl Future<Output = T>) -> T
     }
 }
 
-/// Feeds the watchdog while every loop beats, updates the status line, and probes the writer of the database.
+/// Feeds the watchdog while all heartbeats are fresh, updates the status line, and probes the writer of the database.
 pub(super) async fn watch(gauges: Gauges) {
     let period =
         sd_notify::watchdog_enabled().map_or(LOOK, |limit| (limit / 3).min(LOOK)).max(Duration::from_millis(100));
@@ -81,7 +81,7 @@ pub(super) async fn watch(gauges: Gauges) {
     }
 }
 
-/// Probes the writer with an empty write. An error is an answer too: a full disk is a status, not a hang.
+/// Probes the writer with an empty write. An error counts as an answer: a full disk is a status, not a hang.
 async fn probe_writer(gauges: Gauges, gone: mpsc::Sender<()>) {
     let mut pace = time::interval(LOOK);
     loop {

@@ -1,10 +1,10 @@
-//! Which part it is: the explanation of a drift that leads over all others.
+//! Attribution of a drift to a cause: the best explanation, if it leads by a margin.
 //!
-//! A cause is named when its score leads over that of every other name by a margin, else two are too close to call.
-//! Pairs of causes are named when no single one comes near.
+//! A cause is named if its score leads over every other name by a margin; otherwise two are too close to call. Pairs of
+//! causes are named if no single cause is nearly as good.
 //!
-//! The paper's cross-correlation rule shifts the margin between inertia and the rest, where it can tell: with much natural
-//! scatter it would not see inertia of the drift's size either, and then its silence says nothing.
+//! The paper's cross-correlation rule changes the margin between inertia and the rest, unless the natural scatter would
+//! hide inertia of the drift's size from the rule.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -16,27 +16,27 @@ use super::{
     window::Window,
 };
 
-/// A lead that decides between two explanations: odds of 20 to 1, as twice the logarithm.
+/// Lead that decides between two explanations: odds of 20 to 1, as twice the logarithm.
 const CLOSE: f64 = 6.0;
-/// A lead that leaves no doubt: odds of 1000 to 1. A critical name needs it.
+/// Lead without doubt, needed for critical severity: odds of 1000 to 1.
 pub(super) const DECISIVE: f64 = 13.8;
-/// How much closer, when the cross-correlation rule agrees with the named cause, and how much less when it does not.
+/// Factor on the margin: divides it if the cross-correlation rule agrees with the named cause, multiplies it if not.
 const RULE_WEIGHT: f64 = 1.5;
-/// By how much an explanation that already has an alarm is preferred: a verdict at the edge must not flip to and fro.
+/// Bonus of an explanation that already has an alarm, so that the verdict does not alternate.
 const STICKY: f64 = 4.0;
-/// A second movement smaller than this part of its warning limit is no second fault. Below 1, as its size is in doubt.
+/// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 
-/// The causes to which a drift is attributed.
+/// The causes of a drift.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Naming {
-    /// One cause explains it, and nothing else does nearly as well.
+    /// One cause explains the drift, clearly better than all others.
     One(Explanation),
-    /// Two causes explain it equally well, the better first.
+    /// Two causes explain the drift about equally well, the better first.
     Either(Explanation, Explanation),
-    /// No single cause explains it, these two together do.
+    /// No single cause explains the drift, but these two together do.
     Both(Explanation, Explanation),
-    /// Nothing simple explains it.
+    /// No one or two causes explain the drift.
     Neither,
 }
 
@@ -47,35 +47,35 @@ pub(super) enum Rival {
     Together(Cause, Cause),
 }
 
-/// A drift with its name, and the figures that speak for and against the name.
+/// A drift with its cause, and the figures for and against it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Attribution {
     pub(super) naming: Naming,
-    /// Beside a naming with two causes.
+    /// The rival of a naming with two causes.
     pub(super) rival: Option<Rival>,
     pub(super) runner_up: Option<RunnerUp>,
     pub(super) correlation: Correlation,
-    /// Whether the cross-correlation rule takes it for inertia; `None` where it cannot tell.
+    /// Verdict of the cross-correlation rule on inertia; `None` if scatter would hide it.
     rule: Option<bool>,
     /// Changes of (ln b0, ln a1, ln a0).
     pub(super) mean: Vector3<f64>,
-    /// Its size over the warning limit of what it may be: it matters above 1.
+    /// Size relative to the warning limit; relevant above 1.
     pub(super) relevance: f64,
-    /// Lead of a single name over everything of which it is no part.
+    /// Lead of a single name over all explanations without it.
     pub(super) lead: f64,
 }
 
-/// Every explanation of a drift, each kind ordered with the best first.
+/// The explanations of a drift, each kind with the best first.
 struct Explanations {
     singles: [Fit<1>; 4],
     pairs: [Fit<2>; 6],
-    /// Any three movements.
+    /// Three free changes.
     any: Fit<3>,
 }
 
 impl Attribution {
-    /// Names the drift of `window` on a machine that scatters with `of_one_throw`. `open` are the causes with an active
-    /// alarm.
+    /// Attributes the drift of `window`; `of_one_throw` is the scatter of the machine, `open` are the causes with an
+    /// active alarm.
     pub(super) fn of(window: &Window, of_one_throw: &Matrix3<f64>, open: &[Cause], settings: &Settings) -> Self {
         let all = Explanations::of(window, open, settings);
         let [best, next, ..] = &all.singles;
@@ -108,7 +108,7 @@ impl Attribution {
         Self { naming: Naming::One(main), relevance: main.relevance(settings), lead, ..attribution }
     }
 
-    /// The same drift as two causes together, when no single one is clearly better.
+    /// The attribution to two causes together, if no single cause is clearly better.
     fn both(self, all: &Explanations, settings: &Settings) -> Option<Self> {
         let [best, ..] = &all.singles;
         let cause = best.parts[0].cause;
@@ -134,8 +134,7 @@ impl Attribution {
         Some(Self { naming: Naming::Both(a, b), rival, relevance, ..self })
     }
 
-    /// The lead that one name needs over another. The rule tells inertia from the rest, and nothing else: a name that it
-    /// takes for inertia has to be beyond doubt.
+    /// The lead that `best` needs over `next`. The rule distinguishes only inertia from the rest.
     fn margin_needed(&self, best: Cause, next: Cause) -> f64 {
         match (self.rule, best == Cause::Inertia, next == Cause::Inertia) {
             (Some(true), true, _) | (Some(false), _, true) => CLOSE / RULE_WEIGHT,
@@ -145,7 +144,7 @@ impl Attribution {
         }
     }
 
-    /// The name under which it is alarmed.
+    /// The cause of the alarm.
     pub(super) fn cause(&self) -> Cause {
         match self.naming {
             Naming::One(e) => e.cause,
@@ -153,7 +152,7 @@ impl Attribution {
         }
     }
 
-    /// Its largest part; of two that are too close to call, the better.
+    /// The largest part; of two that are too close to call, the better.
     pub(super) fn main(&self) -> Option<&Explanation> {
         match &self.naming {
             Naming::One(main) | Naming::Either(main, _) | Naming::Both(main, _) => Some(main),
@@ -190,7 +189,7 @@ impl Explanations {
         }
     }
 
-    /// The best single cause; its size is free of a second movement, where that explains more.
+    /// The best single cause, with its size from a fit with a second change if that explains more.
     fn freed_best(&self) -> Explanation {
         let alone = self.singles[0].parts[0];
         let [pair, ..] = &self.pairs;
@@ -199,7 +198,7 @@ impl Explanations {
     }
 }
 
-/// All these explanations, the best first; `alarmed` ones are preferred.
+/// The explanations, the best first; `alarmed` ones get a bonus.
 fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,
@@ -215,8 +214,8 @@ fn ranked<const N: usize, const K: usize>(
     fits
 }
 
-/// Whether the cross-correlation rule takes a drift for inertia; `None` where natural scatter would hide inertia of its
-/// size from the rule.
+/// Verdict of the cross-correlation rule on inertia; `None` if natural scatter would hide inertia of this size from the
+/// rule.
 fn says_inertia(
     correlation: &Correlation,
     window: &Window,

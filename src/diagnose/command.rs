@@ -1,4 +1,4 @@
-//! What an operator asks of a machine's monitor.
+//! Commands of operators to the monitor of a machine.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -6,86 +6,86 @@ use serde::{Deserialize, Serialize};
 use super::{event::Cause, settings::Settings};
 use crate::throw::MachineId;
 
-/// A command of an operator to a machine's monitor.
+/// A command of an operator to the monitor of a machine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 #[serde(tag = "command", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Command {
-    /// Somebody has seen the alarm.
+    /// Acknowledge an alarm.
     Ack {
-        /// Which alarm.
+        /// Cause of the alarm.
         cause: Cause,
-        /// Who.
+        /// Name of the operator.
         by: String,
     },
     /// Silence an open alarm until a time.
     Shelve {
-        /// Which alarm.
+        /// Cause of the alarm.
         cause: Cause,
-        /// Until when.
+        /// End of the shelving or maintenance.
         until: Timestamp,
-        /// Who.
+        /// Name of the operator.
         by: String,
-        /// Why.
+        /// Reason given by the operator.
         why: String,
     },
     /// End the shelving of an alarm.
     Unshelve {
-        /// Which alarm.
+        /// Cause of the alarm.
         cause: Cause,
-        /// Who.
+        /// Name of the operator.
         by: String,
     },
-    /// Take the baseline again from the next throws; drift alarms end.
+    /// Start a new baseline from the next throws; drift alarms end.
     Rebaseline {
-        /// Who.
+        /// Name of the operator.
         by: String,
-        /// Why.
+        /// Reason given by the operator.
         why: String,
     },
-    /// The machine goes out of service: its throws are not diagnosed and never enter a baseline.
+    /// Take the machine out of service: its throws are not diagnosed and not added to a baseline.
     MaintenanceStart {
-        /// When the window ends by itself: within `longest_shelving_days`.
+        /// End of the window, within `longest_shelving_days`.
         until: Timestamp,
-        /// Who.
+        /// Name of the operator.
         by: String,
-        /// Why.
+        /// Reason given by the operator.
         why: String,
     },
-    /// The machine is in service again.
+    /// Put the machine back into service.
     MaintenanceEnd {
-        /// Who.
+        /// Name of the operator.
         by: String,
     },
 }
 
-/// Why a command was not carried out.
+/// A command that was not applied.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
     /// No such alarm is open.
     #[error("no {} alarm is open on this machine", cause.as_str())]
     NoSuchAlarm {
-        /// The cause asked for.
+        /// Cause of the alarm.
         cause: Cause,
     },
-    /// The alarm was acknowledged before.
+    /// The alarm is acknowledged already.
     #[error("the {} alarm is acknowledged already, by {by}", cause.as_str())]
     AlreadyAcknowledged {
-        /// The cause asked for.
+        /// Cause of the alarm.
         cause: Cause,
-        /// Who acknowledged it.
+        /// Operator who acknowledged it.
         by: String,
     },
     /// The alarm is not shelved.
     #[error("the {} alarm is not shelved", cause.as_str())]
     NotShelved {
-        /// The cause asked for.
+        /// Cause of the alarm.
         cause: Cause,
     },
-    /// The time is past.
+    /// The time is in the past.
     #[error("`until` is {until}, which is past: give a time after {now}")]
     UntilIsPast {
-        /// The time given.
+        /// The given time.
         until: Timestamp,
         /// The monitor's clock.
         now: Timestamp,
@@ -96,7 +96,7 @@ pub enum CommandError {
         /// The longest time allowed \[days\].
         days: u32,
     },
-    /// Who, or why, is missing or too long.
+    /// The name or the reason is missing, too long or has control characters.
     #[error("`{field}` must hold 1 to {max} characters, no control characters among them", max = Command::MAX_TEXT)]
     Text {
         /// `by` or `why`.
@@ -111,16 +111,16 @@ pub enum CommandError {
 }
 
 impl Command {
-    /// Longest `by` or `why` \[characters\]: both are kept in the monitor's state.
+    /// Longest `by` or `why` \[characters\]; both are part of the snapshot.
     pub const MAX_TEXT: usize = 200;
 
-    /// The command's word, as `ack`.
+    /// Name of the command, as `ack`.
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.into()
     }
 
-    /// Who asks.
+    /// Name of the operator.
     #[must_use]
     pub fn by(&self) -> &str {
         match self {
@@ -133,7 +133,7 @@ impl Command {
         }
     }
 
-    /// Why, where the command says so.
+    /// Reason given by the operator.
     #[must_use]
     pub fn why(&self) -> Option<&str> {
         match self {
@@ -142,7 +142,7 @@ impl Command {
         }
     }
 
-    /// One sentence for the operator once the command is carried out: what holds now, until when, by whom and why.
+    /// One sentence for the operator after the command: the new state, its end, operator and reason.
     #[must_use]
     pub fn confirmation(&self, machine: &MachineId) -> String {
         let time = |at: &Timestamp| at.strftime("%Y-%m-%d %H:%M:%S UTC").to_string();
@@ -169,7 +169,7 @@ impl Command {
     /// # Errors
     /// When `by` or `why` is empty or too long, or `until` is past or too far ahead.
     pub fn validate(&self, now: Timestamp, settings: &Settings) -> Result<(), CommandError> {
-        // A control character could rewrite the terminal on which the text is read.
+        // Control characters could contain commands to a terminal.
         let fits = |text: &str| {
             (1..=Self::MAX_TEXT).contains(&text.trim().chars().count()) && !text.chars().any(char::is_control)
         };

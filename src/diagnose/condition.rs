@@ -1,78 +1,77 @@
-//! When a drift alarm is raised, gets critical, and is cleared: on and off delays and the deadband, counted in throws.
+//! The condition of a drift alarm: when it is raised, escalated and cleared, with delays and a deadband counted in
+//! throws.
 //!
-//! An alarm is raised when the diagnosis names its cause, above its limit, for `on_delay_throws` in a row; without a single
-//! name, when the drift has waited longer for one. It is cleared when one of these has lasted:
-//! - plain health, `off_delay_throws`: the size with two standard deviations on top is below half of the limit;
-//! - hovering, `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
-//! - another name, one longest window: the drift is there, and something else explains it.
+//! An alarm is raised if the diagnosis names its cause, above the limit, for `on_delay_throws` consecutive throws;
+//! without a single name after a longer wait. It is cleared after one of these:
+//! - plain health for `off_delay_throws`: the size plus two standard deviations is below half of the limit;
+//! - hovering for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
+//! - another name for a longest window: another cause explains the drift.
 //!
-//! So an alarm at its limit does not toggle: without plain health it stays for `hold_throws` at least.
+//! So an alarm near its limit does not alternate: without plain health it lasts at least `hold_throws`.
 
 use serde::{Deserialize, Serialize};
 
 use super::{event::Severity, settings::Settings, threshold::WINDOWS};
 
-/// A size from this part of the alarm's level on is still at that level: closer than scatter moves a few throws.
+/// Part of the level from which a size is still at this level; scatter of a few throws is larger than the rest.
 const NEAR_LEVEL: f64 = 0.75;
-/// A size below this part of the level has left it: more than half of the drift went away.
+/// Part of the level below which a size has left it: more than half of the drift has ended.
 const LEFT_LEVEL: f64 = 0.5;
-/// Throws within which a repair shows: the last few throws of each direction.
+/// Throws in which a repair shows: the last few throws of each direction.
 const REPAIR_SHOWS_WITHIN: u32 = 8;
-/// Least level, in multiples of the warning limit, from which a fall is taken for a repair: closer to the limit, a fall is
-/// nothing but scatter.
+/// Least level for the detection of a repair, in multiples of the warning limit; below it a fall may be scatter.
 const REPAIRABLE_LEVEL: f64 = 1.5;
-/// Throws of both directions that fill a longest window of each.
+/// Throws of the machine that fill a longest window.
 const LONGEST_WINDOW: u32 = 24;
 const _: () = assert!(LONGEST_WINDOW as usize == WINDOWS[3], "the same length, in another type");
 
-/// What one throw says for an alarm about one cause.
+/// Evidence of a throw for an alarm about a cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Claim {
-    /// Nothing.
+    /// No evidence.
     None,
-    /// It counts as a throw of the on delay, but raises nothing.
+    /// Counts for the on delay, but does not raise the alarm.
     Counts,
     /// The diagnosis names the cause, above its limit.
     Named,
 }
 
-/// What one throw says about one cause.
+/// Evidence of a throw for and against an alarm about a cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reading {
-    /// What it says for an alarm.
+    /// Evidence for the alarm.
     pub(super) claim: Claim,
-    /// The size over the warning limit where the name is beyond doubt, zero where it is not: a critical alarm must not
-    /// have the wrong name.
+    /// Size relative to the warning limit if the name is beyond doubt, else 0: a critical alarm must not have a wrong
+    /// name.
     pub(super) undoubted: f64,
-    /// Throws by which the alarm waits longer than the on delay.
+    /// Throws of waiting in addition to the on delay.
     pub(super) patience: u32,
-    /// The size, two standard deviations added, is below half of the limit.
+    /// Whether the size plus two standard deviations is below half of the limit.
     pub(super) plain_health: bool,
-    /// No drift is detected, or its size is below the limit by the deadband.
+    /// Whether no drift is detected, or its size is below the limit by the deadband.
     pub(super) below: bool,
-    /// The drift has another name.
+    /// Whether the drift has another name.
     pub(super) other_name: bool,
-    /// Size in the last few throws over the limit; `None` when they are of a direction that the alarm is not about.
+    /// Size in the last few throws relative to the limit; `None` if they are of the other direction than the alarm.
     pub(super) latest: Option<f64>,
 }
 
-/// What has to happen to an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Transition {
     Stay,
     Raise(Severity),
     Escalate,
-    /// Back to normal; `at_once`: within a few throws.
+    /// The drift has ended; `at_once`: within a few throws.
     Clear {
         at_once: bool,
     },
-    /// Most of the drift went away within a few throws, as after a repair, but the machine is not as it was.
+    /// Most of the drift has ended within a few throws, as after a repair, but a part is left.
     ProposeRebaseline,
-    /// Something else explains the drift.
+    /// Another cause explains the drift.
     Withdraw,
 }
 
-/// Where the alarm about one cause stands, with the counters \[throws\] that matter there.
+/// State of the alarm about a cause, with the counters \[throws\] of the state.
 ///
 /// ```text
 ///          named for the on delay, and its patience
@@ -93,28 +92,28 @@ pub(super) enum Condition {
     Raised { onset: Onset, since_raised: u32, ending: Ending },
 }
 
-/// Streaks of throws that speak for an alarm, or for a critical one.
+/// Numbers of consecutive throws for an alarm, and for a critical alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Onset {
     pub(super) named: u32,
     pub(super) critical: u32,
 }
 
-/// Streaks of throws that speak for the end of an active alarm.
+/// Numbers of consecutive throws for the end of an active alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Ending {
     pub(super) healthy: u32,
     pub(super) below: u32,
     pub(super) other: u32,
-    /// Largest recent size over the warning limit.
+    /// Largest recent size relative to the warning limit.
     pub(super) level: f64,
-    /// Throws since the size was near that level.
+    /// Throws since the size was near `level`.
     pub(super) since_level: u32,
-    /// Throws that the size took from the level to less than half of it.
+    /// Throws in which the size fell from `level` to less than half of it.
     pub(super) fell_within: Option<u32>,
-    /// A new baseline was proposed.
+    /// Whether a new baseline was proposed.
     pub(super) proposed: bool,
-    /// The alarm was raised again soon after it had cleared: from now on it stays for `hold_throws`.
+    /// Whether the alarm was raised again soon after it cleared: then it lasts at least `hold_throws`.
     pub(super) restless: bool,
 }
 
@@ -129,7 +128,7 @@ fn count(streak: &mut u32, holds: bool) {
 }
 
 impl Condition {
-    /// Takes in one throw, while the alarm has the severity `active`.
+    /// Applies the evidence of a throw; `active` is the severity of the active alarm.
     pub(super) fn step(&mut self, reading: Reading, active: Option<Severity>, settings: &Settings) -> Transition {
         let (onset, since_raised) = match *self {
             Self::Quiet { onset, since_raised } => (onset, since_raised),
@@ -141,7 +140,7 @@ impl Condition {
         let is_critical = onset.critical >= delay;
         let Some(severity) = active else {
             if reading.claim == Claim::Named && onset.named >= delay {
-                // Streaks from before the alarm do not end it: the levels lag behind a step by a few throws.
+                // Counters from before the raise must not clear the alarm, as the levels follow a step with a delay.
                 let restless = since_raised.is_some_and(|throws| throws < settings.hold_throws);
                 *self = Self::Raised { onset, since_raised: 0, ending: Ending { restless, ..Ending::default() } };
                 return Transition::Raise(if is_critical { Severity::Critical } else { Severity::Warning });
@@ -162,7 +161,7 @@ impl Condition {
         transition
     }
 
-    /// Forgets all streaks: the machine was in maintenance.
+    /// Resets all counters after maintenance.
     pub(super) fn reset(&mut self) {
         let onset = Onset::default();
         *self = match *self {
@@ -190,7 +189,7 @@ impl Ending {
         self
     }
 
-    /// Follows whether the size falls at once or slowly.
+    /// Updates the counters that show whether the size falls at once or slowly.
     fn follow_level(&mut self, latest: Option<f64>) {
         self.since_level = self.since_level.saturating_add(1);
         let Some(latest) = latest else { return };

@@ -1,9 +1,9 @@
 //! The paper's cross-correlation of the three inertia estimates.
 //!
-//! Every coefficient gives an estimate of the inertia, nominal over estimate: `J_b0` = `b0_ref/b0`, `J_a1` = `a1_ref/a1`,
-//! `J_a0` = `a0_ref/a0`. When inertia itself changes, all three move together; the rule asks each pair for a
-//! correlation of at least 0.8. It is taken over the baseline and the recent window together, each with the same
-//! weight, so that a drift shows in it as between the paper's tests.
+//! Every coefficient gives an estimate of the inertia, nominal over estimate: `J_b0` = `b0_ref/b0`, `J_a1` =
+//! `a1_ref/a1`, `J_a0` = `a0_ref/a0`. When inertia changes, all three change together; the rule needs a correlation of
+//! at least 0.8 for each pair. The correlation is over the baseline and the recent window with equal weights, so that a
+//! drift has the same effect as between the paper's tests.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -20,9 +20,9 @@ pub struct Correlation {
 }
 
 impl Correlation {
-    /// Over a baseline in which one throw scatters with `of_one_throw` and throws that scatter in the same way
-    /// around `mean`, half and half. J = exp(-residual): for small residuals its covariance is that of the logarithms, and the shift
-    /// between the halves is taken in J itself.
+    /// The correlation over two halves with the scatter `of_one_throw`: around the baseline, and around `mean`. J =
+    /// exp(-residual); for small residuals its covariance is that of the logarithms. The shift between the halves is
+    /// computed in J.
     pub(super) fn of(of_one_throw: &Matrix3<f64>, mean: &Vector3<f64>) -> Self {
         let shift = mean.map(|log| (-log).exp() - 1.0);
         let level = mean.map(|log| (-log).exp());
@@ -35,7 +35,7 @@ impl Correlation {
         Self { b0_a1: between(0, 1), b0_a0: between(0, 2), a1_a0: between(1, 2) }
     }
 
-    /// Whether all three pairs reach `limit`: the paper's sign of inertia.
+    /// Whether all three pairs reach `limit`: the paper's criterion for inertia.
     #[must_use]
     pub fn tells_inertia(&self, limit: f64) -> bool {
         [self.b0_a1, self.b0_a0, self.a1_a0].into_iter().all(|pair| pair >= limit)

@@ -1,12 +1,12 @@
-//! The whole life since the baseline in bounded space, for the course of a drift that began long ago.
+//! The history since the baseline in bounded memory, for the course of slow drifts.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::course::Point;
 
-/// Means of successive blocks of throws since the baseline. When all places are full, neighbours are joined and
-/// blocks get twice as long, so that the whole life is always there, coarser as it gets longer.
+/// Means of consecutive blocks of throws since the baseline. When all places are full, neighbouring blocks are joined,
+/// and new blocks are twice as long: the history is complete, and gets coarser.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct History {
     length: u32,
@@ -22,11 +22,11 @@ impl Default for History {
 }
 
 impl History {
-    /// Places: even, so that all blocks have a neighbour to be joined with.
+    /// Number of blocks; even, so that all blocks can be joined in pairs.
     const PLACES: usize = 48;
-    /// Blocks that a course is read from: as many as a history that was just joined has at least.
+    /// Blocks used for a course: the number right after a join.
     const LATEST: usize = 23;
-    /// Throws in a block at first: enough to average the scatter, few enough to see a fast ramp.
+    /// Initial length of a block \[throws\]: enough to average the scatter, few enough for a fast ramp.
     const FIRST_LENGTH: u32 = 4;
 
     #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]

@@ -1,4 +1,4 @@
-//! What the monitor is given: one throw, as the diagnosis sees it.
+//! Observations: the input of the monitor.
 
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
@@ -8,35 +8,35 @@ use crate::{
     throw::{Direction, ThrowRef},
 };
 
-/// One throw as the diagnosis sees it.
+/// A throw as input of the diagnosis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observation {
     /// Boot and number of the throw.
     pub throw: ThrowRef,
     /// Wall time of the first sample.
     pub started_at: Timestamp,
-    /// Direction, where known.
+    /// Direction; `None` if unknown.
     pub direction: Option<Direction>,
     /// (b0, a1, a0) and their covariance; `None` when the estimate was rejected.
     pub estimate: Option<([f64; 3], Matrix3<f64>)>,
-    /// Grade of the estimate: a rough one counts for drift and never for a baseline.
+    /// Grade of the estimate; a rough one counts for drifts, not for baselines.
     pub grade: Grade,
-    /// Only the ratios of the coefficients are known, their common scale is not.
+    /// Whether only the ratios of the coefficients are known.
     pub ratios_only: bool,
-    /// The points did not complete their movement (obstruction, no detection).
+    /// Whether the points did not complete their movement (obstruction, no detection).
     pub incomplete: bool,
     /// Duration, currents and travel, measured without the model.
     pub features: Features,
-    /// Temperature \[°C\], where measured.
+    /// Temperature \[°C\]; `None` if not measured.
     pub temperature_c: Option<f64>,
 }
 
-/// What is wrong with the way in which a logger sends its throws.
+/// An irregularity of a logger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Irregularity {
-    /// It sends a recording that it sent before.
+    /// The logger sent the same recording before.
     RepeatedTrace,
-    /// It counts its throws again from the start under the same `boot_id`.
+    /// The logger restarted its throw numbers with the same `boot_id`.
     RepeatedNumber,
 }
 
@@ -57,7 +57,7 @@ pub(super) struct Evaluated {
 impl Evaluated {
     /// `None` unless the direction is known and the estimate is positive with a finite, positive covariance.
     pub(super) fn of(observation: &Observation) -> Option<Self> {
-        /// Relative standard deviation from which an estimate is useless: its logarithm is no longer linear in it.
+        /// Largest relative standard deviation of a usable estimate; above it the logarithm is not linear.
         const WORST_SD: f64 = 0.5;
         let (estimate, covariance) = observation.estimate.as_ref()?;
         let direction = observation.direction?;

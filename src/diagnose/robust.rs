@@ -1,8 +1,8 @@
-//! Robust averages: one wild throw must not move them.
+//! Robust averages, which a single outlier hardly changes.
 
-/// How far from the median, in standard deviations, a value counts in full; beyond, it counts as if it were there.
+/// Largest distance from the median, in standard deviations; larger ones are clipped.
 const CLIP_SD: f64 = 3.0;
-/// Median absolute deviation to standard deviation, for Gaussian scatter.
+/// Factor from median absolute deviation to standard deviation, for Gaussian scatter.
 const MAD_TO_SD: f64 = 1.4826;
 
 /// Median. Sorts `values`, which must not be empty.
@@ -13,7 +13,7 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
 }
 
 /// Mean of `values`, clipped at three standard deviations `sd` around their median: as good as the mean for Gaussian
-/// scatter, and one wild value of three moves it by one `sd` only. Sorts `values`, which must not be empty.
+/// scatter, and changed by one `sd` only by an outlier of three values. Sorts `values`, which must not be empty.
 pub(super) fn clipped_mean(values: &mut [f64], sd: f64) -> f64 {
     let centre = median(values);
     let reach = CLIP_SD * sd;
@@ -26,7 +26,7 @@ pub(super) fn centre_and_sd(values: &[f64]) -> (f64, f64) {
     let middle = median(&mut sorted);
     let mut deviations: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
     let sd = MAD_TO_SD * median(&mut deviations);
-    // Half of the values equal (quantised): the mean of deviations still tells a scale.
+    // If half of the values are equal (quantised), the mean of the deviations gives a scale.
     let sd = if sd > 0.0 { sd } else { deviations.iter().sum::<f64>() / deviations.len() as f64 };
     (clipped_mean(&mut sorted, sd), sd)
 }

@@ -1,4 +1,4 @@
-//! Limits, delays and budgets of the diagnosis. Every key has a default, a unit and a range that `validate` keeps.
+//! Settings of the diagnosis. Every key has a default, a unit, and a range that `validate` checks.
 
 use jiff::SignedDuration;
 use serde::{Deserialize, Serialize};
@@ -6,17 +6,17 @@ use serde::{Deserialize, Serialize};
 use super::event::Cause;
 use crate::throw::OutOfRange;
 
-/// Limits, delays and budgets of the diagnosis, the same for every machine that has none of its own.
+/// Limits, delays and budgets of the diagnosis, for all machines.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
-    /// Accepted throws that make a full baseline, for each direction. 12 to 200, default 50.
+    /// Accepted throws of a complete baseline, for each direction. 12 to 200, default 50.
     pub baseline_throws: usize,
-    /// Accepted throws from which a baseline is usable, with wider limits. 12 to `baseline_throws`, default 12.
+    /// Accepted throws from which a baseline is used, with wider limits. 12 to `baseline_throws`, default 12.
     pub baseline_usable_throws: usize,
-    /// At most one false drift alarm per machine in so many years. 0.001 to 10,000 years, default 20.
+    /// Years with at most one false drift alarm per machine. 0.001 to 10,000 years, default 20.
     pub false_alarm_years: f64,
-    /// How often a machine throws, both directions together; turns years into throws. 0.1 to 5,000, default 20.
+    /// Throws of a machine per day, in both directions, to convert years into throws. 0.1 to 5,000, default 20.
     pub throws_per_day: f64,
     /// Warning limit of the motor's torque constant. 0.001 to 100 %, default 5.
     pub kt_limit_pct: f64,
@@ -26,38 +26,37 @@ pub struct Settings {
     pub stiffness_limit_pct: f64,
     /// Warning limit of inertia. 0.001 to 100 %, default 5.
     pub inertia_limit_pct: f64,
-    /// The critical limit of a cause is this many times its warning limit. 1 to 20, default 3.
+    /// Critical limit as multiple of the warning limit. 1 to 20, default 3.
     pub critical_factor: f64,
-    /// The model's own error: a fault may move the other coefficients by this part of its main effect. 0 to 1,
-    /// default 0.3.
+    /// Error of the model: effect of a fault on the other coefficients, as part of its main effect. 0 to 1, default
+    /// 0.3.
     pub model_error: f64,
-    /// The paper's limit of the cross-correlations that tell inertia. 0 to 1, default 0.8.
+    /// The paper's limit of the cross-correlations for inertia. 0 to 1, default 0.8.
     pub correlation_limit: f64,
-    /// Change of b0, a1, a0 with temperature; without it, it is fitted where the baseline's throws allow.
+    /// Change of b0, a1, a0 with temperature; `None` to fit it if the baseline allows it.
     pub temperature: Option<TemperatureCoefficients>,
-    /// Span of the baseline's temperatures from which coefficients are fitted. 1 to 100 K, default 10.
+    /// Temperature span of a baseline from which its temperature coefficients are fitted. 1 to 100 K, default 10.
     pub temperature_span_k: f64,
-    /// Throws in a row that must show a drift before its alarm is raised. 1 to 100, default 2.
+    /// Consecutive throws with a drift before its alarm is raised. 1 to 100, default 2.
     pub on_delay_throws: u32,
-    /// Throws in a row that must show plain health before an alarm is cleared. 1 to 10,000, default 12.
+    /// Consecutive throws with plain health before an alarm is cleared. 1 to 10,000, default 12.
     pub off_delay_throws: u32,
-    /// An alarm that is only just below its limit clears after so many throws below the deadband. 1 to 100,000,
-    /// default 200.
+    /// Throws below the deadband after which an alarm just below its limit clears. 1 to 100,000, default 200.
     pub hold_throws: u32,
-    /// A drift is below its limit only when it is this much smaller than the limit. 0 to 90 %, default 20.
+    /// Distance below the limit that counts as below it. 0 to 90 %, default 20.
     pub deadband_pct: f64,
-    /// Longest time for which an alarm can be shelved, or a maintenance window planned. 1 to 3,660 days, default 31.
+    /// Longest shelving or maintenance window. 1 to 3,660 days, default 31.
     pub longest_shelving_days: u32,
-    /// A throw is slow when it takes this much longer than the baseline's. 1 to 1,000 %, default 20.
+    /// Excess over the baseline's duration of a slow throw. 1 to 1,000 %, default 20.
     pub slow_throw_pct: f64,
-    /// A slow throw is critical from here. `slow_throw_pct` to 10,000 %, default 50.
+    /// Excess over the baseline's duration of a critically slow throw. `slow_throw_pct` to 10,000 %, default 50.
     pub slow_throw_critical_pct: f64,
-    /// Throws in a row without an estimate that make a machine not monitored. 1 to 10,000, default 20.
+    /// Consecutive throws without an estimate until a machine is not monitored. 1 to 10,000, default 20.
     pub not_monitored_throws: u32,
-    /// Time without any throw that makes a machine not monitored. 0.1 to 100,000 h, default 168.
+    /// Time without a throw until a machine is not monitored. 0.1 to 100,000 h, default 168.
     pub not_monitored_hours: f64,
-    /// Time for which a logger that showed itself alive may be gone before its machine is not monitored: longer than a
-    /// link flaps or a logger restarts. 0.01 to 100,000 min, default 10.
+    /// Time without the logger's token until a machine is not monitored: longer than a short link failure or a restart
+    /// of the logger. 0.01 to 100,000 min, default 10.
     pub logger_gone_minutes: f64,
 }
 
@@ -107,7 +106,7 @@ impl Settings {
     /// Checks every key against its range.
     ///
     /// # Errors
-    /// The first key that is out of range, with its value and range.
+    /// The first key out of its range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         let ranges = [
             ("baseline_throws", self.baseline_throws as f64, 12.0, 200.0),
@@ -144,19 +143,18 @@ impl Settings {
         OutOfRange::check(ranges.map(|(key, value, low, high)| (key, value, low, high, "")))
     }
 
-    /// False drift alarms that one throw of a machine may cause, on average.
+    /// Allowed false drift alarms per throw of a machine, on average.
     #[must_use]
     pub fn false_alarms_per_throw(&self) -> f64 {
         const DAYS_PER_YEAR: f64 = 365.25;
         1.0 / (self.false_alarm_years * DAYS_PER_YEAR * self.throws_per_day)
     }
 
-    /// Longest time for which an alarm can be shelved, or a machine be out of service.
     pub(super) fn longest_shelving(&self) -> SignedDuration {
         SignedDuration::from_hours(24 * i64::from(self.longest_shelving_days))
     }
 
-    /// Warning limit of a physical cause \[%\]; `None` for those that have none of their own.
+    /// Warning limit of a physical cause \[%\]; `None` for other causes.
     #[must_use]
     pub fn limit_pct(&self, cause: Cause) -> Option<f64> {
         match cause {

@@ -1,7 +1,7 @@
-//! Snapshots of a monitor, as version 1 of the program kept them: read once, and written in the present form.
+//! Snapshots of version 1, which are converted to the present form.
 //!
-//! Version 1 had no version number in it. It kept an alarm's state as flags, all counters of a condition side by side, and
-//! could hold a maintenance window without end.
+//! Version 1 had no version number. It stored the state of an alarm as flags, all counters of a condition together, and
+//! allowed a maintenance window without end.
 
 use jiff::Timestamp;
 use serde::Deserialize;
@@ -88,8 +88,8 @@ impl From<Board> for Alarms {
 }
 
 impl From<AlarmOne> for Alarm {
-    /// The time of an acknowledgement and the person behind a shelving were in the events only: the latest event stands
-    /// for them.
+    /// Version 1 had the time of an acknowledgement and the operator of a shelving only in events, so they come from
+    /// the latest event.
     fn from(alarm: AlarmOne) -> Self {
         let last = alarm.last;
         let acknowledged = alarm.acknowledged_by.map(|by| Acknowledgement { by, at: last.event_at });
@@ -109,7 +109,7 @@ impl From<AlarmOne> for Alarm {
 }
 
 impl ConditionOne {
-    /// The condition of an alarm that is active, or not.
+    /// Converts a condition, for an active or inactive alarm.
     pub(super) fn now(self, active: bool) -> Condition {
         let onset = Onset { named: self.on, critical: self.critical };
         if !active {

@@ -1,10 +1,10 @@
-//! A symmetric 3x3 matrix as six numbers: what the monitor's saved state holds.
+//! Symmetric 3x3 matrices as six numbers, for the snapshot.
 
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
-/// The upper triangle, row by row: 00, 01, 02, 11, 12, 22. `f32` halves the saved state and its 1e-7 is far below any
-/// scatter.
+/// The upper triangle, row by row: 00, 01, 02, 11, 12, 22. `f32` halves the snapshot; its precision of 1e-7 is far
+/// below any scatter.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub(super) struct Sym3([f32; 6]);

@@ -1,4 +1,4 @@
-//! What the monitor concludes from one throw: the state of the machine, its drifts as they are now, and alarm events.
+//! The verdict of the monitor on a throw: state of the machine, present drifts, and alarm events.
 
 use serde::{Deserialize, Serialize};
 
@@ -38,9 +38,9 @@ pub enum MachineState {
     Warning,
     /// An alarm of severity critical is active.
     Critical,
-    /// Its throws cannot be evaluated, or none arrive.
+    /// Throws cannot be evaluated, or do not arrive.
     NotMonitored,
-    /// Out of service.
+    /// Out of service, in maintenance.
     Maintenance,
 }
 
@@ -52,49 +52,51 @@ impl MachineState {
     }
 }
 
-/// A drift with an active alarm, as it is now: renewed after every throw. The alarm's events keep how it was then.
+/// The present state of a drift with an active alarm, updated after every throw. Alarm events have the state at their
+/// time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Drifting {
-    /// The cause that the alarm names.
+    /// Cause of the alarm.
     pub cause: Cause,
-    /// Size now \[% from baseline\].
+    /// Present size \[% from baseline\].
     pub change_pct: f64,
     /// Standard deviation of the size \[%\].
     pub change_pct_sd: f64,
-    /// The direction in which the drift shows; `None` for both.
+    /// Direction of the drift; `None` for both.
     pub direction: Option<Direction>,
-    /// When the drift reaches the critical limit; `None` without a clear trend, or past that limit.
+    /// Forecast of the critical limit; `None` without a clear trend, or beyond the limit.
     pub limit_in_throws: Option<LimitForecast>,
 }
 
-/// At its present temperature the machine's throws cannot show a fault: what the temperature does is not known well enough.
+/// A machine whose throws cannot show a fault at the present temperature, as the effect of the temperature is too
+/// uncertain.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Blindness {
-    /// The cause that is hidden most, in multiples of its warning limit.
+    /// The cause hidden most, relative to its warning limit.
     pub cause: Cause,
-    /// Changes below this size cannot be told from the temperature's effect \[%\].
+    /// Size below which a change cannot be distinguished from the effect of the temperature \[%\].
     pub below_pct: f64,
     /// The present temperature \[°C\].
     pub temperature_c: f64,
-    /// The temperature that the baseline belongs to \[°C\].
+    /// Reference temperature of the baseline \[°C\].
     pub baseline_c: f64,
 }
 
-/// What the monitor concludes from one observation.
+/// The verdict of the monitor on an observation.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Verdict {
     /// State of the machine after this throw.
     pub state: MachineState,
-    /// One for each active drift alarm, as the drift is now; the largest in multiples of its warning limit first.
+    /// Present drifts with an active alarm, the largest relative to its warning limit first.
     pub drifts: Vec<Drifting>,
-    /// A change at the warning limit cannot be seen at this temperature.
+    /// Blindness at this temperature, if a change at the warning limit is hidden.
     pub blind: Option<Blindness>,
-    /// Change of b0, a1, a0 from the baseline \[%\]; `None` before there is one, or without an estimate.
+    /// Change of b0, a1, a0 from the baseline \[%\]; `None` without a baseline or an estimate.
     pub change_pct: Option<[f64; 3]>,
-    /// Throws in the baseline so far, of how many, for this direction.
+    /// Throws in the baseline of this direction, and throws that it needs.
     pub baseline: Option<(usize, usize)>,
-    /// The baselines that this throw completed or made usable, to be kept in history.
+    /// Baselines that became usable or complete with this throw.
     pub baselines_taken: Vec<BaselineRecord>,
-    /// Alarm events that this observation caused, in order.
+    /// Alarm events of this observation, in order.
     pub events: Vec<AlarmEvent>,
 }

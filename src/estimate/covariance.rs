@@ -1,13 +1,13 @@
-//! The honest covariance: measured output, measured inputs.
+//! Covariance of the estimate with noise on the output and on the inputs.
 //!
-//! The textbook σ² (Z'Z)⁻¹ knows only noise in the output. Here the current is measured too, and its noise passes
+//! The textbook σ² (Z'Z)⁻¹ includes only noise on the output. Here the current is measured too, and its noise passes
 //! through the model. To first order the error of the estimate is
 //!
 //! ```text
 //! θ̂ - θ = M⁻¹ Σ_k z_k e_k,   M = Σ z φ',   e = n_y - Σ_s (B_s/A) n_s
 //! ```
 //!
-//! as the equation error, filtered by 1/A, is the output noise `n_y` itself less the input noise `n_s` through the model.
+//! as the equation error, filtered by 1/A, is the output noise `n_y` minus the input noise `n_s` filtered by the model.
 //! With T the lower triangular matrix of the sampled response B/A, Σ `z_k` (T n)_k = (T' Z)' n, and T' Z is Z filtered
 //! backwards in time. So, for white noise of variances `s_y²` and `s_s²`,
 //!
@@ -15,12 +15,12 @@
 //! P = M⁻¹ ( s_y² Z'Z + Σ_s s_s² W_s' W_s ) M⁻ᵀ,   W_s = Z filtered backwards in time by B_s/A
 //! ```
 //!
-//! With another prefilter 1/C than 1/A (see `refined`) the equation error is (A/C) `n_y` - (B/C) `n_s`, so W is Z filtered by
-//! B/C, and V = Z filtered by A/C takes the place of Z in Z'Z.
+//! With another prefilter 1/C than 1/A (see `refined`) the equation error is (A/C) `n_y` - (B/C) `n_s`, so W is Z
+//! filtered by B/C, and V = Z filtered by A/C replaces Z in Z'Z.
 //!
 //! The start position and the current's offset are means over n quiet samples: their errors, of variances `s_y²/n` and
-//! `s_s²/n`, are common to all samples and add `s_y²/n` (Σz)(Σz)' and `s_s²/n` (Σw)(Σw)' to the bracket. (With less noise than
-//! half a step of the converter averaging does not help, and the rounding error of one sample takes their place.)
+//! `s_s²/n`, are common to all samples and add `s_y²/n` (Σz)(Σz)' and `s_s²/n` (Σw)(Σw)' to the bracket. (With noise
+//! below half a step of the converter averaging does not help, and the rounding error of one sample replaces them.)
 
 use super::{
     filter::{Discrete, Hold},
@@ -34,17 +34,17 @@ use super::{
 pub struct Noise<'a, const S: usize> {
     /// Variance on the output.
     pub output: f64,
-    /// Variance on each input; 0 for inputs that are not measured.
+    /// Variance on each input; 0 for inputs without measurement.
     pub inputs: [f64; S],
-    /// Standard deviation of the noise on the first input, sample by sample, as a multiple of `inputs[0]`'s root:
-    /// for an input that is a nonlinear function of what the sensor measures.
+    /// Standard deviation of the noise of each sample of the first input, as multiple of the root of `inputs[0]`; for
+    /// an input that is a nonlinear function of the measured value.
     pub scale: Option<&'a [f64]>,
-    /// Variances of the offsets that were removed from the first input and from the output; 0 where none was.
+    /// Variances of the offsets removed from the first input and from the output; 0 without removal.
     pub offsets: [f64; 2],
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
-    /// Covariance of the parameters of `solution`, which must be the latest that used `workspace`.
+    /// Covariance of the parameters of `solution`, which must be the last solution that used `workspace`.
     #[must_use]
     pub fn covariance(
         &self,
@@ -54,7 +54,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         workspace: &Workspace<P>,
     ) -> [[f64; P]; P] {
         let (z, stride) = (&workspace.instruments, workspace.stride);
-        // Each kept instrument stands for `stride` of them.
+        // Each stored instrument represents `stride` instruments.
         let times = stride as f64;
         let mut middle = [[0.0; P]; P];
         let mut sum = [0.0; P];
@@ -81,7 +81,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
                 add(&mut sum, w, times * mean);
             });
             if s == 0 {
-                // An offset is the mean of a few noisy samples: its own error is common to all samples of the trace.
+                // The error of an offset is common to all samples of the trace.
                 add_square(&mut middle, &sum, noise.offsets[0]);
             }
         }
@@ -94,14 +94,14 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     }
 }
 
-/// Share of the friction that is dry, root mean square of a share between none and all.
+/// Dry share of the friction: root mean square of a share that is uniform between 0 and 1.
 pub(super) const DRY_SHARE: f64 = 0.58;
 
 impl Sriv<2, 1, 3> {
-    /// The errors of (b0, a1, a0) of a machine whose friction is partly dry, one standard deviation of that part.
+    /// Errors of (b0, a1, a0) from dry friction, for one standard deviation of its share.
     ///
-    /// Dry friction counts as the viscous friction that takes the same torque at running speed ω: a dry load F of the movement y
-    /// differs from it by F (1 - y'/ω), which disturbs the output by n = -F (1 - y'/ω)/A and the estimate by M⁻¹ Σ z n.
+    /// Dry friction counts as viscous friction with the same torque at running speed ω. A dry load F differs from it by
+    /// F (1 - y'/ω), which disturbs the output by n = -F (1 - y'/ω)/A and the estimate by M⁻¹ Σ z n.
     pub(super) fn load_error(
         problem: &Problem<1>,
         solution: &Solution<2, 1, 3>,
@@ -133,11 +133,11 @@ impl Sriv<2, 1, 3> {
     }
 }
 
-/// A - C for the prefilter 1/C, the coefficient of the d-th derivative at index d; `None` where they are the same.
+/// A - C for the prefilter 1/C, the coefficient of the d-th derivative at index d; `None` if they are equal.
 fn excess<const N: usize, const S: usize, const P: usize>(solution: &Solution<N, S, P>) -> Option<[f64; N]> {
     let a = Sriv::<N, S, P>::denominator(&solution.parameters);
     let excess = std::array::from_fn(|d| a[N - 1 - d] - solution.denominator[N - 1 - d]);
-    // Iterations that ended differ by less than their tolerance.
+    // After convergence they differ by less than the tolerance.
     (0..N).any(|d| excess[d].abs() > 1e-2 * a[N - 1 - d].abs()).then_some(excess)
 }
 
@@ -165,7 +165,7 @@ fn add<const P: usize>(sum: &mut [f64; P], v: &[f64; P], weight: f64) {
     }
 }
 
-/// Filters the rows of `z` from the last to the first by B/A and hands each result, with its index, to `take`.
+/// Filters the rows of `z` from the last to the first by B/A; calls `take` with the index and each result.
 fn backwards<const N: usize, const P: usize>(
     z: &[[f64; P]],
     filter: &Discrete<N>,

@@ -1,15 +1,16 @@
 //! A throw without a toe position: features from the current, and with a known supply voltage and stroke the coefficients.
 //!
-//! The motor is its own speed sensor. With V constant from the motor's start, Q = ∫i, P = ∫Q and the model of equation (12), the
-//! armature V = R i + L i' + K y' integrated twice is linear in five unknowns,
+//! The back-EMF shows the speed of the motor. With V constant from the motor's start, Q = ∫i, P = ∫Q and the model of
+//! equation (12), the armature V = R i + L i' + K y' integrated twice is linear in five unknowns,
 //!
 //! ```text
 //! V (t + a0 t³/6) - a0 R ∫P = L i + (R + a1 L) Q + (K b0 + a1 R + a0 L) P + c t² + d
 //! ```
 //!
-//! (c holds friction and the spring's preload, d the moment of the start), found by least squares over the inrush. Then the movement is y = (V t - R Q - L i) / K, and K follows from the stroke; the ratios
-//! a1/b0 and a0/b0 follow from this movement as from a measured one (see `ratios`), b0 from the third unknown. The corrections
-//! in a1 and a0 converge in a few rounds.
+//! (c includes friction and the preload of the spring, d the moment of the start), found by least squares over the
+//! inrush. Then the movement is y = (V t - R Q - L i) / K, and K follows from the stroke; the ratios a1/b0 and a0/b0
+//! follow from this movement as from a measured one (see `ratios`), and b0 from the third unknown. The terms with a1
+//! and a0 are corrected in a few rounds.
 
 use nalgebra::{Matrix3, Matrix5, Vector3, Vector5};
 
@@ -22,18 +23,17 @@ use super::{
 };
 use crate::throw::Direction;
 
-/// Lowest rate that shows the inrush \[Hz\].
+/// Lowest sampling rate that resolves the inrush \[Hz\].
 const LEAST_RATE_HZ: f64 = 500.0;
-/// Length of the inrush over which the armature is identified \[s\].
+/// Length of the inrush for the estimate of the armature \[s\].
 const INRUSH_S: f64 = 0.2;
-/// Rounds of the corrections; each is smaller by a1 L / R, a few per cent.
+/// Rounds of corrections; each is smaller than the previous one by the factor a1 L / R, a few per cent.
 const ROUNDS: usize = 6;
-/// Standard deviations of ln b0 and of the logarithms of the ratios beside their own. Simulated throws with 20 mA of noise scatter by
-/// 0.15 % in b0 and 0.3 % in a1 at 1 kHz, by twice that at 500 Hz.
+/// Standard deviations of ln b0, and extra ones of the logarithms of the ratios. Simulated throws with 20 mA of noise
+/// scatter by 0.15 % in b0 and 0.3 % in a1 at 1 kHz, and twice as much at 500 Hz.
 const SCALE_SD: f64 = 0.005;
 const RATIO_SD: f64 = 0.003;
 
-/// The features that the current shows alone.
 pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) -> Features {
     let with_zeros = movement.features(current, &vec![0.0; current.len()], interval_s);
     Features {
@@ -46,7 +46,7 @@ pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) ->
     }
 }
 
-/// The coefficients from current, supply voltage and stroke; `None` where they do not determine a machine. Adds resistance and
+/// The coefficients from current, supply voltage and stroke; `None` if these do not determine them. Adds resistance and
 /// back-EMF constant to the features.
 pub(super) fn estimate(
     current: &[f64],
@@ -76,7 +76,7 @@ pub(super) fn estimate(
     let double = integral(&charge);
     let triple = integral(&double);
     let angle = stroke_mm * std::f64::consts::TAU / settings.lead_mm;
-    // The motor is cut off as the toe arrives: the last samples may already fall.
+    // The motor is cut off when the toe arrives, so the last samples may be falling already.
     let last = amperes.len().checked_sub(3)?;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
     let inrush = ((INRUSH_S / interval_s) as usize).min(last);
@@ -87,7 +87,8 @@ pub(super) fn estimate(
         let (mut normal, mut right) = (Matrix5::zeros(), Vector5::zeros());
         for k in 1..inrush {
             let t = time(k);
-            // The constant is the moment of the start between two samples; t² holds friction and the spring's preload.
+            // The constant is the moment of the start between two samples; t² includes friction and the preload of the
+            // spring.
             let row = Vector5::new(amperes[k], charge[k], double[k], t * t, 1.0);
             let left = supply_v * t * (1.0 + a0 * t * t / 6.0) - a0 * resistance * triple[k];
             normal += row * row.transpose();
@@ -125,7 +126,7 @@ pub(super) fn estimate(
     (features.resistance_ohm, features.back_emf_v_s_per_rad) = (Some(resistance), Some(back_emf));
     let mut estimate = ratios.estimate(None, start, start + last, interval_s);
     let coefficients = Vector3::new(b0, a1, a0);
-    // Errors of ln b0 move all three; those of the ratios are their own.
+    // An error of ln b0 is common to all three; the ratios have additional errors.
     let mut log = Matrix3::repeat(SCALE_SD * SCALE_SD);
     for i in 0..2 {
         for j in 0..2 {

@@ -1,14 +1,14 @@
-//! High rates brought down to about 1 kHz, both channels by one anti-alias filter.
+//! Decimation of high rates to about 1 kHz, with the same anti-alias filter for both channels.
 //!
-//! The model is linear: a filter that current and position both pass cancels in it. So the filter need not be invisible,
-//! only equal on both channels: a fourth-order Butterworth low-pass (two bilinear biquads) at 0.4 of the new rate.
+//! The model is linear, so an equal filter of current and position cancels. The filter may change the signals, but must
+//! be equal for both channels: a fourth-order Butterworth low-pass (two bilinear biquads) at 0.4 of the new rate.
 
 /// Traces above twice this rate are decimated to no less than it \[Hz\].
 pub(super) const TARGET_RATE_HZ: f64 = 1000.0;
 /// Cut-off as a share of the new sampling rate.
 pub(super) const CUT_OFF_SHARE: f64 = 0.4;
 
-/// By which factor a trace of this rate is decimated; 1 leaves it alone.
+/// Decimation factor for a sampling rate; 1 for none.
 pub(super) fn factor(sample_rate_hz: f64) -> usize {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "rates are positive and below 1e6")]
     let factor = (sample_rate_hz / TARGET_RATE_HZ) as usize;
@@ -25,7 +25,7 @@ struct Biquad {
 }
 
 impl Biquad {
-    /// Low-pass of this quality with `warped` = tan(π f/fs), at rest on the constant `level`.
+    /// Low-pass with this quality and `warped` = tan(π f/fs), in steady state for the constant `level`.
     fn low_pass(warped: f64, quality: f64, level: f64) -> Self {
         let square = warped * warped;
         let scale = 1.0 / (1.0 + warped / quality + square);
@@ -43,7 +43,7 @@ impl Biquad {
     }
 }
 
-/// Filters `values` and keeps every `factor`-th, in place. Before the first value the signal was `level`.
+/// Filters `values` and keeps every `factor`-th, in place. The signal counts as `level` before the first value.
 pub(super) fn decimate(values: &mut Vec<f64>, factor: usize, level: f64) {
     if factor < 2 {
         return;

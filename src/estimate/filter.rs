@@ -1,4 +1,4 @@
-//! The state-variable filter 1/A(s), discretised exactly for what the signal does between its samples.
+//! The state-variable filter 1/A(s), discretised exactly for a hold of the signal between its samples.
 //!
 //! With x = v / A(s) and the state z = (x, x', …, x⁽ⁿ⁻¹⁾), the companion form ż = F z + `e_n` v gives over one sampling
 //! interval h, for `v(t_k` + τ) = `v_k` + (v_{k+1} - `v_k`) τ/h,
@@ -7,24 +7,24 @@
 //! z_{k+1} = Φ z_k + Γ0 v_k + Γ1 (v_{k+1} - v_k),   Φ = e^{Fh},   Γ0 = ∫₀ʰ e^{Fτ} e_n dτ,   Γ1 = (1/h) ∫₀ʰ e^{F(h-τ)} e_n τ dτ
 //! ```
 //!
-//! and Γ1 = 0 for a held signal. The substitution q = z - Γ1 v turns both holds into one recursion without look-ahead,
+//! and Γ1 = 0 for a constant signal. With q = z - Γ1 v both holds have the same recursion without look-ahead,
 //!
 //! ```text
 //! q_{k+1} = Φ q_k + Γ v_k,   z_k = q_k + Γ1 v_k,   Γ = Φ Γ1 + Γ0 - Γ1
 //! ```
 //!
-//! Which coordinates the recursion runs in is free. In those of the controllable canonical form of Ψ = Φ - 1 it costs N
-//! multiplications a sample, and the recursion is the same for both holds:
+//! The coordinates of the recursion are free. In the controllable canonical form of Ψ = Φ - 1 it needs N
+//! multiplications for each sample, and is the same for both holds:
 //!
 //! ```text
 //! s_i ← s_i + s_{i+1},   s_N ← s_N - α_1 s_N - … - α_N s_1 + v,   q = K s
 //! ```
 //!
-//! with α the characteristic polynomial of Ψ (Faddeev, Leverrier) and the columns `k_N` = Γ, `k_{N-j}` = Ψ `k_{N-j+1}` + `α_j` Γ.
-//! As Ψ is of the order of h, nothing cancels at high sampling rates.
+//! with α the characteristic polynomial of Ψ (Faddeev, Leverrier) and the columns `k_N` = Γ, `k_{N-j}` = Ψ `k_{N-j+1}`
+//! + `α_j` Γ. As Ψ is of the order of h, there is no cancellation at high sampling rates.
 //!
-//! Ψ, Γ0 and Γ1 come from Taylor series in normalised time (the companion matrix of `a_i` / ρ^i, ρ its root radius, so
-//! that no power of a fast pole spoils the others) with scaling and squaring.
+//! Ψ, Γ0 and Γ1 come from Taylor series in normalised time (the companion matrix of `a_i` / ρ^i, with the root radius
+//! ρ, so that powers of a fast pole do not dominate) with scaling and squaring.
 
 use serde::{Deserialize, Serialize};
 
@@ -33,20 +33,20 @@ use super::{
     small::{invert, times},
 };
 
-/// What a signal does between two samples.
+/// Course of a signal between two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum Hold {
-    /// Constant until the next sample: an input that is known to be held (zero-order hold).
+    /// Constant until the next sample: for a held input (zero-order hold).
     Zero,
-    /// Linear to the next sample: a measured signal (first-order hold).
+    /// Linear to the next sample: for a measured signal (first-order hold).
     #[default]
     First,
 }
 
-/// 1/A(s) at a sampling interval: the recursion, and how to read x and its derivatives for either hold.
+/// 1/A(s) at a sampling interval: the recursion, and the output of x and its derivatives for each hold.
 #[derive(Debug, Clone)]
 pub(super) struct Discrete<const N: usize> {
-    /// `α_N` … `α_2`, in the order of the states that they weigh, and 1 - `α_1`.
+    /// `α_N` … `α_2`, in the order of their states, and 1 - `α_1`.
     feedback: [f64; N],
     held: Readout<N>,
     linear: Readout<N>,
@@ -68,8 +68,9 @@ struct Interval<const N: usize> {
 }
 
 impl<const N: usize> Discrete<N> {
-    /// Discretises 1/A(s), A monic with `a` = \[`a_1`, …, `a_N`\] (`a_i` belongs to s^(N-i)), for the interval `h` \[s\].
-    /// `None` when the samples do not show all states: poles that are not finite, or on a harmonic of the sampling rate.
+    /// Discretises 1/A(s), A monic with `a` = \[`a_1`, …, `a_N`\] (`a_i` belongs to s^(N-i)), for the interval `h`
+    /// \[s\]. `None` if the samples do not determine all states: poles that are not finite, or at a harmonic of the
+    /// sampling rate.
     pub(super) fn new(a: &[f64; N], h: f64) -> Option<Self> {
         let rho = root_radius(a);
         let interval = Interval::new(&normalised(a, rho), rho * h);
@@ -90,7 +91,7 @@ impl<const N: usize> Discrete<N> {
         Some(Self { feedback, held, linear })
     }
 
-    /// How to read x and its derivatives for this hold.
+    /// The output of x and its derivatives for a hold.
     pub(super) fn readout(&self, hold: Hold) -> &Readout<N> {
         match hold {
             Hold::Zero => &self.held,
@@ -98,7 +99,6 @@ impl<const N: usize> Discrete<N> {
         }
     }
 
-    /// s at the next sample.
     #[inline]
     pub(super) fn advance(&self, s: &mut [f64; N], v: f64) {
         let mut last = v;
@@ -113,7 +113,7 @@ impl<const N: usize> Discrete<N> {
 }
 
 impl<const N: usize> Readout<N> {
-    /// In normalised time; `scales` brings each derivative to seconds.
+    /// Made in normalised time; `scales` converts each derivative to seconds.
     fn new(
         psi: &[[f64; N]; N],
         alpha: &[f64; N],
@@ -134,7 +134,8 @@ impl<const N: usize> Readout<N> {
         Some(Self { state, through, inverse: invert(&state)?.inverse })
     }
 
-    /// How to read a polynomial in derivatives of x, the coefficient of the d-th at index d: from the states, and directly.
+    /// The weights of a polynomial in derivatives of x (coefficient of the d-th at index d): on the states, and on the
+    /// sample.
     pub(super) fn combined(&self, polynomial: &[f64; N]) -> ([f64; N], f64) {
         (
             std::array::from_fn(|j| (0..N).map(|i| polynomial[i] * self.state[i][j]).sum()),
@@ -142,7 +143,7 @@ impl<const N: usize> Readout<N> {
         )
     }
 
-    /// The state at the first sample `v0` at which x and its derivatives are `z`.
+    /// The state for which x and its derivatives are `z` at the first sample `v0`.
     pub(super) fn start(&self, z: &[f64; N], v0: f64) -> [f64; N] {
         times(&self.inverse, &std::array::from_fn(|i| z[i] - self.through[i] * v0))
     }
@@ -205,7 +206,7 @@ impl<const N: usize> Interval<N> {
         Self { psi, step, ramp }
     }
 
-    /// The interval of twice this length.
+    /// The same for twice the interval.
     fn doubled(&self, length: f64) -> Self {
         let square = product(&self.psi, &self.psi);
         let psi = std::array::from_fn(|i| std::array::from_fn(|j| 2.0 * self.psi[i][j] + square[i][j]));

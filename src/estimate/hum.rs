@@ -1,9 +1,10 @@
-//! Mains hum on the current: found while nothing happens, removed from the whole trace.
+//! Mains hum on the current: detected at rest, removed from the whole trace.
 //!
-//! A sine of the nominal frequency is fitted, beside a straight line, to the quiet samples before the motor starts and to each
-//! stretch of five periods after the inrush. Mains differs by 0.1 Hz and more from its nominal frequency, so the phase drifts
-//! from fit to fit: between the centres of two fits the hum is the linear interpolation of their sines, which follows a constant
-//! difference in frequency to first order. It also bridges the inrush, where nothing can be fitted.
+//! A sine of the nominal frequency and a straight line are fitted to the quiet samples before the start of the motor,
+//! and to each stretch of five periods after the inrush. Mains differs by 0.1 Hz and more from its nominal frequency,
+//! so the phase drifts from fit to fit: between the centres of two fits the hum is the linear interpolation of their
+//! sines, which follows a constant difference in frequency to first order. The interpolation also covers the inrush,
+//! where no fit is possible.
 
 use nalgebra::{Matrix4, Vector4};
 
@@ -11,17 +12,17 @@ use super::movement::Level;
 
 /// Mains frequencies \[Hz\]: most of the world, the Americas, railways.
 const MAINS_HZ: [f64; 3] = [50.0, 60.0, 50.0 / 3.0];
-/// Fewest periods in the quiet samples, and periods in a stretch.
+/// Least number of periods in the quiet samples, and number of periods in a stretch.
 const LEAST_PERIODS: f64 = 3.0;
 const STRETCH_PERIODS: f64 = 5.0;
-/// Fewest samples in a period: below it hum is another frequency.
+/// Least number of samples in a period; with fewer, aliasing changes the frequency.
 const LEAST_RATE: f64 = 4.0;
-/// Share of the quiet samples' variance that is hum.
+/// Least share of hum in the variance of the quiet samples.
 const LEAST_SHARE: f64 = 0.6;
-/// How long the current does not follow a straight line after the motor's start \[s\].
+/// Time after the start of the motor in which the current is not a straight line \[s\].
 const INRUSH_S: f64 = 0.15;
 
-/// A sine at one frequency beside a straight line, by least squares.
+/// Least-squares fit of a sine of one frequency and a straight line.
 struct Sine {
     turn: f64,
     centre: f64,
@@ -51,7 +52,8 @@ impl Sine {
     }
 }
 
-/// Removes hum from `current`, whose first `quiet` samples are before the motor's start. Returns whether there was any.
+/// Removes hum from `current`, whose first `quiet` samples are before the start of the motor; returns whether there was
+/// hum.
 pub(super) fn remove(current: &mut [f64], quiet: usize, interval_s: f64) -> bool {
     let variance = Level::of(&current[..quiet]).sd.powi(2);
     for hz in MAINS_HZ {

@@ -1,8 +1,8 @@
-//! Whether the movement begins when the model says: brake, play, lost motion and time between the channels.
+//! Check of the start time of the movement: brake, play, lost motion, time shift between the channels.
 //!
-//! The first 50 ms of a throw decide the common scale of b0, a1 and a0: later the machine runs at nearly constant speed, which
-//! shows only the ratios a1/b0 and a0/b0. A toe that starts 1 ms later than the model changes the scale by about 2 %. Such a delay
-//! δ and an error of the scale α leave their own residuals,
+//! The first 50 ms of a throw determine the common scale of b0, a1 and a0: later the machine runs at nearly constant
+//! speed, which determines only the ratios a1/b0 and a0/b0. A delay of the toe of 1 ms changes the scale by about 2 %.
+//! A delay δ and an error of the scale α leave different residuals,
 //!
 //! ```text
 //! y - x̂ = α ∂x̂/∂ln(scale) - δ x̂'
@@ -17,21 +17,20 @@ use super::{
     rejection::Rejection,
 };
 
-/// Movement of the toe that counts as the start, as a share of the travel: after 3 % the inrush is over.
+/// Length of the start, as share of the travel: after 3 % the inrush is over.
 const START_SHARE: f64 = 0.03;
-/// Longest start \[s\].
 const LONGEST_START_S: f64 = 0.4;
-/// Largest delay of an accepted start \[s\], and in standard deviations. A soft drive (5e6 N/m) delays the toe by 1 to 2 ms, play of
-/// 0.1 mm by 3.3 ms.
+/// Largest accepted delay of the start \[s\], and in standard deviations. A soft drive (5e6 N/m) delays the toe by 1 to
+/// 2 ms, play of 0.1 mm by 3.3 ms.
 const LARGEST_DELAY_S: f64 = 3e-3;
 const DELAY_SIGMAS: f64 = 5.0;
 /// Change of the scale in the numerical derivative.
 const SCALE_STEP: f64 = 0.02;
 
-/// The delay of the start \[s\], 0 where it cannot be found.
+/// The delay of the start \[s\]; 0 if it cannot be computed.
 ///
 /// # Errors
-/// When the model does not describe the start.
+/// When the delay is too large.
 pub(super) fn check(
     channels: (&[f64], &[f64], &[f64]),
     equilibrium: Option<&[f64]>,
@@ -47,8 +46,8 @@ pub(super) fn check(
     }
 }
 
-/// Finds the delay \[s\] and its standard deviation from `output` and the model's output, both from the sample `foot` at which the motor starts;
-/// `None` when the start has too few samples. `noise` is the variance of the output.
+/// Computes the delay \[s\] and its standard deviation from `output` and the output of the model, both from the sample
+/// `foot` at which the motor starts; `None` if the start has too few samples. `noise` is the variance of the output.
 pub(super) fn find(
     (input, output, model): (&[f64], &[f64], &[f64]),
     equilibrium: Option<&[f64]>,

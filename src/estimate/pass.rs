@@ -1,9 +1,9 @@
 //! One pass over the samples: every signal filtered by 1/C(s), and the sums of the normal equations.
 //!
-//! The sums are taken over what the filters hold (their canonical states s, see `filter`) and the samples themselves, and are
-//! brought to derivatives afterwards: φ and z are linear in them with constant coefficients, so that a sample costs P² + P
-//! products and no more than N multiplications a filter. The highest derivative is not formed either: as
-//! `y_f⁽ᴺ⁾` = y - `c_1` `y_f⁽ᴺ⁻¹⁾` - … - `c_N` `y_f`,
+//! The sums are over the canonical states s of the filters (see `filter`) and the samples, and are converted to
+//! derivatives afterwards: φ and z are linear in them with constant coefficients, so a sample needs P² + P products,
+//! and at most N multiplications for each filter. The highest derivative is not computed either: as `y_f⁽ᴺ⁾` = y -
+//! `c_1` `y_f⁽ᴺ⁻¹⁾` - … - `c_N` `y_f`,
 //!
 //! ```text
 //! θ = (Σ z φ')⁻¹ Σ z y_f⁽ᴺ⁾ = [0, c_1 … c_N] + (Σ z φ')⁻¹ Σ z (y - c_N y_eq,f)
@@ -27,7 +27,7 @@ pub(super) struct Sums<const P: usize> {
 pub(super) struct Auxiliary<'a, const N: usize, const P: usize> {
     /// Numerators.
     pub(super) parameters: &'a [f64; P],
-    /// Denominator, where it is not the filter's.
+    /// Denominator, if it differs from that of the filter.
     pub(super) denominator: Option<&'a [f64; N]>,
 }
 
@@ -48,7 +48,7 @@ struct Raw<const P: usize> {
     model_shift: f64,
 }
 
-/// How the numerator columns are read from the states of the input filters.
+/// Weights of the numerator columns on the states of the input filters.
 struct Columns<const N: usize, const P: usize> {
     input: [usize; P],
     state: [[f64; N]; P],
@@ -72,7 +72,7 @@ impl<const N: usize, const P: usize> Columns<N, P> {
     fn read<const S: usize>(&self, states: &[[f64; N]; S], samples: &[f64; S]) -> [f64; P] {
         let mut values = [0.0; P];
         for at in 0..P - N {
-            // Known at compile time where every numerator is a constant.
+            // A constant at compile time if every numerator is a constant.
             let input = if P - N == S { at } else { self.input[at] };
             values[at] = self.through[at] * samples[input];
             for i in 0..N {
@@ -84,8 +84,8 @@ impl<const N: usize, const P: usize> Columns<N, P> {
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
-    /// Filters by 1/C and forms the sums. Without an auxiliary model the instrument is the regressor itself (least
-    /// squares). `None` when C cannot be discretised.
+    /// Filters by 1/C and forms the sums. Without an auxiliary model the instrument is the regressor (least squares).
+    /// `None` if C cannot be discretised.
     pub(super) fn pass(
         &self,
         problem: &Problem<S>,
@@ -114,7 +114,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         }
     }
 
-    /// `IV`: with an auxiliary model; `APART`: whose denominator is not the filter's; `SHIFTED`: with `y_eq`.
+    /// `IV`: with an auxiliary model; `APART`: its denominator differs from that of the filter; `SHIFTED`: with `y_eq`.
     fn filtered_sums<const IV: bool, const APART: bool, const SHIFTED: bool>(
         &self,
         problem: &Problem<S>,
@@ -135,14 +135,14 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             Signal::Sampled(_, hold) => hold,
             Signal::Constant | Signal::Impulse => Hold::Zero,
         });
-        // A signal that is not sampled is an empty slice and a constant.
+        // A signal without samples is an empty slice and a constant.
         let sampled: [&[f64]; S] = problem.inputs.map(|input| match input {
             Signal::Sampled(u, _) => u,
             Signal::Constant | Signal::Impulse => &[],
         });
         let constants: [f64; S] = problem.inputs.map(|input| f64::from(u8::from(matches!(input, Signal::Constant))));
         let value = |s: usize, k: usize| sampled[s].get(k).copied().unwrap_or(constants[s]);
-        // Every filter starts at rest, but an impulse is in its last derivative at once.
+        // Every filter starts at rest; an impulse is in the last derivative at once.
         let start = |filter: &Discrete<N>, s: usize| {
             let impulse = matches!(problem.inputs[s], Signal::Impulse);
             let z = std::array::from_fn(|i| f64::from(u8::from(impulse && i == N - 1)));
@@ -271,7 +271,7 @@ impl<const P: usize> Raw<P> {
         }
     }
 
-    /// x̂ = Σ numerator · column + `a_N` `y_eq,f`, so its sums follow from theirs.
+    /// x̂ = Σ numerator · column + `a_N` `y_eq,f`, so its sums follow from those of the columns.
     fn model_from_columns(&mut self, numerators: &[f64], a_last: f64) {
         self.model = self.shift_columns.map(|sum| a_last * sum);
         self.model_output = a_last * self.shift_output;
@@ -285,13 +285,13 @@ impl<const P: usize> Raw<P> {
         }
     }
 
-    /// Least squares: y stands where x̂ would.
+    /// Least squares: y replaces x̂.
     fn model_is_output(&mut self) {
         self.model = self.output;
         self.model_shift = self.shift_output;
     }
 
-    /// From states to derivatives.
+    /// Converts the sums from states to derivatives.
     fn sums<const N: usize>(&self, linear: &Readout<N>, c_last: f64) -> Sums<P> {
         let by_row = |row: &[f64; P], output: f64, shift: f64| regressor(row, linear, output, shift);
         let rows: [[f64; P]; P] = std::array::from_fn(|i| by_row(&self.cross[i], self.output[i], self.shift_rows[i]));

@@ -1,4 +1,4 @@
-//! Monic polynomials as the array of their coefficients \[`a_1` … `a_N`\]: stability and reflected roots.
+//! Monic polynomials, given by the coefficients \[`a_1` … `a_N`\]: stability, and reflection of roots.
 
 use nalgebra::Complex;
 
@@ -30,7 +30,7 @@ pub(super) fn reflected<const N: usize>(a: &[f64; N]) -> [f64; N] {
     let rho = root_radius(a);
     let mut roots = roots(&normalised(a, rho));
     for root in &mut roots {
-        // A root on the axis would ring for ever: give it a little damping.
+        // A root on the axis gets a little damping, so that the filter decays.
         root.re = -root.re.abs().max(1e-6);
     }
     let mut product = [Complex::new(0.0, 0.0); N];
@@ -68,7 +68,7 @@ fn roots<const N: usize>(a: &[f64; N]) -> [Complex<f64>; N] {
     roots
 }
 
-/// max |`a_i|^(1/i)`, a radius that holds the roots of A up to a factor of two; 1 when all are zero.
+/// max |`a_i|^(1/i)`, the root radius of A up to a factor of two; 1 if all coefficients are zero.
 pub(super) fn root_radius<const N: usize>(a: &[f64; N]) -> f64 {
     let radius = (1..).zip(a).fold(0.0, |radius: f64, (i, a)| radius.max(a.abs().powf(1.0 / f64::from(i))));
     if radius > 0.0 { radius } else { 1.0 }

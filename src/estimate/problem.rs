@@ -1,11 +1,11 @@
-//! The model's structure, the signals of one problem, and the buffers that the estimation reuses.
+//! Structure of the model, signals of a problem, and reusable buffers of the estimation.
 
 use super::{filter::Hold, polynomial::root_radius};
 
 /// One input of the model.
 #[derive(Debug, Clone, Copy)]
 pub enum Signal<'a> {
-    /// Sampled together with the output, and what it does between the samples.
+    /// Sampled together with the output, with its hold between the samples.
     Sampled(&'a [f64], Hold),
     /// 1 from the first sample on: its coefficient is a constant load.
     Constant,
@@ -13,35 +13,35 @@ pub enum Signal<'a> {
     Impulse,
 }
 
-/// What is to be identified.
+/// The data of an identification.
 #[derive(Debug, Clone, Copy)]
 pub struct Problem<'a, const S: usize> {
     /// Sampling interval \[s\].
     pub interval_s: f64,
-    /// The output, at rest before the first sample unless an impulse input says otherwise.
+    /// The output; at rest before the first sample, unless there is an impulse input.
     pub output: &'a [f64],
     /// The inputs, each sampled one as long as the output.
     pub inputs: [Signal<'a>; S],
-    /// The output at which the term in `a_N` vanishes, its mean over the interval after each sample; 0 while something
-    /// else still holds the machine. `None` when it is 0 throughout.
+    /// The output at which the term in `a_N` vanishes, as mean over the interval after each sample; 0 while the machine
+    /// is held. `None` if it is always 0.
     pub equilibrium: Option<&'a [f64]>,
 }
 
-/// The model's structure and when to stop: order `N`, `S` inputs, `P` parameters in all.
+/// Structure of the model (order `N`, `S` inputs, `P` parameters) and stop conditions of the iteration.
 #[derive(Debug, Clone)]
 pub struct Sriv<const N: usize, const S: usize, const P: usize> {
     /// Input and derivative of each of the first P-N columns.
     pub(super) columns: [(usize, usize); P],
     numerator_orders: [usize; S],
-    /// Where the iteration starts.
+    /// Start of the iteration.
     pub start: Start<N>,
     /// Relative change of the parameters at which the iteration has converged.
     pub tolerance: f64,
-    /// Most iterations.
+    /// Largest number of iterations.
     pub max_iterations: usize,
 }
 
-/// Where the iteration starts.
+/// Start of the iteration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Start<const N: usize> {
     /// Least squares with the filter 1/(s+λ)^N, λ in rad/s.
@@ -50,7 +50,7 @@ pub enum Start<const N: usize> {
     Denominator([f64; N]),
 }
 
-/// The numerators do not make `P` parameters, or one of them is not of lower order than the denominator.
+/// The numerators do not have `P` parameters in total, or one has at least the order of the denominator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("numerator orders must be below {order} and give {numerator_parameters} coefficients in all")]
 pub struct InvalidStructure {
@@ -58,22 +58,22 @@ pub struct InvalidStructure {
     numerator_parameters: usize,
 }
 
-/// Buffers that live from one problem to the next, so that none is allocated while throws keep their length.
+/// Buffers, reused from problem to problem to avoid allocations.
 #[derive(Debug, Default)]
 pub struct Workspace<const P: usize> {
-    /// The middle one of every `stride` instruments: they are smooth, and a covariance needs two digits.
+    /// Every `stride`-th instrument: instruments are smooth, and a covariance needs two digits only.
     pub(super) instruments: Vec<[f64; P]>,
     pub(super) stride: usize,
     pub(super) model_output: Vec<f64>,
 }
 
-/// Longest distance of the kept instruments in units of 1 / root radius of their filter.
+/// Longest distance of stored instruments, in units of 1 / root radius of the filter.
 const KEPT_ANGLE: f64 = 0.05;
-/// Most samples from one kept instrument to the next.
+/// Largest distance of stored instruments \[samples\].
 const MAX_STRIDE: f64 = 16.0;
 
 impl<const P: usize> Workspace<P> {
-    /// Makes room for a pass over `len` samples with the filter 1/C.
+    /// Prepares the buffers for a pass over `len` samples with the filter 1/C.
     pub(super) fn prepare<const N: usize>(&mut self, len: usize, c: &[f64; N], interval_s: f64) {
         #[expect(
             clippy::cast_possible_truncation,
@@ -86,7 +86,7 @@ impl<const P: usize> Workspace<P> {
         self.model_output.resize(len, 0.0);
     }
 
-    /// The output x̂ of the auxiliary model in the last iteration, one value a sample.
+    /// The output x̂ of the auxiliary model in the last iteration, one value for each sample.
     #[must_use]
     pub fn model_output(&self) -> &[f64] {
         &self.model_output

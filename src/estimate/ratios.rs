@@ -1,4 +1,4 @@
-//! Ratios of the coefficients from the movement alone, whatever its start was.
+//! Ratios of the coefficients from the movement, independent of its start.
 //!
 //! Equation (12) integrated from the sample s at which the toe has moved a little, and divided by b0, is linear in the ratios:
 //!
@@ -6,9 +6,9 @@
 //! ∫ u dt = (a1/b0) (y - y_s) + (a0/b0) ∫ (y - y_eq) dt + (1/b0) (y' - y'_s)
 //! ```
 //!
-//! It needs neither the moment nor the position of release nor the speed at s, and no iteration. At nearly constant speed 1/b0 is
-//! hardly determined, the ratios are. The integrated current's noise is a random walk and what the model lacks wanders, so that
-//! the covariance comes from the means of long stretches (batch means), not from single samples.
+//! It does not need the time or the position of the release, the speed at s, or an iteration. At nearly constant speed
+//! it determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk, and errors of the
+//! model vary slowly, so the covariance comes from means of long stretches (batch means), not from single samples.
 
 use std::ops::AddAssign;
 
@@ -19,21 +19,21 @@ use super::{
     identification::{Estimate, Grade},
 };
 
-/// Standard deviation of the logarithm of the common scale when the start says nothing of it.
+/// Standard deviation of the logarithm of the common scale without information from the start.
 const SCALE_SD: f64 = 0.45;
-/// Share of the travel after which the start no longer matters: 1.5 mm of 115 mm.
+/// Share of the travel that is skipped as the start: 1.5 mm of 115 mm.
 const SKIPPED_SHARE: f64 = 0.013;
-/// Half of the interval over which the speed is a difference \[s\].
+/// Half of the interval of the difference for the speed \[s\].
 const SPEED_S: f64 = 0.02;
-/// Stretches of the movement whose means are taken as independent.
+/// Number of stretches of the movement whose means count as independent.
 const STRETCHES: usize = 10;
-/// The variance of ten means after a fit of four parameters is too small, and their neighbours are correlated: 4 makes 95 %
-/// intervals right in simulated throws.
+/// Factor on the variance: that of ten means after a fit of four parameters is too small, and neighbouring means are
+/// correlated. With 4 the 95 % intervals are correct in simulated throws.
 const BATCH_FACTOR: f64 = 4.0;
-/// Fewest samples of a movement.
+/// Least number of samples of a movement.
 const LEAST_SAMPLES: usize = 40;
-/// Largest root mean square of the residual, as a share of the charge of the whole movement. Dry friction on every chair leaves
-/// 0.3 %; a current that does not belong to the position leaves more.
+/// Largest root mean square of the residual, as share of the charge of the movement. Dry friction on every chair gives
+/// 0.3 %; a current that does not belong to the position gives more.
 const LARGEST_RESIDUAL: f64 = 0.006;
 
 /// a1/b0 and a0/b0.
@@ -41,14 +41,14 @@ const LARGEST_RESIDUAL: f64 = 0.006;
 pub(super) struct Ratios {
     /// a1/b0 and a0/b0.
     pub(super) values: [f64; 2],
-    /// Covariance of the logarithms of the two from throw to throw, and of what is the same in every throw.
+    /// Covariances of the logarithms: of errors that differ in each throw, and of errors that are equal in every throw.
     pub(super) log_covariance: Matrix2<f64>,
     pub(super) log_systematic: Matrix2<f64>,
     /// First sample used.
     pub(super) from: usize,
 }
 
-/// What the full model found, accepted or not.
+/// The result of the full model, accepted or not.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FullModel {
     pub(super) fit_pct: f64,
@@ -56,7 +56,7 @@ pub(super) struct FullModel {
 }
 
 impl Ratios {
-    /// A rough estimate with these ratios, from the samples `from` to `to`. Its scale is arbitrary: b0 is 1.
+    /// A rough estimate with these ratios, from the samples `from` to `to`, with the arbitrary b0 = 1.
     pub(super) fn estimate(&self, full: Option<FullModel>, from: usize, to: usize, interval_s: f64) -> Estimate {
         let coefficients = Vector3::new(1.0, self.values[0], self.values[1]);
         let mut log = Matrix3::repeat(SCALE_SD * SCALE_SD);
@@ -80,9 +80,9 @@ impl Ratios {
     }
 }
 
-/// The ratios of a movement; `None` when the samples do not determine them or do not fit the equation.
+/// Computes the ratios of a movement; `None` if the samples do not determine them or do not fit the equation.
 ///
-/// `offset` is the variance of the input's offset.
+/// `offset` is the variance of the offset of the input.
 pub(super) fn of(input: &[f64], output: &[f64], equilibrium: f64, offset: f64, interval_s: f64) -> Option<Ratios> {
     let travel = *output.last()?;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
@@ -108,7 +108,7 @@ pub(super) fn of(input: &[f64], output: &[f64], equilibrium: f64, offset: f64, i
         normal += row * row.transpose();
         right += row * charge;
     }
-    // Equilibrated: the columns have different units.
+    // Scaled to unit diagonal, as the columns have different units.
     let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
     let scaled = Matrix4::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]);
     let inverse = scaled.try_inverse()?;

@@ -1,4 +1,4 @@
-//! Refined estimation: the prefilter that matches the noise.
+//! Refined estimation, with a prefilter for the noise.
 //!
 //! With white noise on output and input the equation error of A y = b0 u is A `n_y` - b0 `n_u`, of spectrum
 //! `s_y²` |C|², C = s² + `c_1` s + `c_0` its stable spectral factor:
@@ -7,15 +7,15 @@
 //! |C|² = |A|² + r b0²,   r = s_u² / s_y²,   c_0 = √(a_0² + r b0²),   c_1 = √(a_1² - 2 a_0 + 2 c_0)
 //! ```
 //!
-//! Filtered by 1/C the error is white, so the sums of SRIV with this filter instead of 1/A are nearly those of maximum likelihood:
-//! the scatter halves. The faster filter lets more of the current's noise into the instrument, though, which comes from the same
-//! current as the regressor; what it adds to Σ z ε on average is known, as `s_u²` is,
+//! Filtered by 1/C the error is white, so the sums of SRIV with this filter instead of 1/A are nearly those of maximum
+//! likelihood: the scatter halves. But the faster filter passes more noise of the current into the instrument, which
+//! uses the same current as the regressor. As `s_u²` is known, so is the mean of its contribution to Σ z ε,
 //!
 //! ```text
 //! β = -s_u² Σ_k Σ_{j ≤ k} g_z(j) g_ε(j),   g_z and g_ε = b0 g_1 the responses of instrument and error to one sample
 //! ```
 //!
-//! and M⁻¹ β is taken off. (Young 2008; Garnier, Gilson, Young.)
+//! and M⁻¹ β is subtracted. (Young 2008; Garnier, Gilson, Young.)
 
 use super::{
     covariance::Noise,
@@ -30,15 +30,15 @@ use super::{
 /// A refined solution.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refined {
-    /// The solution; its `fit` is that of the model it started from.
+    /// The solution; its `fit` is that of the model before the refinement.
     pub solution: Solution<2, 1, 3>,
-    /// Root mean square of the whitened residual over the output's noise: 1 when the model and the noise explain the data.
+    /// Root mean square of the whitened residual over the output's noise; 1 if model and noise explain the data.
     pub residual_ratio: f64,
 }
 
 impl Sriv<2, 1, 3> {
-    /// Refines `solution`, which must be stable, knowing the noise of output and input. `None` where either has none:
-    /// then the prefilter of SRIV is the right one.
+    /// Refines `solution`, which must be stable, with the noise of output and input. `None` if one has no noise: then
+    /// the prefilter of SRIV is optimal.
     ///
     /// # Errors
     /// When the normal equations become singular or the model unstable.
@@ -91,7 +91,7 @@ fn spectral_factor([b0, a1, a0]: &[f64; 3], ratio: f64) -> [f64; 2] {
     [(a1 * a1 - 2.0 * a0 + 2.0 * c0).max(0.0).sqrt(), c0]
 }
 
-/// The mean β of Σ z ε that noise in the input makes by itself.
+/// The mean β of Σ z ε from noise of the input.
 fn noise_in_instrument(
     parameters: &[f64; 3],
     filter: &Discrete<2>,
@@ -103,7 +103,7 @@ fn noise_in_instrument(
     let model = Discrete::new(&[a1, a0], problem.interval_s)?;
     let (input_row, model_row, linear) = (filter.readout(hold), model.readout(hold), filter.readout(Hold::First));
     let len = problem.output.len();
-    // Power of the input's noise in all samples that a response of this length still reaches within the trace.
+    // Power of the input's noise over all samples within the length of the response.
     let mut reached = noise.scale.map_or(len as f64, |scale| scale.iter().map(|s| s * s).sum());
     let (mut input_state, mut model_state) = (input_row.start(&[0.0; 2], 1.0), model_row.start(&[0.0; 2], 1.0));
     let mut state = linear.start(&[0.0; 2], 0.0);

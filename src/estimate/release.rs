@@ -1,38 +1,38 @@
-//! When the machine is let go.
+//! The release: the moment from which the spring of the rails acts.
 //!
-//! Before the motor is on, a brake or dry friction holds rails that lean against a spring: y = 0 although `y_eq` is not.
-//! The term a0 `y_eq` of equation (12) acts from the moment in which the motor starts, so that moment matters: 1 ms too
-//! early costs 0.8 % of all three coefficients in the direction in which the spring drives the throw.
+//! Before the motor starts, a brake or dry friction holds the rails against a spring: y = 0 although `y_eq` is not. The
+//! term a0 `y_eq` of equation (12) acts from the start of the motor. An error of 1 ms in this moment changes all three
+//! coefficients by 0.8 % in the direction in which the spring drives the throw.
 //!
-//! Unfiltered, the current shows it: the foot of its rise, extrapolated back through the first samples. A filter that both
-//! channels passed delays and rounds the foot; then the start is that of the rectangular pulse which, filtered alike,
-//! fits the current's rise best.
+//! In an unfiltered current the moment is the foot of the rise, extrapolated from the first samples. An anti-alias
+//! filter delays and rounds the foot; then the moment is the start of the rectangular pulse that, filtered alike, fits
+//! the rise best.
 //!
-//! The same foot is a kink: the slope jumps by m, from nothing to supply voltage over inductance. Lines between samples miss the
-//! charge of the curve after it and have too much in the interval in which it lies, together (Euler, Maclaurin)
+//! The same foot is a kink: the slope jumps by m, from nothing to supply voltage over inductance. Trapezoids between
+//! samples miss charge of the curve after the kink, and add charge in the interval of the kink, in total (Euler,
+//! Maclaurin)
 //!
 //! ```text
 //! ∫ i dt - Σ trapezoids = m h² / 2 (1/6 - f (1 - f)),   f the kink's place in its interval
 //! ```
 //!
-//! which is 0.5 % of the inrush at 1 kHz and 2 % at 500 Hz, and all of it would go into the three coefficients.
+//! which is 0.5 % of the inrush at 1 kHz and 2 % at 500 Hz, and would change the three coefficients as much.
 
 use nalgebra::Complex;
 use std::f64::consts::TAU;
 
 use super::movement::{mean, start_of_motor};
 
-/// Widths of inrush that are tried \[s\].
 const PULSE_WIDTHS_S: [f64; 5] = [0.005, 0.01, 0.02, 0.04, 0.08];
-/// Samples of an unfiltered rise that tell where it began.
+/// Samples of an unfiltered rise for the extrapolation.
 const RISE_SAMPLES: usize = 6;
-/// Starts that are tried.
+/// Number of tried starts.
 const STEPS: u32 = 100;
 /// Delay of a fourth-order Butterworth low-pass at 0 Hz, in units of `1/ω_c`: 2 (sin π/8 + sin 3π/8).
 const FILTER_DELAY: f64 = 2.613_125_929_752_753;
 
-/// The moment of release \[s\] in a trace before its decimation, and the charge that its onset misses put into `current`;
-/// `None` when the motor was never off or never on.
+/// The moment of release \[s\] in a trace before its decimation; adds the missing charge of the onset to `current`.
+/// `None` if the motor was never off or never on.
 pub(super) fn at_full_rate(current: &mut [f64], interval_s: f64, linear: bool, scratch: &mut Vec<f64>) -> Option<f64> {
     let foot = start_of_motor(current, scratch).filter(|foot| *foot > 0)?;
     let offset = mean(current[..foot].iter().copied());
@@ -51,22 +51,22 @@ pub(super) fn time(current: &[f64], offset: f64, foot: usize, interval_s: f64, f
     }
 }
 
-/// Where the rise begins, in samples after its foot, and its slope there \[A per sample\].
+/// The onset of the rise: its place in samples after the foot, and its slope \[A per sample\].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Onset {
     at: f64,
     slope: f64,
-    /// Root mean square by which the first samples depart from a linear system of second order \[A\].
+    /// Root mean square departure of the first samples from a linear system of second order \[A\].
     pub(super) roughness: f64,
 }
 
 impl Onset {
-    /// How many samples before the foot the rise began: the first ones are not there.
+    /// Number of samples between the onset and the foot, if the first samples are missing.
     pub(super) fn missing(&self) -> Option<f64> {
         (self.at < -0.9).then_some(-self.at)
     }
 
-    /// Adds the charge that lines between samples miss to the sample after the foot.
+    /// Adds the charge that trapezoids miss to the sample after the foot.
     pub(super) fn complete(&self, current: &mut [f64], foot: usize) {
         let part = self.at - self.at.floor();
         current[foot + 1] += 0.5 * self.slope * (1.0 / 6.0 - part * (1.0 - part));
@@ -74,8 +74,8 @@ impl Onset {
 }
 
 /// The onset of an unfiltered rise. A motor's current follows its voltage step as a linear system of second order
-/// (inductance and back-EMF), so its samples follow `i_k` = α `i_{k-1}` + β `i_{k-2}`: fitted to the first samples, this gives the
-/// ones that would have come before. `None` where they do not cross zero at the foot with a slope.
+/// (inductance and back-EMF), so its samples follow `i_k` = α `i_{k-1}` + β `i_{k-2}`: fitted to the first samples,
+/// this gives the samples before them. `None` if these do not cross zero at the foot with a slope.
 pub(super) fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> {
     let rise = current.get(foot + 1..foot + 1 + RISE_SAMPLES)?;
     let (mut square, mut both, mut earlier, mut ahead, mut behind) = (0.0, 0.0, 0.0, 0.0, 0.0);
@@ -110,8 +110,8 @@ pub(super) fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> 
     (steep && (-5.0..1.1).contains(&at) && onset.slope.abs() < 4.0 * (second.abs() + first.abs())).then_some(onset)
 }
 
-/// The start of the inrush by least squares: up to its crest the filtered current is that of a rectangular pulse, of the
-/// start and width that fit best.
+/// The start of the inrush by least squares: up to its crest the filtered current is a filtered rectangular pulse with
+/// the best start and width.
 fn pulse_start(current: &[f64], offset: f64, foot: usize, interval_s: f64, hz: f64) -> f64 {
     let level = |k: usize| current[k] - offset;
     let crest = (foot..current.len()).max_by(|&a, &b| level(a).abs().total_cmp(&level(b).abs())).unwrap_or(foot);
@@ -138,7 +138,7 @@ fn pulse_start(current: &[f64], offset: f64, foot: usize, interval_s: f64, hz: f
         .map_or(foot_s, |best| best.1)
 }
 
-/// Mean over each sampling interval of the step at `released` \[s\], after the filter.
+/// The filtered step at `released` \[s\], as mean over each sampling interval.
 pub(super) fn course(step: &mut Vec<f64>, len: usize, released: f64, interval_s: f64, filter_hz: Option<f64>) {
     step.clear();
     step.extend((0..len).map(|k| {

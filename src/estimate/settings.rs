@@ -1,21 +1,21 @@
-//! Settings of the estimator: one set for each machine.
+//! Settings of the estimator for a machine.
 
 use serde::{Deserialize, Serialize};
 
 use crate::throw::OutOfRange;
 
-/// How a machine's motor turns current into torque.
+/// Torque law of the motor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Motor {
-    /// Torque proportional to the current: the model's input is I.
+    /// Torque proportional to the current; the input of the model is I.
     #[default]
     PermanentMagnet,
-    /// Field and armature in series: torque proportional to I |I|, which is the model's input.
+    /// Field and armature in series: torque proportional to I |I|, the input of the model.
     Series,
 }
 
-/// The machine and its sensors as the estimator sees them; the `[machines]` section of the configuration.
+/// Parameters of a machine and its sensors; the `[machines]` section of the configuration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Settings {
@@ -23,7 +23,7 @@ pub struct Settings {
     pub lead_mm: f64,
     /// Toe position at which the rails are unstressed \[mm from normal\], -1,000 to 1,000.
     pub neutral_mm: f64,
-    /// Nominal stroke \[mm\], 1 to 1,000; `None` when unknown, and then only the trace shows an incomplete throw.
+    /// Nominal stroke \[mm\], 1 to 1,000; `None` if unknown: then an incomplete throw is detected from the trace alone.
     pub stroke_mm: Option<f64>,
     /// Kind of motor.
     pub motor: Motor,
@@ -33,7 +33,7 @@ pub struct Settings {
     pub position_noise_mm: f64,
     /// Least fit `R²_T` of an accepted estimate \[%\], 0 to 100.
     pub fit_floor_pct: f64,
-    /// Refine each estimate with the prefilter that matches the noise: half the scatter, where the noise is white.
+    /// Whether to refine each estimate with a prefilter for the noise; halves the scatter if the noise is white.
     pub refined: bool,
 }
 
@@ -41,7 +41,7 @@ impl Settings {
     /// Checks every range.
     ///
     /// # Errors
-    /// The first setting outside its range.
+    /// The first setting out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         OutOfRange::check([
             ("lead_mm", self.lead_mm, 0.5, 500.0, "mm"),

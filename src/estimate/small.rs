@@ -1,4 +1,4 @@
-//! Small dense algebra on arrays: the normal equations of a handful of parameters.
+//! Dense algebra on small arrays, for the normal equations.
 
 use nalgebra::SMatrix;
 
@@ -9,7 +9,7 @@ pub(super) struct Inverse<const P: usize> {
     pub(super) rcond: f64,
 }
 
-/// Inverts after scaling rows and columns to unit maximum. `None` when singular or not finite.
+/// Inverts after scaling rows and columns to unit maximum; `None` if singular or not finite.
 pub(super) fn invert<const P: usize>(matrix: &[[f64; P]; P]) -> Option<Inverse<P>> {
     let m = SMatrix::<f64, P, P>::from_fn(|i, j| matrix[i][j]);
     let rows: [f64; P] = std::array::from_fn(|i| m.row(i).amax());

@@ -7,20 +7,20 @@
 //! ```
 //!
 //! of which equation (12) is the case N = 2, S = 1, B = b0. Every signal is filtered by 1/Â(s), which gives filtered
-//! derivatives without differentiating anything:
+//! derivatives without differentiation:
 //!
 //! ```text
 //! y_f⁽ᴺ⁾ = φ' θ,   φ = [ u_f⁽ᵐ⁾ … u_f for every input, -y_f⁽ᴺ⁻¹⁾ … -y_f', -(y_f - y_eq,f) ],   θ = [B_1 … B_S, a_1 … a_N]
 //! θ = (Σ z φ')⁻¹ Σ z y_f⁽ᴺ⁾
 //! ```
 //!
-//! where the instrument z is φ with y replaced by the output x̂ of the auxiliary model, x̂ = (Σ `B̂_s` `u_s` + `â_N` `y_eq`) / Â,
-//! which knows nothing of the noise in y. Filter and auxiliary model come from the estimate before; the first one is
-//! least squares with the filter 1/(s+λ)^N. (Young 1984; Garnier, Gilson, Young.)
+//! where the instrument z is φ with y replaced by the output x̂ of the auxiliary model, x̂ = (Σ `B̂_s` `u_s` + `â_N`
+//! `y_eq`) / Â, which is independent of the noise in y. Filter and auxiliary model come from the previous estimate; the
+//! first estimate is least squares with the filter 1/(s+λ)^N. (Young 1984; Garnier, Gilson, Young.)
 //!
 //! A constant load is the input [`Signal::Constant`]; unknown initial conditions are the input [`Signal::Impulse`] with
-//! numerator order N-1. One pass over the samples filters, forms the sums and keeps the instruments for the covariance;
-//! the buffers for them live in [`Workspace`] and are reused.
+//! numerator order N-1. One pass over the samples filters, computes the sums and stores the instruments for the
+//! covariance; the buffers are in [`Workspace`] and are reused.
 
 use super::{
     pass::{Auxiliary, Sums},
@@ -30,19 +30,19 @@ use super::{
 
 pub use super::problem::{InvalidStructure, Problem, Signal, Sriv, Start, Workspace};
 
-/// Why the iteration ended.
+/// Reason for the end of the iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Termination {
     /// The parameters changed by less than the tolerance.
     Converged,
-    /// The iteration limit came first.
+    /// The iteration limit was reached before convergence.
     IterationLimit,
 }
 
-/// Why there is no solution at all.
+/// A problem without a solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Failure {
-    /// A sampled input is not as long as the output.
+    /// A sampled input and the output differ in length.
     #[error("input and output differ in length")]
     UnequalLengths,
     /// Fewer samples than twice the parameters.
@@ -53,7 +53,7 @@ pub enum Failure {
     Singular,
 }
 
-/// Why a solution is not to be used although the iteration came to an end.
+/// A solution that must not be used.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum Unsound {
     /// The normal equations are close to singular.
@@ -62,16 +62,16 @@ pub enum Unsound {
         /// Reciprocal condition of the equilibrated normal matrix.
         rcond: f64,
     },
-    /// The iteration limit came first.
+    /// The iteration limit was reached before convergence.
     #[error("no convergence in {iterations} iterations")]
     NotConverged {
-        /// Iterations done.
+        /// Number of iterations.
         iterations: usize,
     },
-    /// The model found is unstable; its filter worked only with reflected poles.
+    /// The model is unstable; its filter worked only with reflected poles.
     #[error("the model found is unstable")]
     Unstable,
-    /// The model's output does not follow the measured one.
+    /// The fit of the model is too low.
     #[error("the model explains {fit} of the output's variance only")]
     PoorFit {
         /// `R²_T`.
@@ -79,15 +79,15 @@ pub enum Unsound {
     },
 }
 
-/// Least reciprocal condition of the normal matrix: below it rounding reaches the third digit.
+/// Least reciprocal condition of the normal matrix; below it rounding affects the third digit.
 const MIN_RCOND: f64 = 1e-12;
 
 impl<const N: usize, const S: usize, const P: usize> Solution<N, S, P> {
-    /// Whether this is an estimate at all. "Converged" alone is not: on data that the model cannot describe, SRIV
-    /// converges to nonsense.
+    /// Checks that the solution is usable. Convergence alone is not enough: on data that the model cannot describe,
+    /// SRIV converges to wrong values.
     ///
     /// # Errors
-    /// The first thing that is wrong with it: not converged, unstable, nearly singular, or a fit `R²_T` below `fit_floor`.
+    /// The first problem: not converged, unstable, nearly singular, or a fit `R²_T` below `fit_floor`.
     pub fn sound(&self, fit_floor: f64) -> Result<(), Unsound> {
         if self.rcond < MIN_RCOND {
             return Err(Unsound::NearlySingular { rcond: self.rcond });
@@ -98,21 +98,21 @@ impl<const N: usize, const S: usize, const P: usize> Solution<N, S, P> {
         if self.reflected {
             return Err(Unsound::Unstable);
         }
-        // Written so that a NaN is refused.
+        // A NaN fails this comparison.
         if self.fit >= fit_floor { Ok(()) } else { Err(Unsound::PoorFit { fit: self.fit }) }
     }
 }
 
-/// The estimate and what it takes to judge it.
+/// The estimate with its diagnostics.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution<const N: usize, const S: usize, const P: usize> {
     /// θ: numerator coefficients input by input, highest derivative first, then `a_1` … `a_N`.
     pub parameters: [f64; P],
-    /// Iterations after the start.
+    /// Number of iterations after the start.
     pub iterations: usize,
-    /// Why it ended.
+    /// Reason for the end.
     pub termination: Termination,
-    /// The last filter needed poles reflected into the left half plane.
+    /// Whether the last filter needed reflected poles.
     pub reflected: bool,
     /// Reciprocal condition of the equilibrated normal matrix of the last iteration.
     pub rcond: f64,
@@ -120,7 +120,7 @@ pub struct Solution<const N: usize, const S: usize, const P: usize> {
     pub fit: f64,
     /// (Σ z φ')⁻¹ of the last iteration.
     pub(super) inverse: [[f64; P]; P],
-    /// The filter's denominator in the last iteration.
+    /// Denominator of the filter in the last iteration.
     pub(super) denominator: [f64; N],
 }
 
@@ -217,7 +217,7 @@ fn fit(output: &[f64], model: &[f64]) -> f64 {
     1.0 - (error_square - error * error / count) / square
 }
 
-/// Sums over pairs in four lanes: one chain of additions would wait for itself.
+/// Sums over pairs in four lanes, as a single chain of additions is slow.
 fn sums<const K: usize>(left: &[f64], right: &[f64], terms: impl Fn(f64, f64) -> [f64; K]) -> [f64; K] {
     const LANES: usize = 4;
     let mut lanes = [[0.0; LANES]; K];

@@ -1,42 +1,41 @@
-//! The cursor of each machine: the last throw up to which everything is stored or written off.
+//! The cursor of each machine: the last throw up to which every throw is stored or written off.
 //!
-//! While nothing is missing the cursor is the newest throw, and nothing is kept of it. While throws are awaited from the
-//! logger's backlog, a row of the table `backlog` holds it.
+//! Without missing throws the cursor is the newest throw and is not stored. While throws are awaited from the logger's
+//! backlog, a row of the table `backlog` stores it.
 
 use sqlx::SqliteConnection;
 
 use super::statements as sql;
 
-/// A place in the order of a machine's throws.
+/// A position in the order of a machine's throws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Place {
-    /// The start of the logger; `None` before the first one.
+    /// Boot of the logger; `None` before the first boot.
     pub(super) boot_row: Option<i64>,
-    /// Its position among the starts.
+    /// Position of the boot among the boots.
     pub(super) position: i64,
     pub(super) throw_no: i64,
 }
 
 impl Place {
-    /// Before everything.
+    /// The position before all throws.
     pub(super) const BEGINNING: Self = Self { boot_row: None, position: i64::MIN, throw_no: -1 };
 }
 
-/// A start of a logger.
 #[derive(Debug, Clone, Copy, sqlx::FromRow)]
 #[expect(clippy::struct_field_names, reason = "the name of the column")]
 pub(super) struct Boot {
     pub(super) boot_row: i64,
     pub(super) position: i64,
-    /// Highest number that was received.
+    /// Highest received throw number.
     pub(super) highest_no: i64,
-    /// Highest number that was pruned.
+    /// Highest pruned throw number.
     pub(super) pruned_to_no: i64,
-    /// Whether later throws of it may be in the backlog.
+    /// Whether the backlog may have later throws of this boot.
     pub(super) tail_open: bool,
 }
 
-/// Opens the backlog of a machine after a place, unless it is open already.
+/// Opens the backlog of a machine after a position, unless it is open already.
 pub(super) async fn open(
     connection: &mut SqliteConnection,
     machine_row: i64,
@@ -58,12 +57,13 @@ pub(super) async fn next_boot(
     sqlx::query_as(sql::NEXT_BOOT).bind(machine_row).bind(position).fetch_optional(connection).await
 }
 
-/// The first and the last number of the first awaited gap of a boot.
+/// First and last number of the first awaited gap of a boot.
 pub(super) async fn awaited(connection: &mut SqliteConnection, boot_row: i64) -> sqlx::Result<Option<(i64, i64)>> {
     sqlx::query_as(sql::FIRST_AWAITED).bind(boot_row).fetch_optional(connection).await
 }
 
-/// Moves the cursor of a machine over what is stored or written off; closes the backlog when nothing is awaited any more.
+/// Moves the cursor of a machine over stored and written-off throws; closes the backlog if no throw is awaited any
+/// more.
 pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64, at_us: i64) -> sqlx::Result<()> {
     let row: Option<(Option<i64>, i64, i64)> =
         sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(&mut *connection).await?;
@@ -88,7 +88,7 @@ pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64,
         let Some(next) = next_boot(connection, machine_row, cursor.position).await? else {
             return sqlx::query(sql::CLOSE_BACKLOG).bind(machine_row).execute(connection).await.map(drop);
         };
-        // The cursor is a throw that the logger has made: it does not stand before the first of a boot.
+        // The cursor names a throw of the logger, so it cannot move to before the first throw of a boot.
         if awaited(connection, next.boot_row).await?.is_some_and(|(first_no, _)| first_no <= 1) {
             break;
         }

@@ -1,4 +1,4 @@
-//! The fleet at a glance: one row a machine, the worst first, a page at a time.
+//! Queries of the fleet page: machines with the worst first, fault alarms, windows, commands, neighbours of a throw.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -16,108 +16,107 @@ use crate::{
     wire::Alarm,
 };
 
-/// Which machines, and which part of their list.
+/// Filters and page of a fleet query.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct FleetQuery {
-    /// Only this site.
+    /// A site; `None` for all.
     pub site: Option<Name>,
-    /// Only machines in this state.
+    /// A state; `None` for all.
     pub state: Option<MachineState>,
-    /// Only machines with an open alarm of this cause.
+    /// The cause of an open alarm; `None` for all machines.
     pub cause: Option<Cause>,
-    /// Only machines whose `site/machine` holds this text.
+    /// A text in `site/machine`; `None` for all.
     pub search: Option<String>,
-    /// Machines to leave out at the beginning.
+    /// Number of machines to skip.
     pub offset: u32,
-    /// Most machines.
+    /// Largest number of machines.
     pub limit: u32,
-    /// Throws of each machine for its small picture.
+    /// Throws of each machine for its small chart.
     pub spark: u32,
 }
 
-/// One machine.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct FleetRow {
-    /// Its name.
+    /// Name of the machine.
     #[serde(flatten)]
     pub machine: MachineId,
-    /// Its state.
+    /// State of the machine.
     pub state: MachineState,
-    /// Its active drifts as they are now, the worst first.
+    /// Active drifts with their present size, the worst first.
     pub drifts: Vec<Drifting>,
-    /// Causes of its other open alarms.
+    /// Causes of all open alarms.
     pub causes: Vec<Cause>,
-    /// Start of its last judged throw.
+    /// Start of the last judged throw.
     pub started_at: Option<Timestamp>,
-    /// Quality of that throw.
+    /// Quality of the last judged throw.
     pub quality: Option<String>,
-    /// Throws in the baseline of that throw's direction, else in that of normal to reverse, of how many.
+    /// Throws in the baseline of the last throw's direction (or of normal to reverse), and throws that it needs.
     pub baseline: Option<(u64, u64)>,
     /// Change of b0, a1 and a0 \[%\] in the newest throws of one direction, oldest first.
     pub spark: Vec<[f64; 3]>,
 }
 
-/// An open alarm about a machine's own condition, with its size when it was raised and the machine's drifts now.
+/// An open alarm about the condition of a machine, with its size when raised and the present drifts.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct Fault {
-    /// Its last event.
+    /// Last event of the alarm.
     #[serde(flatten)]
     pub alarm: Alarm,
-    /// Size and its standard deviation when it was raised \[%\].
+    /// Size and standard deviation when raised \[%\].
     pub raised: Option<(f64, f64)>,
-    /// The machine's active drifts as they are now.
+    /// Active drifts of the machine with their present size.
     pub drifts: Vec<Drifting>,
 }
 
-/// A command that an operator had carried out.
+/// An applied command of an operator.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct CommandRow {
-    /// When.
+    /// Time of the command.
     pub at: Timestamp,
-    /// Its word, as `ack`.
+    /// Name of the command, as `ack`.
     pub command: String,
-    /// The alarm's cause, where it was about one alarm.
+    /// Cause of the alarm, for commands about an alarm.
     pub cause: Option<Cause>,
-    /// When its effect ends by itself, where it does.
+    /// End of the shelving or maintenance.
     pub until: Option<Timestamp>,
-    /// Who.
+    /// Name of the operator.
     pub by: String,
-    /// Why.
+    /// Reason given by the operator.
     pub why: Option<String>,
 }
 
-/// Open alarms of a common cause (no throws arrive, throws are missing).
+/// Open alarms of a system-wide cause (not monitored, lost data) at one site.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct CommonAlarm {
     /// The cause.
     pub cause: Cause,
     /// The site.
     pub site: String,
-    /// Machines.
+    /// Number of machines.
     pub count: u64,
-    /// When the first was raised.
+    /// Time of the first raise.
     pub first: Timestamp,
-    /// When the last was raised.
+    /// Time of the last raise.
     pub last: Timestamp,
 }
 
-/// A window that an operator opened and that still lasts: a shelved alarm, or maintenance of a machine.
+/// An open window: a shelved alarm, or maintenance of a machine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Window {
-    /// Which machine: `site` and `machine` in JSON.
+    /// The machine: `site` and `machine` in JSON.
     #[serde(flatten)]
     pub machine: MachineId,
-    /// The shelved alarm's cause; `None` for maintenance.
+    /// Cause of the shelved alarm; `None` for maintenance.
     pub cause: Option<Cause>,
-    /// When it ends by itself.
+    /// End of the window.
     pub until: Option<Timestamp>,
-    /// Who opened it.
+    /// Name of the operator.
     pub by: String,
-    /// Why.
+    /// Reason given by the operator.
     pub why: Option<String>,
 }
 
-/// Machines that pass the filters ?1 site, ?2 state, ?3 cause and ?4 text, the worst state first.
+/// Machines that match the filters ?1 site, ?2 state, ?3 cause and ?4 text, the worst state first.
 const FLEET: &str = "
     WITH chosen AS (
         SELECT machine.machine_row, site, machine, coalesce(monitor.state, 'learning') AS state, monitor.drifts
@@ -153,7 +152,7 @@ const FLEET: &str = "
          (SELECT max(throw_row) FROM estimate AS near WHERE near.machine_row = chosen.machine_row
              AND near.direction = 'normal_to_reverse')";
 
-/// Number of machines in each state, with the filters of [`FLEET`] but the state's.
+/// Number of machines in each state, with the filters of [`FLEET`] except the state.
 const TALLY: &str = "
     SELECT coalesce(monitor.state, 'learning'), count(*)
     FROM machine LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row
@@ -166,7 +165,7 @@ const TALLY: &str = "
 
 const SITES: &str = "SELECT site FROM machine GROUP BY site ORDER BY site LIMIT ?1";
 
-/// Open alarms that say something of a machine itself, the worst first.
+/// Open alarms about the condition of machines, the worst first.
 const FAULTS: &str = "
     SELECT last.payload, first.payload ->> 'change_pct' AS raised_pct, first.payload ->> 'change_pct_sd' AS raised_pct_sd,
            monitor.drifts
@@ -187,7 +186,7 @@ const COMMON: &str = "
     WHERE alarm.state <> 'normal' AND alarm.cause IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
     GROUP BY alarm.cause, site ORDER BY count(*) DESC";
 
-/// The newest opening command of each machine that is in maintenance and of each alarm that is shelved.
+/// The newest opening command of each machine in maintenance and of each shelved alarm.
 const WINDOWS: &str = "
     SELECT site, machine, at_us, command, command.payload ->> 'cause' AS cause, command.payload ->> 'until' AS until,
            by_whom, why
@@ -212,7 +211,7 @@ const BASELINES: &str = "
 const STATE: &str = "
     SELECT state, drifts FROM monitor JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2";
 
-/// The throws of a machine before and after one, in the order in which they began.
+/// The previous and the next throw of a machine, in the order of their start.
 const NEIGHBOURS: &str = "
     WITH this AS (SELECT throw_row, throw.machine_row, started_at_us FROM throw JOIN boot USING (boot_row)
                   JOIN machine ON machine.machine_row = throw.machine_row
@@ -230,7 +229,7 @@ const NEIGHBOURS: &str = "
             ORDER BY near.started_at_us, near.throw_row LIMIT 1))
     JOIN boot USING (boot_row)";
 
-/// The newest good throw of a direction, no later than a moment, whose trace is kept: of the last few hundred before it.
+/// The newest good throw of a direction with a trace, up to a time, among the 300 throws before it.
 const TYPICAL: &str = "
     SELECT boot_id, throw_no FROM (
         SELECT throw_row, boot_row, throw_no, started_at_us FROM throw JOIN machine USING (machine_row)
@@ -267,7 +266,7 @@ impl FromRow<'_, SqliteRow> for FleetRow {
     }
 }
 
-/// An alarm, if this version can read it.
+/// A fault; `None` if this version cannot read it.
 struct FaultRow(Option<Fault>);
 
 impl FromRow<'_, SqliteRow> for FaultRow {
@@ -311,7 +310,7 @@ impl FromRow<'_, SqliteRow> for Window {
 }
 
 impl Reader {
-    /// One page of the fleet, without the daemon itself.
+    /// A page of the fleet, without the daemon itself.
     pub(crate) async fn fleet(&self, query: &FleetQuery, itself: &MachineId) -> Result<Vec<FleetRow>, StoreError> {
         let statement = sqlx::query_as(FLEET)
             .bind(query.site.as_ref().map(Name::as_str))
@@ -326,7 +325,7 @@ impl Reader {
         self.asked(statement).await
     }
 
-    /// Number of machines in each state, of those that pass the filters; the filter of the state is left out.
+    /// Number of machines in each state; the filter of the state is ignored.
     pub(crate) async fn tally(
         &self,
         query: &FleetQuery,
@@ -348,7 +347,7 @@ impl Reader {
         Ok(rows.into_iter().map(|(site,)| site).collect())
     }
 
-    /// The open alarms about machines' own condition: up to `limit`, the critical ones first. And how many of them this
+    /// Up to `limit` open alarms about the condition of machines, the critical first; and the number of those that this
     /// version cannot read.
     pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
         let statement = sqlx::query_as(FAULTS).bind(itself.site.as_str()).bind(itself.machine.as_str()).bind(limit);
@@ -359,19 +358,19 @@ impl Reader {
         Ok((faults, unreadable))
     }
 
-    /// Number of all open alarms about machines' own condition.
+    /// Number of open alarms about the condition of machines.
     pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
         let statement = sqlx::query_as(FAULT_COUNT).bind(itself.site.as_str()).bind(itself.machine.as_str());
         let rows: Vec<(i64,)> = self.asked(statement).await?;
         Ok(rows.first().map_or(0, |(count,)| count.cast_unsigned()))
     }
 
-    /// The open alarms of common causes, by cause and site.
+    /// Numbers of open alarms of system-wide causes, by cause and site.
     pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
         self.asked(sqlx::query_as(COMMON).bind(itself.site.as_str()).bind(itself.machine.as_str())).await
     }
 
-    /// The maintenance windows and shelvings that last, of one machine or of all.
+    /// The open windows of one machine or of all.
     pub(crate) async fn windows(&self, machine: Option<&MachineId>) -> Result<Vec<Window>, StoreError> {
         let statement = sqlx::query_as(WINDOWS)
             .bind(machine.map(|machine| machine.site.as_str()))
@@ -379,7 +378,7 @@ impl Reader {
         self.asked(statement).await
     }
 
-    /// The newest `limit` commands that operators had carried out on a machine, newest first.
+    /// The newest `limit` commands for a machine, newest first.
     pub(crate) async fn commands_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<CommandRow>, StoreError> {
         let statement = sqlx::query_as(COMMANDS).bind(machine.site.as_str()).bind(machine.machine.as_str());
         self.asked(statement.bind(limit)).await
@@ -393,11 +392,11 @@ impl Reader {
     ) -> Result<Vec<BaselineRecord>, StoreError> {
         let statement = sqlx::query_as(BASELINES).bind(machine.site.as_str()).bind(machine.machine.as_str());
         let rows: Vec<(String,)> = self.asked(statement.bind(limit)).await?;
-        // A baseline that another version wrote may have no record that this version knows.
+        // Baselines of another version that cannot be read are left out.
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
     }
 
-    /// The state of a machine now, and its active drifts.
+    /// The present state of a machine, and its active drifts.
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<(MachineState, Vec<Drifting>), StoreError> {
         let statement = sqlx::query_as(STATE).bind(machine.site.as_str()).bind(machine.machine.as_str());
         let rows: Vec<(Option<String>, Option<String>)> = self.asked(statement).await?;
@@ -406,7 +405,7 @@ impl Reader {
         Ok((state, drifts.and_then(|drifts| serde_json::from_str(&drifts).ok()).unwrap_or_default()))
     }
 
-    /// The throws of a machine before and after this one, in the order of arrival.
+    /// The previous and the next throw of a machine, in the order of their start.
     pub(crate) async fn neighbours_of(
         &self,
         machine: &MachineId,
@@ -422,7 +421,7 @@ impl Reader {
         Ok(neighbours)
     }
 
-    /// A throw that shows what was normal: the last good one of a direction no later than `at` whose trace is kept.
+    /// A typical throw of a baseline: the last good one of a direction with a trace, up to `at`.
     pub(crate) async fn typical_of(
         &self,
         machine: &MachineId,

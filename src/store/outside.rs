@@ -1,4 +1,4 @@
-//! The database from outside the daemon: questions in SQL, and a copy while it runs.
+//! Access from outside the daemon: SQL queries, and backups while it runs.
 
 use std::path::{Path, PathBuf};
 
@@ -11,10 +11,10 @@ use sqlx::{
 
 use super::{disk::beside, error::StoreError, open};
 
-/// One value of an answer.
+/// A value in the result of a query.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Value {
-    /// SQL's NULL.
+    /// NULL.
     Null,
     /// A whole number.
     Integer(i64),
@@ -26,8 +26,7 @@ pub enum Value {
     Blob(Vec<u8>),
 }
 
-/// Connects read-only. A database that its daemon closed, in a folder that cannot be written to, is opened as it is:
-/// nobody changes it.
+/// Connects read-only. A closed database in a read-only folder is opened as immutable.
 async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
     let file = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let error = |source| StoreError::Open { path: path.to_owned(), source: Box::new(source) };
@@ -42,11 +41,11 @@ async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
     }
 }
 
-/// Asks the database at `path`, read-only, and hands every row of the answer to `row`, which ends it with an error.
-/// `columns` gets the names first, rows or not, and again before the first row of each further statement.
+/// Queries the database at `path`, read-only, and calls `row` for every row; an error of `row` ends the query.
+/// `columns` is called with the names before the rows of each statement, also without rows.
 ///
 /// # Errors
-/// When the database cannot be opened, the question is no SQL or would write; or the error of `columns` or `row`.
+/// When the database cannot be opened, or the SQL is invalid or would write; or the error of `columns` or `row`.
 pub async fn ask<E: From<StoreError>>(
     path: &Path,
     question: &str,
@@ -78,7 +77,7 @@ fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {
     if raw.is_null() {
         return Ok(Value::Null);
     }
-    // The value's own type counts, not the column's: an expression has none.
+    // The type of the value, as the column of an expression has no type.
     Ok(match raw.type_info().name() {
         "INTEGER" | "BOOLEAN" => Value::Integer(row.try_get_unchecked(at)?),
         "REAL" => Value::Real(row.try_get_unchecked(at)?),
@@ -87,7 +86,7 @@ fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {
     })
 }
 
-/// A copy of a database in use, with its progress.
+/// A backup of a database in use, with its progress.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Backup {
     from: PathBuf,
@@ -96,10 +95,10 @@ pub struct Backup {
 }
 
 impl Backup {
-    /// A copy of the database `from`, which may be in use, to the new file `to`.
+    /// A backup of the database `from`, which may be in use, to the new file `to`.
     ///
     /// # Errors
-    /// When `to` is there already: a backup never overwrites.
+    /// When `to` exists: a backup does not overwrite files.
     pub fn new(from: &Path, to: &Path) -> Result<Self, StoreError> {
         if to.exists() {
             let source = std::io::Error::from(std::io::ErrorKind::AlreadyExists);
@@ -108,23 +107,23 @@ impl Backup {
         Ok(Self { from: from.to_owned(), to: to.to_owned(), partial: beside(to, ".partial") })
     }
 
-    /// The size of the database \[bytes\]: about what there is to copy.
+    /// Size of the database \[bytes\], about that of the copy.
     #[must_use]
     pub fn total_bytes(&self) -> u64 {
         std::fs::metadata(&self.from).map_or(0, |file| file.len())
     }
 
-    /// Bytes that are copied so far.
+    /// Bytes copied so far.
     #[must_use]
     pub fn copied_bytes(&self) -> u64 {
         std::fs::metadata(&self.partial).map_or(0, |file| file.len())
     }
 
-    /// Copies one consistent state, checks the copy, and gives it its name when it is complete. Returns its size
+    /// Copies one consistent state, checks the copy, and renames it to `to` when it is complete. Returns its size
     /// \[bytes\].
     ///
     /// # Errors
-    /// When reading or writing fails; then there is no file `to`.
+    /// When reading or writing fails; then `to` does not exist.
     pub async fn run(&self) -> Result<u64, StoreError> {
         let file = |action, source| StoreError::File { action, path: self.partial.clone(), source };
         if self.partial.exists() {
@@ -132,7 +131,7 @@ impl Backup {
         }
         let outcome = self.copy().await;
         if let Err(error) = outcome {
-            // What is left of it is of no use; the error that matters is the first one.
+            // Ignored: the first error is reported.
             let _ = std::fs::remove_file(&self.partial);
             return Err(error);
         }

@@ -1,4 +1,4 @@
-//! What the dashboard reads: a bounded number of rows each, found by index, however long the history.
+//! Queries of the dashboard; each reads a bounded number of rows by an index.
 
 use super::{error::StoreError, reader::Reader, rows::StoredThrow, statements as sql};
 use crate::{
@@ -7,7 +7,7 @@ use crate::{
 };
 
 impl Reader {
-    /// The number of open alarms of each cause and severity that there is.
+    /// Number of open alarms for each cause and severity.
     pub(crate) async fn open_alarms_by_kind(&self) -> Result<Vec<(String, String, u64)>, StoreError> {
         let kinds: Vec<(String, String, i64)> = self.asked(sqlx::query_as(sql::OPEN_ALARMS_BY_KIND)).await?;
         Ok(kinds.into_iter().map(|(cause, severity, count)| (cause, severity, count.cast_unsigned())).collect())
@@ -23,7 +23,7 @@ impl Reader {
         self.way(sql::WAY_NEWEST, machine, direction, limit).await
     }
 
-    /// Up to `limit` throws of a machine in one direction, spread evenly over all that are kept, oldest first.
+    /// Up to `limit` throws of a machine in one direction, spread evenly over all stored ones, oldest first.
     pub(crate) async fn spread_of(
         &self,
         machine: &MachineId,
@@ -58,14 +58,14 @@ impl Reader {
         Ok(self.asked_alarms(query.bind(machine.machine.as_str()).bind(limit)).await?.0)
     }
 
-    /// One throw of a machine with its health, which is `None` while the throw is pending. `None` when there is no such
-    /// throw.
+    /// A throw of a machine with its health; the health is `None` while the throw is pending. `None` if the throw does
+    /// not exist.
     pub(crate) async fn throw_of(
         &self,
         machine: &MachineId,
         throw: &ThrowRef,
     ) -> Result<Option<(StoredThrow, Option<Health>)>, StoreError> {
-        // SQLite has no larger numbers, so there is no such throw.
+        // SQLite has no larger numbers, so the throw does not exist.
         let Ok(throw_no) = i64::try_from(throw.throw_no) else { return Ok(None) };
         let query = sqlx::query_as(sql::THROW_AT).bind(machine.site.as_str()).bind(machine.machine.as_str());
         let stored: Vec<StoredThrow> = self.asked(query.bind(throw.boot_id.as_str()).bind(throw_no)).await?;

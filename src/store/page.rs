@@ -1,4 +1,4 @@
-//! A page of a logger's backlog: its throws, and what it proves to be gone, in one transaction.
+//! Storage of a page of a logger's backlog: its throws, and gaps for the numbers that it shows to be lost.
 
 use jiff::Timestamp;
 use sqlx::SqliteConnection;
@@ -11,34 +11,34 @@ use super::{
 };
 use crate::throw::{MachineId, ThrowRef};
 
-/// Where the backlog of a machine is to be read from.
+/// The position for the next backlog query of a machine.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Cursor {
-    /// The last throw up to which everything is stored or written off; `None`: read from the oldest.
+    /// The last throw up to which every throw is stored or written off; `None` to read from the oldest.
     pub after: Option<ThrowRef>,
-    /// Throws that are missing right after it; `None` when that is not known.
+    /// Number of throws missing right after it; `None` if unknown.
     pub missing: Option<u64>,
-    /// Whether later throws are stored already, so that the backlog ought to have some.
+    /// Whether later throws are stored already, so that the backlog should have some.
     pub awaits: bool,
     /// Samples of the newest throw, to estimate the size of the next ones.
     pub samples: Option<u64>,
 }
 
-/// What became of a page.
+/// Result of storing a page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PageStored {
-    /// Throws that were not stored before.
+    /// Throws stored now.
     pub new: u64,
-    /// Throws that were.
+    /// Throws stored before.
     pub duplicates: u64,
-    /// Where to read on.
+    /// Position for the next query.
     pub cursor: Cursor,
 }
 
 /// A page, oldest throw first.
 pub(super) struct Page {
     pub(super) machine: MachineId,
-    /// The throw after which it was asked for.
+    /// The throw in the query for the page.
     pub(super) after: Option<ThrowRef>,
     pub(super) throws: Vec<Spool>,
     pub(super) at: Timestamp,
@@ -72,7 +72,7 @@ impl Write for Page {
             gone.execute(&mut *connection).await?;
         }
         if self.after.is_none() {
-            // From here on the cursor knows.
+            // The backlog was read from its start, so that the cursor is valid from now on.
             sqlx::query(sql::SET_BACKLOG_READ).bind(machine_row).execute(&mut *connection).await?;
         }
         cursor::advance(connection, machine_row, at_us).await?;
@@ -81,7 +81,7 @@ impl Write for Page {
     }
 }
 
-/// The backlog has nothing of the boots from one position to before another, nor the rest of the first one.
+/// Writes off the rest of the boot at `from` and all boots up to `to`, which the backlog does not have.
 async fn write_off_boots(
     connection: &mut SqliteConnection,
     machine_row: i64,
@@ -95,7 +95,7 @@ async fn write_off_boots(
     tails.execute(connection).await.map(drop)
 }
 
-/// The cursor as seen from a throw of a page: what follows it and is stored need not be asked for.
+/// The cursor after a throw of a page; moves on over stored throws.
 async fn after(connection: &mut SqliteConnection, machine_row: i64, last: Place) -> sqlx::Result<Cursor> {
     let Some(boot_row) = last.boot_row else { return Ok(Cursor::default()) };
     let boot_id = sqlx::query_scalar(sql::BOOT_ID).bind(boot_row).fetch_one(&mut *connection).await?;
@@ -113,7 +113,7 @@ async fn after(connection: &mut SqliteConnection, machine_row: i64, last: Place)
     })
 }
 
-/// What is awaited of a machine is in no backlog.
+/// The awaited throws of a machine are in no backlog.
 pub(super) struct WriteOff {
     pub(super) machine: MachineId,
     pub(super) at: Timestamp,
@@ -130,7 +130,6 @@ impl Write for WriteOff {
     }
 }
 
-/// The cursor of a machine as it is stored.
 pub(super) async fn current(connection: &mut SqliteConnection, machine: &MachineId) -> sqlx::Result<Cursor> {
     let row: Option<(i64, bool)> = sqlx::query_as(sql::MACHINE_BACKLOG)
         .bind(machine.site.as_str())

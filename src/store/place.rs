@@ -1,10 +1,10 @@
-//! The place of the database: the configured path, or the file that it leads to.
+//! The files of the database: the configured path, or the file behind it.
 //!
-//! A program that keeps reading one old state stops the write-ahead log from being reused, and nothing can take its
-//! lock away. So, at the log's bound, the database moves: a compact copy is written under the next number, and a
-//! symbolic link at the configured path is switched to it in one step. The reader keeps the old file, which has no
-//! name any more and vanishes when it is closed. The log has the name of its own file, so that neither a crash half
-//! way nor the reader's clearing up can bring a log and a database together that do not belong to each other.
+//! A program that keeps reading an old state prevents the reuse of the write-ahead log, and its lock cannot be removed.
+//! So at the bound of the log the database moves: a compact copy is written under the next number, and a symbolic link
+//! at the configured path is switched to it atomically. The reader keeps the old file, which has no name any more and
+//! is freed when it is closed. The log is named after its own file, so that no crash and no cleanup by the reader can
+//! combine a log with the wrong database.
 
 use std::{
     fs::File,
@@ -17,11 +17,11 @@ use jiff::Timestamp;
 
 use super::{disk::beside, error::StoreError};
 
-/// The files that SQLite keeps for one database, itself last.
+/// Suffixes of the files of one database; the database itself is last.
 const SUFFIXES: [&str; 3] = ["-wal", "-shm", ""];
-/// Mark in the name of a database that was set aside.
+/// Infix of the name of a broken database that was set aside.
 const BROKEN: &str = "-broken-";
-/// End of the name of the text beside it that says what was saved.
+/// Suffix of the text file with the summary of the saved rows.
 const SAVED: &str = "-saved.txt";
 
 /// The configured path of the database.
@@ -30,7 +30,7 @@ pub(super) struct Place {
     path: PathBuf,
 }
 
-/// Device and inode of the database file and of its log; `None` where there is no such file.
+/// Device and inode of the database file and of its log; `None` for a missing file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Identity {
     pub(super) database: Option<(u64, u64)>,
@@ -46,37 +46,37 @@ impl Place {
         &self.path
     }
 
-    /// The database file itself, links followed.
+    /// The database file, with links resolved.
     fn file(&self) -> PathBuf {
         std::fs::canonicalize(&self.path).unwrap_or_else(|_| self.path.clone())
     }
 
-    /// The size of one of the database's files \[bytes\]; 0 without the file.
+    /// Size of a file of the database \[bytes\]; 0 if it is missing.
     fn size(&self, suffix: &str) -> u64 {
         std::fs::metadata(beside(&self.file(), suffix)).map_or(0, |file| file.len())
     }
 
-    /// Whether there is no database yet.
+    /// Whether the database does not exist yet.
     pub(super) fn is_fresh(&self) -> bool {
         self.size("") == 0
     }
 
-    /// The write-ahead log \[bytes\].
+    /// Size of the write-ahead log \[bytes\].
     pub(super) fn log_bytes(&self) -> u64 {
         self.size("-wal")
     }
 
-    /// The identity of the database file and of its log, as the configured path leads to them.
+    /// Identity of the database file and log at the configured path.
     pub(super) fn identity(&self) -> Identity {
         let file = self.file();
         let of = |path: &Path| std::fs::metadata(path).ok().map(|file| (file.dev(), file.ino()));
         Identity { database: of(&file), log: of(&beside(&file, "-wal")) }
     }
 
-    /// Renames the files that stand where the database was, if there are any: they are not ours.
+    /// Renames foreign files at the path of the database.
     pub(super) fn set_strangers_aside(&self) -> Result<(), StoreError> {
         let file = self.file();
-        // Two files that are there at once have two inodes, so that none overwrites another.
+        // Files that exist at the same time have different inodes, so the names differ.
         let inode = std::fs::metadata(&file).map_or(0, |file| file.ino());
         for suffix in SUFFIXES {
             rename(&beside(&file, suffix), &beside(&self.path, &format!("-replaced-{inode}{suffix}")))?;
@@ -84,7 +84,7 @@ impl Place {
         if self.path.is_symlink() { remove_one(&self.path) } else { Ok(()) }
     }
 
-    /// Largest size of a copy \[bytes\].
+    /// Upper bound of the size of a copy \[bytes\].
     pub(super) fn copy_bytes(&self) -> u64 {
         self.size("") + self.size("-wal")
     }
@@ -93,20 +93,20 @@ impl Place {
         beside(&self.path, &format!("-{number}"))
     }
 
-    /// The number of the file in use; 0 for the configured path itself.
+    /// Number of the file in use; 0 for the configured path itself.
     fn current(&self) -> u32 {
         let name = self.file();
         (1..=2).find(|&number| std::fs::canonicalize(self.number(number)).is_ok_and(|file| file == name)).unwrap_or(0)
     }
 
-    /// The free path of the next copy: the numbers 1 and 2 take turns.
+    /// Path of the next copy, alternately with number 1 and 2; removes a file there.
     pub(super) fn next(&self) -> Result<PathBuf, StoreError> {
         let next = self.number(if self.current() == 1 { 2 } else { 1 });
         remove(&next)?;
         Ok(next)
     }
 
-    /// Switches the configured path to a complete copy, and takes the old file's names away.
+    /// Switches the configured path to a complete copy, and removes the names of the old file.
     pub(super) fn switch(&self, copy: &Path) -> Result<(), StoreError> {
         let old = self.file();
         let old_had_own_name = self.path.is_symlink();
@@ -121,12 +121,12 @@ impl Place {
         symlink(target, &link).map_err(error("link to"))?;
         std::fs::rename(&link, &self.path).map_err(error("switch to"))?;
         self.sync_folder().map_err(error("sync the folder of"))?;
-        // The first time the old file had the configured path's own name, which the link has now.
+        // At the first move the old file had the configured name, which the link has now.
         let names = if old_had_own_name { &SUFFIXES[..] } else { &SUFFIXES[..2] };
         names.iter().try_for_each(|suffix| remove_one(&beside(&old, suffix)))
     }
 
-    /// Removes copies that were not finished, or that were left when the path had been switched.
+    /// Removes unfinished copies, and copies left after a switch.
     pub(super) fn clear_leftovers(&self) -> Result<(), StoreError> {
         if !self.path.exists() {
             return Ok(());
@@ -135,7 +135,7 @@ impl Place {
         (1..=2).filter(|&number| number != current).try_for_each(|number| remove(&self.number(number)))
     }
 
-    /// A free name for a file that is set aside.
+    /// A free name for a file to set aside.
     fn aside(&self, now: Timestamp) -> PathBuf {
         let stamp = now.strftime("%Y%m%dT%H%M%SZ");
         let mut to = beside(&self.path, &format!("{BROKEN}{stamp}"));
@@ -145,9 +145,9 @@ impl Place {
         to
     }
 
-    /// Renames a log whose database is gone.
+    /// Renames a log without its database.
     pub(super) fn set_log_aside(&self, now: Timestamp) -> Result<PathBuf, StoreError> {
-        // Not `-wal`: it would look like the log of a database that was set aside too.
+        // The suffix is not `-wal`, which would belong to a database that was set aside.
         let to = beside(&self.aside(now), "-log");
         rename(&beside(&self.file(), "-wal"), &to)?;
         Ok(to)
@@ -165,18 +165,18 @@ impl Place {
         Ok(to)
     }
 
-    /// Writes beside a database that was set aside what was saved of it, for people and for the alarm.
+    /// Writes a summary of the saved rows next to a database that was set aside, for people and for the alarm.
     pub(super) fn describe_set_aside(file: &Path, text: &str) -> Result<(), StoreError> {
         let path = beside(file, SAVED);
         std::fs::write(&path, text).map_err(|source| StoreError::File { action: "write", path, source })
     }
 
-    /// What was saved of a database that was set aside.
+    /// The summary of the saved rows of a database that was set aside.
     pub(super) fn saved_from(file: &Path) -> Option<String> {
         std::fs::read_to_string(beside(file, SAVED)).ok()
     }
 
-    /// A database that was set aside and is still there.
+    /// A database that was set aside and still exists.
     pub(super) fn set_aside_before(&self) -> Option<PathBuf> {
         let mark = beside(&self.path, BROKEN);
         let (folder, mark) = (mark.parent()?, mark.file_name()?.as_encoded_bytes());
@@ -194,7 +194,7 @@ impl Place {
     }
 }
 
-/// Renames a file, if it is there.
+/// Renames a file if it exists.
 fn rename(from: &Path, to: &Path) -> Result<(), StoreError> {
     match std::fs::rename(from, to) {
         Err(source) if source.kind() != io::ErrorKind::NotFound => {

@@ -1,4 +1,4 @@
-//! Small writes: messages for quarantine, and messages that were published.
+//! Small writes: messages for the quarantine, and removal of published messages.
 
 use jiff::Timestamp;
 use sqlx::SqliteConnection;
@@ -9,11 +9,11 @@ use crate::{
     wire::{Encoding, Kind, encode_throw, machine_key},
 };
 
-/// Longest beginning of a message that is stored \[bytes\]: enough to recognise its format and sender.
+/// Stored start of a message \[bytes\]: enough to recognise format and sender.
 pub const QUARANTINED_BYTES: usize = 1024;
-/// Most messages of one commit that are stored, the newest: a sample shows what a flood is.
+/// Largest number of messages stored in one commit, the newest: a sample of a flood is enough.
 const SAMPLE: usize = 256;
-/// Longest key and reason that are stored \[characters\].
+/// Stored length of key and reason \[characters\].
 const TEXT: usize = 512;
 
 /// A message for quarantine.
@@ -21,18 +21,18 @@ const TEXT: usize = 512;
 pub struct Refused {
     /// Key of the message.
     pub key: String,
-    /// Why it is no throw, or no throw to be stored.
+    /// Reason for the rejection.
     pub reason: String,
-    /// The size of the whole message \[bytes\].
+    /// Size of the whole message \[bytes\].
     pub bytes: usize,
-    /// The message or its beginning; what is longer than [`QUARANTINED_BYTES`] is cut off.
+    /// The start of the message, up to [`QUARANTINED_BYTES`].
     pub beginning: Vec<u8>,
-    /// When it arrived.
+    /// Time of reception.
     pub at: Timestamp,
 }
 
 impl Refused {
-    /// A throw that can be decoded and is not stored.
+    /// A valid throw that is not stored, for example of an unknown machine.
     #[must_use]
     pub fn throw(machine: &MachineId, throw: &Throw, reason: String, at: Timestamp) -> Self {
         let beginning = encode_throw(Encoding::Cbor, throw);
@@ -43,7 +43,7 @@ impl Refused {
 /// Messages for quarantine, in the order of arrival.
 pub(super) struct Quarantine {
     pub(super) refused: Vec<Refused>,
-    /// Most messages that are kept, the newest.
+    /// Number of messages kept, the newest.
     pub(super) keep: u32,
 }
 
@@ -68,7 +68,7 @@ impl Write for Quarantine {
     }
 }
 
-/// Messages that zenoh accepted.
+/// Rows of the outbox that zenoh has accepted.
 pub(super) struct Sent(pub(super) Vec<i64>);
 
 impl Write for Sent {

@@ -15,29 +15,29 @@ pub(super) const MIB: u64 = 1 << 20;
 pub struct Settings {
     /// The database file. Its folder must be writable: SQLite keeps `-wal` and `-shm` files beside it.
     pub path: PathBuf,
-    /// Largest size of the data \[MiB\], 16 to 1,048,576. Above it the oldest traces go first, then the oldest throws
-    /// with their estimates; alarms go last.
+    /// Largest size of the data \[MiB\], 16 to 1,048,576. Above it the oldest traces are dropped first, then the oldest
+    /// throws with their estimates, last alarms.
     pub max_size_mib: u64,
-    /// Most throws whose traces are kept, 100 to 100,000,000.
+    /// Largest number of traces, 100 to 100,000,000.
     pub max_traces: u64,
-    /// Most throws that are kept with their estimates, 100 to 1,000,000,000.
+    /// Largest number of throws with their estimates, 100 to 1,000,000,000.
     pub max_throws: u64,
-    /// Most alarms that are kept with their events, open ones not counted, 100 to 10,000,000.
+    /// Largest number of closed alarms with their events, 100 to 10,000,000.
     pub max_alarms: u64,
-    /// Age at which a trace is dropped \[days\], 1 to 36,500; applied only while the clock is known to be right.
+    /// Age at which a trace is dropped \[days\], 1 to 36,500; applied only while the clock is trusted.
     pub trace_days: u32,
-    /// Below this free space on the disk, traces are dropped \[MiB\], 0 to 1,048,576.
+    /// Free space on the disk below which traces are dropped \[MiB\], 0 to 1,048,576.
     pub low_disk_mib: u64,
-    /// A file of this size beside the database is given up when the disk is full, so that there is room to clear up
-    /// \[MiB\], 0 to 1,024, at most an eighth of the disk; 0 keeps none.
+    /// Size of the ballast file, which is removed when the disk is full to make space for retention \[MiB\], 0 to
+    /// 1,024, at most an eighth of the disk; 0 for no ballast.
     pub ballast_mib: u64,
-    /// Largest write-ahead log \[MiB\], 32 to 65,536. A program that keeps reading one old state of the database stops
-    /// the log from being reused; at this size the database moves to a new file and leaves the reader the old one.
+    /// Largest write-ahead log \[MiB\], 32 to 65,536. A program that keeps reading an old state makes the log grow; at
+    /// this size the database moves to a new file, and the reader keeps the old one.
     pub max_wal_mib: u64,
-    /// Most messages that are kept in quarantine, 0 to 100,000.
+    /// Largest number of messages in quarantine, 0 to 100,000.
     pub max_quarantined: u32,
-    /// How hard commits are pushed to the disk. Not for a configuration: everything but `Full` loses what it
-    /// acknowledged when the power goes. It exists to prove that the power-cut test can fail.
+    /// Durability of commits. Not a key of the configuration: without `Full` a power cut loses acknowledged rows. It
+    /// exists to show that the power-cut test can fail.
     #[serde(skip)]
     pub synchronous: Synchronous,
 }
@@ -45,10 +45,10 @@ pub struct Settings {
 /// SQLite's `synchronous` setting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Synchronous {
-    /// A commit is on the disk when it returns.
+    /// A commit returns when it is on the disk.
     #[default]
     Full,
-    /// A commit is on the disk some time later.
+    /// A commit returns before it is on the disk.
     Normal,
 }
 
@@ -74,7 +74,7 @@ impl Settings {
     /// Checks every range.
     ///
     /// # Errors
-    /// The first setting that is out of range.
+    /// The first setting out of its range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         OutOfRange::check([
             ("max_size_mib", self.max_size_mib as f64, 16.0, f64::from(1 << 20), "MiB"),

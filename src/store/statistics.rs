@@ -1,44 +1,44 @@
-//! Figures for `status` and the metrics.
+//! Figures of the database for status and metrics.
 
 use std::collections::BTreeMap;
 
 use super::{database::Store, disk::DiskLevel, error::StoreError, statements as sql};
 
-/// How the database stands.
+/// Figures of the database.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Statistics {
-    /// Throws that are kept.
+    /// Stored throws.
     pub throws: u64,
-    /// Throws whose trace is kept.
+    /// Stored throws with a trace.
     pub traces: u64,
-    /// Throws that wait to be judged.
+    /// Pending throws: stored, not judged yet.
     pub pending: u64,
-    /// Messages that wait to be published.
+    /// Messages in the outbox.
     pub outbox: u64,
     /// Open alarms.
     pub open_alarms: u64,
-    /// Throws that were made and never came.
+    /// Throw numbers in gaps.
     pub missing_throws: u64,
     /// Messages in quarantine.
     pub quarantined: u64,
-    /// Data in the database \[bytes\].
+    /// Size of the data \[bytes\].
     pub data_bytes: u64,
-    /// Pages of the database that are free for use \[bytes\].
+    /// Free pages in the file \[bytes\].
     pub free_bytes: u64,
-    /// The write-ahead log \[bytes\].
+    /// Size of the write-ahead log \[bytes\].
     pub wal_bytes: u64,
-    /// Free space on its disk \[bytes\]; `None` when the system does not say.
+    /// Free space on the disk \[bytes\]; `None` if unknown.
     pub free_disk_bytes: Option<u64>,
     /// State of the disk below the database.
     pub disk: DiskLevel,
-    /// Write transactions that failed since the start.
+    /// Failed write transactions since the start.
     pub failed_writes: u64,
-    /// Totals since the database began, by name.
+    /// Counters since the creation of the database, by name.
     pub counters: BTreeMap<String, u64>,
 }
 
 impl Store {
-    /// Reads the figures, on the connections for questions from outside. Counts rows: not for every second.
+    /// Reads the figures, on the connections for external queries. Counts rows, so it is too slow for every second.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -66,7 +66,7 @@ impl Store {
         })
     }
 
-    /// State of the disk below the database. Cheap: for every second.
+    /// State of the disk. Fast enough for every second.
     #[must_use]
     pub fn disk_level(&self) -> DiskLevel {
         self.disk.level()

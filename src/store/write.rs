@@ -1,4 +1,4 @@
-//! One write: a part of a transaction, with the caller who waits for its commit.
+//! A write: a part of a transaction, with the caller that waits for its commit.
 
 use std::pin::Pin;
 
@@ -7,12 +7,12 @@ use tokio::sync::oneshot;
 
 use super::error::StoreError;
 
-/// One write: runs inside a transaction together with others, and may run again when that transaction failed.
+/// A write, which runs in a transaction with others, and runs again if the transaction failed.
 pub(super) trait Write: Send + Sync + 'static {
-    /// What the caller gets after the commit.
+    /// Result for the caller after the commit.
     type Output: Send + 'static;
 
-    /// Writes. `repeated`: an earlier attempt may have been committed although its commit failed.
+    /// Runs the write. If `repeated`, an earlier attempt may have been committed.
     fn run(
         &self,
         connection: &mut SqliteConnection,
@@ -20,12 +20,12 @@ pub(super) trait Write: Send + Sync + 'static {
     ) -> impl Future<Output = sqlx::Result<Self::Output>> + Send;
 }
 
-/// Comes after the commit.
+/// The result of a write, sent after the commit.
 pub(super) type Answer<T> = oneshot::Receiver<Result<T, StoreError>>;
 
 type Running<'a> = Pin<Box<dyn Future<Output = sqlx::Result<()>> + Send + 'a>>;
 
-/// A [`Write`] of any kind, with the caller who waits for it.
+/// A [`Write`] with its caller.
 pub(super) trait Job: Send {
     fn run<'a>(&'a mut self, connection: &'a mut SqliteConnection, repeated: bool) -> Running<'a>;
     fn answer(self: Box<Self>, committed: Result<(), StoreError>);
@@ -37,7 +37,7 @@ struct Waiting<W: Write> {
     reply: oneshot::Sender<Result<W::Output, StoreError>>,
 }
 
-/// A job for a write, and where its answer comes.
+/// Makes a job from a write, with the receiver of its result.
 pub(super) fn job<W: Write>(write: W) -> (Box<dyn Job>, Answer<W::Output>) {
     let (reply, answer) = oneshot::channel();
     (Box::new(Waiting { write, output: None, reply }), answer)
@@ -53,7 +53,7 @@ impl<W: Write> Job for Waiting<W> {
 
     fn answer(self: Box<Self>, committed: Result<(), StoreError>) {
         let Self { output, reply, .. } = *self;
-        // The caller may have gone; its write is done all the same.
+        // Fails if the caller stopped waiting; the write is done anyway.
         let _ = reply.send(committed.and_then(|()| output.ok_or(StoreError::Closed)));
     }
 }

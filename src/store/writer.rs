@@ -1,6 +1,6 @@
-//! The one task that writes: it commits the writes that wait in groups.
+//! The task that writes: commits queued writes in groups.
 //!
-//! A write is answered after its commit. No future in this file is ever cancelled: a dropped commit may still happen.
+//! A write is answered after its commit. No future in this file is cancelled, as a dropped commit may still happen.
 
 use tokio::sync::{mpsc, oneshot};
 
@@ -10,40 +10,38 @@ use super::{
     write::{Answer, Job, Write, job},
 };
 
-/// Most writes in one commit. At the measured rates a group of this size takes 5 to 20 ms; larger ones gain nothing.
+/// Largest number of writes in a commit. At the measured rates this takes 5 to 20 ms; larger groups are not faster.
 const GROUP: usize = 64;
-/// Writes that may wait: four groups, a tenth of a second. Callers beyond that wait.
+/// Capacity of the queue: four groups, a tenth of a second. Further callers wait.
 const QUEUE: usize = 4 * GROUP;
 
-/// A request to the writer.
 enum Request {
     Write(Box<dyn Job>),
-    /// Mark a clean stop, checkpoint, close.
+    /// Marks a clean stop, runs a checkpoint, closes.
     Close(oneshot::Sender<Result<(), StoreError>>),
 }
 
-/// A handle to the writer. Cheap to clone.
+/// Handle to the writer. Cheap to clone.
 #[derive(Clone)]
 pub(super) struct Writer {
     requests: mpsc::Sender<Request>,
 }
 
 impl Writer {
-    /// Starts the writer.
     pub(super) fn start(link: Link) -> Self {
         let (requests, inbox) = mpsc::channel(QUEUE);
         tokio::spawn(serve(inbox, link));
         Self { requests }
     }
 
-    /// Queues a write; its answer comes after the commit.
+    /// Queues a write; the answer comes after the commit.
     pub(super) async fn submit<W: Write>(&self, write: W) -> Result<Answer<W::Output>, StoreError> {
         let (job, answer) = job(write);
         self.requests.send(Request::Write(job)).await.map_err(|_| StoreError::Closed)?;
         Ok(answer)
     }
 
-    /// Writes and waits for the commit.
+    /// Queues a write and waits for the commit.
     pub(super) async fn write<W: Write>(&self, write: W) -> Result<W::Output, StoreError> {
         self.submit(write).await?.await.map_err(|_| StoreError::Closed)?
     }
@@ -54,7 +52,7 @@ impl Writer {
         answer.await.map_err(|_| StoreError::Closed)?
     }
 
-    /// Resolves when the writer is gone.
+    /// Resolves when the writer has ended.
     pub(super) async fn stopped(&self) {
         self.requests.closed().await;
     }
@@ -76,7 +74,7 @@ async fn serve(mut inbox: mpsc::Receiver<Request>, mut link: Link) {
         }
         link.commit(group).await;
         if link.broken {
-            tracing::error!("the database is broken: the writer ends, and the next start sets the file aside");
+            tracing::error!("the database is broken: the writer ends; the next start sets the file aside");
             return;
         }
     }

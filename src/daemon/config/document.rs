@@ -1,4 +1,4 @@
-//! A configuration file with the place of every key, so that each complaint can say where it belongs.
+//! A configuration file with the position of every key, for errors with file, line and key.
 
 use std::{
     fmt::Write as _,
@@ -10,19 +10,19 @@ use std::{
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 
-/// Largest configuration file, in bytes; a larger one is another file by mistake.
+/// Largest configuration file \[bytes\]; a larger file is not a configuration.
 const MAX_BYTES: u64 = 4 << 20;
 
-/// Why a configuration cannot be used. `Display` is one line: file, line, key, what is wrong.
+/// An error in a configuration. `Display` is one line: file, line, key, problem.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ConfigError {
     /// The file.
     pub file: PathBuf,
-    /// The line, from 1; `None` when the file as a whole is at fault.
+    /// The line, from 1; `None` for the file as a whole.
     pub line: Option<usize>,
     /// The key, as `store.path` or `machine[2].lead_mm`.
     pub key: Option<String>,
-    /// What is wrong and what is right.
+    /// The problem, and the allowed values.
     pub problem: String,
 }
 
@@ -41,14 +41,14 @@ impl std::fmt::Display for ConfigError {
     }
 }
 
-/// A key's place in the text.
+/// Position of a key in the text.
 struct Place {
     path: String,
     key: Range<usize>,
     value: Range<usize>,
 }
 
-/// The text of a configuration file and where its keys are.
+/// The text of a configuration file with the positions of its keys.
 pub struct Document {
     file: PathBuf,
     text: String,
@@ -59,7 +59,7 @@ impl Document {
     /// Reads a file.
     ///
     /// # Errors
-    /// When it cannot be read, is no text or no TOML.
+    /// When the file cannot be read, or is not text or not TOML.
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
         let failed = |problem: String| ConfigError { file: file.to_owned(), line: None, key: None, problem };
         let size = fs::metadata(file).map_err(|error| failed(format!("cannot be read: {error}")))?.len();
@@ -70,10 +70,10 @@ impl Document {
         Self::parse(file, text)
     }
 
-    /// Takes a text as the content of a file.
+    /// Parses a text as the content of `file`.
     ///
     /// # Errors
-    /// When it is no TOML.
+    /// When the text is not TOML.
     pub fn parse(file: &Path, text: String) -> Result<Self, ConfigError> {
         let mut document = Self { file: file.to_owned(), text, places: Vec::new() };
         let mut places = Vec::new();
@@ -85,21 +85,21 @@ impl Document {
         Ok(document)
     }
 
-    /// The whole text as a value.
+    /// Deserializes the whole text.
     ///
     /// # Errors
-    /// The first key that is unknown, missing or of another type.
+    /// The first key that is unknown, missing or of the wrong type.
     pub fn deserialize<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
         toml::from_str(&self.text).map_err(|error| self.from_toml(&error))
     }
 
-    /// Whether the text names this key.
+    /// Whether the text has this key.
     #[must_use]
     pub fn has(&self, key: &str) -> bool {
         self.places.iter().any(|place| place.path == key)
     }
 
-    /// A complaint about a key, at its line; for a key that is not in the text, at that of its section.
+    /// An error about a key, with its line; for a key that is not in the text, with the line of its section.
     #[must_use]
     pub fn complain(&self, key: &str, problem: impl Into<String>) -> ConfigError {
         let mut path = key;
@@ -123,7 +123,7 @@ impl Document {
     #[expect(clippy::wrong_self_convention, reason = "the error is placed in this document")]
     fn from_toml(&self, error: &toml::de::Error) -> ConfigError {
         let start = error.span().map(|span| span.start);
-        // The innermost key whose name or value holds the place of the error.
+        // The innermost key whose name or value includes the position of the error.
         let holds = |place: &&Place, at: usize| place.key.contains(&at) || place.value.contains(&at);
         let key = start
             .and_then(|at| self.places.iter().filter(|place| holds(place, at)).max_by_key(|place| place.path.len()));

@@ -1,4 +1,4 @@
-//! The estimator's settings of each machine: defaults for all, and what differs for some.
+//! Settings of the estimator for each machine: defaults, and differences of some machines.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use crate::{
     throw::{MachineId, Name},
 };
 
-/// One `[[machine]]`: the keys of `[machines]` that differ for it.
+/// A section `[[machine]]`: the keys of `[machines]` that differ.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct MachineEntry {
     site: Name,
@@ -19,7 +19,7 @@ pub struct MachineEntry {
     differing: Table,
 }
 
-/// The estimator's settings of every machine.
+/// Settings of the estimator for all machines.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Machines {
     default: Settings,
@@ -37,7 +37,7 @@ impl Machines {
         self.own.get(machine).unwrap_or(&self.default)
     }
 
-    /// The machines that the configuration names.
+    /// The machines with a section `[[machine]]`.
     pub fn named(&self) -> impl Iterator<Item = &MachineId> {
         self.own.keys()
     }
@@ -48,7 +48,7 @@ impl MachineEntry {
         MachineId { site: self.site.clone(), machine: self.machine.clone() }
     }
 
-    /// The `defaults` with the keys of this entry in their place, or the first wrong key and its problem.
+    /// The `defaults` with the keys of this entry, or the first invalid key with its problem.
     pub(super) fn over(&self, defaults: &Settings) -> Result<Settings, (String, String)> {
         let fails = |key: &str, problem: &toml::de::Error| (key.to_owned(), problem.message().replace('\n', ", "));
         let mut settings = defaults.clone();

@@ -27,44 +27,45 @@ use crate::{
     wire::Scope,
 };
 
-/// The `[monitor]` section: how this daemon is called.
+/// The `[monitor]` section: the name of this daemon.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Monitor {
-    /// The site under which it shows that it is alive.
+    /// Site in the name of this daemon.
     pub site: Name,
-    /// Its name: the key of its liveliness token is `points/v1/{site}/monitor/{id}/alive`.
+    /// Identifier at the site; the liveliness token is `points/v1/{site}/monitor/{id}/alive`.
     pub id: Name,
 }
 
 impl Monitor {
-    /// The name under which its own alarms stand, as if it were a machine of its site.
+    /// The name as a machine, for the alarms about the daemon itself.
     #[must_use]
     pub fn as_machine(&self) -> MachineId {
         MachineId { site: self.site.clone(), machine: self.id.clone() }
     }
 }
 
-/// The `[subscribe]` section: what it takes in.
+/// The `[subscribe]` section: the received throws.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Subscribe {
-    /// The part of the fleet: `points/v1/**`, `points/v1/{site}/**` or `points/v1/{site}/{machine}/**`.
+    /// The monitored part of the fleet: `points/v1/**`, `points/v1/{site}/**` or `points/v1/{site}/{machine}/**`.
     pub key: String,
     /// Largest throw message \[bytes\], 1,024 to 33,554,432. Larger ones go to quarantine.
     pub max_payload_bytes: usize,
-    /// Most machines, 1 to 100,000. Throws of further ones go to quarantine: a key costs an attacker nothing.
+    /// Largest number of machines, 1 to 100,000. Throws of more machines go to quarantine, as an attacker could use any
+    /// number of keys.
     pub max_machines: usize,
-    /// How long later throws of a machine wait to be judged for missing ones that its logger may still have, counted from
-    /// when the last of them came \[s\], 0 to 86,400.
+    /// Time that later throws of a machine wait for missing ones in the backlog, since the last of these arrived \[s\],
+    /// 0 to 86,400.
     pub backlog_wait_s: f64,
 }
 
-/// The `[identify]` section: how much of the computer the estimator may use.
+/// The `[identify]` section: threads of the estimator.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Identify {
-    /// Threads, 0 to 64; 0 for as many as there are processors, at most 8.
+    /// Number of threads, 0 to 64; 0 for the number of processors, at most 8.
     pub threads: usize,
 }
 
@@ -72,22 +73,22 @@ pub struct Identify {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Web {
-    /// Address and port to listen on; without it there is no dashboard. Whoever reaches it can read.
+    /// Address and port; without it there is no dashboard. Every client that reaches it can read.
     pub listen: Option<SocketAddr>,
-    /// Names, beside IP addresses and `localhost`, under which browsers may ask for it.
+    /// Host names for browsers, in addition to IP addresses and `localhost`.
     pub hosts: Vec<String>,
-    /// Most machines for which `/metrics` has series of their own, 0 to 20,000; a larger fleet has totals alone.
+    /// Largest fleet with a series for each machine in `/metrics`, 0 to 20,000; larger fleets have only totals.
     pub machine_metrics: u32,
-    /// Secret that a page must give with an operator's command, 16 to 256 characters; without it the pages only show.
+    /// Secret for operators' commands from pages, 16 to 256 characters; without it the pages are read-only.
     pub token: Option<Token>,
 }
 
-/// A secret, which no log line and no error text shows.
+/// A secret, which does not appear in log lines and error texts.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Token(String);
 
 impl Token {
-    /// Whether `text` is the secret; takes the same time for every text of the same length.
+    /// Whether `text` is the secret, in constant time for texts of the same length.
     #[must_use]
     pub fn is(&self, text: &str) -> bool {
         self.0.as_bytes().ct_eq(text.as_bytes()).into()
@@ -100,13 +101,13 @@ impl std::fmt::Debug for Token {
     }
 }
 
-/// How log lines are written.
+/// Format of log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LogFormat {
-    /// For people.
+    /// Text for people.
     Text,
-    /// One JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
@@ -116,7 +117,7 @@ pub enum LogFormat {
 pub struct Log {
     /// `error`, `warn`, `info`, `debug`, `trace`, or directives by module as `info,zenoh=debug`.
     pub level: String,
-    /// How lines are written.
+    /// Format of the lines.
     pub format: LogFormat,
 }
 
@@ -149,7 +150,6 @@ fn fixed_name(text: &str) -> Name {
     text.parse().expect("a valid name")
 }
 
-/// The file as it is written.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct File {
@@ -162,7 +162,7 @@ struct File {
     machine: Vec<MachineEntry>,
     web: Web,
     log: Log,
-    // Read as zenoh's own type so that its complaints carry the place; used as a table, to be laid over our defaults.
+    // Parsed as the type of zenoh for errors with a position; used as a table, merged into our defaults.
     #[serde(rename = "zenoh")]
     _zenoh: Option<::zenoh::Config>,
 }
@@ -170,19 +170,19 @@ struct File {
 /// The configuration of `pointsd`.
 #[derive(Debug, Clone)]
 pub struct Config {
-    /// How this daemon is called.
+    /// Name of this daemon.
     pub monitor: Monitor,
-    /// What it takes in.
+    /// Received throws.
     pub subscribe: Subscribe,
-    /// The part of the fleet, from `subscribe.key`.
+    /// The monitored part of the fleet, from `subscribe.key`.
     pub scope: Scope,
-    /// How much of the computer the estimator may use.
+    /// Threads of the estimator.
     pub identify: Identify,
     /// The database.
     pub store: store::Settings,
     /// Limits of the diagnosis.
     pub diagnosis: diagnose::Settings,
-    /// What the estimator has to know of each machine.
+    /// Settings of the estimator for each machine.
     pub machines: Machines,
     /// The dashboard.
     pub web: Web,
@@ -193,23 +193,23 @@ pub struct Config {
 }
 
 impl Config {
-    /// The configuration without a file.
+    /// The built-in configuration.
     ///
     /// # Errors
-    /// When the built-in defaults cannot be used here, as a working folder that is gone.
+    /// When the defaults are not usable, for example without a working folder.
     pub fn built_in() -> Result<Self, ConfigError> {
         Self::from_document(&Document::parse(Path::new("built-in defaults"), String::new())?)
     }
 
-    /// Reads and checks a file.
+    /// Loads and checks a file.
     ///
     /// # Errors
-    /// The first thing that is wrong, with file, line and key.
+    /// The first error, with file, line and key.
     pub fn load(file: &Path) -> Result<Self, ConfigError> {
         Self::from_document(&Document::read(file)?)
     }
 
-    /// The zenoh section as text, to see whether it changed.
+    /// The zenoh section as text, to detect changes.
     #[must_use]
     pub fn zenoh_text(&self) -> String {
         self.zenoh.to_string()
@@ -218,7 +218,7 @@ impl Config {
     /// Checks a document.
     ///
     /// # Errors
-    /// The first thing that is wrong, with file, line and key.
+    /// The first error, with file, line and key.
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
         let file: File = document.deserialize()?;
         let scope =
@@ -271,19 +271,19 @@ fn machines(file: &File, document: &Document) -> Result<Machines, ConfigError> {
     Ok(Machines::new(file.machines.clone(), own))
 }
 
-/// Longest name of a host.
+/// Longest host name.
 const HOST_LENGTH: usize = 253;
 
-/// Most machines with series of their own: four series each, and Prometheus is asked to take 1 MB a scrape at the most.
+/// Bound of `machine_metrics`: with four series each a scrape is at most about 1 MB.
 const MOST_SERIES: u32 = 20_000;
-/// Characters of a token: a shorter one can be guessed, a longer one no form needs.
+/// Length of a token \[characters\]: a shorter one could be guessed.
 const TOKEN_LENGTH: RangeInclusive<usize> = 16..=256;
 
 fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
     let fits = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '.';
     for (index, host) in web.hosts.iter().enumerate() {
         if host.is_empty() || host.len() > HOST_LENGTH || !host.chars().all(fits) {
-            let problem = format!("{host:?} is no name of a host: letters, digits, - and . without port");
+            let problem = format!("{host:?} is not a host name: letters, digits, - and . without port");
             return Err(document.complain(&format!("web.hosts[{index}]"), problem));
         }
     }
@@ -302,7 +302,7 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
 /// Checks the `[log]` section.
 ///
 /// # Errors
-/// When the level cannot be understood.
+/// When the level is invalid.
 pub fn check_log(log: &Log, document: &Document) -> Result<(), ConfigError> {
     log.level
         .parse::<tracing_subscriber::filter::Targets>()
@@ -310,7 +310,7 @@ pub fn check_log(log: &Log, document: &Document) -> Result<(), ConfigError> {
         .map_err(|error| document.complain("log.level", format!("{:?}: {error}", log.level)))
 }
 
-/// The folder of the database must be there and must be one that can be written to.
+/// Checks that the folder of the database exists and is writable.
 fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigError> {
     let complain = |problem: String| Err(document.complain("store.path", problem));
     if path.is_dir() {
@@ -319,10 +319,10 @@ fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigErr
     let parent = match path.parent() {
         Some(parent) if parent.as_os_str().is_empty() => PathBuf::from("."),
         Some(parent) => parent.to_owned(),
-        None => return complain(format!("{} names no file", path.display())),
+        None => return complain(format!("{} is not a file name", path.display())),
     };
     match fs::metadata(&parent) {
-        Ok(folder) if !folder.is_dir() => complain(format!("{} is no folder", parent.display())),
+        Ok(folder) if !folder.is_dir() => complain(format!("{} is not a folder", parent.display())),
         Ok(_) if rustix::fs::access(&parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
             complain(format!("this user cannot write to the folder {}", parent.display()))
         }
@@ -340,15 +340,15 @@ fn section(document: &Document) -> Result<Option<toml::Table>, ConfigError> {
     Ok(document.deserialize::<ZenohSection>()?.zenoh)
 }
 
-/// The daemon's session: the file's `[zenoh]` over a hub that listens on loopback.
+/// The session of the daemon: a router on loopback, with the `[zenoh]` of the file.
 fn monitor_session(document: &Document) -> Result<::zenoh::Config, ConfigError> {
     zenoh::session_config(zenoh::MONITOR, section(document)?.as_ref(), document)
 }
 
-/// The session of a logger or an operator: the file's `[zenoh]` over a client of the hub on loopback.
+/// The session of a logger or an operator: a client of the router on loopback, with the `[zenoh]` of the file.
 ///
 /// # Errors
-/// When zenoh cannot use the section.
+/// When zenoh rejects the section.
 pub fn client_session(document: &Document) -> Result<::zenoh::Config, ConfigError> {
     zenoh::session_config(zenoh::CLIENT, section(document)?.as_ref(), document)
 }

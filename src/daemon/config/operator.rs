@@ -1,19 +1,19 @@
-//! The zenoh session of an operator's command. A file that describes a daemon leads to that daemon, never to another one.
+//! The zenoh session of an operator's command. The file of a daemon always leads to this daemon.
 
 use toml::{Table, Value};
 
 use super::{ConfigError, Document, File, section, zenoh as sessions};
 use crate::throw::MachineId;
 
-/// Sections of a daemon's file that no client needs.
+/// Sections of a daemon's file.
 const DAEMON_SECTIONS: [&str; 8] =
     ["monitor", "subscribe", "identify", "store", "diagnosis", "machines", "machine", "web"];
 /// Sections of `pointsim`'s file, whose `[zenoh]` is a client's.
 const LOGGER_SECTIONS: [&str; 2] = ["logger", "fleet"];
-/// Keys of a daemon's TLS section that hold for its clients too.
+/// Keys of a daemon's TLS section that are valid for its clients too.
 const SHARED_TLS: [&str; 4] =
     ["root_ca_certificate", "root_ca_certificate_base64", "enable_mtls", "verify_name_on_connect"];
-/// Keys with which a client shows its certificate, and the daemon's own where the file has no others.
+/// Keys for the certificate of a client, each with the daemon's key that replaces it if it is missing.
 const CLIENT_TLS: [(&str, &str); 4] = [
     ("connect_certificate", "listen_certificate"),
     ("connect_private_key", "listen_private_key"),
@@ -21,22 +21,22 @@ const CLIENT_TLS: [(&str, &str); 4] = [
     ("connect_private_key_base64", "listen_private_key_base64"),
 ];
 
-/// How an operator's command reaches its daemon.
+/// The connection of an operator's command to its daemon.
 #[derive(Debug, Clone)]
 pub struct OperatorSession {
     /// The zenoh session.
     pub zenoh: ::zenoh::Config,
-    /// Where it connects.
+    /// Endpoints to connect to.
     pub endpoints: Vec<String>,
-    /// The daemon that the file describes; `None` for a client's file, and without a file.
+    /// The daemon of the file; `None` for a client's file and without a file.
     pub monitor: Option<MachineId>,
 }
 
-/// The session of an operator's command: a client of `connect`, else of the daemon or router that the file names. The
-/// built-in endpoint is used only without any file.
+/// The session of an operator's command: a client of `connect`, or of the daemon or router in the file. The built-in
+/// endpoint is used only without a file.
 ///
 /// # Errors
-/// When the file cannot be used, or names no endpoint that a client can connect to.
+/// When the file is invalid, or has no endpoint for a client.
 pub fn operator_session(file: Option<&Document>, connect: Option<&str>) -> Result<OperatorSession, ConfigError> {
     let none = Document::parse("built-in defaults".as_ref(), String::new())?;
     let document = file.unwrap_or(&none);
@@ -62,8 +62,8 @@ pub fn operator_session(file: Option<&Document>, connect: Option<&str>) -> Resul
     })
 }
 
-/// Whether a file is a daemon's. A file with a `[zenoh]` section alone is a client's when it says where to connect to and
-/// not where to listen.
+/// Whether a file is that of a daemon. A file with only a `[zenoh]` section is that of a client if it has endpoints to
+/// connect to and none to listen on.
 fn describes_daemon(file: &Table, zenoh: &Table) -> bool {
     if DAEMON_SECTIONS.iter().any(|name| file.contains_key(*name)) {
         return true;
@@ -74,7 +74,7 @@ fn describes_daemon(file: &Table, zenoh: &Table) -> bool {
     !is_client
 }
 
-/// The part of a daemon's `[zenoh]` that a client of it needs.
+/// The part of a daemon's `[zenoh]` for its clients.
 fn client_of(zenoh: &Table) -> Table {
     let mut client = Table::new();
     if let Some(link) = find(zenoh, &["transport", "link"]).and_then(Value::as_table) {
@@ -100,7 +100,7 @@ fn client_of(zenoh: &Table) -> Table {
     client
 }
 
-/// Where a client reaches the daemon of this file: where it listens, else the router that it connects to.
+/// Endpoints of the daemon of this file: those on which it listens, or its router.
 fn daemon_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, ConfigError> {
     let config = sessions::session_config(sessions::MONITOR, Some(&without_files(zenoh)), document)?;
     let mode = zenoh.get("mode").and_then(Value::as_str).unwrap_or("router");
@@ -110,19 +110,16 @@ fn daemon_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, C
         (false, _) => Ok(reached),
         (true, false) => Err(document.complain(
             "zenoh.listen.endpoints",
-            "the system chooses the port at each start: give --connect with the endpoint that the daemon's log names",
+            "the system chooses the port at each start: give --connect with the endpoint in the daemon's log",
         )),
         (true, true) => match endpoints(&config, "connect", mode) {
-            none if none.is_empty() => Err(document.complain(
-                "zenoh",
-                "this daemon listens nowhere and connects nowhere: give --connect with the endpoint of its router",
-            )),
+            none if none.is_empty() => Err(document
+                .complain("zenoh", "this daemon has no endpoint: give --connect with the endpoint of its router")),
             routers => Ok(routers),
         },
     }
 }
 
-/// Where the client of this file connects to.
 fn client_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, ConfigError> {
     let config = sessions::session_config(sessions::CLIENT, Some(zenoh), document)?;
     if find(zenoh, &["connect", "endpoints"]).is_none() {
@@ -132,14 +129,14 @@ fn client_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, C
     Ok(endpoints(&config, "connect", "client"))
 }
 
-/// The section without its TLS files, which only the daemon may be able to read: endpoints alone are asked of it.
+/// The section without its TLS files, which only the daemon may be able to read; only the endpoints are needed.
 fn without_files(zenoh: &Table) -> Table {
     let mut zenoh = zenoh.clone();
     zenoh.remove("transport");
     zenoh
 }
 
-/// The endpoints of a session in a mode. Zenoh takes one list, or one list for each mode.
+/// The endpoints of a session for a mode. Zenoh accepts one list, or one list for each mode.
 fn endpoints(config: &::zenoh::Config, side: &str, mode: &str) -> Vec<String> {
     let text = config.get_json(&format!("{side}/endpoints")).unwrap_or_default();
     let value: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
@@ -147,8 +144,8 @@ fn endpoints(config: &::zenoh::Config, side: &str, mode: &str) -> Vec<String> {
     serde_json::from_value(list.clone()).unwrap_or_default()
 }
 
-/// An endpoint that a daemon on this computer listens on, as a client of it writes the endpoint. `None`: the system
-/// chooses the port.
+/// Converts an endpoint on which a daemon listens into one for a client on this computer; `None` if the system chooses
+/// the port.
 fn from_here(endpoint: &str) -> Option<String> {
     let bare = endpoint.split(['?', '#']).next().unwrap_or(endpoint);
     let (protocol, address) = bare.split_once('/')?;
@@ -193,7 +190,7 @@ mod tests {
             ("[zenoh]\nlisten.endpoints = { router = [\"tcp/[::]:7647\"], peer = [] }\n", "tcp/[::1]:7647"),
             ("[store]\n[zenoh]\nmode = \"client\"\nconnect.endpoints = [\"tcp/r:1\"]\n", "tcp/r:1"),
             ("[store]\n[zenoh]\nlisten.endpoints = []\nconnect.endpoints = [\"tcp/r:1\"]\n", "tcp/r:1"),
-            // A cabinet listens, and joins a router: the cabinet itself is asked.
+            // A cabinet that listens and joins a router: the endpoint is that of the cabinet.
             (
                 "[store]\n[zenoh]\nlisten.endpoints = [\"tcp/10.0.0.1:2\"]\nconnect.endpoints = [\"tcp/r:1\"]\n",
                 "tcp/10.0.0.1:2",
@@ -223,7 +220,7 @@ mod tests {
         for (text, complaint) in [
             ("[zenoh]\nmode = \"client\"\n", "zenoh.connect.endpoints: names no daemon: give --connect"),
             ("[store]\n[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:0\"]\n", "the system chooses the port"),
-            ("[store]\n[zenoh]\nlisten.endpoints = []\n", "listens nowhere"),
+            ("[store]\n[zenoh]\nlisten.endpoints = []\n", "has no endpoint"),
             ("[store]\nsise = 1\n", "b.toml:2: store.sise: unknown field"),
         ] {
             let error = session(text).unwrap_err().to_string();

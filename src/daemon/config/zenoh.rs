@@ -1,4 +1,4 @@
-//! The `[zenoh]` section: zenoh's own configuration, laid over what suits this program.
+//! The `[zenoh]` section: configuration of zenoh, merged into the defaults of this program.
 
 use std::path::Path;
 
@@ -10,11 +10,11 @@ use super::{ConfigError, Document};
 const FILE_KEYS: [&str; 5] =
     ["root_ca_certificate", "listen_certificate", "listen_private_key", "connect_certificate", "connect_private_key"];
 
-/// The session of the daemon: the hub of a cabinet, which loggers and operators connect to. It listens on loopback
-/// only until it is told otherwise. Loggers publish throws so that they wait for a busy link; passed on to others,
-/// throws wait for nobody, or a subscriber that does not read would hold up the loggers' links for 5 s.
+/// The session of the daemon: the router of a cabinet, to which loggers and operators connect. By default it listens on
+/// loopback only. It drops throws for slow subscribers: otherwise a subscriber that does not read would block the links
+/// of the loggers for 5 s.
 ///
-/// It stamps no messages: a throw has its time in the payload.
+/// No timestamps: throws have their time in the payload.
 pub(super) const MONITOR: &str = r#"
 mode = "router"
 listen.endpoints = ["tcp/127.0.0.1:7447"]
@@ -22,13 +22,13 @@ timestamping.enabled = false
 qos.network = [{ messages = ["put"], flows = ["egress"], key_exprs = ["points/v1/*/*/throw"], overwrite = { congestion_control = "drop" } }]
 "#;
 
-/// The session of a logger or an operator: a client of the hub.
+/// The session of a logger or an operator: a client of the router.
 pub(super) const CLIENT: &str = r#"
 mode = "client"
 connect.endpoints = ["tcp/127.0.0.1:7447"]
 "#;
 
-/// Settings of every session: it retries to connect for ever, and does not scout.
+/// Settings of every session: endless retries of the connection, no discovery.
 const COMMON: &str = "
 connect.timeout_ms = -1
 connect.exit_on_failure = false
@@ -37,12 +37,12 @@ scouting.gossip.enabled = false
 transport.link.rx.max_message_size = 33554432
 ";
 
-/// The settings of a session of this kind, before the configuration.
+/// The default settings of a kind of session.
 pub(super) fn base(kind: &str) -> Result<Table, toml::de::Error> {
     toml::from_str(&format!("{kind}{COMMON}"))
 }
 
-/// The configuration of a session of a kind, with `section` laid over it.
+/// The configuration of a kind of session, with `section` merged into it.
 pub(super) fn session_config(
     kind: &str,
     section: Option<&Table>,
@@ -55,7 +55,7 @@ pub(super) fn session_config(
         check_files(section, document)?;
     }
     zenoh::Config::from_deserializer(Value::Table(merged)).map_err(|failure| match failure {
-        Ok(_) => invalid("zenoh finds values in this section that do not go together".to_owned()),
+        Ok(_) => invalid("zenoh rejects the combination of values in this section".to_owned()),
         Err(error) => invalid(error.to_string()),
     })
 }
