@@ -97,8 +97,8 @@ impl Tracks {
         let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
         let mut sensor = throw.sensor;
         if throw.ratios_only {
-            // The common scale is arbitrary, and no change of it is seen. A single fault moves one of the three: with this scale the
-            // two others stay, and the scale is in no doubt.
+            // The common scale is arbitrary. A single fault changes one of the three coefficients, so the scale is
+            // chosen such that the two others stay, without uncertainty.
             sensor.add_scalar_mut(-sensor[(0, 0)]);
             let mut sorted: [f64; 3] = raw.into();
             raw.add_scalar_mut(-median(&mut sorted));

@@ -1,39 +1,40 @@
-//! What a brake can hide at the start of a movement.
+//! Uncertainty of the common scale by a brake at the start of a movement.
 //!
-//! A brake that lets go after the motor is on takes charge away: with B the brake's torque over KT, the movement is
-//! y = b0 ∬ (u - min(B, u)) until the release and y = b0 ∬ u after it, friction and stiffness taken off. Later the machine runs at
-//! nearly constant speed, and lost charge and inertia are the same to it: only the curvature of the first 50 ms tells them apart,
-//! to some 20 % with 20 um of noise. So brakes of every torque and release are tried. The scale is open as far as brakes that
-//! the start fits reach; torques up to the motor's largest and releases up to 40 ms are taken for possible.
+//! A brake that releases after the start of the motor reduces the charge: with B the brake's torque over KT, the
+//! movement is y = b0 ∬ (u - min(B, u)) until the release and y = b0 ∬ u after it, without friction and stiffness.
+//! Later the machine runs at nearly constant speed, where lost charge and inertia have the same effect. Only the
+//! curvature of the first 50 ms distinguishes them, to some 20 % with 20 um of noise. So brakes with torques up to the
+//! motor's largest and releases up to 40 ms are fitted; the interval of the scale includes every brake that fits the
+//! start.
 
 use super::rejection::Rejection;
 
-/// Stretch that is looked at, and latest release \[s\].
+/// Length of the start, and latest release \[s\].
 const START_S: f64 = 0.06;
 const LATEST_S: f64 = 0.04;
-/// Torques that are tried, as a share of the motor's largest.
+/// Tried torques, as a share of the motor's largest.
 const TORQUES: [f64; 8] = [0.06, 0.1, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0];
-/// Fewest samples of a start that says anything.
+/// Least number of samples of a usable start.
 const LEAST_SAMPLES: usize = 12;
-/// Half of a 95 % interval in standard deviations.
+/// Half width of a 95 % interval \[standard deviations\].
 const WIDE: f64 = 1.96;
-/// Largest relative standard deviation: a brake takes half of the charge of the start at most.
+/// Largest relative standard deviation: a brake takes at most half of the charge of the start.
 const LARGEST_SD: f64 = 0.5;
-/// Twice the logarithm of the likelihood by which a brake must be better than none to be a fact.
+/// Twice the logarithm of the likelihood ratio from which a brake is certain.
 const CERTAIN: f64 = 16.0;
-/// Root mean square of what rails and toe drive add to the start, as a share of the travel.
+/// Root mean square of the effect of rails and toe drive on the start, as a share of the travel.
 const MODEL_SHARE: f64 = 1e-4;
-/// What no brake explains counts from this multiple of the noise's variance on, and so many times, as its samples are not
-/// independent.
+/// The residual variance of the best brake counts above this multiple of the noise's variance, times `CORRELATED`, as
+/// its samples are not independent.
 const NOISE_ROOM: f64 = 1.2;
 const CORRELATED: f64 = 15.0;
 
-/// Relative standard deviation of the common scale of b0, a1 and a0 that brakes leave open.
+/// Relative standard deviation of the common scale of b0, a1 and a0 by possible brakes.
 ///
 /// `noise` is the variance of the output.
 ///
 /// # Errors
-/// When there is a brake: then the scale means nothing.
+/// When a brake is certain: then the scale is meaningless.
 pub(super) fn scale_sd(
     (input, output): (&[f64], &[f64]),
     equilibrium: Option<&[f64]>,
@@ -50,7 +51,7 @@ pub(super) fn scale_sd(
     let travel = output[output.len() - 1];
     let (input, output) = (&input[foot..=foot + last], &output[foot..=foot + last]);
     let peak = input.iter().fold(0.0, |peak: f64, u| peak.max(*u));
-    // The movement over b0 as it is without a brake.
+    // The movement over b0 without a brake.
     let mut free = vec![0.0; last + 1];
     let (mut charge, mut angle, mut before) = (0.0, 0.0, 0.0);
     for k in 1..=last {
@@ -61,7 +62,7 @@ pub(super) fn scale_sd(
         free[k] = free[k - 1] + 0.5 * (before + balance) * interval_s;
         before = balance;
     }
-    // Sums over the samples after k: of 1, k, k², f, k f, f², y, k y, f y.
+    // Sums of 1, k, k², f, k f, f², y, k y, f y over the samples after k.
     let mut after = vec![[0.0; 9]; last + 1];
     for k in (0..last).rev() {
         let (at, f, y) = ((k + 1) as f64, free[k + 1], output[k + 1]);
@@ -69,7 +70,7 @@ pub(super) fn scale_sd(
         after[k] = std::array::from_fn(|i| after[k + 1][i] + terms[i]);
     }
     let square: f64 = output.iter().map(|y| y * y).sum();
-    // b0, its variance over that of the output, and the sum of squares that is left.
+    // b0, its variance over that of the output, and the residual sum of squares.
     let fit = |cross: f64, own: f64| (cross / own, 1.0 / own, square - cross * cross / own);
     let without = fit(after[0][8], after[0][5]);
     let mut found = vec![without];
@@ -88,7 +89,7 @@ pub(super) fn scale_sd(
             let [n, s, ss, f, sf, ff, y, sy, fy] = after[k];
             let square = ff - 2.0 * (a * f + rate * sf) + a * a * n + 2.0 * a * rate * s + rate * rate * ss;
             let brake = fit(cross + fy - a * y - rate * sy, own + square);
-            // One that holds longer than the start leaves no movement to fit.
+            // A brake for longer than the start leaves no movement to fit.
             if brake.0 > 0.0 {
                 found.push(brake);
             }

@@ -1,4 +1,4 @@
-//! Checks of a trace before any model is fitted.
+//! Checks of a trace before the estimation.
 
 use super::{
     movement::{MIN_QUIET, Movement, mean, median, quantum},
@@ -6,51 +6,52 @@ use super::{
     settings::Settings,
 };
 
-/// Largest current \[A\] and position \[mm\] that a sensor of a point machine can show; public recordings hold 188,776 A.
+/// Largest plausible current \[A\] and position \[mm\]; public recordings contain 188,776 A.
 const LARGEST_CURRENT_A: f64 = 1000.0;
 const LARGEST_POSITION_MM: f64 = 10_000.0;
-/// Shortest movement \[mm\], and as a share of the stroke and in standard deviations of the position's noise. Less is a rail
-/// that bends while its lock holds.
+/// Shortest movement: \[mm\], as share of the stroke, and in standard deviations of the position noise. A locked rail
+/// that bends moves less.
 const LEAST_TRAVEL_MM: f64 = 2.0;
 const LEAST_TRAVEL_SHARE: f64 = 0.02;
 const LEAST_TRAVEL_SIGMAS: f64 = 8.0;
-/// Share of the stroke that a complete throw covers, and that it cannot exceed.
+/// Least and largest travel of a complete throw, as share of the stroke.
 const COMPLETE_SHARE: f64 = 0.95;
 const TOO_LONG_SHARE: f64 = 1.15;
-/// Longest movement \[s\]: machines take 0.5 to 10 s, and their own overload protection ends what takes much longer.
+/// Longest movement \[s\]: machines take 0.5 to 10 s, and their overload protection ends much longer movements.
 const LONGEST_MOVEMENT_S: f64 = 30.0;
-/// Longest time for which the motor may stay on after the toe arrived \[s\].
+/// Longest time of the motor after the arrival of the toe \[s\].
 const LONGEST_STALL_S: f64 = 0.5;
-/// Least current of a motor over the noise: six standard deviations come by chance once in 10^9 samples.
+/// Least peak current, in standard deviations of the noise: chance gives six once in 10^9 samples.
 const LEAST_CURRENT_SIGMAS: f64 = 6.0;
-/// Distance that the toe may move against its way, or before the motor starts: a share of the travel, for rails that spring,
-/// and standard deviations of the noise, for the largest of several thousand samples.
+/// Largest movement backwards, or before the start of the motor: as share of the travel (the rails spring), and in
+/// standard deviations of the noise (largest of several thousand samples).
 const WRONG_WAY_SHARE: f64 = 0.02;
 const WRONG_WAY_SIGMAS: f64 = 10.0;
-/// Displacement of three positions at the motor's start, in standard deviations of one: 1 of 1,000,000 healthy throws.
+/// Displacement of three consecutive positions at the start of the motor, in standard deviations; chance exceeds it in
+/// 1 of 1,000,000 healthy throws.
 const EARLY_SIGMAS: f64 = 2.8;
-/// Current of the first sample, as a share of the peak, above which the recording began after the motor.
+/// Current of the first sample, as share of the peak, above which the recording began too late.
 const LATE_START_SHARE: f64 = 0.25;
-/// Largest noise over that of the configured sensor; beyond it the sensor or its wiring is at fault. Noise in the current
-/// reaches the coefficients ten times more than noise in the position; the covariance is that of the measured noise.
+/// Largest ratio of measured to configured noise; more is a fault of the sensor or its wiring. Noise of the current
+/// affects the coefficients ten times as much as noise of the position. The covariance uses the measured noise.
 const CURRENT_NOISE_FACTOR: f64 = 3.5;
 const POSITION_NOISE_FACTOR: f64 = 25.0;
-/// Least peak over running current of a motor that starts.
+/// Least ratio of peak to running current at the start of a motor.
 const INRUSH_FACTOR: f64 = 1.5;
-/// Samples of a plateau that is a limit of the range, and how steep its flanks are, in steps of the converter: a smooth
-/// crest falls by nine of its own depths over twice its width, and the step is the least depth.
+/// A clipped plateau: least number of samples, and least height of its flanks in steps of the converter. (A smooth
+/// crest falls by nine times its depth over twice its width, and its depth is at least one step.)
 const CLIPPED_SAMPLES: usize = 3;
 const CLIPPED_FLANK: f64 = 30.0;
-/// Samples for which a live channel may repeat one value: noise of half a step repeats 25 values once in 10^7 samples.
+/// Largest number of equal consecutive samples of a working channel: with noise of half a step 25 come once in 10^7
+/// samples.
 const REPEATED_SAMPLES: f64 = 25.0;
-/// The same for a position that moves slower than its converter's steps, in times of one step at mean speed, and \[s\]: the
-/// toe sets off slowly.
+/// The same for a slow position: in times of one converter step at mean speed, and \[s\] for the slow start of the toe.
 const REPEATED_STEPS: f64 = 10.0;
 const REPEATED_S: f64 = 0.02;
-/// The same for a noiseless current, which may be level, as a share of the movement.
+/// The same for a current without noise, which may be constant, as share of the movement.
 const LEVEL_CURRENT_SHARE: f64 = 0.3;
 
-/// The first value that is no number, or that no machine gives.
+/// Rejects values that are not finite, or not plausible.
 pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Result<(), Rejection> {
     let channels = [(Channel::Current, current, LARGEST_CURRENT_A), (Channel::Position, position, LARGEST_POSITION_MM)];
     for (channel, values, _) in channels {
@@ -66,7 +67,7 @@ pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Resu
     Ok(())
 }
 
-/// A current that stands at the limit of its range: a plateau of equal extreme values with steep flanks.
+/// Rejects a clipped current: a plateau of equal extreme values with steep flanks.
 pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection> {
     for sign in [1.0, -1.0] {
         let limit = current.iter().fold(f64::NEG_INFINITY, |max, i| max.max(sign * i));
@@ -90,7 +91,7 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
     Ok(())
 }
 
-/// Whether the trace shows one complete movement, driven by a current that the sensors resolve.
+/// Rejects a trace without one complete movement driven by a measurable current.
 pub(super) fn course(
     movement: &Movement,
     current: &[f64],
@@ -108,7 +109,7 @@ pub(super) fn course(
     if travel_mm.max(furthest) < least {
         return Err(Rejection::NoMovement);
     }
-    // Where nothing quiet tells the noise, differences do, although they take a supply's ripple for noise.
+    // Without quiet samples the noise follows from differences, which include the ripple of the supply.
     let quiet = movement.current;
     let noise_a = if quiet.samples >= MIN_QUIET { quiet.sd } else { first_difference_noise(current, scratch) };
     if movement.motor_off.is_none() || movement.peak_a < LEAST_CURRENT_SIGMAS * noise_a {
@@ -158,8 +159,8 @@ pub(super) fn course(
     Ok(())
 }
 
-/// The toe at the motor's start: three positions in a row that are off are a toe that moves. (One current and one position can
-/// be off by noise.)
+/// Rejects a toe that already moves at the start of the motor: three consecutive positions are displaced. (Noise can
+/// displace one of them.)
 pub(super) fn early(movement: &Movement, position: &[f64]) -> Result<(), Rejection> {
     if movement.quiet <= 2 * MIN_QUIET {
         return Ok(());
@@ -173,11 +174,11 @@ pub(super) fn early(movement: &Movement, position: &[f64]) -> Result<(), Rejecti
     Ok(())
 }
 
-/// Largest noise with which a movement can be identified, as a share of the current's peak and of the travel.
+/// Largest noise for the estimation, as share of the peak current and of the travel.
 const LARGEST_NOISE_SHARE: f64 = 0.025;
 const LARGEST_POSITION_SHARE: f64 = 0.005;
 
-/// The sensors against what they measure.
+/// Rejects noise that is too large compared with the signals.
 pub(super) fn resolved(movement: &Movement) -> Result<(), Rejection> {
     for (channel, level, expected) in [
         (Channel::Current, movement.current, LARGEST_NOISE_SHARE * movement.peak_a),
@@ -190,7 +191,7 @@ pub(super) fn resolved(movement: &Movement) -> Result<(), Rejection> {
     Ok(())
 }
 
-/// The sensors against their configuration.
+/// Rejects noise that is too large compared with the configured sensors.
 pub(super) fn noise(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
     for (channel, level, expected, factor) in [
         (Channel::Current, movement.current, settings.current_noise_a, CURRENT_NOISE_FACTOR),
@@ -203,7 +204,7 @@ pub(super) fn noise(movement: &Movement, settings: &Settings) -> Result<(), Reje
     Ok(())
 }
 
-/// A channel that repeats one value, longer than its converter's step explains, while the toe moves.
+/// Rejects a channel that repeats a value during the movement for longer than the converter step explains.
 pub(super) fn sticking(
     movement: &Movement,
     channel: Channel,
@@ -216,7 +217,7 @@ pub(super) fn sticking(
     let step = quantum(&values[start..to]);
     let noisy = movement.level(channel).sd > 0.5 * step && step > 0.0;
     let mean_step = movement.travel_mm / (to - start).max(1) as f64;
-    // Without noise nothing changes before the start.
+    // Without noise the values before the start are equal.
     let from = if noisy { 0 } else { start };
     let values = &values[from..to];
     let longest = match channel {
@@ -235,22 +236,23 @@ pub(super) fn sticking(
     Ok(())
 }
 
-/// Least height of a spike: as a share of the current's peak and of the travel, and in standard deviations of the noise.
+/// Least height of a spike: as share of the peak current and of the travel, and in standard deviations of the noise.
 const SPIKE_CURRENT_SHARE: f64 = 0.02;
 const SPIKE_TRAVEL_SHARE: f64 = 0.002;
 const SPIKE_SIGMAS: f64 = 12.0;
-/// The same shares times this at a low rate behind a filter, which shows the machine's own vibrations as lone values.
+/// Factor on these shares at a low rate with a filter, where vibrations of the machine look like single values.
 const SPIKE_FILTERED_FACTOR: f64 = 10.0;
-/// The same in the signal's own change from sample to sample: where it is steep, a jittering instant looks like a spike.
+/// Least height of a spike as share of the signal's change between samples: on a steep flank jitter looks like a spike.
 const SPIKE_SLOPE_SHARE: f64 = 0.4;
-/// Share of a spike's height that its neighbours show: at least half with the other sign, and two samples away nothing.
+/// Tolerance of a spike's shape in the second differences: minus one half of the height at the neighbours, and nothing
+/// two samples away.
 const SPIKE_BESIDE_SHARE: f64 = 0.3;
-/// Spikes from which they are a ripple that the sampling barely resolves.
+/// Number of spikes from which they count as a ripple that the sampling hardly resolves.
 const RIPPLE_SPIKES: usize = 6;
 
-/// Lone values far from their neighbours: the second difference is large there, half as large and opposite beside it, and
-/// small again two samples away, which it is not where an anti-alias filter rings after the inrush. A few of them are
-/// corrupt values; many are a ripple that the sampling barely resolves.
+/// Rejects single values far from their neighbours: the second difference is large there, half as large with the
+/// opposite sign at the neighbours, and small two samples away (unlike the ringing of an anti-alias filter after the
+/// inrush). A few are corrupt values; many are a ripple that the sampling hardly resolves.
 pub(super) fn spikes(
     movement: &Movement,
     channel: Channel,
@@ -286,29 +288,29 @@ pub(super) fn spikes(
     }
 }
 
-/// A step within the inrush, as a share of the peak and in standard deviations: means would hide it in the flank.
+/// Least step within the inrush, as share of the peak and in standard deviations; means would hide it in the flank.
 const INRUSH_STEP_SHARE: f64 = 0.18;
 const INRUSH_STEP_SIGMAS: f64 = 12.0;
-/// Samples after the motor's start in which such a step is looked for.
+/// Samples after the start of the motor that are checked for such a step.
 const INRUSH_STEP_SAMPLES: std::ops::Range<usize> = 3..19;
-/// Share of a step that means of half the length show: all of a step, an eighth of a smooth course.
+/// Least share of a step in means of half the length: 1 for a step, an eighth for a smooth signal.
 const SHORT_MEAN_SHARE: f64 = 0.6;
 const SHORT_MEAN_SIGMAS: f64 = 5.0;
-/// Length of a mean on either side of a step \[s\].
+/// Length of the mean on each side of a step \[s\].
 const STEP_S: f64 = 0.008;
-/// How far above its noise a step is one: with several thousand places to look at, and a smooth signal beneath.
+/// Least step in standard deviations of its noise, for several thousand places on a smooth signal.
 const STEP_SIGNIFICANCE: f64 = 6.5;
-/// How long the inrush swings \[s\].
+/// Duration of the oscillation of the inrush \[s\].
 const INRUSH_S: f64 = 0.15;
-/// Least step of the current, as a share of its largest value: rails and friction make less.
+/// Least step of the current, as share of its peak; rails and friction cause smaller ones.
 const LEAST_STEP: f64 = 0.006;
-/// Least step of the position, as a share of the travel.
+/// Least step of the position, as share of the travel.
 const LEAST_SLIP: f64 = 5e-4;
 
-/// A step from one sample to the next that stays: inductance and inertia let neither current nor toe do that, but a changed gain,
-/// a shifted offset and lost samples do. Means over 8 and over 4 ms, the trend through their neighbours removed, show
-/// the same step only where there is one; a smooth course shows the shorter means an eighth of it. Many steps are a ripple
-/// that the sampling barely resolves.
+/// Rejects a lasting step between two samples: inductance and inertia prevent it in current and position, so it is a
+/// changed gain, a shifted offset or lost samples. Means over 8 and over 4 ms, with the trend removed, show the same
+/// height only for a step; for a smooth signal the shorter means show an eighth. Many steps are a ripple that the
+/// sampling hardly resolves.
 pub(super) fn steps(
     movement: &Movement,
     channel: Channel,
@@ -316,7 +318,7 @@ pub(super) fn steps(
     interval_s: f64,
     sums: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
-    // A step at rest is in the noise at rest, but not in that of differences.
+    // A step at rest increases the noise at rest, but not that of differences.
     let (rest, noise) = (movement.level(channel), second_difference_noise(values, sums));
     let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(rest.quantum);
     let start = movement.start();
@@ -330,7 +332,7 @@ pub(super) fn steps(
         let inrush =
             start + INRUSH_STEP_SAMPLES.start..(start + INRUSH_STEP_SAMPLES.end).min(values.len().saturating_sub(2));
         let mut found = inrush.filter(far);
-        // One step is seen from the places beside it; more are a supply that switches.
+        // One step shows at neighbouring places too; more are a switching supply.
         if let Some(at) = found.next().filter(|_| found.count() < 3) {
             return Err(Rejection::CurrentJump { jump_a: values[at + 1] - values[at], at_s: at as f64 * interval_s });
         }
@@ -347,14 +349,14 @@ pub(super) fn steps(
             [k + 1 - 2 * width, k + 1 - width, k + 1, k + 1 + width, k + 1 + 2 * width].map(|at| sums[at]);
         (1.5 * (d - c - (c - b)) - 0.5 * (e - d - (b - a))) / width as f64
     };
-    // The variance of a step is 5 / width of a sample's.
+    // The variance of a step is 5 / width of that of a sample.
     let [long, short] = [wide, wide / 2].map(|width| sd * (5.0 / width as f64).sqrt());
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
     let settled = start + (INRUSH_S / interval_s) as usize + wide;
     let (clear, least) = match channel {
-        // Inductance and back-EMF swing faster than these means.
+        // Inductance and back-EMF oscillate faster than these means.
         Channel::Current => (start.saturating_sub(2 * wide)..settled, LEAST_STEP * movement.peak_a),
-        // The toe sets off with a jerk.
+        // The toe starts with a jerk.
         Channel::Position => (start..start + 4 * wide, LEAST_SLIP * movement.travel_mm),
     };
     let last = (movement.near_end + 1).min(values.len()).saturating_sub(2 * wide);
@@ -366,7 +368,7 @@ pub(super) fn steps(
         }
     });
     let Some(at) = found.next() else { return Ok(()) };
-    // One step is seen from a few places beside it.
+    // One step shows at a few neighbouring places.
     if found.count() > 5 * wide {
         return Ok(());
     }
@@ -377,20 +379,21 @@ pub(super) fn steps(
     })
 }
 
-/// Shortest stretch whose noise is looked at, in samples.
+/// Shortest stretch for a noise comparison \[samples\].
 const NOISE_SAMPLES: usize = 64;
-/// Least noise that hides the machine's vibrations, as a share of the configured sensor's.
+/// Least noise that hides the vibrations of the machine, as share of the configured noise.
 const LEAST_NOISE: f64 = 0.5;
-/// Standard normal quantile of one wrong alarm in 3 million stretches.
+/// Standard normal quantile for one false rejection in 3 million stretches.
 const NOISE_QUANTILE: f64 = 5.0;
-/// Noise that can be compared, in steps of the converter: below it, rounding shapes the differences.
+/// Least noise for a comparison, in steps of the converter; below it, rounding determines the differences.
 const NOISE_QUANTA: f64 = 8.0;
-/// Noise at rest over that of the whole trace: more is a disturbed rest, less a machine with noise of its own.
+/// Ratio of the noise at rest to that of the whole trace: more is a disturbance at rest, less is noise from the
+/// machine.
 const REST_NOISE: std::ops::Range<f64> = 0.6..1.5;
 
-/// A stretch of the current that is noisier or quieter than the rest, where the noise is that of the sensor at rest otherwise:
-/// there its gain was another one. (A supply's ripple, a commutator or a coarse converter make noise of their own, and with a
-/// very good sensor the machine's vibrations show; then nothing is said.)
+/// Rejects a stretch of the current with other noise than the rest, which shows another gain, if the noise elsewhere is
+/// that of the sensor. (With a ripple of the supply, noise of a commutator, a coarse converter, or a sensor so good
+/// that vibrations are visible, there is no check.)
 pub(super) fn noise_level(
     movement: &Movement,
     current: &[f64],
@@ -410,7 +413,7 @@ pub(super) fn noise_level(
     if at_rest > REST_NOISE.end * usual {
         return Err(Rejection::GainChanged { ratio: at_rest / usual });
     }
-    // A disturbed stretch may hold most of one half.
+    // A disturbed stretch may cover most of one half.
     let [first, second] = [&quiet[..quiet.len() / 2], &quiet[quiet.len() / 2..]];
     let halves = second_difference_noise(first, scratch).max(second_difference_noise(second, scratch));
     if halves < REST_NOISE.start * usual {
@@ -429,13 +432,13 @@ pub(super) fn noise_level(
     }
     let mut width = NOISE_SAMPLES;
     while width < scratch.len() {
-        // Neighbouring second differences share samples: 35/18 of them are worth one. (Wilson, Hilferty)
+        // Neighbouring second differences share samples, so 35/18 of them count as one. (Wilson, Hilferty)
         let spread = 2.0 / 9.0 * (35.0 / 18.0) / width as f64;
         let limit = |sign: f64| (1.0 - spread + sign * NOISE_QUANTILE * spread.sqrt()).powi(3);
         let (low, high) = (limit(-1.0), limit(1.0));
         for from in (0..scratch.len() - width).step_by(width / 4) {
             let ratio = (scratch[from + width] - scratch[from]) / width as f64;
-            // In motion the machine's own chatter may add to the noise.
+            // In motion vibrations of the machine may add to the noise.
             let at_rest = from + width + 3 < movement.start();
             if ratio < low || (at_rest && ratio > high) {
                 return Err(Rejection::GainChanged { ratio: ratio.sqrt() });
@@ -446,7 +449,7 @@ pub(super) fn noise_level(
     Ok(())
 }
 
-/// A motor that starts takes more current than one that runs.
+/// Rejects a movement without inrush: a starting motor takes more current than a running one.
 pub(super) fn inrush(movement: &Movement, current: &[f64], scratch: &mut Vec<f64>) -> Result<(), Rejection> {
     let (start, end) = (movement.start(), movement.near_end.max(movement.start() + 1));
     let early = start + ((end - start) / 5).max(1);
@@ -458,11 +461,11 @@ pub(super) fn inrush(movement: &Movement, current: &[f64], scratch: &mut Vec<f64
     if peak_a < INRUSH_FACTOR * running_a { Err(Rejection::NoInrush { peak_a, running_a }) } else { Ok(()) }
 }
 
-/// The first crest has at least this share of the largest current, and lasts while the current is within this share of it.
+/// Least height of the first crest as share of the peak; the crest lasts while the current is above this share of it.
 const CREST_SHARE: f64 = 0.9;
 const CREST_FLATNESS: f64 = 0.97;
 
-/// Samples, the last quiet one included, from the motor's start to the end of the current's first crest.
+/// Samples from the last quiet one to the end of the first crest of the current.
 pub(super) fn rise_samples(movement: &Movement, current: &[f64]) -> usize {
     let start = movement.start();
     let level = |k: usize| (current[k] - movement.current.mean).abs();
@@ -474,14 +477,14 @@ pub(super) fn rise_samples(movement: &Movement, current: &[f64]) -> usize {
     crest + flat - start + 1
 }
 
-/// Largest step of the position between two samples: mean steps of the movement, standard deviations of the noise, and
-/// steps of the converter, of which one counts 0.5 mm at most.
+/// Largest step of the position between two samples: in mean steps of the movement, in standard deviations of the
+/// noise, and in steps of the converter (at most 0.5 mm each).
 const JUMP_MEAN_STEPS: f64 = 5.0;
 const JUMP_SIGMAS: f64 = 10.0;
 const JUMP_QUANTA: f64 = 3.0;
 const LARGEST_QUANTUM_MM: f64 = 0.5;
 
-/// A step between two samples that no speed of this machine explains.
+/// Rejects a step between two samples that the speed of the machine does not explain.
 fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) -> Result<(), Rejection> {
     let span = movement.arrived.saturating_sub(movement.start()).max(1);
     let mean_step = movement.travel_mm / span as f64;
@@ -497,7 +500,7 @@ fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) 
     }
 }
 
-/// The largest distance back from the furthest position so far.
+/// Largest distance back from the furthest position so far.
 fn backwards(movement: &Movement, position: &[f64]) -> f64 {
     let sign = if movement.sign == 0.0 { 1.0 } else { movement.sign };
     let (mut furthest, mut worst) = (f64::NEG_INFINITY, 0.0_f64);
@@ -518,7 +521,7 @@ pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) ->
     SD_PER_MEDIAN * median(scratch) / 6.0_f64.sqrt()
 }
 
-/// The same from first differences, for a signal that is mostly level.
+/// The same from first differences, for a mostly constant signal.
 fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));

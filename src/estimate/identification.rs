@@ -1,4 +1,4 @@
-//! The result of one throw: the estimate or the reason why there is none, and the features.
+//! The result of the estimator for a throw: the estimate or the rejection, and the features.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -6,22 +6,22 @@ use serde::{Deserialize, Serialize};
 use super::{features::Features, rejection::Rejection};
 use crate::throw::Direction;
 
-/// How far an estimate can be trusted.
+/// Trust in an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Grade {
-    /// The model describes the throw; the covariance is that of the sensors' noise.
+    /// The model fits the throw; the covariance is that of the sensors' noise.
     #[default]
     Good,
-    /// The movement departs from the model in a way that a machine can cause. The covariance covers the departure. The
-    /// estimate counts for drift and never for a baseline.
+    /// The movement departs from the model in a way that a machine can cause, and the covariance includes this. The
+    /// estimate counts for drifts, not for baselines.
     Rough,
-    /// Identified without a toe position, from current and supply voltage.
+    /// Estimated without a toe position, from current and supply voltage.
     CurrentOnly,
 }
 
 impl Grade {
-    /// The word in messages and in the database, as in the column `quality`.
+    /// The word in messages and in the column `quality`.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -35,7 +35,7 @@ impl Grade {
 /// The coefficients of equation (12) for one throw, with their covariance.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// How far the estimate can be trusted.
+    /// Trust in the estimate.
     #[serde(default)]
     pub grade: Grade,
     /// KT / J \[rad s⁻² A⁻¹\] (rad s⁻² A⁻² for a series motor).
@@ -44,20 +44,20 @@ pub struct Estimate {
     pub a1: f64,
     /// Kspr / J \[s⁻²\].
     pub a0: f64,
-    /// Only the ratios a1/b0 and a0/b0 are known: the start of the throw is unusable. Then b0 is 1 and stands
-    /// for nothing, and the covariance says so.
+    /// Whether only the ratios a1/b0 and a0/b0 are known, as the start of the throw is unusable. Then b0 is 1 without
+    /// meaning, and has a large variance.
     #[serde(default)]
     pub ratios_only: bool,
-    /// Covariance of (b0, a1, a0) from throw to throw, in their units: the sensors' noise.
+    /// Covariance of (b0, a1, a0) from the sensors' noise, which differs in each throw.
     #[serde(with = "rows")]
     pub covariance: Matrix3<f64>,
-    /// Covariance of what is the same in every throw of one machine: dry friction that the model counts as viscous, a load
-    /// that wanders, and what a brake may hide at the start. A comparison with a baseline does not contain it.
+    /// Covariance of the errors that are equal in every throw of a machine: dry friction in the viscous model, a
+    /// varying load, and a possible brake at the start. A comparison with a baseline does not contain them.
     #[serde(with = "rows", default)]
     pub systematic: Matrix3<f64>,
     /// `R²_T` \[%\].
     pub fit_pct: f64,
-    /// SRIV iterations.
+    /// Number of SRIV iterations.
     pub iterations: usize,
     /// First sample used, from the start of the trace \[s\].
     pub start_s: f64,
@@ -72,22 +72,22 @@ impl Estimate {
         [self.b0, self.a1, self.a0]
     }
 
-    /// Covariance of the whole error of (b0, a1, a0), in their units: noise and model.
+    /// Covariance of the whole error of (b0, a1, a0), from noise and model.
     #[must_use]
     pub fn total_covariance(&self) -> Matrix3<f64> {
         self.covariance + self.systematic
     }
 
-    /// Covariance that a comparison with a baseline has to allow for. Errors that are the same in every throw cancel in it, but not
-    /// for ratios, whose baseline is of whole estimates; they do not average out over a window, whatever its length.
+    /// Covariance for a comparison with a baseline. Errors that are equal in every throw cancel in it, except for
+    /// ratios, whose baseline has complete estimates; such errors do not average out over a window.
     #[must_use]
     pub fn drift_covariance(&self) -> Matrix3<f64> {
-        /// Throws in the longest window of the diagnosis.
+        /// Length of the longest window of the diagnosis \[throws\].
         const LONGEST_WINDOW: f64 = 24.0;
         if self.ratios_only { self.covariance + LONGEST_WINDOW * self.systematic } else { self.covariance }
     }
 
-    /// Standard deviations of the whole error of (b0, a1, a0), in their units.
+    /// Standard deviations of the whole error of (b0, a1, a0).
     #[must_use]
     pub fn sd(&self) -> [f64; 3] {
         let variances: Vector3<f64> = self.total_covariance().diagonal();
@@ -113,28 +113,28 @@ impl Estimate {
     }
 }
 
-/// The result of one throw.
+/// The result of the estimator for a throw.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Identification {
-    /// The direction of the movement: from the position; the declared one when the position does not show it.
+    /// Direction of the movement from the position, or the declared direction if the position does not show it.
     pub direction: Option<Direction>,
-    /// The logger declared the other direction than the toe moved.
+    /// Whether the logger declared the opposite direction.
     pub direction_contradicted: bool,
-    /// Features of the throw, with or without an estimate.
+    /// Features of the throw.
     pub features: Features,
-    /// The estimate, or why there is none.
+    /// The estimate or the rejection.
     pub outcome: Result<Estimate, Rejection>,
 }
 
 impl Identification {
-    /// The stable word for programs, as in the column `quality`: a grade, or the code of the rejection.
+    /// The word in the column `quality`: the grade, or the code of the rejection.
     #[must_use]
     pub fn quality(&self) -> &'static str {
         self.outcome.as_ref().map_or_else(Rejection::code, |estimate| estimate.grade.as_str())
     }
 }
 
-/// A 3x3 matrix as three rows of numbers.
+/// JSON of a 3x3 matrix as three rows.
 mod rows {
     use nalgebra::Matrix3;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};

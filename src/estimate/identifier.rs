@@ -1,4 +1,4 @@
-//! One throw through all stages: checks, decimation, course of the movement, window, estimation, acceptance.
+//! The stages of the estimator: checks, decimation, course of the movement, window, estimation, acceptance.
 
 use nalgebra::Matrix3;
 
@@ -20,53 +20,53 @@ use super::{
 };
 use crate::throw::{Direction, Throw};
 
-/// Fewest samples and shortest time in which three coefficients can be told.
+/// Least number of samples and shortest time for three coefficients.
 const MIN_SAMPLES: usize = 30;
 const MIN_DURATION_S: f64 = 0.3;
-/// Quiet samples kept in the window before the motor's start.
+/// Quiet samples in the window before the start of the motor.
 const LEAD_IN: usize = 2;
-/// Fewest samples in the rise of an unfiltered current.
+/// Least number of samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
-/// Shortest rise of a point machine's current \[s\]: inductance over resistance is 2 ms or more.
+/// Shortest rise of the current of a point machine \[s\]: inductance over resistance is 2 ms or more.
 const SLOWEST_RISE_S: f64 = 0.008;
-/// Largest departure of the rise from a linear armature: in standard deviations of the noise and as a share of the peak.
-/// Healthy traces stay below 5 standard deviations, a rectified supply below 3 % of the peak; five lost samples make 10 %, instants that jitter by
-/// 0.3 ms 1 to 20 %.
+/// Largest departure of the rise from a linear armature: in standard deviations of the noise, and as share of the peak.
+/// Healthy traces have less than 5 standard deviations, a rectified supply less than 3 % of the peak; five lost samples
+/// cause 10 %, jitter of 0.3 ms causes 1 to 20 %.
 const ROUGH_RISE_SIGMAS: f64 = 8.0;
 const ROUGH_RISE_SHARE: f64 = 0.03;
-/// Largest standard deviations of b0, a1 and a0 that are of use \[%\]; a0 may be small.
+/// Largest standard deviations of usable b0, a1 and a0 \[%\]; a0 may be small.
 const MAX_SD_PCT: [f64; 3] = [6.0, 12.0, 30.0];
-/// The same for a trace that ends in the middle of the movement.
+/// Largest standard deviation for a trace that ends during the movement \[%\].
 const MAX_SD_CUT_PCT: f64 = 1.2;
-/// What dry friction, rails and a soft drive make the movement depart from a linear model, as a share of the travel:
-/// root mean square, and averaged over 20 ms.
+/// Departure of the movement from a linear model by dry friction, rails and a soft drive, as share of the travel: root
+/// mean square, and averaged over 20 ms.
 const MISFIT_RMS: f64 = 4e-4;
 const MISFIT_PEAK: f64 = 1e-3;
 const MISFIT_STRETCH_S: f64 = 0.02;
-/// Largest departure of a movement whose ratios mean something, as a share of the travel: unlocking 0.5 s after the motor's start
-/// makes 4.5 %.
+/// Largest departure of a movement with usable ratios, as share of the travel: unlocking 0.5 s after the start of the
+/// motor causes 4.5 %.
 const ROUGH_SHARE: f64 = 0.05;
-/// How much of the wandering that noise in the current causes is left beside a fitted model.
+/// Share of the slow departure from noise of the current that is left after the fit of the model.
 const FITTED_SHARE: f64 = 0.3;
-/// Slow departures of more than this many times the variance that noise explains are a load that wanders. Healthy throws stay
-/// below it: the departure has some 15 degrees of freedom.
+/// Ratio of the slow departure's variance to that from noise, above which the load varies. Healthy throws are below it,
+/// as the departure has some 15 degrees of freedom.
 const LEAST_WANDER: f64 = 4.0;
-/// Standard deviation of the quiet current over that of its second differences, above which hum is looked for.
+/// Ratio of the quiet current's standard deviation to that of its second differences, above which hum is searched.
 const HUM_FACTOR: f64 = 1.3;
-/// How long the start of the motor lasts \[s\]: then the toe has moved by 1.5 mm.
+/// Duration of the start of the motor \[s\], in which the toe moves by 1.5 mm.
 const START_S: f64 = 0.05;
-/// Errors of the common scale for each second that the toe starts late, and for each millimetre of slow departure from the model:
-/// the inrush lasts 50 ms and a millimetre.
+/// Errors of the common scale for each second of delay of the toe, and for each millimetre of slow departure: the
+/// inrush takes 50 ms and one millimetre.
 const SCALE_PER_S: f64 = 20.0;
 const SCALE_PER_MM: f64 = 3.0;
-/// Error of the common scale for a departure of the rise as large as the peak, and the part of the departure that is noise, in
+/// Error of the common scale for a departure of the rise as large as the peak, and part of the departure from noise in
 /// standard deviations.
 const SCALE_PER_RISE: f64 = 2.0;
 const RISE_NOISE_SIGMAS: f64 = 4.0;
-/// Equivalent noise bandwidth of a fourth-order Butterworth low-pass over its cut-off.
+/// Ratio of the equivalent noise bandwidth of a fourth-order Butterworth low-pass to its cut-off.
 const NOISE_BANDWIDTH: f64 = 1.026;
 
-/// Identifies throws one after the other, reusing its work buffers.
+/// The estimator with its buffers, which are reused from throw to throw.
 #[derive(Debug, Default)]
 pub struct Identifier {
     current: Vec<f64>,
@@ -82,7 +82,7 @@ pub struct Identifier {
 /// The model of equation (12): two poles, one input, three parameters.
 type ThrowModel = Sriv<2, 1, 3>;
 
-/// The part of a trace that is identified, as the estimator sees it.
+/// The window of the trace, in the units of the model.
 struct Window {
     from: usize,
     to: usize,
@@ -91,34 +91,34 @@ struct Window {
     /// Variances of white noise on input (per unit scale) and output.
     input_noise: f64,
     output_noise: f64,
-    /// Quiet samples behind the output's noise.
+    /// Number of quiet samples for the noise of the output.
     noise_samples: usize,
-    /// Variances of the offsets that were removed from input and output.
+    /// Variances of the offsets removed from input and output.
     offsets: [f64; 2],
-    /// The input is I |I|, and its mean magnitude of I.
+    /// Whether the input is I |I|; mean magnitude of I.
     series: bool,
     running: f64,
-    /// Departure of the current's rise from that of an armature, beyond noise, over the peak.
+    /// Departure of the current's rise from that of an armature beyond noise, as share of the peak.
     rise: f64,
-    /// What makes the start of the motor unusable.
+    /// The reason why the start of the motor is unusable.
     doubt: Option<Rejection>,
 }
 
-/// How an accepted movement departs from the model.
+/// Departure of an accepted movement from the model.
 #[derive(Debug, Clone, Copy)]
 struct Departure {
-    /// Variance of the slow departure over the one that the current's noise explains.
+    /// Ratio of the slow departure's variance to that from noise of the current.
     noise_ratio: f64,
     /// Root mean square of the slow departure beyond noise \[mm\].
     slow_mm: f64,
     /// Delay of the start \[s\].
     delay_s: f64,
-    /// Standard deviation of the common scale that brakes leave open.
+    /// Relative standard deviation of the common scale by possible brakes.
     brake_sd: f64,
 }
 
 impl Identifier {
-    /// Identifies one throw. Never panics, whatever the trace holds.
+    /// Identifies a throw. Does not panic for any trace.
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
         if !throw.trace.has_position() {
             return self.identify_current(throw, settings);
@@ -172,7 +172,7 @@ impl Identifier {
         }
     }
 
-    /// A throw of a machine without a toe sensor.
+    /// Identifies a throw of a machine without a toe sensor.
     fn identify_current(&mut self, throw: &Throw, settings: &Settings) -> Identification {
         let trace = &throw.trace;
         let factor = decimate::factor(trace.sample_rate_hz());
@@ -227,14 +227,14 @@ impl Identifier {
         let rise_samples = checks::rise_samples(movement, &self.current);
         if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
             let undersampled = Rejection::Undersampled { rise_samples };
-            // At a rate that resolves every inductance, the samples of the rise are lost.
+            // At this rate every inductance is resolved, so samples of the rise are lost.
             if interval_s > SLOWEST_RISE_S / MIN_RISE_SAMPLES as f64 {
                 return Err(undersampled);
             }
             doubt = doubt.or(Some(undersampled));
         }
         let filtered = filter_hz.is_some();
-        // A disturbance of the start spoils the scale; one of the movement spoils the ratios too.
+        // A disturbance of the start falsifies the scale; a disturbance of the movement falsifies the ratios too.
         let start_s = movement.start() as f64 * interval_s;
         let released_s = movement.released(&self.position).unwrap_or(0) as f64 * interval_s;
         let mut or_doubt = |verdict: Result<(), Rejection>| match verdict {
@@ -256,7 +256,7 @@ impl Identifier {
         let doubt = doubt.or(window.doubt.take());
         let (scale, fitted) = self.fit(settings, movement, &window);
         if fitted.is_err() || doubt.is_some() {
-            // A controlled drive has no inrush, and its throws fit; others are no throws.
+            // A controlled drive has no inrush, but its throws fit the model; without a fit the rejection is right.
             no_inrush?;
         }
         let reason = match (fitted, doubt) {
@@ -277,7 +277,7 @@ impl Identifier {
         Ok(ratios.estimate(scale, window.from, window.to, window.interval_s))
     }
 
-    /// The full model on the window: its fit and iterations where there is a solution, and the verdict on it.
+    /// Fits the full model to the window; returns fit and iterations if there is a solution, and its acceptance.
     fn fit(
         &mut self,
         settings: &Settings,
@@ -337,8 +337,8 @@ impl Identifier {
         (Some(found), verdict)
     }
 
-    /// Cuts the window out of the trace and brings it into the model's terms: input positive when it drives the throw,
-    /// output in radians of the screw from the start of the throw.
+    /// Cuts the window out of the trace and converts it: input positive if it drives the throw, output in radians of
+    /// the screw from the start.
     fn window(
         &mut self,
         settings: &Settings,
@@ -401,7 +401,7 @@ impl Identifier {
             *shift *= equilibrium;
         }
         let (current_sd, position_sd) = self.sensor_noise(settings, movement);
-        // White noise that passed a filter has more power below its cut-off than its variance at this rate says.
+        // Filtered white noise has more power below the cut-off than its variance at this rate shows.
         let colour = filter_hz.map_or(1.0, |hz| (0.5 / (interval_s * NOISE_BANDWIDTH * hz)).max(1.0));
         let window = Window {
             from,
@@ -425,8 +425,8 @@ impl Identifier {
         Ok(window)
     }
 
-    /// Standard deviations of current \[A\] and position \[mm\] noise: measured while nothing happens, else what the
-    /// trace's roughness or the settings say, and never below what the converter's step leaves open.
+    /// Standard deviations of the noise of current \[A\] and position \[mm\]: measured at rest, or from the roughness
+    /// of the trace or the settings; at least the rounding error of the converter.
     fn sensor_noise(&mut self, settings: &Settings, movement: &Movement) -> (f64, f64) {
         let current =
             if movement.current.samples >= MIN_QUIET { movement.current.sd } else { settings.current_noise_a };
@@ -440,7 +440,7 @@ impl Identifier {
     }
 }
 
-/// Variance of a mean over quiet samples; with less noise than half a step of the converter averaging does not help.
+/// Variance of a mean over quiet samples; with noise below half a step of the converter averaging does not help.
 fn offset_variance(level: Level) -> f64 {
     let rounding = if level.sd < 0.5 * level.quantum { level.quantum * level.quantum / 12.0 } else { 0.0 };
     if level.samples == 0 { 0.0 } else { level.sd * level.sd / level.samples as f64 + rounding }
@@ -462,8 +462,8 @@ fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejec
     }
 }
 
-/// Refuses an output that departs from the model's by more than noise and the usual dry friction explain; gives the
-/// departure of one that is accepted.
+/// Rejects an output that departs from that of the model by more than noise and usual dry friction explain; returns the
+/// departure of an accepted one.
 fn misfit(
     output: &[f64],
     model: &[f64],
@@ -473,7 +473,7 @@ fn misfit(
     lead_mm: f64,
 ) -> Result<Departure, Rejection> {
     let [b0, a1, a0] = solution.parameters;
-    // White noise of unit variance on the input makes this variance at the model's output once it has settled.
+    // Variance of the model's output for white noise of unit variance on the input, in steady state.
     let settled = b0 * b0 / (2.0 * a1 * a0) * window.interval_s;
     let scale = if window.series { 4.0 * window.running * window.running } else { 1.0 };
     let through = FITTED_SHARE * FITTED_SHARE * settled * scale * window.input_noise;
@@ -489,7 +489,7 @@ fn misfit(
             (peak, at) = (mean, block * stretch);
         }
     }
-    // The noise itself is known from a few samples only: leave room for five standard deviations of its variance.
+    // The noise is estimated from few samples: allows for five standard deviations of its variance.
     let room = 1.0 + 5.0 * (2.0 / window.noise_samples.max(MIN_QUIET) as f64).sqrt();
     let excess = (squares / output.len() as f64 - room * window.output_noise - through).max(0.0).sqrt();
     let wander = 5.0 * (window.output_noise / stretch as f64 + through).sqrt();
@@ -552,7 +552,7 @@ fn finish(
     })
 }
 
-/// A whole trace, or the window of it, in samples.
+/// Rejects a trace or window that is too short.
 fn long_enough(samples: usize, interval_s: f64) -> Result<(), Rejection> {
     let duration_s = samples as f64 * interval_s;
     if samples < MIN_SAMPLES || duration_s < MIN_DURATION_S {
@@ -561,7 +561,7 @@ fn long_enough(samples: usize, interval_s: f64) -> Result<(), Rejection> {
     Ok(())
 }
 
-/// The way the toe went, where the position is to be trusted with that.
+/// Direction of the toe's movement, if the position is reliable for this.
 fn direction_moved(movement: &Movement, outcome: &Result<Estimate, Rejection>) -> Option<Direction> {
     let untrusted = matches!(
         outcome,
@@ -579,7 +579,7 @@ fn direction_moved(movement: &Movement, outcome: &Result<Estimate, Rejection>) -
     }
 }
 
-/// Copies a channel; values that are no number repeat the one before, so that the rest can still be described.
+/// Copies a channel; a value that is not finite is replaced by the previous one, for the features of the rest.
 fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
     let mut last = from.iter().copied().find(|v| v.is_finite()).unwrap_or(0.0);
     to.clear();
@@ -591,7 +591,7 @@ fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
     }));
 }
 
-/// The current before the trace: its first value when that is small, as a filter at rest needs it; else none.
+/// The current before the trace, for the initial state of the filter: the first value if it is small, else 0.
 fn level_before(current: &[f64]) -> f64 {
     let peak = current.iter().fold(0.0, |peak: f64, i| peak.max(i.abs()));
     if current[0].abs() < 0.05 * peak { current[0] } else { 0.0 }

@@ -1,4 +1,4 @@
-//! From one throw to b0, a1, a0 with their covariance (SRIV, continuous time).
+//! The estimator: from a throw to b0, a1, a0 with their covariance (SRIV in continuous time).
 
 mod armature;
 mod brake;

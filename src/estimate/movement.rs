@@ -1,46 +1,48 @@
-//! The course of a throw, read from its two channels without any model: when the motor started and stopped, where the toe
-//! was before and after, and how noisy the sensors were while nothing happened.
+//! The course of a throw from its two channels, without a model: start and end of the motor, positions before and
+//! after, and noise of the sensors at rest.
 
 use super::{features::Features, rejection::Channel};
 
-/// The motor's start is looked for at this share of the largest current, above sensor noise and below the first rise.
+/// Share of the peak current at which the search for the start of the motor begins: above sensor noise, below the first
+/// crest.
 const START_SHARE: f64 = 0.05;
-/// The motor counts as on above this share of the largest current: a throw that its spring helps needs very little.
+/// Share of the peak current above which the motor counts as on: with the help of the spring a throw needs very little.
 const ON_SHARE: f64 = 0.005;
-/// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm is above the noise of any position sensor
-/// and is passed within the first 50 ms.
+/// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm is above the noise of position sensors,
+/// and reached within the first 50 ms.
 const RELEASE_SHARE: f64 = 0.005;
-/// Fewer quiet samples than this tell neither noise nor offset.
+/// Least number of quiet samples for noise and offset.
 pub(super) const MIN_QUIET: usize = 8;
 
-/// Mean and standard deviation of a channel while nothing happens.
+/// Mean and standard deviation of a channel at rest.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Level {
     pub(super) mean: f64,
     pub(super) sd: f64,
     pub(super) samples: usize,
-    /// Step of the converter, over the whole trace; 0 where none shows.
+    /// Step of the converter, from the whole trace; 0 if unknown.
     pub(super) quantum: f64,
 }
 
 /// The course of a throw. Indices count samples of the channels given to [`Movement::of`].
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Movement {
-    /// Samples before the motor's start: the start itself is the last of them, or the first of the trace.
+    /// Number of samples before the start of the motor; the start is the last of them, or the first sample of the
+    /// trace.
     pub(super) quiet: usize,
-    /// Last sample at which the motor was on; `None` when it never was.
+    /// Last sample with the motor on; `None` if it was never on.
     pub(super) motor_off: Option<usize>,
-    /// Current while nothing happens, before the start or else after the motor was off.
+    /// Current at rest, before the start or after the end of the motor.
     pub(super) current: Level,
     /// Position before the start.
     pub(super) position: Level,
-    /// +1 or -1: the way of the toe. 0 when it did not move.
+    /// Sign of the toe's movement; 0 without movement.
     pub(super) sign: f64,
     /// Distance from start to end \[mm\].
     pub(super) travel_mm: f64,
     /// First sample at which 95 % of the travel is done.
     pub(super) near_end: usize,
-    /// First sample at which the toe is within its noise of where it ends.
+    /// First sample at which the toe is at its end, within the noise.
     pub(super) arrived: usize,
     /// Position at the end \[mm\].
     pub(super) end_mm: f64,
@@ -51,7 +53,7 @@ pub(super) struct Movement {
 }
 
 impl Movement {
-    /// Reads the course of a throw from finite channels of equal length, at least one sample.
+    /// Determines the course of a throw; the channels are finite, of equal length and not empty.
     pub(super) fn of(current: &[f64], position: &[f64], scratch: &mut Vec<f64>) -> Self {
         let len = current.len();
         let start = start_of_motor(current, scratch);
@@ -62,7 +64,7 @@ impl Movement {
         let mut peak_a = peak(current, level.mean);
         let mut motor_off = start.and_then(|_| last_beyond(current, level.mean, threshold(&level, peak_a)));
         if let Some(off) = motor_off.filter(|_| level.samples < MIN_QUIET) {
-            // The current needs a moment to die away after the switch.
+            // The current decays for a moment after the cut-off.
             let tail = (off + 1 + len / 100 + 2).min(len);
             if len - tail >= MIN_QUIET {
                 level = Level::of(&current[tail..]);
@@ -78,7 +80,7 @@ impl Movement {
         }
         (level.quantum, position_level.quantum) = (quantum(current), quantum(position));
         let end_mm = median_of(&position[len - (len / 50).clamp(1, 50)..], scratch);
-        // An obstructed drive springs back once the motor lets go: what counts is how far it got.
+        // An obstructed drive springs back after the cut-off, so the furthest position counts.
         let with_motor = motor_off.map_or(end_mm, |off| median_of(&position[off.saturating_sub(4)..=off], scratch));
         let distance = |mm: f64| (mm - position_level.mean).abs();
         let reached_mm = if distance(with_motor) > distance(end_mm) { with_motor } else { end_mm };
@@ -106,7 +108,7 @@ impl Movement {
         }
     }
 
-    /// What a channel showed while nothing happened.
+    /// The level of a channel at rest.
     pub(super) fn level(&self, channel: Channel) -> Level {
         match channel {
             Channel::Current => self.current,
@@ -114,7 +116,7 @@ impl Movement {
         }
     }
 
-    /// Sign of the current that drives the throw: that of its inrush. (A stiff spring may drive the motor later.)
+    /// Sign of the driving current: that of the inrush. (Later a stiff spring may drive the motor.)
     pub(super) fn drive(&self, current: &[f64]) -> f64 {
         let beyond = |i: &&f64| (*i - self.current.mean).abs() >= 0.5 * self.peak_a;
         current[self.start()..].iter().find(beyond).map_or(1.0, |i| (i - self.current.mean).signum())
@@ -134,14 +136,14 @@ impl Movement {
         self.quiet.saturating_sub(1)
     }
 
-    /// First sample at which the toe has visibly left its start.
+    /// First sample at which the toe is released.
     pub(super) fn released(&self, position: &[f64]) -> Option<usize> {
         let least_mm = (RELEASE_SHARE * self.travel_mm).max(4.0 * self.position.sd);
         (self.start()..position.len()).find(|&k| self.sign * (position[k] - self.position.mean) >= least_mm)
     }
 
-    /// Last sample of the window: 95 % of the travel, or the motor off when the toe slows down after that. (A spring that
-    /// drives the throw takes the current through zero while the motor is on.)
+    /// Last sample of the window: at 95 % of the travel, or at the end of the motor if the toe slows down after it.
+    /// (With a driving spring the current crosses zero while the motor is on.)
     pub(super) fn end(&self, position: &[f64]) -> usize {
         let Some(off) = self.motor_off.filter(|off| *off < self.near_end) else { return self.near_end };
         let back = off.saturating_sub((off.saturating_sub(self.start()) / 10).max(1));
@@ -149,7 +151,7 @@ impl Movement {
         if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
     }
 
-    /// The features that the two channels show, at this sampling interval \[s\].
+    /// The features of the two channels, with the sampling interval \[s\].
     pub(super) fn features(&self, current: &[f64], position: &[f64], interval_s: f64) -> Features {
         let start = self.start();
         let since_start_s = |k: usize| k.saturating_sub(start) as f64 * interval_s;
@@ -186,7 +188,7 @@ impl Level {
     }
 }
 
-/// The last sample before the current leaves its noise; `None` when it never does.
+/// The last sample before the current exceeds its noise; `None` if it never does.
 pub(super) fn start_of_motor(current: &[f64], scratch: &mut Vec<f64>) -> Option<usize> {
     let lead = median_of(&current[..current.len().min(5)], scratch);
     let peak = peak(current, lead);
@@ -200,7 +202,7 @@ pub(super) fn start_of_motor(current: &[f64], scratch: &mut Vec<f64>) -> Option<
     if peak == 0.0 || first == 0 {
         return (peak > 0.0).then_some(0);
     }
-    // Down the flank to the foot: the last sample within the noise.
+    // Goes down the flank to the foot, the last sample within the noise.
     let band = (3.0 * noise.sd).max(0.002 * peak);
     let centre = if noise.samples >= MIN_QUIET { noise.mean } else { lead };
     Some((0..first).rev().find(|&k| (current[k] - centre).abs() <= band).unwrap_or(0))
@@ -219,23 +221,24 @@ pub(super) fn mean(values: impl Iterator<Item = f64>) -> f64 {
     if count > 0.0 { sum / count } else { 0.0 }
 }
 
-/// Median by selection in the scratch buffer; 0 for no values.
+/// Median, computed in the scratch buffer; 0 without values.
 pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend_from_slice(values);
     median(scratch)
 }
 
-/// Median by selection, in place; 0 for no values.
+/// Median, computed in place; 0 without values.
 pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
-/// The least difference between neighbours that differ: the step of the converter, if there is one to see.
+/// The smallest difference other than 0 between neighbouring values: the step of the converter if noise does not hide
+/// it.
 pub(super) fn quantum(values: &[f64]) -> f64 {
     const LANES: usize = 4;
-    // Four at a time and without a branch: this runs over every sample, several times a throw.
+    // Four lanes without a branch, as this runs over every sample several times in each throw.
     let mut least = [f64::INFINITY; LANES];
     let mut meet = |lane: usize, before: f64, after: f64| {
         let difference = (after - before).abs();

@@ -23,35 +23,35 @@ impl fmt::Display for Channel {
     }
 }
 
-/// Why a throw has no estimate. `Display` is one sentence for a person; [`Rejection::code`] is stable for programs, and
-/// the tag `code` in JSON.
+/// The reason why a throw has no estimate. `Display` is one sentence for people; [`Rejection::code`] is stable for
+/// programs, and the tag `code` in JSON.
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize, Deserialize)]
 #[serde(tag = "code", rename_all = "snake_case")]
 pub enum Rejection {
-    /// The trace, or the part of it in which the machine works, is too short to tell three coefficients.
-    #[error("the trace is too short to tell three coefficients: {samples} samples, {duration_s:.2} s")]
+    /// The trace or its window is too short for three coefficients.
+    #[error("the trace is too short for three coefficients: {samples} samples, {duration_s:.2} s")]
     TooShort {
-        /// Samples of the trace, or of its part.
+        /// Number of samples of the trace or window.
         samples: usize,
-        /// Their length \[s\].
+        /// Length of the trace or window \[s\].
         duration_s: f64,
     },
     /// NaN or infinite values.
-    #[error("the {channel} is no finite number at {at_s:.3} s, sample {sample}")]
+    #[error("the {channel} is not a finite number at {at_s:.3} s, sample {sample}")]
     NotFinite {
         /// Which channel.
         channel: Channel,
-        /// First such sample, counted from 0.
+        /// First such sample, from 0.
         sample: usize,
         /// Its time from the start of the trace \[s\].
         at_s: f64,
     },
-    /// The message has no toe position, and current and supply voltage determine no coefficients.
+    /// The message has no toe position, and current and supply voltage do not determine the coefficients.
     #[error("there is no toe position: only the features of the current are known")]
     #[serde(rename = "current_only")]
     NoPosition,
-    /// A value that no point machine's sensor gives.
-    #[error("the {channel} at {at_s:.3} s is {value}, which no point machine gives: a corrupt value")]
+    /// A value that a point machine cannot have.
+    #[error("the {channel} at {at_s:.3} s is {value}, which is not possible for a point machine: a corrupt value")]
     #[serde(rename = "implausible_value")]
     Implausible {
         /// Which channel.
@@ -64,26 +64,24 @@ pub enum Rejection {
     /// The toe did not move.
     #[error("the toe did not move")]
     NoMovement,
-    /// The toe moved although the current shows no motor.
+    /// The toe moved without a motor current.
     #[error(
-        "the toe moved {travel_mm:.1} mm, but the current never left its noise: the current channel is dead or stuck"
+        "the toe moved {travel_mm:.1} mm, but the current stayed within its noise: the current channel is dead or stuck"
     )]
     NoCurrent {
         /// Distance moved \[mm\].
         travel_mm: f64,
     },
     /// The toe moved before the motor was on.
-    #[error("the toe moved {moved_mm:.2} mm before the current rose: the channels are not of the same moment")]
+    #[error("the toe moved {moved_mm:.2} mm before the current rose: the channels are not synchronous")]
     MovedBeforeCurrent {
         /// Distance moved by then \[mm\].
         moved_mm: f64,
     },
-    /// The recording began after the motor had started, or lost its start.
-    #[error(
-        "the motor's start is not in the recording: the current is {current_a:.2} A at the first sample that shows it"
-    )]
+    /// The recording began after the start of the motor, or lost it.
+    #[error("the start of the motor is not in the recording: the current is {current_a:.2} A at its first sample")]
     StartMissing {
-        /// Current at the first sample that shows the motor \[A\].
+        /// Current at the first sample with the motor on \[A\].
         current_a: f64,
     },
     /// The toe stopped short of the stroke.
@@ -94,14 +92,14 @@ pub enum Rejection {
         /// The configured stroke \[mm\].
         stroke_mm: f64,
     },
-    /// The motor pushed against something that did not give way.
+    /// The motor pushed against an obstacle.
     #[error(
         "obstructed: the toe stood still at {position_mm:.1} mm for {stalled_s:.2} s while the motor was driving it"
     )]
     Obstructed {
-        /// Where it stood \[mm\].
+        /// Position of the toe \[mm\].
         position_mm: f64,
-        /// How long the motor was on after that \[s\].
+        /// Time of the motor after the stop of the toe \[s\].
         stalled_s: f64,
     },
     /// The toe moved further than the machine can.
@@ -114,20 +112,20 @@ pub enum Rejection {
         /// The configured stroke \[mm\].
         stroke_mm: f64,
     },
-    /// The movement took longer than any point machine's.
+    /// The movement took longer than possible for a point machine.
     #[error(
         "the toe moved for {duration_s:.0} s, a point machine needs {longest_s:.0} s at most: check sample_rate_hz, {rate_hz} Hz"
     )]
     TooSlow {
-        /// From the motor's start to 95 % of the travel \[s\].
+        /// Time from the start of the motor to 95 % of the travel \[s\].
         duration_s: f64,
         /// The limit \[s\].
         longest_s: f64,
-        /// The rate that the message gives, after decimation \[Hz\].
+        /// Sampling rate in the message, after decimation \[Hz\].
         rate_hz: f64,
     },
-    /// The toe moved back on its way.
-    #[error("the toe moved back by {back_mm:.1} mm on its way")]
+    /// The toe moved backwards during the throw.
+    #[error("the toe moved back by {back_mm:.1} mm during the throw")]
     MovedBackwards {
         /// Largest distance back from the furthest position \[mm\].
         back_mm: f64,
@@ -164,7 +162,7 @@ pub enum Rejection {
     },
     /// The current stepped: its gain or offset changed, or samples are missing.
     #[error(
-        "the current jumps by {jump_a:.2} A at {at_s:.3} s, faster than a motor's inductance lets it: a disturbed channel or \
+        "the current jumps by {jump_a:.2} A at {at_s:.3} s, faster than the inductance of a motor allows: a disturbed channel or \
          lost samples"
     )]
     CurrentJump {
@@ -173,24 +171,24 @@ pub enum Rejection {
         /// Time of the jump \[s\].
         at_s: f64,
     },
-    /// The current's noise, and so its gain, is another one for a while.
+    /// The noise of the current, and so its gain, changed for some time.
     #[error(
-        "the current's noise is {ratio:.2} times that of the rest for a while: its gain changed, or it was disturbed or smoothed"
+        "the noise of the current is {ratio:.2} times that of the rest for some time: its gain changed, or it was disturbed or smoothed"
     )]
     GainChanged {
-        /// Noise of the stretch over that of the rest.
+        /// Ratio of the noise of the stretch to that of the rest.
         ratio: f64,
     },
-    /// The first samples of the inrush are not there.
+    /// The first samples of the inrush are missing.
     #[error(
         "the current's rise begins {missing_s:.4} s before the first sample that shows it: samples are missing at the \
          motor's start"
     )]
     OnsetMissing {
-        /// How long before \[s\].
+        /// Time of the missing samples \[s\].
         missing_s: f64,
     },
-    /// The current's rise is not that of an armature.
+    /// The rise of the current is not that of an armature.
     #[error(
         "the current's first samples depart from an armature's rise by {departure_a:.2} A: samples are missing at the \
          motor's start, or their instants jitter"
@@ -199,19 +197,19 @@ pub enum Rejection {
         /// Root mean square of the departure \[A\].
         departure_a: f64,
     },
-    /// The toe starts later or earlier than the current says.
+    /// The toe starts later or earlier than the current shows.
     #[error(
-        "the toe starts {delay_ms:.1} ms after the current says: a brake that releases late, play, lost motion, or channels \
+        "the toe starts {delay_ms:.1} ms later than the current shows: a brake that releases late, play, lost motion, or channels \
          of different moments"
     )]
     LateStart {
-        /// Delay, negative for a toe that starts early \[ms\].
+        /// Delay; negative for an early start \[ms\].
         delay_ms: f64,
     },
-    /// The first movement lacks torque that the motor gives.
+    /// The first movement needs less torque than the motor gives.
     #[error("the toe starts with less torque than the current gives: a brake that releases late, or drags")]
     BrakedStart,
-    /// A lone value far from its neighbours.
+    /// A single value far from its neighbours.
     #[error("the {channel} has a spike of {height:.2} at {at_s:.3} s")]
     Spike {
         /// Which channel.
@@ -227,10 +225,10 @@ pub enum Rejection {
          passed one anti-alias filter (declare it as anti_alias_hz)"
     )]
     Undersampled {
-        /// Samples from the start to the first peak.
+        /// Samples from the start to the first crest.
         rise_samples: usize,
     },
-    /// A channel is far noisier than its sensor should be.
+    /// The noise of a channel is much larger than configured.
     #[error("the {channel} is noisy: {measured:.3} standard deviation where the sensor should have {expected:.3}")]
     Noisy {
         /// Which channel.
@@ -246,10 +244,10 @@ pub enum Rejection {
     /// The iteration did not converge.
     #[error("the estimation did not converge in {iterations} iterations: the model does not describe this trace")]
     NotConverged {
-        /// Iterations done.
+        /// Number of iterations.
         iterations: usize,
     },
-    /// The model found is unstable.
+    /// The identified model is unstable.
     #[error("the model found is unstable (a1 {a1:.3}, a0 {a0:.3}): it does not describe a point machine")]
     Unstable {
         /// Kf / J \[s⁻¹\].
@@ -267,12 +265,12 @@ pub enum Rejection {
         /// Kspr / J \[s⁻²\].
         a0: f64,
     },
-    /// The model's output does not follow the measured one.
+    /// The fit of the model is too low.
     #[error("the model follows the movement to {fit_pct:.2} % only, at least {floor_pct:.2} % are needed")]
     PoorFit {
         /// `R²_T` \[%\].
         fit_pct: f64,
-        /// The floor \[%\].
+        /// The least accepted fit \[%\].
         floor_pct: f64,
     },
     /// The model's output departs from the measured one by more than the sensors' noise and dry friction explain.
@@ -295,21 +293,19 @@ pub enum Rejection {
         running_a: f64,
     },
     /// The recording ends in the middle of the movement.
-    #[error(
-        "the recording ends after {travel_mm:.1} mm while the toe is still moving: too early to tell the coefficients"
-    )]
+    #[error("the recording ends after {travel_mm:.1} mm while the toe is still moving: too early for the coefficients")]
     EndMissing {
         /// Distance moved by then \[mm\].
         travel_mm: f64,
     },
-    /// The noise leaves a coefficient open.
+    /// A coefficient is too uncertain because of noise.
     #[error(
         "the noise leaves {name} uncertain by {sd_pct:.0} % (one standard deviation), at most {limit_pct:.0} % are of use"
     )]
     Uncertain {
-        /// Which coefficient.
+        /// Name of the coefficient.
         name: String,
-        /// Its standard deviation \[%\].
+        /// Standard deviation of the coefficient \[%\].
         sd_pct: f64,
         /// The limit \[%\].
         limit_pct: f64,
@@ -324,7 +320,7 @@ pub enum Rejection {
 }
 
 impl Rejection {
-    /// The stable word for programs, as in the column `quality`.
+    /// The code of the reason, as in the column `quality`.
     #[must_use]
     pub fn code(&self) -> &'static str {
         match self {
@@ -366,7 +362,7 @@ impl Rejection {
         }
     }
 
-    /// Whether the reason is a place between these two times \[s\].
+    /// Whether the reason has a time between `from_s` and `to_s` \[s\].
     pub(super) fn is_between(&self, from_s: f64, to_s: f64) -> bool {
         match self {
             Self::CurrentJump { at_s, .. } | Self::PositionJump { at_s, .. } | Self::Spike { at_s, .. } => {
@@ -376,13 +372,13 @@ impl Rejection {
         }
     }
 
-    /// Whether only the model or the start of the throw failed, so that the rest of the movement may still show the ratios of the
-    /// coefficients.
+    /// Whether the reason affects only the model or the start of the throw, so that the rest of the movement may give
+    /// the ratios.
     pub(super) fn leaves_ratios(&self) -> bool {
         matches!(self, Self::Misfit { .. } | Self::LateStart { .. } | Self::BrakedStart | Self::Uncertain { .. })
     }
 
-    /// Whether the machine, not the sensors, is to blame: the points did not complete their movement.
+    /// Whether the points did not complete their movement: a fault of the machine, not of the sensors.
     #[must_use]
     pub fn is_incomplete(&self) -> bool {
         matches!(

@@ -1,4 +1,4 @@
-//! A machine at trace depth: complete simulated throws through the estimator, as the daemon would identify them.
+//! A machine at trace depth: complete simulated throws, identified as in the daemon.
 
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
@@ -17,15 +17,15 @@ use crate::{
     throw::{Throw, ThrowRef, Trace},
 };
 
-/// Stiffness of a soft toe drive \[N/m\]: dry friction winds it up and leaks into b0 and a0.
+/// Stiffness of a soft toe drive \[N/m\]: dry friction then changes b0 and a0 too.
 const SOFT_TOE_N_M: f64 = 5e6;
 /// Sampling rate and cut-off of the rows with a slow logger \[Hz\].
 const SLOW_HZ: (f64, f64) = (100.0, 40.0);
 
-/// One simulated machine and the estimator that sees its throws.
+/// A simulated machine with an estimator.
 #[derive(Debug)]
 pub(super) struct TraceMachine {
-    /// Nothing when the simulator cannot build the machine: then every throw is without an estimate.
+    /// `None` if the simulator rejects the machine: then no throw has an estimate.
     machine: Option<SimulatedMachine>,
     identifier: Identifier,
     settings: Settings,
@@ -36,7 +36,7 @@ pub(super) struct TraceMachine {
 }
 
 impl TraceMachine {
-    /// The machine that lives `life` in this situation.
+    /// The machine of `life` in this situation.
     pub(super) fn new(mut random: ChaCha8Rng, situation: Situation, noise: Noise, life: &Timeline) -> Self {
         let mut fleet = FleetSettings { machines: 1, sensors: sensors(situation, noise), ..FleetSettings::default() };
         if situation == Situation::SoftToe {
@@ -57,7 +57,7 @@ impl TraceMachine {
         Self { machine, identifier: Identifier::default(), settings, volts, errs }
     }
 
-    /// What the monitor gets to see of throw `at`; without an estimate when the simulator has no such throw.
+    /// The observation of throw `at`, without an estimate if the simulation fails.
     pub(super) fn observe(&mut self, at: usize) -> Observation {
         match self.machine.as_mut().map(SimulatedMachine::next_throw) {
             Some(Ok(simulated)) => self.identify(at, simulated),

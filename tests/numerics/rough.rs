@@ -1,5 +1,5 @@
-//! Throws whose start or course is not the model's, from a machine that shares nothing with the estimator or the simulated
-//! machine: a motor and a toe as two masses, in steps of 10 us, with what real drives and loggers do to them.
+//! Throws that differ from the model in their start or course, from a machine without common code with estimator and
+//! simulator: a motor and a toe as two masses, in steps of 10 us, with effects of real drives and loggers.
 
 use std::f64::consts::TAU;
 
@@ -16,7 +16,7 @@ use super::identify::{simulated, throw_with};
 const STEP_S: f64 = 1e-5;
 const INTERVAL_S: f64 = 1e-3;
 const MM_PER_RADIAN: f64 = 10.0 / TAU;
-/// Torque and back-EMF per ampere and speed, on the screw; inertia of drive and toe, friction, stiffness.
+/// At the screw: torque and back-EMF per ampere and speed; inertia of drive and toe, friction, stiffness.
 const TORQUE: f64 = 6.3864;
 const DRIVE_INERTIA: f64 = 0.0308;
 const TOE_INERTIA: f64 = 6e-4;
@@ -28,22 +28,22 @@ struct Drive {
     /// Play between drive and toe, and between toe and sensor \[mm\].
     lost_mm: f64,
     play_mm: f64,
-    /// Torque of the brake on the screw \[N m\], and time for which it holds after the motor is on \[s\].
+    /// Torque of the brake at the screw \[N m\], and its release after the start of the motor \[s\].
     brake_nm: f64,
     brake_s: f64,
-    /// Load that wanders with a time constant of 50 ms, as a share of the friction.
+    /// Random load with a time constant of 50 ms, as a share of the friction.
     wander: f64,
-    /// Jitter of the sampling instants \[s\], and noise of the current beyond 20 mA \[A\].
+    /// Jitter of the sampling times \[s\], and noise of the current in addition to 20 mA \[A\].
     jitter_s: f64,
     noise_a: f64,
-    /// The drive controls its current to this value instead of its voltage \[A\].
+    /// Set value of a current-controlled drive \[A\]; `None` for a constant voltage.
     controlled_a: Option<f64>,
     /// Low-pass of the position \[Hz\] and delay of the position behind the current \[s\].
     lag_hz: f64,
     skew_s: f64,
     /// Hum of the mains on the current, amplitude \[A\].
     hum_a: f64,
-    /// Samples lost from this one after the motor's start on.
+    /// Index after the motor's start of the first lost sample.
     lost_samples: Option<usize>,
 }
 
@@ -119,7 +119,7 @@ impl Drive {
     }
 }
 
-/// Whether both ratios are within 1.96 standard deviations of the truth and these are of use.
+/// Whether both ratios are within 1.96 standard deviations of the truth, and these are small.
 fn holds(estimate: &Estimate) -> bool {
     let truth = [FRICTION / TORQUE, STIFFNESS / TORQUE];
     let (ratios, sd) = (estimate.ratios(), estimate.ratios_sd());
@@ -159,7 +159,7 @@ fn mains_hum_and_a_plain_drive_are_good() {
     }
 }
 
-/// Whether the scale is rightly left out, or b0, a1 and a0 are within 1.96 standard deviations of the truth.
+/// Whether the estimate has no scale, or b0, a1 and a0 are within 1.96 standard deviations of the truth.
 fn covers(estimate: &Estimate) -> bool {
     let inertia = DRIVE_INERTIA + TOE_INERTIA;
     let truth = [TORQUE, FRICTION, STIFFNESS].map(|part| part / inertia);
@@ -180,12 +180,12 @@ fn what_a_brake_hides_is_in_the_interval_or_the_throw_is_rough() {
         }
     }
     assert!(missed <= 4, "{missed} of 90 intervals miss");
-    // What differs from throw to throw is as small as the sensors' noise.
+    // The scatter between throws is as small as that of the sensors' noise.
     let plain = Drive::default().identify(1).outcome.unwrap();
     assert!(plain.covariance[(0, 0)].sqrt() < 0.01 * plain.b0 && plain.sd()[0] < 0.4 * plain.b0, "{plain:?}");
 }
 
-/// The table of the page of limits: 100 throws a row, or as many as `POINTSD_THROWS` says.
+/// The table of conditions in the README; `POINTSD_THROWS` sets the throws in each row, 100 by default.
 #[test]
 #[ignore = "a table of some minutes"]
 fn table_of_conditions() {
@@ -205,8 +205,8 @@ fn table_of_conditions() {
         ("play 0.05 mm", Drive { play_mm: 0.05, ..plain }),
         ("play 0.1 mm", Drive { play_mm: 0.1, ..plain }),
         ("play 0.5 mm", Drive { play_mm: 0.5, ..plain }),
-        ("load wanders by 1 %", Drive { wander: 0.01, ..plain }),
-        ("load wanders by 3 %", Drive { wander: 0.03, ..plain }),
+        ("load varies by 1 %", Drive { wander: 0.01, ..plain }),
+        ("load varies by 3 %", Drive { wander: 0.03, ..plain }),
         ("position lag 20 Hz", Drive { lag_hz: 20.0, ..plain }),
         ("position 1 ms late", Drive { skew_s: 0.001, ..plain }),
         ("position 5 ms late", Drive { skew_s: 0.005, ..plain }),
@@ -217,7 +217,7 @@ fn table_of_conditions() {
         ("five samples lost in the inrush", Drive { lost_samples: Some(3), ..plain }),
         ("current-controlled, 2 A", Drive { controlled_a: Some(2.0), ..plain }),
     ];
-    println!("| condition | good | rough | rejected | 95 % intervals that hold: of the coefficients | of the ratios |");
+    println!("| condition | good | rough | rejected | correct 95 % intervals: of the coefficients | of the ratios |");
     println!("|---|---|---|---|---|---|");
     for (name, drive) in rows {
         let found: Vec<Estimate> = (0..throws).filter_map(|seed| drive.identify(seed.into()).outcome.ok()).collect();
