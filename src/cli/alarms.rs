@@ -79,7 +79,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         watched.map_err(operator::failure)?;
         let (daemons, health) = (daemons.map_err(operator::failure)?, health.map_err(operator::failure)?);
         let found = replies.iter().filter_map(|(_, payload)| Some((serde_json::from_slice(payload).ok()?, payload)));
-        let found: Vec<(Alarm, &Vec<u8>)> = found.filter(|(alarm, _)| is_asked(alarm, arguments)).collect();
+        let found: Vec<(Alarm, &Vec<u8>)> = found.filter(|(alarm, _)| is_requested(alarm, arguments)).collect();
         if arguments.json {
             for (_, payload) in &found {
                 output::line(String::from_utf8_lossy(payload))?;
@@ -105,7 +105,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })
 }
 
-fn is_asked(alarm: &Alarm, arguments: &Arguments) -> bool {
+fn is_requested(alarm: &Alarm, arguments: &Arguments) -> bool {
     arguments.cause.is_none_or(|CauseArgument(cause)| cause == alarm.cause)
         && arguments.severity.is_none_or(|severity| severity == alarm.severity)
 }

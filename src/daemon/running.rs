@@ -91,7 +91,7 @@ impl Daemon {
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         let opening = Store::open(&config.store, clock::now());
-        let opened = watchdog::patiently("opening the database", opening).await?;
+        let opened = watchdog::with_start_extension("opening the database", opening).await?;
         report_database(&opened.report, &config.store);
         let session = bus::open(config.zenoh.clone()).await?;
         let mut start = Starting {

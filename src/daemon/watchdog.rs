@@ -28,7 +28,7 @@ pub(super) fn notify(states: &[NotifyState<'_>]) {
 }
 
 /// Extends the start timeout of systemd during work that may take minutes: a check of a large database, a migration.
-pub(super) async fn patiently<T>(what: &str, work: impl Future<Output = T>) -> T {
+pub(super) async fn with_start_extension<T>(what: &str, work: impl Future<Output = T>) -> T {
     let ask = async {
         let mut pace = time::interval(EXTEND_EVERY);
         for _ in 0..EXTENSIONS {

@@ -87,7 +87,7 @@ impl Sliding {
 
     /// Whether every chair slides on, against its force.
     #[inline]
-    fn goes_on(&self, mode_speeds: &[f64; MAX_MODES]) -> bool {
+    fn keeps_sliding(&self, mode_speeds: &[f64; MAX_MODES]) -> bool {
         let mut speeds = [0.0; LANES];
         for (shapes, mode_speed) in self.shapes.iter().zip(mode_speeds) {
             for lane in 0..LANES {
@@ -186,7 +186,7 @@ impl Friction {
         let mode_speeds: [f64; MAX_MODES] = std::array::from_fn(|mode| reached[MODE_SPEED + mode]);
         self.contacts[0].holds(reached[MOTOR_SPEED])
             && self.contacts[1].holds(reached[SCREW_SPEED])
-            && self.sliding.iter().all(|chairs| chairs.goes_on(&mode_speeds))
+            && self.sliding.iter().all(|chairs| chairs.keeps_sliding(&mode_speeds))
     }
 
     /// Discards the stored effect after the response changed.
