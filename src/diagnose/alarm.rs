@@ -1,7 +1,8 @@
-//! The life cycle of alarms, in the words of ISA-18.2 / IEC 62682 and OPC UA Part 9.
+//! The life cycle of alarms, after ISA-18.2 / IEC 62682 and OPC UA Part 9.
 //!
-//! One alarm per cause: raised again while `cleared_unacknowledged` it goes on; after `normal` it is a new one. An
-//! occurrence is known by its `raised_at`, which no other occurrence of the cause shares, whatever the clock does.
+//! There is one alarm per cause. Raised again while `cleared_unacknowledged`, it continues; after `normal` a new
+//! occurrence begins. The time `raised_at` identifies an occurrence; it is unique for the cause, also if the clock is
+//! set back.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -13,7 +14,7 @@ use super::{
 };
 use crate::throw::{Direction, ThrowRef};
 
-/// What an alarm is raised with: how bad, how large, which throws show it, in words.
+/// The evidence of an alarm: severity, size, throws and text.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Evidence {
     pub(super) severity: Severity,
@@ -30,7 +31,7 @@ pub(super) struct Evidence {
 }
 
 impl Evidence {
-    /// Of an alarm that is not about a drift.
+    /// Evidence of an alarm that is not about a drift.
     pub(super) fn plain(severity: Severity, throw: Option<&ThrowRef>, text: String) -> Self {
         Self {
             severity,
@@ -48,14 +49,14 @@ impl Evidence {
     }
 }
 
-/// The person behind an event, and the reason that the person gave; both `None` when the monitor acts by itself.
+/// The operator of an event, with the reason; both `None` for events of the monitor.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Actor<'a> {
     pub(super) by: Option<&'a str>,
     pub(super) why: Option<&'a str>,
 }
 
-/// State of one occurrence of an alarm, as the condition and the operators made it.
+/// State of an occurrence, from its condition and the operators' commands.
 ///
 /// ```text
 ///            raise             acknowledge
@@ -74,29 +75,29 @@ pub(super) struct Actor<'a> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum State {
-    /// The condition is there.
+    /// The condition exists.
     Active {
-        /// Who has seen it since it last got worse.
+        /// Acknowledgement since the last escalation.
         acknowledged: Option<Acknowledgement>,
     },
-    /// The condition went away before anybody acknowledged it.
+    /// The condition ended before an acknowledgement.
     Cleared,
     /// Acknowledged and cleared: the occurrence is over.
     Normal,
-    /// Silenced.
+    /// Silenced by an operator.
     Shelved {
-        /// When the shelving ends by itself.
+        /// End of the shelving.
         until: Timestamp,
         /// The operator who shelved it.
         by: String,
         /// The operator's reason.
         why: String,
-        /// The state without the shelving: any of the other three.
+        /// The state without the shelving: one of the other three.
         beneath: Box<State>,
     },
 }
 
-/// Who has seen an alarm, and when.
+/// Operator and time of an acknowledgement.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Acknowledgement {
     pub(super) by: String,
@@ -128,11 +129,11 @@ impl State {
     }
 }
 
-/// One occurrence of an alarm, from its raising until it is normal again.
+/// An occurrence of an alarm, from the raise until it is normal again.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Alarm {
     pub(super) state: State,
-    /// Its latest event, which also holds cause, severity and identity.
+    /// Latest event, with cause, severity and identity.
     pub(super) last: AlarmEvent,
 }
 
@@ -140,21 +141,21 @@ pub(super) struct Alarm {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Alarms {
     pub(super) open: Vec<Alarm>,
-    /// Latest time of raising that was ever given.
+    /// Latest `raised_at` so far.
     pub(super) latest: Option<Timestamp>,
-    /// Occurrences of any alarm so far.
+    /// Number of occurrences so far, of all causes.
     pub(super) occurrences: u64,
     pub(super) out_of_service: bool,
 }
 
-/// An operator's command that does not fit the alarm's state.
+/// An operator's command that the state of the alarm does not allow.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Unfit {
-    /// No such alarm is open.
+    /// The alarm is not open.
     NotOpen,
-    /// It was acknowledged before, by this person.
+    /// The alarm is acknowledged already, by this operator.
     Acknowledged(String),
-    /// It is not shelved.
+    /// The alarm is not shelved.
     NotShelved,
 }
 
@@ -163,7 +164,7 @@ impl Alarms {
         self.open.iter().position(|alarm| alarm.last.cause == cause)
     }
 
-    /// Makes the event of a change of the alarm at `index`; an alarm that is normal again is open no longer.
+    /// Makes the event after a change of the alarm at `index`; removes the alarm if it is normal.
     fn event(&mut self, index: usize, at: Timestamp, actor: Actor, text: Option<String>) -> AlarmEvent {
         let alarm = &mut self.open[index];
         let state = if self.out_of_service { AlarmState::OutOfService } else { alarm.state.word() };
@@ -178,8 +179,8 @@ impl Alarms {
         if state == AlarmState::Normal { self.open.remove(index).last } else { alarm.last.clone() }
     }
 
-    /// A time of raising that no other occurrence has: the clock's, or, when that was set back behind an earlier
-    /// one, the clock's millisecond with the count of occurrences for its microseconds.
+    /// A unique `raised_at`: the time of the clock. If the clock was set back, its millisecond with the count of
+    /// occurrences as microseconds.
     fn unique(&mut self, at: Timestamp) -> Timestamp {
         self.occurrences += 1;
         let unique = if self.latest.is_none_or(|latest| at > latest) {
@@ -192,7 +193,7 @@ impl Alarms {
         unique
     }
 
-    /// The condition of `cause` began. Nothing happens to an alarm that is active already.
+    /// Raises the alarm of `cause`; no change if it is active already.
     pub(super) fn raise(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
         if self.is_active(cause) {
             return None;
@@ -205,7 +206,7 @@ impl Alarms {
         Some(self.activate(index, evidence, at))
     }
 
-    /// The condition got worse: a higher severity of an active alarm, which has to be seen again.
+    /// Escalates an active alarm to a higher severity; it needs a new acknowledgement.
     pub(super) fn escalate(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
         let worse = self.severity(cause).is_some_and(|severity| evidence.severity > severity);
         let index = self.find(cause).filter(|_| worse)?;
@@ -224,13 +225,13 @@ impl Alarms {
         self.event(index, at, Actor::default(), Some(text))
     }
 
-    /// Something new about an open alarm, which stays as it is.
+    /// Adds an event with a text to an open alarm, without a change of its state.
     pub(super) fn remark(&mut self, cause: Cause, text: String, at: Timestamp) -> Option<AlarmEvent> {
         let index = self.find(cause)?;
         Some(self.event(index, at, Actor::default(), Some(text)))
     }
 
-    /// The condition of `cause` went away.
+    /// Clears the alarm of `cause`.
     pub(super) fn clear(&mut self, cause: Cause, text: String, at: Timestamp) -> Option<AlarmEvent> {
         let index = self.find(cause)?;
         let alarm = &mut self.open[index];
@@ -241,7 +242,7 @@ impl Alarms {
         Some(self.event(index, at, Actor::default(), Some(text)))
     }
 
-    /// An operator has seen the alarm.
+    /// Acknowledges an alarm.
     pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<AlarmEvent, Unfit> {
         let index = self.find(cause).ok_or(Unfit::NotOpen)?;
         let state = self.open[index].state.beneath_mut();
@@ -255,7 +256,7 @@ impl Alarms {
         Ok(self.event(index, at, Actor { by: Some(by), why: None }, None))
     }
 
-    /// Silences the alarm until a time; shelving it again moves the time.
+    /// Shelves an alarm until a time; a second shelving replaces the time.
     pub(super) fn shelve(
         &mut self,
         cause: Cause,
@@ -279,21 +280,21 @@ impl Alarms {
         Ok(self.event(index, at, actor, None))
     }
 
-    /// Ends the shelving whose time has come.
+    /// Ends the shelvings that are due.
     pub(super) fn unshelve_due(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
         let is_due = |alarm: &&Alarm| matches!(alarm.state, State::Shelved { until, .. } if until <= now);
         let due: Vec<Cause> = self.open.iter().filter(is_due).map(|alarm| alarm.last.cause).collect();
         due.into_iter().filter_map(|cause| self.unshelve(cause, Actor::default(), now).ok()).collect()
     }
 
-    /// Takes the machine out of service or back: every open alarm shows it.
+    /// Takes the machine out of service or back, with an event of every open alarm.
     pub(super) fn set_out_of_service(&mut self, out: bool, actor: Actor, at: Timestamp) -> Vec<AlarmEvent> {
         self.out_of_service = out;
         let open: Vec<Cause> = self.open.iter().map(|alarm| alarm.last.cause).collect();
         open.into_iter().filter_map(|cause| Some(self.event(self.find(cause)?, at, actor, None))).collect()
     }
 
-    /// Closes an alarm for good, acknowledged by the person who ended its reason.
+    /// Closes an alarm, acknowledged by `actor`.
     pub(super) fn close(&mut self, cause: Cause, text: String, actor: Actor, at: Timestamp) -> Option<AlarmEvent> {
         let index = self.find(cause)?;
         self.open[index].state = State::Normal;
@@ -347,7 +348,7 @@ fn blank(cause: Cause, raised_at: Timestamp) -> AlarmEvent {
     }
 }
 
-/// Puts the evidence into the event; returns its text.
+/// Moves the evidence into the event; returns the text.
 fn take_evidence(event: &mut AlarmEvent, evidence: Evidence) -> String {
     event.severity = evidence.severity;
     event.change_pct = evidence.change_pct;

@@ -1,4 +1,4 @@
-//! What an alarm says: its cause, severity, state and evidence.
+//! Alarm events: cause, severity, state and evidence.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{correlation::Correlation, course::LimitForecast};
 use crate::throw::{Direction, ThrowRef};
 
-/// What an alarm is about.
+/// Cause of an alarm.
 #[derive(
     Debug,
     Clone,
@@ -27,25 +27,25 @@ use crate::throw::{Direction, ThrowRef};
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Cause {
-    /// The motor's torque constant.
+    /// Torque constant of the motor.
     Kt,
-    /// Friction.
+    /// Friction of drive and slide chairs.
     Friction,
-    /// Stiffness.
+    /// Stiffness of the rails.
     Stiffness,
-    /// Inertia.
+    /// Inertia of the machine.
     Inertia,
-    /// Drift that none of the four explains alone, or that two explain equally well.
+    /// A drift that none of the four explains alone, or that two explain equally well.
     Unattributed,
     /// The points did not complete a throw.
     IncompleteThrow,
-    /// Throws take longer than they did.
+    /// Throws take longer than in the baseline.
     SlowThrow,
     /// No throw of the machine could be evaluated for too long.
     NotMonitored,
-    /// Throws were lost between the logger and the database.
+    /// Lost throws, or a problem of the daemon.
     DataLoss,
-    /// A sensor says what cannot be, or explains a drift as well as the machine does.
+    /// A sensor gives implausible values, or explains a drift at least as well as the machine.
     Sensor,
     /// The supply of the motor changed.
     Supply,
@@ -55,20 +55,20 @@ impl Cause {
     /// The four physical causes, in the order of the diagnosis.
     pub const PHYSICAL: [Self; 4] = [Self::Kt, Self::Friction, Self::Stiffness, Self::Inertia];
 
-    /// The word used in messages and in the database.
+    /// Name in messages and in the database.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
     }
 
-    /// Whether it comes from a drift of the coefficients, and not from the throws' coming and going.
+    /// Whether the cause comes from a drift of the coefficients.
     #[must_use]
     pub const fn is_drift(self) -> bool {
         matches!(self, Self::Kt | Self::Friction | Self::Stiffness | Self::Inertia | Self::Unattributed)
     }
 }
 
-/// Plain words, for people.
+/// Name for people.
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -87,23 +87,23 @@ impl fmt::Display for Cause {
     }
 }
 
-/// The sensor that an alarm with [`Cause::Sensor`] is about.
+/// The faulty sensor of an alarm with [`Cause::Sensor`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorChannel {
-    /// Of the motor current.
+    /// Sensor of the motor current.
     Current,
-    /// Of the toe position.
+    /// Sensor of the toe position.
     Position,
-    /// The logger's clock, which gives the sampling rate.
+    /// Clock of the logger, which sets the sampling rate.
     Clock,
-    /// Of the temperature.
+    /// Sensor of the temperature.
     Temperature,
     /// Of the supply voltage.
     Supply,
 }
 
-/// Plain words, for people.
+/// Name for people.
 impl fmt::Display for SensorChannel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -116,19 +116,19 @@ impl fmt::Display for SensorChannel {
     }
 }
 
-/// How bad.
+/// Severity of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Severity {
-    /// Plan a visit.
+    /// Maintenance should be planned.
     Warning,
-    /// Visit now.
+    /// Maintenance is urgent.
     Critical,
 }
 
 impl Severity {
-    /// The word used in messages and in the database.
+    /// Name in messages and in the database.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
@@ -142,20 +142,20 @@ impl Severity {
 pub enum AlarmState {
     /// No alarm.
     Normal,
-    /// Raised, nobody has seen it.
+    /// Raised, not acknowledged.
     ActiveUnacknowledged,
-    /// Raised and seen.
+    /// Raised and acknowledged.
     ActiveAcknowledged,
-    /// The condition went away before anybody acknowledged it.
+    /// The condition ended before an acknowledgement.
     ClearedUnacknowledged,
-    /// Silenced until a time, by someone, for a reason.
+    /// Silenced by an operator until a time.
     Shelved,
     /// The machine is under maintenance.
     OutOfService,
 }
 
 impl AlarmState {
-    /// The state in words, the same on pages and on the command line.
+    /// The text for people, on pages and on the command line.
     #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
@@ -168,50 +168,49 @@ impl AlarmState {
         }
     }
 
-    /// The word used in messages and in the database.
+    /// Name in messages and in the database.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
     }
 }
 
-/// Another cause that nearly explains the drift as well.
+/// The second-best cause of a drift.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RunnerUp {
-    /// The next best cause.
+    /// The second-best cause.
     pub cause: Cause,
-    /// By how much its misfit is larger than the named cause's (chi-square units).
+    /// Difference of its misfit to that of the named cause (chi-square units).
     pub margin: f64,
 }
 
-/// One event in the life of an alarm, with its evidence: the same in the monitor's snapshot, on zenoh and in SQL. Its JSON
-/// has the names of the alarm message.
+/// An event of an alarm with its evidence. Its JSON is that of the alarm message, in snapshots and SQL too.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AlarmEvent {
-    /// What the alarm is about.
+    /// Cause of the alarm.
     pub cause: Cause,
-    /// When this occurrence of the alarm was raised; with machine and cause it identifies the alarm.
+    /// Time of the raise; with machine and cause it identifies the alarm.
     pub raised_at: Timestamp,
-    /// +1 per event of the alarm, from 1.
+    /// Number of the event, from 1.
     pub event_no: u32,
-    /// How bad.
+    /// Severity of the alarm.
     pub severity: Severity,
-    /// The state that the event led to.
+    /// State after the event.
     pub state: AlarmState,
-    /// When the event happened.
+    /// Time of the event.
     pub event_at: Timestamp,
     /// Size of the drift \[% from baseline\].
     pub change_pct: Option<f64>,
-    /// Its standard deviation \[%\].
+    /// Standard deviation of the size \[%\].
     pub change_pct_sd: Option<f64>,
-    /// The direction in which it shows; `None` for both.
+    /// Direction of the drift; `None` for both.
     pub direction: Option<Direction>,
-    /// The sensor, of an alarm about one.
+    /// The sensor, for alarms with [`Cause::Sensor`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channel: Option<SensorChannel>,
-    /// The next best cause.
+    /// The second-best cause.
     pub runner_up: Option<RunnerUp>,
-    /// The paper's three numbers.
+    /// The paper's three correlations.
     pub correlation: Option<Correlation>,
     /// First throw of the evidence.
     #[serde(flatten, with = "first_throw")]
@@ -219,19 +218,19 @@ pub struct AlarmEvent {
     /// Last throw of the evidence.
     #[serde(flatten, with = "last_throw")]
     pub last_throw: Option<ThrowRef>,
-    /// One plain sentence: what, how sure, what to look at.
+    /// Text for people: what happened, how certain it is, what to check.
     pub text: String,
-    /// When it reaches the next limit.
+    /// Forecast of the critical limit.
     pub limit_in_throws: Option<LimitForecast>,
-    /// Who acted (acknowledge, shelve, rebaseline), where somebody did. Not published.
+    /// Operator whose command caused the event. Not published.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
-    /// Why. Not published.
+    /// Reason given by the operator. Not published.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
 }
 
-/// The JSON of a throw of the evidence: its number, as published, and its boot, which is not published.
+/// JSON of a throw in the evidence: its number, and its boot, which is not published.
 macro_rules! evidence_throw {
     ($name:ident, $throw_no:literal, $boot_id:literal) => {
         mod $name {
@@ -245,7 +244,7 @@ macro_rules! evidence_throw {
                 throw_no: Option<u64>,
                 #[serde(rename = $boot_id, default, skip_serializing_if = "String::is_empty")]
                 boot_id: String,
-                /// Snapshots of earlier versions have the whole reference here.
+                /// Earlier versions stored the whole reference here.
                 #[serde(default, skip_serializing)]
                 $name: Option<ThrowRef>,
             }

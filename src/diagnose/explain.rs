@@ -1,55 +1,54 @@
-//! How well causes explain a drift: their directions in the space of the three logarithms.
+//! Explanations of a drift by causes, as directions in the space of the three logarithms.
 //!
-//! b0 = KT/J, a1 = Kf/J, a0 = Kspr/J (equation 13), so in (ln b0, ln a1, ln a0) the four causes are directions: motor
+//! b0 = KT/J, a1 = Kf/J, a0 = Kspr/J (equation 13), so in (ln b0, ln a1, ln a0) the causes have the directions motor
 //! (1,0,0), friction (0,1,0), stiffness (0,0,1), inertia (-1,-1,-1). For a drift m with covariance V, causes with the
-//! directions D explain it with sizes f = (D'U^-1 D)^-1 D'U^-1 m and leave the misfit (m - D f)' U^-1 (m - D f). U adds
-//! to V the model's own error, in proportion to f.
+//! directions D explain it with sizes f = (D'U^-1 D)^-1 D'U^-1 m and leave the misfit (m - D f)' U^-1 (m - D f). U is V
+//! plus the error of the model, in proportion to f.
 //!
-//! # The model's own error
-//! Simulated throws through the estimator: a change of the motor, stiffness or inertia moves each other coefficient by
-//! less than a tenth of itself. Dry friction leaks: fitted with a viscous model, a rise moves along (g, 1, g) with g
-//! from 0 (viscous) over 0.22 (stiff toe drive) to 0.4 (soft toe drive); a fall hardly leaks. What g a machine has is not
-//! known, so its probabilities under each are averaged.
+//! # Error of the model
+//! From estimates of simulated throws: a change of motor, stiffness or inertia changes each other coefficient by less
+//! than a tenth of it. Dry friction leaks: in a viscous model a rise has the direction (g, 1, g), with g from 0
+//! (viscous) over 0.22 (stiff toe drive) to 0.4 (soft toe drive); a fall hardly leaks. The g of a machine is unknown,
+//! so the probabilities for several g are averaged.
 //!
 //! # Score
 //! -2 ln of the probability of m under a wide prior on the sizes (Laplace), misfit + ln det U + ln det(D'U^-1 D) + k ln
-//! s^2, so that more causes have to earn what they explain; and coinciding faults are rarer than single ones.
+//! s^2, which penalises additional causes; coinciding faults have an extra penalty, as they are rarer than single ones.
 
 use nalgebra::{Matrix3, Vector3};
 
 use super::{event::Cause, settings::Settings};
 
-/// Prior scale s of a size, in logarithms: faults that matter are from a few percent to a doubling.
+/// Prior scale s of a size, in logarithms: relevant faults are from a few per cent to a doubling.
 const SIZE_SCALE: f64 = 0.5;
-/// What each cause beside the first costs: one in a dozen faults comes with a second one.
+/// Penalty of each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
-/// Part g of a rise of friction by which b0 and a0 move too: viscous, with a stiff and with a soft toe drive. Which one a
-/// machine has is not known, and each is as likely.
+/// Leak g of a rise of friction into b0 and a0: viscous, stiff toe drive, soft toe drive; each is equally likely.
 const FRICTION_LEAKS: [f64; 3] = [0.0, 0.2, 0.4];
-/// Standard deviation around each: together they cover the range between them evenly.
+/// Standard deviation of each leak, so that together they cover the range evenly.
 const FRICTION_LEAK_SD: f64 = 0.08;
-/// Standard deviations that the setting `model_error` stands for: "up to".
+/// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
-/// Beside its leak friction hardly moves the others: this part of what the other causes do.
+/// Model error of friction besides its leak, as part of that of other causes.
 const FRICTION_ERROR: f64 = 0.3;
 
-/// A drift, or a part of it, as one cause explains it.
+/// The explanation of a drift, or of a part of it, by one cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Explanation {
     pub(super) cause: Cause,
     /// Size in logarithms.
     pub(super) size: f64,
-    /// Its standard deviation.
+    /// Standard deviation of the size.
     pub(super) size_sd: f64,
-    /// What the three logarithms are multiplied with to give the size.
+    /// Weights of the three logarithms in the size.
     pub(super) weights: Vector3<f64>,
 }
 
-/// How well some causes together explain a drift.
+/// The explanation of a drift by K causes together.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fit<const K: usize> {
     pub(super) parts: [Explanation; K],
-    /// Twice the negative logarithm of its probability.
+    /// Twice the negative logarithm of the probability.
     pub(super) score: f64,
 }
 
@@ -69,36 +68,36 @@ pub(super) fn percent(log: f64) -> f64 {
     100.0 * log.exp_m1()
 }
 
-/// Size of a change over the warning limit of its cause.
+/// Size of a change relative to the warning limit of its cause.
 pub(super) fn relevance(cause: Cause, size: f64, settings: &Settings) -> f64 {
     settings.limit_pct(cause).map_or(0.0, |limit| percent(size).abs() / limit)
 }
 
-/// How one cause explains the drift `m` with covariance `v`.
+/// Explains the drift `m` with covariance `v` by one cause.
 pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> Explanation {
     fit([cause], m, v, settings).parts[0]
 }
 
 impl Explanation {
-    /// Its size over the warning limit of its cause.
+    /// Size relative to the warning limit of the cause.
     pub(super) fn relevance(&self, settings: &Settings) -> f64 {
         relevance(self.cause, self.size, settings)
     }
 }
 
 impl<const K: usize> Fit<K> {
-    /// Whether `cause` is one of its parts.
+    /// Whether `cause` is one of the causes.
     pub(super) fn includes(&self, cause: Cause) -> bool {
         self.parts.iter().any(|part| part.cause == cause)
     }
 
-    /// The largest part over its limit.
+    /// The largest size relative to its limit.
     pub(super) fn relevance(&self, settings: &Settings) -> f64 {
         self.parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max)
     }
 }
 
-/// How `causes` together explain the drift `m` with covariance `v`; at most three causes.
+/// Explains the drift `m` with covariance `v` by `causes`, at most three.
 pub(super) fn fit<const K: usize>(
     causes: [Cause; K],
     m: &Vector3<f64>,
@@ -121,7 +120,7 @@ pub(super) fn fit<const K: usize>(
     best
 }
 
-/// The same when friction leaks by `leak`.
+/// The same for a given leak of friction.
 fn fit_with_leak<const K: usize>(
     leak: f64,
     causes: [Cause; K],
@@ -135,7 +134,7 @@ fn fit_with_leak<const K: usize>(
     for _ in 0..ROUNDS {
         let mut u = *v;
         let mut d = Matrix3::zeros();
-        // Places without a cause have no effect and the size zero.
+        // Rows without a cause have no effect, and the size 0.
         let mut information = Matrix3::identity();
         for (at, part) in fit.parts.iter().enumerate() {
             u += model_error(part, settings);
@@ -160,8 +159,8 @@ fn fit_with_leak<const K: usize>(
     fit
 }
 
-/// How an effect `d` explains the drift `m` with covariance `v`: its size, the size's standard deviation, and its score beside
-/// that of causes.
+/// Fit of an effect `d` to the drift `m` with covariance `v`: size, standard deviation of the size, and score,
+/// comparable with that of causes.
 pub(super) fn fit_along(
     d: &Vector3<f64>,
     m: &Vector3<f64>,
@@ -183,7 +182,7 @@ pub(super) fn fit_along(
     found
 }
 
-/// What a cause of this size does to the coefficients, for each unit of its size, when friction leaks by `leak`.
+/// Effect of a cause on the coefficients per unit of its size, for a given leak of friction.
 fn effect(part: &Explanation, leak: f64) -> Vector3<f64> {
     if part.cause == Cause::Friction && part.size > 0.0 {
         return Vector3::new(leak, 1.0, leak);
@@ -191,7 +190,7 @@ fn effect(part: &Explanation, leak: f64) -> Vector3<f64> {
     direction_of(part.cause).unwrap_or_else(Vector3::zeros)
 }
 
-/// Covariance of what a cause of this size may do beside its effect.
+/// Covariance of the model error of a cause of this size.
 fn model_error(part: &Explanation, settings: &Settings) -> Matrix3<f64> {
     let sd = settings.model_error / MODEL_ERROR_SD * part.size;
     if part.cause == Cause::Friction {

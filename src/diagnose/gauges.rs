@@ -1,5 +1,6 @@
-//! What a throw shows beside its coefficients: travel, back-EMF constant, resistance, duration, voltage and inrush, each as its
-//! logarithm's departure from what is normal for the direction. Sensors, clock and supply move them in other ways than parts do.
+//! Quantities of a throw in addition to the coefficients: travel, back-EMF constant, resistance, duration, voltage and
+//! inrush, each as departure of its logarithm from the normal value of the direction. Errors of sensors, clock and
+//! supply change them in other ways than faults of parts.
 
 use std::collections::VecDeque;
 
@@ -8,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{robust::centre_and_sd, threshold::WINDOWS};
 use crate::{estimate::Features, throw::Direction};
 
-/// What is gauged.
+/// A quantity of a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Gauge {
     Travel,
@@ -16,14 +17,14 @@ pub(super) enum Gauge {
     Resistance,
     Duration,
     Volts,
-    /// The largest current: the supply over the resistance, nearly.
+    /// The largest current, about the supply voltage over the resistance.
     Inrush,
 }
 
 impl Gauge {
     const COUNT: usize = 6;
 
-    /// Least standard deviation of a level: sampling, adjustment and warmth move a gauge by this much with nothing wrong.
+    /// Least standard deviation of a level: the effect of sampling, adjustment and temperature on a healthy machine.
     fn floor(self) -> f64 {
         match self {
             Self::Travel => 0.003,
@@ -34,35 +35,35 @@ impl Gauge {
     }
 }
 
-/// Throws of a direction from which its normal is known, and after which it stays.
+/// Throws of a direction after which its normal values are known, and after which they are fixed.
 const LEARNED: (usize, usize) = (12, 24);
-/// Throws of both directions that a level is taken over at most.
+/// Largest number of throws of both directions in a level.
 const RECENT: usize = WINDOWS[2];
-/// Change of copper's resistance with temperature \[1/K\], and the temperature that it is brought to \[°C\].
+/// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
 const COPPER: (f64, f64) = (0.0039, 20.0);
-/// Standard deviation of a mean of correlated throws over that of independent ones, at a correlation of 0.5.
+/// Ratio of the standard deviations of a mean of correlated throws and of independent ones, for a correlation of 0.5.
 const CORRELATED: f64 = 1.7;
 
-/// Logarithms of one throw, `None` where it does not show them.
+/// Logarithms of a throw; `None` for unknown ones.
 type Values = [Option<f32>; Gauge::COUNT];
 
-/// How far the last throws are from normal, as a logarithm, with its standard deviation.
+/// Mean departure of the last throws from normal, as a logarithm, with its standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Level {
     pub(super) value: f64,
     pub(super) sd: f64,
 }
 
-/// What is normal for one direction: centre and standard deviation of each gauge.
+/// Normal values of a direction: centre and standard deviation of each gauge.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Normal {
-    /// Each gauge's values that it is learned from; empty once it is.
+    /// Values of each gauge for learning; empty afterwards.
     learned: [Vec<f32>; Gauge::COUNT],
     throws: usize,
     known: [Option<(f32, f32)>; Gauge::COUNT],
 }
 
-/// Side and gauges that a throw shows, as bits, and their values: a throw without most gauges takes little room.
+/// Direction and known gauges of a throw, as bits, and the values of these gauges.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Shown(u8, Vec<f32>);
 
@@ -87,12 +88,12 @@ impl Shown {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Gauges {
     sides: [Normal; 2],
-    /// The last throws, newest last.
+    /// The last throws, the newest last.
     recent: VecDeque<Shown>,
 }
 
 impl Gauges {
-    /// Takes in a throw; one of a `suspicious` machine is no example of what is normal.
+    /// Adds a throw; that of a `suspicious` machine is not used for the normal values.
     pub(super) fn push(&mut self, direction: Direction, features: &Features, celsius: Option<f64>, suspicious: bool) {
         let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
         let resistance = features.resistance_ohm.map(|ohm| ohm / warm);
@@ -104,7 +105,7 @@ impl Gauges {
             features.supply_v,
             features.peak_current_a,
         ];
-        // Rounded to 1e-4, below any scatter that counts, so that the state stays small.
+        // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
         #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
         let rounded = |value: f64| ((1e4 * value.ln()).round() / 1e4) as f32;
         let values = shown.map(|value| value.map(rounded).filter(|ln| ln.is_finite()));
@@ -118,7 +119,7 @@ impl Gauges {
         }
     }
 
-    /// Where a gauge is over the last `throws`; `None` where it is not known, or what is normal is not.
+    /// Level of a gauge over the last `throws`; `None` if the gauge or its normal value is unknown.
     pub(super) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let departures: Vec<(f64, f64)> = self
             .recent
@@ -139,7 +140,7 @@ impl Gauges {
         })
     }
 
-    /// Forgets the last throws.
+    /// Deletes the last throws.
     pub(super) fn forget_recent(&mut self) {
         self.recent.clear();
     }

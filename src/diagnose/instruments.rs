@@ -1,8 +1,8 @@
-//! Sensor, supply or machine: a drift that a sensor, the logger's clock or the supply explains is no part's fault.
+//! Distinguishes a fault of a sensor, of the logger's clock or of the supply from a fault of a part.
 //!
-//! In (ln b0, ln a1, ln a0) a gain of the current sensor is the motor's direction turned round, a gain of the position sensor
-//! is the motor's direction, and a clock that stretches time by s moves (-2, -1, -2) ln s, as equation (12) has y'' in b0 u and
-//! a0 y, and y'' in a1 y'. What tells them from a part are the gauges:
+//! In (ln b0, ln a1, ln a0) a gain of the current sensor has the opposite direction of a motor fault, a gain of the
+//! position sensor has the same direction, and a clock that stretches time by s changes (-2, -1, -2) ln s by the
+//! derivatives in equation (12). The gauges distinguish them from a part:
 //!
 //! | for 1 of its size | travel | back-EMF (V - R i)/ω | resistance | duration |
 //! |---|---|---|---|---|
@@ -12,9 +12,9 @@
 //! | position sensor | 1 | -1 | 0 | 0 |
 //! | clock | 0 | 1 | 0 | 1 |
 //!
-//! Without a supply voltage motor and current sensor look the same, and both are said. A weak supply moves no coefficient of
-//! the model. Dry friction, which the model takes for viscous, counts for more at a lower speed: by no more than the throw gets
-//! longer.
+//! Without a supply voltage, motor and current sensor look the same, and the alarm names both. A weak supply changes no
+//! coefficient of the model, except that the effect of dry friction, which is viscous in the model, increases at a
+//! lower speed, at most as much as the duration of the throw.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -34,28 +34,28 @@ use super::{
     window::Window,
 };
 
-/// A lead that decides between sensor and machine: odds of 150 to 1, as twice the logarithm.
+/// Lead that decides between sensor and machine: odds of 150 to 1, as twice the logarithm.
 const DECIDES: f64 = 10.0;
-/// A lead of the machine that leaves no sensor: odds of 20 to 1.
+/// Lead of the machine that excludes a sensor: odds of 20 to 1.
 const EXCLUDES: f64 = 6.0;
-/// What an effect of a size on a gauge may err by, as a part of it.
+/// Relative error of an effect on a gauge.
 const GAUGE_ERROR: f64 = 0.15;
-/// Most that one gauge can say: a gauge may be moved by something else.
+/// Largest score of a gauge, as other effects may change it.
 const MOST: f64 = 40.0;
-/// Standard deviations from which the supply has changed, and the least change that matters, as a logarithm.
+/// Significance of a supply change \[standard deviations\], and the least relevant change, as a logarithm.
 const SUPPLY_SD: f64 = 4.0;
 const SUPPLY_CHANGE: f64 = 0.05;
-/// Change of the supply voltage that is alarmed by itself \[%\]: more than a battery or mains has in service.
+/// Change of the supply voltage that raises an alarm \[%\]: more than that of a battery or mains in service.
 const SUPPLY_LIMIT_PCT: f64 = 15.0;
-/// A throw gets longer by between these shares of what the supply lost.
+/// Range of the increase in duration, as share of the loss of supply voltage.
 const LONGER: std::ops::Range<f64> = 0.6..1.7;
-/// Dry friction counts for more by up to this share of it, and for less by no more than the scatter.
+/// Largest increase of friction, as share of the loss of supply voltage; a decrease is only scatter.
 const DRIER: f64 = 1.3;
 
-/// Throws for which a sensor or the supply that explained a drift still may: a longest window of each direction.
+/// Throws for which a past sensor or supply fault can still explain a drift: a longest window of each direction.
 const LINGERS: u32 = 48;
 
-/// Streaks of throws that speak for an alarm and for its end, and whether the end is not long ago.
+/// Numbers of consecutive throws for an alarm and for its end, and whether it ended recently.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 struct Streaks {
     named: u32,
@@ -63,22 +63,22 @@ struct Streaks {
     lingers: bool,
 }
 
-/// Gauges of a machine and the alarms about its sensors and supply.
+/// Gauges of a machine, and the alarms about its sensors and supply.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Instruments {
     pub(super) gauges: Gauges,
-    /// The sensor that explained the drift of the last throw.
+    /// The sensor that explains the drift of the last throw.
     channel: Option<SensorChannel>,
     sensor: Streaks,
     supply: Streaks,
 }
 
-/// A sensor as an explanation: its effect on the coefficients and on travel, back-EMF, resistance, duration.
+/// A sensor fault: its effect on the coefficients and on travel, back-EMF, resistance and duration.
 struct Suspect {
     channel: SensorChannel,
     effect: [f64; 3],
     gauges: [f64; 4],
-    /// Its gain is this many times its size along the effect.
+    /// Ratio of the gain to the size of the effect.
     gain: f64,
 }
 
@@ -88,11 +88,11 @@ const SUSPECTS: [Suspect; 3] = [
     Suspect { channel: SensorChannel::Clock, effect: [-2.0, -1.0, -2.0], gauges: [0.0, 1.0, 0.0, 1.0], gain: 1.0 },
 ];
 
-/// The gauges that tell sensors from parts.
+/// The gauges that distinguish sensors from parts.
 const TELLING: [Gauge; 4] = [Gauge::Travel, Gauge::BackEmf, Gauge::Resistance, Gauge::Duration];
 
 impl Instruments {
-    /// What the gauges say about a drift.
+    /// Verdict of the gauges on a drift.
     pub(super) fn testimony(&self, drift: &Drift, settings: &Settings) -> Testimony {
         let (Some(attribution), Some(window)) = (&drift.attribution, &drift.strongest) else {
             return Testimony::Machine;
@@ -101,7 +101,7 @@ impl Instruments {
             return Testimony::Supply;
         }
         let levels = TELLING.map(|gauge| self.gauges.level(gauge, window.throws));
-        // With a voltage the back-EMF says what the duration says, without the supply's own scatter.
+        // With a supply voltage the back-EMF replaces the duration, which has the scatter of the supply.
         let levels = if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels };
         let (part, score) = best_part(window, &levels, settings);
         let judged = SUSPECTS.iter().filter_map(|suspect| {
@@ -110,7 +110,7 @@ impl Instruments {
             let alone = fit_along(&Vector3::from(*effect), &window.mean, &window.covariance, settings);
             let (size, size_sd, own) = alone?;
             let lead = score - own - misfit(&levels, &gauges.map(|gauge| gauge * size));
-            // A current sensor that nothing tells from the motor is always possible.
+            // Without a supply voltage the current sensor is always possible.
             let (size, size_sd) = weighed((size, size_sd), &levels, gauges);
             (told || *channel == SensorChannel::Current).then_some((lead, *channel, told, gain * size, size_sd))
         });
@@ -127,7 +127,7 @@ impl Instruments {
         }
     }
 
-    /// Whether the supply explains a rise or fall of friction.
+    /// Whether the supply explains a change of friction.
     fn supply_explains(&self, attribution: &Attribution, window: &Window, settings: &Settings) -> bool {
         let Some(lost) = self.supply_lost(window.throws) else { return false };
         let friction = single(Cause::Friction, &window.mean, &window.covariance, settings);
@@ -136,8 +136,8 @@ impl Instruments {
         attribution.main().is_some_and(|main| main.cause == Cause::Friction) && (-slack..DRIER + slack).contains(&share)
     }
 
-    /// How much less the supply gives, as a logarithm, where it changed and the throws' duration agrees: by its voltage, or by
-    /// the inrush that it drives.
+    /// Loss of supply voltage, as a logarithm, from the voltage or the inrush; `None` unless it is significant and the
+    /// duration agrees.
     fn supply_lost(&self, throws: usize) -> Option<Level> {
         let gauge = self.gauges.level(Gauge::Volts, throws).or_else(|| self.gauges.level(Gauge::Inrush, throws))?;
         let longer = self.gauges.level(Gauge::Duration, throws)?;
@@ -146,7 +146,7 @@ impl Instruments {
         (changed && LONGER.contains(&(longer.value / lost.value))).then_some(lost)
     }
 
-    /// Follows the alarms about sensor and supply, after a throw with this testimony.
+    /// Updates the alarms about sensor and supply after a throw with this testimony.
     pub(super) fn judge(
         &mut self,
         drift: &Drift,
@@ -197,7 +197,7 @@ impl Instruments {
         events
     }
 
-    /// Forgets the last throws, not what is normal: the machine was out of service.
+    /// Deletes the last throws, but not the normal values, after maintenance.
     pub(super) fn forget_recent(&mut self) {
         self.gauges.forget_recent();
         (self.channel, self.sensor, self.supply) = (None, Streaks::default(), Streaks::default());
@@ -212,7 +212,7 @@ impl Streaks {
     }
 }
 
-/// The part that explains a drift and the gauges best, and its score.
+/// The part with the best fit to drift and gauges, and its score.
 fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) -> (Cause, f64) {
     let (m, v) = (&window.mean, &window.covariance);
     let scored = |cause: Cause, motor: Option<f64>, score: f64| {
@@ -231,7 +231,7 @@ fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) 
     singles.chain(pairs).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((Cause::Unattributed, f64::INFINITY))
 }
 
-/// A size with its standard deviation, with what the gauges say of it that it moves by `effects`.
+/// Combines a size and its standard deviation with the gauges that it changes by `effects`.
 fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[f64; 4]) -> (f64, f64) {
     let own = size_sd.powi(-2);
     let (mut sum, mut weight) = (own * size, own);
@@ -244,7 +244,7 @@ fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[
     (sum / weight, weight.sqrt().recip())
 }
 
-/// How badly the gauges fit what is expected of them.
+/// Misfit of the gauges to their expected values.
 fn misfit(levels: &[Option<Level>; 4], expected: &[f64; 4]) -> f64 {
     let of = |(level, expected): (&Option<Level>, &f64)| {
         level.map_or(0.0, |Level { value, sd }| {

@@ -1,4 +1,4 @@
-//! From the history of a machine's estimates to one named cause. Time is a parameter; nothing here reads a clock.
+//! The diagnosis: from the estimates of a machine to alarms with one named cause. Time is a parameter.
 
 mod alarm;
 mod baseline;

@@ -1,8 +1,9 @@
-//! The site as a witness: what moves all machines of a site in the same hours is weather, and no machine's fault.
+//! Common changes of the machines of a site: weather, not a fault of a machine.
 //!
-//! Every monitor keeps its last departures. Before a throw is judged, the median of the other machines' latest departures is
-//! taken out of it, where at least three machines of the last hours agree and the median is beyond chance. It excuses, and
-//! never accuses: a machine that did not move along is judged as it is, and no departure grows or changes its sign.
+//! Every monitor stores its last departures. Before the judgement of a throw the median of the latest departures of the
+//! other machines is subtracted, if at least three machines of the last hours agree and the median is significant. The
+//! subtraction can only reduce a departure: a machine without the common change is judged without it, and no departure
+//! increases or changes its sign.
 
 use std::collections::VecDeque;
 
@@ -19,37 +20,37 @@ use super::{
     text,
 };
 
-/// Departures that a machine keeps: the latest before a throw of another machine that is judged later is among them.
+/// Number of stored departures of a machine; enough for throws of other machines that are judged later.
 const KEPT: usize = 4;
-/// How old the latest departure of a witness may be: weather changes within half a day.
+/// Largest age of the latest departure of another machine: weather changes within half a day.
 const HOURS: i64 = 12;
-/// Fewest other machines that can tell what they have in common.
+/// Least number of other machines for a common change.
 const WITNESSES: usize = 3;
-/// Share of them that has to move the same way, by half of the median at least.
+/// Least share of them with a change of the same sign and at least half of the median.
 const AGREE: f64 = 0.75;
-/// The median has to be so many times its own standard deviation, which is 1.25 / sqrt(n) of one machine's.
+/// Least significance of the median in its standard deviations, which are 1.25 / sqrt(n) of those of a machine.
 const BEYOND_CHANCE: f64 = 4.0 * 1.25;
 
-/// A common movement is over below this part of the warning limit.
+/// Part of the warning limit below which a common change has ended.
 const OVER_BELOW: f64 = 0.5;
 
-/// What machines of a site have in common, as logarithms of b0, a1, a0; zero where they do not agree.
+/// Common change of machines of a site, as logarithms of b0, a1, a0; 0 if they do not agree.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Common(Vector3<f64>);
 
-/// The last departures of one machine from its baseline.
+/// The last departures of a machine from its baseline.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Trail {
-    /// Time and logarithms, oldest first.
+    /// Times and logarithms, the oldest first.
     last: VecDeque<(Timestamp, [f32; 3])>,
-    /// Standard deviations of one throw.
+    /// Standard deviations of a throw.
     sd: [f32; 3],
 }
 
 impl Trail {
-    /// Takes in a throw's departure of a machine whose throws scatter with this covariance.
+    /// Adds the departure of a throw of a machine with this covariance.
     pub(super) fn push(&mut self, at: Timestamp, departure: &Vector3<f64>, of_one_throw: &Matrix3<f64>) {
-        // Rounded to 1e-4, below any scatter that counts, so that the state stays small.
+        // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
         #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
         let rounded = |values: &Vector3<f64>| [0, 1, 2].map(|i| ((1e4 * values[i]).round() / 1e4) as f32);
         self.sd = rounded(&of_one_throw.diagonal().map(|variance| variance.sqrt().max(1e-3)));
@@ -67,7 +68,7 @@ impl Trail {
     }
 }
 
-/// What the machines with these trails have in common at `at`.
+/// Common change of the machines with these trails at `at`.
 pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp) -> Common {
     let latest: Vec<_> = trails.filter_map(|trail| trail.latest(at)).collect();
     let count = latest.len() as f64;
@@ -84,7 +85,7 @@ pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp)
     }))
 }
 
-/// The part of a departure that the site's common movement excuses.
+/// The part of a departure that belongs to the common change.
 pub(super) fn excused(departure: &Vector3<f64>, common: &Common) -> Vector3<f64> {
     departure.zip_map(
         &common.0,
@@ -94,9 +95,9 @@ pub(super) fn excused(departure: &Vector3<f64>, common: &Common) -> Vector3<f64>
     )
 }
 
-/// Raises and clears the alarm that stands for all machines of a site, which move together by `common`.
+/// Raises and clears the alarm about all machines of a site with the change `common`.
 pub(super) fn judge(common: &Common, alarms: &mut Alarms, context: Context) -> Vec<AlarmEvent> {
-    /// The causes that move one coefficient each.
+    /// The causes that change one coefficient each.
     const CAUSES: [Cause; 3] = [Cause::Kt, Cause::Friction, Cause::Stiffness];
     let of = |(cause, log): (Cause, &f64)| {
         let size = relevance(cause, *log, context.settings);

@@ -1,36 +1,36 @@
-//! What the gauges of a machine say about a drift: its part, a sensor, or the supply.
+//! Verdict of the gauges of a machine on a drift: a part, a sensor, or the supply.
 
 use super::event::{RunnerUp, SensorChannel};
 
-/// What the gauges say about a drift.
+/// Verdict of the gauges on a drift.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) enum Testimony {
-    /// The machine drifts.
+    /// A part of the machine.
     #[default]
     Machine,
-    /// Part and sensor explain it alike; `waits`: more throws may tell.
+    /// Part and sensor explain the drift equally well; `waits`: more throws may decide.
     Either { channel: SensorChannel, waits: bool },
-    /// The sensor.
+    /// A sensor.
     Sensor(Fault),
     /// The supply.
     Supply,
-    /// Sensor or supply explained the drift a while ago: windows still hold throws of then.
+    /// A past fault of sensor or supply, whose throws are still in the windows.
     Lingers,
 }
 
-/// A sensor's fault.
+/// A fault of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fault {
     pub(super) channel: SensorChannel,
-    /// Its gain, or how much faster the clock runs, as a logarithm, and the standard deviation.
+    /// Logarithm of the gain, or of the rate of the clock, and its standard deviation.
     pub(super) size: f64,
     pub(super) size_sd: f64,
-    /// The part that would explain the drift, and by how much worse.
+    /// The best part for the drift, and the lead of the sensor over it.
     pub(super) runner_up: RunnerUp,
 }
 
 impl Testimony {
-    /// Whether no part is at fault.
+    /// Whether no part is faulty.
     pub(super) fn excuses(self) -> bool {
         matches!(self, Self::Sensor(_) | Self::Supply | Self::Lingers)
     }

@@ -1,4 +1,4 @@
-//! Common parts of both comparators: a baseline from the same throws as the monitor's, and their calls.
+//! Common parts of both comparators: the baseline, from the same throws as that of the monitor, and the calls.
 
 use nalgebra::Vector3;
 
@@ -8,10 +8,10 @@ use crate::{
     throw::Direction,
 };
 
-/// Standard deviation that a coefficient has at least, so that a comparator never divides by nothing.
+/// Least standard deviation of a coefficient; prevents a division by zero.
 const LEAST_SD: f64 = 1e-4;
 
-/// Mean and standard deviation of (ln b0, ln a1, ln a0) over a direction's first throws.
+/// Mean and standard deviation of (ln b0, ln a1, ln a0) over the first throws of a direction.
 #[derive(Debug, Clone)]
 pub(super) struct Baseline {
     wanted: usize,
@@ -25,7 +25,7 @@ impl Baseline {
         Self { wanted: wanted.max(2), throws: Vec::new(), normal: None }
     }
 
-    /// Takes in a throw: the mean and standard deviation once the baseline is full, without this throw in it.
+    /// Adds a throw while the baseline is incomplete and returns `None`; then returns mean and standard deviation.
     pub(super) fn take(&mut self, log_theta: Vector3<f64>) -> Option<(Vector3<f64>, Vector3<f64>)> {
         if self.normal.is_none() {
             self.throws.push(log_theta);
@@ -46,7 +46,7 @@ impl Baseline {
     }
 }
 
-/// The direction's index and the logarithms of its coefficients, when the throw has both.
+/// Index of the direction and logarithms of the coefficients; `None` if the throw lacks one of them.
 pub(super) fn log_theta(observation: &Observation) -> Option<(usize, Vector3<f64>)> {
     let (theta, _) = observation.estimate?;
     let direction = match observation.direction? {
@@ -56,16 +56,16 @@ pub(super) fn log_theta(observation: &Observation) -> Option<(usize, Vector3<f64
     theta.iter().all(|coefficient| *coefficient > 0.0).then(|| (direction, Vector3::from(theta).map(f64::ln)))
 }
 
-/// Turns what a rule thinks after each throw into calls: one whenever it starts to think something new.
+/// Turns the verdicts of a rule into calls: a call for each new cause, as long as no direction has it already.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Caller {
     thinks: [Option<Cause>; 2],
-    /// All calls so far.
+    /// The calls so far.
     pub(super) calls: Vec<Call>,
 }
 
 impl Caller {
-    /// Notes what the rule thinks of `direction` after throw `at`.
+    /// Records the verdict of the rule on `direction` after throw `at`.
     pub(super) fn note(&mut self, direction: usize, at: usize, thinks: Option<Cause>) {
         if let Some(cause) = thinks
             && !self.thinks.contains(&thinks)

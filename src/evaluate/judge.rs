@@ -1,23 +1,23 @@
-//! Judges what a rule said over one life.
+//! Judges the calls of a rule over one life.
 
 use super::timeline::Timeline;
 use crate::diagnose::{AlarmEvent, AlarmState, Cause, Severity};
 
-/// A rule named a cause (or could not) at a throw.
+/// A cause named by a rule at a throw.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Call {
-    /// The throw of the machine, from 0.
+    /// Index of the throw, from 0.
     pub(super) at: usize,
-    /// A part, or [`Cause::Unattributed`].
+    /// The named part, or [`Cause::Unattributed`].
     pub(super) cause: Cause,
-    /// Whether at critical severity.
+    /// Whether the severity is critical.
     pub(super) critical: bool,
-    /// The alarm says that a sensor explains it as well.
+    /// Whether the alarm names a sensor as equally possible.
     pub(super) or_sensor: bool,
 }
 
 impl Call {
-    /// The call that an event of the monitor makes at throw `at`: a drift alarm that is raised or becomes critical.
+    /// The call of an alarm event at throw `at`, if it raises a drift alarm or makes it critical.
     pub(super) fn of(event: &AlarmEvent, at: usize) -> Option<Self> {
         let named = is_part(event.cause)
             || matches!(event.cause, Cause::Unattributed | Cause::Sensor | Cause::Supply | Cause::SlowThrow);
@@ -29,16 +29,16 @@ impl Call {
     }
 }
 
-/// Verdict on a rule over a life.
+/// Judgement of a rule over a life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Judgement {
-    /// Named right, this many throws after the onset (1: at the first throw with the fault).
+    /// Named right; throws from the onset to the name (1: at the first throw with the fault).
     Right(usize),
-    /// Named wrong, or alarmed before there was a fault, or by chance where the baseline has learned it.
+    /// Named wrong, or an alarm before the fault, or any alarm if the baseline has learned the fault.
     Wrong,
-    /// Alarmed and named nothing.
+    /// An alarm without a name.
     Ambiguous,
-    /// The rule named nothing, or only one of two causes.
+    /// No alarm, or only one of two causes named.
     Missed,
 }
 
@@ -46,7 +46,7 @@ fn is_part(cause: Cause) -> bool {
     matches!(cause, Cause::Kt | Cause::Friction | Cause::Stiffness | Cause::Inertia)
 }
 
-/// Judges the calls made over a life, in the order in which they were made. The definitions are in [`super`].
+/// Judges the calls of a life, given in their order, by the definitions in [`super`].
 pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
     if life.is_learned() && !calls.is_empty() {
         return Judgement::Wrong;
@@ -57,7 +57,7 @@ pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
         return Judgement::Wrong;
     }
     let truth: Vec<Cause> = life.truth().collect();
-    // Words that say both name no part where a sensor is at fault.
+    // For a sensor fault, an alarm that names part and sensor does not count as a name.
     let open = |call: &Call| call.or_sensor && truth.contains(&Cause::Sensor);
     let named = || after.iter().filter(|call| is_part(call.cause) && !open(call));
     let wrong_first = named().next().is_some_and(|first| !truth.contains(&first.cause));
@@ -81,7 +81,7 @@ pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
     }
 }
 
-/// Whether, at any time, a part that was sound was named at critical severity.
+/// Whether any call named a healthy part at critical severity.
 pub(super) fn accuses_wrongly(calls: &[Call], life: &Timeline) -> bool {
     let at_fault = |call: &Call| {
         if call.at < life.onset {

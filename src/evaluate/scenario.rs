@@ -1,4 +1,4 @@
-//! The rows of the table: which fault, how it develops, and under which conditions.
+//! The rows of the table: fault, development and conditions.
 
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -9,9 +9,9 @@ use crate::{diagnose::Cause, simulate::Parameters};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Depth {
-    /// Coefficients drawn from a calibrated scatter.
+    /// Coefficients from a calibrated scatter.
     Parameter,
-    /// Complete simulated throws through the estimator.
+    /// Complete simulated throws with the estimator.
     Trace,
 }
 
@@ -19,9 +19,9 @@ pub enum Depth {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Shape {
-    /// All at once.
+    /// Full size from the first throw on.
     Step,
-    /// Linearly over `RAMP_THROWS` throws of the machine.
+    /// Linear growth over `RAMP_THROWS` throws of the machine.
     Ramp,
 }
 
@@ -47,7 +47,7 @@ impl Shape {
     }
 }
 
-/// Noise of the current sensor; the position sensor has 20 µm throughout.
+/// Noise of the current sensor; the position sensor always has 20 µm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Noise {
@@ -74,37 +74,37 @@ impl Noise {
 /// The conditions of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Situation {
-    /// A full baseline, steady weather.
+    /// A complete baseline, steady weather.
     Plain,
     /// Two causes at once.
     Pair,
-    /// The temperature swings by 12 K around its mean, with a day's 3 K on top; the throws carry it or do not.
+    /// Temperature with a swing of 12 K, plus 3 K over a day.
     Temperature {
-        /// Whether the throws carry the temperature.
+        /// Whether the throws contain the temperature.
         measured: bool,
     },
-    /// The fault comes after 15 throws in each direction.
+    /// The fault begins after 15 throws in each direction.
     ShortBaseline,
-    /// The fault is there from the first throw: the baseline takes it for normal.
+    /// The fault exists from the first throw, so the baseline learns it.
     FromFirstThrow,
-    /// A first fault is repaired, nobody takes a new baseline, then another part fails.
+    /// A first fault is repaired without a new baseline; then another part fails.
     Repaired,
-    /// Dry friction that winds up the toe drive and leaks into b0 and a0, at parameter depth.
+    /// Dry friction that also changes b0 and a0, at parameter depth.
     Leakage,
-    /// Complete throws with a toe drive of 5e6 N/m, which dry friction winds up.
+    /// A toe drive of 5e6 N/m and dry friction, at trace depth.
     SoftToe,
-    /// Complete throws sampled at 100 Hz behind an anti-alias filter.
+    /// Sampling at 100 Hz with an anti-alias filter, at trace depth.
     Slow,
-    /// Complete throws whose sensor, clock or supply errs, with or without a published supply voltage.
+    /// Complete throws with a fault of sensor, clock or supply, with or without a published supply voltage.
     Instrument {
-        /// What errs.
+        /// The faulty instrument.
         which: Instrument,
-        /// The throws carry the supply voltage.
+        /// Whether the throws contain the supply voltage.
         volts: bool,
     },
 }
 
-/// What errs instead of a part.
+/// An instrument that is faulty instead of a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Instrument {
     /// Gain of the current sensor.
@@ -113,7 +113,7 @@ pub(super) enum Instrument {
     Position,
     /// Rate of the logger's clock.
     Clock,
-    /// The supply voltage itself.
+    /// The supply voltage.
     Supply,
 }
 
@@ -143,24 +143,24 @@ impl Situation {
     }
 }
 
-/// Throws of a machine (both directions) over which a ramp develops.
+/// Throws of a machine, in both directions, until a ramp has its full size.
 pub(super) const RAMP_THROWS: usize = 100;
 
 /// The four parts that drift, in the order of the table.
 pub(super) const PARTS: [Cause; 4] = [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia];
 
-/// Sizes of the rows in multiples of the cause's warning limit.
+/// Sizes of the faults as multiples of the warning limit.
 pub(super) const MULTIPLES: [f64; 4] = [1.5, 2.0, 3.0, 6.0];
 
-/// Least multiple of the warning limit from which a row is plain: closer to the limit the size itself is in doubt.
+/// Least multiple of the warning limit in a plain row: with a smaller fault, scatter hides the size.
 const PLAIN_FROM: f64 = 2.0;
 
-/// Size of the friction fault of the rows with leakage.
+/// Size of the friction fault in the rows with leakage.
 const LEAKING_FRICTION: f64 = 0.54;
 /// Friction coefficient of the slide chairs in the row with a soft toe drive.
 const SOFT_TOE_MU: f64 = 0.15;
 
-/// What errs, whether the supply voltage is published, the cause to be named and the size.
+/// Faulty instrument, whether the supply voltage is published, correct cause, and size.
 const INSTRUMENTS: [(Instrument, bool, Cause, f64); 6] = [
     (Instrument::Current, true, Cause::Sensor, 0.08),
     (Instrument::Current, false, Cause::Sensor, 0.08),
@@ -175,22 +175,22 @@ const INSTRUMENTS: [(Instrument, bool, Cause, f64); 6] = [
 pub(super) struct Scenario {
     /// Depth of the simulation of its lives.
     pub(super) depth: Depth,
-    /// Under which conditions.
+    /// The conditions.
     pub(super) situation: Situation,
-    /// The part that drifts and its size as a fraction of nominal; two of them for a pair.
+    /// The faulty parts with the size as a fraction of nominal; two for a pair.
     pub(super) faults: Vec<(Cause, f64)>,
     /// Development of the fault.
     pub(super) shape: Shape,
     /// Noise of the current sensor.
     pub(super) noise: Noise,
-    /// Not a plain row.
+    /// Whether the row is hard.
     pub(super) hard: bool,
 }
 
-/// The warning limits that the sizes of the rows are multiples of, as fractions in the order of [`PARTS`].
+/// Warning limits as fractions, in the order of [`PARTS`].
 pub(super) type Limits = [f64; 4];
 
-/// All rows of the table, in its order. Their positions seed their lives, so a row repeats whatever else is run.
+/// All rows of the table, in order. The position of a row determines its random streams.
 pub(super) fn catalogue(limits: Limits) -> Vec<Scenario> {
     let mut rows = parameter_rows(limits);
     rows.extend(trace_rows(limits));
@@ -270,7 +270,7 @@ fn trace_rows(limits: Limits) -> Vec<Scenario> {
     rows
 }
 
-/// Increase of a1 of the simulated machine by slide chairs of this friction coefficient, as a fraction.
+/// Increase of a1 of the simulated machine by the friction coefficient `mu` of the slide chairs, as a fraction.
 #[expect(
     clippy::expect_used,
     reason = "the default machine is within its ranges, and so is every friction coefficient used here"
@@ -284,8 +284,7 @@ fn added_by_dry_chairs(mu: f64) -> f64 {
     a1(mu) / a1(Parameters::default().rails.slide_friction) - 1.0
 }
 
-/// The displacement of (ln b0, ln a1, ln a0) when `part` changes by the fraction `size` of its nominal value: equation
-/// (13), in logarithms.
+/// The change of (ln b0, ln a1, ln a0) when `part` changes by the fraction `size`, from equation (13).
 pub(super) fn displacement(part: Cause, size: f64) -> Vector3<f64> {
     let direction = match part {
         Cause::Kt => Vector3::x(),

@@ -1,4 +1,4 @@
-//! Life of a machine, throw by throw: weather, faults, repair.
+//! Timeline of a life: weather, faults and repair of each throw.
 
 use nalgebra::Vector3;
 use rand::RngExt as _;
@@ -7,18 +7,18 @@ use rand_chacha::ChaCha8Rng;
 use super::scenario::{PARTS, RAMP_THROWS, Scenario, Shape, Situation, displacement};
 use crate::diagnose::Cause;
 
-/// Throws that a life is watched after its fault is complete.
+/// Throws of a life after its fault is complete.
 const WATCH_THROWS: usize = 120;
-/// Throws of the machine before the fault of a row with a short baseline: 15 in each direction.
+/// Throws before the fault in a row with a short baseline: 15 in each direction.
 const SHORT_BASELINE_THROWS: usize = 30;
-/// Throws of each act of a life with a repair: the first fault, and the time after its repair.
+/// In a life with a repair: throws with the first fault, and throws after its repair.
 const REPAIR_ACT_THROWS: usize = 60;
-/// Healthy throws between the baseline and the fault: drawn from this range, so that no rule can count on it.
+/// Healthy throws between the baseline and the fault: a random number from this range.
 const HEALTHY_THROWS: std::ops::Range<usize> = 20..80;
-/// A full swing of the temperature, in throws; the healthy part of its rows lasts at least as long.
+/// Period of the temperature \[throws\]; the healthy part of these lives is at least as long.
 const SWING_THROWS: usize = 240;
 
-/// A part that changes from a throw on.
+/// A fault of one part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fault {
     /// The part.
@@ -49,7 +49,7 @@ impl Fault {
 /// Timeline of a life: its faults, their onset and its length.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Timeline {
-    /// Everything that changes.
+    /// All faults of the life.
     pub(super) faults: Vec<Fault>,
     /// First throw of the judged fault or faults.
     pub(super) onset: usize,
@@ -60,18 +60,18 @@ pub(super) struct Timeline {
     leakage: f64,
 }
 
-/// Range of the leakage: complete throws with stiff and with soft toe drives gave 0.22 to 0.4.
+/// Range of the leakage; throws at trace depth with stiff and soft toe drives gave 0.22 to 0.4.
 const LEAKAGE: std::ops::Range<f64> = 0.2..0.4;
 
-/// A temperature that swings, and what it does to the coefficients.
+/// A varying temperature, and its effect on the coefficients.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Climate {
     phase: f64,
     measured: bool,
 }
 
-/// Change of ln b0, ln a1 and ln a0 per kelvin: as it gets warmer magnets weaken, grease thins and thermal thrust softens
-/// the rails.
+/// Change of ln b0, ln a1 and ln a0 per kelvin: warmth weakens the magnets, thins the grease, and softens the rails by
+/// thermal thrust.
 const PER_KELVIN: [f64; 3] = [-0.0015, -0.008, -0.001];
 /// Mean, seasonal and daily amplitude of the temperature \[°C\].
 const TEMPERATURE: [f64; 3] = [12.0, 12.0, 3.0];
@@ -92,8 +92,8 @@ impl Climate {
 }
 
 impl Timeline {
-    /// Whether the fault is there from the first throw: nothing departs from a baseline that has learned it, so an alarm
-    /// comes from the scatter, whatever it names.
+    /// Whether the fault exists from the first throw, so that the baseline learns it. Then every alarm comes from
+    /// scatter.
     pub(super) fn is_learned(&self) -> bool {
         self.onset == 0
     }
@@ -103,9 +103,9 @@ impl Timeline {
         Self { faults: Vec::new(), onset: throws, throws, climate: None, leakage: 0.0 }
     }
 
-    /// Life `trial` of a row, for a monitor whose baseline takes `baseline` throws of the machine.
+    /// Life `trial` of a row, for a monitor whose baseline needs `baseline` throws of the machine.
     ///
-    /// Faults of both signs come in turn: a part can weaken or be replaced by a stronger one.
+    /// The sign of the faults alternates: a part can weaken, or be replaced by a stronger one.
     pub(super) fn of(scenario: &Scenario, trial: usize, baseline: usize, random: &mut ChaCha8Rng) -> Self {
         let situation = scenario.situation;
         let healthy = random.random_range(HEALTHY_THROWS);
@@ -138,33 +138,33 @@ impl Timeline {
         Self { faults, onset, throws: onset + ramp + WATCH_THROWS, climate, leakage }
     }
 
-    /// Displacement of (ln b0, ln a1, ln a0) at throw `at`, with what the temperature does.
+    /// Change of (ln b0, ln a1, ln a0) at throw `at`, from faults and temperature.
     pub(super) fn displacement(&self, at: usize) -> Vector3<f64> {
         let drift: Vector3<f64> = self.faults.iter().map(|fault| displacement(fault.part, fault.size_at(at))).sum();
         let leaked = Vector3::new(drift.y, 0.0, drift.y) * self.leakage;
         drift + leaked + self.climate.map_or_else(Vector3::zeros, |climate| climate.displacement(at))
     }
 
-    /// The temperature that throw `at` carries \[°C\].
+    /// The measured temperature of throw `at` \[°C\].
     pub(super) fn temperature_c(&self, at: usize) -> Option<f64> {
         self.climate.filter(|climate| climate.measured).map(|climate| climate.temperature_c(at))
     }
 
-    /// The parts that are truly at fault from the judged onset on.
+    /// The parts with a fault from the onset on.
     pub(super) fn truth(&self) -> impl Iterator<Item = Cause> {
         self.faults.iter().filter(|fault| fault.onset == self.onset).map(|fault| fault.part)
     }
 
-    /// The part whose repair precedes the judged fault: naming it before the judged onset is right.
+    /// The part that is repaired before the judged fault; its name before the onset is right.
     pub(super) fn repaired(&self) -> Option<Cause> {
         self.faults.iter().find(|fault| fault.repaired.is_some()).map(|fault| fault.part)
     }
 }
 
-/// No part loses more than this fraction of itself: larger faults only grow.
+/// Largest loss of a part, as a fraction; larger faults have a positive sign only.
 const LARGEST_LOSS: f64 = 0.5;
 
-/// Size of the fault that is repaired, as a fraction of nominal: beyond every cause's warning limit.
+/// Size of the repaired fault, as a fraction of nominal: beyond the warning limits of all causes.
 const REPAIRED_SIZE: f64 = 0.30;
 
 fn other_part(part: Cause, trial: usize) -> Cause {

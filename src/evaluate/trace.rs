@@ -29,9 +29,9 @@ pub(super) struct TraceMachine {
     machine: Option<SimulatedMachine>,
     identifier: Identifier,
     settings: Settings,
-    /// The throws carry the supply voltage.
+    /// Whether the throws contain the supply voltage.
     volts: bool,
-    /// The instrument that errs, by how much, from which throw on.
+    /// Faulty instrument, size of the fault, and its first throw.
     errs: Option<(Instrument, f64, usize)>,
 }
 
@@ -91,7 +91,7 @@ impl TraceMachine {
 }
 
 impl TraceMachine {
-    /// The trace as the instrument that errs records it.
+    /// The trace as recorded with the faulty instrument.
     fn recorded(&self, at: usize, trace: Trace) -> Trace {
         let Some((which, ratio, _)) = self.errs.filter(|(.., onset)| at >= *onset) else { return trace };
         let [mut rate_hz, mut current, mut position] = [trace.sample_rate_hz(), 1.0, 1.0];

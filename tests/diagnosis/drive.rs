@@ -1,5 +1,5 @@
-//! A drive with sensors that err: one inertia, viscous and dry friction, a spring and an armature in steps of 50 us. Shares
-//! nothing with the simulated machine, the estimator or the diagnosis.
+//! A drive with faulty sensors: one inertia, viscous and dry friction, a spring and an armature, in steps of 50 us. Has
+//! no code in common with simulator, estimator or diagnosis.
 
 use std::f64::consts::TAU;
 
@@ -18,7 +18,7 @@ const STEP_S: f64 = 5e-5;
 const STROKE_MM: f64 = 115.0;
 const MM_PER_RADIAN: f64 = 10.0 / TAU;
 
-/// What differs from the machine as built and its sensors as calibrated: 1 for nothing.
+/// Factors on the parameters of the machine and on the gains of its sensors; 1 for the healthy state.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct State {
     pub(crate) volts: f64,
@@ -30,10 +30,10 @@ pub(crate) struct State {
     pub(crate) ohms: f64,
     pub(crate) current_gain: f64,
     pub(crate) position_gain: f64,
-    /// Seconds of the logger in a second.
+    /// Rate of the logger's clock.
     pub(crate) clock: f64,
     pub(crate) stroke: f64,
-    /// Time for which the brake holds after the motor is on \[s\].
+    /// Release of the brake after the start of the motor \[s\].
     pub(crate) brake_s: f64,
 }
 
@@ -54,16 +54,16 @@ impl State {
     };
 }
 
-/// A drive in front of its monitor.
+/// A drive and its monitor.
 pub(crate) struct Drive {
     rng: ChaCha8Rng,
     identifier: Identifier,
     pub(crate) monitor: MachineMonitor,
-    /// Torque and back-EMF per ampere and speed, inertia, viscous and dry friction, spring, on the screw.
+    /// At the screw: torque and back-EMF per ampere and speed, inertia, viscous and dry friction, spring.
     built: [f64; 6],
     wander: [f64; 4],
     throws: u64,
-    /// The logger publishes the supply voltage.
+    /// Whether the logger publishes the supply voltage.
     pub(crate) publishes_volts: bool,
 }
 

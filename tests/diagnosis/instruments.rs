@@ -1,11 +1,11 @@
-//! Sensor, supply or machine: lives of a drive whose sensors err or whose parts fail, with and without a published supply
-//! voltage. No sound part is ever named alone.
+//! Sensor, supply or machine: lives of a drive with faulty sensors or parts, with and without a published supply
+//! voltage. A healthy part is never named alone.
 
 use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, SensorChannel, Settings};
 
 use crate::drive::{Drive, State};
 
-/// What the alarms of a life must say.
+/// Expected alarms of a life.
 #[derive(Debug, Clone, Copy)]
 enum Truth {
     Sensor(SensorChannel),
@@ -15,12 +15,12 @@ enum Truth {
     MotorOrSensor,
     /// A late start looks like inertia, or makes its throws rough: nothing has to be said, and inertia not alone.
     LateStart,
-    /// Slow throws, and no part.
+    /// An alarm about slow throws, but no part.
     Slow,
     Nothing,
 }
 
-/// What happens, whether the supply voltage is published, and what must be said.
+/// Description, whether the supply voltage is published, state, and expected alarms.
 fn cases() -> [(&'static str, bool, State, Truth); 34] {
     use SensorChannel::{Clock, Current, Position};
     use Truth::{LateStart, MotorOrSensor, Nothing, Part, Sensor, Slow, Supply};
@@ -69,7 +69,7 @@ fn cases() -> [(&'static str, bool, State, Truth); 34] {
     ]
 }
 
-/// Events in 70 throws of `state` after 120 sound ones.
+/// Events in 70 throws of `state` after 120 healthy ones.
 fn live(seed: u64, volts: bool, state: State) -> Vec<AlarmEvent> {
     let settings = Settings::default();
     let mut drive = Drive::new(seed, volts);
@@ -81,7 +81,7 @@ fn live(seed: u64, volts: bool, state: State) -> Vec<AlarmEvent> {
 }
 
 impl Truth {
-    /// Whether the alarms of a life say so.
+    /// Whether the alarms of a life are as expected.
     fn is_said(self, events: &[AlarmEvent]) -> bool {
         let said = |cause| events.iter().any(|event| event.cause == cause);
         match self {

@@ -1,11 +1,11 @@
-//! A restart after every throw changes nothing: the monitor's state is all there is.
+//! A restart after every throw changes no result: the state of the monitor is complete.
 
 use nalgebra::Vector3;
 use pointsd::diagnose::{AlarmEvent, Cause, Command, MachineMonitor, Settings};
 
 use crate::fleet::{Machine, Nature, shift};
 
-/// A life of 300 throws: baseline, a friction ramp, an acknowledgement, a repair, a motor fault on top of a gap.
+/// A life of 300 throws: baseline, a friction ramp, an acknowledgement, a repair, a motor fault and a gap.
 fn life(restart: bool) -> (Vec<AlarmEvent>, MachineMonitor) {
     let settings = Settings::default();
     let mut machine = Machine::new(11, Nature::default());

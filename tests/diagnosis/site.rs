@@ -1,4 +1,4 @@
-//! The site as a witness: weather that moves all machines of a site is no machine's fault, and a fault of one is still found.
+//! Weather that changes all machines of a site is not a fault of a machine, and a fault of one machine is still found.
 
 use jiff::Timestamp;
 use nalgebra::Vector3;
@@ -9,7 +9,7 @@ use crate::{
     fleet::shift,
 };
 
-/// Machines of one site, thrown in turn.
+/// Machines of a site, which throw in turn.
 struct Site {
     machines: Vec<(Machine, MachineMonitor)>,
     events: Vec<(usize, AlarmEvent)>,
@@ -22,7 +22,7 @@ impl Site {
         Self { machines: (0..count).map(machine).collect(), events: Vec::new(), now: Timestamp::UNIX_EPOCH }
     }
 
-    /// One throw of every machine with `weather`, which each feels a little more or less; `own` on top.
+    /// One throw of every machine with `weather`, whose effect differs a little between machines, plus `own`.
     fn throw(&mut self, weather: Vector3<f64>, own: impl Fn(usize) -> Vector3<f64>) {
         for at in 0..self.machines.len() {
             let feels = 0.7 + 0.15 * (at % 5) as f64;
@@ -30,7 +30,7 @@ impl Site {
             let others = self.machines.iter().enumerate().filter(|(other, _)| *other != at);
             let common = MachineMonitor::common(others.map(|(_, (_, monitor))| monitor), observation.started_at);
             self.now = observation.started_at;
-            // A restart changes nothing.
+            // A restart has no effect.
             let snapshot = serde_json::to_string(&self.machines[at].1).unwrap();
             self.machines[at].1 = MachineMonitor::from_snapshot(&snapshot).unwrap();
             let events = self.machines[at].1.observe_beside(&observation, &common, &Settings::default()).events;
@@ -65,7 +65,7 @@ fn wet_spells_alarm_no_machine_of_five_and_a_fault_of_one_is_named() {
         }
     }
     println!("{weather_alarms} events of 40 machines on sites of five, {alone} of 8 machines alone");
-    assert!(alone > 0, "the weather of this test is worth a witness");
+    assert!(alone > 0, "without the site the weather raises no alarm: the test cannot fail");
     assert_eq!(weather_alarms, 0);
 }
 

@@ -1,4 +1,4 @@
-//! What the tests start from: real stores in their own folders, throws, estimates, alarm events.
+//! Common input of the tests: real stores in their own folders, throws, estimates, alarm events.
 
 use std::path::Path;
 
@@ -24,12 +24,12 @@ pub(crate) fn machine(name: &str) -> MachineId {
     MachineId::new("north", name).unwrap()
 }
 
-/// So many seconds into the tests' time.
+/// Time of the tests after this number of seconds.
 pub(crate) fn at(seconds: i64) -> Timestamp {
     "2026-03-01T06:00:00.25Z".parse::<Timestamp>().unwrap() + SignedDuration::from_secs(seconds)
 }
 
-/// A throw whose samples depend on its number, so that no two are alike.
+/// A throw with different samples for each number.
 pub(crate) fn throw(boot_id: &str, throw_no: u64) -> Throw {
     let wave = |scale: f64| (0..400).map(|sample| (f64::from(sample) * scale).sin() + throw_no as f64).collect();
     Throw {
@@ -46,7 +46,7 @@ pub(crate) fn throw(boot_id: &str, throw_no: u64) -> Throw {
 pub(crate) async fn spooled(store: &Store, name: &str, boot_id: &str, throw_no: u64) -> ThrowRow {
     match store.spool(&machine(name), &throw(boot_id, throw_no), at(0)).await.unwrap() {
         Spooled::New(row) => row,
-        Spooled::Duplicate => panic!("throw {throw_no} was there before"),
+        Spooled::Duplicate => panic!("throw {throw_no} was already stored"),
     }
 }
 
@@ -105,7 +105,7 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
     }
 }
 
-/// A change of a machine's monitor after these events.
+/// Outcome of a machine with these alarm events.
 pub(crate) fn outcome(name: &str, events: Vec<AlarmEvent>) -> Outcome {
     Outcome { machine: machine(name), at: at(1), monitor: None, events, reported_gaps: Vec::new(), command: None }
 }
@@ -133,7 +133,7 @@ pub(crate) fn event(event_no: u32, state: AlarmState) -> AlarmEvent {
     }
 }
 
-/// An event of machine 21B, and its monitor after it: a warning, with a drift that is larger now.
+/// An alarm event of machine 21B (warning), and its monitor with a larger drift.
 pub(crate) fn alarm(event_no: u32, state: AlarmState) -> Outcome {
     let monitor = MonitorRecord {
         snapshot: format!("{{\"events\":{event_no}}}"),
@@ -149,7 +149,7 @@ pub(crate) fn alarm(event_no: u32, state: AlarmState) -> Outcome {
     Outcome { monitor: Some(monitor), at: at(10 * i64::from(event_no)), ..outcome("21B", vec![event(event_no, state)]) }
 }
 
-/// Reads a view as an outsider does: another connection, read-only.
+/// Reads a view with a separate read-only connection.
 pub(crate) async fn query<T>(store: &Store, sql: &'static str) -> Vec<T>
 where
     T: for<'r> sqlx::FromRow<'r, sqlx::sqlite::SqliteRow> + Send + Unpin,
