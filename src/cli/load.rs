@@ -1,4 +1,4 @@
-//! `pointsim load`: throws of many machines at a given rate, and what the daemon made of them.
+//! `pointsim load`: throws of many machines at a given rate, and the daemon's judgements of them.
 
 use std::time::Duration;
 
@@ -14,17 +14,17 @@ use crate::{
     throw::{MachineId, Name},
 };
 
-/// A daemon that judges nothing for so long is not going to.
+/// Time without a judgement after which the load ends.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Publishes the throws of many machines at a given rate, and reports how many the daemon judged and how soon.
+/// Publishes the throws of many machines at a given rate, and reports the number and latency of the judgements.
 ///
-/// The throws are simulated before the load begins, so that simulating does not limit it; fresh sensor noise makes each trace
-/// different. The machines are new to the daemon: use a database that may be thrown away.
+/// The throws are simulated before the load, so that the simulation does not limit the rate; new sensor noise makes
+/// each trace different. The machines are new to the daemon: use a temporary database.
 ///
-/// Exit codes: 0 all throws were judged; 1 some were not; 64 an option is wrong; 69 the daemon cannot be reached.
+/// Exit codes: 0 all throws were judged; 1 some were not; 64 invalid option; 69 no daemon.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example: a national network at its busiest, for a minute\n  \
+#[command(after_help = "Example: the peak load of a national network, for a minute\n  \
                         pointsim load --machines 20000 --rate 500 --seconds 60")]
 pub(super) struct Arguments {
     #[command(flatten)]
@@ -32,16 +32,16 @@ pub(super) struct Arguments {
     /// Number of machines.
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     machines: u32,
-    /// Throws a second, of all machines together.
+    /// Throws per second of all machines together.
     #[arg(long, value_name = "R", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rate: u32,
     /// Duration of the load [s].
     #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=86_400))]
     seconds: u32,
-    /// The machines are `m-1`, `m-2` and so on of this site.
+    /// Site of the machines `m-1`, `m-2` and so on.
     #[arg(long, default_value = "load")]
     site: Name,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// Print one JSON object.
@@ -62,7 +62,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         };
         let publishing = session.clone();
         let (throws, rate) = (load.throws, load.rate);
-        // Publishing waits for the link, which an async worker must not.
+        // Publishing may block on the link, so it has its own thread.
         let task = tokio::task::spawn_blocking(move || load.run(&publishing, &simulate_run::boot_id(), PATIENCE));
         let loaded = task.await.or_exit(Exit::Software)?.map_err(simulate_run::failure);
         operator::close(session).await;

@@ -1,4 +1,4 @@
-//! Judges throws: identifies those that are pending, diagnoses them in order, and commits what follows.
+//! The judge: identifies pending throws, diagnoses them in order, and commits the judgements.
 
 use std::{sync::Arc, time::Duration};
 
@@ -12,15 +12,15 @@ use crate::{
     wire::Health,
 };
 
-/// Most throws that are identified together and committed at once. The store gives fewer when their traces are long.
+/// Largest number of throws in a batch of identification and commit. The store returns fewer if their traces are long.
 const BATCH: u32 = 64;
 
 /// A judged throw, for observers in the same process.
 #[derive(Debug, Clone)]
 pub struct Judged {
-    /// Its health, as published.
+    /// Health of the throw, as published.
     pub health: Health,
-    /// Alarm events that it caused.
+    /// Alarm events caused by the throw.
     pub events: Vec<AlarmEvent>,
 }
 
@@ -30,18 +30,18 @@ impl From<&Judgement> for Judged {
     }
 }
 
-/// What judging needs: the database with the pending throws, the monitors, the estimators, the settings.
+/// The judge with database, monitors, estimators and settings.
 pub(super) struct Judge {
     pub(super) store: Store,
     pub(super) fleet: Fleet,
     pub(super) pool: Pool,
     pub(super) config: watch::Receiver<Arc<Config>>,
-    /// The machine whose throw was judged last: the others have their turn first.
+    /// The machine judged last; the others have their turn first.
     pub(super) last: Option<MachineId>,
 }
 
 impl Judge {
-    /// The monitors as the database has them.
+    /// Restores the judge from the database.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -51,13 +51,13 @@ impl Judge {
         Ok(Self { store, fleet, pool, config, last: None })
     }
 
-    /// The settings in force.
+    /// The present configuration.
     pub(super) fn config(&self) -> Arc<Config> {
         Arc::clone(&self.config.borrow())
     }
 
-    /// Judges the next pending throws; empty when no throw is pending. The monitors have seen these throws when the call
-    /// returns, so they must be committed before the next call.
+    /// Judges the next batch; empty if no throw is pending. The monitors include these throws afterwards, so the result
+    /// must be committed before the next call.
     ///
     /// # Errors
     /// When the pending throws cannot be read.
@@ -77,12 +77,12 @@ impl Judge {
         Ok(judgements.collect())
     }
 
-    /// How long later throws of a machine wait for missing ones.
+    /// Time that later throws of a machine wait for missing ones.
     pub(super) fn backlog_wait(&self) -> Duration {
         Duration::from_secs_f64(self.config.borrow().subscribe.backlog_wait_s)
     }
 
-    /// Commits a batch in one transaction: after a cut link, a burst of throws costs the disk one sync.
+    /// Commits a batch in one transaction: a burst of throws after a cut link costs one sync.
     ///
     /// # Errors
     /// When it could not be stored; the same call may be repeated.

@@ -17,7 +17,7 @@ pub enum LoggerError {
     /// Zenoh refused a publisher, a queryable or a publication.
     #[error("zenoh: {0}")]
     Zenoh(#[from] zenoh::Error),
-    /// The samples of a prepared trace are out of range.
+    /// A sample of a prepared trace is out of range.
     #[error("the prepared trace: {0}")]
     Trace(#[from] InvalidTrace),
     /// The operating system did not start a thread.

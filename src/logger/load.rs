@@ -1,7 +1,7 @@
-//! A load: many machines that throw at a given rate, from traces that were simulated before.
+//! A load: many machines that throw at a given rate, with prepared traces.
 //!
-//! Simulating a throw takes twenty times as long as judging it; adding fresh sensor noise to a prepared trace takes some
-//! microseconds, and no two traces are the same.
+//! The simulation of a throw takes twenty times as long as its judgement; new sensor noise on a prepared trace takes
+//! some microseconds and makes each trace different.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -30,44 +30,44 @@ use crate::{
     wire::{self, Encoding, Kind},
 };
 
-/// Machines that are simulated; the others repeat them.
+/// Number of simulated machines; the others repeat them.
 const MODELS: usize = 16;
 /// Prepared throws of a simulated machine, half of them in each direction.
 const THROWS: usize = 4;
 /// Standard deviation of the added noise: a step of a 14-bit converter over 40 A \[A\] and over 160 mm \[mm\].
 const CURRENT_A: f64 = 0.0025;
 const POSITION_MM: f64 = 0.01;
-/// Values of noise, from which each throw takes a stretch.
+/// Number of prepared noise values; each throw uses a stretch of them.
 const NOISE_VALUES: usize = 1 << 17;
 
-/// What to send.
+/// Settings of a load.
 #[derive(Debug, Clone)]
 pub struct Load {
-    /// The machines, which throw in this order.
+    /// The machines in the order of their throws.
     pub machines: Vec<MachineId>,
-    /// Throws a second, of all machines together.
+    /// Throws per second of all machines together.
     pub rate: f64,
-    /// Throws to publish.
+    /// Number of throws to publish.
     pub throws: u64,
-    /// Seed of everything random.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
-/// What became of a load.
+/// Result of a load.
 #[derive(Debug, Clone)]
 pub struct Loaded {
     /// Time from the first to the last publication.
     pub publishing: Duration,
-    /// Throws that were judged when the last one was published.
+    /// Number of throws judged before the last publication.
     pub judged_meanwhile: u64,
-    /// Of each judged throw, the time from its publication to the receipt of its health, sorted.
+    /// Times from the publication of a throw to the receipt of its health, sorted.
     pub latencies: Vec<Duration>,
     /// Time from the last publication to the last health.
     pub behind: Duration,
 }
 
 impl Loaded {
-    /// The latency that this share of the judged throws did not exceed; `None` when none was judged.
+    /// The latency quantile for this share of the judged throws; `None` without judged throws.
     #[must_use]
     pub fn quantile(&self, share: f64) -> Option<Duration> {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a length")]
@@ -76,7 +76,7 @@ impl Loaded {
     }
 }
 
-/// Throws whose health is awaited, and the latencies of the others.
+/// Throws without a received health message, and the latencies of the others.
 #[derive(Default)]
 struct Tracking {
     published: HashMap<(MachineId, u64), Instant>,
@@ -84,10 +84,10 @@ struct Tracking {
 }
 
 impl Load {
-    /// Publishes the throws, and waits until the health of all was received, or no health came for `patience`.
+    /// Publishes the throws, and waits until the health of all has arrived, or none has arrived for `patience`.
     ///
     /// # Errors
-    /// When the machines cannot be simulated, or zenoh fails.
+    /// When the simulation or zenoh fails.
     pub fn run(&self, session: &Session, boot_id: &str, patience: Duration) -> Result<Loaded, LoggerError> {
         let prepared = self.prepare()?;
         let tracking = Arc::new(Mutex::new(Tracking::default()));
@@ -133,7 +133,7 @@ impl Load {
         boot_id: &str,
         tracking: &Arc<Mutex<Tracking>>,
     ) -> Result<Vec<Subscriber<()>>, LoggerError> {
-        /// The fields of a health message that say which throw it is about.
+        /// The fields of a health message that identify the throw.
         #[derive(Deserialize)]
         struct Which {
             boot_id: String,
@@ -159,7 +159,7 @@ impl Load {
         Ok(subscribers.collect::<Result<_, _>>()?)
     }
 
-    /// A publisher for each machine, once a daemon listens to all of them.
+    /// A publisher for each machine, after a daemon has subscribed to all of them.
     fn publishers(&self, session: &Session) -> Result<Vec<Publisher<'static>>, LoggerError> {
         let mut publishers = Vec::with_capacity(self.machines.len());
         for machine in &self.machines {
@@ -203,7 +203,7 @@ fn message(
     Ok(wire::encode_throw(Encoding::Cbor, &throw))
 }
 
-/// Sensor noise, drawn once.
+/// Prepared sensor noise.
 struct Noise {
     values: Vec<f64>,
     rng: ChaCha8Rng,
@@ -215,7 +215,7 @@ impl Noise {
         Self { values: (0..NOISE_VALUES).map(|_| rng.sample(StandardNormal)).collect(), rng }
     }
 
-    /// A trace with noise from a random place.
+    /// A trace with noise from a random position.
     fn on(&mut self, trace: &Trace) -> Result<Trace, LoggerError> {
         let mut channel = |samples: &[f64], sd: f64| {
             let from = self.rng.random_range(0..self.values.len());

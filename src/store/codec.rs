@@ -1,20 +1,20 @@
-//! Traces as blobs: losslessly compressed, to the bit, NaN and infinities included.
+//! Lossless compression of traces, exact to the bit, with NaN and infinities.
 //!
-//! A channel whose every value is a 32-bit float (what most loggers send) is compressed as such, any other as 64-bit
-//! floats. Should the compressor refuse, the values are stored as they are.
+//! A channel of 32-bit floats (as most loggers send) is compressed as such, any other as 64-bit floats. If the
+//! compressor fails, the values are stored uncompressed.
 
 use pco::{ChunkConfig, DeltaSpec, standalone};
 
 use crate::throw::{InvalidTrace, MAX_SAMPLES, Trace};
 
-/// Neighbouring samples are close in value: first-order differences, never the automatic choice, which finds nothing
-/// on noisy samples and stores 2.5 times as much. Level 6 takes 0.4 times as long as level 8 (0.18 ms a throw of 4,700 samples)
-/// and 1 % more space.
+/// First-order differences, as neighbouring samples are close; the automatic choice fails on noisy samples and needs
+/// 2.5 times the space. Level 6 takes 0.4 times as long as level 8 (0.18 ms a throw of 4,700 samples) and 1 % more
+/// space.
 fn compression() -> ChunkConfig {
     ChunkConfig::default().with_compression_level(6).with_delta_spec(DeltaSpec::TryConsecutive(1))
 }
 
-/// How the values of one channel are stored.
+/// Encoding of a stored channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::AsRefStr, strum::EnumString)]
 enum Codec {
     #[strum(serialize = "pco-f32")]
@@ -25,27 +25,27 @@ enum Codec {
     RawF64,
 }
 
-/// One channel as stored.
+/// A stored channel.
 #[derive(Debug, Clone, PartialEq, sqlx::FromRow)]
 pub(super) struct Channel {
     pub(super) codec: String,
     pub(super) data: Vec<u8>,
 }
 
-/// Why a stored trace cannot be read.
+/// A stored trace that cannot be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum UnreadableTrace {
-    /// The trace was dropped to save space.
+    /// Retention has deleted the trace.
     #[error("the trace was dropped to save space")]
     Dropped,
-    /// The codec is unknown: a newer version wrote it.
+    /// A newer version wrote the trace with an unknown codec.
     #[error("the codec {0:?} is unknown: a newer version of this program wrote it")]
     Codec(String),
-    /// The bytes are damaged.
+    /// The bytes are damaged, with the reason.
     #[error("the stored bytes are damaged ({0})")]
     Damaged(String),
-    /// The values are no trace.
-    #[error("the stored values are no trace: {0}")]
+    /// The values do not form a trace.
+    #[error("the stored values do not form a trace: {0}")]
     Invalid(#[from] InvalidTrace),
 }
 
@@ -80,7 +80,7 @@ pub(super) fn checksum(current_a: &[f64], position_mm: &[f64]) -> u32 {
     hasher.finalize()
 }
 
-/// `samples` values of a channel.
+/// Decodes `samples` values of a channel.
 fn decode(channel: &Channel, samples: usize) -> Result<Vec<f64>, UnreadableTrace> {
     let codec = channel.codec.parse().map_err(|_| UnreadableTrace::Codec(channel.codec.clone()))?;
     match codec {
@@ -93,7 +93,7 @@ fn decode(channel: &Channel, samples: usize) -> Result<Vec<f64>, UnreadableTrace
     }
 }
 
-/// Decompresses exactly `samples` values: damaged bytes cannot claim more memory than that.
+/// Decompresses exactly `samples` values, so that damaged bytes cannot use more memory.
 fn unpacked<T: pco::data_types::Number + Default>(data: &[u8], samples: usize) -> Result<Vec<T>, UnreadableTrace> {
     let mut values = vec![T::default(); samples];
     let progress = standalone::simple_decompress_into(data, &mut values)
@@ -105,7 +105,7 @@ fn unpacked<T: pco::data_types::Number + Default>(data: &[u8], samples: usize) -
     }
 }
 
-/// The trace in two stored channels; `crc32` as from [`checksum`].
+/// Decodes the trace from two stored channels; `crc32` is from [`checksum`].
 pub(super) fn trace(
     sample_rate_hz: f64,
     samples: usize,

@@ -1,4 +1,4 @@
-//! The reading side: short queries on read-only connections.
+//! The reader: short queries on read-only connections.
 
 use std::{
     future::Future,
@@ -29,27 +29,27 @@ use crate::{
     wire::{Alarm, Health},
 };
 
-/// Connections for the daemon's own queries. They never wait for the writer, nor the writer for them.
+/// Connections for the daemon. Reader and writer do not wait for each other.
 const CONNECTIONS: u32 = 2;
-/// Connections for questions from outside; more questions at once wait.
+/// Connections for external queries (zenoh, dashboard); more queries wait.
 const QUESTIONS: u32 = 3;
-/// Samples a channel after which a batch of throws to be judged is large enough: 32 MiB.
+/// Samples of each channel after which a batch of pending throws ends: 32 MiB.
 const SAMPLES: usize = 2 << 20;
-/// Steps of SQLite's machine between two looks at the clock: some milliseconds.
+/// Instructions of SQLite's virtual machine between two checks of the clock: some milliseconds.
 const STEPS: i32 = 100_000;
 
-/// Reads the database. Cheap to clone; every query has a time limit, so that none keeps an old state alive.
+/// Reads the database. Cheap to clone. Every query has a time limit, so that none holds an old state.
 #[derive(Debug, Clone)]
 pub struct Reader {
-    /// Replaced when the database moves to another file.
+    /// The connections; replaced when the database moves to another file.
     pools: Arc<RwLock<Pools>>,
-    /// Cancelled when a query finds the content of the file broken.
+    /// Cancelled when a query finds the file broken.
     broken: CancellationToken,
-    /// The throws that were stored last.
+    /// The throws stored last.
     pub(super) recent: Recent,
 }
 
-/// Questions from outside have connections of their own: many of them must not delay the pipeline.
+/// Separate connections, so that many external queries cannot delay the pipeline.
 #[derive(Debug, Clone)]
 struct Pools {
     own: SqlitePool,
@@ -57,13 +57,13 @@ struct Pools {
 }
 
 impl Reader {
-    /// Longest time of one query. An old state that is being read cannot be overwritten: the log grows meanwhile.
+    /// Time limit of a query. The log grows while a query reads an old state.
     pub const TIME_LIMIT: Duration = Duration::from_secs(10);
 
-    /// Reads a database that another process may be writing.
+    /// Opens a database that another process may write.
     ///
     /// # Errors
-    /// When there is no database, or it cannot be read.
+    /// When the database does not exist or cannot be read.
     pub async fn open(path: &Path) -> Result<Self, StoreError> {
         let pools = Pools::connect(path)
             .await
@@ -77,8 +77,8 @@ impl Reader {
         questions.close().await;
     }
 
-    /// Reads the file that `path` leads to now. Queries that run keep the old one to their end: it is not closed but
-    /// dropped, so that none of them fails.
+    /// Opens the file now at `path`. Running queries keep the old file until they end: its pool is dropped, not closed,
+    /// so that they do not fail.
     pub(super) async fn reopen(&self, path: &Path) -> sqlx::Result<()> {
         let pools = Pools::connect(path).await?;
         *self.pools.write().unwrap_or_else(PoisonError::into_inner) = pools;
@@ -91,18 +91,18 @@ impl Reader {
             && is_corrupt(error)
             && !self.broken.is_cancelled()
         {
-            tracing::error!(%error, "a query found the database broken: the next start sets the file aside");
+            tracing::error!(%error, "a query found the database broken; the next start sets the file aside");
             self.broken.cancel();
         }
         answer.map_err(StoreError::read)
     }
 
-    /// Whether a query has found the content of the file broken.
+    /// Whether a query has found the file broken.
     pub(super) fn is_broken(&self) -> bool {
         self.broken.is_cancelled()
     }
 
-    /// Resolves when a query finds the content of the file broken.
+    /// Resolves when a query finds the file broken.
     pub(super) async fn breaks(&self) {
         self.broken.cancelled().await;
     }
@@ -115,7 +115,7 @@ impl Reader {
         self.pools.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The rows of a query of the daemon itself.
+    /// Runs a query of the daemon.
     async fn rows<Row>(&self, query: QueryAs<'_, Sqlite, Row, SqliteArguments>) -> Result<Vec<Row>, StoreError>
     where
         Row: Send + Unpin + for<'r> FromRow<'r, SqliteRow>,
@@ -123,8 +123,8 @@ impl Reader {
         self.limited(query.fetch_all(&self.pool())).await
     }
 
-    /// The rows of a question from outside. SQLite itself ends a query that takes too long: one whose caller is gone
-    /// would go on and keep its connection.
+    /// Runs an external query. SQLite itself aborts a slow query, as it would otherwise continue without its caller and
+    /// occupy the connection.
     pub(super) async fn asked<Row>(
         &self,
         query: QueryAs<'_, Sqlite, Row, SqliteArguments>,
@@ -141,13 +141,13 @@ impl Reader {
         self.limited(answer).await
     }
 
-    /// A number that answers a question from outside.
+    /// Runs an external query for one number.
     pub(super) async fn asked_figure(&self, query: &'static str) -> Result<u64, StoreError> {
         let figures: Vec<(i64,)> = self.asked(sqlx::query_as(query)).await?;
         figures.first().map(|(figure,)| figure.cast_unsigned()).ok_or(StoreError::read(sqlx::Error::RowNotFound))
     }
 
-    /// The alarms of a question, and how many of them this version cannot read: a newer one wrote them.
+    /// Runs an external query for alarms; also returns the number of alarms of a newer version that cannot be read.
     pub(super) async fn asked_alarms(
         &self,
         query: QueryAs<'_, Sqlite, (String,), SqliteArguments>,
@@ -157,14 +157,13 @@ impl Reader {
         let alarms: Vec<Alarm> = payloads.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect();
         let unreadable = found - alarms.len();
         if unreadable > 0 {
-            tracing::warn!(unreadable, "alarms of a newer version are left out");
+            tracing::warn!(unreadable, "alarms of a newer version left out");
         }
         Ok((alarms, unreadable))
     }
 
-    /// Up to `limit` throws to be judged next: those of each machine in the order in which they were made, the machines in
-    /// turn, beginning after `after`. While a machine's backlog is open, and for at most `wait` after it last shrank, later
-    /// throws of it are left out.
+    /// Up to `limit` throws to judge next: in order for each machine, the machines in turn, starting after `after`.
+    /// Later throws of a machine with an open backlog are left out, for at most `wait` after the backlog last shrank.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -192,7 +191,7 @@ impl Reader {
                 Some(throw) => StoredThrow::from_memory(&row, throw).map_err(StoreError::read)?,
                 None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(throw_row.0)).await?.pop() {
                     Some(stored) => stored,
-                    // Retention dropped it a moment ago.
+                    // Retention has just deleted it.
                     None => continue,
                 },
             };
@@ -205,7 +204,7 @@ impl Reader {
         Ok(throws)
     }
 
-    /// Where the backlog of a machine is to be read from.
+    /// The cursor of a machine.
     pub(crate) async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
         let read = async {
             let mut connection = self.pool().acquire().await?;
@@ -214,13 +213,13 @@ impl Reader {
         self.limited(read).await
     }
 
-    /// Up to `limit` machines of which something is missing that may be in their backlog, the longest waiting first.
+    /// Up to `limit` machines with throws that may be in their backlog, the longest waiting first.
     pub(crate) async fn backlogs(&self, limit: u32) -> Result<Vec<MachineId>, StoreError> {
         let rows = self.limited(sqlx::query(sql::BACKLOGS).bind(limit).fetch_all(&self.pool())).await?;
         rows.iter().map(machine_id).collect::<sqlx::Result<_>>().map_err(StoreError::read)
     }
 
-    /// Throws that are missing and may be in a backlog.
+    /// Number of missing throws that may be in a backlog.
     pub(crate) async fn awaited(&self) -> Result<u64, StoreError> {
         let count: i64 = self.limited(sqlx::query_scalar(sql::AWAITED_COUNT).fetch_one(&self.pool())).await?;
         Ok(count.cast_unsigned())
@@ -242,7 +241,7 @@ impl Reader {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
-    /// The monitor of every machine that has one.
+    /// The stored monitors of all machines.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -250,13 +249,13 @@ impl Reader {
         self.rows(sqlx::query_as(sql::MONITORS)).await
     }
 
-    /// Every machine that ever sent a throw.
+    /// All machines in the database.
     pub(crate) async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
         let rows = self.limited(sqlx::query(sql::MACHINES).fetch_all(&self.pool())).await?;
         rows.iter().map(machine_id).collect::<sqlx::Result<_>>().map_err(StoreError::read)
     }
 
-    /// When the newest throw arrived.
+    /// Time of reception of the newest throw.
     pub(crate) async fn last_heard(&self) -> Result<Option<Timestamp>, StoreError> {
         let at_us = self.limited(sqlx::query_scalar(sql::LAST_HEARD).fetch_optional(&self.pool())).await?;
         Ok(at_us.map(timestamp))
@@ -270,8 +269,7 @@ impl Reader {
         self.asked(sqlx::query_as(sql::LATEST_HEALTH).bind(which.site()).bind(which.machine())).await
     }
 
-    /// The newest `limit` rows of the health history that started at `since` or later, oldest first. 1970 and before
-    /// mean: whenever.
+    /// The newest `limit` rows of the health history since `since`, oldest first. A time up to 1970 means no bound.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -301,7 +299,7 @@ impl Reader {
         Ok(self.asked_alarms(query).await?.0)
     }
 
-    /// The newest `limit` alarm events at `since` or later, oldest first.
+    /// The newest `limit` alarm events since `since`, oldest first.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -317,7 +315,7 @@ impl Reader {
         Ok(alarms)
     }
 
-    /// Up to `limit` messages to publish after the message `after` (0: from the first), in order.
+    /// Up to `limit` messages of the outbox after the row `after` (0 for all), in order.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -333,8 +331,8 @@ impl Reader {
         self.rows(sqlx::query_as(sql::GAPS).bind(limit)).await
     }
 
-    /// Up to `limit` gaps that the monitors do not know of, oldest first: those that no backlog fills any more, and those of
-    /// machines whose backlog was waited for; without those from before the first contact.
+    /// Up to `limit` gaps not reported to the monitors yet, oldest first: gaps that no backlog can fill, and gaps of
+    /// machines after the wait for their backlog; without gaps from before the first contact.
     pub(crate) async fn unreported_gaps(
         &self,
         limit: u32,
@@ -354,8 +352,8 @@ impl Reader {
     }
 }
 
-/// Backlogs that last shrank between these times are waited for. One that shrank in the future did so before the clock was
-/// set back.
+/// Range of times of the last shrinking of a backlog for which the judge waits. A time in the future comes from before
+/// the clock was set back.
 fn waiting(now: Timestamp, wait: Duration) -> (i64, i64) {
     let wait_us = i64::try_from(wait.as_micros()).unwrap_or(i64::MAX);
     (now.as_microsecond().saturating_sub(wait_us).saturating_add(1), now.as_microsecond())

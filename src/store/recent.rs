@@ -1,4 +1,5 @@
-//! The throws stored last, in memory: the judge takes most throws from here, without reading and unpacking their traces.
+//! The throws stored last, in memory: the judge loop gets most throws from here, without reading and decompressing
+//! their traces.
 
 use std::{
     collections::HashMap,
@@ -8,10 +9,10 @@ use std::{
 use super::rows::ThrowRow;
 use crate::throw::Throw;
 
-/// Most samples that are kept, of all channels: 32 MiB, or 400 throws of 5 s at 1 kHz.
+/// Largest number of samples of all channels: 32 MiB, or 400 throws of 5 s at 1 kHz.
 const MAX_SAMPLES: usize = 4 << 20;
 
-/// Throws that are stored and not judged yet, up to a size.
+/// Pending throws up to a total size.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Recent(Arc<Mutex<Kept>>);
 
@@ -22,8 +23,8 @@ struct Kept {
 }
 
 impl Recent {
-    /// Keeps a stored throw until it is taken. When there is no room, all others go first: throws that retention dropped
-    /// would stay for ever, and those of a long queue can be read from the database.
+    /// Adds a stored throw. At the limit all others are removed first, as throws deleted by retention would stay, and
+    /// those of a long queue can be read from the database.
     pub(super) fn keep(&self, row: ThrowRow, throw: &Throw) {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let samples = 2 * throw.trace.len();
@@ -35,7 +36,7 @@ impl Recent {
         }
     }
 
-    /// Takes a throw, which is no longer kept then.
+    /// Removes and returns a throw.
     pub(super) fn take(&self, row: ThrowRow) -> Option<Throw> {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let throw = kept.throws.remove(&row)?;

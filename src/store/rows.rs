@@ -1,4 +1,4 @@
-//! Rows of the database as values.
+//! Types of rows of the database.
 
 use jiff::Timestamp;
 use serde::de::DeserializeOwned;
@@ -11,35 +11,35 @@ use crate::{
     wire::Health,
 };
 
-/// The row of a stored throw. Rows are numbered in the order of arrival and never used again.
+/// Row number of a stored throw. Rows are numbered in the order of reception; numbers are not reused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ThrowRow(pub i64);
 
 impl ThrowRow {
-    /// Before the first row: where reading starts.
+    /// The number before the first row, to start reading.
     pub const START: Self = Self(0);
 }
 
-/// The row of a gap.
+/// Row number of a gap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct GapRow(pub(super) i64);
 
-/// Why throws are missing.
+/// Reason why throws are missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::AsRefStr, strum::EnumString)]
 #[strum(serialize_all = "snake_case")]
 pub enum GapKind {
-    /// The logger made them and they never came.
+    /// Missing, and in no backlog.
     Missed,
-    /// The logger made them before this daemon first heard of the machine.
+    /// Made before the first throw that this daemon received of the machine.
     BeforeFirstContact,
 }
 
-/// Which machines a query is about; `None` means all.
+/// Selects the machines of a query.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Selector {
-    /// Only this site.
+    /// A site; `None` for all.
     pub site: Option<Name>,
-    /// Only machines of this name.
+    /// A machine name; `None` for all.
     pub machine: Option<Name>,
 }
 
@@ -53,67 +53,67 @@ impl Selector {
     }
 }
 
-/// A throw as it was stored.
+/// A stored throw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredThrow {
-    /// Its row.
+    /// Row of the throw.
     pub row: ThrowRow,
     /// Which machine.
     pub machine: MachineId,
-    /// Its identity within the machine.
+    /// Boot and sequence number.
     pub id: ThrowRef,
-    /// Wall time of its first sample, from the logger.
+    /// Wall time of the first sample, from the logger.
     pub started_at: Timestamp,
     /// When it arrived.
     pub received_at: Timestamp,
-    /// The throw; or why its trace cannot be read.
+    /// The throw, or the reason why its trace cannot be read.
     pub throw: Result<Throw, UnreadableTrace>,
-    /// The machine sent the same trace before.
+    /// Whether the machine sent the same trace before.
     pub repeats: bool,
-    /// The number of the throw was taken by another one: it stands under the next free one of a boot of its own.
+    /// Whether another throw had the same number: then this one is stored under the next number of a separate boot.
     pub renumbered: bool,
 }
 
-/// What is added to the `boot_id` of throws whose numbers were taken.
+/// Suffix of the separate `boot_id` for throws whose number was taken.
 pub(super) const RENUMBERED: &str = "~again";
 
-/// The monitor of a machine as it was stored.
+/// A stored monitor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct StoredMonitor {
     /// Which machine.
     pub machine: MachineId,
-    /// The monitor, JSON.
+    /// Snapshot of the monitor as JSON.
     pub snapshot: String,
-    /// The state of the machine beside it; `None` when an earlier version wrote it.
+    /// State of the machine; `None` if an earlier version wrote the row.
     pub state: Option<MachineState>,
 }
 
-/// Throws that are missing, from the first to the last number, both included.
+/// A gap of missing throws.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Gap {
-    /// Its row.
+    /// Row of the gap.
     pub row: GapRow,
     /// Which machine.
     pub machine: MachineId,
-    /// Which start of its logger.
+    /// Boot of the logger.
     pub boot_id: String,
-    /// First missing number.
+    /// First missing throw number.
     pub first_no: u64,
-    /// Last missing number.
+    /// Last missing throw number.
     pub last_no: u64,
     /// Why.
     pub kind: GapKind,
-    /// When it was noticed.
+    /// Time of detection.
     pub detected_at: Timestamp,
 }
 
-/// A message that waits to be published.
+/// A message in the outbox.
 #[derive(Debug, Clone, PartialEq, Eq, FromRow)]
 pub struct OutboxRow {
-    /// Its number, in the order of publication.
+    /// Row number, in the order of publication.
     #[sqlx(rename = "outbox_row")]
     pub row: i64,
-    /// The key to publish it on.
+    /// Key of the publication.
     pub key: String,
     /// The message.
     pub payload: Vec<u8>,
@@ -124,13 +124,13 @@ pub struct OutboxRow {
 pub struct Quarantined {
     /// When it arrived.
     pub received_at: Timestamp,
-    /// On which key.
+    /// Key of the message.
     pub key: String,
-    /// Why it is no throw.
+    /// Reason for the rejection.
     pub reason: String,
-    /// Its whole length \[bytes\].
+    /// Size of the whole message \[bytes\].
     pub payload_bytes: u64,
-    /// Its beginning.
+    /// Start of the message.
     pub payload_start: Vec<u8>,
 }
 
@@ -138,7 +138,8 @@ fn decode_error(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::
     sqlx::Error::Decode(Box::new(error))
 }
 
-/// The time of a column; the nearest that exists for a number out of range, so that one odd row does not hide all others.
+/// The time of a column. A number out of range gives the nearest time, so that one invalid row does not hide the
+/// others.
 pub(super) fn timestamp(at_us: i64) -> Timestamp {
     let nearest = if at_us < 0 { Timestamp::MIN } else { Timestamp::MAX };
     Timestamp::from_microsecond(at_us).unwrap_or(nearest)
@@ -160,13 +161,13 @@ fn unsigned(row: &SqliteRow, column: &str) -> sqlx::Result<u64> {
     row.try_get(column).map(i64::cast_unsigned)
 }
 
-/// A word of an enum; `None` for NULL and for words that this version does not know.
+/// Parses a word of an enum; `None` for NULL and for unknown words.
 pub(super) fn word<T: std::str::FromStr>(row: &SqliteRow, column: &str) -> sqlx::Result<Option<T>> {
     let word: Option<&str> = row.try_get(column)?;
     Ok(word.and_then(|word| word.parse().ok()))
 }
 
-/// A value from its JSON; `None` for NULL and for what this version cannot read.
+/// Parses JSON; `None` for NULL and for JSON that this version cannot read.
 pub(super) fn json<T: DeserializeOwned>(row: &SqliteRow, column: &str) -> sqlx::Result<Option<T>> {
     let json: Option<&str> = row.try_get(column)?;
     Ok(json.and_then(|json| serde_json::from_str(json).ok()))
@@ -177,7 +178,7 @@ fn three(row: &SqliteRow, columns: [&str; 3]) -> sqlx::Result<Option<[f64; 3]>> 
     Ok(b0?.zip(a1?).zip(a0?).map(|((b0, a1), a0)| [b0, a1, a0]))
 }
 
-/// The trace of a row; the outer error is one of the row itself.
+/// Decodes the trace of a row; the outer error is that of the row.
 fn trace(row: &SqliteRow) -> sqlx::Result<Result<Trace, UnreadableTrace>> {
     let channel = |codec: &str, data: &str| -> sqlx::Result<Option<Channel>> {
         let (codec, data): (Option<String>, Option<Vec<u8>>) = (row.try_get(codec)?, row.try_get(data)?);
@@ -193,7 +194,7 @@ fn trace(row: &SqliteRow) -> sqlx::Result<Result<Trace, UnreadableTrace>> {
 }
 
 impl StoredThrow {
-    /// A throw that is still in memory, with the columns that storing it added.
+    /// A throw from memory, with the columns added by the insertion.
     pub(super) fn from_memory(row: &SqliteRow, throw: Throw) -> sqlx::Result<Self> {
         let throw = Throw { id: throw_ref(row)?, ..throw };
         Self::new(row, throw.started_at, Ok(throw))

@@ -1,4 +1,4 @@
-//! Throws as they arrive: once each, with the numbers that never came kept as gaps.
+//! Storage of received throws: each once, with gaps for missing numbers.
 
 use jiff::Timestamp;
 use sqlx::SqliteConnection;
@@ -17,13 +17,13 @@ use crate::throw::{Direction, MachineId, Throw, ThrowRef};
 /// The result of storing a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Spooled {
-    /// It is on the disk, under this row.
+    /// Stored, with this row number.
     New(ThrowRow),
-    /// Its number was stored before (and perhaps pruned since).
+    /// Stored before, and perhaps pruned since.
     Duplicate,
 }
 
-/// A throw ready to be written.
+/// A throw to store.
 pub(super) struct Spool {
     machine: MachineId,
     id: ThrowRef,
@@ -40,14 +40,14 @@ pub(super) struct Spool {
     current: Channel,
     position: Channel,
     trace_crc32: u32,
-    /// Tells traces apart.
+    /// Hash of the trace, to detect repeated traces.
     trace_hash: i64,
-    /// Its share of the room for waiting throws; given back when it is answered.
+    /// Permit for the memory of the waiting throw; released after the answer.
     pub(super) room: Option<OwnedSemaphorePermit>,
 }
 
 impl Spool {
-    /// What it takes while it waits \[KiB\].
+    /// Memory of the waiting throw \[KiB\].
     pub(super) fn kib(&self) -> u32 {
         u32::try_from((self.current.data.len() + self.position.data.len()) / 1024 + 1).unwrap_or(u32::MAX)
     }
@@ -103,7 +103,7 @@ impl Spool {
             .bind(&self.position.codec)
             .bind(&self.position.data)
             .bind(self.trace_crc32)
-            // All, so that the statement after the one that returns the row runs too.
+            // `fetch_all`, so that the statement after the one with a result runs too.
             .fetch_all(connection)
             .await?
             .pop()
@@ -111,8 +111,8 @@ impl Spool {
         Ok(ThrowRow(row))
     }
 
-    /// The number of the throw is taken: by the same throw, or by another one when the logger counts again from the start
-    /// under the same `boot_id`. Then the throw is kept under the next number of a boot of its own.
+    /// Handles a throw whose number is stored already: it is the same throw, or another one if the logger restarted its
+    /// numbers with the same `boot_id`. The latter is stored under the next number of a separate boot.
     async fn store_again(
         &self,
         connection: &mut SqliteConnection,
@@ -122,7 +122,7 @@ impl Spool {
         repeated: bool,
     ) -> sqlx::Result<Spooled> {
         if taken.content_crc32 == self.content_crc32 {
-            // After an unknown commit the stored throw may be this one.
+            // After a commit with unknown result the stored throw may be this one.
             let is_own = repeated && taken.received_at_us == self.received_at_us;
             return Ok(if is_own { Spooled::New(ThrowRow(taken.throw_row)) } else { Spooled::Duplicate });
         }
@@ -130,7 +130,7 @@ impl Spool {
         let again = if let Some(again) = self::boot(connection, machine_row, &boot_id).await? {
             again
         } else {
-            // Before the boot itself, which stays the one that the logger is asked for.
+            // The separate boot is placed before the real boot, which stays the last one for backlog queries.
             let new = (boot_id.as_str(), boot.position.saturating_sub(SPACING / 2), 0, false);
             add_boot(connection, machine_row, new, self.received_at_us).await?
         };
@@ -144,19 +144,19 @@ impl Spool {
         }
         count(connection, "contradicted_throws", 1).await?;
         let throw_no = again.highest_no + 1;
-        // It was made after the throws of the boot so far: it is judged after them.
+        // It was made after the stored throws of the boot, so it is judged after them.
         let judged_as = Boot { position: boot.position.saturating_add(SPACING / 2), ..again };
         self.insert(connection, machine_row, judged_as, throw_no).await.map(Spooled::New)
     }
 }
 
-/// CRC-32 of the current above that of the position.
+/// CRC-32 of the current in the upper half, of the position in the lower half.
 fn trace_hash(throw: &Throw) -> i64 {
     let checksum = |channel: &[f64]| i64::from(codec::checksum(channel, &[]));
     (checksum(throw.trace.current_a()) << 32) | checksum(throw.trace.position_mm())
 }
 
-/// CRC-32 over all that the logger said of the throw.
+/// CRC-32 of the whole throw.
 fn content_checksum(throw: &Throw, trace_crc32: u32) -> u32 {
     let mut hasher = crc32fast::Hasher::new();
     hasher.update(&trace_crc32.to_le_bytes());
@@ -189,7 +189,7 @@ impl Write for Spool {
     }
 }
 
-/// The place of a throw that is the next one of a known start of its logger, while nothing of its machine is missing.
+/// The row for the next throw of a known boot, if no throw of the machine is missing.
 #[derive(sqlx::FromRow)]
 struct Next {
     machine_row: i64,
@@ -197,16 +197,16 @@ struct Next {
     boot: Boot,
 }
 
-/// The place of a start of a logger that is received for the first time.
+/// The position of a new boot.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Follows {
-    /// Live throws are of the newest start.
+    /// After all boots: live throws are of the newest boot.
     All,
-    /// In a backlog the start at this position comes right before it.
+    /// In a backlog: right after the boot at this position.
     Boot(i64),
 }
 
-/// Where a throw was stored.
+/// The result of storing a throw.
 pub(super) struct StoredAt {
     pub(super) machine_row: i64,
     pub(super) boot_row: i64,
@@ -228,7 +228,7 @@ impl Spool {
             .await
     }
 
-    /// Stores the throw, and records what is missing before it.
+    /// Stores the throw, and a gap for the missing numbers before it.
     pub(super) async fn store(
         &self,
         connection: &mut SqliteConnection,
@@ -281,7 +281,7 @@ impl Spool {
     }
 }
 
-/// The row of a machine, and whether it was there before.
+/// The row of a machine, and whether it existed before.
 pub(super) async fn machine_row(connection: &mut SqliteConnection, id: &MachineId) -> sqlx::Result<(i64, bool)> {
     let (site, machine) = (id.site.as_str(), id.machine.as_str());
     let row: Option<i64> =
@@ -293,7 +293,7 @@ pub(super) async fn machine_row(connection: &mut SqliteConnection, id: &MachineI
     Ok((row, false))
 }
 
-/// Adds to a lasting total.
+/// Adds to a stored counter.
 pub(super) async fn count(connection: &mut SqliteConnection, name: &str, more: i64) -> sqlx::Result<()> {
     sqlx::query(sql::COUNT).bind(name).bind(more).execute(connection).await.map(drop)
 }
@@ -306,11 +306,10 @@ pub(super) async fn boot(
     sqlx::query_as(sql::BOOT).bind(machine_row).bind(boot_id).fetch_optional(connection).await
 }
 
-/// From one start of a logger to the next as they are received live: as many starts that only the backlog shows have room
-/// between them.
+/// Distance between the positions of live boots, with space for boots that only the backlog has.
 const SPACING: i64 = 1 << 20;
 
-/// A start of a logger that is received for the first time.
+/// A boot that is received for the first time.
 struct NewBoot<'a> {
     machine_row: i64,
     known: bool,
@@ -320,8 +319,8 @@ struct NewBoot<'a> {
 }
 
 impl NewBoot<'_> {
-    /// Adds the start, with a gap for the throws before the first received one. Numbers start at 1, unless this logger is
-    /// known to start at 0.
+    /// Adds the boot, with a gap before the first received throw. Numbers start at 1, or at 0 if this logger is known
+    /// to do so.
     async fn begin(&self, connection: &mut SqliteConnection, first_no: i64) -> sqlx::Result<Boot> {
         let (position, is_last) = self.position(connection).await?;
         let before: Option<Boot> = sqlx::query_as(sql::BOOT_BEFORE)
@@ -337,7 +336,7 @@ impl NewBoot<'_> {
         let begins_later =
             add_gap(connection, boot.boot_row, (i64::from(!from_zero), first_no - 1), kind, self.at_us).await?;
         if let Some(Boot { boot_row, position, highest_no, .. }) = before {
-            // The backlog may have more of the start before, and starts in between.
+            // The backlog may have more throws of the previous boot, and boots in between.
             sqlx::query(sql::OPEN_TAIL).bind(boot_row).execute(&mut *connection).await?;
             let after = Place { boot_row: Some(boot_row), position, throw_no: highest_no };
             cursor::open(connection, self.machine_row, after, self.at_us).await?;
@@ -347,7 +346,7 @@ impl NewBoot<'_> {
         Ok(boot)
     }
 
-    /// Its position, and whether it is the last.
+    /// The position of the boot, and whether it is the last.
     async fn position(&self, connection: &mut SqliteConnection) -> sqlx::Result<(i64, bool)> {
         if let Follows::Boot(position) = self.follows
             && let Some(next) = cursor::next_boot(connection, self.machine_row, position).await?
@@ -363,7 +362,7 @@ impl NewBoot<'_> {
     }
 }
 
-/// Adds a start of a logger: its `boot_id`, position, highest number, and whether later throws of it may be in the backlog.
+/// Adds a boot: `boot_id`, position, highest number, and whether later throws of it may be in the backlog.
 async fn add_boot(
     connection: &mut SqliteConnection,
     machine_row: i64,
@@ -382,7 +381,7 @@ async fn add_boot(
     Ok(Boot { boot_row, position, highest_no, pruned_to_no: -1, tail_open })
 }
 
-/// Adds the gap from the first to the last number, both included. False when that is empty.
+/// Adds the gap from the first to the last number, inclusive; false if it is empty.
 async fn add_gap(
     connection: &mut SqliteConnection,
     boot_row: i64,
@@ -397,7 +396,7 @@ async fn add_gap(
     gap.execute(connection).await.map(|_| true)
 }
 
-/// Takes a late throw out of its gap: from an end, or by splitting it. Returns whether there was one.
+/// Removes a late throw from its gap, at an end or by splitting it; returns whether there was a gap.
 async fn fill_gap(connection: &mut SqliteConnection, boot_row: i64, throw_no: i64, at_us: i64) -> sqlx::Result<bool> {
     let gap: Option<(i64, i64, i64)> =
         sqlx::query_as(sql::GAP_AT).bind(boot_row).bind(throw_no).fetch_optional(&mut *connection).await?;

@@ -40,7 +40,7 @@ pub fn machine_key(machine: &MachineId, kind: Kind) -> String {
     format!("{PREFIX}{}/{}/{}", machine.site, machine.machine, kind.as_ref())
 }
 
-/// The key expression of all machines of a site.
+/// Key expression of all machines of a site.
 #[must_use]
 pub fn site_key(site: &Name, kind: Kind) -> String {
     format!("{PREFIX}{site}/*/{}", kind.as_ref())

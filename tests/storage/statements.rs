@@ -1,4 +1,4 @@
-//! Every statement of the store fits the schema.
+//! SQLite can prepare every statement of the store.
 
 use pointsd::store::{Selector, statements};
 use sqlx::{Connection, Executor, SqlSafeStr, SqliteConnection};
@@ -21,7 +21,7 @@ async fn every_statement_prepares_against_the_migrated_schema() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// What runs for every throw must not read the whole history.
+/// The statements for each throw do not read the whole history.
 #[tokio::test]
 async fn the_statements_of_every_throw_find_their_rows_by_index() {
     let folder = tempfile::tempdir().unwrap();
@@ -32,7 +32,7 @@ async fn the_statements_of_every_throw_find_their_rows_by_index() {
     }
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path()).read_only(true);
     let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
-    // Ordered by row and limited, so that they stop after a few rows; or of a small table.
+    // These are limited and ordered by row, so they end after a few rows, or they read a small table.
     let reads_from_the_start = ["THROWS", "NEWEST_HEALTH", "LAST_HEARD"];
     let single = statements::ALL.iter().flat_map(|(name, all)| all.split("; ").map(move |sql| (*name, sql)));
     for (name, sql) in single {
@@ -50,7 +50,7 @@ async fn the_statements_of_every_throw_find_their_rows_by_index() {
     }
 }
 
-/// A question about the history must not sort the whole of it: rows are chosen in an index alone, then read.
+/// A query of the history selects its rows in an index, without sorting the whole table.
 #[tokio::test]
 async fn a_question_about_the_history_chooses_its_rows_in_an_index() {
     let folder = tempfile::tempdir().unwrap();
@@ -65,7 +65,7 @@ async fn a_question_about_the_history_chooses_its_rows_in_an_index() {
     assert!(has("SEARCH estimate USING INTEGER PRIMARY KEY"), "{plan:?}");
 }
 
-/// The same rows, whichever way they are asked for.
+/// All forms of a query of the history return the same rows.
 #[tokio::test]
 async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
     let folder = tempfile::tempdir().unwrap();
@@ -89,7 +89,7 @@ async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
     let none = Selector { site: Some("south".parse().unwrap()), ..Selector::default() };
     assert_eq!(numbers(&all, whenever, 4).await, pairs(&["21B", "22A"], 5));
     assert_eq!(numbers(&one, whenever, 2).await, pairs(&["22A"], 5));
-    // Throw n begins n minutes after the tests' time.
+    // Throw n starts n minutes after the start of the test.
     assert_eq!(numbers(&all, at(60 * 4), 100).await, pairs(&["21B", "22A"], 4));
     assert_eq!(numbers(&one, at(60 * 4), 100).await, pairs(&["22A"], 4));
     assert_eq!(numbers(&none, whenever, 100).await, []);
