@@ -1,4 +1,4 @@
-//! The queue of the inbox: the keys take turns, so that a flood from one key delays no other.
+//! The queue of the inbox. It serves the keys in turn, so that a flood with one key does not delay others.
 
 use std::{
     collections::VecDeque,
@@ -10,7 +10,7 @@ use super::{
     queue_budget::{QueueBudget, SLOTS},
 };
 
-/// Messages that were received and are not stored yet. Keys with the same hash share one queue.
+/// Received messages that are not stored yet. Keys with the same hash share a slot.
 #[derive(Debug, Default)]
 pub(super) struct FairQueue {
     budget: QueueBudget,
@@ -20,7 +20,7 @@ pub(super) struct FairQueue {
 #[derive(Debug)]
 struct Queues {
     slots: Vec<VecDeque<Message>>,
-    /// Numbers of the slots that have messages, in the order of their turns.
+    /// Slots with messages, in the order of their turns.
     turns: VecDeque<usize>,
 }
 
@@ -50,7 +50,7 @@ impl FairQueue {
         true
     }
 
-    /// The oldest message of the slot whose turn it is.
+    /// Removes the oldest message of the next slot.
     pub(super) fn pop(&self) -> Option<Message> {
         let mut queues = self.queues.lock().unwrap_or_else(PoisonError::into_inner);
         let slot = queues.turns.pop_front()?;

@@ -1,7 +1,8 @@
-//! Fetches what is missing from the loggers' backlogs, page by page.
+//! Fetches missing throws from the loggers' backlogs, page by page.
 //!
-//! The database knows what is missing. A logger is asked when its liveliness token appears, when a throw number is
-//! missing, when a message of it was dropped, and every few minutes. A page is asked for when the one before is stored.
+//! The database has the cursor of each machine and its gaps. A logger is queried when its liveliness token appears,
+//! when a throw number is missing, when one of its messages was dropped, and every few minutes. The next page is
+//! queried when the previous one is stored.
 
 use std::{
     collections::{BTreeSet, HashMap, HashSet},
@@ -25,71 +26,71 @@ use crate::{
     wire::{self, BacklogQuery, Kind},
 };
 
-/// Loggers that are asked at a time: with the pages of the bus this bounds the memory at 32 MiB.
+/// Loggers queried at the same time; with pages of 4 MiB this bounds the memory to 32 MiB.
 const AT_A_TIME: usize = 8;
-/// Throws of the first page, when neither their size nor the link is known, and of the largest.
+/// Throws in the first page, while neither their size nor the link is known, and in the largest page.
 const FIRST_PAGE: usize = 4;
 const LARGEST_PAGE: usize = 32;
-/// What a page is meant to have \[bytes\]: with 70 kB a second it comes before its time is up.
+/// Target size of a page \[bytes\]: a link with 70 kB/s delivers it before the timeout.
 const PAGE_BYTES: u64 = 1 << 20;
-/// Bytes of a sample: current and position as float32.
+/// Size of a sample \[bytes\]: current and position as float32.
 const SAMPLE_BYTES: u64 = 8;
-/// Pages of one logger before it is another one's turn.
+/// Pages of one logger before the next logger has its turn.
 const TURN: usize = 8;
-/// Pages without anything new before a logger counts as one that repeats itself. A logger that does not know the daemon's
-/// last boot begins anew with its oldest throw.
+/// Pages without new throws after which the query of a logger ends. A few are normal: a logger that does not know the
+/// last boot starts again with its oldest throw.
 const REPEATED_PAGES: usize = 4;
-/// A logger that is there, and for so long answers without what is awaited, does not have it.
+/// Time after which a connected logger that replies without the awaited throws does not have them.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// From a question that was not answered to the next, doubled up to [`LONGEST_PAUSE`].
+/// Pause after a failed query, doubled up to [`LONGEST_PAUSE`].
 const PAUSE: Duration = Duration::from_secs(1);
 const LONGEST_PAUSE: Duration = Duration::from_mins(1);
-/// All loggers are asked this often, whatever is known of them.
+/// Time between two queries of all loggers, as a safety net.
 const ROUND: Duration = Duration::from_mins(5);
-/// How often the database is asked what is missing, at most.
+/// Least time between two database queries for missing throws.
 const LOOK: Duration = Duration::from_millis(100);
-/// Most machines whose token is remembered as seen, above what there may be; beyond it all are forgotten.
+/// Largest number of remembered tokens, above the possible number of machines; beyond it all are discarded.
 const WITH_TOKEN: usize = 200_000;
-/// Machines with something missing that are read together.
+/// Machines with missing throws read in one query.
 const MISSING: u32 = 10_000;
 
-/// How the question to one logger ended.
+/// End of the query of one logger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Ended {
-    /// Nothing is missing.
+    /// No throw is missing.
     Complete,
-    /// Its turn is over; there is more.
+    /// The turn of the logger is over; it has more throws.
     More,
-    /// Something is missing that it did not give.
+    /// Throws are missing that the logger did not send.
     Without,
-    /// It did not answer in time, or what came could not be stored.
+    /// The logger did not reply in time, or its replies could not be stored.
     Broken,
 }
 
-/// A logger that is asked, or will be.
+/// A logger in the schedule.
 #[derive(Debug)]
 struct Turn {
     at: Instant,
     is_asked: bool,
-    /// To be asked again at once.
+    /// Whether to query again at once.
     again: bool,
-    /// Questions in a row that brought nothing.
+    /// Consecutive queries without new throws.
     tries: u32,
-    /// Since when it answers without what is awaited.
+    /// Time since which it replies without the awaited throws.
     without_since: Option<Instant>,
-    /// Its logger was away when it was asked last.
+    /// Whether its logger was away at the last query.
     was_away: bool,
     page: usize,
 }
 
-/// The task.
+/// The task that queries the loggers.
 pub(super) struct Backlog {
     pub(super) asker: Arc<Asker>,
-    /// Machines whose loggers show that they are alive.
+    /// Machines whose loggers have a liveliness token now.
     pub(super) alive: watch::Receiver<HashSet<MachineId>>,
-    /// The same as of the last change.
+    /// The value of `alive` before its last change.
     pub(super) seen: HashSet<MachineId>,
-    /// Machines whose loggers have shown it since the start.
+    /// Machines whose loggers have had a token since the start.
     pub(super) with_token: HashSet<MachineId>,
     /// Keys of messages that were dropped.
     pub(super) dropped: mpsc::Receiver<String>,
@@ -140,15 +141,15 @@ impl Backlog {
                 _ = round.tick() => self.seen.iter().for_each(|machine| schedule.ask(machine)),
                 Some(asked) = asked.join_next() => match asked {
                     Ok((machine, ended, page)) => self.ended(&mut schedule, &machine, ended, page).await,
-                    // A dead task is a dead process.
-                    Err(error) => return tracing::error!(%error, "asking a logger failed"),
+                    // The end of this task ends the process.
+                    Err(error) => return tracing::error!(%error, "querying a logger failed"),
                 },
                 () = time::sleep_until(wakes_at.unwrap_or_else(Instant::now)), if wakes_at.is_some() => {}
             }
         }
     }
 
-    /// Asks the loggers of which something is missing, but those that rest.
+    /// Schedules queries of the loggers with missing throws, except those that are paused.
     async fn look(&self, schedule: &mut Schedule) {
         match self.asker.store.reader().backlogs(MISSING).await {
             Ok(machines) => {
@@ -158,14 +159,14 @@ impl Backlog {
                     }
                 }
             }
-            Err(error) => seldom!(warn, %error, "missing throws cannot be read; retrying"),
+            Err(error) => seldom!(warn, %error, "reading the missing throws failed; retrying"),
         }
         if let Ok(awaited) = self.asker.store.reader().awaited().await {
             self.asker.status.backlog.store(awaited, Relaxed);
         }
     }
 
-    /// Whether a logger shows that it is there: by its token, or, if it never had one, by a live throw.
+    /// Whether a logger is connected: it has a token or, if it never had one, has sent a live throw.
     fn is_there(&self, machine: &MachineId) -> bool {
         self.seen.contains(machine) || (!self.with_token.contains(machine) && self.asker.intake.is_live(machine))
     }
@@ -184,12 +185,12 @@ impl Backlog {
                 if since.elapsed() >= PATIENCE {
                     match self.asker.store.write_off(machine, clock::now()).await {
                         Ok(()) => return schedule.done(machine),
-                        Err(error) => seldom!(warn, %error, "a gap cannot be stored; retrying"),
+                        Err(error) => seldom!(warn, %error, "storing a gap failed; retrying"),
                     }
                 }
                 PAUSE
             }
-            // Asked again when its token or a throw of it appears.
+            // Queried again when its token or a throw of it appears.
             Ended::Without => LONGEST_PAUSE,
             Ended::Broken => (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE),
         };
@@ -201,7 +202,7 @@ impl Backlog {
     }
 }
 
-/// When each logger is asked.
+/// The times of the next queries of the loggers.
 #[derive(Default)]
 struct Schedule {
     turns: HashMap<MachineId, Turn>,
@@ -209,7 +210,7 @@ struct Schedule {
 }
 
 impl Schedule {
-    /// Asks a logger as soon as possible.
+    /// Schedules a query as soon as possible.
     fn ask(&mut self, machine: &MachineId) {
         let now = Instant::now();
         match self.turns.get_mut(machine) {
@@ -235,7 +236,7 @@ impl Schedule {
         }
     }
 
-    /// The next logger whose time has come, and the size of its page.
+    /// The next logger that is due, and the size of its page.
     fn next(&mut self) -> Option<(MachineId, usize)> {
         if self.wakes_at()? > Instant::now() {
             return None;
@@ -257,7 +258,7 @@ impl Schedule {
         self.due.insert((turn.at, machine.clone()));
     }
 
-    /// Nothing of a logger is missing.
+    /// Removes a logger without missing throws.
     fn done(&mut self, machine: &MachineId) {
         if self.turns.remove(machine).is_some_and(|turn| turn.again) {
             self.ask(machine);
@@ -265,31 +266,31 @@ impl Schedule {
     }
 }
 
-/// What it takes to ask one logger.
+/// Queries one logger.
 pub(super) struct Asker {
     pub(super) session: Session,
     pub(super) store: Store,
     pub(super) status: Arc<Status>,
     pub(super) intake: Arc<Intake>,
     pub(super) limits: Limits,
-    /// Whether the session reaches others through a router only.
+    /// Whether the session is a client, connected only through a router.
     pub(super) is_client: bool,
     /// Notified when throws were stored.
     pub(super) spooled: Arc<Notify>,
 }
 
 impl Asker {
-    /// Asks a logger page by page. Returns the size of its next page.
+    /// Queries a logger page by page. Returns the size of its next page.
     async fn ask(&self, machine: &MachineId, mut page: usize) -> (Ended, usize) {
         let ended = self.pages(machine, &mut page).await.unwrap_or_else(|error| {
-            seldom!(warn, %machine, %error, "a backlog cannot be stored; retrying");
+            seldom!(warn, %machine, %error, "storing a page of a backlog failed; retrying");
             Ended::Broken
         });
         (ended, page)
     }
 
     async fn pages(&self, machine: &MachineId, size: &mut usize) -> Result<Ended, StoreError> {
-        // To a client without its router the answer is as empty as of a logger that has nothing.
+        // A client without its router gets the same empty page as from a logger without throws.
         if self.is_client && !bus::is_connected(&self.session).await {
             return Ok(Ended::Broken);
         }
@@ -325,7 +326,7 @@ impl Asker {
         Ok(Ended::More)
     }
 
-    /// One page of throws after the cursor, oldest first; `None` when none came.
+    /// Queries a page of throws after the cursor, oldest first; `None` if it is empty.
     async fn page(
         &self,
         machine: &MachineId,
@@ -347,13 +348,13 @@ impl Asker {
         self.status.duplicates.fetch_add((read - throws.len()) as u64, Relaxed);
         self.status.ignored.fetch_add(ignored, Relaxed);
         if ignored > 0 {
-            seldom!(warn, %machine, ignored, "replies of a logger are not what was asked for: ignored");
+            seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }
         ((!throws.is_empty()).then_some(throws), answer.ending)
     }
 }
 
-/// Leaves out throws that do not follow the one before them in their boot.
+/// Removes throws that are not after the previous throw of their boot.
 fn keep_order(throws: &mut Vec<crate::throw::Throw>, after: Option<&ThrowRef>) {
     let mut last = after.cloned();
     throws.retain(|throw| {

@@ -1,4 +1,4 @@
-//! The monitors of all machines, and what is to be stored of their changes: pure bookkeeping between core and database.
+//! The monitors of all machines; turns their changes into outcomes to store. Does no I/O.
 
 use std::collections::{HashMap, HashSet};
 
@@ -18,25 +18,25 @@ use crate::{
 
 /// `quality` of a throw whose stored trace cannot be read.
 const UNREADABLE: &str = "unreadable_trace";
-/// `quality` of a throw whose trace the machine sent before.
+/// `quality` of a throw with a repeated trace.
 const REPEATED: &str = "repeated_trace";
-/// `quality` of a throw on which the estimator itself failed.
+/// `quality` of a throw that made the estimator panic.
 const ESTIMATOR_FAILED: &str = "estimator_failed";
 
-/// The alarms of all machines of a site together stand under this name.
+/// Machine name of the alarms about all machines of a site.
 const ALL_MACHINES: &str = "all-machines";
 
 /// The monitors of all machines.
 #[derive(Default)]
 pub(super) struct Fleet {
     monitors: HashMap<MachineId, MachineMonitor>,
-    /// Machines whose stored state is not that of their monitor: an earlier version wrote it.
+    /// Machines whose state has to be stored, because an earlier version wrote another one.
     to_store: HashSet<MachineId>,
 }
 
 impl Fleet {
-    /// The monitors as the database has them. A snapshot that cannot be read is left out and logged: its machine learns
-    /// a new baseline.
+    /// Restores the monitors from the database. A snapshot that cannot be read is logged and left out: the machine
+    /// learns a new baseline.
     pub(super) fn restore(stored: Vec<StoredMonitor>) -> Self {
         let mut fleet = Self::default();
         for StoredMonitor { machine, snapshot, state } in stored {
@@ -48,14 +48,14 @@ impl Fleet {
                     fleet.monitors.insert(machine, monitor);
                 }
                 Err(error) => {
-                    tracing::error!(%machine, %error, "its monitor cannot be read: a new baseline is learned");
+                    tracing::error!(%machine, %error, "the stored monitor cannot be read: learning a new baseline");
                 }
             }
         }
         fleet
     }
 
-    /// Machines in each state and shelved alarms; the daemon's own alarms apart.
+    /// Number of machines in each state, and of shelved alarms, without the daemon's own alarms.
     pub(super) fn standing(&self, own_machine: &MachineId) -> Standing {
         let own_alarms = self.monitors.get(own_machine).map_or(0, |monitor| monitor.open_alarms().len() as u64);
         let mut standing = Standing { own_alarms, ..Standing::default() };
@@ -71,7 +71,7 @@ impl Fleet {
         self.monitors.entry(machine.clone()).or_insert_with(|| MachineMonitor::new(machine.machine.as_str()))
     }
 
-    /// Judges a throw: its diagnosis, and all that is to be committed with it.
+    /// Diagnoses a throw; returns the judgement to store.
     pub(super) fn judge(
         &mut self,
         stored: &StoredThrow,
@@ -79,7 +79,7 @@ impl Fleet {
         settings: &Settings,
         at: Timestamp,
     ) -> Judgement {
-        // A trace that was sent before says nothing new: it is no evidence, neither of health nor of a drift.
+        // A repeated trace is not evidence, neither of health nor of a drift.
         let repeats = stored.repeats && identification.as_ref().is_some_and(|found| found.outcome.is_ok());
         let identification = identification.filter(|_| !repeats);
         let common = self.common(&stored.machine.site, Some(&stored.machine), stored.started_at);
@@ -100,8 +100,8 @@ impl Fleet {
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
 
-    /// Lets time pass for every machine, with the loggers that have a liveliness token: what is to be stored; with
-    /// `all` also of machines that did not change.
+    /// Advances the time of every machine, with the present liveliness tokens; returns the outcomes to store, with
+    /// `all` also of machines without a change.
     pub(super) fn tick(
         &mut self,
         now: Timestamp,
@@ -114,7 +114,7 @@ impl Fleet {
             let before = (monitor.is_announced(), monitor.state());
             let mut events: Vec<_> = monitor.logger(loggers.contains(machine), now, settings).into_iter().collect();
             events.extend(monitor.tick(now, settings));
-            // That a logger has a token is stored at once, so that it is missed after a restart too.
+            // The existence of a token is stored at once, so that its loss is detected after a restart too.
             let changes = before != (monitor.is_announced(), monitor.state()) || !events.is_empty();
             if all || changes || self.to_store.contains(machine) {
                 changed.push(outcome(machine, monitor, now, events));
@@ -129,13 +129,13 @@ impl Fleet {
         changed
     }
 
-    /// What the machines of a site, but for one, have in common.
+    /// The common change of the machines of a site, without one of them.
     fn common(&self, site: &Name, but: Option<&MachineId>, at: Timestamp) -> Common {
         let others = self.monitors.iter().filter(|(machine, _)| machine.site == *site && Some(*machine) != but);
         MachineMonitor::common(others.map(|(_, monitor)| monitor), at)
     }
 
-    /// Updates the alarm of a site, which stands under [`ALL_MACHINES`] as if that were a machine.
+    /// Updates the alarm of a site, under the machine name [`ALL_MACHINES`].
     fn follow_site(&mut self, site: &Name, common: &Common, now: Timestamp, settings: &Settings) -> Option<Outcome> {
         let id = MachineId::new(site.as_str(), ALL_MACHINES).ok()?;
         if *common == Common::default() && !self.monitors.contains_key(&id) {
@@ -147,7 +147,7 @@ impl Fleet {
         (!events.is_empty()).then(|| outcome(&id, monitor, now, events))
     }
 
-    /// Updates the alarm of the daemon itself, which stands under its own name as if it were a machine.
+    /// Updates the alarm about the daemon itself, under its name as a machine.
     pub(super) fn trouble(
         &mut self,
         own_machine: &MachineId,
@@ -164,14 +164,14 @@ impl Fleet {
         Some(outcome(own_machine, monitor, now, vec![event]))
     }
 
-    /// Reports to a machine's monitor that throws never arrived.
+    /// Reports lost throws to the monitor of a machine.
     pub(super) fn gap(&mut self, machine: &MachineId, lost: u64, at: Timestamp, settings: &Settings) -> Outcome {
         let monitor = self.monitor(machine);
         let events = monitor.gap(lost, at, settings);
         outcome(machine, monitor, at, events)
     }
 
-    /// Carries out an operator's command. `None` when no such machine is monitored.
+    /// Applies an operator's command; `None` if the machine has no monitor.
     pub(super) fn command(
         &mut self,
         machine: &MachineId,
@@ -215,7 +215,7 @@ fn health(
     let (quality, detail) = match (&stored.throw, found) {
         (_, Some(found)) => (found.quality(), found.outcome.as_ref().err().map(ToString::to_string)),
         (Ok(_), None) if stored.repeats => {
-            let detail = "the machine sent the same trace before: a throw never repeats to the last digit";
+            let detail = "the machine sent the same trace before; two real throws are never identical";
             (REPEATED, Some(detail.to_owned()))
         }
         (Err(unreadable), None) => (UNREADABLE, Some(unreadable.to_string())),
@@ -253,7 +253,7 @@ fn health(
     }
 }
 
-/// The monitor as it is now, with the events that led to it.
+/// The outcome with the present monitor and the new events.
 fn outcome(machine: &MachineId, monitor: &MachineMonitor, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
     let record = MonitorRecord {
         snapshot: String::from_utf8_lossy(&json(monitor)).into_owned(),

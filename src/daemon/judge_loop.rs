@@ -1,5 +1,5 @@
-//! The loop that judges while the daemon runs. It alone owns the monitors, so operators' commands, the passing of time
-//! and the daemon's own alarms go through it too.
+//! The judge loop. It is the only owner of the monitors, so operators' commands, ticks and alarms about the daemon go
+//! through it too.
 
 use std::{
     collections::{HashMap, HashSet, VecDeque},
@@ -32,27 +32,27 @@ use crate::{
     wire::{self, Alarm, Kind, Reply},
 };
 
-/// Time between two ticks of the monitors, which ask for one a minute at least.
+/// Time between two ticks of the monitors, which need at least one a minute.
 const TICK: Duration = Duration::from_secs(5);
 /// Ticks in an hour.
 const TICKS_AN_HOUR: u32 = 720;
-/// Gaps that are read at once; those of one machine make one event.
+/// Gaps in one query; the gaps of a machine are reported together.
 const GAPS: u32 = 10_000;
-/// Pause after a failure of the database.
+/// Pause after an error of the database.
 const PAUSE: Duration = Duration::from_millis(500);
-/// A daemon alarm that cannot be committed for so long is published uncommitted. The ballast or a new connection to the
-/// database helps in less; longer silence would pass for health.
+/// Time after which a daemon alarm that cannot be committed is published uncommitted. The ballast or a new connection
+/// usually helps earlier; longer silence would look like health.
 const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 
-/// An alarm of the daemon itself that is not stored yet.
+/// An alarm event about the daemon itself that is not stored yet.
 struct PendingDaemonAlarm {
     outcome: Outcome,
     raised: Instant,
-    /// It was published before it could be stored.
+    /// Whether it was published already.
     published: bool,
 }
 
-/// What the loop shares with the other loops of the daemon.
+/// Channels and handles to the other loops of the daemon.
 pub(super) struct Links {
     pub(super) status: Arc<Status>,
     pub(super) outlet: Outlet,
@@ -61,24 +61,24 @@ pub(super) struct Links {
     /// Notified when the outbox has a new message.
     pub(super) outbox: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
-    /// The machines whose loggers have a liveliness token.
+    /// The machines whose loggers have a liveliness token now.
     pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
     pub(super) orders: mpsc::Receiver<Order>,
-    /// Cancelled when the daemon must end although something is not stored.
+    /// Cancelled when the daemon must end even with unstored changes.
     pub(super) give_up: CancellationToken,
 }
 
-/// The loop that judges.
+/// The judge loop.
 pub(super) struct JudgeLoop {
     judge: Judge,
     links: Links,
-    /// The daemon's alarms stand under this name, as if it were a machine.
+    /// Name of the daemon as a machine, for its alarms.
     own_machine: MachineId,
-    /// Few: a raise, an escalation and a clearance at most, as the disk is full or not.
+    /// Queue of unstored events: at most a raise, an escalation and a clearance.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
-    /// Ticks since all monitors were stored.
+    /// Ticks since all monitors were last stored.
     ticks: u32,
-    /// Commands that are allowed.
+    /// Rate limit of commands.
     budget: Budget,
 }
 
@@ -98,14 +98,14 @@ impl JudgeLoop {
     /// Runs until `stop`, then judges the throws that are still pending.
     ///
     /// # Errors
-    /// When the store is closed under it.
+    /// When the store is closed.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
         let mut tick = time::interval(TICK);
         let mut beat = time::interval(Duration::from_secs(1));
         let mut may_be_pending = true;
         loop {
             self.links.status.heartbeats.beat(TaskName::Identify);
-            // One batch at a time, so that commands and ticks take turns with a long queue of throws.
+            // One batch at a time, so that a long queue of throws does not delay commands and ticks.
             tokio::select! {
                 () = stop.cancelled() => {
                     while !self.links.give_up.is_cancelled() && self.judge_next().await? {}
@@ -120,7 +120,7 @@ impl JudgeLoop {
         }
     }
 
-    /// Judges the next batch. Returns whether there was one.
+    /// Judges and stores the next batch; false if there was none.
     async fn judge_next(&mut self) -> Result<bool, StoreError> {
         if !self.daemon_alarms.is_empty() {
             self.update_daemon_alarms().await?;
@@ -130,7 +130,7 @@ impl JudgeLoop {
             Ok(judgements) => judgements,
             Err(StoreError::Closed) => return Err(StoreError::Closed),
             Err(error) => {
-                seldom!(error, %error, "pending throws cannot be read; retrying");
+                seldom!(error, %error, "reading pending throws failed; retrying");
                 self.pause().await;
                 return Ok(false);
             }
@@ -148,8 +148,8 @@ impl JudgeLoop {
         Ok(true)
     }
 
-    /// Repeats a write until the database has it. Returns false when the daemon must end first: the monitors in memory
-    /// are then ahead of the database, and the next start goes on from the database.
+    /// Repeats a write until it is stored. Returns false if the daemon must end first; the next start continues from
+    /// the database, whose monitors are then older than those in memory.
     async fn until_stored<W>(&mut self, what: &str, write: impl Fn(Store) -> W) -> Result<bool, StoreError>
     where
         W: Future<Output = Result<(), StoreError>>,
@@ -158,7 +158,7 @@ impl JudgeLoop {
             match write(self.judge.store.clone()).await {
                 Ok(()) => return Ok(true),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
-                Err(error) => seldom!(warn, %error, what, "cannot be stored; retrying"),
+                Err(error) => seldom!(warn, %error, what, "storing failed; retrying"),
             }
             self.update_daemon_alarms().await?;
             self.links.status.heartbeats.beat(TaskName::Identify);
@@ -169,7 +169,7 @@ impl JudgeLoop {
         }
     }
 
-    /// Stores a change of a monitor and makes its events known. Returns whether it is stored.
+    /// Stores an outcome and notifies the publisher of its events; returns whether it is stored.
     async fn record(&mut self, outcome: Outcome) -> Result<bool, StoreError> {
         let write = |store: Store| {
             let outcome = outcome.clone();
@@ -190,7 +190,7 @@ impl JudgeLoop {
         }
         self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), health.to_json());
         self.announce(&judgement.outcome);
-        // An error means that nobody watches.
+        // Fails without observers.
         let _ = self.links.watchers.send(Judged::from(judgement));
     }
 
@@ -204,10 +204,10 @@ impl JudgeLoop {
         }
     }
 
-    /// Lets time pass for the monitors, and reports gaps that no backlog will fill.
+    /// Advances the time of the monitors, and reports gaps that no backlog will fill.
     async fn on_tick(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
-        // Silence adds up inside the monitors: stored once an hour, so that restarts do not forget it.
+        // The monitors count silent time; they are stored every hour, so that a restart keeps it.
         self.ticks += 1;
         let store_all = self.ticks.is_multiple_of(TICKS_AN_HOUR);
         self.update_daemon_alarms().await?;
@@ -227,8 +227,8 @@ impl JudgeLoop {
         self.links.status.set_standing(self.judge.fleet.standing(&self.own_machine));
     }
 
-    /// Raises and clears the daemon's own alarms. A database that takes no writes cannot store its alarm either: such an
-    /// alarm is published before it is committed, and once more after.
+    /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is
+    /// published before it is committed, and again afterwards.
     async fn update_daemon_alarms(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
         let trouble = self.judge.store.trouble(self.links.status.trouble(config.subscribe.max_machines));
@@ -257,22 +257,22 @@ impl JudgeLoop {
             alarm.published = true;
             let Outcome { machine, events, .. } = &alarm.outcome;
             for event in events {
-                tracing::error!(%machine, "an alarm cannot be stored yet and is published uncommitted");
+                tracing::error!(%machine, "an alarm cannot be stored yet: published uncommitted");
                 let key = wire::machine_key(machine, Kind::Alarm);
                 let message = Alarm::new(machine, event).into_message();
-                // It is in the log, whatever becomes of the publication.
+                // The alarm is in the log, also if the publication fails.
                 let _ = time::timeout(PAUSE, self.links.outlet.alarm(key, message)).await;
             }
         }
     }
 
-    /// Gaps that no backlog filled in time and that their monitors do not know of: of each machine the number of
-    /// missing throws, and the rows.
+    /// For each machine: number of throws in unreported gaps that no backlog filled in time, and the rows of these
+    /// gaps.
     async fn old_gaps(&self, now: Timestamp) -> HashMap<MachineId, (u64, Vec<GapRow>)> {
         let mut old = HashMap::<_, (u64, Vec<_>)>::new();
         let wait = self.judge.backlog_wait();
         let gaps = self.judge.store.reader().unreported_gaps(GAPS, now, wait).await.unwrap_or_else(|error| {
-            seldom!(warn, %error, "gaps cannot be read; retrying");
+            seldom!(warn, %error, "reading gaps failed; retrying");
             Vec::new()
         });
         for gap in gaps {
@@ -288,12 +288,12 @@ impl JudgeLoop {
         let (config, now) = (self.judge.config(), clock::now());
         let allowed = self.budget.take(clock::monotonic());
         let (done, text) = if let Err(wait) = allowed {
-            (false, format!("too many commands at once: ask again in {} s", wait.as_secs() + 1))
+            (false, format!("too many commands at once: retry in {} s", wait.as_secs() + 1))
         } else {
             self.apply_command(&machine, &command, now, &config).await?
         };
         let answer = Reply { done, text, monitor: config.monitor.as_machine().to_string() };
-        // An error means that the operator no longer waits.
+        // Fails if the operator stopped waiting.
         let _ = reply.send(answer);
         Ok(())
     }
@@ -311,7 +311,7 @@ impl JudgeLoop {
             Some(Ok(outcome)) => {
                 let stored = self.record(outcome).await?;
                 self.update_standing();
-                tracing::info!(%machine, ?command, "an operator's command was carried out");
+                tracing::info!(%machine, ?command, "operator's command applied");
                 (stored, command.confirmation(machine))
             }
         })

@@ -1,4 +1,4 @@
-//! Keeps the database within its bounds while the daemon runs.
+//! The loop that keeps the database within its bounds.
 
 use std::{
     path::Path,
@@ -11,22 +11,23 @@ use tokio::time::{self, MissedTickBehavior};
 use super::clock;
 use crate::store::{Housekeeping, Store, StoreError, seldom};
 
-/// How often. Between two rounds the fastest flood stores 40 MiB: by so much the database may be larger than its bound.
+/// Time between two rounds. In this time the fastest flood stores 40 MiB, by which the database may exceed its bound.
 const PACE: Duration = Duration::from_secs(1);
-/// systemd-timesyncd makes this file when the clock was set from a time server. Other time services leave no trace that a
-/// process without privileges could see: the kernel's own word needs a system call that the unit forbids.
+/// systemd-timesyncd creates this file after setting the clock from a time server. Other time services leave no sign
+/// for a process without privileges: the state in the kernel needs a system call that the unit forbids.
 const CLOCK_IS_SET: &str = "/run/systemd/timesync/synchronized";
-/// Without that file the clock is believed while it continues the database's own time: longer than this between the
-/// newest throw and the start, or in one jump, may be a clock that is wrong. Then age drops nothing; bytes and rows
-/// still do.
+/// Without this file the clock is trusted as long as it continues the times in the database. A longer time between the
+/// newest throw and the start, or a longer jump, may be a wrong clock: then the age bound is off, and only the bounds
+/// of bytes and rows hold.
 const CONTINUES: SignedDuration = SignedDuration::from_hours(31 * 24);
-/// The wall clock must have kept in step with the monotonic one for so long, or age drops nothing either: a clock that
-/// jumps ten years ahead must not take all traces with it.
+/// Time for which wall and monotonic clock must agree before the age bound holds: a clock that jumps ten years ahead
+/// must not remove all traces.
 const STEADY: Duration = Duration::from_hours(24);
-/// More than this between two rounds is a jump; a time server moves a running clock by milliseconds.
+/// Difference of the clocks between two rounds that counts as a jump; a time server corrects a running clock by
+/// milliseconds.
 const JUMP: SignedDuration = SignedDuration::from_secs(1);
 
-/// Runs until the store is closed. `last_heard`: the newest time in the database.
+/// Runs until the store is closed; `last_heard` is the newest time in the database.
 pub(super) async fn run(store: Store, last_heard: Option<Timestamp>) {
     let mut pace = time::interval(PACE);
     pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -44,22 +45,22 @@ pub(super) async fn run(store: Store, last_heard: Option<Timestamp>) {
                     throws,
                     alarms,
                     messages,
-                    "dropped the oldest to stay within the bounds of [store]"
+                    "dropped the oldest rows to stay within the bounds of [store]"
                 );
             }
             Err(StoreError::Closed) => return,
-            Err(error) => seldom!(warn, %error, "the database cannot be kept within its bounds now"),
+            Err(error) => seldom!(warn, %error, "keeping the database within its bounds failed"),
         }
     }
 }
 
-/// Wall and monotonic time side by side.
+/// Compares wall and monotonic time.
 struct Clocks {
     wall: Timestamp,
     monotonic: Instant,
-    /// Since when they have kept in step.
+    /// Start of the time for which the clocks have agreed.
     since: Instant,
-    /// Whether the wall clock goes on from the times in the database.
+    /// Whether the wall clock continues the times in the database.
     continue_time: bool,
 }
 
@@ -69,7 +70,7 @@ impl Clocks {
         Self { wall, monotonic, since: monotonic, continue_time }
     }
 
-    /// Whether they have kept in step for long enough, up to now.
+    /// Whether the clocks have agreed for long enough.
     fn are_steady(&mut self, wall: Timestamp, monotonic: Instant) -> bool {
         let passed = SignedDuration::try_from(monotonic.duration_since(self.monotonic)).unwrap_or(SignedDuration::MAX);
         let jump = wall.duration_since(self.wall).saturating_sub(passed);

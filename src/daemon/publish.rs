@@ -1,4 +1,4 @@
-//! From the outbox to zenoh: at least once, in order, and again after a crash until zenoh has had time to send.
+//! Publishes the outbox at least once and in order; after a crash again, until zenoh has had time to send.
 
 use std::{
     collections::VecDeque,
@@ -16,36 +16,36 @@ use crate::{
     store::{Store, seldom},
 };
 
-/// Messages that are read from the outbox together.
+/// Messages read from the outbox together.
 const BATCH: u32 = 64;
-/// A message stays in the outbox this long after zenoh took it: what still was in its buffers when the process died is
-/// sent again by the next one.
+/// Time that a message stays in the outbox after zenoh accepted it. If the process dies with the message in zenoh's
+/// buffers, the next process sends it again.
 const SETTLED: Duration = Duration::from_secs(2);
-/// On a database that was used before nothing is published for so long after the start: subscribers have to find the new
-/// process first, for which zenoh tries every 4 s at least. One that came later would get old events after new ones.
+/// Pause before the first publication with an existing database. Subscribers need time to find the new process, as
+/// zenoh retries every 4 s; a late subscriber would get old events after new ones.
 const RETURN: Duration = Duration::from_secs(6);
-/// Longest wait for a first subscriber after the start.
+/// Time limit of the wait for a subscriber after the start.
 const AUDIENCE_LIMIT: Duration = Duration::from_secs(30);
-/// A put that takes longer hangs; zenoh itself gives a stalled link up after 5 s.
+/// Time limit of a put; zenoh closes a stalled link after 5 s.
 const PUT_LIMIT: Duration = Duration::from_secs(20);
 
-/// The loop that publishes.
+/// The publishing loop.
 pub(super) struct Publisher {
     pub(super) store: Store,
     pub(super) session: Session,
     pub(super) outlet: Outlet,
     pub(super) status: Arc<Status>,
     pub(super) outbox: Arc<Notify>,
-    /// Subscribers of alarms.
+    /// Presence of subscribers to alarms.
     pub(super) audience: Audience,
-    /// Whether the database is new, so that no subscriber knows a process before this one.
+    /// Whether the database is new, so that no subscriber knew an earlier process.
     pub(super) is_first: bool,
-    /// Whether the session is a leaf, which reaches others through a router only.
+    /// Whether the session is a client, connected only through a router.
     pub(super) is_client: bool,
 }
 
 impl Publisher {
-    /// Runs until `stop`, then publishes what still waits.
+    /// Runs until `stop`, then publishes the rest of the outbox.
     pub(super) async fn run(self, stop: CancellationToken) {
         let mut beat = time::interval(Duration::from_secs(1));
         let mut taken: VecDeque<(i64, Instant)> = VecDeque::new();
@@ -55,7 +55,7 @@ impl Publisher {
             let stopping = stop.is_cancelled();
             let connected = bus::is_connected(&self.session).await;
             self.status.connected.store(connected, Relaxed);
-            // Without its router, a client reaches no subscriber.
+            // A client without its router reaches no subscriber.
             let reaches = connected || !self.is_client;
             let since = clock::monotonic().duration_since(start);
             let waited = since >= AUDIENCE_LIMIT;
@@ -81,7 +81,7 @@ impl Publisher {
             let rows = match self.store.reader().outbox_pending(last, BATCH).await {
                 Ok(rows) => rows,
                 Err(error) => {
-                    seldom!(warn, %error, "the outbox cannot be read; it is tried again");
+                    seldom!(warn, %error, "reading the outbox failed; retrying");
                     return last;
                 }
             };
@@ -95,11 +95,11 @@ impl Publisher {
                         taken.push_back((message.row, clock::monotonic()));
                     }
                     Ok(Err(error)) => {
-                        seldom!(warn, %error, "an alarm cannot be published; it is tried again");
+                        seldom!(warn, %error, "publishing an alarm failed; retrying");
                         return last;
                     }
                     Err(_) => {
-                        seldom!(warn, "publishing an alarm takes too long; it is tried again");
+                        seldom!(warn, "publishing an alarm takes too long; retrying");
                         return last;
                     }
                 }
@@ -117,7 +117,9 @@ impl Publisher {
         let rows: Vec<i64> = taken.iter().take(settled).map(|(row, _)| *row).collect();
         match self.store.outbox_sent(&rows).await {
             Ok(()) => drop(taken.drain(..settled)),
-            Err(error) => seldom!(warn, %error, "published messages stay in the outbox; they may be sent again"),
+            Err(error) => {
+                seldom!(warn, %error, "removing published messages from the outbox failed; they may be sent again")
+            }
         }
     }
 }

@@ -1,5 +1,5 @@
-//! From zenoh to the database: decode and store. A message that is no throw goes to quarantine with its reason; storing is
-//! retried until it works, or until the daemon has to stop.
+//! Receives, decodes and stores throws. A message that is not a valid throw goes to quarantine with its reason. Storing
+//! is retried until it succeeds or the daemon must end.
 
 use std::{
     collections::HashMap,
@@ -19,34 +19,34 @@ use crate::{
     wire::{self, Encoding},
 };
 
-/// Messages that are taken together. Many, because all that must be refused of them costs the disk one sync; few enough
-/// that a throw waits a fraction of a second for the batch before its own.
+/// Messages in a batch: many, as the rejected ones cost one sync in total; few enough that a throw waits for the
+/// previous batch only a fraction of a second.
 const BATCH: usize = 256;
 /// First pause after a failed write; doubled up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
-/// A disk that was freed is noticed within this time.
+/// Longest pause, within which freed disk space is noticed.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
-/// A decoded throw, its machine, and when it was received.
+/// A decoded throw with its machine and the time of reception.
 pub(super) type Received = (MachineId, Throw, Timestamp);
 
-/// Decodes messages, and refuses what is no throw of a machine that may speak. Live throws and pages of backlogs share it.
+/// Decodes live messages and pages of backlogs, and rejects invalid throws and machines.
 pub(super) struct Intake {
     pub(super) store: Store,
     pub(super) status: Arc<Status>,
-    /// Known machines, no more than `max_machines`, and whether a live throw of each was received since the start.
+    /// Known machines, at most `max_machines`; true if a live throw was received since the start.
     pub(super) machines: Mutex<HashMap<MachineId, bool>>,
     pub(super) max_machines: usize,
     pub(super) max_payload_bytes: usize,
-    /// The name under which the daemon's own alarms stand: no machine may have it.
+    /// Name of the daemon as a machine; no real machine may have it.
     pub(super) itself: MachineId,
 }
 
 impl Intake {
-    /// The throws of the messages, in their order; what is none goes to quarantine. `live`: they were published just now.
+    /// Decodes messages in order; puts rejected ones into quarantine. `live` is false for pages of backlogs.
     pub(super) async fn read(&self, messages: Vec<Message>, live: bool) -> Vec<Received> {
         let (limit, count) = (self.max_payload_bytes, messages.len() as u64);
-        // Decoding a large message takes milliseconds, which an async worker must not spend.
+        // Decoding a large message takes milliseconds, too long for an async worker.
         let decoded = task::spawn_blocking(move || {
             let received_at = clock::now();
             messages.into_iter().map(|message| decode(message, received_at, limit)).collect::<Vec<_>>()
@@ -79,10 +79,10 @@ impl Intake {
         self.machines.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets a throw pass whose machine is known or may become so.
+    /// Accepts a throw of a known or new machine.
     fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, Refused> {
         let mut known = self.known();
-        // Asked first: after an alarm of its own the daemon is among the machines of the database.
+        // Checked first: the daemon itself is in the database as a machine after its first alarm.
         let reason = if machine == self.itself {
             "this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned()
         } else if known.len() >= self.max_machines && !known.contains_key(&machine) {
@@ -97,35 +97,35 @@ impl Intake {
 
     async fn quarantine(&self, refused: Vec<Refused>) {
         let Some(Refused { key, reason, bytes, .. }) = refused.first() else { return };
-        // One line for all of them, or a flood of messages becomes one of the log.
+        // One log line for the batch, so that a flood of messages does not flood the log.
         let count = refused.len() as u64;
-        seldom!(warn, key, reason, bytes, and_others = count - 1, "a message goes to quarantine");
+        seldom!(warn, key, reason, bytes, and_others = count - 1, "message quarantined");
         match self.store.quarantine(refused).await {
             Ok(()) => self.status.quarantined.fetch_add(count, Relaxed),
             Err(error) => {
-                seldom!(error, %error, messages = count, "messages could not even be put in quarantine");
+                seldom!(error, %error, messages = count, "storing messages in quarantine failed: they are LOST");
                 self.status.lost.fetch_add(count, Relaxed)
             }
         };
     }
 }
 
-/// The loop that receives live throws.
+/// The receiving loop of live throws.
 pub(super) struct Receiver {
     pub(super) inbox: Inbox,
     pub(super) intake: Arc<Intake>,
     pub(super) store: Store,
     pub(super) status: Arc<Status>,
-    /// Rung when throws were stored.
+    /// Notified when throws were stored.
     pub(super) spooled: Arc<Notify>,
-    /// Rung when a throw may be missing.
+    /// Notified when a throw may be missing.
     pub(super) missing: Arc<Notify>,
-    /// The daemon must end now: what could not be stored until then is lost, and logged as lost.
+    /// Cancelled when the daemon must end: unstored throws are then lost, and logged as lost.
     pub(super) give_up: CancellationToken,
 }
 
 impl Receiver {
-    /// Runs until `stop`, then stores what has arrived before it.
+    /// Runs until `stop`, then stores the rest of the queue.
     pub(super) async fn run(mut self, stop: CancellationToken) {
         let mut batch = Vec::with_capacity(BATCH);
         let mut beat = time::interval(Duration::from_secs(1));
@@ -154,7 +154,7 @@ impl Receiver {
         }
     }
 
-    /// Stores throws; tries again what fails.
+    /// Stores throws, with retries.
     async fn spool(&mut self, mut throws: Vec<Received>) {
         let mut pause = FIRST_PAUSE;
         while !throws.is_empty() {
@@ -201,14 +201,14 @@ impl Receiver {
 
     fn storing_works(&self) {
         if self.status.storing_fails.swap(false, Relaxed) {
-            tracing::info!("the database takes throws again; those that waited are stored");
+            tracing::info!("the database accepts throws again; waiting throws are stored");
         }
     }
 
     fn storing_fails(&self, error: &StoreError) {
         self.status.heartbeats.beat(TaskName::Receive);
         if !self.status.storing_fails.swap(true, Relaxed) {
-            tracing::error!(%error, "throws cannot be stored; they wait");
+            tracing::error!(%error, "storing throws failed; retrying");
         }
     }
 
@@ -219,8 +219,8 @@ impl Receiver {
         self.status.lost.fetch_add(throws.len() as u64, Relaxed);
     }
 
-    /// When the database takes a note about a throw but not the throw, the throw itself is at fault: it must not stop
-    /// all others.
+    /// Quarantines throws that the database rejects although it accepts other writes, so that they do not block the
+    /// others.
     async fn without_the_unstorable(&self, throws: Vec<Received>, error: &StoreError) -> Vec<Received> {
         if !matches!(error, StoreError::Write(_) | StoreError::ThrowNumber(_)) {
             return throws;
@@ -230,7 +230,7 @@ impl Receiver {
             match self.store.spool(&received.0, &received.1, received.2).await {
                 Ok(spooled) => self.count(spooled),
                 Err(error @ (StoreError::Write(_) | StoreError::ThrowNumber(_))) => {
-                    let reason = format!("the database does not take it: {error}");
+                    let reason = format!("the database rejects it: {error}");
                     let refused = Refused::throw(&received.0, &received.1, reason, received.2);
                     match self.store.quarantine(vec![refused]).await {
                         Ok(()) => drop(self.status.quarantined.fetch_add(1, Relaxed)),

@@ -1,4 +1,4 @@
-//! How the daemon stands: counts that only grow, and one line for people.
+//! Status of the daemon: counters, and a line of text.
 
 use std::{
     collections::BTreeMap,
@@ -18,34 +18,34 @@ use crate::{
     store::{DiskLevel, Recent, Store, Window},
 };
 
-/// Counters and states of the loops. Shared by all of them.
+/// Counters and states, shared by all loops.
 #[derive(Debug)]
 pub struct Status {
     /// Heartbeats of the loops.
     pub heartbeats: Heartbeats,
-    /// Throws that were stored.
+    /// Throws stored.
     pub stored: AtomicU64,
-    /// Throws that were stored before.
+    /// Repetitions of stored throws.
     pub duplicates: AtomicU64,
     /// Messages in quarantine since the start.
     pub quarantined: AtomicU64,
-    /// Throws and messages that were received and could not be stored.
+    /// Throws and messages received and not stored.
     pub lost: AtomicU64,
-    /// Messages that came from the backlogs of loggers.
+    /// Messages from the backlogs of loggers.
     pub backlog_received: AtomicU64,
-    /// Replies of loggers that were not what was asked for.
+    /// Invalid replies of loggers.
     pub ignored: AtomicU64,
     /// Throws that are missing and may be in a backlog.
     pub backlog: AtomicU64,
-    /// Throws that were identified and diagnosed.
+    /// Throws identified and diagnosed since the start.
     pub judged: AtomicU64,
     /// Of these, throws that gave no estimate.
     pub not_evaluated: AtomicU64,
-    /// How the machines are: renewed every few seconds and after every command.
+    /// States of the machines, renewed every few seconds and after every command.
     standing: Mutex<Standing>,
-    /// The same by the code of the reason: a few, as the estimator has them.
+    /// Throws without an estimate, by the code of the reason.
     refused: Mutex<BTreeMap<String, u64>>,
-    /// Throws of new machines that were refused, as `max_machines` are known.
+    /// Rejected throws of new machines beyond `max_machines`.
     pub(super) machines_refused: Recent,
     /// Alarm events.
     pub alarm_events: AtomicU64,
@@ -53,31 +53,31 @@ pub struct Status {
     pub loggers: AtomicUsize,
     /// Whether a link to others is up.
     pub connected: AtomicBool,
-    /// Whether the database refuses writes at the moment.
+    /// Whether storing throws fails at present.
     pub storing_fails: AtomicBool,
     started: Instant,
 }
 
-/// How the machines are, so that a machine in maintenance or a shelved alarm is not forgotten.
+/// Number of machines in each state, and of shelved alarms.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Standing {
-    /// Machines in each state that occurs.
+    /// Machines in each state; states without machines are left out.
     pub machines: BTreeMap<MachineState, u64>,
     /// Open alarms that are shelved.
     pub shelved_alarms: u64,
-    /// Open alarms about the daemon itself: its disk, its database, what it has to refuse.
+    /// Open alarms about the daemon itself: disk, database, rejected data.
     #[serde(default)]
     pub own_alarms: u64,
 }
 
 impl Standing {
-    /// Machines in a state.
+    /// Number of machines in a state.
     #[must_use]
     pub fn count(&self, state: MachineState) -> u64 {
         self.machines.get(&state).copied().unwrap_or(0)
     }
 
-    /// Whether every machine is healthy or learns its baseline, no alarm is shelved, and the daemon has none of its own.
+    /// Whether every machine is healthy or learning, no alarm is shelved, and the daemon has no own alarm.
     #[must_use]
     pub fn is_well(&self) -> bool {
         let well = |state: &MachineState| matches!(state, MachineState::Healthy | MachineState::Learning);
@@ -85,7 +85,7 @@ impl Standing {
     }
 }
 
-/// The status as `pointsd status` gets it.
+/// The status, as in `pointsd status --json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StatusReport {
     /// Program version.
@@ -102,25 +102,25 @@ pub struct StatusReport {
     pub connected: bool,
     /// Loggers that are connected now.
     pub loggers: usize,
-    /// Messages that arrived.
+    /// Messages received.
     pub received: u64,
-    /// Messages dropped before storing because too many waited.
+    /// Messages dropped because the queue was full.
     pub dropped: u64,
-    /// Replies of loggers that were not what was asked for.
+    /// Invalid replies of loggers.
     #[serde(default)]
     pub ignored: u64,
-    /// Throws that are missing and may be in the backlogs of their loggers.
+    /// Missing throws that may be in the backlogs of their loggers.
     #[serde(default, alias = "behind")]
     pub backlog: u64,
     /// Throws stored.
     pub stored: u64,
-    /// Throws that were stored before.
+    /// Repetitions of stored throws.
     pub duplicates: u64,
     /// Messages in quarantine since the start.
     pub quarantined: u64,
-    /// Throws and messages that could not be kept at all.
+    /// Throws and messages received and not stored, since the start.
     pub lost: u64,
-    /// Throws of new machines that were refused, as `max_machines` are known.
+    /// Rejected throws of new machines beyond `max_machines`.
     #[serde(default)]
     pub machines_refused: u64,
     /// Throws identified and diagnosed.
@@ -131,20 +131,20 @@ pub struct StatusReport {
     pub alarm_events: u64,
     /// Messages published.
     pub published: u64,
-    /// Health messages that were not published because links were slow.
+    /// Health messages dropped because the publishing queue was full.
     pub unpublished: u64,
-    /// Loops that hang.
+    /// Loops without a fresh heartbeat.
     pub silent: Vec<String>,
-    /// How the machines are: `machines` and `shelved_alarms` in JSON.
+    /// States of the machines: `machines` and `shelved_alarms` in JSON.
     #[serde(flatten)]
     pub standing: Standing,
-    /// Machines in maintenance and shelved alarms, in the answer to a `status` query.
+    /// Open maintenance windows and shelvings; only in the reply to a `status` query.
     #[serde(default)]
     pub windows: Vec<Window>,
 }
 
 impl Status {
-    /// Nothing has happened yet.
+    /// Counters at the start.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -171,7 +171,7 @@ impl Status {
 }
 
 impl Status {
-    /// Counts a throw that gave no estimate, with the code of the reason.
+    /// Counts a throw without an estimate.
     pub(super) fn refuse(&self, reason: &str) {
         self.not_evaluated.fetch_add(1, Relaxed);
         *self.refused.lock().unwrap_or_else(PoisonError::into_inner).entry(reason.to_owned()).or_default() += 1;
@@ -181,7 +181,7 @@ impl Status {
         *self.standing.lock().unwrap_or_else(PoisonError::into_inner) = standing;
     }
 
-    /// What the daemon has to refuse, for its own alarm.
+    /// Rejected data, for the alarm about the daemon.
     pub(super) fn trouble(&self, max_machines: usize) -> Option<(Severity, String)> {
         let refused = self.machines_refused.shown()?;
         let said = format!(
@@ -191,7 +191,7 @@ impl Status {
         Some((Severity::Critical, said))
     }
 
-    /// Throws that gave no estimate, by the code of the reason.
+    /// Number of throws without an estimate, by the code of the reason.
     pub(super) fn refused(&self) -> BTreeMap<String, u64> {
         self.refused.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -251,13 +251,13 @@ impl Gauges {
 }
 
 impl StatusReport {
-    /// Whether the daemon itself has no trouble: disk, loops, lost messages.
+    /// Whether the daemon has no problem with disk, loops or lost messages.
     #[must_use]
     pub fn is_well(&self) -> bool {
         self.disk == "ok" && self.silent.is_empty() && self.dropped + self.lost == 0
     }
 
-    /// One line for people: trouble first.
+    /// One line of text, problems first.
     #[must_use]
     pub fn line(&self) -> String {
         let mut parts = Vec::new();

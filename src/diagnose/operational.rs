@@ -1,4 +1,4 @@
-//! The alarms that do not come from a drift: throws that fail, get slow, cannot be evaluated, or never arrive.
+//! The operational alarms: throws that are incomplete, slow, not evaluated or lost, and silence.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -14,37 +14,39 @@ use super::{
 };
 use crate::throw::{Direction, ThrowRef};
 
-/// Slow throws in a row that raise the alarm: a single one may be an animal between the rails or a dip of the supply.
+/// Consecutive slow throws that raise the alarm: a single one may be an animal between the rails or a dip of the
+/// supply.
 const SLOW_IN_A_ROW: u32 = 3;
-/// Temperatures in a row that are not believed and raise the alarm: a single one is a disturbance on its line.
+/// Consecutive rejected temperatures that raise the alarm: a single one is a disturbance.
 const DISBELIEVED_IN_A_ROW: u32 = 3;
-/// Longest time between two ticks that counts as silence \[s\]: a longer one is a clock that jumped or a stopped daemon.
+/// Longest time between two ticks that counts as silence \[s\]: more is a jump of the clock or a stopped daemon.
 const LONGEST_TICK_S: f64 = 3600.0;
-/// Longest time between two ticks that counts for alarms that take minutes \[s\]: after a start of the daemon, loggers
-/// are given the whole delay to connect again.
+/// Longest time between two ticks that counts for delays of minutes \[s\]: after a start of the daemon loggers have the
+/// whole delay to connect again.
 const USUAL_TICK_S: f64 = 60.0;
-/// Trouble of the daemon itself is over after this time without any \[s\]: a disk at its limit does not toggle its alarm.
+/// Time without problems of the daemon after which its alarm clears \[s\], so that a disk at its limit does not
+/// alternate it.
 const CALM_S: f64 = 600.0;
 
 /// Liveliness of the logger.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Logger {
-    /// It never declared a token.
+    /// It has never declared a token.
     #[default]
     Unannounced,
-    /// Its token is there.
+    /// The token exists.
     There,
-    /// Its token was there, and is gone.
+    /// The token existed, and is gone.
     Gone {
         /// Time since then \[s\].
         for_s: f64,
-        /// Its absence has raised an alarm.
+        /// Whether this has raised an alarm.
         alarmed: bool,
     },
 }
 
-/// Counters behind the operational alarms; those without a unit count throws in a row.
+/// Counters of the operational alarms; those without a unit count consecutive throws.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Operation {
     incomplete: u32,
@@ -53,27 +55,27 @@ pub(super) struct Operation {
     very_slow: u32,
     fast_enough: u32,
     unevaluated: u32,
-    /// Throws whose temperature hides faults at their warning limit.
+    /// Throws at a temperature that hides faults at their warning limit.
     #[serde(default)]
     blind: u32,
-    /// Throws whose temperature was not believed, and was.
+    /// Throws with a rejected, and with an accepted temperature.
     #[serde(default)]
     disbelieved: u32,
     #[serde(default)]
     believed: u32,
     since_gap: u32,
-    /// Throws in gaps, until none was lost for a while.
+    /// Throws in gaps, since the alarm was raised.
     lost: u64,
     silence_s: f64,
     ticked_at: Option<Timestamp>,
     #[serde(default)]
     logger: Logger,
-    /// Time without trouble of the daemon \[s\].
+    /// Time without problems of the daemon \[s\].
     #[serde(default)]
     calm_s: f64,
 }
 
-/// Machine, time and throw of the events that a step makes.
+/// Machine, time and throw for the events of a step.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Context<'a> {
     pub(super) name: &'a str,
@@ -97,12 +99,12 @@ fn streak(count: &mut u32, holds: bool) {
 }
 
 impl Operation {
-    /// A throw arrived, complete or not; its arrival shows that the logger lives.
+    /// Applies a received throw, complete or not, which also shows that the logger is alive.
     pub(super) fn on_throw(&mut self, incomplete: bool, alarms: &mut Alarms, context: Context) -> Vec<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
         self.silence_s = 0.0;
         self.logger = match self.logger {
-            // Throws without a token: from now on, silence alone shows that the logger is gone.
+            // Throws without a token: from now on only silence shows that the logger is gone.
             Logger::Gone { alarmed: true, .. } => Logger::Unannounced,
             Logger::Gone { .. } => Logger::Gone { for_s: 0.0, alarmed: false },
             as_before => as_before,
@@ -128,8 +130,8 @@ impl Operation {
         events
     }
 
-    /// A completed throw took `longer_pct` longer than the baseline's. With an active drift alarm (`explained`), which
-    /// names what makes the machine slow, only a critical slowness has an alarm of its own.
+    /// Applies the duration of a completed throw, `longer_pct` above the baseline. With an active drift alarm
+    /// (`explained`), which names the reason, only a critical duration raises an alarm.
     pub(super) fn on_duration(
         &mut self,
         longer_pct: f64,
@@ -155,7 +157,7 @@ impl Operation {
         }
     }
 
-    /// A throw could be evaluated, or not; it may be blind to faults at this temperature.
+    /// Applies whether a throw was evaluated, and whether it was blind to faults at its temperature.
     pub(super) fn on_evaluation(
         &mut self,
         evaluated: bool,
@@ -180,7 +182,7 @@ impl Operation {
         }
     }
 
-    /// The temperature and the supply voltage of a throw were believed, or not.
+    /// Applies the plausibility of temperature and supply voltage of a throw.
     pub(super) fn on_sensors(
         &mut self,
         disbelief: Option<Disbelief>,
@@ -209,7 +211,7 @@ impl Operation {
         }
     }
 
-    /// Time passed. Silence is the sum of the time between ticks, so a clock that jumps is no silence.
+    /// Advances the time. Silence is the sum of the times between ticks, so that a jump of the clock does not count.
     pub(super) fn on_tick(&mut self, in_service: bool, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
         let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
@@ -237,7 +239,7 @@ impl Operation {
         self.silence_s >= 3600.0 * settings.not_monitored_hours
     }
 
-    /// The logger's token is there at this moment, or not. A logger that never declared one is not missed.
+    /// Applies the presence of the logger's token. A logger that never declared one raises no alarm.
     pub(super) fn on_liveliness(&mut self, there: bool, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
         let before = self.logger;
         self.logger = match before {
@@ -258,7 +260,7 @@ impl Operation {
         self.logger != Logger::Unannounced
     }
 
-    /// The daemon cannot keep data, as `trouble` says; `None` when it can.
+    /// Applies a problem of the daemon with storing data; `None` without a problem.
     pub(super) fn on_daemon_trouble(
         &mut self,
         trouble: Option<(Severity, &str)>,
@@ -276,7 +278,7 @@ impl Operation {
         }
     }
 
-    /// `lost` throws never arrived.
+    /// Applies `lost` missing throws.
     pub(super) fn on_gap(&mut self, lost: u64, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
         if lost == 0 {
             return None;
@@ -286,7 +288,7 @@ impl Operation {
         alarms.raise(Cause::DataLoss, context.warning(text::gap(context.name, lost)), context.at)
     }
 
-    /// A logger sends its throws irregularly.
+    /// Applies an irregularity of the logger.
     pub(super) fn on_irregularity(
         &mut self,
         irregularity: Irregularity,
@@ -301,7 +303,7 @@ impl Operation {
         alarms.raise(Cause::DataLoss, context.warning(text), context.at)
     }
 
-    /// The machine was out of service: what happened meanwhile says nothing.
+    /// Resets the counters after maintenance.
     pub(super) fn reset(&mut self) {
         *self = Self {
             ticked_at: self.ticked_at,

@@ -1,45 +1,45 @@
-//! Whether a temperature can be believed: a failed sensor must not explain a fault away.
+//! Plausibility of the temperature: a failed sensor must not hide a fault.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-/// Temperatures that a machine at the track can have \[°C\]: the coldest place with rails, and a drive in the sun.
+/// Possible temperatures of a machine \[°C\]: from the coldest place with rails to a drive in the sun.
 const POSSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=90.0;
-/// Fastest change that weather, sun and a warm motor make: at once \[K\], and each hour \[K/h\].
+/// Fastest change by weather, sun and a warm motor: at once \[K\], and per hour \[K/h\].
 const JUMP_K: (f64, f64) = (20.0, 2.0);
-/// Readings in a row, each near the one before, after which a jump is a new place of the sensor and is believed.
+/// Consecutive similar readings after which a jump is accepted, as the sensor was moved.
 const SETTLED_READINGS: u32 = 6;
 
-/// A temperature or a supply voltage that is not used.
+/// An implausible temperature or supply voltage, which is not used.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Disbelief {
-    /// Outside of what is possible \[°C\].
+    /// Outside of the possible range \[°C\].
     Impossible(f64),
-    /// It jumped from the first to the second \[°C\].
+    /// A jump from the first to the second value \[°C\].
     Jump(f64, f64),
-    /// A supply voltage outside of what is possible \[V\].
+    /// A supply voltage out of the possible range \[V\].
     Supply(f64),
 }
 
-/// What a throw's temperature is worth.
+/// The temperature of a throw after the check.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reading {
-    /// The temperature to count with \[°C\]: the throw's, or the last one that was believed; `None` before any.
+    /// The temperature to use \[°C\]: that of the throw, or the last accepted one; `None` before any.
     pub(super) celsius: Option<f64>,
-    /// Why the throw's own was not used.
+    /// Reason for the rejection of the throw's temperature.
     pub(super) disbelief: Option<Disbelief>,
 }
 
-/// The temperature sensor of one machine.
+/// State of the temperature sensor of a machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Thermometer {
     believed: Option<(f64, Timestamp)>,
-    /// The last reading that was not believed, and how many like it there were in a row.
+    /// The last rejected reading, and the number of consecutive readings like it.
     doubted: Option<(f64, u32)>,
 }
 
 impl Thermometer {
-    /// Reads the temperature of a throw at this time.
+    /// Checks the temperature of a throw at a time.
     pub(super) fn read(&mut self, celsius: Option<f64>, at: Timestamp) -> Reading {
         let before = self.believed.map(|(celsius, _)| celsius);
         let Some(celsius) = celsius else { return Reading { celsius: before, disbelief: None } };

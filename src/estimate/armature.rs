@@ -1,6 +1,6 @@
 //! Resistance and back-EMF constant from a throw with a known supply voltage.
 //!
-//! The armature, equation (1), is V = R i + L i' + K ω. Integrated from the motor's start it needs no derivative,
+//! The armature, equation (1), is V = R i + L i' + K ω. Integrated from the start of the motor it has no derivative,
 //!
 //! ```text
 //! V t = R ∫i dt + L i + K θ
@@ -12,10 +12,10 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::{features::Features, movement::Movement};
 
-/// Lowest rate that shows the inrush: 60 samples in the 0.3 s in which it decays \[Hz\].
+/// Lowest sampling rate that resolves the inrush: 60 samples in the 0.3 s of its decay \[Hz\].
 const LEAST_RATE_HZ: f64 = 200.0;
 
-/// Adds the energy, the resistance and the back-EMF constant to the features of a throw.
+/// Adds energy, resistance and back-EMF constant to the features of a throw.
 pub(super) fn add_supply(
     features: &mut Features,
     supply_v: f64,

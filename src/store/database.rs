@@ -1,4 +1,4 @@
-//! The store: what the rest of the program asks of the database.
+//! The store: the interface of the database for the rest of the program.
 
 use std::{path::Path, sync::Arc};
 
@@ -30,28 +30,28 @@ pub struct Store {
     pub(super) disk: Arc<Disk>,
     pub(super) settings: Arc<Settings>,
     pub(super) place: Place,
-    /// Bounds the bytes of the throws that wait for their commit.
+    /// Bounds the memory of throws that wait for their commit.
     room: Arc<Semaphore>,
 }
 
-/// Throws that may wait for their commit \[KiB\]: 64 MiB, four of the largest possible throws, or a thousand usual
-/// ones. Whoever brings more waits.
+/// Capacity for throws that wait for their commit \[KiB\]: four of the largest throws, or a thousand usual ones.
+/// Further callers wait.
 const ROOM_KIB: usize = 64 * 1024;
 
-/// An opened store, and how it was found.
+/// An opened store with its report.
 pub struct Opened {
     /// The store.
     pub store: Store,
-    /// What opening found and did.
+    /// Report on the opening.
     pub report: Report,
 }
 
 impl Store {
-    /// Opens the database, creating it, repairing its place or bringing its schema up to date as needed. `now` names
-    /// what has to be set aside.
+    /// Opens the database; creates, recovers or migrates it as needed. `now` becomes part of the names of files that
+    /// are set aside.
     ///
     /// # Errors
-    /// When the folder is missing or cannot be written to, or the disk is full even without the ballast.
+    /// When the folder is missing or not writable, or the disk is full even without the ballast.
     pub async fn open(settings: &Settings, now: Timestamp) -> Result<Opened, StoreError> {
         let disk = Arc::new(Disk::new(&settings.path, settings.ballast_mib, settings.low_disk_mib));
         let place = Place::new(&settings.path);
@@ -69,26 +69,26 @@ impl Store {
             log_bound: settings.max_wal_mib * MIB,
         });
         if let Err(error) = disk.restore_ballast() {
-            tracing::warn!(%error, "no ballast: a full disk will be harder to clear");
+            tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
         }
         let room = Arc::new(Semaphore::new(ROOM_KIB));
         let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), place, room };
         Ok(Opened { store, report })
     }
 
-    /// The reading side.
+    /// The reader of this database.
     #[must_use]
     pub fn reader(&self) -> &Reader {
         &self.reader
     }
 
-    /// The database file.
+    /// Path of the database.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.settings.path
     }
 
-    /// Stores a throw that arrived. On `Ok` it is on the disk.
+    /// Stores a received throw. After `Ok` it is on the disk.
     ///
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
@@ -101,7 +101,7 @@ impl Store {
         self.submit(machine, throw, received_at).await?.await.map_err(|_| StoreError::Closed)?
     }
 
-    /// Stores several throws in as few commits as possible; the answers are in their order.
+    /// Stores several throws in as few commits as possible; returns the results in their order.
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
         let mut submitted = Vec::with_capacity(throws.len());
         for (machine, throw, received_at) in throws {
@@ -133,7 +133,7 @@ impl Store {
         self.writer.submit(write).await
     }
 
-    /// Stores a page of a logger's backlog, oldest throw first, that was asked for after `after`: all or nothing.
+    /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.
     ///
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
@@ -154,7 +154,7 @@ impl Store {
         self.writer.write(page).await
     }
 
-    /// Writes off what is awaited of a machine: it is in no backlog.
+    /// Writes off the awaited throws of a machine, which are in no backlog.
     ///
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
@@ -162,8 +162,8 @@ impl Store {
         self.writer.write(WriteOff { machine: machine.clone(), at }).await
     }
 
-    /// Stores a judgement: estimate, monitor, baselines, alarms and messages, all or nothing. Returns false when the
-    /// throw was judged before; then nothing was written.
+    /// Stores a judgement (estimate, monitor, baselines, alarms, messages) in one transaction. Returns false, without
+    /// writing, if the throw was judged before.
     ///
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
@@ -171,7 +171,7 @@ impl Store {
         Ok(self.judge_all(Arc::new([judgement])).await? == [true])
     }
 
-    /// Stores judgements in their order and in one commit, so all or none; of each, whether it was written.
+    /// Stores judgements in order and in one transaction; returns whether each was written.
     ///
     /// # Errors
     /// When they could not be stored; the same call may be repeated.
@@ -180,7 +180,7 @@ impl Store {
         self.writer.write(Judgements { judgements, drop_traces }).await
     }
 
-    /// Stores what follows from an operator's command, or from time passing: all or nothing.
+    /// Stores the outcome of an operator's command or of a tick, in one transaction.
     ///
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
@@ -188,7 +188,7 @@ impl Store {
         self.writer.write(outcome).await
     }
 
-    /// Forgets messages that zenoh took.
+    /// Removes messages from the outbox that zenoh has accepted.
     ///
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
@@ -196,7 +196,7 @@ impl Store {
         self.writer.write(Sent(rows.to_vec())).await
     }
 
-    /// Keeps the beginnings of messages that could not be taken, each with its reason, in one commit.
+    /// Stores the starts of rejected messages with their reasons, in one transaction.
     ///
     /// # Errors
     /// When they could not be stored.
@@ -204,9 +204,8 @@ impl Store {
         self.writer.write(Quarantine { refused, keep: self.settings.max_quarantined }).await
     }
 
-    /// Resolves when the writer is gone, after [`close`](Self::close) or because it died, or when the file turned out
-    /// to be broken, be it in a write or in a query. Then the process should end: opening the store again sets a broken
-    /// file aside.
+    /// Resolves when the writer has ended, after [`close`](Self::close) or unexpectedly, or when a write or a query
+    /// found the file broken. Then the process should end: the next opening sets a broken file aside.
     pub async fn stopped(&self) {
         tokio::select! {
             () = self.writer.stopped() => {}
@@ -214,11 +213,10 @@ impl Store {
         }
     }
 
-    /// Writes what waits, marks a clean stop, and closes the files.
+    /// Completes the queued writes, marks a clean stop, and closes the files.
     ///
     /// # Errors
-    /// When the mark could not be written, or must not because the file is broken: the next start will check the
-    /// database.
+    /// When the file is broken or the mark could not be written: the next start will check the database.
     pub async fn close(&self) -> Result<(), StoreError> {
         self.reader.close().await;
         self.writer.close().await

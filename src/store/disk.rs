@@ -1,4 +1,4 @@
-//! The disk below the database: how much is free, and the ballast that is given up when nothing is.
+//! The disk of the database: free space, and the ballast file, which is removed when the disk is full.
 
 use std::{
     ffi::OsString,
@@ -16,19 +16,19 @@ use tokio::time::Instant;
 
 use super::{error::StoreError, pace::Recent, settings::MIB};
 
-/// How long the alarm about something that is over lasts: long enough to be seen.
+/// Duration of the alarm about an event that has passed: long enough for an operator to see it.
 const SHOWN: Duration = Duration::from_hours(1);
 
-/// State of the disk below the database.
+/// State of the disk of the database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum DiskLevel {
-    /// Enough space, everything is kept.
+    /// Enough space.
     Ample,
     /// Below the watermark: the traces of judged throws are dropped.
     Low,
-    /// The disk was full, and the ballast is spent: nothing may be left for the next write.
+    /// The disk was full, and the ballast is removed: the next write may fail.
     Full,
-    /// The last write failed for another reason than space.
+    /// The last write failed for another reason.
     Failing,
 }
 
@@ -40,13 +40,13 @@ pub(super) struct Disk {
     ballast_bytes: u64,
     low_bytes: u64,
     full: AtomicBool,
-    /// The disk was full since the last call of `worst_level`.
+    /// Whether the disk was full since the last call of `worst_level`.
     was_full: AtomicBool,
     failing: AtomicBool,
     failures: AtomicU64,
-    /// When the database file was last found deleted or replaced, and whether it could be written anew.
+    /// Time when the database file was last found deleted or replaced, and whether it could be written again.
     replaced: Mutex<Option<(Instant, bool)>>,
-    /// Throws that were dropped before they were judged.
+    /// Throws deleted before their judgement.
     pub(super) dropped_pending: Recent,
 }
 
@@ -66,7 +66,7 @@ impl Disk {
         }
     }
 
-    /// Free space for an unprivileged process, and the whole disk \[bytes\]; `None` when the system does not say.
+    /// Free space for an unprivileged process, and size of the disk \[bytes\]; `None` if unknown.
     fn space(&self) -> Option<(u64, u64)> {
         let folder = self.database.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let space = rustix::fs::statvfs(folder).ok()?;
@@ -74,7 +74,7 @@ impl Disk {
         Some((bytes(space.f_bavail), bytes(space.f_blocks)))
     }
 
-    /// Free space for an unprivileged process \[bytes\]; `None` when the system does not say.
+    /// Free space for an unprivileged process \[bytes\]; `None` if unknown.
     pub(super) fn free_bytes(&self) -> Option<u64> {
         self.space().map(|(free, _)| free)
     }
@@ -84,7 +84,7 @@ impl Disk {
         self.full.store(false, Ordering::Relaxed);
     }
 
-    /// A write failed. When the disk was full, the ballast is freed.
+    /// Records a failed write; removes the ballast if the disk was full.
     pub(super) fn note_failure(&self, full: bool) {
         self.failures.fetch_add(1, Ordering::Relaxed);
         if full {
@@ -96,18 +96,18 @@ impl Disk {
         }
     }
 
-    /// The database file was deleted or replaced under the daemon.
+    /// Records that the database file was deleted or replaced.
     pub(super) fn note_replaced(&self, mended: bool) {
         *self.replaced.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), mended));
     }
 
-    /// Whether the file was deleted or replaced in the last hour, and whether it was written anew.
+    /// Whether the file was written again, if it was deleted or replaced in the last hour.
     pub(super) fn replaced(&self) -> Option<bool> {
         let replaced = *self.replaced.lock().unwrap_or_else(PoisonError::into_inner);
         replaced.filter(|(at, mended)| !mended || at.elapsed() < SHOWN).map(|(_, mended)| mended)
     }
 
-    /// Write transactions that failed since the start.
+    /// Failed write transactions since the start.
     pub(super) fn failures(&self) -> u64 {
         self.failures.load(Ordering::Relaxed)
     }
@@ -124,24 +124,25 @@ impl Disk {
         }
     }
 
-    /// The level, and `Full` when it was full since this was asked last: the ballast ends that within the write.
+    /// The worst level since the last call. Without this, a full disk would be invisible, as the removed ballast ends
+    /// it within the write.
     pub(super) fn worst_level(&self) -> DiskLevel {
         if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
     }
 
-    /// Gives the ballast's space back to the disk.
+    /// Removes the ballast.
     pub(super) fn release_ballast(&self) {
         match std::fs::remove_file(&self.ballast) {
-            Ok(()) => tracing::error!(ballast = %self.ballast.display(), "the disk is full: the ballast is given up"),
+            Ok(()) => tracing::error!(ballast = %self.ballast.display(), "the disk is full: ballast removed"),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => tracing::error!(%error, ballast = %self.ballast.display(), "the ballast cannot be removed"),
+            Err(error) => tracing::error!(%error, ballast = %self.ballast.display(), "removing the ballast failed"),
         }
     }
 
-    /// Puts the ballast (back) in place when there is plenty of space for it. Returns whether it is there.
+    /// Creates the ballast if there is enough space. Returns whether it exists.
     pub(super) fn restore_ballast(&self) -> Result<bool, StoreError> {
         let Some((free, whole)) = self.space() else { return Ok(false) };
-        // A small disk has a small one: without any, the alarm that the disk is full could not be committed.
+        // A small disk has a small ballast: without it the alarm about the full disk could not be committed.
         let bytes = self.ballast_bytes.min(whole / 8);
         if bytes == 0 {
             return Ok(false);
@@ -169,7 +170,7 @@ impl Disk {
     }
 }
 
-/// The path with `suffix` added to its file name.
+/// The path with `suffix` appended to its file name.
 pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = OsString::from(path);
     name.push(suffix);

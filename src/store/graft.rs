@@ -1,8 +1,8 @@
-//! A database whose schema cannot be read gets that of a fresh one, in a copy: its tables begin on the pages where this program
-//! puts them. Without the schema, SQLite reads no table, however sound it is.
+//! Replaces a damaged schema in a copy of the database by that of a new database: its tables start on the same pages.
+//! Without the schema SQLite reads no table, even if the table is undamaged.
 //!
-//! With auto-vacuum the first pages of the tables depend on the order in which they were made, and on nothing else: there
-//! is one layout of a database that the migrations made, and one of a database that was moved or restored from a backup.
+//! With auto-vacuum the first pages of the tables depend only on the order of their creation. There are two layouts:
+//! that of the migrations, and that of a moved or restored database.
 
 use std::{
     fs::{self, OpenOptions},
@@ -15,10 +15,10 @@ use sqlx::{AssertSqlSafe, Connection, FromRow, SqliteConnection, sqlite::SqliteC
 
 use super::{disk::beside, statements as sql};
 
-/// Size of a page: SQLite's own choice, which the program never changes \[bytes\].
+/// Page size: the default of SQLite \[bytes\].
 const PAGE: usize = 4096;
 
-/// Adds a row of the schema; SQLite allows that after `PRAGMA writable_schema`.
+/// Adds a row to the schema; needs `PRAGMA writable_schema`.
 const ADD: &str = "INSERT INTO sqlite_schema (type, name, tbl_name, rootpage, sql) VALUES (?1, ?2, ?3, ?4, ?5)";
 
 /// A row of the schema.
@@ -31,7 +31,7 @@ struct Entry {
     sql: Option<String>,
 }
 
-/// Copies the broken file and gives the copy the layout that fits best; `None` when neither fits.
+/// Copies the broken file with the better of the two layouts; `None` if neither fits.
 pub(super) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::Result<Option<PathBuf>> {
     let copy = beside(broken, "-grafted");
     let pages = fs::copy(broken, &copy)? / PAGE as u64;
@@ -42,7 +42,7 @@ pub(super) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::
             best = (sound, Some(layout));
         }
     }
-    // Each table begins on a page of its own: in a wrong layout some fit by chance, few of them.
+    // In a wrong layout a few tables fit by chance.
     match best {
         (sound, Some(layout)) if 2 * sound > layout.iter().filter(|entry| entry.is_table()).count() => {
             apply(&copy, pages, &layout).await?;
@@ -65,7 +65,7 @@ async fn entries(connection: &mut SqliteConnection) -> sqlx::Result<Vec<Entry>> 
     sqlx::query_as(sql::SCHEMA).fetch_all(connection).await
 }
 
-/// The layout that moving or restoring a database gives it.
+/// The layout of a moved or restored database.
 async fn moved(fresh: &mut SqliteConnection, to: &Path) -> sqlx::Result<Vec<Entry>> {
     let path = to.to_string_lossy().replace('\'', "''");
     sqlx::query(AssertSqlSafe(format!("VACUUM INTO '{path}'"))).execute(fresh).await?;
@@ -76,7 +76,7 @@ async fn moved(fresh: &mut SqliteConnection, to: &Path) -> sqlx::Result<Vec<Entr
     entries
 }
 
-/// Writes a layout into the copy; returns how many of its tables have a sound first page.
+/// Writes a layout into the copy; returns the number of tables with an undamaged first page.
 async fn apply(copy: &Path, pages: u64, layout: &[Entry]) -> sqlx::Result<usize> {
     begin_anew(copy, pages)?;
     let options = SqliteConnectOptions::new().filename(copy);
@@ -99,7 +99,8 @@ async fn apply(copy: &Path, pages: u64, layout: &[Entry]) -> sqlx::Result<usize>
     Ok(sound)
 }
 
-/// Gives the file a first page with an empty schema (<https://sqlite.org/fileformat2.html>), and ends it after its own pages.
+/// Writes a first page with an empty schema (<https://sqlite.org/fileformat2.html>), and truncates the file after its
+/// last page.
 fn begin_anew(copy: &Path, pages: u64) -> io::Result<()> {
     let mut page = [0; PAGE];
     page[..16].copy_from_slice(b"SQLite format 3\0");

@@ -1,9 +1,9 @@
-//! Keeping the database within its bounds, a little at a time.
+//! Retention: keeps the database within its bounds, in small transactions.
 //!
-//! Traces go first, then throws with their estimates, closed alarms last; pending throws go only when nothing else is left.
-//! The machine that has the most of what is too much loses its own history first: one that floods pushes out no other.
-//! Age counts only while the clock is known to be right: a clock that jumps ten years ahead must not empty the
-//! database. All is done in small transactions between those of the arriving throws.
+//! Traces are dropped first, then throws with their estimates, last closed alarms; pending throws only if nothing else
+//! is left. Each row comes from the machine with the most, so that a flood of one machine removes only its own history.
+//! Age counts only while the clock is trusted: a clock that jumps ten years ahead must not empty the database. The
+//! small transactions run between those of received throws.
 
 use std::collections::{BTreeMap, BinaryHeap};
 
@@ -14,42 +14,42 @@ use super::{
     database::Store, disk::DiskLevel, error::StoreError, settings::MIB, spool::count, statements as sql, write::Write,
 };
 
-/// Rows that one transaction drops: some milliseconds of work.
+/// Rows dropped in one transaction: some milliseconds of work.
 const BATCH: u64 = 256;
-/// Transactions of one call, so that it ends while throws arrive faster than rows are dropped.
+/// Largest number of transactions in one call, which then ends even if throws arrive faster than rows are dropped.
 const ROUNDS: usize = 256;
-/// Pages given back to the disk in one transaction.
+/// Pages returned to the disk in one transaction.
 const PAGES: u64 = 512;
-/// Messages that wait for zenoh at most: ten years of a cabinet's alarms.
+/// Largest outbox \[messages\]: ten years of a cabinet's alarms.
 const OUTBOX: u64 = 100_000;
 
-/// What one call of [`Store::keep_house`] dropped.
+/// Rows dropped by a call of [`Store::keep_house`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Housekeeping {
-    /// Traces.
+    /// Dropped traces.
     pub traces: u64,
-    /// Throws with their estimates.
+    /// Dropped throws with their estimates.
     pub throws: u64,
-    /// Closed alarms with their events.
+    /// Dropped closed alarms with their events.
     pub alarms: u64,
-    /// Messages that zenoh never took, the oldest.
+    /// Dropped messages of the outbox, the oldest.
     pub messages: u64,
 }
 
-/// What is bounded, and so by what the machines are compared.
+/// The bounded quantity, by which machines are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Bound {
     Rows,
     Bytes,
 }
 
-/// One small transaction of clearing up.
+/// A transaction that drops some rows.
 #[derive(Debug, Clone, Copy)]
 enum Drop {
     Traces(Bound, u64),
     TracesBefore(i64),
     Throws(Bound, u64),
-    /// The size is bounded whatever arrives: a machine that sends more than can be judged loses its oldest throws.
+    /// Pending throws: a machine that sends more throws than can be judged loses its oldest ones.
     Pending,
     Alarms(u64),
     Messages,
@@ -57,7 +57,7 @@ enum Drop {
 }
 
 impl Drop {
-    /// The total in which it is counted.
+    /// Name of the counter.
     const fn counter(self) -> &'static str {
         match self {
             Self::Traces(..) | Self::TracesBefore(_) => "dropped_traces",
@@ -69,7 +69,7 @@ impl Drop {
         }
     }
 
-    /// The rows to drop.
+    /// Selects the rows to drop.
     async fn choose(self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
         match self {
             Self::Traces(bound, rows) => {
@@ -106,7 +106,7 @@ async fn oldest(
     chosen.fetch_all(connection).await
 }
 
-/// The oldest rows of the machines that have the most.
+/// The oldest rows of the machines with the most.
 async fn oldest_of_largest(
     connection: &mut SqliteConnection,
     holdings: &'static str,
@@ -121,7 +121,7 @@ async fn oldest_of_largest(
     Ok(chosen)
 }
 
-/// What one machine has of what has to become less.
+/// Rows or bytes of one machine.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord, sqlx::FromRow)]
 struct Holding {
     /// Rows or bytes.
@@ -130,8 +130,8 @@ struct Holding {
     rows: i64,
 }
 
-/// How many rows each machine loses: every row is taken from the machine that has the most when its turn comes, so that
-/// equal machines lose equally and a small one nothing.
+/// Number of rows that each machine loses: each row comes from the machine with the most at that point, so equal
+/// machines lose equally, and a small one loses nothing.
 fn shares(holdings: Vec<Holding>, rows: u64) -> BTreeMap<i64, u64> {
     let mut largest_first = BinaryHeap::from(holdings);
     let mut shares = BTreeMap::new();
@@ -146,7 +146,7 @@ fn shares(holdings: Vec<Holding>, rows: u64) -> BTreeMap<i64, u64> {
 }
 
 impl Write for Drop {
-    /// Rows that were dropped.
+    /// Number of dropped rows.
     type Output = u64;
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<u64> {
@@ -178,7 +178,7 @@ impl Write for Drop {
     }
 }
 
-/// What the bounds are compared with.
+/// The figures that are compared with the bounds.
 struct Figures {
     traces: u64,
     throws: u64,
@@ -186,14 +186,14 @@ struct Figures {
     messages: u64,
     data_bytes: u64,
     free_pages: u64,
-    /// Space that the database can still grow into: on the disk, and inside its file.
+    /// Space for growth: free on the disk, and free pages in the file.
     room_bytes: u64,
     disk_low: bool,
 }
 
 impl Store {
-    /// Brings the database back within its bounds and restores the ballast. To be called every few seconds;
-    /// one call does a bounded amount of work. `clock_trusted`: `now` is known to be right.
+    /// Brings the database within its bounds and restores the ballast. Called every few seconds; the work of a call is
+    /// bounded. `clock_trusted` tells whether `now` is correct.
     ///
     /// # Errors
     /// When the database cannot be read or written.
@@ -238,7 +238,7 @@ impl Store {
         })
     }
 
-    /// The next thing to drop, if anything is too much.
+    /// The next rows to drop; `None` within all bounds.
     async fn excess(&self, figures: &Figures, now: Timestamp, clock_trusted: bool) -> Result<Option<Drop>, StoreError> {
         let settings = &self.settings;
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
@@ -248,7 +248,7 @@ impl Store {
             return Ok(Some(Drop::Traces(Bound::Rows, BATCH.min(figures.traces - settings.max_traces))));
         }
         if (too_large || no_room) && self.largest_has(sql::OLDEST_TRACES).await? {
-            // As many as it takes, by their mean size: a few of the largest may be enough.
+            // The number of traces follows from their mean size.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);
             return Ok(Some(Drop::Traces(Bound::Bytes, (excess.max(missing) / each + 1).min(BATCH))));
         }
@@ -277,7 +277,7 @@ impl Store {
         Ok(figure.cast_unsigned())
     }
 
-    /// Whether the machine with the most bytes has rows of this choice.
+    /// Whether the machine with the most bytes has rows of this selection.
     async fn largest_has(&self, choice: &'static str) -> Result<bool, StoreError> {
         let pool = self.reader.pool();
         let largest = sqlx::query_scalar::<_, i64>(sql::LARGEST_MACHINE);

@@ -1,4 +1,4 @@
-//! One judged throw, one operator's command, one tick: everything that follows from it in a single transaction.
+//! Writes of a judged throw, of an operator's command and of a tick, each in a single transaction.
 
 use std::sync::Arc;
 
@@ -18,50 +18,49 @@ use crate::{
     wire::{Alarm, Health, Kind, json, machine_key},
 };
 
-/// Operators' commands that are kept, the newest: a hundred a day for ten years, 100 MB. The daemon takes 14,400 a day at
-/// most.
+/// Number of operators' commands kept: a hundred a day for ten years, 100 MB. The daemon accepts at most 14,400 a day.
 pub const COMMANDS_KEPT: u32 = 500_000;
 
-/// The result of one throw.
+/// The result of judging one throw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judgement {
-    /// The throw.
+    /// Row of the throw.
     pub row: ThrowRow,
-    /// The health of the throw, as it is published.
+    /// Health of the throw, as published.
     pub health: Health,
     /// The result of the estimator; `None` when the stored trace could not be read.
     pub identification: Option<Identification>,
-    /// Baselines that were completed or became usable by this throw.
+    /// Baselines that became usable or complete with this throw.
     pub baselines: Vec<BaselineRecord>,
-    /// The monitor after this throw, and its alarm events.
+    /// Monitor after this throw, and its alarm events.
     pub outcome: Outcome,
 }
 
-/// A change of a machine's monitor: by a throw, a command, or time passing.
+/// A change of the monitor of a machine, by a throw, a command or a tick.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
-    /// Which machine.
+    /// The machine.
     pub machine: MachineId,
-    /// When.
+    /// Time of the change.
     pub at: Timestamp,
-    /// The monitor after the change; `None` leaves the stored one.
+    /// Monitor after the change; `None` if it did not change.
     pub monitor: Option<MonitorRecord>,
-    /// Alarm events, in order. Each goes into the history and, once, into the outbox.
+    /// Alarm events in order; each is added to the history and to the outbox, once.
     pub events: Vec<AlarmEvent>,
-    /// Gaps that the monitor knows of from now on.
+    /// Gaps that were reported to the monitor.
     pub reported_gaps: Vec<GapRow>,
-    /// The operator's command that caused the change.
+    /// Command of an operator that caused the change.
     pub command: Option<Command>,
 }
 
-/// A monitor to be stored.
+/// The stored form of a monitor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MonitorRecord {
-    /// The whole monitor, JSON.
+    /// Snapshot of the monitor as JSON.
     pub snapshot: String,
     /// State of the machine.
     pub state: MachineState,
-    /// Its active drifts as they are now, the worst first.
+    /// Active drifts with their present size, the worst first.
     pub drifts: Vec<Drifting>,
 }
 
@@ -78,15 +77,15 @@ impl MonitorRecord {
     }
 }
 
-/// Judgements to be written, in their order.
+/// Judgements in order.
 pub(super) struct Judgements {
     pub(super) judgements: Arc<[Judgement]>,
-    /// Space is short: the traces have done their work and go.
+    /// Whether to drop the traces because space is short.
     pub(super) drop_traces: bool,
 }
 
 impl Write for Judgements {
-    /// Of each, whether it was written; false when its throw was judged before.
+    /// Whether each was written; false if its throw was judged before.
     type Output = Vec<bool>;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<bool>> {
@@ -99,7 +98,7 @@ impl Write for Judgements {
 }
 
 impl Judgement {
-    /// False when the throw was judged before; then nothing was written.
+    /// Writes the judgement; false, without writing, if the throw was judged before.
     async fn write(&self, connection: &mut SqliteConnection, drop_trace: bool, repeated: bool) -> sqlx::Result<bool> {
         let at_us = self.outcome.at.as_microsecond();
         let machine_row: Option<i64> =
@@ -131,7 +130,7 @@ impl Judgement {
         Ok(true)
     }
 
-    /// Whether the throw was judged by an earlier attempt of this very write.
+    /// Whether an earlier attempt of this write judged the throw.
     async fn was_written_at(
         &self,
         connection: &mut SqliteConnection,
@@ -191,7 +190,7 @@ impl Judgement {
     }
 }
 
-/// A value as JSON text.
+/// JSON of a value, as text.
 fn text<T: serde::Serialize>(value: &T) -> String {
     String::from_utf8_lossy(&json(value)).into_owned()
 }
@@ -214,7 +213,7 @@ impl Outcome {
         self.write_events(connection, machine_row).await
     }
 
-    /// Writes everything but the monitor.
+    /// Writes the judgement without the monitor.
     async fn write_events(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
         let at_us = self.at.as_microsecond();
         for GapRow(gap_row) in &self.reported_gaps {
@@ -225,7 +224,7 @@ impl Outcome {
         }
         for event in &self.events {
             let alarm = Alarm::new(&self.machine, event);
-            // After an unknown commit the event is there already, and its message too.
+            // After a commit with unknown result the event may exist already, with its message.
             if add_alarm_event(connection, machine_row, &alarm, at_us).await? {
                 let key = machine_key(&self.machine, Kind::Alarm);
                 let add = sqlx::query(sql::ADD_MESSAGE).bind(key).bind(alarm.into_message()).bind(at_us);
@@ -254,7 +253,7 @@ async fn add_command(
     sqlx::query(sql::TRIM_COMMANDS).bind(COMMANDS_KEPT).execute(connection).await.map(drop)
 }
 
-/// Returns whether the event was not there before.
+/// Adds an event unless it exists already; returns whether it was added.
 async fn add_alarm_event(
     connection: &mut SqliteConnection,
     machine_row: i64,

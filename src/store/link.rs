@@ -1,8 +1,7 @@
-//! The only writing connection, replaced after every failure, and its write-ahead log, which stays bounded.
+//! The writing connection, which is replaced after every failure, and the bound of its write-ahead log.
 //!
-//! When a write transaction fails for any reason its connection is closed and another one opened, because SQLite may
-//! have rolled back by itself and because a failed commit means "not known", not "not stored". The group is then
-//! written once more; every write may be repeated without harm.
+//! After any failed transaction the connection is closed and a new one opened: SQLite may have rolled back by itself,
+//! and the result of a failed commit is unknown. Then the group is written once more, as every write is idempotent.
 
 use std::{sync::Arc, time::Duration};
 
@@ -19,15 +18,15 @@ use super::{
     write::Job,
 };
 
-/// Time between two looks at the names of the files. The daemon writes at least every 5 s, so a deleted file is noticed
+/// Least time between two checks of the file names. The daemon writes at least every 5 s, so a deleted file is noticed
 /// within 6 s.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// The part of a transaction that failed.
+/// A failed transaction.
 enum Failed {
-    /// Before or after the jobs: none of them is to blame.
+    /// The error came before or after the jobs.
     Around(sqlx::Error),
-    /// In a job.
+    /// The error came from a job.
     Within(sqlx::Error),
 }
 
@@ -46,18 +45,18 @@ pub(super) struct Link {
     pub(super) disk: Arc<Disk>,
     pub(super) place: Place,
     pub(super) reader: Reader,
-    /// SQLite found the content of the file broken: only opening it anew can set it aside.
+    /// Whether SQLite found the file broken; the next start sets it aside.
     pub(super) broken: bool,
-    /// The files that the connection has open, once it has written; noted again after each move.
+    /// Identity of the open files, after the first write; renewed after each move.
     pub(super) identity: Option<Identity>,
-    /// When the identity was compared last.
+    /// Time of the last comparison of the identity.
     pub(super) looked: Option<Instant>,
-    /// Size of the log from which it is bounded \[bytes\]; raised when that fails.
+    /// Size of the log that starts a checkpoint or a move \[bytes\]; raised if both fail.
     pub(super) log_bound: u64,
 }
 
 impl Link {
-    /// Commits the jobs together and answers each of them.
+    /// Commits the jobs in one transaction and answers each.
     pub(super) async fn commit(&mut self, mut jobs: Vec<Box<dyn Job>>) {
         if jobs.is_empty() {
             return;
@@ -78,7 +77,7 @@ impl Link {
         }
     }
 
-    /// One of the jobs is refused by the database: it must not take the others with it.
+    /// Commits each job alone, after the database refused one of them.
     async fn commit_one_by_one(&mut self, jobs: Vec<Box<dyn Job>>) {
         for job in jobs {
             let mut alone = [job];
@@ -110,9 +109,9 @@ impl Link {
         Ok(self.connection.insert(connection))
     }
 
-    /// Closes the connection after an error, and frees the ballast when the disk is full.
+    /// Closes the connection after an error, and removes the ballast if the disk is full.
     async fn recover(&mut self, error: &sqlx::Error) {
-        seldom!(warn, %error, "a write transaction failed; its connection is replaced");
+        seldom!(warn, %error, "write transaction failed: connection replaced");
         self.broken |= is_corrupt(error);
         self.disconnect().await;
         self.disk.note_failure(is_full(error));
@@ -120,13 +119,13 @@ impl Link {
 
     async fn disconnect(&mut self) {
         if let Some(connection) = self.connection.take() {
-            // Closing may fail for the same reason as the write; the files are closed either way.
+            // Closing may fail like the write; the files are closed in any case.
             let _ = connection.close().await;
         }
     }
 
-    /// Notices that the database file or its log was deleted or replaced. The connection still has the old files open, with
-    /// everything that was committed: they are copied to a new file before they vanish.
+    /// Detects a deleted or replaced database file or log. The connection still has the old files with all committed
+    /// rows open, and copies them to a new file.
     async fn notice_replaced_files(&mut self) {
         if self.looked.is_some_and(|looked| looked.elapsed() < LOOK) {
             return;
@@ -137,18 +136,18 @@ impl Link {
         if now == known {
             return;
         }
-        tracing::error!(?known, ?now, "the database was DELETED OR REPLACED under the daemon: it is written anew");
+        tracing::error!(?known, ?now, "the database was DELETED OR REPLACED: writing it again");
         let outcome = match self.place.set_strangers_aside() {
             Ok(()) => self.move_database().await,
             Err(error) => Err(error),
         };
         self.disk.note_replaced(outcome.is_ok());
         if let Err(error) = outcome {
-            tracing::error!(%error, "the database cannot be written anew; retrying");
+            tracing::error!(%error, "writing the database again failed; retrying");
         }
     }
 
-    /// Bounds the log, which a reader that holds an old state keeps from being reused.
+    /// Bounds the log, which grows while a reader holds an old state.
     async fn bound_log(&mut self) {
         let log = self.place.log_bytes();
         if log < self.log_bound {
@@ -165,30 +164,30 @@ impl Link {
                 log,
                 needed,
                 room,
-                "a program keeps reading an old state of the database, and there is no room to move it: end that program"
+                "a program keeps reading an old state of the database, and there is no space to move the database: end that program"
             );
             self.log_bound = log + log / 4;
             return;
         }
         if let Err(error) = self.move_database().await {
-            tracing::error!(%error, log, "the database could not be moved away from a reader that does not let go");
+            tracing::error!(%error, log, "moving the database away from a slow reader failed");
             self.log_bound = log + log / 4;
             self.reopen_path().await;
         }
     }
 
-    /// After a move that failed half way: writer and readers open the configured path again, and an unfinished copy is removed.
+    /// After a failed move: opens the configured path again for writer and readers, and removes the unfinished copy.
     async fn reopen_path(&mut self) {
         self.disconnect().await;
         if let Err(error) = self.reader.reopen(self.place.path()).await {
-            tracing::error!(%error, "the readers keep the file that they have");
+            tracing::error!(%error, "reopening the readers failed: they keep their file");
         }
         if let Err(error) = self.place.next() {
-            tracing::warn!(%error, "an unfinished copy of the database stays behind");
+            tracing::warn!(%error, "removing an unfinished copy of the database failed");
         }
     }
 
-    /// Copies the log into the database and starts it anew, unless a reader needs it for longer than a second.
+    /// Copies the log into the database and truncates it; false if a reader needs it for longer than a second.
     async fn checkpoint(&mut self) -> sqlx::Result<bool> {
         let connection = self.connected().await?;
         sqlx::query("PRAGMA busy_timeout = 1000").execute(&mut *connection).await?;
@@ -209,11 +208,11 @@ impl Link {
         self.disconnect().await;
         self.connected().await.map_err(|error| store_error(&error))?;
         self.reader.reopen(self.place.path()).await.map_err(|error| store_error(&error))?;
-        tracing::warn!(to = %copy.display(), "the database moved to a new file: a program keeps reading an old state of it");
+        tracing::warn!(to = %copy.display(), "the database moved to a new file, because a program keeps reading an old state of it");
         Ok(())
     }
 
-    /// Marks a clean stop and closes the files. A broken database is not marked: the next start has to check it.
+    /// Marks a clean stop and closes the files. A broken database is not marked, so that the next start checks it.
     pub(super) async fn close(&mut self) -> Result<(), StoreError> {
         if self.reader.is_broken() {
             self.disconnect().await;
@@ -221,7 +220,7 @@ impl Link {
         }
         let connection = self.connected().await.map_err(|error| store_error(&error))?;
         sqlx::query(sql::SET_CLEAN).bind(true).execute(connection).await.map_err(|error| store_error(&error))?;
-        // What a reader keeps from being copied now stays in the log, which is as durable.
+        // Pages that a reader keeps from being copied stay in the log, which is as durable.
         let copied = self.checkpoint().await;
         self.disconnect().await;
         copied.map(drop).map_err(|error| store_error(&error))
@@ -234,7 +233,7 @@ fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError
     }
 }
 
-/// The error for the caller.
+/// Converts an error for the caller.
 fn store_error(error: &sqlx::Error) -> StoreError {
     if is_full(error) { StoreError::Full } else { StoreError::Write(error.to_string()) }
 }

@@ -1,7 +1,7 @@
 //! The SQLite database: raw throws, estimates, alarms, the outbox.
 //!
-//! [`Store`] writes through one task with one connection; [`Reader`] reads beside it. A write that was answered with `Ok`
-//! is on the disk, power cut or not. Every write may be repeated: a repetition changes nothing.
+//! [`Store`] writes through one task with one connection; [`Reader`] has its own connections. After `Ok` a write is on
+//! the disk and survives a power cut. Every write is idempotent.
 
 mod codec;
 mod cursor;

@@ -1,7 +1,7 @@
-//! Opening: create, check after an unclean stop, set aside what is broken, bring the schema up to date.
+//! Opening of the database: creation, check, recovery of a broken file, migration.
 //!
-//! The daemon must start whatever it finds. Files whose content is broken are renamed, never deleted, and a fresh
-//! database takes their place; the report says so, and the daemon raises an alarm from it.
+//! The daemon must start with any file. A broken file is renamed, never deleted, and a new database replaces it; the
+//! daemon raises an alarm from the report.
 
 use std::{
     path::{Path, PathBuf},
@@ -26,51 +26,51 @@ use super::{
     statements as sql,
 };
 
-/// The schema's history, inside the program.
+/// The migrations, compiled into the program.
 static MIGRATIONS: Migrator = sqlx::migrate!();
 
-/// The log file is cut to this size when it is started anew \[bytes\].
+/// Size to which SQLite truncates the log after a checkpoint \[bytes\].
 const LOG_KEPT: u64 = 16 * MIB;
-/// Longest check of a database that was stopped cleanly: 644 MB take 0.3 s, so this reads about 10 GB.
+/// Time limit of the check after a clean stop: 644 MB take 0.3 s, so it covers about 10 GB.
 const CHECK_LIMIT: Duration = Duration::from_secs(5);
-/// Steps of SQLite's machine between two looks at the clock.
+/// Instructions of SQLite's virtual machine between two checks of the clock.
 const CHECK_STEPS: i32 = 10_000;
-/// Longest wait for another program's write lock.
+/// Time limit for the write lock of another program.
 const BUSY: Duration = Duration::from_secs(5);
 
 /// How the database was found.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Found {
-    /// There was none.
+    /// There was no database.
     Fresh,
-    /// As a clean stop left it.
+    /// After a clean stop.
     Clean,
-    /// As a crash or a power cut left it; checked, and sound.
+    /// After a crash or a power cut; the check found no damage.
     Unclean,
-    /// Broken: renamed, and a fresh one begun with what could be read of it. Somebody should look at it.
+    /// Broken: renamed, and replaced by a new database with the readable rows.
     SetAside {
-        /// Where the broken database is now.
+        /// New path of the broken database.
         to: PathBuf,
-        /// Why it is no throw, or no throw to be stored.
+        /// The error that SQLite reported.
         why: String,
-        /// What of it could be read and is in the fresh one.
+        /// The rows copied into the new database.
         salvaged: Salvaged,
     },
 }
 
-/// What opening found and did.
+/// Report on the opening.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Report {
     /// How the database was found.
     pub found: Found,
-    /// Migrations that were applied now.
+    /// Number of migrations applied.
     pub upgraded_by: usize,
-    /// A newer version of the program has used this database. Its additions are left alone.
+    /// Whether a newer version has used the database; its additions are ignored.
     pub newer_schema: bool,
 }
 
-/// How the writer opens the database. Only a fresh one is told how to reuse its free pages: SQLite writes that into the
-/// header each time, and a file that turns out to be broken, or too new, must stay as it was.
+/// Options of the writing connection. Only a new database gets the auto-vacuum mode: SQLite writes it to the header at
+/// each opening, and a broken or too new file must not be changed.
 pub(super) fn writing(settings: &Settings, fresh: bool) -> SqliteConnectOptions {
     let synchronous = match settings.synchronous {
         Synchronous::Full => SqliteSynchronous::Full,
@@ -88,12 +88,12 @@ pub(super) fn writing(settings: &Settings, fresh: bool) -> SqliteConnectOptions 
         .disable_statement_logging()
 }
 
-/// How readers open the database.
+/// Options of reading connections.
 pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
 }
 
-/// Opens the writing connection; a broken database is set aside first.
+/// Opens the writing connection; sets a broken database aside first.
 pub(super) async fn open(
     settings: &Settings,
     disk: &Disk,
@@ -103,10 +103,10 @@ pub(super) async fn open(
     place.clear_leftovers()?;
     refuse_foreign(&settings.path).await?;
     if place.is_fresh() && place.log_bytes() > 0 {
-        // SQLite would delete it, and with it what was committed last.
-        let why = "the database is gone, and its write-ahead log is still there".to_owned();
+        // SQLite would delete the log with the last commits.
+        let why = "the database is missing, but its write-ahead log exists".to_owned();
         let to = place.set_log_aside(now)?;
-        tracing::error!(to = %to.display(), %why, "the log was set aside; a fresh database begins");
+        tracing::error!(to = %to.display(), %why, "log set aside; creating a new database");
         let (connection, report) = prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
         let found = Found::SetAside { to, why, salvaged: Salvaged::default() };
         return Ok((connection, Report { found, ..report }));
@@ -114,7 +114,7 @@ pub(super) async fn open(
     match prepare(settings, disk, place.is_fresh()).await {
         Err(Trouble::Broken(why)) => {
             let to = place.set_aside(now)?;
-            tracing::error!(to = %to.display(), %why, "the database is broken and was set aside; a fresh one begins");
+            tracing::error!(to = %to.display(), %why, "the database is broken: set aside; creating a new one");
             let (mut connection, report) =
                 prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
             let size = std::fs::metadata(&to).map_or(0, |file| file.len());
@@ -122,13 +122,13 @@ pub(super) async fn open(
             let salvaged = match salvage(&mut connection, &to, with_traces).await {
                 Ok(salvaged) => salvaged,
                 Err(error) => {
-                    // Rows that were copied so far are sound; the connection may not be.
-                    tracing::error!(%error, "the salvage of the broken database ended early");
+                    // The rows copied so far are correct; the connection may be unusable.
+                    tracing::error!(%error, "copying rows from the broken database ended early");
                     connection = prepare(settings, disk, false).await.map_err(|trouble| trouble.told(settings))?.0;
                     Salvaged::default()
                 }
             };
-            tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "salvaged from the broken database");
+            tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
             Place::describe_set_aside(&to, &salvaged.text())?;
             Ok((connection, Report { found: Found::SetAside { to, why, salvaged }, ..report }))
         }
@@ -136,11 +136,10 @@ pub(super) async fn open(
     }
 }
 
-/// Refuses the database of another program, which must not be written to. A file that cannot be read here is checked when it
-/// is opened for writing.
+/// Refuses the database of another program. A file that cannot be read here is checked when it is opened for writing.
 ///
 /// # Errors
-/// When it is.
+/// When the file is the database of another program.
 pub async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     if Place::new(path).is_fresh() {
         return Ok(());
@@ -148,7 +147,7 @@ pub async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     let Ok(mut connection) = SqliteConnection::connect_with(&reading(path)).await else { return Ok(()) };
     let table: sqlx::Result<Option<String>> =
         sqlx::query_scalar(sql::FOREIGN_TABLE).fetch_optional(&mut connection).await;
-    // The table was read; a failing close changes nothing.
+    // An error of the close does not change the result.
     let _ = connection.close().await;
     match table {
         Ok(Some(table)) => Err(StoreError::Foreign { path: path.to_owned(), table }),
@@ -197,7 +196,7 @@ impl From<MigrateError> for Trouble {
     }
 }
 
-/// Opens, and once more with the ballast given up when the disk is full.
+/// Opens the database; on a full disk removes the ballast and retries.
 async fn prepare(settings: &Settings, disk: &Disk, fresh: bool) -> Result<(SqliteConnection, Report), Trouble> {
     match prepare_once(settings, fresh).await {
         Err(Trouble::Access(error)) if is_full(&error) => {
@@ -213,7 +212,7 @@ async fn prepare_once(settings: &Settings, fresh: bool) -> Result<(SqliteConnect
     match bring_up_to_date(&mut connection, fresh).await {
         Ok(report) => Ok((connection, report)),
         Err(trouble) => {
-            // Dropped, it would be closed some time later, perhaps when its file has another name.
+            // Without this call the connection would close later, perhaps after its file was renamed.
             let _ = connection.close().await;
             Err(trouble)
         }
@@ -230,7 +229,7 @@ async fn bring_up_to_date(connection: &mut SqliteConnection, fresh: bool) -> Res
     let found = match (fresh, before.is_empty()) {
         (true, _) | (false, true) => Found::Fresh,
         (false, false) if stopped_cleanly(&mut *connection).await? => {
-            // A clean stop says nothing about what happened to the file since.
+            // The file may have been damaged since the clean stop.
             check(&mut *connection, Some(CHECK_LIMIT)).await?;
             Found::Clean
         }
@@ -247,21 +246,21 @@ async fn bring_up_to_date(connection: &mut SqliteConnection, fresh: bool) -> Res
     Ok(Report { found, upgraded_by, newer_schema })
 }
 
-/// The newest migration of this program.
+/// Newest migration of this program.
 fn newest_known() -> i64 {
     MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
 }
 
-/// A database of a newer version is opened too, so that an upgrade can be rolled back: migrations add, and what they add
-/// an older program leaves alone. One that an older program must not write to says so by `PRAGMA user_version = N`,
-/// its own number: then only programs that know migration N open the database.
+/// The migrator also opens a database of a newer version, so that an upgrade can be rolled back: migrations only add,
+/// and older programs ignore additions. A migration N that an older program could damage sets `PRAGMA user_version =
+/// N`; then only programs that know migration N open the database.
 fn migrator() -> Migrator {
     let mut migrator = Migrator { migrations: MIGRATIONS.migrations.clone(), ..Migrator::DEFAULT };
     migrator.set_ignore_missing(true);
     migrator
 }
 
-/// Versions of the migrations that the database has.
+/// Versions of the applied migrations.
 async fn applied(connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
     let there: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')")
         .fetch_one(&mut *connection)
@@ -281,7 +280,7 @@ async fn stopped_cleanly(connection: &mut SqliteConnection) -> sqlx::Result<bool
     Ok(there && sqlx::query_scalar(sql::CLEAN).fetch_optional(connection).await?.unwrap_or(false))
 }
 
-/// Checks every page, at most for `limit`: SQLite ends the check then, and what it read until then was sound.
+/// Checks every page for at most `limit`; pages read up to then are correct.
 async fn check(connection: &mut SqliteConnection, limit: Option<Duration>) -> Result<(), Trouble> {
     if let Some(limit) = limit {
         let end = Instant::now() + limit;
@@ -293,7 +292,7 @@ async fn check(connection: &mut SqliteConnection, limit: Option<Duration>) -> Re
         Ok(findings) if findings == ["ok"] => Ok(()),
         Ok(findings) => Err(Trouble::Broken(findings.join("; "))),
         Err(error) if is_interrupted(&error) => {
-            tracing::info!(?limit, "the database is large: a part of it was checked, and sound");
+            tracing::info!(?limit, "large database: checked in part, no damage found");
             Ok(())
         }
         Err(error) => Err(error.into()),

@@ -1,4 +1,4 @@
-//! Trouble that goes on: said now and then, and shown for a while after it is over.
+//! Rate limit for log lines about a continuous problem, and counters that show a problem for an hour.
 
 use std::{
     sync::{Mutex, PoisonError},
@@ -7,12 +7,12 @@ use std::{
 
 use tokio::time::Instant;
 
-/// Shortest time between two lines of the log about the same trouble: a disk that stays full refuses ten writes a second.
+/// Least time between two log lines about the same problem: a full disk fails ten writes per second.
 const SAID: Duration = Duration::from_secs(30);
-/// How long trouble that is over is shown: long enough to be seen.
+/// Time for which a past problem is shown.
 const SHOWN: Duration = Duration::from_hours(1);
 
-/// Bounds the lines of the log that one place in the program writes.
+/// Limits the log lines of a place in the program.
 pub(crate) struct Seldom(Mutex<Option<(Instant, u64)>>);
 
 impl Seldom {
@@ -20,7 +20,7 @@ impl Seldom {
         Self(Mutex::new(None))
     }
 
-    /// Whether a line is due, and how many were left out since the last one.
+    /// The number of omitted lines if a line is due; `None` to omit it.
     pub(crate) fn due(&self, now: Instant) -> Option<u64> {
         let mut said = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         match &mut *said {
@@ -33,7 +33,7 @@ impl Seldom {
     }
 }
 
-/// A line of the log, unless the same place wrote one shortly before. The line says how many were left out.
+/// Writes a log line, with the number of omitted lines, unless the same place wrote one shortly before.
 macro_rules! seldom {
     ($level:ident, $($said:tt)*) => {{
         static LINE: crate::store::Seldom = crate::store::Seldom::new();
@@ -44,7 +44,7 @@ macro_rules! seldom {
 }
 pub(crate) use seldom;
 
-/// A count, and when it last grew.
+/// A counter with the time of its last increase.
 #[derive(Debug, Default)]
 pub(crate) struct Recent(Mutex<(u64, Option<Instant>)>);
 
@@ -54,12 +54,12 @@ impl Recent {
         *state = (state.0 + more, Some(Instant::now()));
     }
 
-    /// The count since the start.
+    /// The value since the start.
     pub(crate) fn count(&self) -> u64 {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).0
     }
 
-    /// The count, when it grew in the last hour.
+    /// The value, if it grew in the last hour.
     pub(crate) fn shown(&self) -> Option<u64> {
         let (count, at) = *self.0.lock().unwrap_or_else(PoisonError::into_inner);
         at.filter(|at| at.elapsed() < SHOWN).map(|_| count)

@@ -1,7 +1,8 @@
-//! What can still be read of a broken database is copied into the fresh one, table by table.
+//! Copies the readable rows of a broken database into the new one, table by table.
 //!
-//! SQLite reads a b-tree from any key that its sound pages lead to. So a table is copied in ranges of its key; a range
-//! that fails is halved until single keys are left, and only those are lost. Rows whose parent is lost go at the end.
+//! SQLite can read a b-tree from any key that is reachable through intact pages. So a table is copied in ranges of its
+//! key; a failing range is halved down to single keys, and only these are lost. At the end rows without their parent
+//! are removed.
 
 use std::path::{Path, PathBuf};
 
@@ -9,20 +10,20 @@ use sqlx::{AssertSqlSafe, Connection, SqliteConnection};
 
 use super::{error::is_full, graft::graft};
 
-/// Keys that one statement copies while nothing fails.
+/// Keys in one statement.
 const RANGE: i64 = 1024;
-/// Highest key that is tried where the table does not say: these tables have far fewer rows.
+/// Highest tried key if the table does not tell its bounds: these tables have far fewer rows.
 const FEW: i64 = 1 << 20;
-/// Failed statements after which the rest of a table is given up: at most a minute in a table that is nothing but damage.
+/// Failed statements after which the rest of a table is skipped: at most a minute in a completely damaged table.
 const MOST_FAILURES: u32 = 50_000;
-/// Keys that are tried before a table is taken for lost as a whole.
+/// Keys tried before the whole table counts as lost.
 const PROBES: i64 = 64;
 
-/// A table: its name, its key, and what holds for a sound row of it. SQLite also returns garbage, if its lengths are right;
-/// text with a NUL in it is longer than its `length`.
+/// A table: name, key, and a condition for valid rows. SQLite also returns garbage with plausible lengths; a text with
+/// a NUL is longer than its `length`.
 struct Table(&'static str, &'static str, &'static str);
 
-/// The tables in the order of their references. The traces come last: they are large, and the diagnosis goes on without
+/// The tables in the order of their references. The traces are last: they are large, and the diagnosis does not need
 /// them.
 const TABLES: [Table; 14] = [
     Table(
@@ -57,7 +58,7 @@ const TABLES: [Table; 14] = [
     ),
 ];
 
-/// Machines and boots stand in the index of their names too: without one of these rows, all throws below it are lost.
+/// Machines and boots are also read from the index of their names: the loss of such a row loses all its throws.
 const FROM_INDEX: [&str; 2] = [
     "INSERT OR IGNORE INTO main.machine (machine_row, site, machine) \
      SELECT machine_row, site, machine FROM broken.machine INDEXED BY sqlite_autoindex_machine_1",
@@ -67,7 +68,7 @@ const FROM_INDEX: [&str; 2] = [
      FROM broken.boot INDEXED BY sqlite_autoindex_boot_1",
 ];
 
-/// Rows that lost their parent.
+/// Removal of rows without their parent.
 const ORPHANS: [&str; 11] = [
     "DELETE FROM monitor WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
     "DELETE FROM alarm WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
@@ -84,12 +85,12 @@ const ORPHANS: [&str; 11] = [
     "DELETE FROM trace WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
 ];
 
-/// What came through.
+/// Result of the recovery.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Salvaged {
-    /// Rows of each table that are in the fresh database.
+    /// Copied rows of each table.
     pub rows: Vec<(&'static str, u64)>,
-    /// Of each table, keys whose rows could not be read; where a table gives no row at all, its whole range counts once.
+    /// Keys of each table whose rows could not be read; for a table without readable rows its whole range.
     pub lost: Vec<(&'static str, u64)>,
 }
 
@@ -98,13 +99,13 @@ impl Salvaged {
         list.iter().find(|(name, _)| *name == table).map_or(0, |(_, count)| *count)
     }
 
-    /// Rows of a table that came through.
+    /// Copied rows of a table.
     #[must_use]
     pub fn saved(&self, table: &str) -> u64 {
         Self::of(&self.rows, table)
     }
 
-    /// Rows of a table that did not.
+    /// Lost rows of a table.
     #[must_use]
     pub fn lost(&self, table: &str) -> u64 {
         Self::of(&self.lost, table)
@@ -133,11 +134,10 @@ impl Salvaged {
     }
 }
 
-/// Copies what can be read of the database at `broken` into the fresh one of `connection`. `with_traces`: there is room
-/// for them.
+/// Copies the readable rows of the database at `broken` into that of `connection`; the traces only `with_traces`.
 ///
 /// # Errors
-/// When the fresh database cannot be written to.
+/// When the new database cannot be written.
 pub(super) async fn salvage(
     connection: &mut SqliteConnection,
     broken: &Path,
@@ -159,10 +159,10 @@ pub(super) async fn salvage(
         }
     }
     for copy in FROM_INDEX {
-        // The index may be broken too.
+        // Ignored: the index may be broken too.
         let _ = sqlx::query(copy).execute(&mut *connection).await;
     }
-    // Counters have text as their key, and are a page.
+    // Counters have a text as key and need only one page.
     let _ =
         sqlx::query("INSERT OR IGNORE INTO main.counter SELECT * FROM broken.counter").execute(&mut *connection).await;
     for orphans in ORPHANS {
@@ -181,7 +181,7 @@ pub(super) async fn salvage(
     Ok(salvaged)
 }
 
-/// Attaches a copy with the schema of the fresh database, where there is room for it.
+/// Attaches a copy with the schema of the new database, if the disk has space for it.
 async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path, has_room: bool) -> Option<PathBuf> {
     if !has_room {
         return None;
@@ -198,7 +198,7 @@ async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path, has_r
     }
 }
 
-/// Attaches the broken file for reading only; without its log where that cannot be read.
+/// Attaches the broken file read-only; without its log if the log cannot be read.
 async fn attach(connection: &mut SqliteConnection, broken: &Path) -> bool {
     let path = broken.to_string_lossy().replace('%', "%25").replace('?', "%3f").replace('#', "%23").replace('\'', "''");
     for mode in ["mode=ro", "mode=ro&immutable=1"] {
@@ -216,18 +216,18 @@ async fn attach(connection: &mut SqliteConnection, broken: &Path) -> bool {
     false
 }
 
-/// The columns that both databases have, as they are inserted and as they are read; `None` without the table.
+/// The common columns of both databases, as lists for INSERT and SELECT; `None` if the table is missing.
 async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result<Option<(String, String)>> {
     let of = |schema: &str| AssertSqlSafe(format!("SELECT name FROM pragma_table_info('{table}', '{schema}')"));
     let new: Vec<String> = sqlx::query_scalar(of("main")).fetch_all(&mut *connection).await?;
     let Ok(old) = sqlx::query_scalar::<_, String>(of("broken")).fetch_all(connection).await else { return Ok(None) };
-    // What a machine takes is counted again as its rows are copied.
+    // These counters are computed again while rows are copied.
     let counted = ["throws", "traces", "stored_bytes", "traces_from"];
     let both: Vec<(&str, &str)> = new
         .iter()
         .filter(|column| table != "machine" || !counted.contains(&column.as_str()))
         .filter_map(|column| match column.as_str() {
-            // Its name before migration 10.
+            // The column was renamed in migration 10.
             "payload" if table == "baseline" && !old.contains(column) => Some(("payload", "details")),
             column => old.iter().any(|old| old == column).then_some((column, column)),
         })
@@ -246,7 +246,7 @@ struct Copy {
 }
 
 impl Copy {
-    /// Copies all ranges; returns the number of keys that could not be read.
+    /// Copies all ranges; returns the number of lost keys.
     async fn all(&self, connection: &mut SqliteConnection) -> sqlx::Result<u64> {
         let (first, last) = self.bounds(connection).await;
         if self.has_no_root(connection, first, last).await {
@@ -277,7 +277,7 @@ impl Copy {
         Ok(lost)
     }
 
-    /// Whether no key leads anywhere: the first page of the table is broken.
+    /// Whether no key is readable, as the root page of the table is broken.
     async fn has_no_root(&self, connection: &mut SqliteConnection, first: i64, last: i64) -> bool {
         let Self { table, key, .. } = self;
         let probe = format!("SELECT count(*) FROM broken.{table} WHERE {key} = ?1");
@@ -291,7 +291,7 @@ impl Copy {
         true
     }
 
-    /// The least and the greatest key, as far as the table says.
+    /// Lowest and highest key, as far as they can be read.
     async fn bounds(&self, connection: &mut SqliteConnection) -> (i64, i64) {
         let Self { table, key, .. } = self;
         let mut ask = async |question: String| {
@@ -309,8 +309,7 @@ impl Copy {
         (first.unwrap_or(0), last.unwrap_or(FEW))
     }
 
-    /// Copies the sound rows of a range of keys, and returns how many are not sound; `None` when one of them cannot be
-    /// read at all.
+    /// Copies the valid rows of a range of keys and returns the number of invalid ones; `None` if a row cannot be read.
     async fn range(&self, connection: &mut SqliteConnection, low: i64, high: i64) -> sqlx::Result<Option<u64>> {
         let Self { table, key, sound, columns: (to, from) } = self;
         let rows = format!("FROM broken.{table} WHERE {key} BETWEEN ?1 AND ?2");

@@ -1,4 +1,4 @@
-//! Every statement that the store runs, so that one test can prepare them all against the real schema.
+//! All statements of the store, in one place so that a test can prepare them against the real schema.
 
 macro_rules! statements {
     ($($name:ident = $sql:expr;)*) => {
@@ -43,7 +43,7 @@ macro_rules! estimates {
     };
 }
 
-/// Health of throws, each as it was after the throw.
+/// Health of throws, with the state after each throw.
 macro_rules! history {
     () => {
         concat!(
@@ -53,14 +53,14 @@ macro_rules! history {
     };
 }
 
-/// Starts of loggers, for [`Boot`](super::cursor::Boot).
+/// Boots of loggers, for [`Boot`](super::cursor::Boot).
 macro_rules! boots {
     () => {
         "boot_row, position, highest_no, pruned_to_no, tail_open FROM boot"
     };
 }
 
-/// What holds of a gap that may still be filled from a backlog.
+/// Condition for a gap that a backlog may still fill.
 macro_rules! awaited {
     () => {
         "filled_at_us IS NULL AND written_off_at_us IS NULL"
@@ -73,21 +73,21 @@ macro_rules! ways {
     };
 }
 
-/// The machine of the first two parameters.
+/// Condition for the machine in the first two parameters.
 macro_rules! one_machine {
     () => {
         "(SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2)"
     };
 }
 
-/// The machine that takes the most of the database: it loses its own history first.
+/// The machine with the most bytes in the database, which loses its history first.
 macro_rules! largest_machine {
     () => {
         "SELECT machine_row FROM machine ORDER BY stored_bytes DESC, machine_row LIMIT 1"
     };
 }
 
-/// The parameters have no numbers, so that statements can be joined.
+/// Parameters without numbers, so that statements can be joined.
 macro_rules! add_estimate {
     () => {
         "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
@@ -132,12 +132,12 @@ statements! {
     OPEN_TAIL = "UPDATE boot SET tail_open = 1 WHERE boot_row = ?1";
     COUNTS_FROM_ZERO = "SELECT counts_from_zero FROM machine WHERE machine_row = ?1";
     SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
-    // The usual throw: the next one of a known start, while nothing is missing.
+    // The usual throw: the next one of a known boot, without missing throws.
     FOLLOWS = "SELECT machine_row, boot_row, position, highest_no, pruned_to_no, tail_open FROM machine JOIN boot USING (machine_row) \
         WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND highest_no = ?4 - 1 \
         AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)";
     STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
-    // Three statements in one call: each call goes to another thread and back.
+    // Three statements in one call, as each call needs two thread switches.
     ADD_THROW = "UPDATE boot SET highest_no = ?3 WHERE boot_row = ?2 AND highest_no < ?3; \
         INSERT INTO throw (machine_row, boot_row, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, \
         samples, temperature_c, supply_v, anti_alias_hz, content_crc32, boot_position, trace_hash, repeats_row) \
@@ -174,9 +174,8 @@ statements! {
     BACKLOGS = "SELECT site, machine FROM backlog JOIN machine USING (machine_row) ORDER BY since_us LIMIT ?1";
     AWAITED_COUNT = concat!("SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE ", awaited!());
 
-    // Judging.
-    // Machines with pending throws, after one and in turn; of each the first throws that wait for nothing, so that
-    // neither a long queue nor an open backlog of one machine holds up another.
+    // Judging. Machines with pending throws, in turn after a given one; of each the first throws that can be judged, so
+    // that neither a long queue nor an open backlog of one machine delays others.
     TO_JUDGE = "WITH RECURSIVE waiting (machine_row) AS (\
         SELECT min(machine_row) FROM throw INDEXED BY throw_pending WHERE judged_at_us IS NULL \
         AND machine_row > coalesce((SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?5), 0) \
@@ -245,7 +244,7 @@ statements! {
     // The newest rows are at the end of the table.
     NEWEST_HEALTH = concat!("SELECT ", history!(), " \
         ORDER BY throw_row DESC LIMIT ?1");
-    // Those of some machines, or since a time, are chosen in an index alone before their wide rows are read.
+    // Rows of some machines, or since a time, are selected by an index before their wide rows are read.
     HEALTH_SINCE = concat!("SELECT ", history!(), " \
         WHERE throw_row IN (SELECT throw_row FROM throw \
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE (?2 IS NULL OR site = ?2) AND (?3 IS NULL OR machine = ?3)) \
@@ -259,14 +258,14 @@ statements! {
     GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
         WHERE filled_at_us IS NULL AND (written_off_at_us IS NOT NULL OR told_at_us IS NOT NULL) ORDER BY gap_row LIMIT ?1";
-    // An awaited gap counts when its machine no longer waits for the backlog.
+    // An awaited gap counts if its machine no longer waits for the backlog.
     UNREPORTED_GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) LEFT JOIN backlog USING (machine_row) \
         WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' \
         AND (written_off_at_us IS NOT NULL OR since_us IS NULL OR since_us NOT BETWEEN ?2 AND ?3) ORDER BY gap_row LIMIT ?1";
     REPORT_GAP = "UPDATE gap SET told_at_us = ?2 WHERE gap_row = ?1";
 
-    // The dashboard. Each reads a bounded number of rows, however long the history.
+    // The dashboard. Each query reads a bounded number of rows.
     OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) \
         FROM alarm JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
         WHERE alarm.state <> 'normal' GROUP BY cause, severity ORDER BY cause, severity";

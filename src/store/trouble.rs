@@ -1,36 +1,33 @@
-//! Why the store loses data, in words for an alarm.
+//! Problems of the store, as texts for an alarm.
 
 use super::{database::Store, disk::DiskLevel, place::Place};
 use crate::diagnose::Severity;
 
 impl Store {
-    /// Severity and text of everything that is wrong now, or was since the last call, and of `more`. Cheap: for every few
-    /// seconds.
-    /// The alarm that comes from it can be committed although the disk is full: the refused write gives up the ballast,
-    /// which is room for thousands of alarms.
+    /// Severity and text of all problems, present or since the last call, and of `more`. Fast enough for every few
+    /// seconds. The alarm can be stored on a full disk too, as the failed write removes the ballast, which has space
+    /// for thousands of alarms.
     #[must_use]
     pub fn trouble(&self, more: Option<(Severity, String)>) -> Option<(Severity, String)> {
         let disk = match self.disk.worst_level() {
             DiskLevel::Ample => None,
             DiskLevel::Low => Some((
                 Severity::Warning,
-                "its disk is nearly full, and the traces of judged throws are dropped. Free some space",
+                "its disk is nearly full, and traces of judged throws are dropped. Free some space",
             )),
-            DiskLevel::Full => {
-                Some((Severity::Critical, "its disk is full, and writes are refused. Free some space now"))
-            }
+            DiskLevel::Full => Some((Severity::Critical, "its disk is full, and writes fail. Free some space now")),
             DiskLevel::Failing => Some((
                 Severity::Critical,
-                "writing to its disk fails, and what arrives cannot be stored. Check the disk",
+                "writing to its disk fails, and received throws cannot be stored. Check the disk",
             )),
         };
         let disk = disk.map(|(severity, said)| (severity, said.to_owned()));
         let set_aside = self.place.set_aside_before().map(|file| {
             let saved = Place::saved_from(&file);
-            let saved = saved.unwrap_or_else(|| "what it held is not in the history".to_owned());
+            let saved = saved.unwrap_or_else(|| "its history is not available".to_owned());
             let said = format!(
-                "its database was broken and was set aside as {}; {saved}. Keep that file for someone who can recover \
-                 more, and move it elsewhere",
+                "its database was broken and was set aside as {}; {saved}. Move this file elsewhere, and keep it for a \
+                 later recovery",
                 file.display()
             );
             (Severity::Critical, said)
@@ -39,18 +36,18 @@ impl Store {
             let file = self.path().display();
             let said = if mended {
                 format!(
-                    "the file of its database was deleted or replaced while it ran; it wrote {file} anew, with everything. \
-                     A file that stood there instead is now {file}-replaced-…. Find out who did that"
+                    "the file of its database was deleted or replaced during operation; all data were written again to {file}. \
+                     A foreign file there is now {file}-replaced-…. Find out the reason"
                 )
             } else {
-                format!("the file {file} of its database was deleted or replaced while it runs, and cannot be written anew")
+                format!("the file {file} of its database was deleted or replaced during operation, and cannot be written again")
             };
             (Severity::Critical, said)
         });
         let dropped = self.disk.dropped_pending.shown().map(|throws| {
             let said = format!(
-                "{throws} throws were dropped before they were judged: its database holds store.max_size_mib of them, \
-                 mostly of one machine. Look which logger sends so much"
+                "{throws} throws were dropped before they were judged: pending throws fill store.max_size_mib, mostly \
+                 of one machine. Check the logger that sends so many"
             );
             (Severity::Critical, said)
         });

@@ -101,17 +101,17 @@ pub struct Throw {
     pub trace: Trace,
     /// Ambient or machine temperature \[°C\].
     pub temperature_c: Option<f64>,
-    /// Supply voltage during the throw, as the logger measured it \[V\].
+    /// Supply voltage during the throw, measured by the logger \[V\].
     pub supply_v: Option<f64>,
     /// Cut-off of the anti-alias filter of both channels \[Hz\]; `None` if the logger declares no filter.
     pub anti_alias_hz: Option<f64>,
 }
 
-/// Supply voltages that a motor can run from \[V\]: point machines have 20 to 400 V. Outside, the sensor has failed.
+/// Possible supply voltages \[V\]: point machines have 20 to 400 V. Outside this range the sensor has failed.
 pub const POSSIBLE_SUPPLY_V: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
 
 impl Throw {
-    /// The supply voltage, where it was measured and can be \[V\].
+    /// The supply voltage, if it was measured and is possible \[V\].
     #[must_use]
     pub fn possible_supply_v(&self) -> Option<f64> {
         self.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts))

@@ -1,5 +1,5 @@
-//! HTTP connections with limits: their number, one request each, bytes of the request, and time. When all places are taken,
-//! the connection that has waited the longest for its request is closed, so that slow clients keep nobody out.
+//! HTTP connections with limits: their number, one request each, bytes of the request, and time. At the limit, the
+//! connection that has waited longest for its request is closed, so that slow clients do not block others.
 
 use std::{
     collections::VecDeque,
@@ -26,7 +26,7 @@ const CONNECTIONS: usize = 64;
 const READ_BYTES: usize = 16 << 10;
 /// Time limit of a request.
 const ASKING: Duration = Duration::from_secs(5);
-/// Of this, what a connection has while others wait for a place: a browser sends its request at once.
+/// Time limit for the request while other connections wait: a browser sends its request at once.
 const GRACE: Duration = Duration::from_millis(250);
 /// Time limit of a response from its first byte: 200 kB at 20 kB/s.
 const ANSWERING: Duration = Duration::from_secs(10);
@@ -37,7 +37,7 @@ const PAUSE: Duration = Duration::from_millis(500);
 pub(super) struct Bounded {
     listener: TcpListener,
     room: Arc<Semaphore>,
-    /// Connections whose request has not come yet, the oldest first. A dropped sender ends its connection.
+    /// Connections without a complete request, the oldest first. A dropped sender ends its connection.
     asking: VecDeque<(Instant, oneshot::Sender<()>)>,
 }
 
@@ -46,14 +46,14 @@ impl Bounded {
         Self { listener, room: Arc::new(Semaphore::new(CONNECTIONS)), asking: VecDeque::new() }
     }
 
-    /// Waits for a place. The connection that has waited the longest for its request gives its place up after its grace.
+    /// Waits for a place. The connection that has waited longest for its request loses its place after [`GRACE`].
     async fn place(&mut self) -> Option<OwnedSemaphorePermit> {
         loop {
             self.asking.retain(|(_, asking)| !asking.is_closed());
             let oldest = self.asking.front().map(|(since, _)| *since + GRACE);
             tokio::select! {
                 biased;
-                // Never an error: the semaphore is never closed.
+                // Cannot fail, as the semaphore is never closed.
                 place = Arc::clone(&self.room).acquire_owned() => return place.ok(),
                 () = time::sleep_until(oldest.unwrap_or_else(Instant::now)), if oldest.is_some() => {
                     self.asking.pop_front();
@@ -98,7 +98,7 @@ impl Listener for Bounded {
 pub(super) struct Connection {
     stream: TcpStream,
     deadline: Pin<Box<Sleep>>,
-    /// Resolves when another connection needs the room; `None` once the request is there.
+    /// Resolves when another connection needs the place; `None` after the request has arrived.
     evicted: Option<oneshot::Receiver<()>>,
     read_bytes: usize,
     answering: bool,
@@ -128,7 +128,7 @@ impl AsyncRead for Connection {
         if self.read_bytes > READ_BYTES {
             return Poll::Ready(Err(io::ErrorKind::InvalidData.into()));
         }
-        // A request without a body that came whole waits for its answer: it is not the one to make way.
+        // A complete request waits for its response and keeps its place.
         if buffer.filled().ends_with(b"\r\n\r\n") {
             self.evicted = None;
         }

@@ -1,5 +1,6 @@
-//! One logger with a valid key sends as fast as its link carries, for `POINTSD_FLOOD_SECONDS`. The other machines' history
-//! stays whole, their throws are judged within two seconds at the 99th percentile, and the database keeps its bound.
+//! A logger with a valid key sends at the speed of its link for `POINTSD_FLOOD_SECONDS`. The history of the other
+//! machines stays complete, their throws are judged within two seconds (99th percentile), and the database keeps its
+//! bound.
 
 use std::{
     collections::HashMap,
@@ -23,20 +24,20 @@ use crate::{
     size,
 };
 
-/// What a throw of another machine takes of the database \[bytes\].
+/// Size of a throw of another machine in the database \[bytes\].
 const THROW_BYTES: u64 = 12_000;
-/// What the flood adds to the database between two rounds of housekeeping \[MiB\].
+/// Growth of the database by the flood between two rounds of housekeeping \[MiB\].
 const ROUND_MIB: u64 = 16;
-/// The other machines, their throws before the flood, and the time from one to the next while it lasts.
+/// The other machines, their throws before the flood, and the interval of their throws during it.
 const OTHERS: [&str; 3] = ["m1", "m2", "m3"];
 const BEFORE: u64 = 30;
 const PACE: Duration = Duration::from_millis(200);
-/// Longest wait for a judgement at the 99th percentile.
+/// Limit for the 99th percentile of the time to the judgement.
 const P99: Duration = Duration::from_secs(2);
 
 type Times = Arc<Mutex<HashMap<(String, u64), Instant>>>;
 
-/// Sends small throws, none like another, until it is stopped; returns how many.
+/// Sends small different throws until it is stopped; returns their number.
 async fn flood(daemon: &Daemon, stop: Arc<AtomicBool>) -> thread::JoinHandle<u64> {
     let session = daemon.client().await;
     let publisher = rig::matched(&session, "points/v1/north/mad/throw").await;
@@ -57,7 +58,7 @@ async fn flood(daemon: &Daemon, stop: Arc<AtomicBool>) -> thread::JoinHandle<u64
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn one_logger_at_full_speed_harms_no_other() {
     let lasts = Duration::from_secs(size("POINTSD_FLOOD_SECONDS", 5) as u64);
-    // Room for as much of each machine, and no more: what the flood brings beyond its share has to go.
+    // Limits with an equal share for each machine: retention must delete throws of the flood beyond its share.
     let machines = OTHERS.len() as u64 + 1;
     let most = BEFORE + u64::try_from(lasts.as_millis() / PACE.as_millis()).unwrap();
     let (throws, bound_mib) = (machines * most, ((machines * most * THROW_BYTES) >> 20).max(16));

@@ -1,4 +1,4 @@
-//! A disk without a free byte under the running daemon, and room again: without a crash, a loss or a restart.
+//! A full disk during operation, and free space again: without a crash, a loss or a restart.
 
 use crate::{
     database::{Verdict, inspect},
@@ -29,20 +29,20 @@ async fn fill_and_free(ballast_mib: u64) {
     witness.until("a healthy start", |heard| heard.health.len() == 20).await;
 
     disk.fill();
-    // The ballast, if any, is given up, and with its room the alarm is committed.
+    // The ballast, if any, is removed, and its space is enough for the alarm.
     let about_disk = |(alarm_id, _): &(String, u32)| alarm_id.starts_with("fleet.pointsd.data_loss.");
     witness.until("an alarm about the disk", |heard| heard.events.iter().any(about_disk)).await;
-    // Now nothing can be stored any more.
+    // Now no write can succeed.
     disk.fill();
     let logger = Logger::start(&daemon.endpoint, Plan { boot_id: "b2".to_owned(), ..Plan::default() }).await;
     daemon.until_status("a full disk", |status| status["disk"] == "full").await;
     let heard = witness.heard().health.len();
     let (_, line) = daemon.operate(&["status"]);
     assert!(line.contains("DISK FULL"), "{line}");
-    assert!(daemon.log().iter().any(|line| line.contains("ERROR") && line.contains("throws cannot be stored")));
-    let count = daemon.log().iter().filter(|line| line.contains("a write transaction failed")).count();
-    assert!(count <= 3, "the log repeats itself {count} times");
-    // It stays alive, and answers, while throws keep coming.
+    assert!(daemon.log().iter().any(|line| line.contains("ERROR") && line.contains("storing throws failed")));
+    let count = daemon.log().iter().filter(|line| line.contains("write transaction failed")).count();
+    assert!(count <= 3, "the same log line {count} times");
+    // The daemon still runs and answers while throws arrive.
     let received = daemon.status()["received"].as_u64().unwrap();
     daemon.until_status("throws that wait", |status| status["received"].as_u64() > Some(received + 20)).await;
     assert!(witness.heard().health.len() < heard + 20, "the disk was not full");

@@ -1,5 +1,5 @@
-//! Years in a cabinet, in minutes: the running daemon under power cuts, kills, failing and full disks, clocks that
-//! jump. Small by default; the README names the variables that make them large.
+//! Endurance of the running daemon: power cuts, kills, failing and full disks, clock jumps. Short by default; the
+//! README has the variables for long runs.
 
 #![expect(
     clippy::unwrap_used,
@@ -36,7 +36,7 @@ mod retention;
 mod slow;
 mod soak;
 
-/// The number in an environment variable, or the small one of a usual run.
+/// The number in an environment variable, or the default of a short run.
 fn size(variable: &str, usual: usize) -> usize {
     std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|_| panic!("{variable} is a number")))
 }

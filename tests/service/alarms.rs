@@ -119,7 +119,10 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
             let [alarm] = &lines[..] else { panic!("{text}") };
             assert_eq!((alarm.machine.site.as_str(), alarm.machine.machine.as_str()), ("cabinets", "c7"));
             assert_eq!((alarm.cause, alarm.severity), (Cause::DataLoss, Severity::Critical));
-            assert!(alarm.text.contains("points.db-broken-") && alarm.text.contains("move it elsewhere"), "{text}");
+            assert!(
+                alarm.text.contains("points.db-broken-") && alarm.text.contains("Move this file elsewhere"),
+                "{text}"
+            );
         }
         if start == 0 {
             let (code, text) = daemon.operate(&["ack", "cabinets/c7", "data_loss", "--by", "tester"]);

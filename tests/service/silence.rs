@@ -1,5 +1,5 @@
-//! What hides a fault must show. A motor has lost 15 %, and each row of the table hides it in another way: within 20 throws
-//! the operator sees an alarm, a state, the exit code of `pointsd status` and a metric.
+//! A problem that hides a fault must be visible. A motor has lost 15 %, and each row of the table hides this in another
+//! way: within 20 throws there are an alarm, a state, the exit code of `pointsd status` and a metric.
 
 use std::{fs, os::unix::fs::FileExt, time::Instant};
 
@@ -14,13 +14,13 @@ use crate::{
     web::{address, get},
 };
 
-/// Healthy throws, from which the daemon learns its baseline.
+/// Healthy throws for the baseline.
 const HEALTHY: usize = 30;
-/// Throws within which the operator sees that something is wrong.
+/// Throws within which the problem must be visible.
 const WITHIN: usize = 20;
 const CONFIG: &str = "[diagnosis]\nbaseline_throws = 12\n[web]\nlisten = \"127.0.0.1:0\"\n";
 
-/// What happens to the daemon before the motor weakens.
+/// Event of the daemon before the motor weakens.
 #[derive(Clone, Copy, PartialEq)]
 enum Before {
     Nothing,
@@ -30,15 +30,15 @@ enum Before {
     Deleted,
 }
 
-/// One way to hide a fault.
+/// A way to hide a fault.
 struct Row {
     name: &'static str,
     before: Before,
-    /// What the logger makes of the throws of the weak motor, after those of the sound one.
+    /// Changes the throws of the weak motor, which follow those of the healthy motor.
     disguise: fn(&[Throw], &[Throw]) -> Vec<Throw>,
-    /// Words of an open alarm; of a machine in maintenance, words of `pointsd status`.
+    /// Part of the text of an open alarm, or of `pointsd status` for maintenance.
     says: &'static str,
-    /// A metric that is not zero.
+    /// A metric with a value other than 0.
     metric: &'static str,
 }
 

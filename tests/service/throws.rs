@@ -1,4 +1,4 @@
-//! Throws that arrive: once, three times, in a burst, before a crash, among poison.
+//! Reception of throws: once, repeated, in a burst, before a crash, among invalid messages.
 
 use pointsd::{
     simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
@@ -42,7 +42,7 @@ async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
     for throw in &made {
         publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
     }
-    // The last one has arrived when the daemon answers that it received all.
+    // The daemon's status shows that it received all.
     let received = async {
         loop {
             let (code, text) = daemon.operate(&["status", "--json"]);
@@ -57,7 +57,7 @@ async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
     assert!(daemon.terminate().success());
     let waiting = rig.sql("SELECT count(*) AS n FROM throw")[0]["n"].clone();
     assert_eq!(waiting, made.len());
-    // What could not be judged in time is judged after the next start.
+    // Pending throws are judged after the next start.
     let daemon = rig.start();
     let rows = rig.judged(made.len()).await;
     assert!(daemon.terminate().success());
@@ -89,7 +89,7 @@ async fn a_killed_daemon_goes_on_where_it_was() {
     assert!(daemon.terminate().success());
     let rows = rig.history().await;
     assert_eq!(rows.len(), 12);
-    // The baseline counts on: the monitor was not forgotten.
+    // The baseline continues, so the monitor was restored.
     assert_eq!(rows[11].baseline.unwrap().0, 6);
 }
 
@@ -138,7 +138,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     assert_eq!((&sizes[0]["payload_bytes"], &sizes[0]["kept"]), (&2_000_000.into(), &1024.into()));
 }
 
-/// Far more than the daemon takes in, as fast as one link carries it.
+/// Far more throws than the daemon can handle, at the speed of one link.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flood_from_one_sender_leaves_room_for_the_throws_of_others() {
     const GOOD: u64 = 60;
@@ -154,7 +154,7 @@ async fn a_flood_from_one_sender_leaves_room_for_the_throws_of_others() {
     }
     let rows = rig.judged(usize::try_from(GOOD).unwrap()).await;
     assert!(rows.iter().map(|row| row.throw.throw_no).eq(1..=GOOD));
-    // What there was no room for is counted.
+    // Dropped throws are counted.
     let sent = GOOD * 2_000 + GOOD;
     let count = |status: &serde_json::Value, what: &str| status[what].as_u64().unwrap();
     daemon
@@ -183,7 +183,7 @@ async fn a_missing_throw_number_is_a_gap() {
 
 const QUICK: &str = "[diagnosis]\nbaseline_throws = 12\n";
 
-/// Throws of a machine whose motor weakens by 20 % at a throw, or from it on over so many.
+/// Throws of a machine; its motor weakens by 20 % at `from_throw`, or from there over `ramp` throws.
 fn weakened(count: u64, from_throw: u64, ramp: Option<u64>) -> Vec<Throw> {
     let shape = ramp.map_or(Shape::Step, |throws| Shape::Ramp { throws });
     let fault = Fault { part: Part::Kt, shape, size_pct: -20.0, from_throw };
@@ -191,7 +191,7 @@ fn weakened(count: u64, from_throw: u64, ramp: Option<u64>) -> Vec<Throw> {
     throws_of(&fleet, "boot", count)
 }
 
-/// Sends throws, and waits until each is judged.
+/// Publishes throws, and waits until each is judged.
 async fn send(rig: &Rig, daemon: &Daemon, throws: &[Throw]) {
     let session = daemon.client().await;
     let publisher = matched(&session, KEY).await;
@@ -260,7 +260,7 @@ async fn a_drift_is_seen_although_each_trace_comes_five_times() {
     assert!(daemon.terminate().success());
 }
 
-/// The load generator sends what it was asked for, each throw different from all others, and counts what was judged.
+/// The load generator sends the requested throws, each different from all others, and counts the judged ones.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_load_is_judged_whole() {
     let rig = Rig::new();

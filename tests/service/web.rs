@@ -1,5 +1,5 @@
-//! The dashboard of the real daemon over real HTTP: what it shows, what it refuses, and that who reads, slowly, often or
-//! with bad intent, does not hold up the daemon.
+//! The dashboard of the real daemon over HTTP: its pages, its rejections, and slow, frequent and malicious clients,
+//! which must not slow down the daemon.
 
 use std::{
     io::{Read, Write},
@@ -26,10 +26,10 @@ use crate::{
 
 const KEY: &str = "points/v1/north/21B/throw";
 const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
-/// A boot that a browser would run, were it not escaped.
+/// A boot id that a browser would run as a script if it were not escaped.
 const HOSTILE: &str = "<script>alert(1)</script>\"'&";
 
-/// What was answered.
+/// A response.
 #[derive(Debug)]
 pub(crate) struct Answer {
     status: u16,
@@ -53,7 +53,7 @@ pub(crate) fn address(daemon: &Daemon) -> String {
     line.split("http://").nth(1).unwrap().trim_end_matches('/').to_owned()
 }
 
-/// Sends these bytes and returns all that is answered until the other side closes.
+/// Sends these bytes and returns the response up to its end.
 fn exchange(address: &str, request: &str) -> String {
     String::from_utf8(exchange_bytes(address, request.as_bytes())).unwrap()
 }
@@ -63,7 +63,7 @@ fn exchange_bytes(address: &str, request: &[u8]) -> Vec<u8> {
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     stream.write_all(request).unwrap();
     let mut answer = Vec::new();
-    // A connection that is cut has answered what it had.
+    // The response of a cut connection ends early.
     let _ = stream.read_to_end(&mut answer);
     answer
 }
@@ -79,7 +79,7 @@ pub(crate) fn get(address: &str, path: &str) -> Answer {
     ask(address, "GET", path, address)
 }
 
-/// Every element that is opened is closed, in order.
+/// Checks that all elements are closed, in order.
 fn check_nesting(html: &str) {
     const VOID: [&str; 4] = ["meta", "link", "!doctype", "input"];
     let mut open = Vec::new();
@@ -95,7 +95,7 @@ fn check_nesting(html: &str) {
     assert!(open.is_empty(), "{open:?} stay open");
 }
 
-/// A daemon with throws of one machine: two good ones, and one with a hostile name that is refused.
+/// A daemon with throws of one machine: two good ones, and a rejected one with a hostile boot id.
 async fn small_history() -> (Rig, Daemon, String) {
     history_in(Rig::with(WEB)).await
 }
@@ -188,7 +188,7 @@ async fn every_page_tells_what_is_wrong_with_the_daemon() {
     std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
     let (rig, daemon, address) = history_in(rig).await;
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE machine = 'pointsd' AND cause = 'data_loss'").await;
-    // Nobody shows a liveliness token: silence is not health.
+    // No logger has a liveliness token, so the pages must say so.
     let silence = "No logger is connected";
     let own_alarm = "Alarm of the daemon itself: pointsd loses data: its database was broken and was set aside";
     let fresh = "/machines/north/21B?span=all";
@@ -202,11 +202,11 @@ async fn every_page_tells_what_is_wrong_with_the_daemon() {
         let banner = page.body.split("<main>").next().unwrap();
         assert!(page.status == 200 && banner.contains(silence) && banner.contains(own_alarm), "{path}: {page:?}");
     }
-    // The daemon is no machine: it has neither directions nor throws.
+    // The page of the daemon itself has neither directions nor throws.
     let itself = get(&address, "/machines/fleet/pointsd").body;
     assert!(!itself.contains("of the baseline") && !itself.contains("Last throws"), "{itself}");
     check_nesting(&itself);
-    // A failure tells what the daemon knows without its database.
+    // An error page shows the problems that are known without the database.
     let failure = get(&address, "/machines/north/99");
     assert!(failure.status == 404 && failure.body.contains(silence), "{failure:?}");
     let stranger = ask(&address, "GET", "/", "rebound.example");
@@ -285,7 +285,7 @@ async fn the_metrics_count_what_the_daemon_did() {
     assert_eq!(get(&address, "/healthz").status, 200);
 }
 
-/// Another process holds the database while minutes pass on the daemon's clock.
+/// Another process locks the database while minutes pass on the daemon's clock.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
     let Some(library) = faketime::library() else { return };
@@ -313,7 +313,7 @@ async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
     let mut other =
         SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(rig.database())).await.unwrap();
     sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
-    // A write that was under way may answer yet: then the next one waits, and another minute passes.
+    // A running write may still succeed; then the next one waits for another minute.
     let mut seconds = 0;
     let mut a_minute_passes = |health: &Answer| {
         if health.status == 200 {
@@ -321,12 +321,12 @@ async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
             std::fs::write(&clock, format!("+{seconds}")).unwrap();
         }
     };
-    // The other loops beat again at once. By the time of the page the write may have given up, until the next one.
+    // The other loops beat again at once. Before the page is read the write may fail, and the next one starts.
     let is_told = (0..3).any(|_| {
         until(503, "these loops of the daemon hang: write\n", &mut a_minute_passes);
         get(&address, "/").body.contains("Parts of the daemon hang (write)")
     });
-    assert!(is_told, "no page tells of it");
+    assert!(is_told, "no page shows it");
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
     until(200, "every loop of the daemon beats\n", &mut |_| {});
     assert!(daemon.terminate().success());
@@ -346,7 +346,7 @@ fn without_its_section_there_is_no_dashboard_and_a_taken_port_is_said() {
     assert!(failed.log.iter().any(|line| line.contains(&says)), "{failed:?}");
 }
 
-/// 150,000 throws of one machine, 3,000 machines, 600 alarms: what is answered stays small.
+/// 150,000 throws of one machine, 3,000 machines, 600 alarms: the pages stay small.
 #[expect(clippy::too_many_lines, reason = "one history, every page of it")]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_big_history_gives_bounded_pages() {
@@ -415,7 +415,7 @@ async fn a_big_history_gives_bounded_pages() {
     .await;
     let daemon = rig.start();
     let address = self::address(&daemon);
-    // After the start: the daemon derives the state of machines whose monitors it holds.
+    // After the start, as the daemon derives the state of machines with a loaded monitor.
     rig.change(
         "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts)
          SELECT machine_row, (SELECT snapshot FROM monitor LIMIT 1), 0,
@@ -444,7 +444,7 @@ async fn a_big_history_gives_bounded_pages() {
     }
     println!("with 150,000 throws more (before: {fresh} bytes): {}", said.join("; "));
     let fleet = get(&address, "/").body;
-    // 600 machines have a critical alarm: the tally counts all of them, and the list begins with them.
+    // 600 machines have a critical alarm: the tally counts all of them, and they are first in the list.
     assert!(
         fleet.contains("3,001 machines</a>") && fleet.contains(">600 <span class=\"badge critical\">"),
         "{fleet:.3000}"
@@ -468,7 +468,7 @@ async fn a_big_history_gives_bounded_pages() {
         rig.sql("SELECT machine FROM active_alarms ORDER BY site DESC, machine DESC LIMIT 1")[0]["machine"].clone();
     let beyond = get(&address, &format!("/machines/south/{}", beyond.as_str().unwrap())).body;
     assert!(beyond.contains(", critical · pointsd</title>"), "{beyond:.3000}");
-    // Spread over the whole life, not only its end: the axis reaches from May to August.
+    // The points are from the whole history: the axis is from May to August.
     let all = get(&address, "/machines/north/21B?span=all").body;
     assert!(all.contains("drawn are 250 throws normal to reverse and 250 back"), "{all:.3000}");
     for moment in ["Jun", "Jul", "Aug", "2026", "UTC"] {
@@ -513,7 +513,7 @@ async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
     }
     let grown = resident_kib(daemon.id()).saturating_sub(before);
     println!("{CLIENTS} readers, {busy} of {} answers were busy; memory {before} KiB + {grown} KiB", 3 * CLIENTS);
-    // 64 connections, each with a page and its buffers, and the throws themselves.
+    // 64 connections, each with a page and its buffers, and the throws.
     assert!(grown < 64 << 10, "{grown} KiB more");
     assert!(daemon.terminate().success());
 }
@@ -521,7 +521,7 @@ async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_asks_slowly_or_without_end_is_cut_and_the_daemon_goes_on() {
     let (rig, daemon, address) = small_history().await;
-    // More than there are places, each of which begins to ask and never ends.
+    // More connections than the limit, each with an incomplete request.
     let mut slow: Vec<TcpStream> = (0..100)
         .map(|_| {
             let mut stream = TcpStream::connect(&address).unwrap();
@@ -542,26 +542,26 @@ async fn who_asks_slowly_or_without_end_is_cut_and_the_daemon_goes_on() {
     }
     for stream in &mut slow {
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
-        // All of them are let go: an end, a reset, or an answer that says so.
+        // All of them are closed: by an end, a reset, or an error response.
         let gone = stream.read_to_end(&mut Vec::new());
         assert!(
             gone.as_ref().err().is_none_or(|error| error.kind() == std::io::ErrorKind::ConnectionReset),
             "{gone:?}"
         );
     }
-    // A request without end is cut long before it fills memory.
+    // An endless request is cut before it fills the memory.
     let mut endless = TcpStream::connect(&address).unwrap();
     endless.set_write_timeout(Some(PATIENCE)).unwrap();
     endless.write_all(b"GET / HTTP/1.1\r\n").unwrap();
     let cut = (0..100_000)
         .find(|_| endless.write_all(b"X-Filler: aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa\r\n").is_err());
-    assert!(cut.is_some(), "5 MB of headers were taken");
+    assert!(cut.is_some(), "5 MB of headers were accepted");
     assert_eq!(get(&address, "/healthz").status, 200);
     assert!(daemon.terminate().success());
 }
 
-/// Passes requests on to the dashboard, the first `pages` for the fleet's page; to later ones nobody answers. Returns
-/// where it listens, and counts the requests for that page.
+/// Forwards requests to the dashboard, but only the first `pages` for the page of the fleet. Returns its address, and
+/// the number of requests for that page.
 fn relay(dashboard: &str, pages: usize) -> (String, Arc<AtomicUsize>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let (place, dashboard) = (listener.local_addr().unwrap().to_string(), dashboard.to_owned());
@@ -574,26 +574,26 @@ fn relay(dashboard: &str, pages: usize) -> (String, Arc<AtomicUsize>) {
             while !request.ends_with(b"\r\n\r\n") {
                 match stream.read(&mut buffer) {
                     Ok(read) if read > 0 => request.extend(&buffer[..read]),
-                    // A connection that the browser opened in advance.
+                    // The browser opened a connection in advance.
                     _ => break,
                 }
             }
             if request.starts_with(b"GET / ") && counted.fetch_add(1, Relaxed) >= pages || request.is_empty() {
                 continue;
             }
-            // The browser may have gone.
+            // The browser may have closed the connection.
             let _ = stream.write_all(&exchange_bytes(&dashboard, &request));
         }
     });
     (place, asked)
 }
 
-/// A real browser builds the pages, and runs our script under our policy: it fetches the page again, and says so when
-/// nobody answers any more.
+/// A real browser shows the pages and runs our script under our policy: it reloads the page, and shows a message when
+/// the daemon does not answer.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_real_browser_shows_the_pages_and_keeps_them_fresh() {
     if Command::new("chromium").arg("--version").stdout(Stdio::null()).status().is_err() {
-        println!("skipped: there is no chromium");
+        println!("skipped: chromium is not installed");
         return;
     }
     let (rig, daemon, address) = small_history().await;
@@ -608,12 +608,12 @@ async fn a_real_browser_shows_the_pages_and_keeps_them_fresh() {
         String::from_utf8(output.stdout).unwrap()
     };
     let machine = browse(&address, "/machines/north/21B", 2_000);
-    // The hostile name is a text node, no element.
+    // The hostile boot id is a text node, not an element.
     assert!(machine.contains("throws/%3Cscript%3E") && !machine.contains("<script>alert"), "{machine}");
 
     let (place, asked) = relay(&address, usize::MAX);
     let fresh = browse(&place, "/", 12_000);
-    assert!(asked.load(Relaxed) >= 2, "it asked {asked:?} times in twelve seconds of the browser's time");
+    assert!(asked.load(Relaxed) >= 2, "{asked:?} requests in twelve seconds of the browser's time");
     assert!(fresh.contains("role=\"status\" hidden") && fresh.contains("baseline 1 of 50"), "{fresh}");
     let (place, _) = relay(&address, 1);
     let old = browse(&place, "/", 12_000);
@@ -621,7 +621,7 @@ async fn a_real_browser_shows_the_pages_and_keeps_them_fresh() {
     assert!(daemon.terminate().success());
 }
 
-/// Posts a form to the machine's page.
+/// Posts a form to the page of the machine.
 fn post(address: &str, headers: &str, form: &str) -> Answer {
     let request = format!(
         "POST /machines/north/21B/command HTTP/1.1\r\nHost: {address}\r\nContent-Length: {}\r\n{headers}\r\n{form}",
@@ -656,7 +656,7 @@ async fn operators_act_from_the_page_with_the_token_and_from_nowhere_else() {
     let done = post(&address, &format!("{origin}Sec-Fetch-Site: same-origin\r\n"), &good);
     assert_eq!((done.status, done.header("location")), (303, Some("/machines/north/21B#commands")), "{done:?}");
 
-    // Maintenance shows on every surface, with its end, its author and its reason.
+    // Every page shows the maintenance, with its end, operator and reason.
     let machine = get(&address, "/machines/north/21B").body;
     let fleet = get(&address, "/?state=maintenance").body;
     for page in [&machine, &fleet] {
@@ -686,7 +686,11 @@ fn the_demo_names_its_dashboard() {
     let mut line = String::new();
     while !line.starts_with("In a browser: ") {
         line.clear();
-        assert_ne!(std::io::BufRead::read_line(&mut output, &mut line).unwrap(), 0, "it never names it");
+        assert_ne!(
+            std::io::BufRead::read_line(&mut output, &mut line).unwrap(),
+            0,
+            "the output ended without the address"
+        );
     }
     let address = line.trim().strip_prefix("In a browser: http://").unwrap().trim_end_matches('/');
     let deadline = Instant::now() + PATIENCE;

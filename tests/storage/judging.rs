@@ -1,4 +1,4 @@
-//! Judgements, alarms and messages: together or not at all, and once.
+//! Judgements, alarms and messages are stored together, and once.
 
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, MachineState},
@@ -40,7 +40,11 @@ async fn a_judgement_is_written_once_and_the_views_show_it() {
     assert_eq!(machines, [("normal_to_reverse".to_owned(), "warning".to_owned(), 1, 23.0, 1.0, 40.0)]);
     let alarms: Vec<(f64, f64, String, f64)> =
         query(&store, "SELECT change_pct, change_now_pct, direction_now, limit_in_throws_now FROM active_alarms").await;
-    assert_eq!(alarms, [(18.0, 23.0, "normal_to_reverse".to_owned(), 40.0)], "as it was raised, and as it is now");
+    assert_eq!(
+        alarms,
+        [(18.0, 23.0, "normal_to_reverse".to_owned(), 40.0)],
+        "the values of the event, and the present values"
+    );
 }
 
 #[tokio::test]
@@ -84,14 +88,14 @@ async fn an_alarm_lives_through_its_events_and_each_is_published_once() {
     let everything = Selector::default();
     store.record(alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
     store.record(alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
-    // A repetition after an unknown commit.
+    // A repetition after a commit with an unknown result.
     store.record(alarm(2, AlarmState::ActiveAcknowledged)).await.unwrap();
 
     let [open_alarm] = &store.reader().open_alarms(&everything).await.unwrap()[..] else { panic!() };
     let raised = event(1, AlarmState::Normal);
     assert_eq!(open_alarm.alarm_id, alarm_id(&id, raised.cause, raised.raised_at));
     assert_eq!(open_alarm.alarm_id, format!("north.21B.friction.{}", at(10).as_microsecond()));
-    assert_eq!(open_alarm.event, event(2, AlarmState::ActiveAcknowledged), "all of the event comes back");
+    assert_eq!(open_alarm.event, event(2, AlarmState::ActiveAcknowledged), "the event is restored completely");
     let acknowledged: Vec<(String, String)> =
         query(&store, "SELECT acknowledged_by, acknowledged_at FROM active_alarms").await;
     assert_eq!(acknowledged, [("mia".to_owned(), "2026-03-01T06:00:20.250000Z".to_owned())]);

@@ -1,4 +1,4 @@
-//! Years in a cabinet: bounds on rows, bytes, age and log; broken files; clocks that jump.
+//! Long operation: bounds on rows, bytes, age and log; broken files; clock jumps.
 
 use std::{fs, os::unix::fs::FileExt};
 
@@ -11,7 +11,7 @@ use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
 use crate::given::{alarm, at, judgement, machine, open, query, settings, spooled, throw};
 
-/// Spools and judges throws `first` to `last`, received a minute apart.
+/// Spools and judges throws `first` to `last`, received one minute after another.
 async fn judged(store: &Store, first: u64, last: u64) {
     for throw_no in first..=last {
         let received_at = at(60 * i64::try_from(throw_no).unwrap());
@@ -28,14 +28,14 @@ async fn traces_go_before_throws_and_what_waits_never_goes() {
     let store = Store::open(&bounds, at(0)).await.unwrap().store;
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
-    // The pending throw counts too.
+    // The bound includes the pending throw.
     let done = store.keep_house(at(0), true).await.unwrap();
     assert_eq!((done.traces, done.throws), (101, 51));
     let statistics = store.statistics().await.unwrap();
     assert_eq!(statistics.pending, 1);
     assert_eq!(store.reader().pending(ThrowRow::START, 9).await.unwrap()[0].row, waits);
     assert_eq!((statistics.counters["dropped_traces"], statistics.counters["dropped_throws"]), (101, 51));
-    // A pruned throw that comes again is still a repetition, and no gap.
+    // A deleted throw that arrives again is still a repetition, and not a gap.
     let again = store.spool(&machine("21B"), &throw("b1", 7), at(0)).await.unwrap();
     assert_eq!(again, Spooled::Duplicate);
     assert_eq!(statistics.missing_throws, 0);
@@ -57,7 +57,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(400,)]);
 }
 
-/// Throws that wait to be judged count as well: whatever arrives, the database is not larger than it may be.
+/// Pending throws count too, so that no flood makes the database larger than its bound.
 #[tokio::test]
 async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_dropped() {
     let folder = tempfile::tempdir().unwrap();
@@ -73,13 +73,13 @@ async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_droppe
     assert_eq!((statistics.throws + dropped, statistics.pending), (1000, statistics.throws));
     let (severity, said) = store.trouble(None).unwrap();
     assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("before they were judged"), "{said}");
-    // What was dropped is known: it is no gap, and when it comes again it is a repetition.
+    // The deleted throws are known: they are not a gap, and are repetitions when they arrive again.
     assert_eq!(statistics.missing_throws, 0);
     let again = store.spool(&machine("loud"), &throw("b1", 3), at(0)).await.unwrap();
     assert_eq!(again, Spooled::Duplicate);
 }
 
-/// Who sends the most loses its own history first; that of the others stays whole.
+/// Retention deletes the history of the largest machine first; that of the others stays complete.
 #[tokio::test]
 async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
     for bounds in [
@@ -106,7 +106,11 @@ async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
         assert!(statistics.throws <= bounds.max_throws, "{} throws", statistics.throws);
         let really: Vec<(i64, i64)> =
             query(&store, "SELECT (SELECT count(*) FROM throw), (SELECT count(*) FROM trace)").await;
-        assert_eq!(really, [(statistics.throws.cast_signed(), statistics.traces.cast_signed())], "the counts are true");
+        assert_eq!(
+            really,
+            [(statistics.throws.cast_signed(), statistics.traces.cast_signed())],
+            "the counters are correct"
+        );
     }
 }
 
@@ -131,7 +135,7 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
         opened.store.close().await.unwrap();
         let path = folder.path().join("points.db");
         let bytes = if damage.is_empty() {
-            // Pages in the middle are overwritten, and the clean stop is denied: a torn disk.
+            // Overwrites pages in the middle and clears the mark of the clean stop.
             let outside = SqliteConnectOptions::new().filename(&path);
             let mut outsider = SqliteConnection::connect_with(&outside).await.unwrap();
             sqlx::query("UPDATE shutdown SET clean = 0").execute(&mut outsider).await.unwrap();
@@ -155,14 +159,14 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
     }
 }
 
-/// What was committed last may be in the log alone, which SQLite deletes when its database is gone.
+/// The last commits may only be in the log, which SQLite deletes if the database is missing.
 #[tokio::test]
 async fn a_log_without_its_database_is_set_aside() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("points.db");
     let store = open(folder.path()).await.store;
     judged(&store, 1, 10).await;
-    // As a kill leaves them, for the files of a store that is not closed.
+    // The files after a kill, of a store that was not closed.
     let left = tempfile::tempdir().unwrap();
     fs::copy(folder.path().join("points.db-wal"), left.path().join("points.db-wal")).unwrap();
     let log = fs::read(left.path().join("points.db-wal")).unwrap();
@@ -189,7 +193,8 @@ async fn the_database_of_another_program_is_left_alone() {
     assert!(!folder.path().join("points.db-wal").exists());
 }
 
-/// An open database with 1,500 throws whose pages are overwritten but for the first 60: it shows when they are needed.
+/// An open database with 1,500 throws; all pages after the first 60 are overwritten, which is detected at their first
+/// use.
 async fn broken_under_way() -> (tempfile::TempDir, Store) {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path()).await.store;
@@ -219,7 +224,7 @@ async fn a_database_that_breaks_under_way_ends_the_writer_and_the_next_start_set
     opened.store.spool(&machine("21B"), &throw("b2", 1), at(0)).await.unwrap();
 }
 
-/// A clean stop says nothing about what happened to the file since.
+/// The file may be damaged after a clean stop.
 #[tokio::test]
 async fn a_file_that_was_broken_after_a_clean_stop_is_found_at_the_start() {
     let (folder, store) = broken_under_way().await;
@@ -276,7 +281,7 @@ async fn a_database_that_a_query_finds_broken_is_set_aside_at_the_next_start() {
     assert!(matches!(open(folder.path()).await.report.found, Found::SetAside { .. }));
 }
 
-/// Everything that was committed is in the connection's files, which have no name any more: they get one again.
+/// All commits are in the open files without a name; they get a name again.
 #[tokio::test]
 async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_written_anew() {
     for replaced in [false, true] {
@@ -289,9 +294,9 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
             fs::remove_file(folder.path().join(format!("points.db{suffix}"))).unwrap();
         }
         if replaced {
-            fs::write(&path, "a backup that somebody put there").unwrap();
+            fs::write(&path, "a backup of the operator").unwrap();
         }
-        // As the daemon does every 5 s.
+        // The daemon does the same every 5 s.
         let noticed = async {
             while store.trouble(None).is_none() {
                 tokio::time::sleep(std::time::Duration::from_millis(100)).await;
@@ -310,7 +315,7 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
         let strangers = fs::read_dir(folder.path())
             .unwrap()
             .filter(|file| file.as_ref().unwrap().file_name().to_string_lossy().contains("-replaced-"));
-        assert_eq!(strangers.count(), usize::from(replaced), "what stood there is kept");
+        assert_eq!(strangers.count(), usize::from(replaced), "the foreign file is kept");
     }
 }
 
@@ -332,7 +337,7 @@ async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
         largest = largest.max(store.wal_bytes());
     }
     assert!(largest < 3 << 20, "the log grew to {largest} bytes");
-    // The reader has its old state to the end, everybody else the new one.
+    // The reader keeps its old state, other connections get the new one.
     assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(&mut holder).await.unwrap(), 5);
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(605,)]);
     assert_eq!(store.reader().throws(ThrowRow::START, 1000).await.unwrap().len(), 605);
@@ -346,7 +351,7 @@ async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
         let name = entry.as_ref().unwrap().file_name().into_string().unwrap();
         !(name.ends_with("-wal") || name.ends_with("-shm") || name.ends_with("-ballast"))
     });
-    assert_eq!(databases.count(), 2, "the link and the one file it leads to");
+    assert_eq!(databases.count(), 2, "the link and its file");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! What comes through when pages of the database are broken: baselines and open alarms first.
+//! Salvage of a database with broken pages: baselines and open alarms first.
 
 use std::{fs, os::unix::fs::FileExt, path::Path};
 
@@ -16,7 +16,7 @@ const PAGE: u64 = 4096;
 const MACHINES: [&str; 10] = ["21B", "22", "23", "24", "25", "26", "27", "28", "29", "30"];
 const THROWS: u64 = 100;
 
-/// Ten machines with a monitor of usual size each, an open alarm each, and 100 judged throws each; stopped cleanly.
+/// Ten machines, each with a monitor of usual size, an open alarm and 100 judged throws; stopped cleanly.
 async fn database(folder: &Path) {
     let store = open(folder).await.store;
     for name in MACHINES {
@@ -30,14 +30,14 @@ async fn database(folder: &Path) {
         }
     }
     store.close().await.unwrap();
-    // The stop was none: the next start checks the whole file.
+    // Clears the mark of the clean stop, so that the next start checks the whole file.
     let options = SqliteConnectOptions::new().filename(folder.join("points.db"));
     let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
     sqlx::query("UPDATE shutdown SET clean = 0").execute(&mut connection).await.unwrap();
     connection.close().await.unwrap();
 }
 
-/// Overwrites so many pages at random, but never the first.
+/// Overwrites `number` random pages, except the first.
 fn break_pages(file: &Path, number: u64, seed: u64) {
     let file = fs::OpenOptions::new().write(true).open(file).unwrap();
     let pages = file.metadata().unwrap().len() / PAGE;
@@ -72,7 +72,7 @@ async fn what_can_be_read_of_a_broken_database_is_kept() {
             }
             let opened = Store::open(&settings(folder.path()), at(0)).await.unwrap();
             let Found::SetAside { salvaged, .. } = &opened.report.found else {
-                // The page was free, or held nothing that the check reads.
+                // The page was free, or the check does not read it.
                 (machines, alarms, throws, traces) = (machines + 10, alarms + 10, throws + all, traces + all);
                 continue;
             };
@@ -127,7 +127,7 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
     file.write_all_at(&[0x5a; 4096], (page.cast_unsigned() - 1) * PAGE).unwrap();
     drop(file);
 
-    // Stopped cleanly, and found broken all the same.
+    // Stopped cleanly, but broken.
     let (store, salvaged) = salvaged(folder.path()).await;
     assert_eq!((salvaged.saved("monitor"), salvaged.saved("alarm"), salvaged.saved("throw")), (1, 1, 200));
     assert!(salvaged.lost("trace") > 0 && salvaged.saved("trace") > 150, "{salvaged:?}");
@@ -137,7 +137,7 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
         event(1, AlarmState::ActiveUnacknowledged)
     );
     assert_eq!(reader.monitors().await.unwrap()[0].machine, machine("21B"));
-    // A throw that was stored before is a repetition still.
+    // A stored throw is still a repetition.
     let again = store.spool(&machine("21B"), &crate::given::throw("b1", 7), at(0)).await.unwrap();
     assert_eq!(again, pointsd::store::Spooled::Duplicate);
 }
