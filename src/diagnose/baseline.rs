@@ -1,4 +1,4 @@
-//! What is normal for one machine and direction.
+//! The baseline of a machine and direction.
 
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
@@ -14,34 +14,34 @@ use super::{
 };
 use crate::throw::Direction;
 
-/// A baseline as it is kept in history: what was normal for one machine and direction, from when on.
+/// A baseline as stored in the history.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BaselineRecord {
     /// The direction.
     pub direction: Direction,
-    /// Start of the last throw that it is made of.
+    /// Start of the last throw of the baseline.
     pub taken_at: Timestamp,
-    /// Throws that it is made of.
+    /// Number of throws of the baseline.
     pub throws: usize,
-    /// Whether it is complete; before, it is usable with wider limits and will be replaced.
+    /// Whether it is complete; an incomplete one has wider limits, and is replaced.
     pub complete: bool,
     /// Centre of b0, a1, a0, in their units.
     pub center: [f64; 3],
     /// Throw-to-throw covariance of (ln b0, ln a1, ln a0).
     pub log_covariance: [[f64; 3]; 3],
-    /// Lag-1 correlation from throw to throw of each coefficient's natural scatter.
+    /// Lag-1 correlation of the natural scatter of each coefficient.
     pub lag1: [f64; 3],
-    /// Where the temperature coefficients come from.
+    /// Source of the temperature coefficients.
     pub temperature_source: TemperatureSource,
     /// Change of the coefficients with temperature \[% per K\]; zero without compensation.
     pub temperature_pct_per_k: [f64; 3],
-    /// Temperature to which the centre belongs \[°C\], where it was measured.
+    /// Temperature of the centre \[°C\]; `None` without measurements.
     pub reference_c: Option<f64>,
-    /// Centre of the throws' duration \[s\], where it was measured.
+    /// Centre of the duration \[s\]; `None` without measurements.
     pub duration_s: Option<f64>,
 }
 
-/// One throw that a baseline is learned from; `order` counts the machine's throws. Short names keep the state small.
+/// A throw of a baseline; `order` counts the throws of the machine. Short names keep the snapshot small.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct BaselineThrow {
     #[serde(rename = "n")]
@@ -71,7 +71,7 @@ impl BaselineThrow {
     pub(super) fn new(order: u64, throw: &Evaluated) -> Self {
         Self {
             order,
-            // Rounded, so that the state stays small: 1e-9 of a logarithm is far below any scatter.
+            // Rounded to keep the snapshot small; 1e-9 of a logarithm is far below any scatter.
             log: throw.log.map(|log| (1e9 * log).round() / 1e9),
             temperature_c: throw.temperature_c.map(|t| t as f32),
             duration_s: throw.duration_s.map(|d| d as f32),
@@ -80,7 +80,8 @@ impl BaselineThrow {
 }
 
 impl Baseline {
-    /// Learns from at least a dozen throws of one direction, whose estimates have the mean covariance `sensor`.
+    /// Computes a baseline from at least a dozen throws of a direction; `sensor` is the mean covariance of their
+    /// estimates.
     pub(super) fn learn(throws: &[BaselineThrow], sensor: Sym3, taken_at: Timestamp, settings: &Settings) -> Self {
         let raw: Vec<_> = throws.iter().map(|l| (Vector3::from(l.log), l.temperature_c.map(f64::from))).collect();
         let temperature = Temperature::learn(&raw, settings);
@@ -101,22 +102,23 @@ impl Baseline {
         }
     }
 
-    /// Residual of a throw from the centre, temperature not taken out, and its distance from the reference \[K\].
+    /// Residual of a throw from the centre, without temperature compensation, and the distance from the reference
+    /// temperature \[K\].
     pub(super) fn residual(&self, log: &[f64; 3], temperature_c: Option<f64>) -> (Vector3<f64>, f64) {
         (Vector3::from(*log) - Vector3::from(self.centre), self.temperature.distance(temperature_c))
     }
 
-    /// The same with the temperature taken out.
+    /// The residual with temperature compensation.
     pub(super) fn compensated(&self, (raw, distance): (Vector3<f64>, f64)) -> Vector3<f64> {
         raw - self.temperature.effect(distance)
     }
 
-    /// Goes on learning what the temperature does, from a throw that showed no drift.
+    /// Updates the temperature coefficients with a throw without drift.
     pub(super) fn learn_temperature(&mut self, (raw, distance): (Vector3<f64>, f64)) {
         self.temperature.learn_on(raw, distance, &self.scatter);
     }
 
-    /// Compensation of temperature.
+    /// The temperature compensation.
     pub(super) fn temperature(&self) -> &Temperature {
         &self.temperature
     }
@@ -155,7 +157,7 @@ impl Baseline {
     }
 }
 
-/// The scatter of both directions' throws in the order in which the machine made them.
+/// Scatter of the throws of both directions together, in their order.
 pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline; 2]) -> Scatter {
     let mut residuals: Vec<(u64, Vector3<f64>)> = Vec::new();
     let mut sensor = Matrix3::zeros();

@@ -1,11 +1,10 @@
-//! What the temperature does to the coefficients of one machine and direction: learned from the baseline, and for the rest
-//! of the machine's life some throws behind the present.
+//! The effect of temperature on the coefficients of a machine and direction, from the baseline and from later throws.
 //!
-//! In logarithms x = centre + k (T - reference). A baseline rarely spans a year, so it hardly knows k; throws that left
-//! the longest window without a suspicion go on teaching it. The centre is not learned again: at the reference
-//! temperature a drift stays a drift, and away from it k can take in no more than [`MOST_PER_K`] allows. Old throws are
-//! forgotten over [`MEMORY`], as k is a chord of a curve and the present chord is wanted. The doubt about k, times the
-//! distance from the reference, is part of the covariance of every window.
+//! In logarithms x = centre + k (T - reference). A baseline rarely spans a year, so it hardly determines k; throws that
+//! leave the longest window without a suspicion improve it. The centre does not change: at the reference temperature a
+//! drift stays visible, and elsewhere k can hide at most [`MOST_PER_K`]. Old throws lose weight over [`MEMORY`], as the
+//! dependence is a curve and k its present slope. The uncertainty of k, times the distance from the reference, is part
+//! of the covariance of every window.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -16,26 +15,27 @@ use super::{
     settings::Settings,
 };
 
-/// Where the temperature coefficients of a baseline come from.
+/// Source of the temperature coefficients of a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TemperatureSource {
-    /// No compensation: no coefficients configured, and too small a span of temperatures for a fit.
+    /// No compensation: no configured coefficients, and too small a temperature span for a fit.
     None,
     /// From the configuration.
     Configured,
-    /// Fitted to the machine's throws.
+    /// Fitted to the throws of the machine.
     Fitted,
 }
 
-/// Standard deviation of the change of ln b0, ln a1, ln a0 with temperature \[per K\] between machines: magnets, grease,
-/// rails.
+/// Standard deviation between machines of the change of ln b0, ln a1, ln a0 with temperature \[per K\]: magnets,
+/// grease, rails.
 const TYPICAL_PER_K: [f64; 3] = [0.002, 0.01, 0.002];
-/// Largest change of the same that physics allows: magnets lose 0.2 %/K, grease thickens threefold over 40 K.
+/// Largest physical change of the same \[per K\]: magnets lose 0.2 %/K, grease thickens threefold over 40 K.
 const MOST_PER_K: [f64; 3] = [0.005, 0.025, 0.005];
-/// Throws of a direction over which old ones are forgotten: about a month of a usual machine, less than a season.
+/// Throws of a direction after which old ones have lost their weight: about a month of a usual machine, less than a
+/// season.
 const MEMORY: f64 = 250.0;
-/// A residual counts as if it were this many standard deviations away at most: one wild throw teaches little.
+/// Largest residual in standard deviations; larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
 
 /// Compensation of temperature: x - `per_k` (T - reference).
@@ -62,7 +62,7 @@ impl Temperature {
         product: [0.0; 3],
     };
 
-    /// Learns from the throws of a baseline: their logarithms and temperatures \[°C\], as far as known.
+    /// Computes the compensation from the throws of a baseline: logarithms, and temperatures \[°C\] if known.
     pub(super) fn learn(throws: &[(Vector3<f64>, Option<f64>)], settings: &Settings) -> Self {
         let mut known: Vec<f64> = throws.iter().filter_map(|(_, celsius)| *celsius).collect();
         if known.is_empty() {
@@ -98,8 +98,8 @@ impl Temperature {
         fitted
     }
 
-    /// Learns from a throw with the residual `raw`, temperature not taken out, at `distance` \[K\] from the reference, on a
-    /// machine that scatters like this.
+    /// Updates the compensation with a throw: residual `raw` without compensation, `distance` \[K\] from the reference,
+    /// scatter of the machine.
     pub(super) fn learn_on(&mut self, raw: Vector3<f64>, distance: f64, scatter: &Scatter) {
         if self.source == TemperatureSource::Configured || self.reference_c.is_none() {
             return;
@@ -108,7 +108,7 @@ impl Temperature {
         let lag1 = Vector3::from(scatter.lag1());
         let noise = Vector3::from_fn(|i, _| variance[i] * serial_inflation(lag1[i]));
         if self.information == 0.0 && self.source == TemperatureSource::Fitted {
-            // A snapshot of version 1 holds the slope, and not the sums behind it.
+            // A snapshot of version 1 has the slope, but not its sums.
             self.information = noise[1] / self.per_k_variance[1].max(f64::MIN_POSITIVE);
             self.product = self.per_k.map(|k| k * self.information);
         }
@@ -125,8 +125,8 @@ impl Temperature {
         self.solve(noise, true);
     }
 
-    /// Slopes and their variances, drawn to zero by what such slopes usually are; `noise` is the variance of one throw,
-    /// serial correlation included.
+    /// Slopes and their variances, with a prior around zero; `noise` is the variance of one throw, with serial
+    /// correlation.
     fn posterior(&self, noise: Vector3<f64>) -> ([f64; 3], [f64; 3]) {
         let prior = |i: usize| noise[i] / TYPICAL_PER_K[i].powi(2);
         let slope = |i: usize| (self.product[i] / (self.information + prior(i))).clamp(-MOST_PER_K[i], MOST_PER_K[i]);
@@ -134,7 +134,7 @@ impl Temperature {
         (std::array::from_fn(slope), std::array::from_fn(variance))
     }
 
-    /// Takes the slopes into use where there are `enough` throws; else what they would take out counts as doubt.
+    /// Sets the slopes if there are `enough` throws; otherwise their effect counts as uncertainty.
     fn solve(&mut self, noise: Vector3<f64>, enough: bool) {
         let (slope, variance) = self.posterior(noise);
         if enough {
@@ -144,17 +144,18 @@ impl Temperature {
         }
     }
 
-    /// Distance from the reference \[K\]; zero where either is unknown.
+    /// Distance from the reference \[K\]; 0 if one of them is unknown.
     pub(super) fn distance(&self, celsius: Option<f64>) -> f64 {
         celsius.zip(self.reference_c).map_or(0.0, |(now, reference)| now - reference)
     }
 
-    /// What the temperature at this distance \[K\] adds to the logarithms.
+    /// Effect of the temperature at this distance \[K\] on the logarithms.
     pub(super) fn effect(&self, distance: f64) -> Vector3<f64> {
         Vector3::from(self.per_k) * distance
     }
 
-    /// Standard deviation of [`Self::effect`]; with the sign of the distance, as both directions see the same weather.
+    /// Standard deviation of [`Self::effect`], with the sign of the distance, as the weather is common to both
+    /// directions.
     pub(super) fn effect_sd(&self, distance: f64) -> Vector3<f64> {
         Vector3::from(self.per_k_variance).map(f64::sqrt) * distance
     }
@@ -172,7 +173,7 @@ impl Temperature {
     }
 }
 
-/// Covariance of a mean from the standard deviations of what the temperature does to each direction's part of it.
+/// Covariance of a mean, from the standard deviation of the temperature's effect.
 pub(super) fn doubt(sd: Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(&sd.component_mul(&sd))
 }

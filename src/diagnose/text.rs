@@ -1,4 +1,4 @@
-//! Every sentence of an alarm: what happened and how sure, what to look at, and when it gets worse.
+//! The texts of alarms: what happened, how certain it is, what to check, and the forecast.
 
 use super::{
     cause::{Attribution, Naming, Rival},
@@ -12,7 +12,7 @@ use super::{
 };
 use crate::throw::Direction;
 
-/// "Machine 21B, normal to reverse"; both directions are not mentioned.
+/// "Machine 21B, normal to reverse"; without a direction for both.
 pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
     match direction {
         Some(direction) => format!("Machine {name}, {direction}"),
@@ -20,8 +20,8 @@ pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
     }
 }
 
-/// What a drift is, how sure, what to look at, and when it gets critical.
-/// `alike` is the sensor that explains it as well, and whether more throws may tell.
+/// Text of a drift: causes with sizes, what to check, and the forecast of the critical limit. `alike` is a sensor that
+/// explains the drift equally well, and whether more throws may decide.
 pub(super) fn drift(
     subject: &str,
     attribution: &Attribution,
@@ -32,7 +32,7 @@ pub(super) fn drift(
     let over = if throws == 1 { "1 throw".to_owned() } else { format!("{throws} throws") };
     let what = match &attribution.naming {
         Naming::One(one) => match alike {
-            Some((sensor, _)) => format!("{} or {sensor}: {} over {over}, or the sensor errs", one.cause, change(one)),
+            Some((sensor, _)) => format!("{} or {sensor}: {} over {over}, or a faulty sensor", one.cause, change(one)),
             None => format!("{} over {over}{}", change(one), runner_up(attribution.runner_up.as_ref())),
         },
         Naming::Either(a, b) => {
@@ -54,21 +54,21 @@ pub(super) fn drift(
         format!(" Reaches the critical limit in about {} throws ({} to {}).", round(f.mid), round(f.low), round(f.high))
     });
     let sensor = alike.map_or_else(String::new, |(sensor, waits)| {
-        let more = if waits { "" } else { " A published supply_v would tell them apart." };
+        let more = if waits { "" } else { " A published supply_v would distinguish them." };
         format!(" {}{more}", look_at_sensor(sensor))
     });
     format!("{subject}: {what}.{rule} {}{sensor}{when}", advice(attribution))
 }
 
-/// A sensor, or the clock, explains a drift, and no part does.
+/// Text about a drift that only a sensor or the clock explains.
 pub(super) fn sensor(name: &str, fault: &Fault) -> String {
     let pct = percent(fault.size);
     let (what, why) = match fault.channel {
-        SensorChannel::Current => ("reads", "the motor's resistance seems changed alike, its back-EMF not"),
-        SensorChannel::Position => ("reads", "the travel is no longer the stroke"),
-        SensorChannel::Clock => ("runs", "all movements seem to take another time"),
-        SensorChannel::Temperature => ("reads", "the weather is another"),
-        SensorChannel::Supply => ("reads", "the supply is another"),
+        SensorChannel::Current => ("reads", "the motor's resistance seems changed as much, its back-EMF not"),
+        SensorChannel::Position => ("reads", "the travel differs from the stroke"),
+        SensorChannel::Clock => ("runs", "the duration of all movements seems changed"),
+        SensorChannel::Temperature => ("reads", "it differs from the weather"),
+        SensorChannel::Supply => ("reads", "it differs from the supply"),
     };
     let way = match (fault.channel, pct > 0.0) {
         (SensorChannel::Clock, true) => "fast",
@@ -85,7 +85,7 @@ pub(super) fn sensor(name: &str, fault: &Fault) -> String {
     )
 }
 
-/// The supply voltage is not as it was.
+/// Text about a changed supply voltage.
 pub(super) fn supply(name: &str, change_pct: f64) -> String {
     let way = if change_pct < 0.0 { "lower" } else { "higher" };
     format!(
@@ -95,12 +95,12 @@ pub(super) fn supply(name: &str, change_pct: f64) -> String {
     )
 }
 
-/// All machines of a site moved together.
+/// Text about a common change of all machines of a site.
 pub(super) fn site(name: &str, cause: Cause, pct: f64) -> String {
     let way = if pct < 0.0 { "down" } else { "up" };
     format!(
-        "{name}: {cause} {way} {:.0} % on all of them together: the weather (rain, frost, heat), or work that was done on \
-         all. No machine is alarmed for it.",
+        "{name}: {cause} {way} {:.0} % on all of them together: the weather (rain, frost, heat), or work on \
+         all. No machine has an alarm for it.",
         pct.abs()
     )
 }
@@ -119,20 +119,17 @@ fn look_at_sensor(channel: SensorChannel) -> &'static str {
     }
 }
 
-/// A fault that shows in some throws only.
+/// Text of an intermittent fault.
 pub(super) fn intermittent(name: &str, found: &Departures) -> String {
     let Departures { one_in, explanation, cause } = found;
     let advice = match cause {
         Cause::Unattributed => "Check the drive, its contacts and the sensors' cables.",
         _ => look_at(explanation.cause, explanation.size),
     };
-    format!(
-        "Machine {name}: 1 in {one_in:.0} throws: {}. The throws between are as usual. {advice}",
-        change(explanation)
-    )
+    format!("Machine {name}: 1 in {one_in:.0} throws: {}. The other throws are normal. {advice}", change(explanation))
 }
 
-/// A throw was not completed, for the `in_a_row`th time.
+/// Text of an incomplete throw, the `in_a_row`th in a row.
 pub(super) fn incomplete(name: &str, in_a_row: u32) -> String {
     let what = match in_a_row {
         1 => "a throw was not completed".to_owned(),
@@ -159,8 +156,8 @@ pub(super) fn fast_again(name: &str) -> String {
 
 pub(super) fn unevaluated(name: &str, in_a_row: u32) -> String {
     format!(
-        "Machine {name}: the last {in_a_row} throws could not be evaluated, so the machine is not monitored. Look at the \
-         reasons of the throws not evaluated, and check the sensors."
+        "Machine {name}: the last {in_a_row} throws could not be evaluated, so the machine is not monitored. See the \
+         reasons in throws_not_evaluated, and check the sensors."
     )
 }
 
@@ -168,27 +165,27 @@ pub(super) fn evaluated_again(name: &str) -> String {
     format!("Machine {name}: a throw could be evaluated again.")
 }
 
-/// Faults at their warning limit cannot be seen at this temperature.
+/// Text for a machine whose faults at their warning limit are hidden at this temperature.
 pub(super) fn blind(name: &str, blind: &Blindness) -> String {
     let Blindness { cause, below_pct, temperature_c, baseline_c } = blind;
     format!(
-        "Machine {name}: at {temperature_c:.0} °C a change of {cause} below {below_pct:.0} % cannot be told from what the \
-         temperature does, as the baseline is from {baseline_c:.0} °C; so the machine is not monitored. It learns this \
-         from its next throws. Until then inspect it, or take a new baseline (rebaseline) when it is known to be sound."
+        "Machine {name}: at {temperature_c:.0} °C a change of {cause} below {below_pct:.0} % cannot be distinguished from \
+         the effect of the temperature, as the baseline is from {baseline_c:.0} °C; so the machine is not monitored. It learns this \
+         from its next throws. Until then inspect it, or take a new baseline (rebaseline) when it is known to be healthy."
     )
 }
 
 pub(super) fn sensor_disbelieved(name: &str, disbelief: Disbelief) -> String {
     let what = match disbelief {
         Disbelief::Impossible(celsius) => {
-            format!("temperature sensor reads {celsius:.4} °C, which cannot be. The last good temperature counts")
+            format!("temperature sensor reads {celsius:.4} °C, which is impossible. The last good temperature is used")
         }
         Disbelief::Jump(from, to) => format!(
-            "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather. The last good temperature counts"
+            "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather. The last good temperature is used"
         ),
         Disbelief::Supply(volts) => {
             format!(
-                "sensor of the supply voltage reads {volts:.4} V, which cannot be. What depends on the voltage is left out"
+                "sensor of the supply voltage reads {volts:.4} V, which is impossible. Checks with the voltage are omitted"
             )
         }
     };
@@ -196,7 +193,7 @@ pub(super) fn sensor_disbelieved(name: &str, disbelief: Disbelief) -> String {
 }
 
 pub(super) fn sensor_believed(name: &str) -> String {
-    format!("Machine {name}: the sensors of temperature and supply voltage can be believed again.")
+    format!("Machine {name}: the sensors of temperature and supply voltage are plausible again.")
 }
 
 pub(super) fn silent(name: &str, hours: f64) -> String {
@@ -214,11 +211,11 @@ pub(super) fn logger_gone(name: &str, minutes: f64) -> String {
 }
 
 pub(super) fn logger_back(name: &str) -> String {
-    format!("Machine {name}: its logger is there again.")
+    format!("Machine {name}: its logger is connected again.")
 }
 
 pub(super) fn daemon_calm() -> String {
-    "pointsd keeps everything again.".to_owned()
+    "pointsd stores all data again.".to_owned()
 }
 
 pub(super) fn gap(name: &str, lost: u64) -> String {
@@ -230,15 +227,15 @@ pub(super) fn gap(name: &str, lost: u64) -> String {
 
 pub(super) fn repeated_trace(name: &str) -> String {
     format!(
-        "Machine {name}: the logger repeats itself: it sends recordings that it sent before, so the machine itself is not \
-         seen. Check the recorder."
+        "Machine {name}: the logger repeats itself: it sends the same recordings again, so the machine itself is not \
+         monitored. Check the recorder."
     )
 }
 
 pub(super) fn repeated_number(name: &str) -> String {
     format!(
-        "Machine {name}: its logger restarted without a new boot_id, or its counter stands: other throws come under the same \
-         numbers. They are kept and judged. Give the logger a new boot_id at each start."
+        "Machine {name}: its logger restarted without a new boot_id, or its counter is stuck: different throws have the same \
+         number. They are stored and judged. Give the logger a new boot_id at each start."
     )
 }
 
@@ -246,12 +243,12 @@ pub(super) fn no_gap(name: &str, throws: u32) -> String {
     format!("Machine {name}: no throw was lost in the last {throws}.")
 }
 
-/// An operator asked for a new baseline.
+/// Text of a new baseline.
 pub(super) fn rebaselined(name: &str, by: &str, why: &str) -> String {
     format!("Machine {name}: a new baseline is being taken ({by}: {why}).")
 }
 
-/// A drift that went away.
+/// Text of a drift that has ended.
 pub(super) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
     let repair = if at_once {
         " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
@@ -261,24 +258,24 @@ pub(super) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
     format!("Machine {name}: {cause} is back to normal.{repair}")
 }
 
-/// Most of a drift went away at once, and something is left.
+/// Text of a drift that has ended at once, except for a part.
 pub(super) fn maybe_repaired(name: &str, cause: Cause) -> String {
     format!(
-        "Machine {name}: most of the {} went away within a few throws, as after a repair, but the machine is not as its \
+        "Machine {name}: most of the {} ended within a few throws, as after a repair, but the machine is not as its \
          baseline. If it was repaired, take a new baseline (rebaseline).",
         if cause == Cause::Unattributed { "drift".to_owned() } else { format!("change of {cause}") }
     )
 }
 
-/// A drift that turned out to be something else.
+/// Text of a drift that another cause explains now.
 pub(super) fn withdrawn(name: &str, cause: Cause, other: Cause) -> String {
-    format!("Machine {name}: the drift is no longer taken for {cause}, but for {other}.")
+    format!("Machine {name}: the cause of the drift is no longer {cause}, but {other}.")
 }
 
 fn change(e: &Explanation) -> String {
     let pct = percent(e.size);
     let way = if pct < 0.0 { "down" } else { "up" };
-    // One decimal for small changes only; the interval is given as finely as the change.
+    // One decimal for small changes only; the interval has the same decimals as the change.
     let decimals = usize::from(pct.abs() < 9.95);
     let least = if decimals == 0 { 1.0 } else { 0.1 };
     let interval = interval_pct(e).max(least);
@@ -335,13 +332,13 @@ fn advice(attribution: &Attribution) -> String {
 fn look_at(cause: Cause, size: f64) -> &'static str {
     match (cause, size > 0.0) {
         (Cause::Kt, false) => "Check the motor: magnets, brushes, commutator.",
-        (Cause::Kt, true) => "Check the motor: a part may have been changed.",
+        (Cause::Kt, true) => "Check the motor: a part may have been replaced.",
         (Cause::Friction, true) => "Check slide chairs and lubrication.",
         (Cause::Friction, false) => "If it was cleaned or lubricated, take a new baseline.",
         (Cause::Stiffness, true) => "Check rods, stretcher bars and heel for binding.",
         (Cause::Stiffness, false) => "Check rods, stretcher bars and fastenings for looseness or cracks.",
         (Cause::Inertia, true) => {
-            "Check the brake, which may let go late, and play in the drive: both look the same. Then look for added load: \
+            "Check the brake, which may release late, and play in the drive: both look the same. Then look for added load: \
              ice, ballast, a dragging second drive."
         }
         (Cause::Inertia, false) => "Check couplings and rods: a moving part may be disconnected.",
@@ -349,7 +346,7 @@ fn look_at(cause: Cause, size: f64) -> &'static str {
     }
 }
 
-/// Two significant figures: a forecast is no better.
+/// Rounds a forecast to two significant figures.
 fn round(throws: f64) -> f64 {
     let scale = 10_f64.powf((throws.max(1.0).log10().floor() - 1.0).max(0.0));
     (throws / scale).round() * scale

@@ -51,7 +51,7 @@ fn what_an_unknown_effect_of_the_temperature_hides_is_said() {
         assert!(blind.below_pct > 5.0 && (blind.temperature_c - blind.baseline_c - 39.0).abs() < 6.0, "{blind:?}");
         assert_eq!(after[0].state, MachineState::NotMonitored);
         let said = before.iter().find(|event| event.cause == Cause::NotMonitored).unwrap();
-        assert!(said.text.contains("cannot be told from what the temperature does"), "{}", said.text);
+        assert!(said.text.contains("cannot be distinguished from the effect of the temperature"), "{}", said.text);
         let (after, _) = summer(41_000 + seed, 600, 200, 2.0, Vector3::zeros());
         assert_eq!(after[23].blind, None);
     }
