@@ -71,7 +71,7 @@ enum Ended {
 #[derive(Debug)]
 struct Turn {
     at: Instant,
-    is_asked: bool,
+    in_progress: bool,
     /// Whether to query again at once.
     again: bool,
     /// Consecutive queries without new throws.
@@ -214,7 +214,7 @@ impl Schedule {
     fn ask(&mut self, machine: &MachineId) {
         let now = Instant::now();
         match self.turns.get_mut(machine) {
-            Some(turn) if turn.is_asked => turn.again = true,
+            Some(turn) if turn.in_progress => turn.again = true,
             Some(turn) => {
                 self.due.remove(&(turn.at, machine.clone()));
                 turn.at = turn.at.min(now);
@@ -223,7 +223,7 @@ impl Schedule {
             None => {
                 let turn = Turn {
                     at: now,
-                    is_asked: false,
+                    in_progress: false,
                     again: false,
                     tries: 0,
                     without_since: None,
@@ -243,7 +243,7 @@ impl Schedule {
         }
         let (_, machine) = self.due.pop_first()?;
         let turn = self.turns.get_mut(&machine)?;
-        (turn.is_asked, turn.again) = (true, false);
+        (turn.in_progress, turn.again) = (true, false);
         Some((machine, turn.page))
     }
 
@@ -253,7 +253,7 @@ impl Schedule {
 
     fn rest(&mut self, machine: &MachineId, pause: Duration) {
         let Some(turn) = self.turns.get_mut(machine) else { return };
-        turn.is_asked = false;
+        turn.in_progress = false;
         turn.at = Instant::now() + if turn.again { Duration::ZERO } else { pause };
         self.due.insert((turn.at, machine.clone()));
     }

@@ -37,7 +37,7 @@ pub(super) async fn run(store: Store, last_heard: Option<Timestamp>) {
         let now = clock::now();
         let is_steady = clocks.are_steady(now, clock::monotonic());
         let clock_trusted = is_steady && (clocks.continue_time || Path::new(CLOCK_IS_SET).exists());
-        match store.keep_house(now, clock_trusted).await {
+        match store.run_housekeeping(now, clock_trusted).await {
             Ok(Housekeeping { traces: 0, throws: 0, alarms: 0, messages: 0 }) => {}
             Ok(Housekeeping { traces, throws, alarms, messages }) => {
                 tracing::info!(

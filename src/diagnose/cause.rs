@@ -85,7 +85,7 @@ impl Attribution {
             rival: None,
             runner_up: None,
             correlation,
-            rule: says_inertia(&correlation, window, of_one_throw, settings),
+            rule: rule_verdict(&correlation, window, of_one_throw, settings),
             mean: window.mean,
             relevance: all.any.relevance(settings),
             lead: 0.0,
@@ -163,7 +163,7 @@ impl Attribution {
     /// Whether the cross-correlation rule contradicts the name of its main part.
     pub(super) fn is_contradicted(&self) -> bool {
         let inertia = self.main().is_some_and(|main| main.cause == Cause::Inertia);
-        self.rule.is_some_and(|says_inertia| says_inertia != inertia)
+        self.rule.is_some_and(|rule_verdict| rule_verdict != inertia)
     }
 
     /// Whether `cause` is part of the attribution.
@@ -216,7 +216,7 @@ fn ranked<const N: usize, const K: usize>(
 
 /// Verdict of the cross-correlation rule on inertia; `None` if natural scatter would hide inertia of this size from the
 /// rule.
-fn says_inertia(
+fn rule_verdict(
     correlation: &Correlation,
     window: &Window,
     of_one_throw: &Matrix3<f64>,
@@ -225,6 +225,6 @@ fn says_inertia(
     let limit = settings.correlation_limit;
     let size = single(Cause::Inertia, &window.mean, &window.covariance, settings).size;
     let of_inertia = Correlation::of(of_one_throw, &(direction_of(Cause::Inertia)? * size));
-    let says = correlation.tells_inertia(limit);
-    (says || of_inertia.tells_inertia(limit)).then_some(says)
+    let says = correlation.indicates_inertia(limit);
+    (says || of_inertia.indicates_inertia(limit)).then_some(says)
 }

@@ -153,7 +153,7 @@ impl Condition {
         let transition = if severity == Severity::Warning && is_critical {
             Transition::Escalate
         } else {
-            ending.follow_level(reading.latest);
+            ending.update_level(reading.latest);
             ending.transition(settings)
         };
         let since_raised = since_raised.unwrap_or_default();
@@ -190,7 +190,7 @@ impl Ending {
     }
 
     /// Updates the counters that show whether the size falls at once or slowly.
-    fn follow_level(&mut self, latest: Option<f64>) {
+    fn update_level(&mut self, latest: Option<f64>) {
         self.since_level = self.since_level.saturating_add(1);
         let Some(latest) = latest else { return };
         if latest >= NEAR_LEVEL * self.level {

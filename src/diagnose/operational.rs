@@ -197,7 +197,7 @@ impl Operation {
                 Disbelief::Supply(_) => SensorChannel::Supply,
                 Disbelief::Impossible(_) | Disbelief::Jump(..) => SensorChannel::Temperature,
             };
-            let evidence = context.warning(text::sensor_disbelieved(name, disbelief));
+            let evidence = context.warning(text::sensor_implausible(name, disbelief));
             alarms.raise(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, at)
         } else if self.believed >= settings.off_delay_throws
             && alarms
@@ -205,7 +205,7 @@ impl Operation {
                 .filter(|event| event.cause == Cause::Sensor)
                 .all(|event| matches!(event.channel, None | Some(SensorChannel::Temperature | SensorChannel::Supply)))
         {
-            alarms.clear(Cause::Sensor, text::sensor_believed(name), at)
+            alarms.clear(Cause::Sensor, text::sensor_plausible(name), at)
         } else {
             None
         }

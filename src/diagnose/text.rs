@@ -175,7 +175,7 @@ pub(super) fn blind(name: &str, blind: &Blindness) -> String {
     )
 }
 
-pub(super) fn sensor_disbelieved(name: &str, disbelief: Disbelief) -> String {
+pub(super) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
     let what = match disbelief {
         Disbelief::Impossible(celsius) => {
             format!("temperature sensor reads {celsius:.4} °C, which is impossible. The last good temperature is used")
@@ -192,7 +192,7 @@ pub(super) fn sensor_disbelieved(name: &str, disbelief: Disbelief) -> String {
     format!("Machine {name}: the {what}. Check the sensor and its cable.")
 }
 
-pub(super) fn sensor_believed(name: &str) -> String {
+pub(super) fn sensor_plausible(name: &str) -> String {
     format!("Machine {name}: the sensors of temperature and supply voltage are plausible again.")
 }
 

@@ -82,7 +82,7 @@ pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
 }
 
 /// Whether any call named a healthy part at critical severity.
-pub(super) fn accuses_wrongly(calls: &[Call], life: &Timeline) -> bool {
+pub(super) fn names_wrongly(calls: &[Call], life: &Timeline) -> bool {
     let at_fault = |call: &Call| {
         if call.at < life.onset {
             Some(call.cause) == life.repaired()
@@ -156,11 +156,11 @@ mod tests {
     fn a_sound_part_at_critical_severity_is_told_apart_from_a_warning() {
         let life = life(Situation::Pair, &[Cause::Kt, Cause::Friction]);
         let call = |cause, critical| [Call { at: life.onset + 5, cause, critical, or_sensor: false }];
-        assert!(accuses_wrongly(&call(Cause::Inertia, true), &life));
-        assert!(!accuses_wrongly(&call(Cause::Inertia, false), &life));
-        assert!(!accuses_wrongly(&call(Cause::Friction, true), &life));
-        assert!(!accuses_wrongly(&call(Cause::Unattributed, true), &life));
-        assert!(accuses_wrongly(
+        assert!(names_wrongly(&call(Cause::Inertia, true), &life));
+        assert!(!names_wrongly(&call(Cause::Inertia, false), &life));
+        assert!(!names_wrongly(&call(Cause::Friction, true), &life));
+        assert!(!names_wrongly(&call(Cause::Unattributed, true), &life));
+        assert!(names_wrongly(
             &[Call { at: life.onset - 1, cause: Cause::Kt, critical: true, or_sensor: false }],
             &life
         ));

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use super::{
     cusum::Design,
     domain,
-    judge::{Judgement, accuses_wrongly, judge},
+    judge::{Judgement, judge, names_wrongly},
     life::{Rules, Source, live},
     observation::observation,
     parameter::{ParameterMachine, SCATTER_PHI},
@@ -178,7 +178,7 @@ impl Plan {
         let mut source = source(scenario.depth, scenario.situation, scenario.noise, random, &life);
         let heard = live(&mut source, &life, self.rules(scenario.situation, scenario.noise));
         let judgements = [&heard.monitor, &heard.paper, &heard.cusum].map(|calls| judge(calls, &life));
-        Kind::Row(judgements, accuses_wrongly(&heard.monitor, &life))
+        Kind::Row(judgements, names_wrongly(&heard.monitor, &life))
     }
 
     /// A healthy life up to the first alarm, with limits so small that only the budget of the drift rule prevents

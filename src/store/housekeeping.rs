@@ -23,7 +23,7 @@ const PAGES: u64 = 512;
 /// Largest outbox \[messages\]: ten years of a cabinet's alarms.
 const OUTBOX: u64 = 100_000;
 
-/// Rows dropped by a call of [`Store::keep_house`].
+/// Rows dropped by a call of [`Store::run_housekeeping`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Housekeeping {
     /// Dropped traces.
@@ -197,7 +197,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database cannot be read or written.
-    pub async fn keep_house(&self, now: Timestamp, clock_trusted: bool) -> Result<Housekeeping, StoreError> {
+    pub async fn run_housekeeping(&self, now: Timestamp, clock_trusted: bool) -> Result<Housekeeping, StoreError> {
         let mut done = Housekeeping::default();
         for _ in 0..ROUNDS {
             let figures = self.figures().await?;

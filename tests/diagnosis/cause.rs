@@ -70,5 +70,5 @@ fn a_large_fault_is_critical_and_its_text_can_be_acted_on() {
     assert!(last.text.starts_with("Machine 21B: friction up "), "{}", last.text);
     assert!(last.text.contains("Check slide chairs and lubrication."), "{}", last.text);
     let numbers = last.correlation.unwrap();
-    assert!(!numbers.tells_inertia(settings.correlation_limit));
+    assert!(!numbers.indicates_inertia(settings.correlation_limit));
 }

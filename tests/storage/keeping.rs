@@ -29,7 +29,7 @@ async fn traces_go_before_throws_and_what_waits_never_goes() {
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
     // The bound includes the pending throw.
-    let done = store.keep_house(at(0), true).await.unwrap();
+    let done = store.run_housekeeping(at(0), true).await.unwrap();
     assert_eq!((done.traces, done.throws), (101, 51));
     let statistics = store.statistics().await.unwrap();
     assert_eq!(statistics.pending, 1);
@@ -49,7 +49,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
     store.record(alarm(1, AlarmState::Normal)).await.unwrap();
     judged(&store, 1, 400).await;
     assert!(store.statistics().await.unwrap().data_bytes > 1 << 20, "the test writes too little");
-    let done = store.keep_house(at(0), true).await.unwrap();
+    let done = store.run_housekeeping(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
     assert!(done.traces > 0 && done.traces < 400 && done.throws == 0, "{done:?}");
@@ -66,7 +66,7 @@ async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_droppe
     let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
     store.spool_all(&flood).await;
     assert!(store.statistics().await.unwrap().data_bytes > 2 << 20, "the test writes too little");
-    store.keep_house(at(0), true).await.unwrap();
+    store.run_housekeeping(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
     let dropped = statistics.counters["dropped_pending_throws"];
@@ -97,7 +97,7 @@ async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
             store.judge(judgement(row, "loud")).await.unwrap();
         }
         for _ in 0..20 {
-            store.keep_house(at(0), true).await.unwrap();
+            store.run_housekeeping(at(0), true).await.unwrap();
         }
         let count = "SELECT count(*) FROM trace JOIN throw USING (throw_row) JOIN machine USING (machine_row) WHERE machine = '21B'";
         assert_eq!(query::<(i64,)>(&store, count).await, [(40,)], "{bounds:?}");
@@ -120,9 +120,9 @@ async fn age_counts_only_while_the_clock_is_trusted() {
     let store = open(folder.path()).await.store;
     judged(&store, 1, 20).await;
     let in_eleven_years: Timestamp = at(0) + SignedDuration::from_hours(24 * 365 * 11);
-    assert_eq!(store.keep_house(in_eleven_years, false).await.unwrap().traces, 0);
-    assert_eq!(store.keep_house(at(0) - SignedDuration::from_hours(24), true).await.unwrap().traces, 0);
-    let done = store.keep_house(in_eleven_years, true).await.unwrap();
+    assert_eq!(store.run_housekeeping(in_eleven_years, false).await.unwrap().traces, 0);
+    assert_eq!(store.run_housekeeping(at(0) - SignedDuration::from_hours(24), true).await.unwrap().traces, 0);
+    let done = store.run_housekeeping(in_eleven_years, true).await.unwrap();
     assert_eq!((done.traces, done.throws), (20, 0));
 }
 
