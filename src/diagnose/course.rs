@@ -35,6 +35,8 @@ const CLIP_SD: f64 = 3.0;
 const NEIGHBOURS: usize = 3;
 /// A forecast reaches this many throws ahead at most: beyond, the past throws say nothing.
 const FARTHEST: f64 = 1000.0;
+/// A beginning with this part of the best one's probability is left out: all of them together move no interval.
+const NEGLIGIBLE: f64 = 1e-5;
 /// Two-sided 95 %.
 const TAIL: f64 = 0.025;
 
@@ -145,10 +147,12 @@ impl Course {
             after_right += x * y;
         }
         let best = begun.iter().map(|(_, evidence)| *evidence).fold(f64::NEG_INFINITY, f64::max);
-        let weights: Vec<f64> = begun.iter().map(|(_, evidence)| (0.5 * (evidence - best)).exp()).collect();
-        let total: f64 = weights.iter().sum();
-        let parts = begun.into_iter().zip(weights);
-        Some(Self(parts.map(|((part, _), weight)| Begun { weight: weight / total, ..part }).collect()))
+        let weighted =
+            begun.into_iter().map(|(part, evidence)| Begun { weight: (0.5 * (evidence - best)).exp(), ..part });
+        let mut parts: Vec<Begun> = weighted.filter(|part| part.weight > NEGLIGIBLE).collect();
+        let total: f64 = parts.iter().map(|part| part.weight).sum();
+        parts.iter_mut().for_each(|part| part.weight /= total);
+        Some(Self(parts))
     }
 
     /// Size of the drift now as a part of nominal, and its standard deviation.

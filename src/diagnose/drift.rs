@@ -30,8 +30,6 @@ const PROVISIONAL_WIDENING: f64 = 1.5;
 
 /// A size below this part of its warning limit, two standard deviations added, is plain health.
 const HEALTHY_BELOW: f64 = 0.5;
-/// A drift is still there when the last throws show this part of its warning limit.
-const STILL_THERE: f64 = 0.5;
 /// A drift is of one direction when the other shows less than this part of it.
 const ONE_SIDED: f64 = 0.5;
 /// And by this many standard deviations of the difference.
@@ -62,8 +60,6 @@ pub(super) struct Drift {
     latest: (usize, Option<Window>),
     /// Cause and size \[%\] that the temperature hides, where it hides a warning limit.
     pub(super) hidden: Option<(Cause, f64)>,
-    /// Throws for which a drift has to stay before it is believed.
-    caution: u32,
 }
 
 impl Drift {
@@ -74,7 +70,6 @@ impl Drift {
         [levels, last_few]: [[Option<Window>; 2]; 2],
         latest: (usize, Option<Window>),
         hidden: Option<(Cause, f64)>,
-        caution: u32,
         open: &[Cause],
         settings: &Settings,
     ) -> Self {
@@ -84,19 +79,7 @@ impl Drift {
             .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), open, settings));
         let is_alarmed = attribution.as_ref().is_some_and(|attribution| open.contains(&attribution.cause()));
         let (strongest, testimony) = (strongest.map(|(window, _)| window), Testimony::default());
-        Self {
-            excess,
-            provisional,
-            attribution,
-            strongest,
-            testimony,
-            is_alarmed,
-            levels,
-            last_few,
-            latest,
-            hidden,
-            caution,
-        }
+        Self { excess, provisional, attribution, strongest, testimony, is_alarmed, levels, last_few, latest, hidden }
     }
 
     /// Whether a drift is detected and above its limit, whatever its name.
@@ -123,11 +106,9 @@ impl Drift {
         let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
         let latest = last_few.as_ref().filter(|_| concerned && alarmed.is_some());
         let latest = latest.map(|window| extent(cause, window, settings).0);
-        let of_latest = |window: &Window| extent(cause, window, settings).0 > STILL_THERE;
-        let stays = self.caution == 0 || last_few.as_ref().is_some_and(of_latest);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         let claim = match named {
-            Some(_) if self.matters() && stays => Claim::Named,
+            Some(_) if self.matters() => Claim::Named,
             // No name has settled, whatever the throws in between were taken for.
             _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed && !excused => Claim::Counts,
             _ => Claim::None,
@@ -135,14 +116,16 @@ impl Drift {
         Reading {
             claim,
             undoubted: undoubted.map_or(0.0, |attribution| attribution.relevance),
-            patience: self.caution
-                + if matches!(self.testimony, Testimony::Either { waits: true, .. }) { TOO_CLOSE_PATIENCE } else { 0 }
-                + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
-                    (Naming::One(_), _) if attribution.lead >= SAFE => 0,
-                    (Naming::One(_), _) => DOUBTED_PATIENCE,
-                    (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
-                    (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
-                }),
+            patience: if matches!(self.testimony, Testimony::Either { waits: true, .. }) {
+                TOO_CLOSE_PATIENCE
+            } else {
+                0
+            } + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
+                (Naming::One(_), _) if attribution.lead >= SAFE => 0,
+                (Naming::One(_), _) => DOUBTED_PATIENCE,
+                (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
+                (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
+            }),
             plain_health: bound < HEALTHY_BELOW,
             below: self.attribution.is_none() || size < deadband,
             other_name: other,

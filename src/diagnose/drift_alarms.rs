@@ -179,14 +179,14 @@ impl DriftAlarms {
             let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)));
             let Some(largest) = largest else { continue };
             let leaning = drift.leaning(alarm.cause, settings);
-            let (size, forecast) = self.present(&largest, drift, leaning, order, tracks, settings);
+            let (size, forecast) = self.present(&largest, alarm.severity, drift, leaning, order, tracks, settings);
             let direction = drift.direction(alarm.cause, self.throws_since_onset(order), settings);
             let drifting = Drifting {
                 cause: alarm.cause,
                 change_pct: percent(size.size),
                 change_pct_sd: text::sd_pct(&size),
                 direction,
-                limit_in_throws: forecast.filter(|_| alarm.severity == Severity::Warning),
+                limit_in_throws: forecast,
             };
             now.push((size.relevance(settings), drifting));
         }
@@ -221,8 +221,8 @@ impl DriftAlarms {
         let leaning = drift.leaning(cause, context.settings);
         let mut limit_in_throws = None;
         if let Naming::One(main) = &mut attribution.naming {
-            let (now, forecast) = self.present(main, drift, leaning, order, tracks, context.settings);
-            limit_in_throws = forecast.filter(|_| severity == Severity::Warning);
+            let (now, forecast) = self.present(main, severity, drift, leaning, order, tracks, context.settings);
+            limit_in_throws = forecast;
             *main = now;
         }
         let alike = match drift.testimony {
@@ -249,10 +249,11 @@ impl DriftAlarms {
         })
     }
 
-    /// The explanation with its size at this throw, and when it reaches its critical limit.
+    /// The explanation with its size at this throw; and when it reaches its critical limit, while its alarm has not.
     fn present(
         &self,
         part: &Explanation,
+        severity: Severity,
         drift: &Drift,
         direction: Option<Direction>,
         order: u64,
@@ -266,7 +267,7 @@ impl DriftAlarms {
         };
         let (size, size_sd) = course.now();
         let whole = (1.0 + size).max(LEAST_LEFT);
-        let limit = settings.limit_pct(part.cause);
+        let limit = settings.limit_pct(part.cause).filter(|_| severity == Severity::Warning);
         let limit = limit.map(|limit_pct| size.signum() * settings.critical_factor * limit_pct / 100.0);
         let forecast = limit.filter(|limit| *limit > -1.0).and_then(|limit| course.reaches(limit));
         (Explanation { size: whole.ln(), size_sd: size_sd / whole, ..*part }, forecast)

@@ -21,15 +21,15 @@ use super::{
 const COUNTED: [usize; 2] = [50, 100];
 /// A departure is at least so far away, as the square in standard deviations: 1 in 1,000 throws of a usual machine.
 const FAR: f64 = 16.0;
+/// Throws of a direction that a departure lasts at most.
+const LONGEST_RUN: u32 = 2;
 /// A throw is far out from here: 5 in 10,000 throws of Gaussian scatter, 2 in 100 of Student's t with three degrees.
 const FAR_OUT: f64 = 20.0;
 /// Tails are heavy from this rate of throws far out, with this many usual throws added.
-const HEAVY_FROM: f64 = 0.01;
+const HEAVY_FROM: f64 = 0.006;
 const TAIL_PRIOR_THROWS: f64 = 100.0;
 /// Throws after which a throw far out is known to be none of a fault's first.
 const DECIDED_AFTER: usize = 24;
-/// An echo of a wild throw has faded at this part of it.
-const ECHO: f64 = 0.08;
 /// The rate before anything is known of a machine: half a departure in so many throws.
 const PRIOR: (f64, f64) = (0.5, 50.0);
 /// Throws that must be known of a machine before its rate counts: a baseline of one direction.
@@ -40,10 +40,11 @@ const OVERLAP: f64 = 10.0;
 /// Departures of one machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Intermittent {
-    /// For each of the last throws its departure, if it is the first of a row; newest last.
+    /// For each of the last throws the departure that it ended, if it did; newest last.
     recent: VecDeque<Option<[f32; 3]>>,
-    /// Whether the last throw of each direction departed.
-    departed: [bool; 2],
+    /// The departure that the last throws of each direction began, and how many they are.
+    #[serde(default)]
+    begun: [Option<([f32; 3], u32)>; 2],
     /// Departures and throws of the machine's healthy past, before the last throws.
     past: (f64, f64),
     /// Throws far out, of any size, and throws: how heavy the tails of the machine's scatter are.
@@ -78,8 +79,9 @@ impl Intermittent {
         suspicious: bool,
         settings: &Settings,
     ) {
-        let square = of_one_throw.try_inverse().map(|inverse| (departure.transpose() * inverse * departure).x);
-        self.undecided.push_back(square.is_some_and(|square| square > FAR_OUT));
+        let inverse = of_one_throw.try_inverse();
+        let square = |d: Vector3<f64>| inverse.map_or(0.0, |inverse| (d.transpose() * inverse * d).x);
+        self.undecided.push_back(square(departure) > FAR_OUT);
         if self.undecided.len() > DECIDED_AFTER {
             let far_out = self.undecided.pop_front().unwrap_or_default();
             if !suspicious {
@@ -87,14 +89,20 @@ impl Intermittent {
                 self.tail.1 += 1.0;
             }
         }
-        let far = square.is_some_and(|square| {
-            let part = |cause| single(cause, &departure, of_one_throw, settings).relevance(settings);
-            square > FAR && Cause::PHYSICAL.into_iter().any(|cause| part(cause) > 1.0)
-        });
-        let departed_before = std::mem::replace(&mut self.departed[side], far);
-        let first = far && !departed_before;
+        let far = |d: Vector3<f64>| {
+            let part = |cause| single(cause, &d, of_one_throw, settings).relevance(settings);
+            square(d) > FAR && Cause::PHYSICAL.into_iter().any(|cause| part(cause) > 1.0)
+        };
         #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
-        self.recent.push_back(first.then(|| [departure.x as f32, departure.y as f32, departure.z as f32]));
+        let ended = if far(departure) {
+            let (first, throws) = self.begun[side].unwrap_or(([0, 1, 2].map(|i| departure[i] as f32), 0));
+            self.begun[side] = Some((first, throws + 1));
+            None
+        } else {
+            let begun = self.begun[side].take().filter(|(_, throws)| *throws <= LONGEST_RUN);
+            begun.map(|(first, _)| first).filter(|first| far(Vector3::from(first.map(f64::from)) - departure))
+        };
+        self.recent.push_back(ended);
         if !complete || self.recent.len() > COUNTED[1] {
             let oldest = self.recent.pop_front().flatten();
             if self.alarmed.is_none() {
@@ -134,17 +142,10 @@ impl Intermittent {
         Some(Departures { one_in, explanation: best, cause: if clear { named } else { Cause::Unattributed } })
     }
 
-    /// Throws for which a drift has to stay before it is believed, on a machine whose scatter has the lag-1 correlation `lag1`:
-    /// none for usual tails. With heavy ones, a single wild cause echoes in the next throws as `lag1` to their number.
-    pub(super) fn caution(&self, lag1: f64) -> u32 {
+    /// Whether the machine's scatter has heavier tails than usual.
+    pub(super) fn is_wild(&self) -> bool {
         let (far, throws) = self.tail;
-        if (far + PRIOR.0) / (throws + TAIL_PRIOR_THROWS) < HEAVY_FROM {
-            return 0;
-        }
-        let echo = ECHO.ln() / lag1.clamp(0.3, 0.9).ln();
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few throws")]
-        let throws = echo.ceil() as u32;
-        throws
+        (far + PRIOR.0) / (throws + TAIL_PRIOR_THROWS) > HEAVY_FROM
     }
 
     /// Ends the alarm: the departures that it was about are done with.

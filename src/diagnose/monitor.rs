@@ -179,8 +179,8 @@ impl MachineMonitor {
         let context = Context { name: &self.name, at, throw: Some(id), settings };
         let drift = residual.map(|residual| {
             let open: Vec<Cause> = self.alarms.active().map(|event| event.cause).collect();
-            let caution = self.drift.intermittent.caution(self.tracks.lag1());
-            let mut drift = self.tracks.drift(throw.direction, caution, &open, settings);
+            let wild = self.drift.intermittent.is_wild();
+            let mut drift = self.tracks.drift(throw.direction, wild, &open, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
             verdict.events.extend(events);

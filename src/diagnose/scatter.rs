@@ -31,15 +31,17 @@ const LIKE_MOST: f64 = 50.0;
 const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
 /// Lag-1 correlations that are believed. Above, the variance of a mean cannot be told from a few throws; the lower
 /// end lets an estimate for independent throws err to both sides, as a floor at zero would make limits too wide.
-const LAG1_RANGE: (f64, f64) = (-0.3, 0.9);
+const LAG1_RANGE: (f64, f64) = (-0.3, 0.95);
+/// Strongest lag-1 correlation that is thought of where one is doubted: a series that is hardly stationary.
+const MOST_LAG1: f64 = 0.98;
 
 /// How well the covariance of a mean is known.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Doubt {
     /// Degrees of freedom of the variance of one throw.
     pub(super) degrees_of_freedom: f64,
-    /// Variance of the logarithm of what the serial correlation makes of it.
-    pub(super) log_variance: f64,
+    /// Factors by which the serial correlation may make the true covariance exceed the assumed one, with their probabilities.
+    pub(super) factors: Vec<(f64, f64)>,
 }
 
 /// Natural scatter, learned from the residuals of a baseline.
@@ -73,7 +75,10 @@ impl Scatter {
             let raw = if share > 0.0 { one[(i, i)] / (zero[(i, i)] * share.max(0.2)) } else { 0.0 };
             let unbiased = (raw + centres as f64 / throws) / (1.0 - 3.0 * centres as f64 / throws);
             let weight = throws * share;
-            lag1[i] = ((weight * unbiased + usual_weight * usual) / (weight + usual_weight))
+            // Where the estimate is nearly normal.
+            let own = unbiased.clamp(-MOST_LAG1, MOST_LAG1).atanh();
+            lag1[i] = ((weight * own + usual_weight * f64::atanh(usual)) / (weight + usual_weight))
+                .tanh()
                 .clamp(LAG1_RANGE.0, LAG1_RANGE.1);
             let lost = centres as f64 * (1.0 + share * (inflation(lag1[i], throws) - 1.0)) / throws;
             grow[i] = (1.0 / (1.0 - lost.min(0.5))).sqrt();
@@ -100,6 +105,11 @@ impl Scatter {
     /// Lag-1 correlations of the natural scatter.
     pub(super) fn lag1(&self) -> [f64; 3] {
         self.lag1
+    }
+
+    /// Whether a wild throw echoes for more than five throws.
+    pub(super) fn is_persistent(&self) -> bool {
+        self.lag1_of_one(&self.sensor()).max() > 0.65
     }
 
     /// Standard deviation of one throw whose estimate has the covariance `sensor`.
@@ -133,27 +143,57 @@ impl Scatter {
             + Matrix3::from(self.sensor) / baseline_throws
     }
 
-    /// How well `of_mean` of `w` throws is known: it errs with the variance of the residuals and with the lag-1
-    /// correlation, both from a finite number of dependent throws; the mean over the coefficients.
+    /// Lag-1 correlations of throws whose estimates have the covariance `sensor`.
+    pub(super) fn lag1_of_one(&self, sensor: &Matrix3<f64>) -> Vector3<f64> {
+        let natural = Matrix3::from(self.natural).diagonal();
+        let share = natural.component_div(&(natural + sensor.diagonal()).map(|v| v.max(1e-12)));
+        share.component_mul(&Vector3::from(self.lag1))
+    }
+
+    /// By how much the covariance of the mean innovation of `w` throws, sum of (x - rho x before) / (w (1 - rho)), exceeds
+    /// [`Self::of_mean`]: it is their mean but for the throws at both ends, and for autoregressive scatter has the variance of
+    /// such a part of a long series.
+    pub(super) fn more_of_score(&self, w: usize, sensor: &Matrix3<f64>) -> Matrix3<f64> {
+        let w = w as f64;
+        let rho = self.lag1_of_one(sensor);
+        let ends = rho.map(|rho| (2.0 * rho.max(0.0)).sqrt() / (w * (1.0 - rho)));
+        let own = |i: usize| inflation(self.lag1[i], f64::INFINITY) - inflation(self.lag1[i], w);
+        let more = Vector3::from_fn(|i, _| (own(i).max(0.0) / w).sqrt());
+        Matrix3::from(self.natural).component_mul(&(more * more.transpose()))
+            + sensor.component_mul(&(ends * ends.transpose()))
+    }
+
+    /// How well `of_mean` of `w` throws is known: it errs with the variance of the throws and with the lag-1
+    /// correlation, both from a finite number of throws. The inverse hyperbolic tangent of a lag-1 correlation from n throws
+    /// is nearly normal with variance 1/n (Fisher); a larger correlation means a larger variance of one throw, too, as the
+    /// innovations have the one that was seen. Each coefficient has a third of the probability.
     pub(super) fn doubt(&self, w: usize) -> Doubt {
-        const STEP: f64 = 1e-4;
+        /// Standard deviations from the estimate, and between the nodes.
+        const NODES: (i32, f64) = (6, 0.8);
         let (usual_weight, _) = usual_lag1(self.leaning > 0.0);
         let (natural, sensor) = (Matrix3::from(self.natural), Matrix3::from(self.sensor));
-        let factor = |phi: f64| inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws;
-        let (mut variance, mut log_variance) = (0.0, 0.0);
+        let of_natural = |phi: f64| {
+            (inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws) / (1.0 - phi * phi)
+        };
+        let mut factors = Vec::new();
         for i in 0..3 {
             let phi = self.lag1[i];
             let share = natural[(i, i)] / (natural[(i, i)] + sensor[(i, i)]).max(f64::MIN_POSITIVE);
-            let slope = (factor(phi + STEP).ln() - factor(phi - STEP).ln()) / (2.0 * STEP);
-            let weight = (self.throws * share).max(1.0) + usual_weight;
-            let of_lag1 = share * slope * slope * (1.0 - phi * phi) / weight;
-            // Skewed: a strong correlation taken too low does more harm than one taken too high does good. The weight
-            // is measured on simulated healthy fleets with phi from 0 to 0.6.
-            let skew = 1.0 + 2.0 * phi.max(0.0);
-            variance += 2.0 / (effective(self.throws, phi) + self.leaning) / 3.0;
-            log_variance += skew * of_lag1 / 3.0;
+            let sd = ((self.throws * share).max(1.0) + usual_weight).sqrt().recip();
+            let fixed = sensor[(i, i)] * (1.0 / w as f64 + 1.0 / self.throws);
+            let assumed = natural[(i, i)] * of_natural(phi) * (1.0 - phi * phi);
+            factors.extend((-NODES.0..=NODES.0).map(|node| {
+                let z = f64::from(node) * NODES.1;
+                let other = (phi.atanh() + z * sd).tanh().clamp(LAG1_RANGE.0, MOST_LAG1);
+                let natural = assumed * of_natural(other) / of_natural(phi);
+                let factor = (natural + fixed) / (assumed + fixed).max(f64::MIN_POSITIVE);
+                (factor, (-0.5 * z * z).exp())
+            }));
         }
-        Doubt { degrees_of_freedom: 2.0 / variance, log_variance }
+        let total: f64 = factors.iter().map(|(_, weight)| weight).sum();
+        factors.iter_mut().for_each(|(_, weight)| *weight /= total);
+        let independent = self.lag1.iter().map(|phi| effective(self.throws, *phi)).sum::<f64>() / 3.0;
+        Doubt { degrees_of_freedom: independent + self.leaning, factors }
     }
 }
 
@@ -184,6 +224,9 @@ fn effective(throws: f64, phi: f64) -> f64 {
 /// `g_w(phi)`: by how much the variance of a mean of `w` throws exceeds that of independent ones.
 pub(super) fn inflation(phi: f64, w: f64) -> f64 {
     let rest = 1.0 - phi;
+    if w.is_infinite() {
+        return (1.0 + phi) / rest;
+    }
     (1.0 + phi) / rest - 2.0 * phi * (1.0 - phi.powf(w)) / (w * rest * rest)
 }
 

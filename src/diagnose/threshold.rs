@@ -2,8 +2,8 @@
 //!
 //! T = m' V^-1 m of one window would be chi-square with three degrees of freedom if V were known. V comes from a
 //! finite baseline, so T follows Hotelling's law instead: T (nu - 2) / (3 nu) is F(3, nu - 2). And V errs with the
-//! serial correlation, by a factor whose logarithm has the variance s^2: where the tail of T falls as T^-k, that raises
-//! its limit by exp(k s^2 / 2), the mean of the factor's k-th power. Every throw asks several windows of several
+//! serial correlation, by a factor that is only known with its probabilities: the tail of T is the mean of Hotelling's over
+//! them. Innovations are clipped, so heavier tails of the scatter than Gauss's reach T hardly. Every throw asks several windows of several
 //! streams; the budget is shared among them, and each share is a rate of *new* crossings: successive windows overlap, so
 //! a crossing lasts some throws and counts once.
 
@@ -31,7 +31,7 @@ impl Thresholds {
     /// For `budget` false alarms a throw of this stream, shared among its windows.
     pub(super) fn compute(scatter: &Scatter, budget: f64) -> Self {
         let share = CROSSINGS_PER_ALARM * budget / WINDOWS.len() as f64;
-        Self { budget, limits: WINDOWS.map(|w| limit(share, scatter.doubt(w))) }
+        Self { budget, limits: WINDOWS.map(|w| limit(share, &scatter.doubt(w))) }
     }
 
     /// Whether they were computed for this budget.
@@ -47,22 +47,20 @@ impl Thresholds {
 }
 
 /// T that is exceeded with probability `alpha` when its covariance is known as well as `doubt` says.
-fn limit(alpha: f64, doubt: Doubt) -> f64 {
-    /// Step of ln T over which the fall of the tail is taken.
-    const STEP: f64 = 0.1;
+fn limit(alpha: f64, doubt: &Doubt) -> f64 {
     let second = (doubt.degrees_of_freedom - DIMENSIONS + 1.0).max(2.0);
     let nu = second + DIMENSIONS - 1.0;
-    let exceeds = |f: f64| {
-        let x = second / (second + DIMENSIONS * f);
-        checked_beta_reg(second / 2.0, DIMENSIONS / 2.0, x).unwrap_or(0.0)
+    let hotelling = |t: f64| {
+        let f = t * second / (DIMENSIONS * nu);
+        checked_beta_reg(second / 2.0, DIMENSIONS / 2.0, second / (second + DIMENSIONS * f)).unwrap_or(0.0)
     };
-    let (mut low, mut high) = (0.0_f64, 30.0_f64);
-    for _ in 0..60 {
+    let exceeds = |t: f64| doubt.factors.iter().map(|(factor, share)| share * hotelling(t / factor)).sum::<f64>();
+    let (mut low, mut high) = (0.0_f64, 12.0_f64);
+    for _ in 0..18 {
         let middle = 0.5 * (low + high);
         if exceeds(middle.exp()) > alpha { low = middle } else { high = middle }
     }
-    let fall = (exceeds(low.exp()) / exceeds((low + STEP).exp())).ln() / STEP;
-    DIMENSIONS * nu / second * (low + 0.5 * fall * doubt.log_variance).exp()
+    high.exp()
 }
 
 #[cfg(test)]
@@ -73,7 +71,7 @@ mod tests {
     fn with_many_degrees_of_freedom_the_limit_is_that_of_chi_square() {
         // Chi-square with three degrees of freedom, upper tails from a table.
         for (alpha, expected) in [(0.05, 7.815), (0.001, 16.266)] {
-            let limit = limit(alpha, Doubt { degrees_of_freedom: 1e7, log_variance: 0.0 });
+            let limit = limit(alpha, &Doubt { degrees_of_freedom: 1e7, factors: vec![(1.0, 1.0)] });
             assert!((limit - expected).abs() < 2e-3, "{limit}");
         }
     }
@@ -81,7 +79,7 @@ mod tests {
     #[test]
     fn with_few_it_is_that_of_f() {
         // F(3, 10), upper 1 %: 6.552 in the tables.
-        let limit = limit(0.01, Doubt { degrees_of_freedom: 12.0, log_variance: 0.0 });
+        let limit = limit(0.01, &Doubt { degrees_of_freedom: 12.0, factors: vec![(1.0, 1.0)] });
         assert!((limit - 3.0 * 12.0 / 10.0 * 6.552).abs() < 0.01);
     }
 }

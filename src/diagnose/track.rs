@@ -23,6 +23,10 @@ use crate::{estimate::Grade, throw::Direction};
 /// Throws of a direction that are set aside: a longest window of them shows any drift that matters.
 const MOST_ASIDE: usize = WINDOWS[3];
 
+/// An innovation counts as if it were this many standard deviations away at most: with usual tails, and with heavy ones or
+/// where a wild throw echoes for long. Two throws show a step with the first, four with the second.
+const CLIP_SD: [f64; 2] = [8.0, 3.5];
+
 /// The temperature hides a fault when the least size that shows is this many times what scatter alone makes it.
 const HIDES_FROM: f64 = 1.5;
 
@@ -193,29 +197,27 @@ impl Tracks {
         }
     }
 
-    /// What the last throws say, the latest being one of `direction`. `open` are the causes with an active alarm.
-    pub(super) fn drift(&self, direction: Direction, caution: u32, open: &[Cause], settings: &Settings) -> Drift {
+    /// What the last throws say, the latest being one of `direction`, on a machine whose scatter has heavy tails
+    /// (`wild`) or not. `open` are the causes with an active alarm.
+    pub(super) fn drift(&self, direction: Direction, wild: bool, open: &[Cause], settings: &Settings) -> Drift {
         let [normal, reverse] = &self.sides;
         let baselines = [normal.baseline.as_ref(), reverse.baseline.as_ref()];
         let tails = [Stream::of(&normal.recent, 0), Stream::of(&reverse.recent, 1)];
+        let mixed_tail = Stream::mixed([&normal.recent, &reverse.recent]);
+        let own = tails
+            .iter()
+            .zip(&self.sides)
+            .filter_map(|(tail, track)| Some((tail, track.baseline.as_ref()?.scatter(), track.thresholds.as_ref()?)));
+        let mixed = self.mixed.as_ref().filter(|_| mixed_tail.is_balanced());
+        let mixed = mixed.map(|mixed| (&mixed_tail, &mixed.scatter, &mixed.thresholds));
         let mut best: Option<(Window, &Scatter)> = None;
-        let mut consider = |tail: &Stream, scatter, thresholds| {
-            if let Some(window) = tail.strongest(scatter, thresholds, baselines)
+        for (tail, scatter, thresholds) in own.chain(mixed) {
+            let clip_sd = CLIP_SD[usize::from(wild || scatter.is_persistent())];
+            if let Some(window) = tail.strongest(clip_sd, scatter, thresholds, baselines)
                 && best.is_none_or(|(best, _)| window.excess > best.excess)
             {
                 best = Some((window, scatter));
             }
-        };
-        for (tail, track) in tails.iter().zip(&self.sides) {
-            if let (Some(baseline), Some(thresholds)) = (&track.baseline, &track.thresholds) {
-                consider(tail, baseline.scatter(), thresholds);
-            }
-        }
-        let mixed_tail = Stream::mixed([&normal.recent, &reverse.recent]);
-        if let Some(mixed) = &self.mixed
-            && mixed_tail.is_balanced()
-        {
-            consider(&mixed_tail, &mixed.scatter, &mixed.thresholds);
         }
         let level = |at: usize, longest: usize| {
             let scatter = baselines[at]?.scatter();
@@ -226,16 +228,7 @@ impl Tracks {
         let latest = side(direction);
         let provisional = baselines.iter().flatten().any(|baseline| !baseline.is_complete());
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
-        Drift::new(
-            best,
-            provisional,
-            [levels, last_few],
-            (latest, level(latest, WINDOWS[0])),
-            hidden,
-            caution,
-            open,
-            settings,
-        )
+        Drift::new(best, provisional, [levels, last_few], (latest, level(latest, WINDOWS[0])), hidden, open, settings)
     }
 
     /// The cause, and its size \[%\], that the doubt about the temperature's effect hides most on this side, where it hides
@@ -315,7 +308,7 @@ impl Tracks {
         let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
         let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second]);
         let done = first.is_complete() && second.is_complete();
-        let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw());
+        let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
         self.mixed = Some(Mixed { scatter, thresholds });
         if done {
             self.sides.iter_mut().for_each(|track| track.learned = Vec::new());
@@ -325,13 +318,6 @@ impl Tracks {
     /// Forgets the last throws, not the baselines.
     pub(super) fn forget_recent(&mut self) {
         self.sides.iter_mut().for_each(|track| track.recent.clear());
-    }
-
-    /// Mean lag-1 correlation of the machine's throws.
-    pub(super) fn lag1(&self) -> f64 {
-        let own = self.sides.iter().find_map(|track| track.baseline.as_ref()).map(Baseline::scatter);
-        let scatter = self.mixed.as_ref().map(|mixed| &mixed.scatter).or(own);
-        scatter.map_or(0.0, |scatter| scatter.lag1().into_iter().sum::<f64>() / 3.0)
     }
 
     pub(super) fn any_baseline(&self) -> bool {

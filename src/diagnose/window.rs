@@ -171,9 +171,40 @@ impl<'a> Stream<'a> {
         Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0 })
     }
 
-    /// The window in which the drift shows most, whether or not it is above its limit.
+    /// T of the mean innovation of the last throws of `window`, as a level, each innovation clipped at `clip_sd`: one wild
+    /// cause, which echoes in the throws after it, is one innovation.
+    fn score(
+        &self,
+        window: &Window,
+        clip_sd: f64,
+        scatter: &Scatter,
+        baselines: [Option<&Baseline>; 2],
+    ) -> Option<f64> {
+        let n = window.throws as f64;
+        let sensor =
+            self.0[..window.throws].iter().map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / n;
+        let (sd, rho) = (scatter.sd_of_one(&sensor), scatter.lag1_of_one(&sensor));
+        let fresh = rho.map(|rho| (1.0 - rho * rho).sqrt());
+        let reach = sd.component_mul(&fresh) * clip_sd;
+        let residual = |at: usize| self.0.get(at).map(|(side, throw)| Some(baselines[*side]?.compensated(throw.raw())));
+        let mut sum = Vector3::zeros();
+        let mut throw = residual(0)??;
+        for at in 1..=window.throws {
+            let before = residual(at).flatten();
+            let innovation = before.map_or(throw.component_mul(&fresh), |before| throw - rho.component_mul(&before));
+            sum += Vector3::from_fn(|i, _| innovation[i].clamp(-reach[i], reach[i]));
+            throw = before.unwrap_or_default();
+        }
+        let level = sum.component_div(&rho.map(|rho| n * (1.0 - rho)));
+        let inverse = (window.covariance + scatter.more_of_score(window.throws, &sensor)).try_inverse()?;
+        Some((level.transpose() * inverse * level).x)
+    }
+
+    /// The window in which the drift shows most, whether or not it is above its limit. Above a quarter of it, mean and mean
+    /// innovation must show it.
     pub(super) fn strongest(
         &self,
+        clip_sd: f64,
         scatter: &Scatter,
         thresholds: &Thresholds,
         baselines: [Option<&Baseline>; 2],
@@ -182,7 +213,10 @@ impl<'a> Stream<'a> {
         for (at, &throws) in WINDOWS.iter().enumerate() {
             let Some(mut window) = self.window(throws, scatter, baselines) else { continue };
             let Some(inverse) = window.covariance.try_inverse() else { continue };
-            window.excess = (window.mean.transpose() * inverse * window.mean).x / thresholds.of(at);
+            let t = (window.mean.transpose() * inverse * window.mean).x;
+            let score =
+                if t > 0.25 * thresholds.of(at) { self.score(&window, clip_sd, scatter, baselines) } else { None };
+            window.excess = t.min(score.unwrap_or(t)) / thresholds.of(at);
             if best.is_none_or(|best| window.excess > best.excess) {
                 best = Some(window);
             }
