@@ -1,11 +1,12 @@
-//! How large a drift is at this throw, and where it goes: its course over the last throws.
+//! The course of a drift over the last throws: its present size, and a forecast.
 //!
-//! Along the effect of its cause, a throw at time t (throws, now = 0) reads y = o + s(t) + n. The offset o is the error of
-//! the baseline's centre. The drift s begins at some throw tau: s(t) = 0 before it, and a + b (t - tau) + c (t - tau)^2
-//! from it on, so that a step, a ramp and an accelerating wear are the same model. The noise n is an autoregression of
-//! first order. Sizes are parts of nominal, as wear is straight in these and not in their logarithms. With normal priors on o, a, b, c everything is linear for a given tau (least squares on the whitened
-//! series); each tau of a grid gets the weight of its evidence, and the mixture of all gives the size now with an interval
-//! that knows neither the shape nor the beginning, and the throws until a limit.
+//! Along the effect of its cause, a throw at time t (in throws, now = 0) has the value y = o + s(t) + n. The offset o
+//! is the error of the baseline's centre. The drift s begins at some throw tau: s(t) = 0 before it, and a + b (t - tau)
+//! + c (t - tau)^2 from it on, so that a step, a ramp and an accelerating wear are the same model. The noise n is an
+//! autoregression of first order. Sizes are parts of nominal, as wear is linear in these and not in their logarithms.
+//! With normal priors on o, a, b, c the problem is linear for a given tau (least squares on the whitened series). Each
+//! tau of a grid gets the weight of its evidence; the mixture gives the present size, with an interval that assumes
+//! neither shape nor beginning, and the throws until a limit.
 
 use nalgebra::{Matrix4, Vector4};
 use serde::{Deserialize, Serialize};
@@ -13,41 +14,41 @@ use statrs::function::erf::erf;
 
 use super::{robust::median, scatter::inflation};
 
-/// Throws until a limit is reached, with an interval.
+/// Forecast of the throws until a limit is reached.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LimitForecast {
-    /// Not sooner than this, 95 %.
+    /// Lower end of the 95 % interval.
     pub low: f64,
-    /// Best guess.
+    /// Median.
     pub mid: f64,
-    /// Not later than this, 95 %.
+    /// Upper end of the 95 % interval.
     pub high: f64,
 }
 
-/// Prior scales: a step may be half as large again as the part; ramps of weeks to days; curvature that doubles a usual
-/// slope within fifty throws.
+/// Prior standard deviations of step, slope and curvature: steps up to about half of nominal, ramps of days to weeks,
+/// curvature that doubles a usual slope within fifty throws.
 const STEP_SD: f64 = 0.4;
 const SLOPE_SD: f64 = 0.004;
 const CURVATURE_SD: [f64; 3] = [1e-6, 1e-5, 2e-4];
-/// A value counts as if it were this many standard deviations from the median of its neighbours at most.
+/// Largest distance of a value from the median of its neighbours, in standard deviations; larger ones are clipped.
 const CLIP_SD: f64 = 3.0;
-/// Values on each side of one that are its neighbours.
+/// Number of neighbours on each side.
 const NEIGHBOURS: usize = 3;
-/// A forecast reaches this many throws ahead at most: beyond, the past throws say nothing.
+/// Farthest forecast \[throws\].
 const FARTHEST: f64 = 1000.0;
-/// A beginning with this part of the best one's probability is left out: all of them together move no interval.
+/// Onsets with less than this part of the best probability are left out, as they do not change an interval.
 const NEGLIGIBLE: f64 = 1e-5;
-/// Two-sided 95 %.
+/// Tail probability of each side of a 95 % interval.
 const TAIL: f64 = 0.025;
 
-/// A throw's place in the series, or the mean of some successive throws.
+/// A throw in the series, or the mean of some consecutive throws.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Point {
-    /// Throws of the machine before the present one: 0 for now; of the middle throw of several.
+    /// Age in throws of the machine, 0 for now; of a mean that of the middle throw.
     pub(super) age: f64,
     /// Residual along the cause, a logarithm.
     pub(super) value: f64,
-    /// Throws that it is the mean of.
+    /// Number of throws of the mean.
     pub(super) throws: f64,
 }
 
@@ -56,16 +57,16 @@ pub(super) struct Point {
 pub(super) struct Noise {
     /// Standard deviation of one value.
     pub(super) sd: f64,
-    /// Correlation from one value to the next.
+    /// Correlation of consecutive values.
     pub(super) lag1: f64,
-    /// Standard deviation of the baseline's centre, and of the temperature's effect now.
+    /// Standard deviation of the baseline's centre and of the present effect of the temperature.
     pub(super) offset_sd: f64,
 }
 
-/// The drift as it would be if it had begun at one throw.
+/// The drift for a given beginning.
 #[derive(Debug, Clone, Copy)]
 struct Begun {
-    /// Age of its beginning.
+    /// Age of the beginning.
     age: f64,
     weight: f64,
     /// o, a, b, c.
@@ -78,24 +79,25 @@ struct Begun {
 pub(super) struct Course(Vec<Begun>);
 
 impl Course {
-    /// Fits the course to what is known of the drift, oldest first, the last throws one by one. `None` for fewer than three.
+    /// Fits the course to the points, oldest first, where the last throws are single points. `None` for fewer than
+    /// three.
     pub(super) fn of(points: &[Point], noise: Noise) -> Option<Self> {
         let n = points.len();
         if n < 3 || noise.sd <= 0.0 || noise.sd.is_nan() {
             return None;
         }
         let calm = calmed(points, CLIP_SD * noise.sd);
-        // Scatter grows with the size, as it is scatter of a logarithm.
+        // The scatter is that of a logarithm, so it grows with the size.
         let scale: Vec<f64> = calm.iter().map(|value| value.exp()).collect();
         let values: Vec<f64> = calm.iter().map(|value| value.exp_m1()).collect();
         let fresh_sd = noise.sd * (1.0 - noise.lag1 * noise.lag1).sqrt();
-        // Row of the offset, 1, t and t^2, with the value, as they were at one point.
+        // Row of a point: offset, 1, t, t^2, and the value.
         let row = |at: usize| {
             let t = -points[at].age;
             (Vector4::new(1.0, 1.0, t, t * t), values[at])
         };
-        // The same with the noise made white: means of several throws are independent, single throws an autoregression.
-        // The second row is for a drift that begins at this point: before it there was only the offset.
+        // The whitened row: means of several throws are independent, single throws are an autoregression. The second
+        // row is for a drift that begins at this point, with only the offset before it.
         let whitened = |at: usize| {
             let ((x, y), throws) = (row(at), points[at].throws);
             if throws > 1.0 {
@@ -116,7 +118,7 @@ impl Course {
             let prior = Vector4::new(noise.offset_sd.max(1e-6), STEP_SD, SLOPE_SD, curvature_sd);
             Matrix4::from_diagonal(&prior.map(|sd| (sd * sd).recip()))
         });
-        // Before the drift only the offset shows.
+        // Before the drift there is only the offset.
         let (mut offset, mut offset_right): (f64, f64) =
             rows.iter().map(|(x, _, y)| (x[0] * x[0], x[0] * y)).fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
         let (mut after, mut after_right) = (Matrix4::zeros(), Vector4::zeros());
@@ -138,7 +140,7 @@ impl Course {
                     let normal = information + precision;
                     let Some(factor) = normal.cholesky() else { continue };
                     let (mean, covariance) = (factor.solve(&right), factor.inverse());
-                    // Twice the logarithm of the evidence, but for what all have in common.
+                    // Twice the logarithm of the evidence, without common terms.
                     let evidence = right.dot(&mean) - factor.determinant().ln() + precision.determinant().ln();
                     begun.push((Begun { age, weight: 0.0, mean, covariance }, evidence));
                 }
@@ -155,7 +157,7 @@ impl Course {
         Some(Self(parts))
     }
 
-    /// Size of the drift now as a part of nominal, and its standard deviation.
+    /// Present size of the drift as part of nominal, and its standard deviation.
     pub(super) fn now(&self) -> (f64, f64) {
         let mean: f64 = self.0.iter().map(|part| part.weight * part.at(0.0).0).sum();
         let spread = |part: &Begun| {
@@ -165,7 +167,8 @@ impl Course {
         (mean, self.0.iter().map(spread).sum::<f64>().sqrt())
     }
 
-    /// Throws until the drift reaches `limit`, a part of nominal with the sign of the drift. `None` where it may never do so, or has.
+    /// Throws until the drift reaches `limit`, a part of nominal with the sign of the drift. `None` if it may never do
+    /// so, or has done so.
     pub(super) fn reaches(&self, limit: f64) -> Option<LimitForecast> {
         let above = |ahead: f64| -> f64 {
             let part = |part: &Begun| {
@@ -185,7 +188,7 @@ impl Course {
 }
 
 impl Begun {
-    /// Mean and variance of the drift at an age; negative ages are ahead.
+    /// Mean and variance of the drift at an age; negative ages are in the future.
     fn at(&self, age: f64) -> (f64, f64) {
         let mut x = regressors(self.age, age);
         x[0] = 0.0;
@@ -193,19 +196,19 @@ impl Begun {
     }
 }
 
-/// What o, a, b, c are multiplied with at an age, when the drift began at the age `begun`.
+/// Regressors of o, a, b, c at an age, for a drift that began at the age `begun`.
 fn regressors(begun: f64, age: f64) -> Vector4<f64> {
     let since = begun - age;
     if since < 0.0 { Vector4::new(1.0, 0.0, 0.0, 0.0) } else { Vector4::new(1.0, 1.0, since, since * since) }
 }
 
-/// From o, a, b, c of a drift that began at an age to the coefficients of the offset, 1, t and t^2.
+/// Converts o, a, b, c of a drift that began at an age to the coefficients of offset, 1, t and t^2.
 fn since_begin(age: f64) -> Matrix4<f64> {
     let tau = -age;
     Matrix4::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, -tau, tau * tau, 0.0, 0.0, 1.0, -2.0 * tau, 0.0, 0.0, 0.0, 1.0)
 }
 
-/// First number of throws ahead at which `share` is reached, by bisection between growing steps.
+/// First number of throws ahead at which `share` is reached, by growing steps and bisection.
 fn first(above: &dyn Fn(f64) -> f64, share: f64) -> Option<f64> {
     let (mut low, mut high) = (0.0, 1.0);
     if above(0.0) >= share {
@@ -229,9 +232,9 @@ fn normal_below(z: f64) -> f64 {
     0.5 * (1.0 + erf(z / std::f64::consts::SQRT_2))
 }
 
-/// The values, each at most `reach` from the median of its neighbours.
+/// The values, clipped to `reach` from the median of their neighbours.
 ///
-/// The latest throws have no later neighbours: they are each other's, so that two of them already show a step.
+/// The latest throws have no later neighbours and count as neighbours of each other, so that two of them show a step.
 fn calmed(points: &[Point], reach: f64) -> Vec<f64> {
     let n = points.len();
     let near = |at: usize| {

@@ -1,4 +1,4 @@
-//! What the last throws of a machine say together: a drift, its name, and what follows for each alarm.
+//! The drift in the last throws of a machine: detection, attribution, and evidence for each alarm.
 
 use nalgebra::Matrix3;
 
@@ -15,42 +15,41 @@ use super::{
 };
 use crate::throw::Direction;
 
-/// A lead from which an alarm with one name waits no longer: odds of 150 to 1.
+/// Lead from which an alarm with one name does not wait longer: odds of 150 to 1.
 const SAFE: f64 = 10.0;
-/// Throws by which an alarm waits longer while its name could still be another: the next ones settle it.
+/// Extra throws of waiting while the name is uncertain.
 const DOUBTED_PATIENCE: u32 = 2;
-/// Throws by which an alarm without a single name waits longer: the first throws after a step are few, and what they
-/// leave open the next ones usually settle.
+/// Extra throws of waiting without a single name: more throws after a step usually give one.
 const UNNAMED_PATIENCE: u32 = 6;
-/// The same when two explanations are too close to call: a longest window tells most of them apart.
+/// Extra throws of waiting if two explanations are too close to call: a longest window distinguishes most of them.
 const TOO_CLOSE_PATIENCE: u32 = 24;
 
-/// By how much warning limits are wider on a provisional baseline: it has not seen the machine's weather yet.
+/// Factor on warning limits for a provisional baseline, which does not include the weather yet.
 const PROVISIONAL_WIDENING: f64 = 1.5;
 
-/// A size below this part of its warning limit, two standard deviations added, is plain health.
+/// Part of the warning limit below which a size plus two standard deviations is plain health.
 const HEALTHY_BELOW: f64 = 0.5;
-/// A drift is of one direction when the other shows less than this part of it.
+/// Part of the size that the other direction must not reach in a drift of one direction.
 const ONE_SIDED: f64 = 0.5;
-/// And by this many standard deviations of the difference.
+/// Least difference of the directions for this, in standard deviations.
 const ONE_SIDED_SD: f64 = 3.0;
-/// Throws of the machine with the drift, six of each direction, from which its direction is told.
+/// Throws with the drift, six of each direction, before its direction is decided.
 const ONE_SIDED_THROWS: u64 = 12;
 
-/// What the last throws say.
+/// The drift in the last throws.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Drift {
     /// T of the strongest window over its limit.
     pub(super) excess: f64,
-    /// Whether a baseline behind it is still being learned.
+    /// Whether a baseline is still incomplete.
     provisional: bool,
-    /// Named, when detected.
+    /// The attribution, if a drift is detected.
     pub(super) attribution: Option<Attribution>,
-    /// The window in which it shows most.
+    /// The window with the most significant drift.
     pub(super) strongest: Option<Window>,
-    /// What the gauges say about it.
+    /// Verdict of the gauges on the drift.
     pub(super) testimony: Testimony,
-    /// Its name has an active alarm.
+    /// Whether its cause has an active alarm.
     is_alarmed: bool,
     /// Present level of each direction.
     pub(super) levels: [Option<Window>; 2],
@@ -58,7 +57,7 @@ pub(super) struct Drift {
     last_few: [Option<Window>; 2],
     /// Side of the latest throw, and the level of its last few throws.
     latest: (usize, Option<Window>),
-    /// Cause and size \[%\] that the temperature hides, where it hides a warning limit.
+    /// Cause and size \[%\] hidden by the temperature, if it hides a change at the warning limit.
     pub(super) hidden: Option<(Cause, f64)>,
 }
 
@@ -82,13 +81,13 @@ impl Drift {
         Self { excess, provisional, attribution, strongest, testimony, is_alarmed, levels, last_few, latest, hidden }
     }
 
-    /// Whether a drift is detected and above its limit, whatever its name.
+    /// Whether a drift is detected and above its limit, with any name.
     pub(super) fn matters(&self) -> bool {
         let limit = if self.provisional { PROVISIONAL_WIDENING } else { 1.0 };
         self.attribution.as_ref().is_some_and(|attribution| attribution.relevance > limit)
     }
 
-    /// What the throw says about `cause`, whose alarm is active in the direction `alarmed` (inner `None`: in both).
+    /// The evidence about `cause`, whose alarm is active in the direction `alarmed` (inner `None`: in both).
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     pub(super) fn reading(&self, cause: Cause, alarmed: Option<Option<Direction>>, settings: &Settings) -> Reading {
         let excused = self.testimony.excuses();
@@ -109,7 +108,7 @@ impl Drift {
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         let claim = match named {
             Some(_) if self.matters() => Claim::Named,
-            // No name has settled, whatever the throws in between were taken for.
+            // The name is not stable yet, also if throws in between had one.
             _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed && !excused => Claim::Counts,
             _ => Claim::None,
         };
@@ -133,8 +132,8 @@ impl Drift {
         }
     }
 
-    /// The direction in which `cause` shows, `throws` throws after the drift was first suspected; `None` for both, and as long
-    /// as a direction has too few throws with the drift to tell.
+    /// The direction of `cause`, `throws` throws after the drift was first suspected; `None` for both, and with too few
+    /// throws.
     pub(super) fn direction(&self, cause: Cause, throws: u64, settings: &Settings) -> Option<Direction> {
         let of = |window: &Window| {
             let parts = alarm_causes(cause).map(|part| single(part, &window.mean, &window.covariance, settings));
@@ -149,7 +148,7 @@ impl Drift {
         (throws >= ONE_SIDED_THROWS && clear).then_some(side)
     }
 
-    /// The direction that shows more than twice as much of `cause` as the other: a first guess, for measuring its size.
+    /// The direction with more than twice as much of `cause` as the other: a first guess for the size.
     pub(super) fn leaning(&self, cause: Cause, settings: &Settings) -> Option<Direction> {
         let size = |at: usize| self.levels[at].as_ref().map(|window| extent(cause, window, settings).0);
         match (size(0), size(1)) {
@@ -162,8 +161,8 @@ impl Drift {
     }
 }
 
-/// Least size of `cause` \[%\] that such a window shows when T has this limit; and the same if the temperature's effect were
-/// known.
+/// Least visible size of `cause` \[%\] in a window with this limit of T; and the same with a known effect of the
+/// temperature.
 pub(super) fn visible_pct(cause: Cause, window: &Window, limit: f64) -> Option<(f64, f64)> {
     let d = direction_of(cause)?;
     let least =
@@ -171,7 +170,7 @@ pub(super) fn visible_pct(cause: Cause, window: &Window, limit: f64) -> Option<(
     Some((least(window.covariance)?, least(window.covariance - doubt(window.temperature_sd))?))
 }
 
-/// Size of `cause` in a window over its warning limit; and the same with two standard deviations added.
+/// Size of `cause` in a window relative to the warning limit; and the same plus two standard deviations.
 fn extent(cause: Cause, window: &Window, settings: &Settings) -> (f64, f64) {
     let of = |cause: Cause| {
         let e = single(cause, &window.mean, &window.covariance, settings);
@@ -185,7 +184,7 @@ fn extent(cause: Cause, window: &Window, settings: &Settings) -> (f64, f64) {
     }
 }
 
-/// The causes that an alarm may be about: itself, or any.
+/// The physical causes of an alarm: its cause, or all of them.
 pub(super) fn alarm_causes(cause: Cause) -> impl Iterator<Item = Cause> {
     Cause::PHYSICAL.into_iter().filter(move |part| cause == Cause::Unattributed || *part == cause)
 }

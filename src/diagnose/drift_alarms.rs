@@ -1,4 +1,4 @@
-//! The drift alarms of one machine: which events follow from what the last throws say, and how the drifts are now.
+//! The drift alarms of a machine: their events, and the present drifts.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -25,36 +25,36 @@ use crate::throw::{Direction, ThrowRef};
 /// The causes that come from a drift, in the order of the conditions.
 pub(super) const DRIFTS: [Cause; 5] =
     [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia, Cause::Unattributed];
-/// A drift is suspected from this part of its limit on: its throws are evidence, and stay out of the baseline.
+/// Part of the limit from which a drift is suspected: its throws are evidence and stay out of the baseline.
 const SUSPECTED_FROM: f64 = 0.5;
-/// A suspected drift is forgotten below this part of its limit.
+/// Part of the limit below which a suspicion ends.
 const FORGOTTEN_BELOW: f64 = 0.25;
 
-/// Least part of nominal that a size leaves: its logarithm is taken.
+/// Least part of nominal that a loss leaves, as its logarithm is needed.
 const LEAST_LEFT: f64 = 0.01;
 
-/// The throw from which on a drift is suspected.
+/// The first throw of a suspected drift.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Onset {
     pub(super) first: ThrowRef,
-    /// Counts the machine's throws.
+    /// Number of the throw among those of the machine.
     pub(super) order: u64,
 }
 
-/// What decides over the drift alarms, from throw to throw.
+/// State of the drift alarms between throws.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct DriftAlarms {
     pub(super) history: History,
     pub(super) onset: Option<Onset>,
     pub(super) conditions: [Condition; 5],
-    /// The drifts with an active alarm, as they are now.
+    /// The drifts with an active alarm, with their present size.
     pub(super) now: Vec<Drifting>,
     #[serde(default)]
     pub(super) intermittent: Intermittent,
 }
 
 impl DriftAlarms {
-    /// Takes in what the last throws say; the latest is the machine's throw number `order`, with this residual.
+    /// Applies the drift in the last throws; the latest is throw number `order` of the machine, with this residual.
     pub(super) fn judge(
         &mut self,
         drift: &Drift,
@@ -74,7 +74,7 @@ impl DriftAlarms {
             let evidence = |severity| self.evidence(cause, severity, drift, order, tracks, context);
             events.extend(match transition {
                 Transition::Stay => None,
-                // An intermittent fault has its own end.
+                // An alarm about an intermittent fault ends by its own rule.
                 Transition::Clear { .. } | Transition::Withdraw if self.intermittent.alarmed == Some(cause) => None,
                 Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
                 Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
@@ -94,8 +94,8 @@ impl DriftAlarms {
         events
     }
 
-    /// Takes in how far a throw is from the ones before it: side, departure, covariance of one throw, and whether the baseline
-    /// is complete; a drift that a sensor explains is `excused`.
+    /// Applies the departure of a throw from the previous ones: side, departure, covariance of one throw, and whether
+    /// the baseline is complete; `excused`: a sensor explains the drift.
     pub(super) fn judge_departure(
         &mut self,
         (side, departure, of_one_throw, complete): (usize, Vector3<f64>, Matrix3<f64>, bool),
@@ -128,7 +128,7 @@ impl DriftAlarms {
         alarms.raise(found.cause, evidence, at)
     }
 
-    /// How much speaks against taking the throw that was just judged into a baseline.
+    /// The suspicion against adding the last throw to a baseline.
     pub(super) fn suspicion(&self, drift: Option<&Drift>, alarms: &Alarms) -> Suspicion {
         if alarms.active().any(|event| event.cause.is_drift()) {
             Suspicion::Alarmed
@@ -141,25 +141,25 @@ impl DriftAlarms {
         }
     }
 
-    /// Whether a drift is suspected or alarmed: a throw of now is no example of health.
+    /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
     pub(super) fn is_suspicious(&self, alarms: &Alarms) -> bool {
         self.onset.is_some() || alarms.active().any(|event| event.cause.is_drift())
     }
 
-    /// A new baseline was taken: residuals from the old one are no history of the new one.
+    /// Discards the history after a new baseline, as its residuals are from the old one.
     pub(super) fn forget_history(&mut self) {
         self.history = History::default();
         self.onset = None;
     }
 
-    /// Forgets everything but how restless each alarm is: the machine was changed, or out of service.
+    /// Resets the state after a change or maintenance, except the times since the last raises.
     pub(super) fn reset(&mut self) {
         self.forget_history();
         self.conditions.iter_mut().for_each(Condition::reset);
         self.intermittent.reset();
     }
 
-    /// Notes the first throw of a suspected drift.
+    /// Updates the first throw of the suspected drift.
     fn follow_onset(&mut self, drift: &Drift, order: u64, context: Context) {
         if drift.excess < FORGOTTEN_BELOW {
             self.onset = None;
@@ -168,7 +168,7 @@ impl DriftAlarms {
         }
     }
 
-    /// How the drifts with an active alarm are after this throw.
+    /// Updates the present drifts after a throw.
     fn renew(&mut self, drift: &Drift, order: u64, tracks: &Tracks, alarms: &Alarms, settings: &Settings) {
         let mut now: Vec<(f64, Drifting)> = Vec::new();
         for alarm in alarms.active().filter(|event| event.cause.is_drift()) {
@@ -199,7 +199,7 @@ impl DriftAlarms {
         self.onset.as_ref().map_or(1, |onset| order - onset.order + 1)
     }
 
-    /// The direction of an active alarm as it is known now: the inner `None` is both.
+    /// The present direction of an active alarm; the inner `None` is both.
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     fn alarmed_direction(&self, cause: Cause, alarms: &Alarms) -> Option<Option<Direction>> {
         let now = self.now.iter().find(|drifting| drifting.cause == cause);
@@ -249,7 +249,7 @@ impl DriftAlarms {
         })
     }
 
-    /// The explanation with its size at this throw; and when it reaches its critical limit, while its alarm has not.
+    /// The explanation with its size at this throw, and the forecast of the critical limit for an alarm below it.
     fn present(
         &self,
         part: &Explanation,

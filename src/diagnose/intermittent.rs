@@ -1,9 +1,10 @@
-//! Faults that show in some throws only: a loose contact, a stone that comes and goes.
+//! Intermittent faults, which show in some throws only: a loose contact, a stone in the ballast.
 //!
-//! A mean over a window never sees every fifth throw. A throw departs when it is far from the median of the throws before
-//! it in its direction, beyond the machine's scatter and beyond a warning limit. Departures in a row count once: a step is
-//! one departure, and the windows are there for it. The number of departures in the last throws is compared with the
-//! machine's own rate before them: under a gamma prior on the rate it follows a negative binomial law.
+//! The mean over a window does not show a fault in every fifth throw. A throw departs if it is far from the median of
+//! the previous throws of its direction, beyond the scatter of the machine and beyond a warning limit. Consecutive
+//! departures count once: a step is one departure, and the windows detect it. The number of departures in the last
+//! throws is compared with the earlier rate of the machine; with a gamma prior on the rate it has a negative binomial
+//! distribution.
 
 use std::collections::VecDeque;
 
@@ -17,59 +18,61 @@ use super::{
     settings::Settings,
 };
 
-/// Throws in which departures are counted, the shorter and the longer.
+/// Lengths of the two windows of departures \[throws\].
 const COUNTED: [usize; 2] = [50, 100];
-/// A departure is at least so far away, as the square in standard deviations: 1 in 1,000 throws of a usual machine.
+/// Least squared distance of a departure, in variances: 1 in 1,000 throws of a usual machine.
 const FAR: f64 = 16.0;
-/// Throws of a direction that a departure lasts at most.
+/// Largest length of a departure \[throws of a direction\].
 const LONGEST_RUN: u32 = 2;
-/// A throw is far out from here: 5 in 10,000 throws of Gaussian scatter, 2 in 100 of Student's t with three degrees.
+/// Least squared distance of a throw far out: 5 in 10,000 throws of Gaussian scatter, 2 in 100 of Student's t with
+/// three degrees of freedom.
 const FAR_OUT: f64 = 20.0;
-/// Tails are heavy from this rate of throws far out, with this many usual throws added.
+/// Rate of throws far out from which the tails are heavy, and number of usual throws added as prior.
 const HEAVY_FROM: f64 = 0.006;
 const TAIL_PRIOR_THROWS: f64 = 100.0;
-/// Throws after which a throw far out is known to be none of a fault's first.
+/// Throws after which a throw far out counts for the tails, as no fault followed it.
 const DECIDED_AFTER: usize = 24;
-/// The rate before anything is known of a machine: half a departure in so many throws.
+/// Prior of the rate: departures, and throws.
 const PRIOR: (f64, f64) = (0.5, 50.0);
-/// Throws that must be known of a machine before its rate counts: a baseline of one direction.
+/// Throws of a machine before its rate counts: a baseline of one direction.
 const KNOWN_FROM: f64 = 50.0;
-/// Throws over which counts of overlapping windows are the same chance.
+/// Throws over which counts of overlapping windows are one test.
 const OVERLAP: f64 = 10.0;
 
-/// Departures of one machine.
+/// Departures of a machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Intermittent {
-    /// For each of the last throws the departure that it ended, if it did; newest last.
+    /// For each of the last throws: the departure that it ended, if any; the newest last.
     recent: VecDeque<Option<[f32; 3]>>,
-    /// The departure that the last throws of each direction began, and how many they are.
+    /// The open departure of each direction, and its number of throws.
     #[serde(default)]
     begun: [Option<([f32; 3], u32)>; 2],
-    /// Departures and throws of the machine's healthy past, before the last throws.
+    /// Departures and throws of the healthy past, before the last throws.
     past: (f64, f64),
-    /// Throws far out, of any size, and throws: how heavy the tails of the machine's scatter are.
+    /// Throws far out, and all throws: shows how heavy the tails are.
     tail: (f64, f64),
-    /// Whether each of the last throws was far out; newest last. A fault must not pass for a heavy tail.
+    /// Whether each of the last throws was far out; newest last. They count later, so that a fault does not count as a
+    /// heavy tail.
     undecided: VecDeque<bool>,
-    /// The cause under which it is alarmed.
+    /// Cause of the active alarm.
     pub(super) alarmed: Option<Cause>,
 }
 
-/// What the last throws show.
+/// The departures in the last throws.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Departures {
-    /// One in so many throws.
+    /// Throws per departure.
     pub(super) one_in: f64,
-    /// Their mean, as one cause explains it.
+    /// Their mean, explained by one cause.
     pub(super) explanation: Explanation,
-    /// The cause to be named: [`Cause::Unattributed`] when two explain it.
+    /// The cause to name; [`Cause::Unattributed`] if two explain it.
     pub(super) cause: Cause,
 }
 
 impl Intermittent {
-    /// Takes in how far a throw of one side is from the ones before it; `of_one_throw` is the covariance of that. While the
-    /// baseline is not `complete`, the throw belongs to the past; while a drift is `suspicious`, throws say nothing of the
-    /// tails of the scatter.
+    /// Adds the departure of a throw from the previous ones of its side, with its covariance `of_one_throw`. Until the
+    /// baseline is `complete`, the throw belongs to the past; with a `suspicious` drift it does not count for the
+    /// tails.
     pub(super) fn push(
         &mut self,
         side: usize,
@@ -112,7 +115,7 @@ impl Intermittent {
         }
     }
 
-    /// Departures beyond the machine's own rate, with less than `budget` false ones a throw.
+    /// Departures beyond the rate of the machine, with less than `budget` false alarms per throw.
     pub(super) fn found(&self, of_one_throw: &Matrix3<f64>, budget: f64, settings: &Settings) -> Option<Departures> {
         if self.past.1 < KNOWN_FROM {
             return None;
@@ -142,30 +145,30 @@ impl Intermittent {
         Some(Departures { one_in, explanation: best, cause: if clear { named } else { Cause::Unattributed } })
     }
 
-    /// Whether the machine's scatter has heavier tails than usual.
+    /// Whether the scatter of the machine has heavy tails.
     pub(super) fn is_wild(&self) -> bool {
         let (far, throws) = self.tail;
         (far + PRIOR.0) / (throws + TAIL_PRIOR_THROWS) > HEAVY_FROM
     }
 
-    /// Ends the alarm: the departures that it was about are done with.
+    /// Ends the alarm and discards its departures.
     pub(super) fn end(&mut self) {
         self.alarmed = None;
         self.recent.iter_mut().for_each(|departure| *departure = None);
     }
 
-    /// Whether departures are as rare again as they were.
+    /// Whether departures are as rare as before.
     pub(super) fn is_over(&self) -> bool {
         let count = self.recent.iter().rev().take(COUNTED[0]).flatten().count();
         count == 0 || self.chance(count, COUNTED[0] as f64) > OVER_FROM
     }
 
-    /// Forgets the last throws: they are of another machine state.
+    /// Discards the last throws after a change of the machine.
     pub(super) fn reset(&mut self) {
         *self = Self { past: self.past, tail: self.tail, ..Self::default() };
     }
 
-    /// Probability of at least `count` departures in `throws` under the machine's own rate.
+    /// Probability of at least `count` departures in `throws` with the rate of the machine.
     fn chance(&self, count: usize, throws: f64) -> f64 {
         let (shape, exposure) = (self.past.0 + PRIOR.0, self.past.1 + PRIOR.1);
         let p = throws / (throws + exposure);
@@ -173,14 +176,14 @@ impl Intermittent {
             let ln = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0);
             (ln + shape * (1.0 - p).ln() + k * p.ln()).exp()
         };
-        // The tail itself, as one minus the rest would be lost in rounding.
+        // Summed directly, as one minus the rest would be lost in rounding.
         (count..count + TAIL_TERMS).map(|k| of(k as f64)).sum()
     }
 }
 
-/// A lead of the best cause over the next that decides: odds of 20 to 1, as twice the logarithm.
+/// Lead that decides between two causes: odds of 20 to 1, as twice the logarithm.
 const CLEAR: f64 = 6.0;
-/// Departures are over when their number is more likely than this under the machine's own rate.
+/// Probability of the number of departures, with the rate of the machine, from which they have ended.
 const OVER_FROM: f64 = 0.05;
-/// Terms of the tail that are added up.
+/// Number of summed terms of the tail.
 const TAIL_TERMS: usize = 60;

@@ -1,4 +1,4 @@
-//! The monitor of one machine: what one throw, one command or the passing of time does to it.
+//! The monitor of a machine, with the effects of throws, commands and ticks.
 
 use jiff::Timestamp;
 use nalgebra::Vector3;
@@ -27,19 +27,20 @@ use crate::throw::{Direction, POSSIBLE_SUPPLY_V, ThrowRef};
 /// A maintenance window.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Maintenance {
-    /// `None` only after version 1, where a window could be without end: the next tick gives it one.
+    /// End of the window. `None` only in snapshots of version 1, which allowed windows without end; the next tick sets
+    /// it.
     until: Option<Timestamp>,
     by: String,
     why: String,
 }
 
-/// The monitor of one machine: baselines, last throws, alarms. Serialises completely, so that a restart changes nothing.
+/// The monitor of a machine: baselines, last throws, alarms. The snapshot is complete, so a restart changes nothing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MachineMonitor {
     /// Version of the snapshot.
     version: u32,
     name: String,
-    /// Throws observed.
+    /// Number of observed throws.
     order: u64,
     tracks: Tracks,
     drift: DriftAlarms,
@@ -49,20 +50,20 @@ pub struct MachineMonitor {
     thermometer: Thermometer,
     #[serde(default)]
     instruments: Instruments,
-    /// For the other machines of the site.
+    /// The last departures, for the judgement of the other machines of the site.
     #[serde(default)]
     trail: Trail,
-    /// As of the last evaluated throw.
+    /// Blindness at the last evaluated throw.
     #[serde(default)]
     blind: Option<Blindness>,
     maintenance: Option<Maintenance>,
 }
 
 impl MachineMonitor {
-    /// The version of the snapshots that this program writes.
+    /// Version of written snapshots.
     const VERSION: u32 = 2;
 
-    /// A monitor without any throw; `name` is how its texts call the machine.
+    /// A monitor without throws; `name` is the name of the machine in texts.
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self {
@@ -84,7 +85,7 @@ impl MachineMonitor {
     /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program.
     ///
     /// # Errors
-    /// When the text is no snapshot, or one of a version that is not known.
+    /// When the text is not a snapshot, or has an unknown version.
     pub fn from_snapshot(json: &str) -> Result<Self, serde_json::Error> {
         #[derive(Deserialize)]
         struct Stamp {
@@ -100,12 +101,12 @@ impl MachineMonitor {
         }
     }
 
-    /// Takes in one throw, evaluated or not. Throws come in the order in which the machine made them.
+    /// Applies a throw, evaluated or not. Throws must come in the order in which the machine made them.
     pub fn observe(&mut self, observation: &Observation, settings: &Settings) -> Verdict {
         self.observe_beside(observation, &Common::default(), settings)
     }
 
-    /// The same for a machine whose neighbours moved by `common`: what it has in common with them is not its fault.
+    /// Observes a throw like [`Self::observe`], without the change `common` of the other machines of the site.
     pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
         let at = to_micros(observation.started_at);
@@ -205,7 +206,7 @@ impl MachineMonitor {
         verdict.baselines_taken.extend(taken);
     }
 
-    /// The counters and alarms of the operational part, with the context of their events.
+    /// The operational counters, the alarms, and the context of events.
     fn parts<'a>(
         &'a mut self,
         at: Timestamp,
@@ -215,9 +216,9 @@ impl MachineMonitor {
         (&mut self.operation, &mut self.alarms, Context { name: &self.name, at, throw, settings })
     }
 
-    /// Lets time pass: shelving and maintenance windows end, silence is noticed. Call it at least once a minute:
-    /// silence is the sum of the time between calls, each counted as an hour at most, so that a clock that jumps
-    /// is no silence.
+    /// Advances the time: ends shelvings and maintenance windows, detects silence. Call it at least once a minute.
+    /// Silence is the sum of the times between calls, each at most an hour, so that a jump of the clock does not count
+    /// as silence.
     pub fn tick(&mut self, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let now = to_micros(now);
         let mut events = self.alarms.unshelve_due(now);
@@ -226,40 +227,40 @@ impl MachineMonitor {
         if ends.is_some_and(|until| until <= now) {
             events.extend(self.end_maintenance(Actor::default(), now));
         }
-        // A machine is expected to throw once it has.
+        // Silence counts only after a first throw.
         let in_service = self.maintenance.is_none() && self.order > 0;
         let (operation, alarms, context) = self.parts(now, None, settings);
         events.extend(operation.on_tick(in_service, alarms, context));
         events
     }
 
-    /// Takes in whether the token of the machine's logger is there now. A logger that never declared one is not missed.
-    /// Call it before each [`Self::tick`].
+    /// Applies the presence of the logger's token. A logger that never declared one raises no alarm. Call it before
+    /// each [`Self::tick`].
     pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
         operation.on_liveliness(there, alarms, context)
     }
 
-    /// What machines with these monitors have in common in the hours before `at`.
+    /// Common change of machines with these monitors in the hours before `at`.
     #[must_use]
     pub fn common<'a>(machines: impl Iterator<Item = &'a Self>, at: Timestamp) -> Common {
         site::common(machines.map(|monitor| &monitor.trail), to_micros(at))
     }
 
-    /// Follows the common movement of a site, for the monitor that stands for all its machines.
+    /// Applies the common change of a site to the monitor for all its machines.
     pub fn follow_site(&mut self, common: &Common, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let (_, alarms, context) = self.parts(to_micros(now), None, settings);
         site::judge(common, alarms, context)
     }
 
-    /// Whether the machine's logger ever declared a token.
+    /// Whether the logger ever declared a token.
     #[must_use]
     pub fn is_announced(&self) -> bool {
         self.operation.is_announced()
     }
 
-    /// Takes in what keeps the daemon from keeping data, for the monitor that stands for the daemon itself; its alarm
-    /// ends after ten minutes without trouble. Call it with each [`Self::tick`].
+    /// Applies a problem of the daemon with storing data, for the monitor of the daemon itself; the alarm ends after
+    /// ten minutes without a problem. Call it with each [`Self::tick`].
     pub fn trouble(
         &mut self,
         trouble: Option<(Severity, &str)>,
@@ -270,13 +271,13 @@ impl MachineMonitor {
         operation.on_daemon_trouble(trouble, alarms, context)
     }
 
-    /// Takes in that `lost` throws of the machine never arrived.
+    /// Applies `lost` missing throws.
     pub fn gap(&mut self, lost: u64, at: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let (operation, alarms, context) = self.parts(to_micros(at), None, settings);
         operation.on_gap(lost, alarms, context).into_iter().collect()
     }
 
-    /// A throw came that its logger sent irregularly.
+    /// Applies an irregularity of the logger.
     pub fn irregular(
         &mut self,
         irregularity: Irregularity,
@@ -291,11 +292,10 @@ impl MachineMonitor {
         operation.on_irregularity(irregularity, alarms, context)
     }
 
-    /// Carries out an operator's command. After `Rebaseline` the store ends the history rows of the baselines that
-    /// [`Self::baseline`] gave before.
+    /// Applies an operator's command.
     ///
     /// # Errors
-    /// When it cannot be carried out; nothing has changed then.
+    /// When it cannot be applied; then nothing has changed.
     pub fn command(
         &mut self,
         command: &Command,
@@ -363,13 +363,13 @@ impl MachineMonitor {
         self.alarms.events().cloned().collect()
     }
 
-    /// The drifts with an active alarm as they are now, the largest in multiples of its warning limit first.
+    /// The drifts with an active alarm with their present size, the largest relative to its warning limit first.
     #[must_use]
     pub fn drifts(&self) -> &[Drifting] {
         &self.drift.now
     }
 
-    /// The fault that the machine's last throw could not show at its temperature.
+    /// The fault that the last throw could not show at its temperature.
     #[must_use]
     pub fn blind(&self) -> Option<Blindness> {
         self.blind
@@ -381,7 +381,7 @@ impl MachineMonitor {
         self.maintenance.as_ref()?.until
     }
 
-    /// The state of the machine in one word.
+    /// The state of the machine.
     #[must_use]
     pub fn state(&self) -> MachineState {
         if self.maintenance.is_some() {
@@ -398,7 +398,7 @@ impl MachineMonitor {
         }
     }
 
-    /// Throws in the baseline of a direction so far, and how many make it complete.
+    /// Throws in the baseline of a direction, and throws that it needs.
     #[must_use]
     pub fn baseline_progress(&self, direction: Direction, settings: &Settings) -> (usize, usize) {
         self.tracks.progress(direction, settings)
@@ -447,7 +447,7 @@ fn is_drift(event: &AlarmEvent) -> bool {
     event.cause.is_drift()
 }
 
-/// Microseconds, as the database keeps them: an alarm's identity must survive the way there and back.
+/// Rounds to microseconds as in the database, so that the identity of an alarm does not change there.
 fn to_micros(at: Timestamp) -> Timestamp {
     Timestamp::from_microsecond(at.as_microsecond()).unwrap_or(at)
 }

@@ -1,16 +1,15 @@
-//! The natural scatter of a machine's throws, and what it makes of the mean of a few of them.
+//! The natural scatter of a machine's throws, and the covariance of the mean of some throws.
 //!
-//! A throw's logarithms x = (ln b0, ln a1, ln a0) scatter around their centre for two reasons: the machine itself
-//! differs from throw to throw (weather, load; covariance A, serially correlated with lag-1 coefficients phi), and the
-//! estimator errs (covariance C, independent from throw to throw and known with every estimate). The mean of w throws
-//! has
+//! A throw's logarithms x = (ln b0, ln a1, ln a0) scatter around their centre for two reasons: the machine varies
+//! (weather, load; covariance A, serially correlated with lag-1 coefficients phi), and the estimator has errors
+//! (covariance C, independent from throw to throw and known for every estimate). The mean of w throws has
 //!
 //! ```text
 //! V = D A D + C / w,   D = diag(sqrt(g_w(phi_i) / w)),   g_w(phi) = 1 + 2 sum_{k<w} (1 - k/w) phi^k
 //! ```
 //!
 //! and `g_w` tends to (1 + phi) / (1 - phi) (the variance of the mean of a first-order autoregressive series). The
-//! baseline's centre, a mean of n throws, errs in the same way.
+//! centre of a baseline, a mean of n throws, has an error of the same kind.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -18,47 +17,47 @@ use statrs::function::beta::ln_beta;
 
 use super::sym3::Sym3;
 
-/// Throws of a direction from which a baseline leans on itself alone. A dozen correlated throws hardly know a covariance and
-/// its serial correlation: fewer lean on what is known of machines of their kind.
+/// Throws of a direction from which the scatter comes from the baseline alone. With fewer, typical values of machines
+/// are used too, as a dozen correlated throws hardly determine a covariance and its serial correlation.
 const ENOUGH_THROWS: f64 = 50.0;
-/// Lag-1 correlation of machines of their kind: its weight in throws, and its centre, for few throws and for enough.
+/// Typical lag-1 correlation: weight in throws, and centre; for few and for enough throws.
 const USUAL_LAG1: [(f64, f64); 2] = [(20.0, 0.35), (4.0, 0.2)];
-/// Independent throws that `TYPICAL_SD` is worth: on a machine that is like most, and on one that is not.
+/// Weight of `TYPICAL_SD` in independent throws: for a typical machine, and for another one.
 const TYPICAL_WORTH: (f64, f64) = (15.0, 2.0);
-/// Machines that are like most, for each that is not.
+/// Prior odds of a typical machine.
 const LIKE_MOST: f64 = 50.0;
-/// Standard deviations of ln b0, ln a1, ln a0 from weather and load.
+/// Typical standard deviations of ln b0, ln a1, ln a0 from weather and load.
 const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
-/// Lag-1 correlations that are believed. Above, the variance of a mean cannot be told from a few throws; the lower
-/// end lets an estimate for independent throws err to both sides, as a floor at zero would make limits too wide.
+/// Range of lag-1 correlations. Above it the variance of a mean cannot be estimated from few throws. The negative lower
+/// end allows errors of both signs for independent throws, as a bound of zero would make limits too wide.
 const LAG1_RANGE: (f64, f64) = (-0.3, 0.95);
-/// Strongest lag-1 correlation that is thought of where one is doubted: a series that is hardly stationary.
+/// Strongest possible lag-1 correlation of an uncertain estimate: a series that is hardly stationary.
 const MOST_LAG1: f64 = 0.98;
 
-/// How well the covariance of a mean is known.
+/// Uncertainty of the covariance of a mean.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Doubt {
     /// Degrees of freedom of the variance of one throw.
     pub(super) degrees_of_freedom: f64,
-    /// Factors by which the serial correlation may make the true covariance exceed the assumed one, with their probabilities.
+    /// Possible factors of the serial correlation on the assumed covariance, with their probabilities.
     pub(super) factors: Vec<(f64, f64)>,
 }
 
-/// Natural scatter, learned from the residuals of a baseline.
+/// Natural scatter, from the residuals of a baseline.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Scatter {
     natural: Sym3,
     sensor: Sym3,
     lag1: [f64; 3],
     throws: f64,
-    /// Independent throws that the typical scatter was worth in it; none in a baseline of enough throws.
+    /// Weight of the typical scatter in independent throws; 0 for a baseline of enough throws.
     #[serde(default)]
     leaning: f64,
 }
 
 impl Scatter {
-    /// Learns from the residuals of throws in the order in which they happened. `sensor` is the mean covariance of
-    /// the estimates; `centres` is how many means were removed from the residuals, one for each direction.
+    /// Computes the scatter from residuals in the order of their throws. `sensor` is the mean covariance of the
+    /// estimates; `centres` is the number of means removed from the residuals, one for each direction.
     pub(super) fn learn(residuals: &[Vector3<f64>], sensor: Matrix3<f64>, centres: usize) -> Self {
         let throws = residuals.len() as f64;
         let moment = |lag: usize| -> Matrix3<f64> {
@@ -70,12 +69,12 @@ impl Scatter {
         let mut lag1 = [0.0; 3];
         let mut grow = Vector3::zeros();
         for i in 0..3 {
-            // A removed mean takes the variance of that mean away from the moments; undo it with the first guess.
+            // The removed mean reduces the moments by its variance; corrected with the first guess.
             let share = ((zero[(i, i)] - sensor[(i, i)]) / zero[(i, i)]).clamp(0.0, 1.0);
             let raw = if share > 0.0 { one[(i, i)] / (zero[(i, i)] * share.max(0.2)) } else { 0.0 };
             let unbiased = (raw + centres as f64 / throws) / (1.0 - 3.0 * centres as f64 / throws);
             let weight = throws * share;
-            // Where the estimate is nearly normal.
+            // The transformed estimate is nearly normal.
             let own = unbiased.clamp(-MOST_LAG1, MOST_LAG1).atanh();
             lag1[i] = ((weight * own + usual_weight * f64::atanh(usual)) / (weight + usual_weight))
                 .tanh()
@@ -92,12 +91,12 @@ impl Scatter {
         Self { natural: natural.into(), sensor: sensor.into(), lag1, throws, leaning }
     }
 
-    /// Covariance of the machine's own scatter plus the estimator's in the baseline: of one throw.
+    /// Covariance of one throw: natural scatter plus mean covariance of the estimates.
     pub(super) fn of_one_throw(&self) -> Matrix3<f64> {
         Matrix3::from(self.natural) + Matrix3::from(self.sensor)
     }
 
-    /// The estimator's mean covariance in the baseline.
+    /// Mean covariance of the estimates in the baseline.
     pub(super) fn sensor(&self) -> Matrix3<f64> {
         self.sensor.into()
     }
@@ -107,7 +106,7 @@ impl Scatter {
         self.lag1
     }
 
-    /// Whether a wild throw echoes for more than five throws.
+    /// Whether an outlier affects more than five following throws.
     pub(super) fn is_persistent(&self) -> bool {
         self.lag1_of_one(&self.sensor()).max() > 0.65
     }
@@ -117,8 +116,8 @@ impl Scatter {
         (Matrix3::from(self.natural) + sensor).diagonal().map(|v| v.max(1e-12).sqrt())
     }
 
-    /// Standard deviation and lag-1 correlation of one throw along `weights`, and standard deviation of a centre that is known
-    /// as from `baseline_throws` throws.
+    /// Standard deviation and lag-1 correlation of one throw along `weights`, and standard deviation of the centre of
+    /// `baseline_throws` throws.
     pub(super) fn along(&self, weights: &Vector3<f64>, baseline_throws: f64) -> (f64, f64, f64) {
         let variance = |m: Matrix3<f64>| (weights.transpose() * m * weights).x.max(0.0);
         let natural = Matrix3::from(self.natural);
@@ -131,8 +130,8 @@ impl Scatter {
         (total.sqrt(), lag1, centre.sqrt())
     }
 
-    /// Covariance of the difference between the mean of `w` throws, whose estimates have the mean covariance
-    /// `sensor`, and the baseline's centre, which is known as from `baseline_throws` throws.
+    /// Covariance of the difference between the mean of `w` throws, whose estimates have the mean covariance `sensor`,
+    /// and the centre of a baseline of `baseline_throws` throws.
     pub(super) fn of_mean(&self, w: usize, sensor: &Matrix3<f64>, baseline_throws: f64) -> Matrix3<f64> {
         let w = w as f64;
         let recent = Vector3::from_fn(|i, _| (inflation(self.lag1[i], w) / w).sqrt());
@@ -143,16 +142,16 @@ impl Scatter {
             + Matrix3::from(self.sensor) / baseline_throws
     }
 
-    /// Lag-1 correlations of throws whose estimates have the covariance `sensor`.
+    /// Lag-1 correlations of throws; `sensor` is the covariance of their estimates.
     pub(super) fn lag1_of_one(&self, sensor: &Matrix3<f64>) -> Vector3<f64> {
         let natural = Matrix3::from(self.natural).diagonal();
         let share = natural.component_div(&(natural + sensor.diagonal()).map(|v| v.max(1e-12)));
         share.component_mul(&Vector3::from(self.lag1))
     }
 
-    /// By how much the covariance of the mean innovation of `w` throws, sum of (x - rho x before) / (w (1 - rho)), exceeds
-    /// [`Self::of_mean`]: it is their mean but for the throws at both ends, and for autoregressive scatter has the variance of
-    /// such a part of a long series.
+    /// Ratio of the covariance of the mean innovation of `w` throws, sum of (x - rho x before) / (w (1 - rho)), to
+    /// [`Self::of_mean`]. The mean innovation differs from the mean only by the throws at both ends; for autoregressive
+    /// scatter it has the variance of such a part of a long series.
     pub(super) fn more_of_score(&self, w: usize, sensor: &Matrix3<f64>) -> Matrix3<f64> {
         let w = w as f64;
         let rho = self.lag1_of_one(sensor);
@@ -163,10 +162,10 @@ impl Scatter {
             + sensor.component_mul(&(ends * ends.transpose()))
     }
 
-    /// How well `of_mean` of `w` throws is known: it errs with the variance of the throws and with the lag-1
-    /// correlation, both from a finite number of throws. The inverse hyperbolic tangent of a lag-1 correlation from n throws
-    /// is nearly normal with variance 1/n (Fisher); a larger correlation means a larger variance of one throw, too, as the
-    /// innovations have the one that was seen. Each coefficient has a third of the probability.
+    /// Uncertainty of `of_mean` of `w` throws, from the variance of the throws and the lag-1 correlation, both from a
+    /// finite number of throws. The inverse hyperbolic tangent of a lag-1 correlation from n throws is nearly normal
+    /// with variance 1/n (Fisher). With the measured variance of the innovations, a larger correlation also means a
+    /// larger variance of one throw. Each coefficient has a third of the probability.
     pub(super) fn doubt(&self, w: usize) -> Doubt {
         /// Standard deviations from the estimate, and between the nodes.
         const NODES: (i32, f64) = (6, 0.8);
@@ -197,14 +196,14 @@ impl Scatter {
     }
 }
 
-/// Weight and centre of the usual lag-1 correlation.
+/// Weight and centre of the typical lag-1 correlation.
 fn usual_lag1(few: bool) -> (f64, f64) {
     USUAL_LAG1[usize::from(!few)]
 }
 
-/// Independent throws that the typical scatter is worth on a machine with the variances of `total` from `own` independent
-/// throws, where `typical` ones are expected: as many as on a machine like most when it looks like one, few when it does
-/// not. The evidence for either is that of a variance under an inverse chi-square prior of that worth.
+/// Weight of the typical scatter in independent throws, for a machine with the variances of `total` from `own`
+/// independent throws: large if they agree with `typical`, small if not. The evidence for either is that of a variance
+/// with an inverse chi-square prior of that weight.
 fn worth_of_typical(total: Matrix3<f64>, typical: Matrix3<f64>, own: f64) -> f64 {
     let ratios = total.diagonal().component_div(&typical.diagonal());
     let evidence = |worth: f64| -> f64 {
@@ -216,12 +215,12 @@ fn worth_of_typical(total: Matrix3<f64>, typical: Matrix3<f64>, own: f64) -> f64
     (most + other * unlike) / (1.0 + unlike)
 }
 
-/// Independent throws that tell a variance as well as `throws` with the lag-1 correlation `phi`.
+/// Number of independent throws equivalent to `throws` with the lag-1 correlation `phi`, for a variance.
 fn effective(throws: f64, phi: f64) -> f64 {
     throws * (1.0 - phi * phi) / (1.0 + phi * phi)
 }
 
-/// `g_w(phi)`: by how much the variance of a mean of `w` throws exceeds that of independent ones.
+/// `g_w(phi)`: ratio of the variance of a mean of `w` throws to that of independent ones.
 pub(super) fn inflation(phi: f64, w: f64) -> f64 {
     let rest = 1.0 - phi;
     if w.is_infinite() {
@@ -230,13 +229,13 @@ pub(super) fn inflation(phi: f64, w: f64) -> f64 {
     (1.0 + phi) / rest - 2.0 * phi * (1.0 - phi.powf(w)) / (w * rest * rest)
 }
 
-/// The limit of [`inflation`] for long series, for a lag-1 correlation within the range that is believed.
+/// The limit of [`inflation`] for long series, with the lag-1 correlation clamped to [`LAG1_RANGE`].
 pub(super) fn serial_inflation(phi: f64) -> f64 {
     let phi = phi.clamp(0.0, LAG1_RANGE.1);
     (1.0 + phi) / (1.0 - phi)
 }
 
-/// What of `total` the estimator's own covariance does not explain: never negative in any direction.
+/// The part of `total` that the covariance of the estimates does not explain; positive semidefinite.
 fn natural_part(total: Matrix3<f64>, sensor: Matrix3<f64>) -> Matrix3<f64> {
     let eigen = (total - sensor).symmetric_eigen();
     let kept = eigen.eigenvalues.map(|v| v.max(0.0));

@@ -1,11 +1,11 @@
 //! Limits of the drift statistic, computed from the budget of false alarms.
 //!
-//! T = m' V^-1 m of one window would be chi-square with three degrees of freedom if V were known. V comes from a
-//! finite baseline, so T follows Hotelling's law instead: T (nu - 2) / (3 nu) is F(3, nu - 2). And V errs with the
-//! serial correlation, by a factor that is only known with its probabilities: the tail of T is the mean of Hotelling's over
-//! them. Innovations are clipped, so heavier tails of the scatter than Gauss's reach T hardly. Every throw asks several windows of several
-//! streams; the budget is shared among them, and each share is a rate of *new* crossings: successive windows overlap, so
-//! a crossing lasts some throws and counts once.
+//! T = m' V^-1 m of one window would be chi-square with three degrees of freedom if V were known. V comes from a finite
+//! baseline, so T follows Hotelling's law instead: T (nu - 2) / (3 nu) is F(3, nu - 2). And V errs with the serial
+//! correlation, by a factor with a known distribution: the tail of T is the mean of Hotelling's over this distribution.
+//! Innovations are clipped, so tails heavier than Gauss's hardly affect T. Every throw tests several windows of several
+//! streams, which share the budget. Each share is a rate of *new* crossings: consecutive windows overlap, so a crossing
+//! lasts some throws and counts once.
 
 use serde::{Deserialize, Serialize};
 use statrs::function::beta::checked_beta_reg;
@@ -14,8 +14,8 @@ use super::scatter::{Doubt, Scatter};
 
 /// Window lengths \[throws\].
 pub(super) const WINDOWS: [usize; 4] = [3, 6, 12, 24];
-/// Of the crossings of a limit, one in so many becomes an alarm: the others end within the on delay, or have no
-/// settled name. Measured on simulated healthy fleets with the relevance limits switched off.
+/// Crossings of a limit per alarm: the others end within the on delay, or have no stable name. Measured on simulated
+/// healthy fleets without warning limits.
 const CROSSINGS_PER_ALARM: f64 = 16.0;
 /// Coefficients in a residual.
 const DIMENSIONS: f64 = 3.0;
@@ -28,13 +28,13 @@ pub(super) struct Thresholds {
 }
 
 impl Thresholds {
-    /// For `budget` false alarms a throw of this stream, shared among its windows.
+    /// Computes the limits for `budget` false alarms per throw of the stream, shared among its windows.
     pub(super) fn compute(scatter: &Scatter, budget: f64) -> Self {
         let share = CROSSINGS_PER_ALARM * budget / WINDOWS.len() as f64;
         Self { budget, limits: WINDOWS.map(|w| limit(share, &scatter.doubt(w))) }
     }
 
-    /// Whether they were computed for this budget.
+    /// Whether the limits were computed for this budget.
     #[expect(clippy::float_cmp, reason = "any change of the setting asks for new limits")]
     pub(super) fn are_for(&self, budget: f64) -> bool {
         self.budget == budget
@@ -46,7 +46,7 @@ impl Thresholds {
     }
 }
 
-/// T that is exceeded with probability `alpha` when its covariance is known as well as `doubt` says.
+/// The value that T exceeds with probability `alpha`, for a covariance with the uncertainty `doubt`.
 fn limit(alpha: f64, doubt: &Doubt) -> f64 {
     let second = (doubt.degrees_of_freedom - DIMENSIONS + 1.0).max(2.0);
     let nu = second + DIMENSIONS - 1.0;

@@ -1,4 +1,4 @@
-//! What the monitor keeps of the throws of each direction: the baseline and how it is learned, and the last throws.
+//! The throws of each direction in the monitor: the baseline and its learning, and the last throws.
 
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
@@ -20,37 +20,37 @@ use super::{
 };
 use crate::{estimate::Grade, throw::Direction};
 
-/// Throws of a direction that are set aside: a longest window of them shows any drift that matters.
+/// Largest number of throws set aside in a direction: a longest window shows every relevant drift.
 const MOST_ASIDE: usize = WINDOWS[3];
 
-/// An innovation counts as if it were this many standard deviations away at most: with usual tails, and with heavy ones or
-/// where a wild throw echoes for long. Two throws show a step with the first, four with the second.
+/// Largest innovation in standard deviations, with usual tails, and with heavy tails or a long effect of outliers;
+/// larger ones are clipped. A step needs two throws with the first, four with the second.
 const CLIP_SD: [f64; 2] = [8.0, 3.5];
 
-/// The temperature hides a fault when the least size that shows is this many times what scatter alone makes it.
+/// Ratio of the least visible size to that without temperature, from which the temperature hides a fault.
 const HIDES_FROM: f64 = 1.5;
 
-/// How much speaks against taking a throw into a baseline.
+/// The suspicion against adding a throw to a baseline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Suspicion {
-    /// Nothing.
+    /// No suspicion.
     None,
     /// The last throws may show a drift.
     Suspected,
-    /// The last throws show a drift above its limit, whose alarm waits for a name.
+    /// The last throws show a drift above its limit without a stable name.
     AboveLimit,
     /// A drift has an active alarm.
     Alarmed,
 }
 
-/// One direction.
+/// The throws of one direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Track {
-    /// Throws for the baseline; kept until both directions have theirs.
+    /// Throws of the baseline; kept until both directions are complete.
     learned: Vec<BaselineThrow>,
-    /// Throws that may show a drift already: not yet in the baseline, nor out of it.
+    /// Throws set aside while a drift is suspected.
     aside: Vec<BaselineThrow>,
-    /// Mean covariance of the estimates of both.
+    /// Mean covariance of the estimates of `learned` and `aside`.
     sensor: Sym3,
     baseline: Option<Baseline>,
     thresholds: Option<Thresholds>,
@@ -80,14 +80,14 @@ fn side(direction: Direction) -> usize {
 }
 
 impl Tracks {
-    /// Residual of a throw from its direction's baseline, temperature taken out.
+    /// Residual of a throw from the baseline of its direction, with temperature compensation.
     pub(super) fn residual(&self, throw: &Evaluated) -> Option<Vector3<f64>> {
         let baseline = self.sides[side(throw.direction)].baseline.as_ref().filter(|_| !throw.ratios_only)?;
         Some(baseline.compensated(baseline.residual(&throw.log, throw.temperature_c)))
     }
 
-    /// Takes a throw into the last throws of its direction; without a suspected drift, the throw that leaves them teaches
-    /// the effect of the temperature. `None` while the direction has no baseline.
+    /// Adds a throw to the last throws of its direction; without a suspected drift, the throw that leaves them updates
+    /// the temperature compensation. `None` without a baseline.
     pub(super) fn push(
         &mut self,
         throw: &Evaluated,
@@ -115,10 +115,11 @@ impl Tracks {
         Some(baseline.compensated((raw, distance)))
     }
 
-    /// Side of a throw, how far it is from the median of the throws before it in its direction, the covariance of one throw,
-    /// and whether the baseline is complete. `None` as long as there are too few.
+    /// Side of a throw, its departure from the median of the previous throws of its direction, covariance of one throw,
+    /// and whether the baseline is complete. `None` with too few throws.
     pub(super) fn departure(&self, throw: &Evaluated) -> Option<(usize, Vector3<f64>, Matrix3<f64>, bool)> {
-        /// Throws before it: few enough to follow the weather, with a median that a third of departures do not move.
+        /// Number of previous throws: few enough to follow the weather, and enough for a median that a third of
+        /// departures does not change.
         const BEFORE: std::ops::RangeInclusive<usize> = 6..=12;
         let residual = self.residual(throw)?;
         let at = side(throw.direction);
@@ -132,12 +133,12 @@ impl Tracks {
         })
     }
 
-    /// Covariance of one throw of a direction.
+    /// Covariance of a throw of a direction.
     pub(super) fn of_one_throw(&self, direction: Direction) -> Option<Matrix3<f64>> {
         Some(self.sides[side(direction)].baseline.as_ref()?.scatter().of_one_throw())
     }
 
-    /// Version 1 kept residuals with the temperature taken out.
+    /// Version 1 stored residuals with temperature compensation.
     pub(super) fn add_temperature(&mut self) {
         for track in &mut self.sides {
             if let Some(baseline) = &track.baseline {
@@ -146,7 +147,7 @@ impl Tracks {
         }
     }
 
-    /// The course of a drift along `weights` over the last throws of one direction or of both, `now` being the latest.
+    /// The course of a drift along `weights` over the last throws of one or both directions; `now` is the latest throw.
     pub(super) fn course(
         &self,
         weights: &Vector3<f64>,
@@ -170,7 +171,7 @@ impl Tracks {
         let (sd, lag1, centre_sd) = scatter.along(weights, throws as f64);
         let noise = Noise { sd, lag1, offset_sd: centre_sd.hypot(weights.dot(temperature_sd)) };
         let recent = stream.points(weights, baselines, now);
-        // Blocks hold throws of both directions.
+        // Blocks contain throws of both directions.
         let oldest = recent.first()?.age;
         let before =
             history.along(weights).filter(|block| direction.is_none() && block.age - block.throws / 2.0 > oldest);
@@ -178,9 +179,9 @@ impl Tracks {
         Course::of(&points, noise)
     }
 
-    /// A new baseline, a new stream or a changed budget asks for new thresholds.
+    /// Computes new thresholds after a new baseline, a new stream or a changed budget.
     fn refresh_thresholds(&mut self, settings: &Settings) {
-        // Every throw asks its own direction's stream, and the mixed one where there is one.
+        // Every throw tests the stream of its direction, and the mixed stream if it exists.
         let streams = if self.mixed.is_some() { 2.0 } else { 1.0 };
         let share = settings.false_alarms_per_throw() / streams;
         for track in &mut self.sides {
@@ -197,8 +198,8 @@ impl Tracks {
         }
     }
 
-    /// What the last throws say, the latest being one of `direction`, on a machine whose scatter has heavy tails
-    /// (`wild`) or not. `open` are the causes with an active alarm.
+    /// The drift in the last throws; the latest is of `direction`. `wild`: the scatter has heavy tails. `open` are the
+    /// causes with an active alarm.
     pub(super) fn drift(&self, direction: Direction, wild: bool, open: &[Cause], settings: &Settings) -> Drift {
         let [normal, reverse] = &self.sides;
         let baselines = [normal.baseline.as_ref(), reverse.baseline.as_ref()];
@@ -231,8 +232,8 @@ impl Tracks {
         Drift::new(best, provisional, [levels, last_few], (latest, level(latest, WINDOWS[0])), hidden, open, settings)
     }
 
-    /// The cause, and its size \[%\], that the doubt about the temperature's effect hides most on this side, where it hides
-    /// a change at the warning limit.
+    /// The cause and size \[%\] hidden most by the uncertain effect of the temperature on this side, if it hides a
+    /// change at the warning limit.
     fn hidden(&self, side: usize, level: Option<&Window>, settings: &Settings) -> Option<(Cause, f64)> {
         let track = &self.sides[side];
         let thresholds =
@@ -248,16 +249,16 @@ impl Tracks {
         worst.map(|(cause, visible, _)| (cause, visible))
     }
 
-    /// The temperature that the baseline of a direction belongs to \[°C\].
+    /// The reference temperature of the baseline of a direction \[°C\].
     pub(super) fn reference_c(&self, direction: Direction) -> Option<f64> {
         self.sides[side(direction)].baseline.as_ref()?.temperature().reference_c()
     }
 
-    /// Takes a throw into a baseline that is not complete; gives its record when it became usable, better or complete.
+    /// Adds a throw to an incomplete baseline; returns the record if the baseline became usable, better or complete.
     ///
-    /// A fault must not become normal, nor may an unlucky first dozen end the learning: while a drift is suspected,
-    /// throws are set aside. They are dropped when it is alarmed, and taken when it passes, or when a longest window of
-    /// them has not shown it above its limit.
+    /// A fault must not become part of the baseline, and chance must not stop the learning: throws with a suspected
+    /// drift are set aside. They are dropped if the drift raises an alarm, and added if it ends or stays below its
+    /// limit for a longest window.
     pub(super) fn learn(
         &mut self,
         throw: &Evaluated,
@@ -315,7 +316,7 @@ impl Tracks {
         }
     }
 
-    /// Forgets the last throws, not the baselines.
+    /// Discards the last throws, and keeps the baselines.
     pub(super) fn forget_recent(&mut self) {
         self.sides.iter_mut().for_each(|track| track.recent.clear());
     }

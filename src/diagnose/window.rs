@@ -1,8 +1,7 @@
-//! Whether the last throws still look like the baseline: windows of 3, 6, 12 and 24 throws, T = m' V^-1 m against its
-//! limit.
+//! Detection of drifts: windows of 3, 6, 12 and 24 throws, with T = m' V^-1 m compared with its limit.
 //!
-//! Three streams are watched: each direction alone, and both together in the order of the throws. A fault of the
-//! machine shows in the mixed stream soonest, a fault of one direction only in its own.
+//! There are three streams: each direction, and both in the order of the throws. The mixed stream shows a fault of the
+//! machine first, the stream of a direction shows a fault of this direction only.
 
 use std::collections::VecDeque;
 
@@ -19,13 +18,13 @@ use super::{
     threshold::{Thresholds, WINDOWS},
 };
 
-/// Throws kept of each direction: the longest window.
+/// Number of stored throws of each direction: the longest window.
 const KEPT: usize = WINDOWS[3];
 
-/// One throw since the baseline, as its residual from it. Short names keep the state small.
+/// A throw after the baseline, as residual. Short names keep the snapshot small.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct RecentThrow {
-    /// Counts the machine's throws.
+    /// Number of the throw among those of the machine.
     #[serde(rename = "n")]
     order: u64,
     #[serde(rename = "r")]
@@ -44,12 +43,12 @@ impl RecentThrow {
         Self { order, residual, sensor, distance_k: distance_k as f32 }
     }
 
-    /// The residual, temperature not taken out, and the distance from the reference temperature \[K\].
+    /// The residual without temperature compensation, and the distance from the reference temperature \[K\].
     pub(super) fn raw(&self) -> (Vector3<f64>, f64) {
         (Vector3::from(self.residual.map(f64::from)), f64::from(self.distance_k))
     }
 
-    /// Version 1 kept residuals with the temperature taken out.
+    /// Version 1 stored residuals with temperature compensation.
     pub(super) fn add_temperature(&mut self, baseline: &Baseline) {
         let (residual, distance) = self.raw();
         let raw = residual + baseline.temperature().effect(distance);
@@ -63,7 +62,7 @@ impl RecentThrow {
 pub(super) struct RecentThrows(VecDeque<RecentThrow>);
 
 impl RecentThrows {
-    /// Takes in a throw; gives the one that leaves the longest window.
+    /// Adds a throw; returns the throw that leaves the longest window.
     pub(super) fn push(&mut self, throw: RecentThrow) -> Option<RecentThrow> {
         let oldest = if self.0.len() == KEPT { self.0.pop_front() } else { None };
         self.0.push_back(throw);
@@ -84,18 +83,18 @@ impl RecentThrows {
     }
 }
 
-/// The mean of one window, with what is known of it.
+/// The mean of a window with its covariance and test.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Window {
-    /// Throws in it.
+    /// Number of throws.
     pub(super) throws: usize,
     /// Clipped mean of the residuals.
     pub(super) mean: Vector3<f64>,
-    /// Its covariance, the baseline's own uncertainty included.
+    /// Covariance of the mean, with the uncertainty of the baseline.
     pub(super) covariance: Matrix3<f64>,
-    /// Standard deviation of what the temperature does to the mean; part of the covariance.
+    /// Standard deviation of the temperature's effect on the mean; part of the covariance.
     pub(super) temperature_sd: Vector3<f64>,
-    /// T over its limit: a drift is detected above 1.
+    /// T relative to its limit; above 1 a drift is detected.
     pub(super) excess: f64,
 }
 
@@ -103,12 +102,12 @@ pub(super) struct Window {
 pub(super) struct Stream<'a>(Vec<(usize, &'a RecentThrow)>);
 
 impl<'a> Stream<'a> {
-    /// Of one direction.
+    /// The stream of one direction.
     pub(super) fn of(ring: &'a RecentThrows, direction: usize) -> Self {
         Self(ring.iter().rev().map(|throw| (direction, throw)).collect())
     }
 
-    /// Of both directions, in the order of the throws.
+    /// The stream of both directions, in the order of the throws.
     pub(super) fn mixed(rings: [&'a RecentThrows; 2]) -> Self {
         let mut tail = Vec::with_capacity(KEPT);
         let mut sides = rings.map(|ring| ring.iter().rev().peekable());
@@ -121,7 +120,7 @@ impl<'a> Stream<'a> {
         Self(tail)
     }
 
-    /// Of both directions, all that is kept.
+    /// All stored throws of both directions.
     pub(super) fn all(rings: [&'a RecentThrows; 2]) -> Self {
         let mut tail: Vec<(usize, &RecentThrow)> =
             rings.into_iter().enumerate().flat_map(|(at, ring)| ring.iter().map(move |throw| (at, throw))).collect();
@@ -133,8 +132,8 @@ impl<'a> Stream<'a> {
         self.0.len()
     }
 
-    /// The window of the last `throws`, without its test. `None` when there are fewer, or when a stream of two
-    /// directions holds hardly any of one.
+    /// The window of the last `throws`, without the test. `None` with fewer throws, or if a mixed stream has hardly any
+    /// of one direction.
     pub(super) fn window(&self, throws: usize, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> Option<Window> {
         let last = self.0.get(..throws)?;
         let count = |side: usize| last.iter().filter(|(at, _)| *at == side).count();
@@ -157,7 +156,7 @@ impl<'a> Stream<'a> {
             }
             clipped_mean(&mut values[..throws], sd[i])
         });
-        // The centre of each direction errs on its own: together they are known as from this many throws.
+        // The centres of the directions have independent errors, equivalent to one of this many throws.
         let mut spread = 0.0;
         let mut temperature = Vector3::zeros();
         for side in 0..2 {
@@ -171,8 +170,8 @@ impl<'a> Stream<'a> {
         Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0 })
     }
 
-    /// T of the mean innovation of the last throws of `window`, as a level, each innovation clipped at `clip_sd`: one wild
-    /// cause, which echoes in the throws after it, is one innovation.
+    /// T of the mean innovation of the last throws of `window`, as a level, each innovation clipped at `clip_sd`. An
+    /// outlier with an effect on the following throws is a single innovation.
     fn score(
         &self,
         window: &Window,
@@ -200,8 +199,8 @@ impl<'a> Stream<'a> {
         Some((level.transpose() * inverse * level).x)
     }
 
-    /// The window in which the drift shows most, whether or not it is above its limit. Above a quarter of it, mean and mean
-    /// innovation must show it.
+    /// The window with the largest `excess`, also below the limit. Above a quarter of the limit, mean and mean
+    /// innovation must agree.
     pub(super) fn strongest(
         &self,
         clip_sd: f64,
@@ -224,7 +223,8 @@ impl<'a> Stream<'a> {
         best
     }
 
-    /// The throws along `weights`, temperature taken out, oldest first; ages count the machine's throws from the latest.
+    /// The throws along `weights` with temperature compensation, oldest first; ages count the throws of the machine
+    /// from the latest.
     pub(super) fn points(&self, weights: &Vector3<f64>, baselines: [Option<&Baseline>; 2], now: u64) -> Vec<Point> {
         let point = |(side, throw): &(usize, &RecentThrow)| {
             let residual = baselines[*side]?.compensated(throw.raw());
@@ -235,7 +235,7 @@ impl<'a> Stream<'a> {
         points
     }
 
-    /// Whether both directions take part in the last few throws.
+    /// Whether the last few throws include both directions.
     pub(super) fn is_balanced(&self) -> bool {
         let last = self.0.iter().take(KEPT);
         let (total, reverse) = last.fold((0, 0), |(total, reverse), (side, _)| (total + 1, reverse + side));
