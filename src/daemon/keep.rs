@@ -13,8 +13,8 @@ use crate::store::{Housekeeping, Store, StoreError, seldom};
 
 /// Time between two rounds. In this time the fastest flood stores 40 MiB, by which the database may exceed its bound.
 const PACE: Duration = Duration::from_secs(1);
-/// systemd-timesyncd creates this file after setting the clock from a time server. Other time services leave no sign
-/// for a process without privileges: the state in the kernel needs a system call that the unit forbids.
+/// systemd-timesyncd creates this file after setting the clock from a time server. Other time services are not
+/// detected, as the kernel state needs a system call that the unit forbids.
 const CLOCK_IS_SET: &str = "/run/systemd/timesync/synchronized";
 /// Without this file the clock is trusted as long as it continues the times in the database. A longer time between the
 /// newest throw and the start, or a longer jump, may be a wrong clock: then the age bound is off, and only the bounds

@@ -87,7 +87,7 @@ pub enum CommandError {
     UntilIsPast {
         /// The given time.
         until: Timestamp,
-        /// The monitor's clock.
+        /// Time of the monitor's clock.
         now: Timestamp,
     },
     /// Shelving or maintenance would last longer than the settings allow.

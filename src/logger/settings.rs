@@ -15,7 +15,7 @@ pub struct LoggerSettings {
     pub machine: Name,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Throws of each machine, 1 to 1,000,000,000; `None` for no end.
+    /// Throws of each machine, 1 to 1,000,000,000; `None` for an unlimited number.
     pub throws: Option<u64>,
     /// Time between two throws of a machine \[s\], 1 to 1,000,000.
     pub interval_s: f64,

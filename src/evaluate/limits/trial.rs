@@ -15,7 +15,7 @@ pub(super) struct Trial {
     pub sensors: Sensors,
     pub temperature_c: f64,
     pub settings: Settings,
-    /// Cut-off of the declared anti-alias filter.
+    /// Cut-off of the declared anti-alias filter \[Hz\].
     pub declared_hz: Option<f64>,
     pub directions: Vec<Direction>,
     /// Number of mains phases at the start of the motor, spread over half a period.
