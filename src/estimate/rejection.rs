@@ -43,7 +43,7 @@ pub enum Rejection {
         channel: Channel,
         /// First such sample, from 0.
         sample: usize,
-        /// Its time from the start of the trace \[s\].
+        /// Time of this sample from the start of the trace \[s\].
         at_s: f64,
     },
     /// The message has no toe position, and current and supply voltage do not determine the coefficients.
@@ -56,7 +56,7 @@ pub enum Rejection {
     Implausible {
         /// Which channel.
         channel: Channel,
-        /// Its time from the start of the trace \[s\].
+        /// Time of this sample from the start of the trace \[s\].
         at_s: f64,
         /// The value \[A or mm\].
         value: f64,
@@ -281,7 +281,7 @@ pub enum Rejection {
     Misfit {
         /// Largest departure, averaged over short stretches \[mm\].
         peak_mm: f64,
-        /// Its time from the start of the trace \[s\].
+        /// Time of this sample from the start of the trace \[s\].
         at_s: f64,
     },
     /// The current has no inrush.

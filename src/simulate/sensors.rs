@@ -150,7 +150,7 @@ impl Sensors {
         1.0 / (self.sample_rate_hz * steps)
     }
 
-    /// The trace of `motion`, with sensor errors, filter and sampling.
+    /// The recording of `motion`, with sensor errors, filter and sampling.
     ///
     /// # Errors
     /// When a value is out of its range.
