@@ -1,6 +1,6 @@
 //! The monitors of all machines; turns their changes into outcomes to store. Does no I/O.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashSet};
 
 use jiff::Timestamp;
 
@@ -26,10 +26,14 @@ const ESTIMATOR_FAILED: &str = "estimator_failed";
 /// Machine name of the alarms about all machines of a site.
 const ALL_MACHINES: &str = "all-machines";
 
+/// The first name in the order of names.
+const SMALLEST_NAME: &str = "-";
+
 /// The monitors of all machines.
 #[derive(Default)]
 pub(super) struct Fleet {
-    monitors: HashMap<MachineId, MachineMonitor>,
+    /// In order, so that the machines of a site stand together.
+    monitors: BTreeMap<MachineId, MachineMonitor>,
     /// Machines whose state has to be stored, because an earlier version wrote another one.
     to_store: HashSet<MachineId>,
 }
@@ -131,7 +135,9 @@ impl Fleet {
 
     /// The common change of the machines of a site, without one of them.
     fn common(&self, site: &Name, but: Option<&MachineId>, at: Timestamp) -> Common {
-        let others = self.monitors.iter().filter(|(machine, _)| machine.site == *site && Some(*machine) != but);
+        let Ok(first) = MachineId::new(site.as_str(), SMALLEST_NAME) else { return Common::default() };
+        let machines = self.monitors.range(first..).take_while(|(machine, _)| machine.site == *site);
+        let others = machines.filter(|(machine, _)| Some(*machine) != but);
         MachineMonitor::common(others.map(|(_, monitor)| monitor), at)
     }
 

@@ -26,6 +26,9 @@ const KEPT: usize = 4;
 const HOURS: i64 = 12;
 /// Least number of other machines for a common change.
 const WITNESSES: usize = 3;
+/// Most other machines that are compared, the first of the site in the order of names: the cost of a throw must not grow
+/// with the size of a site.
+const MOST_WITNESSES: usize = 32;
 /// Least share of them with a change of the same sign and at least half of the median.
 const AGREE: f64 = 0.75;
 /// Least significance of the median in its standard deviations, which are 1.25 / sqrt(n) of those of a machine.
@@ -70,7 +73,7 @@ impl Trail {
 
 /// Common change of the machines with these trails at `at`.
 pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp) -> Common {
-    let latest: Vec<_> = trails.filter_map(|trail| trail.latest(at)).collect();
+    let latest: Vec<_> = trails.filter_map(|trail| trail.latest(at)).take(MOST_WITNESSES).collect();
     let count = latest.len() as f64;
     if latest.len() < WITNESSES {
         return Common::default();
