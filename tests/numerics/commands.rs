@@ -48,6 +48,8 @@ fn a_written_throw_is_identified_within_three_of_its_standard_deviations() {
             let (expected, is) = (truth[name].as_f64().unwrap(), found[name].as_f64().unwrap());
             let sd = found[format!("{name}_sd")].as_f64().unwrap();
             assert!((is - expected).abs() < 3.0 * sd, "{direction}: {name} is {is} (sd {sd}), expected {expected}");
+            // The interval also covers a brake that this machine does not have.
+            assert!((is / expected - 1.0).abs() < 0.04, "{direction}: {name} is {is}, expected {expected}");
         }
         assert_eq!(found["direction"], truth["direction"]);
         let (duration, expected) = (found["duration_s"].as_f64().unwrap(), truth["duration_s"].as_f64().unwrap());

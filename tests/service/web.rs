@@ -170,7 +170,7 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         ("/machines/../../etc/passwd", 404, "There is no such page"),
         ("/machines/north/..%2F..%2Fetc", 404, "There is no such machine"),
         ("/?state=good", 400, "site, state, cause and q"),
-        ("/?x=1", 400, "and nothing else"),
+        ("/?x=1", 400, "and a page"),
         ("/api/v1/machines/north/99", 404, "No throw of a machine north/99 is known"),
     ] {
         let answer = get(&address, path);

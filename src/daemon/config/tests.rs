@@ -111,7 +111,7 @@ fn what_is_wrong_is_named_with_line_and_key() {
         ("[web]\nlisten = \"localhost:7480\"", "pointsd.toml:2: web.listen: invalid socket address syntax"),
         ("[web]\nlisten = \"127.0.0.1\"", "pointsd.toml:2: web.listen: invalid socket address syntax"),
         ("[web]\ntoken = \"short\"", "pointsd.toml:2: web.token: must have 16 to 256 characters"),
-        ("[web]\nhosts = [\"a\", \"b:80\"]", "pointsd.toml:2: web.hosts[1]: \"b:80\" is no name of a host"),
+        ("[web]\nhosts = [\"a\", \"b:80\"]", "pointsd.toml:2: web.hosts[1]: \"b:80\" is not a host name"),
         ("[zenoh]\nmode = \"rooter\"", "pointsd.toml:2: zenoh.mode: "),
         ("[zenoh]\nlisten.endpoint = []", "pointsd.toml:2: zenoh.listen.endpoint: unknown field"),
         ("[zenoh]\nlisten.endpoints = [\"7447\"]", "pointsd.toml:2: zenoh.listen.endpoints"),
