@@ -118,7 +118,7 @@ impl Publisher {
         match self.store.outbox_sent(&rows).await {
             Ok(()) => drop(taken.drain(..settled)),
             Err(error) => {
-                seldom!(warn, %error, "removing published messages from the outbox failed; they may be sent again")
+                seldom!(warn, %error, "removing published messages from the outbox failed; they may be sent again");
             }
         }
     }

@@ -1,8 +1,8 @@
 //! The course of a drift over the last throws: its present size, and a forecast.
 //!
 //! Along the effect of its cause, a throw at time t (in throws, now = 0) has the value y = o + s(t) + n. The offset o
-//! is the error of the baseline's centre. The drift s begins at some throw tau: s(t) = 0 before it, and a + b (t - tau)
-//! + c (t - tau)^2 from it on, so that a step, a ramp and an accelerating wear are the same model. The noise n is an
+//! is the error of the baseline's centre. The drift s begins at some throw tau: s(t) = 0 before it, and
+//! `a + b (t - tau) + c (t - tau)^2` from it on, so that a step, a ramp and an accelerating wear are the same model. The noise n is an
 //! autoregression of first order. Sizes are parts of nominal, as wear is linear in these and not in their logarithms.
 //! With normal priors on o, a, b, c the problem is linear for a given tau (least squares on the whitened series). Each
 //! tau of a grid gets the weight of its evidence; the mixture gives the present size, with an interval that assumes
@@ -153,7 +153,9 @@ impl Course {
             begun.into_iter().map(|(part, evidence)| Begun { weight: (0.5 * (evidence - best)).exp(), ..part });
         let mut parts: Vec<Begun> = weighted.filter(|part| part.weight > NEGLIGIBLE).collect();
         let total: f64 = parts.iter().map(|part| part.weight).sum();
-        parts.iter_mut().for_each(|part| part.weight /= total);
+        for part in &mut parts {
+            part.weight /= total;
+        }
         Some(Self(parts))
     }
 

@@ -62,7 +62,6 @@ pub(super) struct Drift {
 }
 
 impl Drift {
-    #[expect(clippy::too_many_arguments, reason = "each part of the evidence has another source")]
     pub(super) fn new(
         strongest: Option<(Window, &Scatter)>,
         provisional: bool,

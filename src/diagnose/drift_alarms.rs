@@ -250,6 +250,7 @@ impl DriftAlarms {
     }
 
     /// The explanation with its size at this throw, and the forecast of the critical limit for an alarm below it.
+    #[expect(clippy::too_many_arguments, reason = "each part of the evidence has another source")]
     fn present(
         &self,
         part: &Explanation,

@@ -190,7 +190,9 @@ impl Scatter {
             }));
         }
         let total: f64 = factors.iter().map(|(_, weight)| weight).sum();
-        factors.iter_mut().for_each(|(_, weight)| *weight /= total);
+        for (_, weight) in &mut factors {
+            *weight /= total;
+        }
         let independent = self.lag1.iter().map(|phi| effective(self.throws, *phi)).sum::<f64>() / 3.0;
         Doubt { degrees_of_freedom: independent + self.leaning, factors }
     }
