@@ -39,7 +39,7 @@ impl Question {
         self.query.parameters().get(name)
     }
 
-    /// The payload, cut to [`MAX_PAYLOAD`].
+    /// The payload, cut to `MAX_PAYLOAD`.
     #[must_use]
     pub fn payload(&self) -> Vec<u8> {
         let Some(payload) = self.query.payload() else { return Vec::new() };
