@@ -1,7 +1,7 @@
 //! A load: many machines that throw at a given rate, with prepared traces.
 //!
-//! The simulation of a throw takes twenty times as long as its judgement; new sensor noise on a prepared trace takes
-//! some microseconds and makes each trace different.
+//! The throws are simulated before the load begins, so that the simulation does not limit the rate. New sensor noise
+//! makes each trace different.
 
 use std::{
     collections::{HashMap, HashSet},
@@ -16,13 +16,11 @@ use rand_distr::StandardNormal;
 use serde::Deserialize;
 use zenoh::{
     Session, Wait,
-    bytes::Encoding as ContentType,
     pubsub::{Publisher, Subscriber},
-    qos::CongestionControl,
     sample::Sample,
 };
 
-use super::error::LoggerError;
+use super::{error::LoggerError, publish::publisher};
 use crate::{
     daemon::clock,
     simulate::{Fleet, FleetSettings, SimulatedThrow},
@@ -163,11 +161,7 @@ impl Load {
     fn publishers(&self, session: &Session) -> Result<Vec<Publisher<'static>>, LoggerError> {
         let mut publishers = Vec::with_capacity(self.machines.len());
         for machine in &self.machines {
-            let publisher = session
-                .declare_publisher(wire::machine_key(machine, Kind::Throw))
-                .encoding(ContentType::APPLICATION_CBOR)
-                .congestion_control(CongestionControl::Block)
-                .wait()?;
+            let publisher = publisher(session, machine)?;
             while !publisher.matching_status().wait()?.matching() {
                 thread::sleep(Duration::from_millis(10));
             }

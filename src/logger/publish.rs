@@ -44,6 +44,15 @@ pub(super) struct Source {
     machine: SimulatedMachine,
 }
 
+/// Declares the publisher of a machine's throws.
+pub(super) fn publisher(session: &Session, id: &MachineId) -> Result<Publisher<'static>, LoggerError> {
+    let publisher = session
+        .declare_publisher(wire::machine_key(id, Kind::Throw))
+        .encoding(ContentType::APPLICATION_CBOR)
+        .congestion_control(CongestionControl::Block);
+    Ok(publisher.wait()?)
+}
+
 impl Publishing {
     /// Declares the publisher of a machine.
     pub(super) fn source(
@@ -52,13 +61,7 @@ impl Publishing {
         backlog: Backlog,
         machine: SimulatedMachine,
     ) -> Result<Source, LoggerError> {
-        let publisher = self
-            .session
-            .declare_publisher(wire::machine_key(id, Kind::Throw))
-            .encoding(ContentType::APPLICATION_CBOR)
-            .congestion_control(CongestionControl::Block)
-            .wait()?;
-        Ok(Source { publisher, backlog, machine })
+        Ok(Source { publisher: publisher(&self.session, id)?, backlog, machine })
     }
 
     /// Publishes the throws of all machines in turn. Returns the number of throws of each machine, and the sources,

@@ -133,9 +133,9 @@ statements! {
     COUNTS_FROM_ZERO = "SELECT counts_from_zero FROM machine WHERE machine_row = ?1";
     SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
     // The usual throw: the next one of a known boot, without missing throws.
-    FOLLOWS = "SELECT machine_row, boot_row, position, highest_no, pruned_to_no, tail_open FROM machine JOIN boot USING (machine_row) \
+    FOLLOWS = concat!("SELECT machine_row, ", boots!(), " JOIN machine USING (machine_row) \
         WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND highest_no = ?4 - 1 \
-        AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)";
+        AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)");
     STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
     // Three statements in one call, as each call needs two thread switches.
     ADD_THROW = "UPDATE boot SET highest_no = ?3 WHERE boot_row = ?2 AND highest_no < ?3; \
