@@ -8,6 +8,8 @@
 //! tau of a grid gets the weight of its evidence; the mixture gives the present size, with an interval that assumes
 //! neither shape nor beginning, and the throws until a limit.
 
+use std::ops::Range;
+
 use nalgebra::{Matrix4, Vector4};
 use serde::{Deserialize, Serialize};
 use statrs::function::erf::erf;
@@ -30,7 +32,7 @@ pub struct LimitForecast {
 const STEP_SD: f64 = 0.4;
 const SLOPE_SD: f64 = 0.004;
 const CURVATURE_SD: [f64; 3] = [1e-6, 1e-5, 2e-4];
-/// Largest distance of a value from the median of its neighbours, in standard deviations; larger ones are clipped.
+/// Largest distance of a value from the medians of its neighbours, in standard deviations; larger ones are clipped.
 const CLIP_SD: f64 = 3.0;
 /// Number of neighbours on each side.
 const NEIGHBOURS: usize = 3;
@@ -234,17 +236,23 @@ fn normal_below(z: f64) -> f64 {
     0.5 * (1.0 + erf(z / std::f64::consts::SQRT_2))
 }
 
-/// The values, clipped to `reach` from the median of their neighbours.
+/// The values, without single outliers: each is clipped to `reach` around the range between the medians of the values
+/// before it and after it, so that a step passes from its second throw on.
 ///
-/// The latest throws have no later neighbours and count as neighbours of each other, so that two of them show a step.
+/// The last value has no later one; the value before it takes this place, as two throws show a step.
 fn calmed(points: &[Point], reach: f64) -> Vec<f64> {
     let n = points.len();
-    let near = |at: usize| {
-        let range = if at + NEIGHBOURS < n { at.saturating_sub(NEIGHBOURS)..at + NEIGHBOURS + 1 } else { n - 3..n };
-        let mut around: Vec<f64> = points[range].iter().map(|point| point.value).collect();
-        median(&mut around)
+    let middle = |range: Range<usize>| {
+        let mut values: Vec<f64> = points[range].iter().map(|point| point.value).collect();
+        median(&mut values)
     };
-    (0..n).map(|at| points[at].value.clamp(near(at) - reach, near(at) + reach)).collect()
+    let calm = |at: usize| {
+        let before = if at == 0 { 1..2 } else { at.saturating_sub(NEIGHBOURS)..at };
+        let after = if at + 1 == n { at - 1..at } else { at + 1..n.min(at + 1 + NEIGHBOURS) };
+        let (before, after) = (middle(before), middle(after));
+        points[at].value.clamp(before.min(after) - reach, before.max(after) + reach)
+    };
+    (0..n).map(calm).collect()
 }
 
 #[cfg(test)]

@@ -147,8 +147,8 @@ impl Drift {
         (throws >= ONE_SIDED_THROWS && clear).then_some(side)
     }
 
-    /// The direction with more than twice as much of `cause` as the other: a first guess for the size.
-    pub(super) fn leaning(&self, cause: Cause, settings: &Settings) -> Option<Direction> {
+    /// The direction with more than twice as much of `cause` as the other.
+    fn leaning(&self, cause: Cause, settings: &Settings) -> Option<Direction> {
         let size = |at: usize| self.levels[at].as_ref().map(|window| extent(cause, window, settings).0);
         match (size(0), size(1)) {
             (Some(_), None) => Some(Direction::NormalToReverse),

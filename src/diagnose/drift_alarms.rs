@@ -178,9 +178,8 @@ impl DriftAlarms {
             });
             let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)));
             let Some(largest) = largest else { continue };
-            let leaning = drift.leaning(alarm.cause, settings);
-            let (size, forecast) = self.present(&largest, alarm.severity, drift, leaning, order, tracks, settings);
             let direction = drift.direction(alarm.cause, self.throws_since_onset(order), settings);
+            let (size, forecast) = self.present(&largest, alarm.severity, drift, direction, order, tracks, settings);
             let drifting = Drifting {
                 cause: alarm.cause,
                 change_pct: percent(size.size),
@@ -218,10 +217,9 @@ impl DriftAlarms {
         let mut attribution = *drift.attribution.as_ref()?;
         let throws = self.throws_since_onset(order);
         let direction = drift.direction(cause, throws, context.settings);
-        let leaning = drift.leaning(cause, context.settings);
         let mut limit_in_throws = None;
         if let Naming::One(main) = &mut attribution.naming {
-            let (now, forecast) = self.present(main, severity, drift, leaning, order, tracks, context.settings);
+            let (now, forecast) = self.present(main, severity, drift, direction, order, tracks, context.settings);
             limit_in_throws = forecast;
             *main = now;
         }

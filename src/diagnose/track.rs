@@ -27,6 +27,9 @@ const MOST_ASIDE: usize = WINDOWS[3];
 /// larger ones are clipped. A step needs two throws with the first, four with the second.
 const CLIP_SD: [f64; 2] = [8.0, 3.5];
 
+/// Largest difference of the drifts of both directions that counts as agreement, in standard deviations.
+const AGREE_SD: f64 = 2.0;
+
 /// Ratio of the least visible size to that without temperature, from which the temperature hides a fault.
 const HIDES_FROM: f64 = 1.5;
 
@@ -147,7 +150,11 @@ impl Tracks {
         }
     }
 
-    /// The course of a drift along `weights` over the last throws of one or both directions; `now` is the latest throw.
+    /// The course of a drift along `weights` over the last throws of `direction`, if the drift is known to be in this
+    /// direction only; `now` is the latest throw.
+    ///
+    /// Otherwise it is the course over both directions if they agree, and else over that with the larger drift: after a
+    /// step the other one may have one throw with the drift, or none.
     pub(super) fn course(
         &self,
         weights: &Vector3<f64>,
@@ -158,25 +165,32 @@ impl Tracks {
     ) -> Option<Course> {
         let [normal, reverse] = &self.sides;
         let baselines = [normal.baseline.as_ref(), reverse.baseline.as_ref()];
-        let both = || Some((Stream::all([&normal.recent, &reverse.recent]), &self.mixed.as_ref()?.scatter));
-        let one = |at: usize| Some((Stream::of(&self.sides[at].recent, at), baselines[at]?.scatter()));
-        let (stream, scatter) = match direction {
-            Some(direction) => one(side(direction)),
-            None => both().or_else(|| one(0)).or_else(|| one(1)),
-        }?;
-        let throws: usize = match direction {
-            Some(direction) => baselines[side(direction)]?.throws(),
-            None => baselines.iter().flatten().map(|baseline| baseline.throws()).sum(),
+        let noise = |scatter: &Scatter, throws: usize| {
+            let (sd, lag1, centre_sd) = scatter.along(weights, throws as f64);
+            Noise { sd, lag1, offset_sd: centre_sd.hypot(weights.dot(temperature_sd)) }
         };
-        let (sd, lag1, centre_sd) = scatter.along(weights, throws as f64);
-        let noise = Noise { sd, lag1, offset_sd: centre_sd.hypot(weights.dot(temperature_sd)) };
-        let recent = stream.points(weights, baselines, now);
+        let one = |at: usize| {
+            let points = Stream::of(&self.sides[at].recent, at).points(weights, baselines, now);
+            Course::of(&points, noise(baselines[at]?.scatter(), baselines[at]?.throws()))
+        };
+        if let Some(direction) = direction {
+            return one(side(direction));
+        }
+        let [first, second] = match [one(0), one(1)] {
+            [Some(first), Some(second)] => [first, second],
+            [first, second] => return first.or(second),
+        };
+        let ((a, a_sd), (b, b_sd)) = (first.now(), second.now());
+        let agree = (a - b).abs() <= AGREE_SD * a_sd.hypot(b_sd);
+        let Some(mixed) = self.mixed.as_ref().filter(|_| agree) else {
+            return Some(if a.abs() > b.abs() { first } else { second });
+        };
+        let recent = Stream::all([&normal.recent, &reverse.recent]).points(weights, baselines, now);
         // Blocks contain throws of both directions.
         let oldest = recent.first()?.age;
-        let before =
-            history.along(weights).filter(|block| direction.is_none() && block.age - block.throws / 2.0 > oldest);
+        let before = history.along(weights).filter(|block| block.age - block.throws / 2.0 > oldest);
         let points: Vec<_> = before.chain(recent).collect();
-        Course::of(&points, noise)
+        Course::of(&points, noise(&mixed.scatter, baselines.iter().flatten().map(|baseline| baseline.throws()).sum()))
     }
 
     /// Computes new thresholds after a new baseline, a new stream or a changed budget.

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use pointsd::{
-    diagnose::{AlarmState, Cause, Settings},
+    diagnose::{AlarmEvent, AlarmState, Cause, Settings},
     throw::Direction,
 };
 
@@ -45,7 +45,7 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
             let mut given = false;
             for throw in 1..=throws {
                 let verdict = machine.feed(&mut monitor, shift(cause, size(throw)), None, &settings);
-                let active = |event: &&pointsd::diagnose::AlarmEvent| event.state == AlarmState::ActiveUnacknowledged;
+                let active = |event: &&AlarmEvent| event.state == AlarmState::ActiveUnacknowledged;
                 let raised = verdict.events.iter().filter(active).find(|event| event.cause == cause);
                 let raised = raised.map(|event| (event.change_pct.unwrap(), event.change_pct_sd.unwrap()));
                 let now = verdict.drifts.iter().find(|drifting| drifting.cause == cause);
@@ -106,4 +106,53 @@ fn a_direction_is_told_when_both_have_six_throws_and_not_before() {
     let share = 100.0 * f64::from(right) / f64::from(lives);
     println!("direction right in {share:.1} % of {lives} throws");
     assert!(share >= 95.0, "right in {share:.1} % of {lives}");
+}
+
+#[test]
+fn the_size_of_a_step_holds_from_its_first_alarm_on() {
+    /// Throws after the first alarm.
+    const FOLLOWED: usize = 20;
+    let settings = Settings::default();
+    let (mut said, mut held) = ([0_u32; FOLLOWED + 1], [0_u32; FOLLOWED + 1]);
+    let parts = [
+        (Cause::Friction, [30.0, 45.0, 90.0]),
+        (Cause::Kt, [-10.0, -15.0, -25.0]),
+        (Cause::Stiffness, [20.0, 30.0, 50.0]),
+        (Cause::Inertia, [10.0, 15.0, 25.0]),
+    ];
+    let lives = parts.iter().flat_map(|(cause, sizes)| {
+        let sides = [[true, true], [true, false], [false, true]];
+        let seeds = 52_000..52_000 + 2 * LIVES;
+        sizes.iter().flat_map(move |size| {
+            seeds.clone().flat_map(move |seed| sides.map(move |sides| (*cause, *size, seed, sides)))
+        })
+    });
+    for (cause, size, seed, sides) in lives {
+        let (mut machine, mut monitor) = known(seed);
+        if seed % 2 == 1 {
+            machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
+        }
+        let mut alarmed = None;
+        for throw in 0..40 {
+            let fault = if sides[machine.side()] { shift(cause, size) } else { Vector3::zeros() };
+            let verdict = machine.feed(&mut monitor, fault, None, &settings);
+            let active = |event: &&AlarmEvent| event.cause == cause && event.state == AlarmState::ActiveUnacknowledged;
+            // The first place is for events, the others for the throws after the first.
+            let event = verdict.events.iter().find(active).map(|event| {
+                alarmed.get_or_insert(throw);
+                (0, event.change_pct.unwrap(), event.change_pct_sd.unwrap())
+            });
+            let now = verdict.drifts.iter().find(|now| now.cause == cause && alarmed.is_some_and(|at| at < throw));
+            let now = now.map(|now| (throw - alarmed.unwrap(), now.change_pct, now.change_pct_sd));
+            for (place, change, sd) in event.into_iter().chain(now).filter(|(place, ..)| *place <= FOLLOWED) {
+                said[place] += 1;
+                held[place] += u32::from((change - size).abs() <= 1.96 * sd);
+            }
+        }
+    }
+    let shares: Vec<f64> =
+        said.iter().zip(&held).map(|(said, held)| 100.0 * f64::from(*held) / f64::from(*said)).collect();
+    println!("within the interval, at events and after 1 to {FOLLOWED} throws: {shares:.0?} % of {said:?}");
+    assert!(said.iter().all(|said| *said >= 280), "too few alarms: {said:?}");
+    assert!(shares.iter().all(|share| *share >= 90.0), "{shares:.1?}");
 }
