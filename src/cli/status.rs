@@ -1,6 +1,9 @@
 //! `pointsd status`: the daemons, their machines and their alarms.
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
 
 use jiff::SignedDuration;
 use serde_json::{Value, json};
@@ -162,6 +165,11 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     }
     if !shown.is_empty() {
         output::line(table)?;
+    }
+    let caveats: BTreeSet<&String> =
+        shown.iter().flat_map(|(_, rows)| rows.iter()).flat_map(|row| &row.caveats).collect();
+    for caveat in caveats {
+        output::line(caveat)?;
     }
     for window in windows.iter().filter(|window| window.cause.is_none()) {
         output::line(format_args!("{} is in maintenance {}", window.machine, window.sentence()))?;

@@ -253,6 +253,7 @@ fn health(
         mean_current_a: features.mean_current_a,
         state: Some(verdict.state),
         drift: verdict.drifts.first().copied(),
+        caveats: verdict.caveats.clone(),
         detail,
         baseline: verdict.baseline.map(|(so_far, needed)| (so_far as u64, needed as u64)),
         throws_since_baseline,
@@ -265,6 +266,7 @@ fn outcome(machine: &MachineId, monitor: &MachineMonitor, at: Timestamp, events:
         snapshot: String::from_utf8_lossy(&json(monitor)).into_owned(),
         state: monitor.state(),
         drifts: monitor.drifts().to_vec(),
+        caveats: monitor.caveats(),
     };
     Outcome { machine: machine.clone(), at, monitor: Some(record), events, reported_gaps: Vec::new(), command: None }
 }

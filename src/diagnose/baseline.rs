@@ -11,6 +11,7 @@ use super::{
     settings::Settings,
     sym3::Sym3,
     temperature::{Temperature, TemperatureSource},
+    trend::{self, TrendThrow},
 };
 use crate::throw::Direction;
 
@@ -23,7 +24,7 @@ pub struct BaselineRecord {
     pub taken_at: Timestamp,
     /// Number of throws of the baseline.
     pub throws: usize,
-    /// Whether it is complete; an incomplete one has wider limits, and is replaced.
+    /// Whether it is complete; an incomplete one has wider limits. It is replaced, unless its throws have a trend.
     pub complete: bool,
     /// Centre of b0, a1, a0, in their units.
     pub center: [f64; 3],
@@ -64,6 +65,9 @@ pub(super) struct Baseline {
     temperature: Temperature,
     duration_s: Option<f64>,
     scatter: Scatter,
+    /// Slopes of the logarithms per throw of the machine; 0 without a trend.
+    #[serde(default)]
+    slopes: [f64; 3],
 }
 
 impl BaselineThrow {
@@ -81,9 +85,19 @@ impl BaselineThrow {
 
 impl Baseline {
     /// Computes a baseline from at least a dozen throws of a direction; `sensor` is the mean covariance of their
-    /// estimates.
-    pub(super) fn learn(throws: &[BaselineThrow], sensor: Sym3, taken_at: Timestamp, settings: &Settings) -> Self {
-        let raw: Vec<_> = throws.iter().map(|l| (Vector3::from(l.log), l.temperature_c.map(f64::from))).collect();
+    /// estimates. With the `slopes` of a trend the centre is that of the first throw, when the machine was least worn.
+    pub(super) fn learn(
+        throws: &[BaselineThrow],
+        sensor: Sym3,
+        slopes: [f64; 3],
+        taken_at: Timestamp,
+        settings: &Settings,
+    ) -> Self {
+        let raw: Vec<_> = throws
+            .iter()
+            .zip(detrended(throws, slopes))
+            .map(|(throw, log)| (log, throw.temperature_c.map(f64::from)))
+            .collect();
         let temperature = Temperature::learn(&raw, settings);
         let compensated = |(x, celsius): &(Vector3<f64>, _)| x - temperature.effect(temperature.distance(*celsius));
         let logs: Vec<Vector3<f64>> = raw.iter().map(compensated).collect();
@@ -94,11 +108,12 @@ impl Baseline {
         Self {
             centre,
             throws: throws.len(),
-            complete: throws.len() >= settings.baseline_throws,
+            complete: throws.len() >= settings.baseline_throws && slopes == [0.0; 3],
             taken_at,
             temperature,
             duration_s: (!durations.is_empty()).then(|| median(&mut durations)),
             scatter: Scatter::learn(&residuals, sensor.into(), 1),
+            slopes,
         }
     }
 
@@ -131,8 +146,19 @@ impl Baseline {
         self.throws
     }
 
+    /// Number of throws whose mean is as uncertain as the centre. The beginning of a line has four times the variance
+    /// of its middle.
+    pub(super) fn centre_throws(&self) -> f64 {
+        self.throws as f64 / if self.slopes == [0.0; 3] { 1.0 } else { 4.0 }
+    }
+
     pub(super) fn is_complete(&self) -> bool {
         self.complete
+    }
+
+    /// Whether it has all its throws: complete, or with a trend.
+    pub(super) fn is_final(&self, settings: &Settings) -> bool {
+        self.complete || self.throws >= settings.baseline_throws
     }
 
     pub(super) fn duration_s(&self) -> Option<f64> {
@@ -163,8 +189,8 @@ pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline;
     let mut sensor = Matrix3::zeros();
     for (throws, baseline) in learned.into_iter().zip(baselines) {
         let sd = baseline.scatter.of_one_throw().diagonal().map(f64::sqrt);
-        for throw in throws {
-            let r = baseline.compensated(baseline.residual(&throw.log, throw.temperature_c.map(f64::from)));
+        for (throw, log) in throws.iter().zip(detrended(throws, baseline.slopes)) {
+            let r = baseline.compensated(baseline.residual(&log.into(), throw.temperature_c.map(f64::from)));
             residuals.push((throw.order, clip(r, [0, 1, 2].map(|i| (0.0, sd[i])))));
         }
         sensor += baseline.scatter.sensor() * throws.len() as f64;
@@ -173,6 +199,35 @@ pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline;
     sensor /= residuals.len() as f64;
     let ordered: Vec<Vector3<f64>> = residuals.into_iter().map(|(_, r)| r).collect();
     Scatter::learn(&ordered, sensor, 2)
+}
+
+/// The logarithms of the throws without the change since the first of them.
+fn detrended(throws: &[BaselineThrow], slopes: [f64; 3]) -> impl Iterator<Item = Vector3<f64>> {
+    let first = throws.first().map_or(0, |throw| throw.order);
+    throws.iter().map(move |throw| Vector3::from(throw.log) - Vector3::from(slopes) * (throw.order - first) as f64)
+}
+
+/// Slopes of the logarithms over the throws of both directions; `sensor` is the mean covariance of their estimates.
+pub(super) fn trend<'a>(sides: [impl Iterator<Item = &'a BaselineThrow>; 2], sensor: Matrix3<f64>) -> [f64; 3] {
+    let mut throws: Vec<TrendThrow> = Vec::new();
+    let mut variance = [0.0; 3];
+    for (side, series) in sides.into_iter().enumerate() {
+        let series: Vec<&BaselineThrow> = series.collect();
+        if series.is_empty() {
+            continue;
+        }
+        let robust = [0, 1, 2].map(|i| centre_and_sd(&series.iter().map(|throw| throw.log[i]).collect::<Vec<_>>()));
+        variance = std::array::from_fn(|i| robust[i].1.powi(2).max(variance[i]));
+        throws.extend(series.into_iter().map(|throw| TrendThrow {
+            order: throw.order,
+            side,
+            residual: Vector3::from_fn(|i, _| throw.log[i] - robust[i].0),
+            temperature_c: throw.temperature_c.map(f64::from),
+        }));
+    }
+    throws.sort_unstable_by_key(|throw| throw.order);
+    let error_part = std::array::from_fn(|i| (sensor[(i, i)] / variance[i].max(f64::MIN_POSITIVE)).min(0.9));
+    trend::slopes(&throws, variance.map(f64::sqrt), error_part)
 }
 
 fn clip(residual: Vector3<f64>, robust: [(f64, f64); 3]) -> Vector3<f64> {

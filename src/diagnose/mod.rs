@@ -30,6 +30,7 @@ mod text;
 mod thermometer;
 mod threshold;
 mod track;
+mod trend;
 mod verdict;
 mod window;
 

@@ -133,6 +133,7 @@ impl MachineMonitor {
         verdict.state = self.state();
         verdict.drifts = self.drifts().to_vec();
         verdict.blind = self.blind;
+        verdict.caveats = self.caveats();
         verdict
     }
 
@@ -373,6 +374,13 @@ impl MachineMonitor {
     #[must_use]
     pub fn blind(&self) -> Option<Blindness> {
         self.blind
+    }
+
+    /// Sentences about what the monitor cannot show at present.
+    #[must_use]
+    pub fn caveats(&self) -> Vec<String> {
+        let blind = self.blind.as_ref().map(|blind| text::blind(&self.name, blind));
+        blind.into_iter().chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes))).collect()
     }
 
     /// The end of the maintenance window, while the machine is out of service.

@@ -175,6 +175,18 @@ pub(super) fn blind(name: &str, blind: &Blindness) -> String {
     )
 }
 
+/// Text for a machine whose throws changed steadily while its baseline was taken; slopes of the logarithms per throw.
+pub(super) fn trend(name: &str, slopes: [f64; 3]) -> String {
+    let of = |(slope, what): (f64, &str)| (slope != 0.0).then(|| format!("{what} {:+.2} %", percent(slope)));
+    let names = ["b0 (motor or inertia)", "a1 (friction)", "a0 (stiffness)"];
+    let changes: Vec<String> = slopes.into_iter().zip(names).filter_map(of).collect();
+    format!(
+        "Machine {name}: the baseline has a trend ({} a throw), from wear or weather while it was taken. It stays \
+         provisional, and changes count from its first throw. Inspect the machine, then take a new baseline (rebaseline).",
+        changes.join(", ")
+    )
+}
+
 pub(super) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
     let what = match disbelief {
         Disbelief::Impossible(celsius) => {

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    baseline::{Baseline, BaselineRecord, BaselineThrow, learn_mixed},
+    baseline::{Baseline, BaselineRecord, BaselineThrow, learn_mixed, trend},
     course::{Course, Noise},
     drift::{Drift, visible_pct},
     event::Cause,
@@ -73,6 +73,9 @@ struct Mixed {
 pub(super) struct Tracks {
     sides: [Track; 2],
     mixed: Option<Mixed>,
+    /// Slopes of the logarithms over the throws of the baselines, per throw of the machine; 0 without a trend.
+    #[serde(default)]
+    slopes: [f64; 3],
 }
 
 fn side(direction: Direction) -> usize {
@@ -165,13 +168,13 @@ impl Tracks {
     ) -> Option<Course> {
         let [normal, reverse] = &self.sides;
         let baselines = [normal.baseline.as_ref(), reverse.baseline.as_ref()];
-        let noise = |scatter: &Scatter, throws: usize| {
-            let (sd, lag1, centre_sd) = scatter.along(weights, throws as f64);
+        let noise = |scatter: &Scatter, throws: f64| {
+            let (sd, lag1, centre_sd) = scatter.along(weights, throws);
             Noise { sd, lag1, offset_sd: centre_sd.hypot(weights.dot(temperature_sd)) }
         };
         let one = |at: usize| {
             let points = Stream::of(&self.sides[at].recent, at).points(weights, baselines, now);
-            Course::of(&points, noise(baselines[at]?.scatter(), baselines[at]?.throws()))
+            Course::of(&points, noise(baselines[at]?.scatter(), baselines[at]?.centre_throws()))
         };
         if let Some(direction) = direction {
             return one(side(direction));
@@ -190,7 +193,10 @@ impl Tracks {
         let oldest = recent.first()?.age;
         let before = history.along(weights).filter(|block| block.age - block.throws / 2.0 > oldest);
         let points: Vec<_> = before.chain(recent).collect();
-        Course::of(&points, noise(&mixed.scatter, baselines.iter().flatten().map(|baseline| baseline.throws()).sum()))
+        Course::of(
+            &points,
+            noise(&mixed.scatter, baselines.iter().flatten().map(|baseline| baseline.centre_throws()).sum()),
+        )
     }
 
     /// Computes new thresholds after a new baseline, a new stream or a changed budget.
@@ -286,13 +292,16 @@ impl Tracks {
             return None;
         }
         let track = &mut self.sides[side(throw.direction)];
-        if throw.grade == Grade::Rough || track.baseline.as_ref().is_some_and(Baseline::is_complete) {
+        if throw.grade == Grade::Rough || track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings)) {
             return None;
         }
         track.aside.push(BaselineThrow::new(order, throw));
         let mean = Matrix3::from(track.sensor);
         let count = track.learned.len() + track.aside.len();
         track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
+        self.follow_trend(settings);
+        let slopes = self.slopes;
+        let track = &mut self.sides[side(throw.direction)];
         if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
             track.aside.remove(0);
         }
@@ -307,7 +316,7 @@ impl Tracks {
         if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
             return None;
         }
-        let baseline = Baseline::learn(&track.learned, track.sensor, at, settings);
+        let baseline = Baseline::learn(&track.learned, track.sensor, slopes, at, settings);
         let record = baseline.record(throw.direction);
         track.thresholds = None;
         track.baseline = Some(baseline);
@@ -318,11 +327,37 @@ impl Tracks {
         Some(record)
     }
 
+    /// Looks for a trend in the throws of the baselines, also those set aside. One that changes no coefficient by a
+    /// third of a warning limit does not count.
+    fn follow_trend(&mut self, settings: &Settings) {
+        /// Throws between two searches.
+        const EVERY: usize = 4;
+        let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
+        let count: usize = throws.each_ref().map(|throws| throws.clone().count()).iter().sum();
+        if count % EVERY != 0 {
+            return;
+        }
+        let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
+        let limits = [Cause::Kt, Cause::Friction, Cause::Stiffness].map(|cause| settings.limit_pct(cause));
+        let slopes = trend(throws, 0.5 * (sensor[0] + sensor[1]));
+        self.slopes = std::array::from_fn(|i| {
+            let change_pct = 100.0 * (slopes[i] * count as f64).abs();
+            if limits[i].is_some_and(|limit| change_pct > limit / 3.0) { slopes[i] } else { 0.0 }
+        });
+    }
+
+    /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without a
+    /// trend.
+    pub(super) fn trend(&self) -> Option<[f64; 3]> {
+        let incomplete = self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(Baseline::is_complete));
+        (incomplete && self.slopes != [0.0; 3]).then_some(self.slopes)
+    }
+
     fn learn_mixed(&mut self, settings: &Settings) {
         let [normal, reverse] = &self.sides;
         let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
         let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second]);
-        let done = first.is_complete() && second.is_complete();
+        let done = first.is_final(settings) && second.is_final(settings);
         let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
         self.mixed = Some(Mixed { scatter, thresholds });
         if done {
@@ -346,7 +381,7 @@ impl Tracks {
     pub(super) fn progress(&self, direction: Direction, settings: &Settings) -> (usize, usize) {
         let track = &self.sides[side(direction)];
         match &track.baseline {
-            Some(baseline) if baseline.is_complete() => (baseline.throws(), baseline.throws()),
+            Some(baseline) if baseline.is_final(settings) => (baseline.throws(), baseline.throws()),
             _ => (track.learned.len() + track.aside.len(), settings.baseline_throws),
         }
     }

@@ -162,7 +162,7 @@ impl<'a> Stream<'a> {
         for side in 0..2 {
             if counts[side] > 0 {
                 let part = counts[side] as f64 / n;
-                spread += part * part / baselines[side]?.throws() as f64;
+                spread += part * part / baselines[side]?.centre_throws();
                 temperature += baselines[side]?.temperature().effect_sd(distance[side] / n);
             }
         }

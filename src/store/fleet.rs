@@ -56,6 +56,17 @@ pub(crate) struct FleetRow {
     pub spark: Vec<[f64; 3]>,
 }
 
+/// How a machine is at present.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Present {
+    /// State of the machine.
+    pub state: MachineState,
+    /// Active drifts with their present size, the worst first.
+    pub drifts: Vec<Drifting>,
+    /// Sentences about what the monitor cannot show.
+    pub caveats: Vec<String>,
+}
+
 /// An open alarm about the condition of a machine, with its size when raised and the present drifts.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct Fault {
@@ -209,7 +220,7 @@ const BASELINES: &str = "
     WHERE site = ?1 AND machine = ?2 ORDER BY taken_at_us DESC LIMIT ?3";
 
 const STATE: &str = "
-    SELECT state, drifts FROM monitor JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2";
+    SELECT state, drifts, caveats FROM monitor JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2";
 
 /// The previous and the next throw of a machine, in the order of their start.
 const NEIGHBOURS: &str = "
@@ -244,6 +255,16 @@ impl Window {
         let until = self.until.map(|until| until.strftime("until %Y-%m-%d %H:%M:%S UTC ").to_string());
         let why = self.why.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
         format!("{}by {}{why}", until.unwrap_or_default(), self.by)
+    }
+}
+
+impl FromRow<'_, SqliteRow> for Present {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            state: word(row, "state")?.unwrap_or_default(),
+            drifts: json(row, "drifts")?.unwrap_or_default(),
+            caveats: json(row, "caveats")?.unwrap_or_default(),
+        })
     }
 }
 
@@ -396,13 +417,11 @@ impl Reader {
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
     }
 
-    /// The present state of a machine, and its active drifts.
-    pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<(MachineState, Vec<Drifting>), StoreError> {
+    /// The present state of a machine.
+    pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
         let statement = sqlx::query_as(STATE).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        let rows: Vec<(Option<String>, Option<String>)> = self.asked(statement).await?;
-        let (state, drifts) = rows.into_iter().next().unwrap_or_default();
-        let state = state.and_then(|state| state.parse().ok()).unwrap_or_default();
-        Ok((state, drifts.and_then(|drifts| serde_json::from_str(&drifts).ok()).unwrap_or_default()))
+        let rows: Vec<Present> = self.asked(statement).await?;
+        Ok(rows.into_iter().next().unwrap_or_default())
     }
 
     /// The previous and the next throw of a machine, in the order of their start.

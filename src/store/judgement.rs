@@ -62,6 +62,8 @@ pub struct MonitorRecord {
     pub state: MachineState,
     /// Active drifts with their present size, the worst first.
     pub drifts: Vec<Drifting>,
+    /// Sentences about what the monitor cannot show at present.
+    pub caveats: Vec<String>,
 }
 
 type Statements<'q> = Query<'q, Sqlite, SqliteArguments>;
@@ -74,6 +76,7 @@ impl MonitorRecord {
             .bind(at_us)
             .bind(self.state.as_str())
             .bind((!self.drifts.is_empty()).then(|| text(&self.drifts)))
+            .bind((!self.caveats.is_empty()).then(|| text(&self.caveats)))
     }
 }
 

@@ -37,7 +37,7 @@ pub use database::{Opened, Store};
 pub use disk::DiskLevel;
 pub use error::StoreError;
 pub use fleet::Window;
-pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow};
+pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Present};
 pub use housekeeping::Housekeeping;
 pub use judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub use open::{Found, Report, refuse_foreign};

@@ -21,7 +21,7 @@ macro_rules! throw_rows {
 
 /// The columns of [`Health`](crate::wire::Health); direction and state depend on the query.
 macro_rules! health {
-    ($direction:literal, $state:literal, $drift:literal) => {
+    ($direction:literal, $state:literal, $drift:literal, $caveats:literal) => {
         concat!(
             "site, machine, boot_id, throw_no, started_at_us, ",
             $direction,
@@ -29,7 +29,9 @@ macro_rules! health {
             $state,
             " AS state, ",
             $drift,
-            " AS drift, quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, \
+            " AS drift, ",
+            $caveats,
+            " AS caveats, quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, \
              a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, duration_s, \
              peak_current_a, mean_current_a, baseline_throws, baseline_needed, throws_since_baseline "
         )
@@ -47,7 +49,7 @@ macro_rules! estimates {
 macro_rules! history {
     () => {
         concat!(
-            health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift"),
+            health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift", "NULL"),
             estimates!()
         )
     };
@@ -102,9 +104,9 @@ macro_rules! add_estimate {
 
 macro_rules! set_monitor {
     () => {
-        "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts) VALUES (?, ?, ?, ?, ?) \
+        "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts, caveats) VALUES (?, ?, ?, ?, ?, ?) \
          ON CONFLICT (machine_row) DO UPDATE SET snapshot = excluded.snapshot, updated_at_us = excluded.updated_at_us, \
-         state = excluded.state, drifts = excluded.drifts"
+         state = excluded.state, drifts = excluded.drifts, caveats = excluded.caveats"
     };
 }
 
@@ -249,7 +251,7 @@ statements! {
         WHERE throw_row IN (SELECT throw_row FROM throw \
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE (?2 IS NULL OR site = ?2) AND (?3 IS NULL OR machine = ?3)) \
         AND started_at_us >= ?4 ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
-    LATEST_HEALTH = concat!("SELECT ", health!("way.direction", "monitor.state", "monitor.drifts -> 0"), "FROM machine CROSS JOIN ", ways!(), " \
+    LATEST_HEALTH = concat!("SELECT ", health!("way.direction", "monitor.state", "monitor.drifts -> 0", "monitor.caveats"), "FROM machine CROSS JOIN ", ways!(), " \
         JOIN estimate ON estimate.throw_row = (SELECT max(latest.throw_row) FROM estimate AS latest \
         WHERE latest.machine_row = machine.machine_row AND latest.direction IS way.direction) \
         JOIN throw USING (throw_row) JOIN boot USING (boot_row) \
@@ -276,7 +278,7 @@ statements! {
         (SELECT min(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS low, \
         (SELECT max(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS high), \
         spot(at) AS (SELECT 0 UNION ALL SELECT at + 1 FROM spot WHERE at < ?4 - 1) \
-        SELECT DISTINCT ", health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift"), "FROM spot CROSS JOIN span JOIN estimate ON estimate.throw_row = (SELECT min(near.throw_row) FROM estimate AS near \
+        SELECT DISTINCT ", health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift", "NULL"), "FROM spot CROSS JOIN span JOIN estimate ON estimate.throw_row = (SELECT min(near.throw_row) FROM estimate AS near \
         WHERE near.machine_row = ", one_machine!(), " AND near.direction = ?3 \
         AND near.throw_row >= low + (high - low) * at / max(?4 - 1, 1)) \
         JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `/api/v1/status` | the daemon, as in `pointsd status --json` |
 //! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`, and `machines`: up to 100 with state, present drifts, last throw |
-//! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts`, `alarms` (open), `throws` (the newest 100), `commands` |
+//! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts`, `caveats`, `alarms` (open), `throws` (the newest 100), `commands` |
 //! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: numbers of the others by cause and site |
 
 use std::{collections::BTreeMap, sync::Arc};
@@ -21,7 +21,10 @@ use super::{
     overview::{Web, selector},
     page::{Failure, known_name},
 };
-use crate::{store::FleetQuery, wire};
+use crate::{
+    store::{FleetQuery, Present},
+    wire,
+};
 
 /// Largest number of throws in a response.
 const THROWS: u32 = 100;
@@ -59,9 +62,9 @@ pub(super) async fn machine(
     if throws.is_empty() {
         return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));
     }
-    let (state, drifts) = reader.state_of(&machine).await?;
+    let Present { state, drifts, caveats } = reader.state_of(&machine).await?;
     Ok(answer(&json!({
-        "site": machine.site, "machine": machine.machine, "state": state, "drifts": drifts,
+        "site": machine.site, "machine": machine.machine, "state": state, "drifts": drifts, "caveats": caveats,
         "alarms": reader.open_alarms(&selector(&machine)).await?,
         "throws": throws, "commands": reader.commands_of(&machine, COMMANDS).await?,
     })))

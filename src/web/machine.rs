@@ -18,7 +18,7 @@ use super::{
 use crate::{
     daemon::clock,
     diagnose::{AlarmState, BaselineRecord, MachineState},
-    store::{CommandRow, Reader, StoreError, Window},
+    store::{CommandRow, Present, Reader, StoreError, Window},
     throw::{Direction, MachineId},
     wire::{Alarm, Health},
 };
@@ -62,6 +62,8 @@ struct Page {
     badge: Badge,
     /// The open maintenance window.
     maintenance: Option<String>,
+    /// Sentences about what the monitor cannot show at present.
+    caveats: Vec<String>,
     alarms: Vec<AlarmLine>,
     ways: Vec<Way>,
     /// Value for the address, text, and whether the span is selected.
@@ -124,7 +126,7 @@ pub(super) async fn page(
     let reader = web.view.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;
     let events = reader.alarm_events_of(&machine, EVENTS).await?;
-    let (now_state, drifts) = reader.state_of(&machine).await?;
+    let Present { state: now_state, drifts, caveats } = reader.state_of(&machine).await?;
     if throws.is_empty() && events.is_empty() && now_state == MachineState::Learning {
         return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));
     }
@@ -145,6 +147,7 @@ pub(super) async fn page(
     Ok(page::html(&Page {
         trouble,
         badge: Badge(now_state),
+        caveats,
         maintenance: maintenance(now_state, &windows),
         alarms: open.iter().map(|alarm| AlarmLine::new(alarm, raised(alarm), &drifts, &windows)).collect(),
         ways: ways(&both, &baselines),

@@ -63,6 +63,9 @@ pub struct Health {
     /// The worst active drift at the time of `state`.
     #[serde(default)]
     pub drift: Option<Drifting>,
+    /// Sentences about what the monitor cannot show at present; absent if there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub caveats: Vec<String>,
     /// Reason for the rejection of the estimate, as a sentence. Not published.
     #[serde(skip)]
     pub detail: Option<String>,

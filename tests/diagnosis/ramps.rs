@@ -156,3 +156,52 @@ fn the_size_of_a_step_holds_from_its_first_alarm_on() {
     assert!(said.iter().all(|said| *said >= 280), "too few alarms: {said:?}");
     assert!(shares.iter().all(|share| *share >= 90.0), "{shares:.1?}");
 }
+
+#[test]
+fn wear_from_the_first_throw_on_is_reported_before_it_matters_and_later_named() {
+    let settings = Settings::default();
+    let (mut before, mut named, mut wrong, mut named_at) = (0, 0, 0, Vec::new());
+    let lives = 40;
+    for seed in 0..lives {
+        let mut machine = Machine::new(53_000 + seed, Scatter::USUAL);
+        let mut monitor = pointsd::diagnose::MachineMonitor::new("21B");
+        let (mut reported, mut alarmed) = (None, None);
+        for throw in 1..=400_u32 {
+            let size = 0.25 * f64::from(throw);
+            let verdict = machine.feed(&mut monitor, shift(Cause::Friction, size), None, &settings);
+            let said = verdict.caveats.iter().any(|caveat| caveat.contains("trend"));
+            reported = reported.or((said || !verdict.events.is_empty()).then_some(size));
+            wrong += verdict.events.iter().filter(|event| event.cause != Cause::Friction).count();
+            let named = verdict.events.iter().any(|event| event.cause == Cause::Friction);
+            alarmed = alarmed.or(named.then_some(size));
+        }
+        before += u32::from(reported.is_some_and(|size| size <= 15.0));
+        named += u32::from(alarmed.is_some());
+        named_at.extend(alarmed);
+    }
+    named_at.sort_by(f64::total_cmp);
+    println!("reported before 15 %: {before} of {lives}; named: {named}, at {named_at:.0?}; other events {wrong}");
+    assert!(before >= 38 && named == 40 && wrong <= 2);
+}
+
+#[test]
+fn a_healthy_machine_completes_its_baseline_whatever_its_scatter() {
+    let settings = Settings::default();
+    for phi in [0.5, 0.9] {
+        let (mut trends, mut ever, mut events, lives) = (0, 0, 0, 100);
+        for seed in 0..lives {
+            let mut machine = Machine::new(54_000 + seed, Scatter { phi, ..Scatter::USUAL });
+            let mut monitor = pointsd::diagnose::MachineMonitor::new("21B");
+            let mut said = false;
+            for _ in 0..130 {
+                let verdict = machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
+                said |= !verdict.caveats.is_empty();
+                events += verdict.events.len();
+            }
+            ever += u32::from(said);
+            trends += u32::from(!monitor.caveats().is_empty());
+        }
+        println!("phi {phi}: {trends} trends at the end, {ever} ever, of {lives}; {events} events");
+        assert!(trends <= 3 && events == 0);
+    }
+}

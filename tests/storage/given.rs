@@ -90,6 +90,7 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
             mean_current_a: None,
             state: Some(MachineState::Healthy),
             drift: None,
+            caveats: Vec::new(),
             detail: None,
             baseline: Some((50, 50)),
             throws_since_baseline: 1,
@@ -145,6 +146,7 @@ pub(crate) fn alarm(event_no: u32, state: AlarmState) -> Outcome {
             direction: Some(Direction::NormalToReverse),
             limit_in_throws: Some(LimitForecast { low: 30.0, mid: 40.0, high: 60.0 }),
         }],
+        caveats: vec!["the baseline has a trend".to_owned()],
     };
     Outcome { monitor: Some(monitor), at: at(10 * i64::from(event_no)), ..outcome("21B", vec![event(event_no, state)]) }
 }

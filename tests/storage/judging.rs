@@ -38,6 +38,10 @@ async fn a_judgement_is_written_once_and_the_views_show_it() {
     )
     .await;
     assert_eq!(machines, [("normal_to_reverse".to_owned(), "warning".to_owned(), 1, 23.0, 1.0, 40.0)]);
+    let caveats: Vec<(String, String)> = query(&store, "SELECT machine, caveat FROM machine_caveats").await;
+    assert_eq!(caveats, [("21B".to_owned(), "the baseline has a trend".to_owned())]);
+    let latest = store.reader().latest_health(&Selector::default()).await.unwrap();
+    assert_eq!(latest[0].caveats, ["the baseline has a trend"]);
     let alarms: Vec<(f64, f64, String, f64)> =
         query(&store, "SELECT change_pct, change_now_pct, direction_now, limit_in_throws_now FROM active_alarms").await;
     assert_eq!(
