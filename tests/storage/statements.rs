@@ -1,7 +1,7 @@
 //! SQLite can prepare every statement of the store.
 
 use pointsd::store::{Selector, statements};
-use sqlx::{Connection, Executor, SqlSafeStr, SqliteConnection};
+use sqlx::{Column, Connection, Executor, Row, SqlSafeStr, SqliteConnection};
 
 use crate::given::{at, judgement, open, spooled};
 
@@ -93,4 +93,30 @@ async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
     assert_eq!(numbers(&all, at(60 * 4), 100).await, pairs(&["21B", "22A"], 4));
     assert_eq!(numbers(&one, at(60 * 4), 100).await, pairs(&["22A"], 4));
     assert_eq!(numbers(&none, whenever, 100).await, []);
+}
+
+/// The three views of alarms show the sensor of an alarm, as their last column.
+#[tokio::test]
+async fn the_views_of_alarms_show_the_channel_of_a_sensor() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let row = spooled(&store, "21B", "b1", 1).await;
+    store.judge(judgement(row, "21B")).await.unwrap();
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path());
+    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
+    for statement in [
+        "DELETE FROM alarm",
+        "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
+         SELECT 'a', machine_row, 'sensor', 0, 1, 'active_unacknowledged' FROM machine",
+        "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload)
+         SELECT alarm_row, 1, 0, 'warning', state, '{\"channel\":\"position\"}' FROM alarm",
+    ] {
+        connection.execute(statement).await.unwrap();
+    }
+    for view in ["alarm_history", "active_alarms", "alarm_events"] {
+        let question = sqlx::AssertSqlSafe(format!("SELECT * FROM {view}")).into_sql_str();
+        let rows = connection.fetch_all(question).await.unwrap();
+        let last = rows[0].columns().last().unwrap().name();
+        assert_eq!((rows.len(), last, rows[0].get::<&str, _>("channel")), (1, "channel", "position"), "{view}");
+    }
 }
