@@ -1,16 +1,19 @@
-//! `/metrics`: counters and states of the daemon as `OpenMetrics` text, for Prometheus.
+//! `/metrics`: counters and states of the daemon, for Prometheus: as `OpenMetrics` text, or, for readers that do not accept
+//! it, in the older text format of Prometheus.
 //!
 //! Label sets are bounded: causes, severities, reasons of rejection, states of the disk. Machines have their own series
 //! only in fleets of up to `web.machine_metrics` machines.
 
 use std::{
+    collections::HashSet,
+    fmt::Write as _,
     sync::{Arc, atomic::AtomicU64},
     time::Duration,
 };
 
 use axum::{
     extract::State,
-    http::{HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
 use prometheus_client::{
@@ -36,7 +39,8 @@ use crate::{
     store::{FleetQuery, FleetRow, StoreError},
 };
 
-const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+const TEXT: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 /// States of the disk, as in the status.
 const DISK_STATES: [&str; 4] = ["ok", "low", "full", "failing"];
@@ -46,7 +50,7 @@ type Labels<const N: usize> = [(&'static str, String); N];
 /// Time limit for the database; after it the response has only the counters of the daemon.
 const LIMIT: Duration = Duration::from_secs(2);
 
-pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
+pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Response {
     let mut registry = Registry::with_prefix("pointsd");
     throws(&mut registry, &web.view);
     daemon(&mut registry, &web.view.report());
@@ -68,12 +72,45 @@ pub(super) async fn page(State(web): State<Arc<Web>>) -> Response {
         }
     }
     let mut text = String::new();
-    match encode(&mut text, &registry) {
-        Ok(()) => ([(header::CONTENT_TYPE, HeaderValue::from_static(KIND))], text).into_response(),
-        Err(error) => {
-            page::text(StatusCode::INTERNAL_SERVER_ERROR, format!("the metrics cannot be written: {error}\n"))
-        }
+    if let Err(error) = encode(&mut text, &registry) {
+        return page::text(StatusCode::INTERNAL_SERVER_ERROR, format!("the metrics cannot be written: {error}\n"));
     }
+    let accept = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
+    let (kind, text) =
+        if accept.contains("application/openmetrics-text") { (OPEN_METRICS, text) } else { (TEXT, older(&text)) };
+    ([(header::CONTENT_TYPE, HeaderValue::from_static(kind))], text).into_response()
+}
+
+/// `OpenMetrics` text in the older format: it has no units, no infos and no end, and its comments name a counter as its
+/// samples do, with `_total`.
+fn older(open_metrics: &str) -> String {
+    let of_kind = |kind: &'static str| {
+        let types = open_metrics.lines().filter_map(|line| line.strip_prefix("# TYPE "));
+        types.filter_map(move |it| it.strip_suffix(kind)?.strip_suffix(' ')).collect::<HashSet<_>>()
+    };
+    let (counters, infos) = (of_kind("counter"), of_kind("info"));
+    let mut text = String::with_capacity(open_metrics.len());
+    for line in open_metrics.lines() {
+        let mut words = line.splitn(4, ' ');
+        match (words.next(), words.next(), words.next(), words.next()) {
+            (Some("#"), Some("UNIT" | "EOF"), ..) => continue,
+            (Some("#"), Some(comment), Some(name), rest) => {
+                let is_info = infos.contains(name);
+                let end = if counters.contains(name) {
+                    "_total"
+                } else if is_info {
+                    "_info"
+                } else {
+                    ""
+                };
+                let rest = rest.map(|rest| if is_info && comment == "TYPE" { "gauge" } else { rest });
+                let _ = write!(text, "# {comment} {name}{end} {}", rest.unwrap_or_default());
+            }
+            _ => text.push_str(line),
+        }
+        text.push('\n');
+    }
+    text
 }
 
 async fn machine_rows(web: &Web, limit: u32) -> Result<Vec<FleetRow>, StoreError> {

@@ -3,12 +3,14 @@
 #![expect(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "helpers of tests outside #[test]")]
 
 mod alarms;
+mod browser;
 #[path = "../endurance/cable.rs"]
 mod cable;
 mod configuration;
 mod faketime;
 mod import;
 mod operators;
+mod prometheus;
 mod python;
 mod questions;
 mod rig;

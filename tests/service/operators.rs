@@ -192,7 +192,7 @@ async fn no_alarms_is_not_said_of_a_machine_that_nobody_knows() {
 }
 
 /// A daemon with this name on its own port, with an open motor alarm on north/machine-1.
-fn daemon_with_alarm(id: &str, extra: &str) -> (Rig, Daemon) {
+pub(crate) fn daemon_with_alarm(id: &str, extra: &str) -> (Rig, Daemon) {
     let rig = Rig::with(&format!("[monitor]\nid = {id:?}\n{extra}")).same_port();
     let daemon = rig.start();
     logger(&daemon.endpoint, &["--machines", "1", "--throws", "50", "--fault", "1:kt:-25:36"]);

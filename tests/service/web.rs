@@ -54,7 +54,7 @@ pub(crate) fn address(daemon: &Daemon) -> String {
 }
 
 /// Sends these bytes and returns the response up to its end.
-fn exchange(address: &str, request: &str) -> String {
+pub(crate) fn exchange(address: &str, request: &str) -> String {
     String::from_utf8(exchange_bytes(address, request.as_bytes())).unwrap()
 }
 
@@ -96,7 +96,7 @@ fn check_nesting(html: &str) {
 }
 
 /// A daemon with throws of one machine: two good ones, and a rejected one with a hostile boot id.
-async fn small_history() -> (Rig, Daemon, String) {
+pub(crate) async fn small_history() -> (Rig, Daemon, String) {
     history_in(Rig::with(WEB)).await
 }
 
@@ -255,9 +255,19 @@ async fn a_page_that_makes_its_name_lead_here_gets_nothing() {
 async fn the_metrics_count_what_the_daemon_did() {
     let (_rig, daemon, address) = small_history().await;
     daemon.until_status("three judged throws", |status| status["judged"] == 3).await;
+    let open = exchange(
+        &address,
+        &format!("GET /metrics HTTP/1.1\r\nHost: {address}\r\nAccept: application/openmetrics-text\r\n\r\n"),
+    );
+    assert!(
+        open.to_lowercase().contains("content-type: application/openmetrics-text") && open.ends_with("# EOF\n"),
+        "{open}"
+    );
+    // Without this header the older text format, with the same samples.
     let answer = get(&address, "/metrics");
-    assert!(answer.header("content-type").unwrap().starts_with("application/openmetrics-text"), "{answer:?}");
-    assert!(answer.body.ends_with("# EOF\n"), "{}", answer.body);
+    assert!(answer.header("content-type").unwrap().starts_with("text/plain; version=0.0.4"), "{answer:?}");
+    let samples = |text: &str| text.lines().filter(|line| line.starts_with("pointsd_")).count();
+    assert_eq!(samples(&open), samples(&answer.body));
     let value = |name: &str| answer.body.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
     for (name, expected) in [
         ("pointsd_throws_received_total", "3"),

@@ -1,0 +1,123 @@
+//! Prometheus reads the metrics and evaluates the shipped alert rules. Skipped, with a message, without Debian's package
+//! `prometheus`.
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    io::Write,
+    net::TcpListener,
+    process::{Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use pointsd::wire::{Encoding, encode_throw};
+
+use crate::{
+    operators::daemon_with_alarm,
+    rig::{PATIENCE, matched, stub},
+    web::{address, exchange, get},
+};
+
+const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/grafana");
+const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
+
+/// Whether a program of the package exists; if not, says so.
+fn has(program: &str) -> bool {
+    let is_there = Command::new(program).arg("--version").output().is_ok();
+    if !is_there {
+        println!("skipped: {program} is not installed (Debian package prometheus)");
+    }
+    is_there
+}
+
+/// Words in a text that begin with `pointsd_`: names of metrics.
+fn names(text: &str) -> BTreeSet<String> {
+    let is_part = |it: char| it.is_ascii_alphanumeric() || it == '_';
+    let words = text.split(|it| !is_part(it)).filter(|word| word.starts_with("pointsd_"));
+    words.map(ToOwned::to_owned).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn promtool_accepts_the_metrics_and_dashboards_and_rules_name_existing_ones() {
+    let (rig, daemon) = daemon_with_alarm("a", WEB);
+    // Some families have samples only after a rejected throw, or with a forecast.
+    let session = daemon.client().await;
+    let publisher = matched(&session, "points/v1/north/21B/throw").await;
+    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
+    daemon.until_status("rejected throw", |status| status["judged"] == 51).await;
+    rig.change(
+        "UPDATE monitor SET drifts = json_set(drifts, '$[0].limit_in_throws', json('{\"low\":1,\"mid\":2,\"high\":3}'))
+         WHERE state = 'critical'",
+    )
+    .await;
+    let metrics = get(&address(&daemon), "/metrics").body;
+    let known: BTreeSet<&str> =
+        metrics.lines().filter_map(|line| line.strip_prefix("# TYPE ")?.split(' ').next()).collect();
+    assert!(
+        metrics.contains("\npointsd_machine_drift_percent{site=\"north\",machine=\"machine-1\",cause=\"kt\"} -"),
+        "{metrics}"
+    );
+    for file in fs::read_dir(DEPLOY).unwrap() {
+        let path = file.unwrap().path();
+        let used = names(&fs::read_to_string(&path).unwrap());
+        assert!(!used.is_empty(), "{}", path.display());
+        let unknown: Vec<&String> = used.iter().filter(|name| !known.contains(name.as_str())).collect();
+        assert!(unknown.is_empty(), "{}: {unknown:?}", path.display());
+    }
+    assert!(daemon.terminate().success());
+    if has("promtool") {
+        let mut check = Command::new("promtool");
+        let check = check.args(["check", "metrics"]).stdin(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = check.spawn().unwrap();
+        child.stdin.take().unwrap().write_all(metrics.as_bytes()).unwrap();
+        let output = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && said.is_empty(), "{said}\n{metrics}");
+        let rules =
+            Command::new("promtool").args(["check", "rules", &format!("{DEPLOY}/alerts.yml")]).output().unwrap();
+        assert!(rules.status.success(), "{rules:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_real_prometheus_scrapes_the_daemon_and_fires_the_rule_of_a_critical_alarm() {
+    if !has("prometheus") {
+        return;
+    }
+    let (rig, daemon) = daemon_with_alarm("a", WEB);
+    rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE severity = 'critical'").await;
+    let config = rig.folder().join("prometheus.yml");
+    let text = format!(
+        "global: {{scrape_interval: 1s, evaluation_interval: 1s}}\nrule_files: [{DEPLOY}/alerts.yml]\n\
+         scrape_configs: [{{job_name: pointsd, static_configs: [{{targets: ['{}']}}]}}]\n",
+        address(&daemon)
+    );
+    fs::write(&config, text).unwrap();
+    let place = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let mut prometheus = Command::new("prometheus")
+        .arg(format!("--config.file={}", config.display()))
+        .arg(format!("--storage.tsdb.path={}", rig.folder().join("tsdb").display()))
+        .arg(format!("--web.listen-address={place}"))
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let deadline = Instant::now() + PATIENCE;
+    let fired = loop {
+        let rules = Command::new("promtool").args(["query", "instant", &format!("http://{place}"), "ALERTS"]).output();
+        let text = String::from_utf8(rules.unwrap().stdout).unwrap();
+        let is_fired = text.contains("alertname=\"PointMachineCritical\"") && text.contains("alertstate=\"firing\"");
+        if is_fired || Instant::now() > deadline {
+            break if is_fired { Ok(text) } else { Err(text) };
+        }
+        thread::sleep(Duration::from_millis(200));
+    };
+    let rules = format!("GET /api/v1/rules HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n");
+    let rules = exchange(&place, &rules);
+    prometheus.kill().unwrap();
+    prometheus.wait().unwrap();
+    let fired = fired.unwrap();
+    assert!(fired.contains("cause=\"kt\"") && !fired.contains("PointsdDown"), "{fired}");
+    assert!(rules.contains("\"health\":\"ok\"") && !rules.contains("\"health\":\"err\""), "{rules}");
+    assert!(daemon.terminate().success());
+}
