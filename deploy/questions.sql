@@ -70,7 +70,7 @@ FROM machine_health AS one JOIN machine_health AS other
   ON other.site = one.site AND other.machine = one.machine AND other.direction = 'reverse_to_normal'
 WHERE one.direction = 'normal_to_reverse' AND apart > 10 ORDER BY apart DESC LIMIT 50;
 
--- 11. Which throws of a machine can be exported with their traces? [as CSV: …/throws/{boot_id}/{throw_no}/trace.csv]
+-- 11. Which throws of a machine can be exported with their traces? [`pointsd export --traces DIR`; README: the codec of traces]
 SELECT boot_id, throw_no, started_at, quality FROM health_history
 WHERE site = 'north' AND machine = 'm1' ORDER BY started_at DESC LIMIT 20;
 

@@ -23,6 +23,13 @@ pub(super) struct Location {
 }
 
 impl Location {
+    /// The configuration file of the database, if there is one: from --config, or of the installed service.
+    pub(super) fn config(&self) -> Option<&Path> {
+        let is_found_by_service = self.database.is_none() && !store::Settings::default().path.exists();
+        let service = || Some(Path::new(SERVICE)).filter(|service| is_found_by_service && service.exists());
+        self.config.as_deref().or_else(service)
+    }
+
     /// The path of an existing database: from --database, from --config, in this folder, or of the installed service.
     pub(super) fn find(&self) -> Result<PathBuf, Failure> {
         let path = match (&self.database, &self.config) {

@@ -1,10 +1,10 @@
 //! The command line of `pointsd`.
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 
 use super::{
-    Outcome, ack, alarms, backup, check, demo, evaluate, exit, identify, import, maintenance, rebaseline, replay, run,
-    shelve, sql, status,
+    Outcome, ack, alarms, backup, check, completions, demo, evaluate, exit, export, identify, import, maintenance, man,
+    rebaseline, replay, report, run, shelve, sql, status,
 };
 
 /// Condition monitoring of railway point machines: identifies every throw and names the part that is wearing out.
@@ -30,8 +30,12 @@ enum Command {
     Import(import::Arguments),
     Replay(replay::Arguments),
     Sql(sql::Arguments),
+    Export(export::Arguments),
+    Report(report::Arguments),
     Backup(backup::Arguments),
     Evaluate(evaluate::Arguments),
+    Completions(completions::Arguments),
+    Man(man::Arguments),
 }
 
 pub(super) fn main() -> Outcome {
@@ -53,7 +57,11 @@ pub(super) fn main() -> Outcome {
         Command::Import(arguments) => import::main(&arguments),
         Command::Replay(arguments) => replay::main(&arguments),
         Command::Sql(arguments) => sql::run(&arguments),
+        Command::Export(arguments) => export::main(&arguments),
+        Command::Report(arguments) => report::main(&arguments),
         Command::Backup(arguments) => backup::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Completions(arguments) => completions::main(&arguments, Arguments::command()),
+        Command::Man(arguments) => man::main(&arguments, Arguments::command()),
     }
 }

@@ -1,6 +1,6 @@
 //! The command line of `pointsim`.
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 
 use super::{Outcome, exit};
 
@@ -22,6 +22,8 @@ enum Command {
     Table1(super::table1::Arguments),
     /// Shows the limits of the method: sampling, noise, soft drive, load, closed loop; as tables and charts.
     Limits(super::limits::Arguments),
+    Completions(super::completions::Arguments),
+    Man(super::man::Arguments),
 }
 
 pub(super) fn main() -> Outcome {
@@ -35,5 +37,7 @@ pub(super) fn main() -> Outcome {
         Command::Throw(arguments) => super::throw::main(&arguments),
         Command::Table1(arguments) => super::table1::main(&arguments),
         Command::Limits(arguments) => super::limits::main(&arguments),
+        Command::Completions(arguments) => super::completions::main(&arguments, Arguments::command()),
+        Command::Man(arguments) => super::man::main(&arguments, Arguments::command()),
     }
 }

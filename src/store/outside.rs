@@ -6,7 +6,7 @@ use futures_util::TryStreamExt;
 use sqlx::{
     AssertSqlSafe, Column, Connection, Either, Executor, Row, SqlSafeStr, SqliteConnection, Statement, TypeInfo,
     ValueRef,
-    sqlite::{SqliteColumn, SqliteRow},
+    sqlite::{SqliteColumn, SqliteConnectOptions, SqliteRow},
 };
 
 use super::{disk::beside, error::StoreError, open};
@@ -26,16 +26,22 @@ pub enum Value {
     Blob(Vec<u8>),
 }
 
-/// Connects read-only. A closed database in a read-only folder is opened as immutable.
-async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
+/// Connects read-only.
+pub(super) async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
+    let error = |source| StoreError::Open { path: path.to_owned(), source: Box::new(source) };
+    SqliteConnection::connect_with(&options(path).await?).await.map_err(error)
+}
+
+/// Options of a read-only connection that can be used. A closed database in a read-only folder is opened as immutable.
+pub(super) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreError> {
     let file = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let error = |source| StoreError::Open { path: path.to_owned(), source: Box::new(source) };
     let options = open::reading(&file);
     let mut first = SqliteConnection::connect_with(&options).await.map_err(error)?;
     match sqlx::query("SELECT 1 FROM sqlite_schema").execute(&mut first).await {
-        Ok(_) => Ok(first),
+        Ok(_) => Ok(options),
         Err(_) if std::fs::metadata(beside(&file, "-wal")).map_or(0, |log| log.len()) == 0 => {
-            SqliteConnection::connect_with(&options.immutable(true)).await.map_err(error)
+            Ok(options.immutable(true))
         }
         Err(source) => Err(error(source)),
     }
@@ -72,7 +78,7 @@ pub async fn ask<E: From<StoreError>>(
     Ok(())
 }
 
-fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {
+pub(super) fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {
     let raw = row.try_get_raw(at)?;
     if raw.is_null() {
         return Ok(Value::Null);

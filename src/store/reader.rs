@@ -11,14 +11,14 @@ use jiff::Timestamp;
 use sqlx::{
     FromRow, Row as _, Sqlite, SqlitePool,
     query::QueryAs,
-    sqlite::{SqliteArguments, SqlitePoolOptions, SqliteRow},
+    sqlite::{SqliteArguments, SqliteConnectOptions, SqlitePoolOptions, SqliteRow},
 };
 use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
 
 use super::{
     error::{StoreError, is_corrupt},
-    open,
+    open, outside,
     page::{self, Cursor},
     recent::Recent,
     rows::{Gap, OutboxRow, Quarantined, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp},
@@ -65,7 +65,19 @@ impl Reader {
     /// # Errors
     /// When the database does not exist or cannot be read.
     pub async fn open(path: &Path) -> Result<Self, StoreError> {
-        let pools = Pools::connect(path)
+        Self::with(path, open::reading(path)).await
+    }
+
+    /// Opens a database for a command that may have no right to write into its folder.
+    ///
+    /// # Errors
+    /// When the database does not exist or cannot be read.
+    pub async fn open_outside(path: &Path) -> Result<Self, StoreError> {
+        Self::with(path, outside::options(path).await?).await
+    }
+
+    async fn with(path: &Path, options: SqliteConnectOptions) -> Result<Self, StoreError> {
+        let pools = Pools::connect(options)
             .await
             .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
         Ok(Self { pools: Arc::new(RwLock::new(pools)), broken: CancellationToken::new(), recent: Recent::default() })
@@ -80,7 +92,7 @@ impl Reader {
     /// Opens the file now at `path`. Running queries keep the old file until they end: its pool is dropped, not closed,
     /// so that they do not fail.
     pub(super) async fn reopen(&self, path: &Path) -> sqlx::Result<()> {
-        let pools = Pools::connect(path).await?;
+        let pools = Pools::connect(open::reading(path)).await?;
         *self.pools.write().unwrap_or_else(PoisonError::into_inner) = pools;
         Ok(())
     }
@@ -360,10 +372,10 @@ fn waiting(now: Timestamp, wait: Duration) -> (i64, i64) {
 }
 
 impl Pools {
-    async fn connect(path: &Path) -> sqlx::Result<Self> {
+    async fn connect(database: SqliteConnectOptions) -> sqlx::Result<Self> {
         let options = SqlitePoolOptions::new().max_lifetime(None).idle_timeout(None);
-        let questions = options.clone().max_connections(QUESTIONS).connect_lazy_with(open::reading(path));
-        let own = options.max_connections(CONNECTIONS).connect_with(open::reading(path)).await?;
+        let questions = options.clone().max_connections(QUESTIONS).connect_lazy_with(database.clone());
+        let own = options.max_connections(CONNECTIONS).connect_with(database).await?;
         Ok(Self { own, questions })
     }
 }

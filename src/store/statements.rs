@@ -38,6 +38,42 @@ macro_rules! health {
     };
 }
 
+/// A time in microseconds as RFC 3339 text, as in the views.
+macro_rules! rfc3339 {
+    ($column:literal) => {
+        concat!(
+            "strftime('%Y-%m-%dT%H:%M:%S', (",
+            $column,
+            " - (",
+            $column,
+            " % 1000000 + 1000000) % 1000000) / 1000000, \
+             'unixepoch') || printf('.%06dZ', (",
+            $column,
+            " % 1000000 + 1000000) % 1000000)"
+        )
+    };
+}
+
+/// The columns of `pointsd export`, after two for paging, of the first ?6 throws after time ?3 and row ?4, before time ?5.
+macro_rules! export {
+    ($which:expr) => {
+        concat!(
+            "SELECT throw_row, started_at_us, site, machine, boot_id, throw_no, ",
+            rfc3339!("started_at_us"), " AS started_at, ",
+            rfc3339!("received_at_us"), " AS received_at, \
+             coalesce(estimate.direction, throw.direction, 'unknown') AS direction, sample_rate_hz, samples, temperature_c, \
+             supply_v, anti_alias_hz, coalesce(quality, 'pending') AS quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, \
+             b0_a1_cov, b0_a0_cov, a1_a0_cov, b0_pct, a1_pct, a0_pct, a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, \
+             fit_pct, duration_s, release_s, peak_current_a, mean_current_a, running_current_a, charge_as, energy_j, \
+             travel_mm, start_position_mm, end_position_mm, estimate.state AS state \
+             FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+             LEFT JOIN estimate USING (throw_row) \
+             WHERE ", $which, " AND (started_at_us, throw_row) > (?3, ?4) AND started_at_us < ?5 \
+             ORDER BY started_at_us, throw_row LIMIT ?6"
+        )
+    };
+}
+
 macro_rules! estimates {
     () => {
         "FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) \
@@ -298,6 +334,10 @@ statements! {
         WHERE boot.machine_row = ", one_machine!(), " AND boot_id = ?3 AND throw_no = ?4)");
     HEALTH_AT = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row = ?1");
+
+    // Export.
+    EXPORT = export!("TRUE");
+    EXPORT_MACHINE = export!(concat!("throw.machine_row = ", one_machine!()));
 
     // Retention.
     LAST_HEARD = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";

@@ -1,5 +1,7 @@
 //! Trace of a throw: its two sampled channels.
 
+use std::fmt::Write as _;
+
 /// Longest trace, in samples of each channel: 50 s at 20 kHz. Bounds the memory that one message can use.
 pub const MAX_SAMPLES: usize = 1_000_000;
 /// Lowest sampling rate that a trace accepts \[Hz\].
@@ -91,6 +93,18 @@ impl Trace {
     #[expect(clippy::len_without_is_empty, reason = "a trace is never empty")]
     pub fn len(&self) -> usize {
         self.current_a.len()
+    }
+
+    /// The samples as CSV `time_s,current_a,position_mm`. A position that was not measured is an empty cell.
+    #[must_use]
+    pub fn to_csv(&self) -> String {
+        let mut text = "time_s,current_a,position_mm\n".to_owned();
+        for (at, (current_a, position_mm)) in self.current_a.iter().zip(&self.position_mm).enumerate() {
+            let time_s = at as f64 / self.sample_rate_hz;
+            let _ = write!(text, "{time_s:.7},{current_a},");
+            let _ = if position_mm.is_nan() { writeln!(text) } else { writeln!(text, "{position_mm}") };
+        }
+        text
     }
 
     /// The two channels, current \[A\] first, position \[mm\] second.

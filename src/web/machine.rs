@@ -9,6 +9,7 @@ use axum::{
 };
 
 use super::{
+    STYLE,
     alarm::AlarmLine,
     overview::{Web, selector},
     page::{self, Failure, known_name},
@@ -17,7 +18,7 @@ use super::{
 };
 use crate::{
     daemon::clock,
-    diagnose::{AlarmState, BaselineRecord, MachineState},
+    diagnose::{AlarmState, BaselineRecord, MachineState, Settings},
     store::{CommandRow, Present, Reader, StoreError, Window},
     throw::{Direction, MachineId},
     wire::{Alarm, Health},
@@ -33,8 +34,10 @@ const BASELINES: u32 = 20;
 
 /// The throws in the trends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Span {
+pub enum Span {
+    /// The newest throws of each direction.
     Newest(u32),
+    /// All stored throws.
     All,
 }
 
@@ -47,10 +50,15 @@ impl Span {
 
     fn from_query(query: Option<&str>) -> Result<Self, Failure> {
         let Some(word) = query.filter(|query| !query.is_empty()) else { return Ok(Self::Newest(100)) };
-        let choice = Self::CHOICES.into_iter().find(|(_, choice, _)| word.strip_prefix("span=") == Some(choice));
         let wrong =
             || Failure::bad_request("The address may end in ?span=100, ?span=1000 or ?span=all, and nothing else.");
-        choice.map(|(span, ..)| span).ok_or_else(wrong)
+        word.strip_prefix("span=").and_then(Self::from_word).ok_or_else(wrong)
+    }
+
+    /// The span of the word `100`, `1000` or `all`.
+    #[must_use]
+    pub fn from_word(word: &str) -> Option<Self> {
+        Self::CHOICES.into_iter().find(|(_, choice, _)| *choice == word).map(|(span, ..)| span)
     }
 }
 
@@ -76,6 +84,8 @@ struct Page {
     commands: Vec<Event>,
     throws: Vec<Row>,
     takes_commands: bool,
+    /// The style sheet, in a file without links; `None` for a page of the dashboard.
+    file_style: Option<&'static str>,
     volatile: String,
 }
 
@@ -123,45 +133,73 @@ pub(super) async fn page(
     let span = Span::from_query(query.as_deref())?;
     let trouble = web.trouble().await;
     let _turn = web.turn().await?;
-    let reader = web.view.reader();
-    let throws = reader.newest_throws_of(&machine, THROWS).await?;
-    let events = reader.alarm_events_of(&machine, EVENTS).await?;
-    let Present { state: now_state, drifts, caveats } = reader.state_of(&machine).await?;
+    let config = web.view.config();
+    let page = read(web.view.reader(), &machine, span, &config.diagnosis).await?;
+    let page = page.ok_or_else(|| Failure::not_found(format!("No throw of a machine {machine} is known.")))?;
+    Ok(page::html(&Page { trouble, takes_commands: config.web.token.is_some(), ..page }))
+}
+
+/// The page of a machine as one HTML file without links, with the limits of `settings`. `None` for an unknown machine.
+///
+/// # Errors
+/// When the database cannot be read.
+pub async fn report(
+    reader: &Reader,
+    machine: &MachineId,
+    span: Span,
+    settings: &Settings,
+) -> Result<Option<String>, StoreError> {
+    let Some(mut page) = read(reader, machine, span, settings).await? else { return Ok(None) };
+    page.file_style = Some(STYLE);
+    page.alarms.iter_mut().for_each(|alarm| alarm.throw = None);
+    Ok(Some(page::rendered(&page)))
+}
+
+/// Reads the page of a machine; `None` for an unknown machine.
+async fn read(
+    reader: &Reader,
+    machine: &MachineId,
+    span: Span,
+    settings: &Settings,
+) -> Result<Option<Page>, StoreError> {
+    let throws = reader.newest_throws_of(machine, THROWS).await?;
+    let events = reader.alarm_events_of(machine, EVENTS).await?;
+    let Present { state: now_state, drifts, caveats } = reader.state_of(machine).await?;
     if throws.is_empty() && events.is_empty() && now_state == MachineState::Learning {
-        return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));
+        return Ok(None);
     }
     let both = [
-        (Direction::NormalToReverse, rows(reader, &machine, Direction::NormalToReverse, span).await?),
-        (Direction::ReverseToNormal, rows(reader, &machine, Direction::ReverseToNormal, span).await?),
+        (Direction::NormalToReverse, rows(reader, machine, Direction::NormalToReverse, span).await?),
+        (Direction::ReverseToNormal, rows(reader, machine, Direction::ReverseToNormal, span).await?),
     ];
-    let baselines = reader.baselines_of(&machine, BASELINES).await?;
-    let commands = reader.commands_of(&machine, COMMANDS).await?;
-    let windows = reader.windows(Some(&machine)).await?;
-    let open = reader.open_alarms(&selector(&machine)).await?;
+    let baselines = reader.baselines_of(machine, BASELINES).await?;
+    let commands = reader.commands_of(machine, COMMANDS).await?;
+    let windows = reader.windows(Some(machine)).await?;
+    let open = reader.open_alarms(&selector(machine)).await?;
     let raised = |alarm: &Alarm| {
         let first = events.iter().find(|event| event.alarm_id == alarm.alarm_id && event.event_no == 1)?;
         first.change_pct.zip(first.change_pct_sd)
     };
-    let config = web.view.config();
     let marks = marks(&both, &events, &baselines, &commands);
-    Ok(page::html(&Page {
-        trouble,
+    Ok(Some(Page {
+        trouble: Vec::new(),
         badge: Badge(now_state),
         caveats,
         maintenance: maintenance(now_state, &windows),
         alarms: open.iter().map(|alarm| AlarmLine::new(alarm, raised(alarm), &drifts, &windows)).collect(),
         ways: ways(&both, &baselines),
         spans: Span::CHOICES.into_iter().map(|(choice, word, says)| (word, says, choice == span)).collect(),
-        trends: trend::coefficients(&both, &marks, &baselines, &config.diagnosis),
+        trends: trend::coefficients(&both, &marks, &baselines, settings),
         features: trend::features(&both, &marks, &baselines),
         drawn: drawn(&both),
         rejected: rejected(&both),
         events: events.iter().map(event).collect(),
         commands: commands.iter().map(command).collect(),
         throws: throws.iter().map(row).collect(),
-        takes_commands: config.web.token.is_some(),
+        takes_commands: false,
+        file_style: None,
         volatile: format!("As of {}.", page::time(clock::now())),
-        machine,
+        machine: machine.clone(),
     }))
 }
 

@@ -47,6 +47,8 @@ use connection::Bounded;
 use overview::Web;
 use page::{Failure, asset};
 
+pub use machine::{Span, report};
+
 const STYLE: &str = include_str!("pages/style.css");
 const REFRESH: &str = include_str!("pages/refresh.js");
 

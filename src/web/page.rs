@@ -83,11 +83,12 @@ impl IntoResponse for Failure {
 }
 
 pub(super) fn html(page: &impl Template) -> Response {
-    match page.render() {
-        Ok(text) => Html(text).into_response(),
-        // Cannot happen: the template is checked at compile time and writes to memory.
-        Err(error) => text(StatusCode::INTERNAL_SERVER_ERROR, format!("the page cannot be written: {error}\n")),
-    }
+    Html(rendered(page)).into_response()
+}
+
+pub(super) fn rendered(page: &impl Template) -> String {
+    // An error cannot happen: the template is checked at compile time and writes to memory.
+    page.render().unwrap_or_else(|error| format!("the page cannot be written: {error}\n"))
 }
 
 pub(super) fn text(status: StatusCode, text: String) -> Response {

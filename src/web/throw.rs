@@ -1,7 +1,7 @@
 //! `/machines/{site}/{machine}/throws/{boot_id}/{throw_no}`: one throw with its trace, the identified model and a
 //! typical throw of the baseline; and the trace as CSV.
 
-use std::{fmt::Write as _, sync::Arc};
+use std::sync::Arc;
 
 use askama::Template;
 use axum::{
@@ -126,18 +126,7 @@ pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Res
         found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw in this database.")))?;
     let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;
     let kind = HeaderValue::from_static("text/csv; charset=utf-8");
-    Ok(([(header::CONTENT_TYPE, kind)], csv_of(&throw.trace)).into_response())
-}
-
-fn csv_of(trace: &Trace) -> String {
-    let mut text = "time_s,current_a,position_mm\n".to_owned();
-    for (at, (current_a, position_mm)) in trace.current_a().iter().zip(trace.position_mm()).enumerate() {
-        let time_s = at as f64 / trace.sample_rate_hz();
-        let _ = write!(text, "{time_s:.7},{current_a},");
-        // A sample that was not measured is an empty cell.
-        let _ = if position_mm.is_nan() { writeln!(text) } else { writeln!(text, "{position_mm}") };
-    }
-    text
+    Ok(([(header::CONTENT_TYPE, kind)], throw.trace.to_csv()).into_response())
 }
 
 /// The charts: current and position with those of the typical throw, current without the inrush, position and model,

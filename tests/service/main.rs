@@ -8,6 +8,7 @@ mod browser;
 mod cable;
 mod configuration;
 mod faketime;
+mod files;
 mod import;
 mod operators;
 mod prometheus;

@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 
 use crate::{
     cable::Cable,
-    rig::{PATIENCE, Rig, stub, throws},
+    rig::{PATIENCE, Rig, matched, stub, throws},
 };
 
 /// Publishes throws in JSON from the lines of its input, and prints the received alarms.
@@ -42,10 +42,15 @@ with zenoh.open(config) as session:
 "#;
 
 fn has_python() -> bool {
-    let probe = Command::new("python3").args(["-c", "import zenoh"]).output();
+    has("import zenoh", "pip install eclipse-zenoh")
+}
+
+/// Whether Python can run a line; if not, says how to get what is missing.
+fn has(line: &str, install: &str) -> bool {
+    let probe = Command::new("python3").args(["-c", line]).output();
     let is_there = probe.is_ok_and(|output| output.status.success());
     if !is_there {
-        println!("skipped: no python3 with eclipse-zenoh (pip install eclipse-zenoh)");
+        println!("skipped: {line} fails in python3 ({install})");
     }
     is_there
 }
@@ -89,13 +94,12 @@ async fn python_publishes_throws_and_receives_the_alarm() {
     assert!(daemon.terminate().success());
 }
 
-/// Runs the Python program under a heading of the README, with another endpoint, in the folder of the rig.
+/// Runs the Python program under a heading of the README, with this endpoint, in the folder of the rig.
 fn readme(heading: &str, endpoint: &str, rig: &Rig) -> Child {
     let text = include_str!("../../README.md");
     let (_, section) = text.split_once(&format!("### {heading}\n")).unwrap();
     let (_, code) = section.split_once("```python\n").unwrap();
     let (code, _) = code.split_once("```").unwrap();
-    assert!(code.contains("tcp/127.0.0.1:7447"));
     Command::new("python3")
         .args(["-c", &code.replace("tcp/127.0.0.1:7447", endpoint)])
         .current_dir(rig.folder())
@@ -108,6 +112,35 @@ fn readme(heading: &str, endpoint: &str, rig: &Rig) -> Child {
 fn end(mut child: Child) {
     child.kill().unwrap();
     child.wait().unwrap();
+}
+
+/// The decoder of the README reads a channel of 32-bit floats, as from CBOR, and one of 64-bit floats, as from JSON.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_readme_decodes_the_traces_in_the_database() {
+    if !has("import pcodec, numpy", "pip install pcodec numpy") {
+        return;
+    }
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, "points/v1/north/21B/throw").await;
+    let made = throws("boot", 2);
+    publisher.put(encode_throw(Encoding::Cbor, &made[0])).await.unwrap();
+    let json = publisher.put(encode_throw(Encoding::Json, &made[1]));
+    json.encoding(zenoh::bytes::Encoding::APPLICATION_JSON).await.unwrap();
+    rig.judged(2).await;
+    let codecs = rig.sql("SELECT current_codec AS codec FROM trace ORDER BY throw_row");
+    assert_eq!(codecs.iter().map(|row| row["codec"].as_str().unwrap()).collect::<Vec<_>>(), ["pco-f32", "pco-f64"]);
+    let output = readme("Throws and traces in other tools", "", &rig).wait_with_output().unwrap();
+    let printed = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{printed}");
+    for (line, throw) in printed.lines().zip(&made) {
+        let peak = throw.trace.current_a().iter().fold(0.0_f64, |peak, it| peak.max(it.abs()));
+        let read: f64 = line.split_whitespace().rev().nth(1).unwrap().parse().unwrap();
+        assert!((read - peak).abs() < 1e-5, "{line}: {peak}");
+    }
+    assert_eq!(printed.lines().count(), 2, "{printed}");
+    assert!(daemon.terminate().success());
 }
 
 /// Boot ids and numbers in rows, sorted.

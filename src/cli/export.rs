@@ -1,0 +1,109 @@
+//! `pointsd export`: throws with their estimates as CSV, and their traces.
+
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, anyhow};
+use indicatif::ProgressBar;
+
+use super::{
+    Exit, Failure, Outcome, ResultExt,
+    database::{Location, block_on},
+    operator::{MachineArgument, Moment},
+    output,
+    sql::text,
+};
+use crate::store::{Export, Exported, StoreError};
+
+/// Exports throws with their estimates as CSV to standard output, oldest first, also while the daemon runs.
+///
+/// Each throw is one line, also a rejected one and a pending one (`quality`); times are RFC 3339 in UTC, an unknown value is
+/// an empty cell. With --traces the samples of each throw are a file of their own, as `pointsd identify` and `pointsd
+/// import` read them; the last column `trace` has its name in DIR. It is empty if retention has deleted the trace.
+///
+/// Exit codes: 0 exported; 1 no stored throw matches; 65 the database is of another version; 66 there is no database; 73 a
+/// file cannot be created.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  pointsd export > throws.csv\n  \
+    pointsd export north/21B --since 2026-05-01 --until 2026-06-01 --traces traces > throws.csv")]
+pub(super) struct Arguments {
+    /// Export only this machine.
+    #[arg(value_name = "SITE/MACHINE")]
+    machine: Option<MachineArgument>,
+    /// Export throws that started at this time or later: a date, or a time as 2026-05-04T06:00:00Z.
+    #[arg(long, value_name = "TIME")]
+    since: Option<Moment>,
+    /// Export throws that started before this time.
+    #[arg(long, value_name = "TIME")]
+    until: Option<Moment>,
+    /// Write the trace of each throw to DIR/SITE/MACHINE/START-NUMBER.csv.
+    #[arg(long, value_name = "DIR")]
+    traces: Option<PathBuf>,
+    #[command(flatten)]
+    location: Location,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    let path = arguments.location.find()?;
+    block_on(async {
+        let machine = arguments.machine.as_ref().map(|MachineArgument(machine)| machine.clone());
+        let moment = |bound: Option<Moment>| bound.map(|Moment(at)| at);
+        let (since, until) = (moment(arguments.since), moment(arguments.until));
+        let mut export = Export::open(&path, machine, since, until).await.or_exit(Exit::NoInput)?;
+        let mut out = csv::Writer::from_writer(io::stdout().lock());
+        let mut columns = export.columns().await.map_err(unreadable)?;
+        if arguments.traces.is_some() {
+            columns.push("trace".to_owned());
+        }
+        written(out.write_record(&columns))?;
+        // The count is hidden if standard error is not a terminal.
+        let count = ProgressBar::no_length();
+        loop {
+            let page = export.page().await.map_err(unreadable)?;
+            if page.is_empty() {
+                break;
+            }
+            for throw in page {
+                let mut cells: Vec<String> = throw.values.iter().map(text).collect();
+                if let Some(folder) = &arguments.traces {
+                    cells.push(write_trace(&mut export, &throw, folder).await?);
+                }
+                written(out.write_record(&cells))?;
+                count.inc(1);
+            }
+        }
+        count.finish_and_clear();
+        output::written(out.flush())?;
+        if count.position() == 0 {
+            return Err(Failure { exit: Exit::Negative, error: anyhow!("no stored throw matches") });
+        }
+        Ok(Exit::Ok)
+    })
+}
+
+fn unreadable(error: StoreError) -> Failure {
+    Failure { exit: Exit::Data, error: error.into() }
+}
+
+fn written(result: csv::Result<()>) -> Result<(), Failure> {
+    output::written(result.map_err(io::Error::from))
+}
+
+/// Writes the trace of a throw; returns its file in `folder`, or an empty text if the trace is not stored.
+async fn write_trace(export: &mut Export, throw: &Exported, folder: &Path) -> Result<String, Failure> {
+    let stored = export.stored(throw).await.map_err(unreadable)?;
+    let Some(stored) = stored else { return Ok(String::new()) };
+    // Names of sites and machines are safe in paths. Row numbers are unique, boot ids are any text.
+    let (machine, start) = (&stored.machine, stored.started_at.strftime("%Y%m%dT%H%M%SZ"));
+    let name = format!("{}/{}/{start}-{}.csv", machine.site, machine.machine, stored.row.0);
+    let Ok(measured) = stored.throw else { return Ok(String::new()) };
+    let file = folder.join(&name);
+    let write = || {
+        file.parent().map_or(Ok(()), fs::create_dir_all)?;
+        fs::write(&file, measured.trace.to_csv())
+    };
+    write().with_context(|| format!("{} cannot be written", file.display())).or_exit(Exit::CannotCreate)?;
+    Ok(name)
+}

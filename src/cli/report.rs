@@ -1,0 +1,58 @@
+//! `pointsd report`: the page of a machine as one HTML file.
+
+use std::{fs, path::PathBuf};
+
+use anyhow::{Context, anyhow};
+
+use super::{
+    Exit, Failure, Outcome, ResultExt,
+    database::{Location, block_on},
+    operator::MachineArgument,
+    output,
+    run::load,
+};
+use crate::{
+    store::Reader,
+    web::{self, Span},
+};
+
+/// Writes the page of a machine as one HTML file, for a work order or a mail: state, open alarms, charts, alarm history,
+/// last throws.
+///
+/// The file contains everything that it shows, and no links. The daemon may run. The limits in the charts are those of the
+/// configuration.
+///
+/// Exit codes: 0 written; 65 the database is of another version; 66 there is no database, or no throw of this machine; 73
+/// the file cannot be written; 78 the configuration is invalid.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  pointsd report north/21B --out 21B.html --config /etc/pointsd/pointsd.toml")]
+pub(super) struct Arguments {
+    #[arg(value_name = "SITE/MACHINE")]
+    machine: MachineArgument,
+    /// The HTML file.
+    #[arg(long, value_name = "FILE.html")]
+    out: PathBuf,
+    /// Throws of each direction in the charts.
+    #[arg(long, default_value = "1000", value_parser = ["100", "1000", "all"])]
+    span: String,
+    #[command(flatten)]
+    location: Location,
+}
+
+pub(super) fn main(arguments: &Arguments) -> Outcome {
+    let path = arguments.location.find()?;
+    let config = load(arguments.location.config())?;
+    let MachineArgument(machine) = &arguments.machine;
+    let span = Span::from_word(&arguments.span).unwrap_or(Span::All);
+    let page = block_on(async {
+        let reader = Reader::open_outside(&path).await.or_exit(Exit::NoInput)?;
+        web::report(&reader, machine, span, &config.diagnosis).await.or_exit(Exit::Data)
+    })?;
+    let unknown = || anyhow!("{} has no throw of {machine}; `pointsd status` lists the machines", path.display());
+    let page = page.ok_or_else(|| Failure { exit: Exit::NoInput, error: unknown() })?;
+    fs::write(&arguments.out, &page)
+        .with_context(|| format!("{} cannot be written", arguments.out.display()))
+        .or_exit(Exit::CannotCreate)?;
+    output::line(format_args!("{machine} written to {}", arguments.out.display()))?;
+    Ok(Exit::Ok)
+}

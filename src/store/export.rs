@@ -1,0 +1,99 @@
+//! Stored throws with their estimates, page by page, for `pointsd export`.
+
+use std::path::Path;
+
+use jiff::Timestamp;
+use sqlx::{Column, Executor, FromRow, Row, SqlSafeStr, SqliteConnection, Statement};
+
+use super::{
+    error::StoreError,
+    outside::{self, Value},
+    rows::StoredThrow,
+    statements as sql,
+};
+use crate::throw::MachineId;
+
+/// Throws in a page. A page is a short read, so that the log of a running daemon can be truncated between two pages.
+const PAGE: u32 = 500;
+/// Columns for paging, before the exported ones.
+const OWN: usize = 2;
+
+/// Throws in the order of their start: of one machine or of all, and in a range of time.
+#[derive(Debug)]
+pub struct Export {
+    connection: SqliteConnection,
+    /// `None` for all machines.
+    machine: Option<MachineId>,
+    /// Start time \[us\] and row after which the next page begins.
+    after: (i64, i64),
+    until_us: i64,
+}
+
+/// A throw of a page.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Exported {
+    throw_row: i64,
+    /// The values of [`Export::columns`].
+    pub values: Vec<Value>,
+}
+
+impl Export {
+    /// Opens the database at `path`, which a daemon may use, for throws that started from `since` to before `until`.
+    /// An unknown machine has no throws.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn open(
+        path: &Path,
+        machine: Option<MachineId>,
+        since: Option<Timestamp>,
+        until: Option<Timestamp>,
+    ) -> Result<Self, StoreError> {
+        let connection = outside::connect(path).await?;
+        let microseconds = |bound: Option<Timestamp>, none| bound.map_or(none, Timestamp::as_microsecond);
+        let after = (microseconds(since, i64::MIN), i64::MIN);
+        Ok(Self { connection, machine, after, until_us: microseconds(until, i64::MAX) })
+    }
+
+    /// The names of the columns.
+    ///
+    /// # Errors
+    /// When the database is of another version.
+    pub async fn columns(&mut self) -> Result<Vec<String>, StoreError> {
+        let statement = self.connection.prepare(sql::EXPORT.into_sql_str()).await.map_err(StoreError::read)?;
+        Ok(statement.columns().iter().skip(OWN).map(|column| column.name().to_owned()).collect())
+    }
+
+    /// The next throws; none at the end.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn page(&mut self) -> Result<Vec<Exported>, StoreError> {
+        let (after_us, after_row) = self.after;
+        let query = match &self.machine {
+            Some(id) => sqlx::query(sql::EXPORT_MACHINE).bind(id.site.as_str()).bind(id.machine.as_str()),
+            None => sqlx::query(sql::EXPORT).bind(None::<&str>).bind(None::<&str>),
+        };
+        let query = query.bind(after_us).bind(after_row).bind(self.until_us).bind(PAGE);
+        let rows = query.fetch_all(&mut self.connection).await.map_err(StoreError::read)?;
+        let exported = |row| {
+            let values = (OWN..Row::len(row)).map(|at| outside::value(row, at)).collect::<sqlx::Result<_>>()?;
+            Ok(Exported { throw_row: row.try_get("throw_row")?, values })
+        };
+        if let Some(last) = rows.last() {
+            let place = || Ok((last.try_get("started_at_us")?, last.try_get("throw_row")?));
+            self.after = place().map_err(StoreError::read)?;
+        }
+        rows.iter().map(exported).collect::<sqlx::Result<_>>().map_err(StoreError::read)
+    }
+
+    /// A throw of a page with its trace; `None` if retention has deleted it.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn stored(&mut self, of: &Exported) -> Result<Option<StoredThrow>, StoreError> {
+        let row = sqlx::query(sql::STORED_THROW).bind(of.throw_row).fetch_optional(&mut self.connection).await;
+        let row = row.map_err(StoreError::read)?;
+        row.map(|row| StoredThrow::from_row(&row)).transpose().map_err(StoreError::read)
+    }
+}

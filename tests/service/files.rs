@@ -1,0 +1,161 @@
+//! Commands that write files for other programs: export, report, manual pages, completions.
+
+use std::{fs, path::Path, process::Command};
+
+use pointsd::throw::Throw;
+
+use crate::{
+    operators::daemon_with_alarm,
+    rig::{pointsd, pointsim, throws},
+    web::small_history,
+};
+
+type Row = std::collections::HashMap<String, String>;
+
+/// Runs `pointsd export`; returns its exit code, the columns and the rows.
+fn export(database: &Path, arguments: &[&str]) -> (Option<i32>, Vec<String>, Vec<Row>) {
+    let output = pointsd(&["export", "--database"]).arg(database).args(arguments).output().unwrap();
+    let mut reader = csv::Reader::from_reader(output.stdout.as_slice());
+    let columns = reader.headers().unwrap().iter().map(ToOwned::to_owned).collect();
+    (output.status.code(), columns, reader.deserialize().map(Result::unwrap).collect())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_export_has_every_throw_with_its_estimate_and_its_trace() {
+    let (rig, daemon, _) = small_history().await;
+    let folder = rig.folder().join("traces");
+    let (code, columns, rows) = export(&rig.database(), &["--traces", folder.to_str().unwrap()]);
+    assert_eq!((code, rows.len()), (Some(0), 3), "{rows:?}");
+    assert_eq!((columns[0].as_str(), columns.last().map(String::as_str)), ("site", Some("trace")));
+    // Oldest first: the rejected throw started before the others.
+    assert_eq!(rows.iter().map(|row| row["quality"] == "good").collect::<Vec<_>>(), [false, true, true]);
+    assert!(rows[0]["b0"].is_empty() && !rows[0]["detail"].is_empty(), "{:?}", rows[0]);
+    let history = rig.sql("SELECT * FROM health_history WHERE quality = 'good' ORDER BY throw_no");
+    for ((row, throw), known) in rows[1..].iter().zip(throws("boot", 2)).zip(history) {
+        for (name, value) in known.as_object().unwrap() {
+            if let Some(number) = value.as_f64() {
+                assert_eq!(row[name].parse().map(f64::to_bits), Ok(number.to_bits()), "{name}");
+            }
+        }
+        let Throw { trace, started_at, .. } = throw;
+        assert_eq!(row["started_at"].parse::<jiff::Timestamp>().unwrap(), started_at);
+        let file = folder.join(&row["trace"]);
+        let mut samples = csv::Reader::from_path(&file).unwrap();
+        let samples: Vec<[f64; 3]> = samples.deserialize().map(Result::unwrap).collect();
+        let both = trace.current_a().iter().zip(trace.position_mm()).map(|(current, position)| [*current, *position]);
+        // CBOR carries 32-bit floats.
+        let near = |one: f64, other: f64| (one - other).abs() <= 1e-6 * other.abs().max(1.0);
+        assert_eq!(samples.len(), trace.len());
+        for ([_, current, position], [sent_current, sent_position]) in samples.into_iter().zip(both) {
+            assert!(near(current, sent_current) && near(position, sent_position), "{current} {position}");
+        }
+        // The trace leads to the same estimate.
+        let again = pointsd(&["identify", "--json"]).arg(&file).output().unwrap();
+        let again: serde_json::Value = serde_json::from_slice(&again.stdout).unwrap();
+        let b0: f64 = row["b0"].parse().unwrap();
+        assert!((again["b0"].as_f64().unwrap() / b0 - 1.0).abs() < 1e-6, "{again} {b0}");
+    }
+    for (arguments, count) in [
+        (&["north/21B"][..], 3),
+        (&["north/21B", "--since", "2026-05-04T10:05:00Z"], 2),
+        (&["--until", "2026-05-04T10:10:00Z"], 1),
+        (&["--since", "2026-05-04T10:10:00Z", "--until", "2026-05-04T10:10:00.000001Z"], 1),
+    ] {
+        let (code, columns, rows) = export(&rig.database(), arguments);
+        assert_eq!((code, rows.len()), (Some(0), count), "{arguments:?}");
+        assert!(!columns.contains(&"trace".to_owned()));
+    }
+    let (code, columns, rows) = export(&rig.database(), &["north/99"]);
+    assert!(code == Some(1) && columns[0] == "site" && rows.is_empty(), "{code:?}");
+    // Retention has deleted a trace.
+    assert!(daemon.terminate().success());
+    rig.change("DELETE FROM trace WHERE throw_row = (SELECT min(throw_row) FROM trace)").await;
+    let (code, _, rows) = export(&rig.database(), &["--traces", folder.to_str().unwrap()]);
+    assert_eq!((code, rows.iter().filter(|row| row["trace"].is_empty()).count()), (Some(0), 1));
+}
+
+/// Pages of the export: every throw once, also with equal start times.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_long_export_has_every_throw_once() {
+    let (rig, daemon, _) = small_history().await;
+    assert!(daemon.terminate().success());
+    rig.change(
+        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 1700)
+         INSERT INTO throw (machine_row, boot_row, throw_no, started_at_us, received_at_us, sample_rate_hz, samples, content_crc32)
+         SELECT machine_row, boot_row, 1000 + i, i / 700, 0, 1000, 0, 0 FROM n, (SELECT * FROM boot LIMIT 1)",
+    )
+    .await;
+    for arguments in [&[][..], &["north/21B"]] {
+        let (_, _, rows) = export(&rig.database(), arguments);
+        let numbers: std::collections::BTreeSet<_> =
+            rows.iter().map(|row| (&row["boot_id"], &row["throw_no"])).collect();
+        assert_eq!((rows.len(), numbers.len()), (1703, 1703));
+        assert_eq!(rows.iter().filter(|row| row["quality"] == "pending").count(), 1700);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_report_is_one_file_with_everything_that_it_shows() {
+    let (rig, daemon) = daemon_with_alarm("a", "");
+    rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE severity = 'critical'").await;
+    let out = rig.folder().join("report.html");
+    let report =
+        |machine: &str| pointsd(&["report", machine, "--out"]).arg(&out).arg("--config").arg(rig.config()).output();
+    assert_eq!(report("north/99").unwrap().status.code(), Some(66));
+    assert!(!out.exists());
+    let output = report("north/machine-1").unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let page = fs::read_to_string(&out).unwrap();
+    for part in [
+        "<style>",
+        "north/machine-1",
+        ">friction (a1)</text>",
+        ">Mean current</text>",
+        "Alarm history",
+        "Check the motor",
+    ] {
+        assert!(page.contains(part), "{part}: {page:.2000}");
+    }
+    for foreign in [" href=", " src=", "<script", "<form", "@import", "url("] {
+        assert!(!page.contains(foreign), "{foreign}");
+    }
+    assert!(daemon.terminate().success());
+}
+
+/// The names of the commands in `--help`.
+fn commands(help: &str) -> Vec<String> {
+    let listed =
+        help.lines().skip_while(|line| !line.starts_with("Commands:")).skip(1).take_while(|line| !line.is_empty());
+    // Further lines of a description have more space before them.
+    let names = listed.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    names.map(|line| line.split_whitespace().next().unwrap().to_owned()).filter(|name| name != "help").collect()
+}
+
+#[test]
+fn every_command_has_a_manual_page_an_example_exit_codes_and_completions() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, program) in [("pointsd", pointsd as fn(&[&str]) -> Command), ("pointsim", pointsim)] {
+        let text = |arguments: &[&str]| String::from_utf8(program(arguments).output().unwrap().stdout).unwrap();
+        let commands = commands(&text(&["--help"]));
+        assert!(commands.len() >= 7, "{commands:?}");
+        assert!(program(&["man"]).arg(folder.path()).status().unwrap().success());
+        let scripts = ["bash", "fish", "zsh"].map(|shell| text(&["completions", shell]));
+        for command in &commands {
+            let page = fs::read_to_string(folder.path().join(format!("{name}-{command}.1"))).unwrap();
+            assert!(page.contains(&format!(".TH {name}-{command} 1")), "{command}: {page:.300}");
+            let help = text(&[command, "--help"]);
+            assert!(help.contains(&format!("{name} {command}")) && help.contains("Example"), "{command}: {help}");
+            assert!(help.contains("Exit codes: 0"), "{command}: {help}");
+            assert!(scripts.iter().all(|script| script.contains(command)), "{command}");
+        }
+        let pages = fs::read_dir(folder.path())
+            .unwrap()
+            .filter(|page| page.as_ref().unwrap().file_name().to_str().unwrap().starts_with(&format!("{name}-")));
+        assert_eq!(pages.count(), commands.len());
+        assert!(folder.path().join(format!("{name}.1")).exists());
+        let script = folder.path().join("script");
+        fs::write(&script, &scripts[0]).unwrap();
+        assert!(Command::new("bash").arg("-n").arg(&script).status().unwrap().success());
+        fs::remove_file(&script).unwrap();
+    }
+}
