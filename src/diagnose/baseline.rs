@@ -65,9 +65,9 @@ pub(super) struct Baseline {
     temperature: Temperature,
     duration_s: Option<f64>,
     scatter: Scatter,
-    /// Slopes of the logarithms per throw of the machine; 0 without a trend.
+    /// Slopes of the logarithms per throw of the machine; `None` without a trend.
     #[serde(default)]
-    slopes: [f64; 3],
+    slopes: Option<[f64; 3]>,
 }
 
 impl BaselineThrow {
@@ -89,7 +89,7 @@ impl Baseline {
     pub(super) fn learn(
         throws: &[BaselineThrow],
         sensor: Sym3,
-        slopes: [f64; 3],
+        slopes: Option<[f64; 3]>,
         taken_at: Timestamp,
         settings: &Settings,
     ) -> Self {
@@ -108,7 +108,7 @@ impl Baseline {
         Self {
             centre,
             throws: throws.len(),
-            complete: throws.len() >= settings.baseline_throws && slopes == [0.0; 3],
+            complete: throws.len() >= settings.baseline_throws && slopes.is_none(),
             taken_at,
             temperature,
             duration_s: (!durations.is_empty()).then(|| median(&mut durations)),
@@ -149,7 +149,7 @@ impl Baseline {
     /// Number of throws whose mean is as uncertain as the centre. The beginning of a line has four times the variance
     /// of its middle.
     pub(super) fn centre_throws(&self) -> f64 {
-        self.throws as f64 / if self.slopes == [0.0; 3] { 1.0 } else { 4.0 }
+        self.throws as f64 / if self.slopes.is_none() { 1.0 } else { 4.0 }
     }
 
     pub(super) fn is_complete(&self) -> bool {
@@ -202,9 +202,10 @@ pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline;
 }
 
 /// The logarithms of the throws without the change since the first of them.
-fn detrended(throws: &[BaselineThrow], slopes: [f64; 3]) -> impl Iterator<Item = Vector3<f64>> {
+fn detrended(throws: &[BaselineThrow], slopes: Option<[f64; 3]>) -> impl Iterator<Item = Vector3<f64>> {
     let first = throws.first().map_or(0, |throw| throw.order);
-    throws.iter().map(move |throw| Vector3::from(throw.log) - Vector3::from(slopes) * (throw.order - first) as f64)
+    let slopes = Vector3::from(slopes.unwrap_or_default());
+    throws.iter().map(move |throw| Vector3::from(throw.log) - slopes * (throw.order - first) as f64)
 }
 
 /// Slopes of the logarithms over the throws of both directions; `sensor` is the mean covariance of their estimates.

@@ -73,9 +73,9 @@ struct Mixed {
 pub(super) struct Tracks {
     sides: [Track; 2],
     mixed: Option<Mixed>,
-    /// Slopes of the logarithms over the throws of the baselines, per throw of the machine; 0 without a trend.
+    /// Slopes of the logarithms over the throws of the baselines, per throw of the machine; `None` without a trend.
     #[serde(default)]
-    slopes: [f64; 3],
+    slopes: Option<[f64; 3]>,
 }
 
 fn side(direction: Direction) -> usize {
@@ -334,23 +334,24 @@ impl Tracks {
         const EVERY: usize = 4;
         let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
         let count: usize = throws.each_ref().map(|throws| throws.clone().count()).iter().sum();
-        if count % EVERY != 0 {
+        if !count.is_multiple_of(EVERY) {
             return;
         }
         let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
         let limits = [Cause::Kt, Cause::Friction, Cause::Stiffness].map(|cause| settings.limit_pct(cause));
         let slopes = trend(throws, 0.5 * (sensor[0] + sensor[1]));
-        self.slopes = std::array::from_fn(|i| {
+        let matters = |i: usize| {
             let change_pct = 100.0 * (slopes[i] * count as f64).abs();
-            if limits[i].is_some_and(|limit| change_pct > limit / 3.0) { slopes[i] } else { 0.0 }
-        });
+            limits[i].is_some_and(|limit| change_pct > limit / 3.0)
+        };
+        self.slopes = (0..3).any(matters).then(|| std::array::from_fn(|i| if matters(i) { slopes[i] } else { 0.0 }));
     }
 
     /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without a
     /// trend.
     pub(super) fn trend(&self) -> Option<[f64; 3]> {
         let incomplete = self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(Baseline::is_complete));
-        (incomplete && self.slopes != [0.0; 3]).then_some(self.slopes)
+        self.slopes.filter(|_| incomplete)
     }
 
     fn learn_mixed(&mut self, settings: &Settings) {

@@ -127,7 +127,9 @@ impl Whitened {
             // Otherwise the temperature differs between the directions only.
             if norm > 1e-6 {
                 of_levels -= norm.ln();
-                column.iter_mut().for_each(|x| *x /= norm);
+                for x in &mut column {
+                    *x /= norm;
+                }
                 basis.push(column);
             }
         }
