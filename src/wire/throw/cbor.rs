@@ -11,7 +11,7 @@ use minicbor::{
 
 use super::{
     error::InvalidThrow,
-    fields::{Fields, SCHEMA, UNKNOWN_DIRECTION},
+    fields::{Fields, SCHEMA, Supply, UNKNOWN_DIRECTION},
 };
 use crate::throw::{Direction, MAX_SAMPLES, Throw};
 
@@ -80,7 +80,7 @@ fn fields(decoder: &mut Decoder<'_>) -> Decoded<Fields> {
             Some("current_a") => channel(decoder, "current_a", &mut fields.current_a)?,
             Some("position_mm") => channel(decoder, "position_mm", &mut fields.position_mm)?,
             Some("temperature_c") => number(decoder, "temperature_c", &mut fields.temperature_c)?,
-            Some("supply_v") => number(decoder, "supply_v", &mut fields.supply_v)?,
+            Some("supply_v") => supply(decoder, &mut fields.supply_v)?,
             Some("anti_alias_hz") => number(decoder, "anti_alias_hz", &mut fields.anti_alias_hz)?,
             _ => skip(decoder, MAX_DEPTH)?,
         }
@@ -161,6 +161,16 @@ fn number(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<f64>
     Ok(())
 }
 
+fn supply(decoder: &mut Decoder<'_>, slot: &mut Option<Supply>) -> Decoded<()> {
+    const FIELD: &str = "supply_v";
+    once(FIELD, slot.as_ref())?;
+    *slot = match decoder.datatype()? {
+        Type::Tag | Type::Array | Type::ArrayIndef => Some(Supply::Samples(samples(decoder, FIELD)?)),
+        _ => Some(float(decoder, FIELD)?).filter(|value| !value.is_nan()).map(Supply::Number),
+    };
+    Ok(())
+}
+
 /// A number of any type; null and undefined are NaN.
 fn float(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<f64> {
     match decoder.datatype()? {
@@ -178,12 +188,16 @@ fn float(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<f64> {
 
 fn channel(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<Vec<f64>>) -> Decoded<()> {
     once(field, slot.as_ref())?;
-    *slot = Some(match decoder.datatype()? {
-        Type::Tag => typed_array(decoder, field)?,
-        Type::Array | Type::ArrayIndef => plain_array(decoder, field)?,
-        other => return Err(wrong(field, format!("{other}, must be an array or a typed array"))),
-    });
+    *slot = Some(samples(decoder, field)?);
     Ok(())
+}
+
+fn samples(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f64>> {
+    match decoder.datatype()? {
+        Type::Tag => typed_array(decoder, field),
+        Type::Array | Type::ArrayIndef => plain_array(decoder, field),
+        other => Err(wrong(field, format!("{other}, must be an array or a typed array"))),
+    }
 }
 
 fn plain_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f64>> {

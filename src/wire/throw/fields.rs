@@ -25,8 +25,15 @@ pub(super) struct Fields {
     pub(super) current_a: Option<Vec<f64>>,
     pub(super) position_mm: Option<Vec<f64>>,
     pub(super) temperature_c: Option<f64>,
-    pub(super) supply_v: Option<f64>,
+    pub(super) supply_v: Option<Supply>,
     pub(super) anti_alias_hz: Option<f64>,
+}
+
+/// The supply voltage: a number, or a value for each sample of the current.
+#[derive(Debug)]
+pub(super) enum Supply {
+    Number(f64),
+    Samples(Vec<f64>),
 }
 
 impl Fields {
@@ -42,6 +49,7 @@ impl Fields {
         let current_a = required("current_a", self.current_a)?;
         // A logger without a toe sensor may leave the channel out.
         let position_mm = self.position_mm.unwrap_or_else(|| vec![f64::NAN; current_a.len()]);
+        let supply_v = self.supply_v.map(|supply| supply_v(supply, &current_a)).transpose()?;
         let trace = Trace::new(required("sample_rate_hz", self.sample_rate_hz)?, current_a, position_mm)?;
         Ok(Throw {
             id,
@@ -49,7 +57,7 @@ impl Fields {
             direction: direction(self.direction.as_deref())?,
             trace,
             temperature_c: self.temperature_c.filter(|value| value.is_finite()),
-            supply_v: self.supply_v.filter(|value| value.is_finite()),
+            supply_v: supply_v.filter(|value| value.is_finite()),
             anti_alias_hz: self.anti_alias_hz.filter(|value| value.is_finite() && *value > 0.0),
         })
     }
@@ -67,6 +75,24 @@ fn wrong(field: &'static str, problem: String) -> InvalidThrow {
 fn quote(text: &str) -> String {
     let short: String = text.chars().take(40).collect();
     format!("{short:?}")
+}
+
+/// The voltage of the throw: of samples the mean weighted with the current, which gives the energy of the motor. NaN
+/// without a measured sample under current.
+fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, InvalidThrow> {
+    let samples = match supply {
+        Supply::Number(value) => return Ok(value),
+        Supply::Samples(samples) => samples,
+    };
+    if samples.len() != current_a.len() {
+        let problem = format!("{} values, must be a number or as many as current_a ({})", samples.len(), current_a.len());
+        return Err(wrong("supply_v", problem));
+    }
+    let measured = samples.iter().zip(current_a).filter(|(volts, amperes)| volts.is_finite() && amperes.is_finite());
+    let (sum, weight) = measured.fold((0.0, 0.0), |(sum, weight), (volts, amperes)| {
+        (sum + volts * amperes.abs(), weight + amperes.abs())
+    });
+    Ok(sum / weight)
 }
 
 fn boot_id(text: String) -> Result<String, InvalidThrow> {

@@ -9,7 +9,7 @@ use serde::{
 
 use super::{
     error::InvalidThrow,
-    fields::{Fields, SCHEMA, UNKNOWN_DIRECTION},
+    fields::{Fields, SCHEMA, Supply, UNKNOWN_DIRECTION},
 };
 use crate::{
     throw::{Direction, MAX_SAMPLES, Throw},
@@ -27,8 +27,16 @@ struct Read {
     current_a: Option<Channel>,
     position_mm: Option<Channel>,
     temperature_c: Option<f64>,
-    supply_v: Option<f64>,
+    supply_v: Option<Voltage>,
     anti_alias_hz: Option<f64>,
+}
+
+/// The supply voltage, a number or an array.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "supply_v must be a number, or an array of numbers")]
+enum Voltage {
+    Number(f64),
+    Samples(Channel),
 }
 
 pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
@@ -45,7 +53,10 @@ pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
         current_a: read.current_a.map(|channel| channel.0),
         position_mm: read.position_mm.map(|channel| channel.0),
         temperature_c: read.temperature_c,
-        supply_v: read.supply_v,
+        supply_v: read.supply_v.map(|voltage| match voltage {
+            Voltage::Number(value) => Supply::Number(value),
+            Voltage::Samples(channel) => Supply::Samples(channel.0),
+        }),
         anti_alias_hz: read.anti_alias_hz,
     })
 }

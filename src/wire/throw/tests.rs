@@ -46,6 +46,35 @@ fn json_from_other_languages_is_taken() {
 }
 
 #[test]
+fn the_supply_voltage_is_a_number_or_the_mean_of_samples_under_current() {
+    let supply = |text: &str| json("\"boot_id\"", &format!("\"supply_v\": {text}, \"boot_id\"")).map(|throw| throw.supply_v);
+    assert_eq!(supply("110.5").unwrap(), Some(110.5));
+    assert_eq!(supply("null").unwrap(), None);
+    // The currents are 0, 1 and not measured.
+    assert_eq!(supply("[0, 108, 90]").unwrap(), Some(108.0));
+    assert_eq!(supply("[110, null, null]").unwrap(), None);
+    for (text, says) in [("[110, 108]", "2 values"), ("\"110\"", "must be a number"), ("[true]", "must be a number")] {
+        let error = supply(text).unwrap_err().to_string();
+        assert!(error.contains("supply_v") && error.contains(says), "{error}");
+    }
+    let with = |supply: &dyn Fn(&mut minicbor::Encoder<Vec<u8>>)| {
+        cbor(|e| {
+            e.array(2).unwrap().f32(1.0).unwrap().f32(3.0).unwrap();
+            e.str("supply_v").unwrap();
+            supply(e);
+        })
+    };
+    let array = |e: &mut minicbor::Encoder<Vec<u8>>| {
+        e.array(2).unwrap().f32(100.0).unwrap().u8(120).unwrap();
+    };
+    assert_eq!(with(&array).unwrap().supply_v, Some(115.0));
+    let short = with(&|e| {
+        e.array(1).unwrap().u8(120).unwrap();
+    });
+    assert!(short.unwrap_err().to_string().contains("1 values"));
+}
+
+#[test]
 fn json_that_cannot_be_used_says_why() {
     for (from, to, says) in [
         ("points.throw/1", "points.throw/9", "schema"),
