@@ -1,5 +1,5 @@
-//! Quantities of a throw in addition to the coefficients: travel, back-EMF constant, resistance, duration, voltage and
-//! inrush, each as departure of its logarithm from the normal value of the direction. Errors of sensors, clock and
+//! Quantities of a throw in addition to the coefficients: travel, back-EMF constant, resistance, duration, voltage,
+//! inrush, running current and charge, each as departure of its logarithm from the normal value of the direction. Errors of sensors, clock and
 //! supply change them in other ways than faults of parts.
 
 use std::collections::VecDeque;
@@ -19,23 +19,27 @@ pub(super) enum Gauge {
     Volts,
     /// The largest current, about the supply voltage over the resistance.
     Inrush,
+    /// The current in the second half of the motor's time.
+    Running,
+    /// The integral of the current; the energy of the motor over the supply voltage.
+    Charge,
 }
 
 impl Gauge {
-    const COUNT: usize = 6;
+    const COUNT: usize = 8;
 
     /// Least standard deviation of a level: the effect of sampling, adjustment and temperature on a healthy machine.
-    fn floor(self) -> f64 {
+    pub(super) fn floor(self) -> f64 {
         match self {
             Self::Travel => 0.003,
             Self::BackEmf => 0.005,
             Self::Resistance | Self::Duration | Self::Volts => 0.01,
-            Self::Inrush => 0.02,
+            Self::Inrush | Self::Running | Self::Charge => 0.02,
         }
     }
 }
 
-/// Throws of a direction after which its normal values are known, and after which they are fixed.
+/// Values of a gauge and direction after which its normal value is known, and after which it is fixed.
 const LEARNED: (usize, usize) = (12, 24);
 /// Largest number of throws of both directions in a level.
 const RECENT: usize = WINDOWS[2];
@@ -54,23 +58,32 @@ pub(super) struct Level {
     pub(super) sd: f64,
 }
 
-/// Normal values of a direction: centre and standard deviation of each gauge.
+/// A changed gauge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Change {
+    pub(super) gauge: Gauge,
+    /// Median change of the last throws, as a logarithm, and the standard deviation of one throw.
+    pub(super) size: f64,
+    pub(super) size_sd: f64,
+}
+
+/// Normal values of a direction: centre and standard deviation of each gauge. The lists are shorter in snapshots of a
+/// version with fewer gauges.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Normal {
     /// Values of each gauge for learning; empty afterwards.
-    learned: [Vec<f32>; Gauge::COUNT],
-    throws: usize,
-    known: [Option<(f32, f32)>; Gauge::COUNT],
+    learned: Vec<Vec<f32>>,
+    known: Vec<Option<(f32, f32)>>,
 }
 
 /// Direction and known gauges of a throw, as bits, and the values of these gauges.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Shown(u8, Vec<f32>);
+struct Shown(u16, Vec<f32>);
 
 impl Shown {
     fn new(side: usize, values: Values) -> Self {
         let bits = (0..Gauge::COUNT).filter(|at| values[*at].is_some()).fold(side, |bits, at| bits | (2 << at));
-        Self(u8::try_from(bits).unwrap_or_default(), values.into_iter().flatten().collect())
+        Self(u16::try_from(bits).unwrap_or_default(), values.into_iter().flatten().collect())
     }
 
     fn side(&self) -> usize {
@@ -95,21 +108,7 @@ pub(super) struct Gauges {
 impl Gauges {
     /// Adds a throw; that of a `suspicious` machine is not used for the normal values.
     pub(super) fn push(&mut self, direction: Direction, features: &Features, celsius: Option<f64>, suspicious: bool) {
-        let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
-        let resistance = features.resistance_ohm.map(|ohm| ohm / warm);
-        let shown = [
-            features.travel_mm,
-            features.back_emf_v_s_per_rad,
-            resistance,
-            features.duration_s,
-            features.supply_v,
-            features.peak_current_a,
-        ];
-        // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
-        #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
-        let rounded = |value: f64| ((1e4 * value.ln()).round() / 1e4) as f32;
-        let values = shown.map(|value| value.map(rounded).filter(|ln| ln.is_finite()));
-        let side = usize::from(direction == Direction::ReverseToNormal);
+        let (side, values) = (direction.side(), values(features, celsius));
         if !suspicious {
             self.sides[side].learn(values);
         }
@@ -117,6 +116,14 @@ impl Gauges {
         if self.recent.len() > RECENT {
             self.recent.pop_front();
         }
+    }
+
+    /// Departure of a gauge of this throw from normal, as a logarithm, with the standard deviation of one throw; `None`
+    /// if the gauge or its normal value is unknown.
+    pub(super) fn departure(&self, gauge: Gauge, direction: Direction, features: &Features) -> Option<(f64, f64)> {
+        let (centre, sd) = self.sides[direction.side()].of(gauge)?;
+        let value = values(features, None)[gauge as usize]?;
+        Some((f64::from(value - centre), f64::from(sd)))
     }
 
     /// Level of a gauge over the last `throws`; `None` if the gauge or its normal value is unknown.
@@ -127,7 +134,7 @@ impl Gauges {
             .rev()
             .take(throws)
             .filter_map(|shown| {
-                let (centre, sd) = self.sides[shown.side()].known[gauge as usize]?;
+                let (centre, sd) = self.sides[shown.side()].of(gauge)?;
                 Some((f64::from(shown.value(gauge)? - centre), f64::from(sd)))
             })
             .collect();
@@ -147,22 +154,48 @@ impl Gauges {
 }
 
 impl Normal {
+    /// Centre and standard deviation of a gauge.
+    fn of(&self, gauge: Gauge) -> Option<(f32, f32)> {
+        self.known.get(gauge as usize).copied().flatten()
+    }
+
     fn learn(&mut self, values: Values) {
-        if self.throws >= LEARNED.1 {
-            return;
-        }
-        self.throws += 1;
+        self.learned.resize(Gauge::COUNT, Vec::new());
+        self.known.resize(Gauge::COUNT, None);
         for (at, value) in values.into_iter().enumerate() {
-            self.learned[at].extend(value);
-            if self.learned[at].len() >= LEARNED.0 {
-                let (centre, sd) = centre_and_sd(&self.learned[at].iter().copied().map(f64::from).collect::<Vec<_>>());
+            let learned = &mut self.learned[at];
+            if learned.is_empty() && self.known[at].is_some() {
+                continue;
+            }
+            learned.extend(value);
+            if learned.len() >= LEARNED.0 {
+                let (centre, sd) = centre_and_sd(&learned.iter().copied().map(f64::from).collect::<Vec<_>>());
                 #[expect(clippy::cast_possible_truncation, reason = "the values are rounded more")]
                 let known = (centre as f32, sd as f32);
                 self.known[at] = Some(known);
             }
-        }
-        if self.throws >= LEARNED.1 {
-            self.learned = Default::default();
+            if learned.len() >= LEARNED.1 {
+                *learned = Vec::new();
+            }
         }
     }
+}
+
+/// The logarithms of the gauges of a throw.
+fn values(features: &Features, celsius: Option<f64>) -> Values {
+    let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
+    let shown = [
+        features.travel_mm,
+        features.back_emf_v_s_per_rad,
+        features.resistance_ohm.map(|ohm| ohm / warm),
+        features.duration_s,
+        features.supply_v,
+        features.peak_current_a,
+        features.running_current_a,
+        features.charge_as,
+    ];
+    // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
+    #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
+    let rounded = |value: f64| ((1e4 * value.ln()).round() / 1e4) as f32;
+    shown.map(|value| value.map(rounded).filter(|ln| ln.is_finite()))
 }

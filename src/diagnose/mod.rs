@@ -11,6 +11,7 @@ mod drift;
 mod drift_alarms;
 mod event;
 mod explain;
+mod features;
 mod gauges;
 mod history;
 mod instruments;

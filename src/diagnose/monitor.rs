@@ -11,6 +11,7 @@ use super::{
     drift_alarms::{DRIFTS, DriftAlarms, Onset},
     event::{AlarmEvent, Cause, Severity},
     explain::percent,
+    features::FeatureWatch,
     instruments::Instruments,
     observation::{Evaluated, Irregularity, Observation},
     operational::{Context, Operation},
@@ -50,6 +51,8 @@ pub struct MachineMonitor {
     thermometer: Thermometer,
     #[serde(default)]
     instruments: Instruments,
+    #[serde(default)]
+    features: FeatureWatch,
     /// The last departures, for the judgement of the other machines of the site.
     #[serde(default)]
     trail: Trail,
@@ -76,6 +79,7 @@ impl MachineMonitor {
             operation: Operation::default(),
             thermometer: Thermometer::default(),
             instruments: Instruments::default(),
+            features: FeatureWatch::default(),
             trail: Trail::default(),
             blind: None,
             maintenance: None,
@@ -129,7 +133,8 @@ impl MachineMonitor {
             verdict.events.extend(operation.on_sensors(disbelief, alarms, context));
             self.observe_in_service(observation, evaluated.as_ref(), at, settings, &mut verdict);
         }
-        verdict.baseline = observation.direction.map(|d| self.baseline_progress(d, settings));
+        verdict.baseline =
+            observation.direction.filter(|_| !observation.features_only).map(|d| self.baseline_progress(d, settings));
         verdict.state = self.state();
         verdict.drifts = self.drifts().to_vec();
         verdict.blind = self.blind;
@@ -153,9 +158,10 @@ impl MachineMonitor {
             self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
             self.observe_evaluated(throw, &observation.throw, at, settings, verdict);
         }
+        let watched = self.watch_features(observation, evaluated.is_some(), at, settings, verdict);
         let blind = self.blind;
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
-        verdict.events.extend(operation.on_evaluation(evaluated.is_some(), blind.as_ref(), alarms, context));
+        verdict.events.extend(operation.on_evaluation(evaluated.is_some() || watched, blind.as_ref(), alarms, context));
         if let (Some(direction), Some(duration_s), false) =
             (observation.direction, observation.features.duration_s, observation.incomplete)
             && let Some(normal_s) = self.tracks.duration_s(direction)
@@ -165,6 +171,29 @@ impl MachineMonitor {
             let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
             verdict.events.extend(operation.on_duration(longer_pct, direction, explained, alarms, context));
         }
+    }
+
+    /// Watches the features of a throw without an estimate. Returns whether the machine is monitored by them.
+    fn watch_features(
+        &mut self,
+        observation: &Observation,
+        is_evaluated: bool,
+        at: Timestamp,
+        settings: &Settings,
+        verdict: &mut Verdict,
+    ) -> bool {
+        let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
+        if is_evaluated {
+            verdict.events.extend(self.features.on_estimate(&mut self.alarms, context));
+            return true;
+        }
+        let Some(direction) = observation.direction.filter(|_| !observation.incomplete) else { return false };
+        let (features, gauges) = (&observation.features, &mut self.instruments.gauges);
+        if observation.features_only {
+            gauges.push(direction, features, observation.temperature_c, self.drift.is_suspicious(&self.alarms));
+        }
+        verdict.events.extend(self.features.on_features(direction, features, gauges, &mut self.alarms, context));
+        self.features.is_alarmed() || observation.features_only && features.running_current_a.is_some()
     }
 
     fn observe_evaluated(
@@ -341,6 +370,7 @@ impl MachineMonitor {
         self.drift.reset();
         self.drift.now.clear();
         self.instruments = Instruments::default();
+        self.features.reset();
         self.trail = Trail::default();
         self.blind = None;
         let text = text::rebaselined(&self.name, by, why);
@@ -353,6 +383,7 @@ impl MachineMonitor {
         self.maintenance = None;
         self.tracks.forget_recent();
         self.instruments.forget_recent();
+        self.features.reset();
         self.drift.reset();
         self.operation.reset();
         self.alarms.set_out_of_service(false, actor, now)
@@ -401,7 +432,7 @@ impl MachineMonitor {
         match self.alarms.active().map(|event| event.severity).max() {
             Some(Severity::Critical) => MachineState::Critical,
             Some(Severity::Warning) => MachineState::Warning,
-            None if self.tracks.any_baseline() => MachineState::Healthy,
+            None if self.tracks.any_baseline() || self.features.is_monitoring() => MachineState::Healthy,
             None => MachineState::Learning,
         }
     }
@@ -444,6 +475,7 @@ impl From<VersionOne> for MachineMonitor {
             operation: old.operation,
             thermometer: Thermometer::default(),
             instruments: Instruments::default(),
+            features: FeatureWatch::default(),
             trail: Trail::default(),
             blind: None,
             maintenance,

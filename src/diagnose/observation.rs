@@ -25,6 +25,8 @@ pub struct Observation {
     pub ratios_only: bool,
     /// Whether the points did not complete their movement (obstruction, no detection).
     pub incomplete: bool,
+    /// Whether the machine has a current sensor only, and its coefficients cannot be determined.
+    pub features_only: bool,
     /// Duration, currents and travel, measured without the model.
     pub features: Features,
     /// Temperature \[°C\]; `None` if not measured.

@@ -5,6 +5,7 @@ use super::{
     course::LimitForecast,
     event::{Cause, RunnerUp, SensorChannel},
     explain::{Explanation, percent},
+    gauges::{Change, Gauge},
     intermittent::Departures,
     testimony::Fault,
     thermometer::Disbelief,
@@ -157,7 +158,27 @@ pub(super) fn fast_again(name: &str) -> String {
 pub(super) fn unevaluated(name: &str, in_a_row: u32) -> String {
     format!(
         "Machine {name}: the last {in_a_row} throws could not be evaluated, so the machine is not monitored. See the \
-         reasons in throws_not_evaluated, and check the sensors."
+         reasons in throws_not_evaluated, and check the machine and its sensors."
+    )
+}
+
+/// Text for throws without an estimate whose features have changed.
+pub(super) fn features(name: &str, changes: &[Change], throws: usize) -> String {
+    let change = |change: &Change| {
+        let what = match change.gauge {
+            Gauge::Duration => "duration",
+            Gauge::Running => "running current",
+            Gauge::Charge => "charge of a throw",
+            _ => "travel",
+        };
+        let scatter = 100.0 * change.size_sd * change.size.exp();
+        format!("{what} {:+.0} % (scatter of a throw {scatter:.0} %)", percent(change.size))
+    };
+    let changes: Vec<String> = changes.iter().map(change).collect();
+    format!(
+        "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. Their coefficients are not known, \
+         so no part can be named. Check slide chairs, lubrication, drive and supply.",
+        changes.join(", ")
     )
 }
 

@@ -78,17 +78,10 @@ pub(super) struct Tracks {
     slopes: Option<[f64; 3]>,
 }
 
-fn side(direction: Direction) -> usize {
-    match direction {
-        Direction::NormalToReverse => 0,
-        Direction::ReverseToNormal => 1,
-    }
-}
-
 impl Tracks {
     /// Residual of a throw from the baseline of its direction, with temperature compensation.
     pub(super) fn residual(&self, throw: &Evaluated) -> Option<Vector3<f64>> {
-        let baseline = self.sides[side(throw.direction)].baseline.as_ref().filter(|_| !throw.ratios_only)?;
+        let baseline = self.sides[throw.direction.side()].baseline.as_ref().filter(|_| !throw.ratios_only)?;
         Some(baseline.compensated(baseline.residual(&throw.log, throw.temperature_c)))
     }
 
@@ -102,7 +95,7 @@ impl Tracks {
         settings: &Settings,
     ) -> Option<Vector3<f64>> {
         self.refresh_thresholds(settings);
-        let track = &mut self.sides[side(throw.direction)];
+        let track = &mut self.sides[throw.direction.side()];
         let baseline = track.baseline.as_mut()?;
         let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
         let mut sensor = throw.sensor;
@@ -128,7 +121,7 @@ impl Tracks {
         /// departures does not change.
         const BEFORE: std::ops::RangeInclusive<usize> = 6..=12;
         let residual = self.residual(throw)?;
-        let at = side(throw.direction);
+        let at = throw.direction.side();
         let baseline = self.sides[at].baseline.as_ref()?;
         let before: Vec<Vector3<f64>> =
             self.sides[at].recent.iter().rev().take(*BEFORE.end()).map(|t| baseline.compensated(t.raw())).collect();
@@ -141,7 +134,7 @@ impl Tracks {
 
     /// Covariance of a throw of a direction.
     pub(super) fn of_one_throw(&self, direction: Direction) -> Option<Matrix3<f64>> {
-        Some(self.sides[side(direction)].baseline.as_ref()?.scatter().of_one_throw())
+        Some(self.sides[direction.side()].baseline.as_ref()?.scatter().of_one_throw())
     }
 
     /// Version 1 stored residuals with temperature compensation.
@@ -177,7 +170,7 @@ impl Tracks {
             Course::of(&points, noise(baselines[at]?.scatter(), baselines[at]?.centre_throws()))
         };
         if let Some(direction) = direction {
-            return one(side(direction));
+            return one(direction.side());
         }
         let [first, second] = match [one(0), one(1)] {
             [Some(first), Some(second)] => [first, second],
@@ -246,7 +239,7 @@ impl Tracks {
             tails[at].window(throws, scatter, baselines)
         };
         let [levels, last_few] = [WINDOWS[2], WINDOWS[1]].map(|longest| [level(0, longest), level(1, longest)]);
-        let latest = side(direction);
+        let latest = direction.side();
         let provisional = baselines.iter().flatten().any(|baseline| !baseline.is_complete());
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
         Drift::new(best, provisional, [levels, last_few], (latest, level(latest, WINDOWS[0])), hidden, open, settings)
@@ -271,7 +264,7 @@ impl Tracks {
 
     /// The reference temperature of the baseline of a direction \[°C\].
     pub(super) fn reference_c(&self, direction: Direction) -> Option<f64> {
-        self.sides[side(direction)].baseline.as_ref()?.temperature().reference_c()
+        self.sides[direction.side()].baseline.as_ref()?.temperature().reference_c()
     }
 
     /// Adds a throw to an incomplete baseline; returns the record if the baseline became usable, better or complete.
@@ -291,7 +284,7 @@ impl Tracks {
             self.sides.iter_mut().for_each(|track| track.aside.clear());
             return None;
         }
-        let track = &mut self.sides[side(throw.direction)];
+        let track = &mut self.sides[throw.direction.side()];
         if throw.grade == Grade::Rough || track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings)) {
             return None;
         }
@@ -301,7 +294,7 @@ impl Tracks {
         track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
         self.follow_trend(settings);
         let slopes = self.slopes;
-        let track = &mut self.sides[side(throw.direction)];
+        let track = &mut self.sides[throw.direction.side()];
         if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
             track.aside.remove(0);
         }
@@ -376,11 +369,11 @@ impl Tracks {
     }
 
     pub(super) fn duration_s(&self, direction: Direction) -> Option<f64> {
-        self.sides[side(direction)].baseline.as_ref()?.duration_s()
+        self.sides[direction.side()].baseline.as_ref()?.duration_s()
     }
 
     pub(super) fn progress(&self, direction: Direction, settings: &Settings) -> (usize, usize) {
-        let track = &self.sides[side(direction)];
+        let track = &self.sides[direction.side()];
         match &track.baseline {
             Some(baseline) if baseline.is_final(settings) => (baseline.throws(), baseline.throws()),
             _ => (track.learned.len() + track.aside.len(), settings.baseline_throws),
@@ -388,10 +381,10 @@ impl Tracks {
     }
 
     pub(super) fn record(&self, direction: Direction) -> Option<BaselineRecord> {
-        self.sides[side(direction)].baseline.as_ref().map(|baseline| baseline.record(direction))
+        self.sides[direction.side()].baseline.as_ref().map(|baseline| baseline.record(direction))
     }
 
     pub(super) fn since_baseline(&self, direction: Direction) -> u64 {
-        self.sides[side(direction)].since_baseline
+        self.sides[direction.side()].since_baseline
     }
 }

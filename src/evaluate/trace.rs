@@ -81,6 +81,7 @@ impl TraceMachine {
             started_at: throw.started_at,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(crate::estimate::Rejection::is_incomplete),
+            features_only: false,
             grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
             estimate: found.outcome.ok().map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),

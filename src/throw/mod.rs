@@ -59,6 +59,12 @@ impl Direction {
         }
     }
 
+    /// Index of the direction, as in [`Self::BOTH`].
+    #[must_use]
+    pub const fn side(self) -> usize {
+        self as usize
+    }
+
     /// The other direction.
     #[must_use]
     pub const fn opposite(self) -> Self {

@@ -65,6 +65,7 @@ pub(crate) struct Drive {
     throws: u64,
     /// Whether the logger publishes the supply voltage.
     pub(crate) publishes_volts: bool,
+    pub(crate) has_toe_sensor: bool,
 }
 
 impl Drive {
@@ -74,7 +75,16 @@ impl Drive {
         let built = [like(6.4), 6.4, like(0.031), like(0.10), like(1.5), like(0.05)];
         let wander = [(); 4].map(|()| normal(&mut rng));
         let monitor = MachineMonitor::new("21B");
-        Self { rng, identifier: Identifier::default(), monitor, built, wander, throws: 0, publishes_volts }
+        Self {
+            rng,
+            identifier: Identifier::default(),
+            monitor,
+            built,
+            wander,
+            throws: 0,
+            publishes_volts,
+            has_toe_sensor: true,
+        }
     }
 
     pub(crate) fn feed(&mut self, state: State, settings: &Settings) -> Verdict {
@@ -88,7 +98,13 @@ impl Drive {
         }
         let direction = Direction::BOTH[usize::from(self.throws % 2 == 1)];
         self.throws += 1;
-        let (trace, volts) = self.record(state, direction);
+        let (mut trace, volts) = self.record(state, direction);
+        if !self.has_toe_sensor {
+            let rate_hz = trace.sample_rate_hz();
+            let (current, _) = trace.into_channels();
+            let nothing = vec![f64::NAN; current.len()];
+            trace = Trace::new(rate_hz, current, nothing).unwrap();
+        }
         let throw = Throw {
             id: ThrowRef { boot_id: "a".to_owned(), throw_no: self.throws },
             started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * self.throws.cast_signed()),
@@ -104,6 +120,7 @@ impl Drive {
             started_at: throw.started_at,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
+            features_only: found.outcome == Err(Rejection::NoPosition),
             grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
             estimate: found.outcome.ok().map(|e| (e.coefficients(), e.drift_covariance())),

@@ -84,6 +84,7 @@ impl Machine {
             direction: Some(self.only.unwrap_or(turn)),
             estimate: Some((estimate.into(), scale * self.nature.covariance() * scale)),
             incomplete: false,
+            features_only: false,
             grade: Grade::Good,
             ratios_only: false,
             features: Features { duration_s: Some(4.3 * (1.0 + 0.004 * normal(&mut self.rng))), ..Features::default() },

@@ -6,6 +6,7 @@ mod alarm;
 mod cause;
 mod drive;
 mod evaluate;
+mod features;
 mod field;
 mod filling;
 mod fleet;

@@ -56,6 +56,7 @@ impl Life {
             started_at: throw.started_at,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
+            features_only: false,
             grade: Grade::Good,
             ratios_only: false,
             estimate: found.outcome.ok().map(|e| ([e.b0, e.a1, e.a0], e.covariance)),

@@ -85,13 +85,13 @@ fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, InvalidThrow> {
         Supply::Samples(samples) => samples,
     };
     if samples.len() != current_a.len() {
-        let problem = format!("{} values, must be a number or as many as current_a ({})", samples.len(), current_a.len());
+        let problem =
+            format!("{} values, must be a number or as many as current_a ({})", samples.len(), current_a.len());
         return Err(wrong("supply_v", problem));
     }
     let measured = samples.iter().zip(current_a).filter(|(volts, amperes)| volts.is_finite() && amperes.is_finite());
-    let (sum, weight) = measured.fold((0.0, 0.0), |(sum, weight), (volts, amperes)| {
-        (sum + volts * amperes.abs(), weight + amperes.abs())
-    });
+    let (sum, weight) = measured
+        .fold((0.0, 0.0), |(sum, weight), (volts, amperes)| (sum + volts * amperes.abs(), weight + amperes.abs()));
     Ok(sum / weight)
 }
 

@@ -47,7 +47,8 @@ fn json_from_other_languages_is_taken() {
 
 #[test]
 fn the_supply_voltage_is_a_number_or_the_mean_of_samples_under_current() {
-    let supply = |text: &str| json("\"boot_id\"", &format!("\"supply_v\": {text}, \"boot_id\"")).map(|throw| throw.supply_v);
+    let supply =
+        |text: &str| json("\"boot_id\"", &format!("\"supply_v\": {text}, \"boot_id\"")).map(|throw| throw.supply_v);
     assert_eq!(supply("110.5").unwrap(), Some(110.5));
     assert_eq!(supply("null").unwrap(), None);
     // The currents are 0, 1 and not measured.

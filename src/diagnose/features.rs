@@ -1,0 +1,123 @@
+//! The features of throws without a usable estimate: of machines with a current sensor only, and of machines whose
+//! throws are rejected one after the other. A refusal is a verdict on the data: what the features still show is said.
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    alarm::{Alarms, Evidence},
+    event::{AlarmEvent, Cause, Severity},
+    gauges::{Change, Gauge, Gauges},
+    operational::Context,
+    robust::median,
+    text,
+};
+use crate::{estimate::Features, throw::Direction};
+
+/// The watched features, with the change that matters as a logarithm. The running current of a healthy machine follows
+/// the weather by some percent; the duration and the travel hardly change.
+const WATCHED: [(Gauge, f64); 4] =
+    [(Gauge::Duration, 0.08), (Gauge::Running, 0.15), (Gauge::Charge, 0.15), (Gauge::Travel, 0.03)];
+/// Throws of a direction in a level.
+const LEVEL: usize = 6;
+/// Significant change of a level, in standard deviations of one throw: the standard deviation comes from a dozen throws
+/// or two, and consecutive throws are correlated.
+const SIGNIFICANT_SD: f64 = 4.0;
+
+/// Departures of the watched features from normal, and their standard deviations.
+type Departures = [Option<(f32, f32)>; WATCHED.len()];
+
+/// The features of the last throws without an estimate.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct FeatureWatch {
+    /// The throws of each direction, the newest last.
+    sides: [VecDeque<Departures>; 2],
+    calm: u32,
+    /// Whether the alarm `unattributed` is from this rule.
+    alarmed: bool,
+}
+
+impl FeatureWatch {
+    /// Applies a throw without an estimate.
+    pub(super) fn on_features(
+        &mut self,
+        direction: Direction,
+        features: &Features,
+        gauges: &Gauges,
+        alarms: &mut Alarms,
+        context: Context,
+    ) -> Option<AlarmEvent> {
+        let Context { name, at, throw, settings } = context;
+        #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
+        let departure =
+            |(gauge, _)| gauges.departure(gauge, direction, features).map(|(value, sd)| (value as f32, sd as f32));
+        let recent = &mut self.sides[direction.side()];
+        recent.push_back(WATCHED.map(departure));
+        if recent.len() > LEVEL {
+            recent.pop_front();
+        }
+        let changes = self.changes();
+        self.calm = if changes.is_empty() { self.calm.saturating_add(1) } else { 0 };
+        if self.alarmed {
+            return if self.calm >= settings.off_delay_throws { self.end(alarms, context) } else { None };
+        }
+        if changes.is_empty() || alarms.active().any(|event| event.cause.is_drift()) {
+            return None;
+        }
+        self.alarmed = true;
+        let evidence = Evidence::plain(Severity::Warning, throw, text::features(name, &changes, LEVEL));
+        alarms.raise(Cause::Unattributed, evidence, at)
+    }
+
+    /// Applies a throw with an estimate: the drift rule judges again.
+    pub(super) fn on_estimate(&mut self, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
+        for recent in &mut self.sides {
+            recent.pop_front();
+        }
+        let is_empty = self.sides.iter().all(VecDeque::is_empty);
+        if self.alarmed && is_empty { self.end(alarms, context) } else { None }
+    }
+
+    /// Whether features of the last throws were compared with normal values.
+    pub(super) fn is_monitoring(&self) -> bool {
+        self.sides.iter().flatten().any(|departures| departures.iter().any(Option::is_some))
+    }
+
+    /// Whether its alarm is active.
+    pub(super) fn is_alarmed(&self) -> bool {
+        self.alarmed
+    }
+
+    /// Deletes the last throws, after maintenance.
+    pub(super) fn reset(&mut self) {
+        *self = Self::default();
+    }
+
+    fn end(&mut self, alarms: &mut Alarms, Context { name, at, .. }: Context) -> Option<AlarmEvent> {
+        self.reset();
+        alarms.clear(Cause::Unattributed, text::cleared(name, Cause::Unattributed, false), at)
+    }
+
+    /// The features that changed significantly and relevantly in a direction, the largest change of each.
+    fn changes(&self) -> Vec<Change> {
+        let in_side = |side: usize, at: usize| {
+            let (gauge, limit) = WATCHED[at];
+            let of = |part: fn(&(f32, f32)) -> f32| -> Vec<f64> {
+                let known = self.sides[side].iter().filter_map(|departures| departures[at].as_ref());
+                known.map(part).map(f64::from).collect()
+            };
+            let mut values = of(|(value, _)| *value);
+            if values.len() < LEVEL {
+                return None;
+            }
+            let size = median(&mut values);
+            let sd = median(&mut of(|(_, sd)| *sd)).max(gauge.floor());
+            (size.abs() > limit.max(SIGNIFICANT_SD * sd)).then_some(Change { gauge, size, size_sd: sd })
+        };
+        let largest = |at: usize| {
+            [0, 1].into_iter().filter_map(|side| in_side(side, at)).max_by(|a, b| a.size.abs().total_cmp(&b.size.abs()))
+        };
+        (0..WATCHED.len()).filter_map(largest).collect()
+    }
+}
