@@ -24,6 +24,8 @@ pub(super) const DECISIVE: f64 = 13.8;
 const RULE_WEIGHT: f64 = 1.5;
 /// Bonus of an explanation that already has an alarm, so that the verdict does not alternate.
 const STICKY: f64 = 4.0;
+/// Lead of two causes that leave out one with an alarm before the alarm is doubted.
+const KNOWN: f64 = 20.0;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 
@@ -36,6 +38,8 @@ pub(super) enum Naming {
     Either(Explanation, Explanation),
     /// No single cause explains the drift, but these two together do.
     Both(Explanation, Explanation),
+    /// One cause in addition to a known one, which has an alarm.
+    Another { new: Explanation, known: Explanation },
     /// No one or two causes explain the drift.
     Neither,
 }
@@ -94,7 +98,7 @@ impl Attribution {
             return attribution;
         }
         if let Some(both) = attribution.both(&all, settings) {
-            return both;
+            return both.beside_open(&all, open, settings);
         }
         let margin = next.score - best.score;
         let (main, second) = (all.freed_best(), next.parts[0]);
@@ -134,6 +138,26 @@ impl Attribution {
         Some(Self { naming: Naming::Both(a, b), rival, relevance, ..self })
     }
 
+    /// Names the other of two causes, if one has an alarm and no other explanation is nearly as good; of two with alarms
+    /// the larger.
+    fn beside_open(self, all: &Explanations, open: &[Cause], settings: &Settings) -> Self {
+        let is_open = |part: &Explanation| open.contains(&part.cause);
+        let Some(own) = all.pairs.iter().find(|pair| pair.parts.iter().any(is_open)) else { return self };
+        let [mut a, mut b] = own.parts;
+        if a.relevance(settings) < b.relevance(settings) {
+            (a, b) = (b, a);
+        }
+        let (new, known) = if is_open(&a) && !is_open(&b) { (b, a) } else { (a, b) };
+        let strangers = all.pairs.iter().filter(|pair| !pair.includes(new.cause));
+        let strangers = strangers.map(|pair| pair.score + if pair.includes(known.cause) { 0.0 } else { KNOWN });
+        let alone = all.singles.iter().map(|single| single.score);
+        let lead = strangers.chain(alone).map(|score| score - own.score).fold(f64::INFINITY, f64::min);
+        if lead < CLOSE && !is_open(&new) {
+            return self;
+        }
+        Self { naming: Naming::Another { new, known }, rival: None, relevance: new.relevance(settings), lead, ..self }
+    }
+
     /// The lead that `best` needs over `next`. The rule distinguishes only inertia from the rest.
     fn margin_needed(&self, best: Cause, next: Cause) -> f64 {
         match (self.rule, best == Cause::Inertia, next == Cause::Inertia) {
@@ -147,7 +171,7 @@ impl Attribution {
     /// The cause of the alarm.
     pub(super) fn cause(&self) -> Cause {
         match self.naming {
-            Naming::One(e) => e.cause,
+            Naming::One(e) | Naming::Another { new: e, .. } => e.cause,
             _ => Cause::Unattributed,
         }
     }
@@ -155,7 +179,9 @@ impl Attribution {
     /// The largest part; of two that are too close to call, the better.
     pub(super) fn main(&self) -> Option<&Explanation> {
         match &self.naming {
-            Naming::One(main) | Naming::Either(main, _) | Naming::Both(main, _) => Some(main),
+            Naming::One(main) | Naming::Either(main, _) | Naming::Both(main, _) | Naming::Another { new: main, .. } => {
+                Some(main)
+            }
             Naming::Neither => None,
         }
     }
@@ -170,6 +196,7 @@ impl Attribution {
     pub(super) fn includes(&self, cause: Cause) -> bool {
         match &self.naming {
             Naming::One(e) => e.cause == cause,
+            Naming::Another { new, known } => new.cause == cause || known.cause == cause,
             Naming::Either(a, b) | Naming::Both(a, b) => {
                 cause == Cause::Unattributed || a.cause == cause || b.cause == cause
             }

@@ -119,8 +119,8 @@ impl Drift {
             } else {
                 0
             } + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
-                (Naming::One(_), _) if attribution.lead >= SAFE => 0,
-                (Naming::One(_), _) => DOUBTED_PATIENCE,
+                (Naming::One(_) | Naming::Another { .. }, _) if attribution.lead >= SAFE => 0,
+                (Naming::One(_) | Naming::Another { .. }, _) => DOUBTED_PATIENCE,
                 (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
                 (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
             }),

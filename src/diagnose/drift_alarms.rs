@@ -10,7 +10,7 @@ use super::{
     course::LimitForecast,
     drift::{Drift, alarm_causes},
     event::{AlarmEvent, Cause, RunnerUp, Severity},
-    explain::{Explanation, percent, single},
+    explain::{Explanation, fit, percent, single},
     history::History,
     intermittent::Intermittent,
     operational::Context,
@@ -19,6 +19,7 @@ use super::{
     text,
     track::{Suspicion, Tracks},
     verdict::Drifting,
+    window::Window,
 };
 use crate::throw::{Direction, ThrowRef};
 
@@ -171,11 +172,17 @@ impl DriftAlarms {
     /// Updates the present drifts after a throw.
     fn renew(&mut self, drift: &Drift, order: u64, tracks: &Tracks, alarms: &Alarms, settings: &Settings) {
         let mut now: Vec<(f64, Drifting)> = Vec::new();
+        let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
+        let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.active().filter(|event| event.cause.is_drift()) {
+            let size = |cause: Cause, Window { mean, covariance, .. }: &Window| {
+                let together =
+                    pair.filter(|pair| pair.contains(&cause)).map(|pair| fit(pair, mean, covariance, settings));
+                let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
+                part.unwrap_or_else(|| single(cause, mean, covariance, settings))
+            };
             let windows = drift.levels.iter().flatten();
-            let parts = windows.flat_map(|window| {
-                alarm_causes(alarm.cause).map(|cause| single(cause, &window.mean, &window.covariance, settings))
-            });
+            let parts = windows.flat_map(|window| alarm_causes(alarm.cause).map(|cause| size(cause, window)));
             let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)));
             let Some(largest) = largest else { continue };
             let direction = drift.direction(alarm.cause, self.throws_since_onset(order), settings);
@@ -218,7 +225,7 @@ impl DriftAlarms {
         let throws = self.throws_since_onset(order);
         let direction = drift.direction(cause, throws, context.settings);
         let mut limit_in_throws = None;
-        if let Naming::One(main) = &mut attribution.naming {
+        if let Naming::One(main) | Naming::Another { new: main, .. } = &mut attribution.naming {
             let (now, forecast) = self.present(main, severity, drift, direction, order, tracks, context.settings);
             limit_in_throws = forecast;
             *main = now;

@@ -39,6 +39,9 @@ pub(super) fn drift(
         Naming::Either(a, b) => {
             format!("{} or {}, too close to call: {} or {} over {over}", a.cause, b.cause, change(a), change(b))
         }
+        Naming::Another { new, known } => {
+            format!("{} over {over}, in addition to {}", change(new), change(known))
+        }
         Naming::Both(a, b) => {
             let together = format!("{} and {} together", a.cause, b.cause);
             format!("{together}{}: {} and {} over {over}", rival(attribution.rival), change(a), change(b))
@@ -354,7 +357,7 @@ fn runner_up(runner_up: Option<&RunnerUp>) -> String {
 
 fn advice(attribution: &Attribution) -> String {
     match &attribution.naming {
-        Naming::One(e) => look_at(e.cause, e.size).to_owned(),
+        Naming::One(e) | Naming::Another { new: e, .. } => look_at(e.cause, e.size).to_owned(),
         Naming::Either(a, b) | Naming::Both(a, b) => {
             format!("{} {}", look_at(a.cause, a.size), look_at(b.cause, b.size))
         }

@@ -32,6 +32,43 @@ fn two_causes_at_once_are_never_one_wrong_name_at_critical_severity() {
     }
 }
 
+/// A fault begins while another one has an alarm.
+#[test]
+fn a_second_fault_is_named_beside_the_first() {
+    let settings = Settings::default();
+    let (mut named, mut wrong, mut lives, mut unattributed, mut held, mut said) = (0, 0, 0, 0, 0, 0);
+    for first in Cause::PHYSICAL {
+        for second in Cause::PHYSICAL.into_iter().filter(|second| *second != first) {
+            let mut right = 0;
+            for seed in 0..10 {
+                let mut machine = Machine::new(450 + seed, Nature::default());
+                let mut monitor = machine.learned(&settings);
+                let sign = |cause| if cause == Cause::Kt { -1.0 } else { 1.0 };
+                let size = |cause| sign(cause) * 3.0 * settings.limit_pct(cause).unwrap();
+                let before = run(&mut machine, &mut monitor, 60, shift(first, size(first)));
+                assert!(before.iter().all(|event| event.cause == first), "{first}");
+                let fault = shift(first, size(first)) + shift(second, size(second));
+                let after = run(&mut machine, &mut monitor, 60, fault);
+                let raised: Vec<_> =
+                    after.iter().filter(|event| event.event_no == 1).map(|event| event.cause).collect();
+                lives += 1;
+                right += usize::from(raised.first() == Some(&second));
+                unattributed += usize::from(raised.contains(&Cause::Unattributed));
+                wrong += raised.iter().filter(|cause| ![second, Cause::Unattributed].contains(cause)).count();
+                for drifting in monitor.drifts().iter().filter(|drifting| [first, second].contains(&drifting.cause)) {
+                    said += 1;
+                    held +=
+                        usize::from((drifting.change_pct - size(drifting.cause)).abs() < 2.0 * drifting.change_pct_sd);
+                }
+            }
+            println!("{first}, then {second}: {right} of 10");
+            named += right;
+        }
+    }
+    println!("named {named} of {lives}, unattributed {unattributed}, wrong {wrong}; sizes {held} of {said}");
+    assert!(10 * named >= 9 * lives && wrong == 0);
+}
+
 /// With a viscous model, an increase of dry friction changes b0 and a0 by up to 0.4 of the change of a1.
 #[test]
 fn dry_friction_that_leaks_is_friction() {
