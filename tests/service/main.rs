@@ -11,6 +11,7 @@ mod faketime;
 mod files;
 mod import;
 mod operators;
+mod pages;
 mod prometheus;
 mod python;
 mod questions;

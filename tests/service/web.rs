@@ -58,7 +58,7 @@ pub(crate) fn exchange(address: &str, request: &str) -> String {
     String::from_utf8(exchange_bytes(address, request.as_bytes())).unwrap()
 }
 
-fn exchange_bytes(address: &str, request: &[u8]) -> Vec<u8> {
+pub(crate) fn exchange_bytes(address: &str, request: &[u8]) -> Vec<u8> {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     stream.write_all(request).unwrap();
