@@ -228,11 +228,15 @@ impl Panel {
             Content::Curves { curves, .. } => curves.iter().map(|curve| curve.name.as_str()).collect(),
             Content::Bars { categories, .. } => categories.iter().map(String::as_str).collect(),
         };
-        let mut x = frame.left;
-        for (name, colour) in names.iter().zip(COLOURS.iter().cycle()).filter(|(name, _)| !name.is_empty()) {
+        let shown = || names.iter().zip(COLOURS.iter().cycle()).filter(|(name, _)| !name.is_empty());
+        let width = |name: &str| 36.0 + CHARACTER * name.chars().count() as f64;
+        // A long legend begins left of the axes.
+        let end = frame.left + frame.width + MARGIN;
+        let mut x = frame.left.min(end - shown().map(|(name, _)| width(name)).sum::<f64>());
+        for (name, colour) in shown() {
             canvas.rectangle(x, frame.top - 22.0, 14.0, 10.0, colour);
             canvas.text(x + 19.0, frame.top - 13.0, 12.0, Anchor::Start, name);
-            x += 36.0 + CHARACTER * name.chars().count() as f64;
+            x += width(name);
         }
     }
 }

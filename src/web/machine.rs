@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     daemon::clock,
-    diagnose::{AlarmState, BaselineRecord, MachineState, Settings},
+    diagnose::{AlarmState, BaselineRecord, MachineState, Settings, Severity},
     store::{CommandRow, Present, Reader, StoreError, Window},
     throw::{Direction, MachineId},
     wire::{Alarm, Health},
@@ -95,8 +95,8 @@ struct Way {
     baseline: String,
     /// For each coefficient: change in the last throw, and scatter of the machine.
     changes: Option<[(String, String); 3]>,
-    /// Reason for the rejection of the last throw.
-    rejected: Option<String>,
+    /// Reason why the last throw has no changes.
+    without: String,
 }
 
 /// An alarm event or an operator's command.
@@ -175,7 +175,8 @@ async fn read(
     let baselines = reader.baselines_of(machine, BASELINES).await?;
     let commands = reader.commands_of(machine, COMMANDS).await?;
     let windows = reader.windows(Some(machine)).await?;
-    let open = reader.open_alarms(&selector(machine)).await?;
+    let mut open = reader.open_alarms(&selector(machine)).await?;
+    open.sort_by_key(|alarm| alarm.severity != Severity::Critical);
     let raised = |alarm: &Alarm| {
         let first = events.iter().find(|event| event.alarm_id == alarm.alarm_id && event.event_no == 1)?;
         first.change_pct.zip(first.change_pct_sd)
@@ -242,10 +243,20 @@ fn ways(both: &Ways, baselines: &[BaselineRecord]) -> Vec<Way> {
             },
             baseline,
             changes: change.map(|change| [text(0, change), text(1, change), text(2, change)]),
-            rejected: last.filter(|last| last.is_rejected()).map(reason),
+            without: last.map(without).unwrap_or_default(),
         }
     };
     both.iter().map(way).collect()
+}
+
+/// Reason why a throw has no changes from the baseline.
+fn without(row: &Health) -> String {
+    match row.quality.as_str() {
+        _ if row.is_rejected() => format!("rejected: {}", reason(row)),
+        "rough" => "rough: this throw has only the ratios of the coefficients, in the charts below".to_owned(),
+        "current_only" => "current only: there is no position".to_owned(),
+        _ => "no baseline yet".to_owned(),
+    }
 }
 
 /// Reason for the rejection of a throw: a sentence, or the code.

@@ -124,7 +124,9 @@ fn change(
         furthest = points.iter().fold(furthest, |(low, high), (_, change)| (low.min(*change), high.max(*change)));
         panel = panel.line(direction.to_string(), points);
     }
-    if let (Some(own), Some((first, last))) = (own, ends(ways)) {
+    if let Some((first, last)) = ends(ways) {
+        // Without a band the line at 0 only gives the chart the same range of time as the others.
+        let own = own.unwrap_or(0.0);
         panel = panel.banded_line("", [(first, 0.0, own), (last, 0.0, own)]);
     }
     panel = panel.level(warning, "warning").level(-warning, "warning");
@@ -142,14 +144,24 @@ fn change(
 /// A feature, which a throw has with or without an estimate.
 type Feature = fn(&Health) -> Option<f64>;
 
-/// Charts of the features of every throw, also of rejected ones: duration and currents.
+const ALL_THROWS: &str = "of each throw, also of rejected ones";
+const ROUGH_THROWS: &str = "of each throw, also of rough ones, which have only the ratios of the coefficients";
+
+/// Charts of the features of every throw, also of rejected ones: duration and currents. If some throws are rough, the
+/// ratios of the coefficients too.
 pub(super) fn features(ways: &Ways, marks: &[Mark], baselines: &[BaselineRecord]) -> Vec<Picture> {
-    let shown: [(&str, &str, Feature); 3] = [
-        ("Duration", "s", |row| row.duration_s),
-        ("Mean current", "A", |row| row.mean_current_a),
-        ("Peak current", "A", |row| row.peak_current_a),
+    let ratios: [(&str, &str, &str, Feature); 2] = [
+        ("Friction per motor (a1 / b0)", "mA s/rad", ROUGH_THROWS, |row| ratio(row, row.a1_per_b0, 1)),
+        ("Stiffness per motor (a0 / b0)", "mA/rad", ROUGH_THROWS, |row| ratio(row, row.a0_per_b0, 2)),
     ];
-    let picture = |(title, unit, value): (&str, &str, Feature)| {
+    let shown: [(&str, &str, &str, Feature); 3] = [
+        ("Duration", "s", ALL_THROWS, |row| row.duration_s),
+        ("Mean current", "A", ALL_THROWS, |row| row.mean_current_a),
+        ("Peak current", "A", ALL_THROWS, |row| row.peak_current_a),
+    ];
+    let is_rough = |row: &Health| row.coefficients.is_none() && row.a1_per_b0.is_some();
+    let ratios = if ways.iter().flat_map(|(_, rows)| rows).any(is_rough) { &ratios[..] } else { &[] };
+    let picture = |(title, unit, of, value): (&str, &str, &str, Feature)| {
         let mut panel = Panel::history(title, unit);
         let mut least = f64::INFINITY;
         for (direction, rows) in ways {
@@ -158,17 +170,24 @@ pub(super) fn features(ways: &Ways, marks: &[Mark], baselines: &[BaselineRecord]
             panel = panel.line(direction.to_string(), points);
         }
         let normal = usual(ways, baselines, value);
+        // Takes the colour of the band in the other charts.
+        panel = panel.line("", []);
         for (level, direction) in &normal {
             panel = panel.level(*level, if normal.len() > 1 { direction.as_str() } else { "baseline" });
         }
         if !least.is_finite() {
             return None;
         }
-        let says =
-            format!("{title} of each throw, also of rejected ones. The dashed lines are the medians of the baseline.");
+        let says = format!("{title} {of}. The dashed lines are the medians of the baseline.");
         Some(Picture { svg: drawn_with(panel, rejected_at(ways, least), marks), says })
     };
-    shown.into_iter().filter_map(picture).collect()
+    ratios.iter().copied().chain(shown).filter_map(picture).collect()
+}
+
+/// A ratio to b0, times 1000: of the estimate, or of the coefficients.
+fn ratio(row: &Health, known: Option<f64>, at: usize) -> Option<f64> {
+    let ratio = known.or_else(|| row.coefficients.map(|coefficients| coefficients[at] / coefficients[0]));
+    ratio.map(|ratio| 1e3 * ratio)
 }
 
 /// Median of a feature for each direction, over the throws in the chart up to the baseline, or over the first good
