@@ -60,7 +60,7 @@ async fn what_can_be_read_of_a_broken_database_is_kept() {
     database(whole.path()).await;
     let all = THROWS * MACHINES.len() as u64;
     let pages = fs::metadata(whole.path().join("points.db")).unwrap().len() / PAGE;
-    for (broken, seeds, least_machines, least_throws) in [(1, 10, 9.0, 0.95), (10, 5, 8.0, 0.9), (100, 2, 5.0, 0.6)] {
+    for (broken, seeds, least_machines, least_throws) in [(1, 10, 9.0, 0.95), (10, 5, 8.0, 0.9), (100, 8, 5.0, 0.6)] {
         let (mut machines, mut alarms, mut throws, mut traces, mut no_schema) = (0, 0, 0, 0, 0);
         for seed in 0..seeds {
             let folder = tempfile::tempdir().unwrap();
