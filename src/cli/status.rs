@@ -159,7 +159,7 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
                 change(0),
                 change(1),
                 change(2),
-                format!("{} ago{rejected}", age(clock::now().duration_since(row.started_at))),
+                format!("{}{rejected}", age(clock::now().duration_since(row.started_at))),
             ]);
         }
     }
@@ -197,12 +197,24 @@ fn target(direction: Option<Direction>) -> &'static str {
     }
 }
 
-/// An age in one unit: "12 s", "5 min", "3 h" or "4 d".
+/// An age in one unit: "12 s ago", "5 min ago", "3 h ago" or "4 d ago"; "3 h ahead" if the clock of the logger is ahead.
 fn age(age: SignedDuration) -> String {
-    match age.as_secs() {
+    let length = match age.as_secs().unsigned_abs() {
         seconds @ ..120 => format!("{seconds} s"),
         seconds @ ..7_200 => format!("{} min", seconds / 60),
         seconds @ ..172_800 => format!("{} h", seconds / 3_600),
         seconds => format!("{} d", seconds / 86_400),
+    };
+    format!("{length} {}", if age.is_negative() { "ahead" } else { "ago" })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_age_has_one_unit_and_says_when_a_clock_is_ahead() {
+        let said = [0, 119, 120, 7_200, 172_800, -36_000].map(|seconds| age(SignedDuration::from_secs(seconds)));
+        assert_eq!(said, ["0 s ago", "119 s ago", "2 min ago", "2 h ago", "2 d ago", "10 h ahead"]);
     }
 }
