@@ -88,7 +88,7 @@ fn unreadable(error: StoreError) -> Failure {
 }
 
 fn written(result: csv::Result<()>) -> Result<(), Failure> {
-    output::written(result.map_err(io::Error::from))
+    output::written(result.map_err(output::io_error))
 }
 
 /// Writes the trace of a throw; returns its file in `folder`, or an empty text if the trace is not stored.

@@ -50,6 +50,14 @@ pub(super) fn written<T>(result: io::Result<T>) -> Result<T, Failure> {
     })
 }
 
+/// The error of a write through the CSV writer, with the kind of the write error.
+pub(super) fn io_error(error: csv::Error) -> io::Error {
+    match error.into_kind() {
+        csv::ErrorKind::Io(error) => error,
+        other => io::Error::other(format!("{other:?}")),
+    }
+}
+
 /// A table without borders.
 pub(super) fn plain_table<const N: usize>(header: [&str; N]) -> Table {
     let mut table = Table::new();

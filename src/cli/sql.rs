@@ -10,6 +10,7 @@ use serde_json::json;
 use super::{
     Exit, Failure, Outcome, ResultExt,
     database::{Location, block_on},
+    output,
 };
 use crate::store::{StoreError, Value, ask};
 
@@ -113,11 +114,11 @@ struct Csv<W: Write>(csv::Writer<W>);
 
 impl<W: Write> Answer for Csv<W> {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
-        self.0.write_record(names).map_err(io::Error::from)
+        self.0.write_record(names).map_err(output::io_error)
     }
 
     fn row(&mut self, values: Vec<Value>) -> io::Result<()> {
-        self.0.write_record(values.iter().map(text)).map_err(io::Error::from)
+        self.0.write_record(values.iter().map(text)).map_err(output::io_error)
     }
 
     fn end(&mut self) -> io::Result<()> {

@@ -52,9 +52,10 @@ impl Badge {
     }
 }
 
-/// "+57 % ± 3": a size with two standard deviations.
+/// "+57 % ± 3" or "−20.1 % ± 0.4": a size with two standard deviations, which are never shown as 0.
 pub(super) fn size(change_pct: f64, sd: f64) -> String {
-    format!("{} % ± {:.0}", signed(change_pct, 0), 2.0 * sd)
+    let decimals = usize::from(2.0 * sd < 0.95);
+    format!("{} % ± {:.decimals$}", signed(change_pct, decimals), (2.0 * sd).max(0.1))
 }
 
 /// A signed number with a true minus sign, never "−0".
@@ -90,5 +91,7 @@ mod tests {
     fn a_number_has_a_true_sign() {
         assert_eq!([signed(-0.04, 1), signed(3.26, 1), signed(-3.26, 1)], ["+0.0", "+3.3", "−3.3"]);
         assert_eq!(size(57.2, 1.4), "+57 % ± 3");
+        assert_eq!(size(-20.12, 0.2), "−20.1 % ± 0.4");
+        assert_eq!(size(-20.12, 0.01), "−20.1 % ± 0.1");
     }
 }

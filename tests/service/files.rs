@@ -1,6 +1,10 @@
 //! Commands that write files for other programs: export, report, manual pages, completions.
 
-use std::{fs, path::Path, process::Command};
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Stdio},
+};
 
 use pointsd::throw::Throw;
 
@@ -67,6 +71,17 @@ async fn an_export_has_every_throw_with_its_estimate_and_its_trace() {
     }
     let (code, columns, rows) = export(&rig.database(), &["north/99"]);
     assert!(code == Some(1) && columns[0] == "site" && rows.is_empty(), "{code:?}");
+    // A closed pipe ends the command without an error. It is noticed when the buffer of the writer is full.
+    let many = "SELECT * FROM health_history CROSS JOIN (VALUES (1), (2), (3), (4), (5), (6), (7), (8), (9)) CROSS JOIN \
+                (VALUES (1), (2), (3), (4), (5), (6), (7), (8), (9))";
+    for arguments in [&["export"][..], &["sql", "--csv", many]] {
+        let mut command = pointsd(arguments);
+        command.arg("--database").arg(rig.database()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        assert!(output.status.success() && output.stderr.is_empty(), "{arguments:?}: {output:?}");
+    }
     // Retention has deleted a trace.
     assert!(daemon.terminate().success());
     rig.change("DELETE FROM trace WHERE throw_row = (SELECT min(throw_row) FROM trace)").await;
