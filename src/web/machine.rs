@@ -9,7 +9,6 @@ use axum::{
 };
 
 use super::{
-    STYLE,
     alarm::AlarmLine,
     overview::{Web, selector},
     page::{self, Failure, known_name},
@@ -149,10 +148,10 @@ pub async fn report(
     span: Span,
     settings: &Settings,
 ) -> Result<Option<String>, StoreError> {
-    let Some(mut page) = read(reader, machine, span, settings).await? else { return Ok(None) };
-    page.file_style = Some(STYLE);
-    page.alarms.iter_mut().for_each(|alarm| alarm.throw = None);
-    Ok(Some(page::rendered(&page)))
+    let Some(mut file) = read(reader, machine, span, settings).await? else { return Ok(None) };
+    file.file_style = Some(page::STYLE);
+    file.alarms.iter_mut().for_each(|alarm| alarm.throw = None);
+    Ok(Some(page::rendered(&file)))
 }
 
 /// Reads the page of a machine; `None` for an unknown machine.

@@ -45,11 +45,10 @@ use tokio::net::TcpListener;
 use crate::daemon::View;
 use connection::Bounded;
 use overview::Web;
-use page::{Failure, asset};
+use page::{Failure, STYLE, asset};
 
 pub use machine::{Span, report};
 
-const STYLE: &str = include_str!("pages/style.css");
 const REFRESH: &str = include_str!("pages/refresh.js");
 
 /// The dashboard cannot listen on its address.

@@ -14,6 +14,9 @@ use crate::{
     throw::{MachineId, ThrowRef},
 };
 
+/// The style sheet of all pages.
+pub(super) const STYLE: &str = include_str!("pages/style.css");
+
 /// A failure as response; `guard` turns it into a page.
 #[derive(Debug, Clone)]
 pub(super) struct Failure {
