@@ -1,6 +1,6 @@
 //! Trace of a throw: its two sampled channels.
 
-use std::fmt::Write as _;
+use std::{fmt::Write as _, sync::Arc};
 
 /// Longest trace, in samples of each channel: 50 s at 20 kHz. Bounds the memory that one message can use.
 pub const MAX_SAMPLES: usize = 1_000_000;
@@ -12,12 +12,12 @@ pub const MAX_SAMPLE_RATE_HZ: f64 = 1_000_000.0;
 /// Motor current and toe position, sampled together at a constant rate.
 ///
 /// The channels are equally long and hold 1 to [`MAX_SAMPLES`] samples. Values may be NaN or infinite: a broken sensor
-/// is a fault of the machine that must be stored and reported, so it is not an error here.
+/// is a fault of the machine that must be stored and reported, so it is not an error here. Clones share the samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trace {
     sample_rate_hz: f64,
-    current_a: Vec<f64>,
-    position_mm: Vec<f64>,
+    current_a: Arc<Vec<f64>>,
+    position_mm: Arc<Vec<f64>>,
 }
 
 /// Two channels that do not form a trace.
@@ -60,7 +60,7 @@ impl Trace {
         if !(1..=MAX_SAMPLES).contains(&current_a.len()) {
             return Err(InvalidTrace::SampleCount { samples: current_a.len() });
         }
-        Ok(Self { sample_rate_hz, current_a, position_mm })
+        Ok(Self { sample_rate_hz, current_a: Arc::new(current_a), position_mm: Arc::new(position_mm) })
     }
 
     /// Sampling rate \[Hz\].
@@ -99,7 +99,7 @@ impl Trace {
     #[must_use]
     pub fn to_csv(&self) -> String {
         let mut text = "time_s,current_a,position_mm\n".to_owned();
-        for (at, (current_a, position_mm)) in self.current_a.iter().zip(&self.position_mm).enumerate() {
+        for (at, (current_a, position_mm)) in self.current_a.iter().zip(self.position_mm.iter()).enumerate() {
             let time_s = at as f64 / self.sample_rate_hz;
             let _ = write!(text, "{time_s:.7},{current_a},");
             let _ = if position_mm.is_nan() { writeln!(text) } else { writeln!(text, "{position_mm}") };
@@ -110,7 +110,7 @@ impl Trace {
     /// The two channels, current \[A\] first, position \[mm\] second.
     #[must_use]
     pub fn into_channels(self) -> (Vec<f64>, Vec<f64>) {
-        (self.current_a, self.position_mm)
+        (Arc::unwrap_or_clone(self.current_a), Arc::unwrap_or_clone(self.position_mm))
     }
 }
 
