@@ -72,12 +72,34 @@ fn little_endian(values: &[f64]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
-/// CRC-32 of both channels as little-endian 64-bit floats, current first.
-pub(super) fn checksum(current_a: &[f64], position_mm: &[f64]) -> u32 {
+/// CRC-32 of a trace, over samples as little-endian 64-bit floats.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Checksums {
+    /// Of each channel, current first.
+    pub(super) channels: [u32; 2],
+    /// Of both channels, current first.
+    pub(super) both: u32,
+}
+
+impl Checksums {
+    pub(super) fn of(current_a: &[f64], position_mm: &[f64]) -> Self {
+        let [mut both, position] = [current_a, position_mm].map(hasher);
+        let channels = [both.clone().finalize(), position.clone().finalize()];
+        both.combine(&position);
+        Self { channels, both: both.finalize() }
+    }
+}
+
+fn hasher(values: &[f64]) -> crc32fast::Hasher {
     let mut hasher = crc32fast::Hasher::new();
-    hasher.update(&little_endian(current_a));
-    hasher.update(&little_endian(position_mm));
-    hasher.finalize()
+    let mut bytes = [[0; size_of::<f64>()]; 512];
+    for values in values.chunks(bytes.len()) {
+        for (bytes, value) in bytes.iter_mut().zip(values) {
+            *bytes = value.to_le_bytes();
+        }
+        hasher.update(bytes[..values.len()].as_flattened());
+    }
+    hasher
 }
 
 /// Decodes `samples` values of a channel.
@@ -105,7 +127,7 @@ fn unpacked<T: pco::data_types::Number + Default>(data: &[u8], samples: usize) -
     }
 }
 
-/// Decodes the trace from two stored channels; `crc32` is from [`checksum`].
+/// Decodes the trace from two stored channels; `crc32` is that of both channels.
 pub(super) fn trace(
     sample_rate_hz: f64,
     samples: usize,
@@ -117,7 +139,7 @@ pub(super) fn trace(
         return Err(InvalidTrace::SampleCount { samples }.into());
     }
     let (current_a, position_mm) = (decode(current, samples)?, decode(position, samples)?);
-    if checksum(&current_a, &position_mm) != crc32 {
+    if Checksums::of(&current_a, &position_mm).both != crc32 {
         return Err(UnreadableTrace::Damaged("wrong checksum".to_owned()));
     }
     Ok(Trace::new(sample_rate_hz, current_a, position_mm)?)
@@ -174,7 +196,7 @@ mod tests {
             let mut current = position.clone();
             let at = at % current.data.len();
             current.data[at] ^= mask;
-            let crc32 = checksum(&values, &values);
+            let crc32 = Checksums::of(&values, &values).both;
             if let Ok(trace) = trace(1000.0, values.len(), &current, &position, crc32) {
                 prop_assert_eq!(trace.current_a(), &values[..]);
             }

@@ -5,7 +5,7 @@ use sqlx::SqliteConnection;
 use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
-    codec::{self, Channel},
+    codec::{self, Channel, Checksums},
     cursor::{self, Boot, Place},
     error::StoreError,
     rows::{GapKind, RENUMBERED, ThrowRow},
@@ -40,7 +40,7 @@ pub(super) struct Spool {
     current: Channel,
     position: Channel,
     trace_crc32: u32,
-    /// Hash of the trace, to detect repeated traces.
+    /// CRC-32 of the current in the upper half, of the position in the lower half: detects repeated traces.
     trace_hash: i64,
     /// Permit for the memory of the waiting throw; released after the answer.
     pub(super) room: Option<OwnedSemaphorePermit>,
@@ -54,7 +54,7 @@ impl Spool {
 
     pub(super) fn new(machine: &MachineId, throw: &Throw, received_at: Timestamp) -> Result<Self, StoreError> {
         let throw_no = i64::try_from(throw.id.throw_no).map_err(|_| StoreError::ThrowNumber(throw.id.throw_no))?;
-        let trace_crc32 = codec::checksum(throw.trace.current_a(), throw.trace.position_mm());
+        let checksums = Checksums::of(throw.trace.current_a(), throw.trace.position_mm());
         Ok(Self {
             machine: machine.clone(),
             id: throw.id.clone(),
@@ -67,11 +67,11 @@ impl Spool {
             temperature_c: throw.temperature_c,
             supply_v: throw.supply_v,
             anti_alias_hz: throw.anti_alias_hz,
-            content_crc32: content_checksum(throw, trace_crc32),
+            content_crc32: content_checksum(throw, checksums.both),
             current: codec::encode(throw.trace.current_a()),
             position: codec::encode(throw.trace.position_mm()),
-            trace_crc32,
-            trace_hash: trace_hash(throw),
+            trace_crc32: checksums.both,
+            trace_hash: (i64::from(checksums.channels[0]) << 32) | i64::from(checksums.channels[1]),
             room: None,
         })
     }
@@ -148,12 +148,6 @@ impl Spool {
         let judged_as = Boot { position: boot.position.saturating_add(SPACING / 2), ..again };
         self.insert(connection, machine_row, judged_as, throw_no).await.map(Spooled::New)
     }
-}
-
-/// CRC-32 of the current in the upper half, of the position in the lower half.
-fn trace_hash(throw: &Throw) -> i64 {
-    let checksum = |channel: &[f64]| i64::from(codec::checksum(channel, &[]));
-    (checksum(throw.trace.current_a()) << 32) | checksum(throw.trace.position_mm())
 }
 
 /// CRC-32 of the whole throw.
