@@ -1,6 +1,7 @@
 //! Publishes alarms and health from its own thread, as a put blocks on a slow link.
 
 use std::{
+    collections::{HashMap, hash_map::Entry},
     convert::Infallible,
     sync::{
         Arc,
@@ -10,7 +11,7 @@ use std::{
 };
 
 use tokio::sync::{mpsc, oneshot};
-use zenoh::{Session, Wait, bytes::Encoding, qos::CongestionControl};
+use zenoh::{Session, Wait, bytes::Encoding, key_expr::KeyExpr, qos::CongestionControl};
 
 use super::error::BusError;
 
@@ -101,24 +102,46 @@ impl Outlet {
 }
 
 fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, counters: &OutletCounters) {
+    // For a declared key zenoh keeps the route. For any other it compares the key with every key of the network at each
+    // put, which took 0.2 ms with 1,000 machines. At most two keys for each machine.
+    let mut declared = HashMap::new();
     while let Some(job) = jobs.blocking_recv() {
         let is_published = match job {
             Job::Alarm { key, payload, done } => {
                 // An alarm blocks on a slow link, and is not dropped.
-                let result = put(session, key, payload, CongestionControl::Block);
+                let result = put(session, &mut declared, key, payload, CongestionControl::Block);
                 let is_published = result.is_ok();
                 // Fails if the caller stopped waiting; the event is published anyway.
                 let _ = done.send(result);
                 is_published
             }
-            Job::Health { key, payload } => put(session, key, payload, CongestionControl::Drop).is_ok(),
+            Job::Health { key, payload } => put(session, &mut declared, key, payload, CongestionControl::Drop).is_ok(),
         };
         let counter = if is_published { &counters.published } else { &counters.refused };
         counter.fetch_add(1, Relaxed);
     }
 }
 
-fn put(session: &Session, key: String, payload: Vec<u8>, congestion: CongestionControl) -> Result<(), BusError> {
+/// Publishes on a key, which is declared at its first use.
+fn put(
+    session: &Session,
+    declared: &mut HashMap<String, KeyExpr<'static>>,
+    key: String,
+    payload: Vec<u8>,
+    congestion: CongestionControl,
+) -> Result<(), BusError> {
     let failed = BusError::new(format!("publish on {key}"));
-    session.put(key, payload).encoding(Encoding::APPLICATION_JSON).congestion_control(congestion).wait().map_err(failed)
+    let key = match declared.entry(key) {
+        Entry::Occupied(known) => known.into_mut(),
+        Entry::Vacant(new) => match session.declare_keyexpr(new.key().clone()).wait() {
+            Ok(key) => new.insert(key),
+            Err(error) => return Err(failed(error)),
+        },
+    };
+    session
+        .put(&*key, payload)
+        .encoding(Encoding::APPLICATION_JSON)
+        .congestion_control(congestion)
+        .wait()
+        .map_err(failed)
 }
