@@ -8,7 +8,11 @@ use std::{
 };
 
 use jiff::Timestamp;
-use tokio::{sync::Notify, task, time};
+use tokio::{
+    sync::Notify,
+    task,
+    time::{self, MissedTickBehavior},
+};
 use tokio_util::sync::CancellationToken;
 
 use super::{clock, heartbeat::TaskName, status::Status};
@@ -22,6 +26,9 @@ use crate::{
 /// Messages in a batch: many, as the rejected ones cost one sync in total; few enough that a throw waits for the
 /// previous batch only a fraction of a second.
 const BATCH: usize = 256;
+/// Least time between two batches: the throws of a busy fleet share syncs, statements and wake-ups, which cost half of
+/// the processor time at 400 throws/s. A single throw is stored at once.
+const PACE: Duration = Duration::from_millis(20);
 /// First pause after a failed write; doubled up to [`LONGEST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
 /// Longest pause, within which freed disk space is noticed.
@@ -129,6 +136,8 @@ impl Receiver {
     pub(super) async fn run(mut self, stop: CancellationToken) {
         let mut batch = Vec::with_capacity(BATCH);
         let mut beat = time::interval(Duration::from_secs(1));
+        let mut pace = time::interval(PACE);
+        pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut open = true;
         loop {
             let count = tokio::select! {
@@ -151,6 +160,7 @@ impl Receiver {
             self.spool(throws).await;
             self.missing.notify_one();
             self.status.heartbeats.beat(TaskName::Receive);
+            pace.tick().await;
         }
     }
 

@@ -213,7 +213,8 @@ statements! {
     AWAITED_COUNT = concat!("SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE ", awaited!());
 
     // Judging. Machines with pending throws, in turn after a given one; of each the first throws that can be judged, so
-    // that neither a long queue nor an open backlog of one machine delays others.
+    // that neither a long queue nor an open backlog of one machine delays others. (SQLite prepares a statement again at
+    // each call if a parameter alone is its LIMIT.)
     TO_JUDGE = "WITH RECURSIVE waiting (machine_row) AS (\
         SELECT min(machine_row) FROM throw INDEXED BY throw_pending WHERE judged_at_us IS NULL \
         AND machine_row > coalesce((SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?5), 0) \
@@ -224,15 +225,15 @@ statements! {
         CASE WHEN since_us BETWEEN ?3 AND ?4 THEN cursor_position ELSE 9223372036854775807 END, coalesce(cursor_no, 0) \
         FROM waiting LEFT JOIN backlog USING (machine_row) WHERE waiting.machine_row IS NOT NULL), \
         ready AS (SELECT machine_row, position, no FROM bound WHERE EXISTS (SELECT 1 FROM throw AS own INDEXED BY throw_pending \
-        WHERE own.machine_row = bound.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no)) LIMIT ?2), \
+        WHERE own.machine_row = bound.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no)) LIMIT ?2 + 0), \
         chosen AS (SELECT own.throw_row, own.machine_row, \
         row_number() OVER (PARTITION BY own.machine_row ORDER BY own.boot_position, own.throw_no) AS turn \
         FROM ready JOIN throw AS own ON own.throw_row IN (SELECT throw_row FROM throw AS next INDEXED BY throw_pending \
         WHERE next.machine_row = ready.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no) \
-        ORDER BY boot_position, throw_no LIMIT ?2)) \
+        ORDER BY boot_position, throw_no LIMIT ?2 + 0)) \
         SELECT throw_row, site, machine, boot_id, throw_no, received_at_us, repeats_row IS NOT NULL AS repeats \
         FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2) \
+        WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2 + 0) \
         ORDER BY throw.machine_row, boot_position, throw_no";
     STORED_THROW = concat!("SELECT ", throw_rows!(), " WHERE throw_row = ?1");
     PENDING = concat!("SELECT ", throw_rows!(), " \
