@@ -32,14 +32,20 @@ pub(super) fn add_supply(
     let drive = movement.drive(current);
     let (start, end) = (movement.start(), movement.near_end);
     let amperes = |k: usize| drive * (current[k] - movement.current.mean);
-    let (mut normal, mut right, mut charge) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    // Sums of the products of charge, current, angle and time.
+    let (mut sums, mut charge) = ([[0.0; 4]; 3], 0.0);
     for k in start + 1..=end {
         charge += 0.5 * (amperes(k - 1) + amperes(k)) * interval_s;
         let angle = movement.sign * (position[k] - movement.position.mean) * radians_per_mm;
-        let row = Vector3::new(charge, amperes(k), angle);
-        normal += row * row.transpose();
-        right += row * (supply_v * (k - start) as f64 * interval_s);
+        let row = [charge, amperes(k), angle, (k - start) as f64];
+        for i in 0..3 {
+            for j in i..4 {
+                sums[i][j] += row[i] * row[j];
+            }
+        }
     }
+    let normal = Matrix3::from_fn(|i, j| sums[i.min(j)][i.max(j)]);
+    let right = Vector3::from_fn(|i, _| supply_v * interval_s * sums[i][3]);
     let solved = normal.try_inverse().map(|inverse: Matrix3<f64>| inverse * right);
     if let Some(solved) = solved.filter(|found| found[0] > 0.0 && found[2] > 0.0 && found.iter().all(|v| v.is_finite()))
     {

@@ -29,6 +29,17 @@ const MODEL_SHARE: f64 = 1e-4;
 const NOISE_ROOM: f64 = 1.2;
 const CORRELATED: f64 = 15.0;
 
+/// Buffers, reused from throw to throw.
+#[derive(Debug, Default)]
+pub(super) struct Buffers {
+    /// The movement over b0 without a brake.
+    free: Vec<f64>,
+    /// Sums of 1, k, k², f, k f, f², y, k y, f y over the samples after k.
+    after: Vec<[f64; 9]>,
+    /// Scale, its variance over that of the output, and residual sum of squares of each tried brake.
+    found: Vec<(f64, f64, f64)>,
+}
+
 /// Relative standard deviation of the common scale of b0, a1 and a0 by possible brakes.
 ///
 /// `noise` is the variance of the output.
@@ -41,6 +52,7 @@ pub(super) fn scale_sd(
     [b0, a1, a0]: [f64; 3],
     foot: usize,
     (interval_s, noise): (f64, f64),
+    buffers: &mut Buffers,
 ) -> Result<f64, Rejection> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
     let samples = |time_s: f64| (time_s / interval_s) as usize;
@@ -51,8 +63,9 @@ pub(super) fn scale_sd(
     let travel = output[output.len() - 1];
     let (input, output) = (&input[foot..=foot + last], &output[foot..=foot + last]);
     let peak = input.iter().fold(0.0, |peak: f64, u| peak.max(*u));
-    // The movement over b0 without a brake.
-    let mut free = vec![0.0; last + 1];
+    let Buffers { free, after, found } = buffers;
+    free.clear();
+    free.resize(last + 1, 0.0);
     let (mut charge, mut angle, mut before) = (0.0, 0.0, 0.0);
     for k in 1..=last {
         let shift = equilibrium.map_or(0.0, |shift| shift[foot + k - 1]);
@@ -62,18 +75,18 @@ pub(super) fn scale_sd(
         free[k] = free[k - 1] + 0.5 * (before + balance) * interval_s;
         before = balance;
     }
-    // Sums of 1, k, k², f, k f, f², y, k y, f y over the samples after k.
-    let mut after = vec![[0.0; 9]; last + 1];
+    after.clear();
+    after.resize(last + 1, [0.0; 9]);
     for k in (0..last).rev() {
         let (at, f, y) = ((k + 1) as f64, free[k + 1], output[k + 1]);
         let terms = [1.0, at, at * at, f, at * f, f * f, y, at * y, f * y];
         after[k] = std::array::from_fn(|i| after[k + 1][i] + terms[i]);
     }
     let square: f64 = output.iter().map(|y| y * y).sum();
-    // b0, its variance over that of the output, and the residual sum of squares.
     let fit = |cross: f64, own: f64| (cross / own, 1.0 / own, square - cross * cross / own);
     let without = fit(after[0][8], after[0][5]);
-    let mut found = vec![without];
+    found.clear();
+    found.push(without);
     for torque in TORQUES.map(|share| share * peak) {
         let (mut lost_charge, mut lost, mut cross, mut own) = (0.0, 0.0, 0.0, 0.0);
         for k in 1..=samples(LATEST_S).min(last) {

@@ -1,7 +1,7 @@
 //! Checks of a trace before the estimation.
 
 use super::{
-    movement::{MIN_QUIET, Movement, mean, median, quantum},
+    movement::{MIN_QUIET, Movement, every, largest, mean, median_of_magnitudes, peak, quantum},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -54,6 +54,11 @@ const LEVEL_CURRENT_SHARE: f64 = 0.3;
 /// Rejects values that are not finite, or not plausible.
 pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Result<(), Rejection> {
     let channels = [(Channel::Current, current, LARGEST_CURRENT_A), (Channel::Position, position, LARGEST_POSITION_MM)];
+    // The usual trace. A comparison with NaN is false.
+    let is_plausible = |values: &[f64], largest: f64| every(values.iter().map(|v| v.abs() <= largest));
+    if channels.iter().all(|(_, values, largest)| is_plausible(values, *largest)) {
+        return Ok(());
+    }
     for (channel, values, _) in channels {
         if let Some(sample) = values.iter().position(|v| !v.is_finite()) {
             return Err(Rejection::NotFinite { channel, sample, at_s: sample as f64 * interval_s });
@@ -70,7 +75,7 @@ pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Resu
 /// Rejects a clipped current: a plateau of equal extreme values with steep flanks.
 pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection> {
     for sign in [1.0, -1.0] {
-        let limit = current.iter().fold(f64::NEG_INFINITY, |max, i| max.max(sign * i));
+        let limit = largest(current, |i| sign * i);
         let Some(from) = current.iter().position(|i| sign * i >= limit) else { continue };
         let length = current[from..].iter().take_while(|i| sign * **i >= limit).count();
         if length < CLIPPED_SAMPLES || from == 0 {
@@ -94,16 +99,15 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
 /// Rejects a trace without one complete movement driven by a measurable current.
 pub(super) fn course(
     movement: &Movement,
-    current: &[f64],
-    position: &[f64],
+    (current, position): (&[f64], &[f64]),
     interval_s: f64,
     settings: &Settings,
+    noise_mm: f64,
     scratch: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
     let at = |k: usize| k as f64 * interval_s;
     let travel_mm = movement.travel_mm;
-    let furthest = position.iter().fold(0.0, |max: f64, x| max.max((x - position[0]).abs()));
-    let noise_mm = second_difference_noise(position, scratch);
+    let furthest = peak(position, position[0]);
     let least =
         LEAST_TRAVEL_MM.max(LEAST_TRAVEL_SHARE * settings.stroke_mm.unwrap_or(0.0)).max(LEAST_TRAVEL_SIGMAS * noise_mm);
     if travel_mm.max(furthest) < least {
@@ -116,7 +120,7 @@ pub(super) fn course(
         return Err(Rejection::NoCurrent { travel_mm });
     }
     let start = movement.start();
-    let moved_mm = position[..=start].iter().fold(0.0, |max: f64, x| max.max((x - position[0]).abs()));
+    let moved_mm = peak(&position[..=start], position[0]);
     if moved_mm > WRONG_WAY_SHARE * travel_mm.max(furthest) + WRONG_WAY_SIGMAS * noise_mm {
         return Err(Rejection::MovedBeforeCurrent { moved_mm });
     }
@@ -270,7 +274,16 @@ pub(super) fn spikes(
         range.max(SPIKE_SIGMAS * movement.level(channel).sd).max(3.0 * movement.level(channel).quantum.min(range));
     let bend = |k: usize| values[k] - 0.5 * (values[k - 1] + values[k + 1]);
     let steep = |k: usize| SPIKE_SLOPE_SHARE * (values[k + 1] - values[k - 1]).abs();
-    let mut spikes = (3..movement.near_end.min(values.len().saturating_sub(3))).filter(|&k| {
+    let last = movement.near_end.min(values.len().saturating_sub(3));
+    // The usual trace bends nowhere that far.
+    let is_straight = |[a, b, c]: &[f64; 3]| {
+        let here = (b - 0.5 * (a + c)).abs();
+        (here <= threshold) | (here <= SPIKE_SLOPE_SHARE * (c - a).abs())
+    };
+    if last <= 3 || every(values[2..=last].array_windows().map(is_straight)) {
+        return Ok(());
+    }
+    let mut spikes = (3..last).filter(|&k| {
         let here = bend(k);
         let opposite = |beside: f64| -beside * here.signum() > SPIKE_BESIDE_SHARE * here.abs();
         let quiet = |further: f64| further.abs() < SPIKE_BESIDE_SHARE * here.abs();
@@ -315,11 +328,11 @@ pub(super) fn steps(
     movement: &Movement,
     channel: Channel,
     values: &[f64],
-    interval_s: f64,
+    (interval_s, noise): (f64, f64),
     sums: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
     // A step at rest increases the noise at rest, but not that of differences.
-    let (rest, noise) = (movement.level(channel), second_difference_noise(values, sums));
+    let rest = movement.level(channel);
     let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(rest.quantum);
     let start = movement.start();
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
@@ -360,9 +373,23 @@ pub(super) fn steps(
         Channel::Position => (start..start + 4 * wide, LEAST_SLIP * movement.travel_mm),
     };
     let last = (movement.near_end + 1).min(values.len()).saturating_sub(2 * wide);
-    let mut found = (2 * wide - 1..last).filter(|k| {
+    let threshold = (STEP_SIGNIFICANCE * long).max(least);
+    // The usual trace has no step on either side of the excluded part.
+    let is_flat = |from: usize, to: usize| {
+        let Some(count) = to.checked_sub(from).filter(|count| *count > 0) else { return true };
+        let [a, b, c, d, e] = std::array::from_fn(|at| &sums[from + 1 + at * wide - 2 * wide..][..count]);
+        every((0..count).map(|k| {
+            let size = 1.5 * (d[k] - c[k] - (c[k] - b[k])) - 0.5 * (e[k] - d[k] - (b[k] - a[k]));
+            size.abs() <= threshold * wide as f64
+        }))
+    };
+    let first = 2 * wide - 1;
+    if is_flat(first, clear.start.min(last)) && is_flat(clear.end.max(first), last) {
+        return Ok(());
+    }
+    let mut found = (first..last).filter(|k| {
         let size = step(*k, wide);
-        !clear.contains(k) && size.abs() > (STEP_SIGNIFICANCE * long).max(least) && {
+        !clear.contains(k) && size.abs() > threshold && {
             let near = step(*k, wide / 2) * size.signum();
             near > (SHORT_MEAN_SIGMAS * short).max(SHORT_MEAN_SHARE * size.abs())
         }
@@ -454,10 +481,10 @@ pub(super) fn inrush(movement: &Movement, current: &[f64], scratch: &mut Vec<f64
     let (start, end) = (movement.start(), movement.near_end.max(movement.start() + 1));
     let early = start + ((end - start) / 5).max(1);
     let level = |i: &f64| (i - movement.current.mean).abs();
-    let peak_a = current[start..early].iter().map(level).fold(0.0, f64::max);
+    let peak_a = peak(&current[start..early], movement.current.mean);
     scratch.clear();
     scratch.extend(current[early..end].iter().map(level));
-    let running_a = median(scratch);
+    let running_a = median_of_magnitudes(scratch);
     if peak_a < INRUSH_FACTOR * running_a { Err(Rejection::NoInrush { peak_a, running_a }) } else { Ok(()) }
 }
 
@@ -491,7 +518,10 @@ fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) 
     let allowed = JUMP_MEAN_STEPS * mean_step
         + JUMP_SIGMAS * noise_mm
         + JUMP_QUANTA * movement.position.quantum.min(LARGEST_QUANTUM_MM);
-    let steps = position.windows(2).map(|w| (w[1] - w[0]).abs());
+    let steps = position.array_windows().map(|[before, after]| (after - before).abs());
+    if every(steps.clone().map(|step| step <= allowed)) {
+        return Ok(());
+    }
     match steps.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) {
         Some((at, jump_mm)) if jump_mm > allowed => {
             Err(Rejection::PositionJump { jump_mm, at_s: at as f64 * interval_s })
@@ -503,10 +533,11 @@ fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) 
 /// Largest distance back from the furthest position so far.
 fn backwards(movement: &Movement, position: &[f64]) -> f64 {
     let sign = if movement.sign == 0.0 { 1.0 } else { movement.sign };
-    let (mut furthest, mut worst) = (f64::NEG_INFINITY, 0.0_f64);
+    let (mut furthest, mut worst) = (f64::NEG_INFINITY, 0.0);
     for x in position {
-        furthest = furthest.max(sign * x);
-        worst = worst.max(furthest - sign * x);
+        let x = sign * x;
+        furthest = if x > furthest { x } else { furthest };
+        worst = if furthest - x > worst { furthest - x } else { worst };
     }
     worst
 }
@@ -517,13 +548,13 @@ const SD_PER_MEDIAN: f64 = 1.4826;
 /// Standard deviation of white noise on a smooth signal, from the median of its second differences.
 pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
-    scratch.extend(values.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).abs()));
-    SD_PER_MEDIAN * median(scratch) / 6.0_f64.sqrt()
+    scratch.extend(values.array_windows().map(|[a, b, c]| (c - 2.0 * b + a).abs()));
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 6.0_f64.sqrt()
 }
 
 /// The same from first differences, for a mostly constant signal.
 fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));
-    SD_PER_MEDIAN * median(scratch) / 2.0_f64.sqrt()
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 2.0_f64.sqrt()
 }

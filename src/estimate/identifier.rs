@@ -11,7 +11,7 @@ use super::{
     hum,
     identification::{Estimate, Grade, Identification},
     lateness,
-    movement::{Level, MIN_QUIET, Movement, start_of_motor},
+    movement::{Level, MIN_QUIET, Movement, every, peak, start_of_motor},
     ratios::{self, FullModel},
     rejection::{Channel, Rejection},
     release,
@@ -23,6 +23,9 @@ use crate::throw::{Direction, Throw};
 /// Least number of samples and shortest time for three coefficients.
 const MIN_SAMPLES: usize = 30;
 const MIN_DURATION_S: f64 = 0.3;
+/// Relative change of the parameters at which the iteration ends. On throws an iteration reduces the change 200 times or
+/// more, so the rest is a thousandth of a standard deviation.
+const TOLERANCE: f64 = 1e-4;
 /// Quiet samples in the window before the start of the motor.
 const LEAD_IN: usize = 2;
 /// Least number of samples in the rise of an unfiltered current.
@@ -77,6 +80,7 @@ pub struct Identifier {
     equilibrium: Vec<f64>,
     scratch: Vec<f64>,
     workspace: Workspace<3>,
+    brakes: brake::Buffers,
 }
 
 /// The model of equation (12): two poles, one input, three parameters.
@@ -148,15 +152,17 @@ impl Identifier {
             }
         }
         let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
+        let noise_mm = second_difference_noise(&self.position, &mut self.scratch);
         let outcome = raw_checks
             .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
             .and_then(|()| {
-                checks::course(&movement, &self.current, &self.position, interval_s, settings, &mut self.scratch)
+                let channels = (self.current.as_slice(), self.position.as_slice());
+                checks::course(&movement, channels, interval_s, settings, noise_mm, &mut self.scratch)
             })
             .and_then(|()| checks::sticking(&movement, Channel::Current, trace.current_a(), raw_interval_s, factor))
             .and_then(|()| checks::sticking(&movement, Channel::Position, trace.position_mm(), raw_interval_s, factor))
-            .and_then(|()| self.estimate(throw, settings, &movement, interval_s, factor, released));
+            .and_then(|()| self.estimate(throw, settings, &movement, (interval_s, factor, noise_mm), released));
         let moved = direction_moved(&movement, &outcome);
         let mut features = movement.features(&self.current, &self.position, interval_s);
         features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
@@ -214,8 +220,7 @@ impl Identifier {
         throw: &Throw,
         settings: &Settings,
         movement: &Movement,
-        interval_s: f64,
-        factor: usize,
+        (interval_s, factor, noise_mm): (f64, usize, f64),
         released: Option<f64>,
     ) -> Result<Estimate, Rejection> {
         let rate_hz = 1.0 / interval_s;
@@ -247,8 +252,10 @@ impl Identifier {
         or_doubt(checks::spikes(movement, Channel::Current, &self.current, interval_s, filtered))?;
         or_doubt(checks::spikes(movement, Channel::Position, &self.position, interval_s, filtered))?;
         if factor == 1 && filter_hz.is_none() {
-            or_doubt(checks::steps(movement, Channel::Current, &self.current, interval_s, &mut self.scratch))?;
-            or_doubt(checks::steps(movement, Channel::Position, &self.position, interval_s, &mut self.scratch))?;
+            let noise_a = second_difference_noise(&self.current, &mut self.scratch);
+            let (current, position) = ((interval_s, noise_a), (interval_s, noise_mm));
+            or_doubt(checks::steps(movement, Channel::Current, &self.current, current, &mut self.scratch))?;
+            or_doubt(checks::steps(movement, Channel::Position, &self.position, position, &mut self.scratch))?;
             checks::noise_level(movement, &self.current, interval_s, settings, &mut self.scratch)?;
         }
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
@@ -284,7 +291,8 @@ impl Identifier {
         movement: &Movement,
         window: &Window,
     ) -> (Option<FullModel>, Result<Estimate, Rejection>) {
-        let Ok(model) = ThrowModel::new([0]) else { return (None, Err(Rejection::Singular)) };
+        let Ok(mut model) = ThrowModel::new([0]) else { return (None, Err(Rejection::Singular)) };
+        model.tolerance = TOLERANCE;
         let problem = Problem {
             interval_s: window.interval_s,
             output: &self.output,
@@ -318,7 +326,8 @@ impl Identifier {
                 let noise = (window.interval_s, window.output_noise);
                 let delay_s = lateness::check(channels, problem.equilibrium, solution.parameters, foot, noise)?;
                 let channels = (self.input.as_slice(), self.output.as_slice());
-                let brake_sd = brake::scale_sd(channels, problem.equilibrium, solution.parameters, foot, noise)?;
+                let brake_sd =
+                    brake::scale_sd(channels, problem.equilibrium, solution.parameters, foot, noise, &mut self.brakes)?;
                 Ok(Departure { delay_s, brake_sd, ..departure })
             })
             .and_then(|departure| {
@@ -581,8 +590,11 @@ fn direction_moved(movement: &Movement, outcome: &Result<Estimate, Rejection>) -
 
 /// Copies a channel; a value that is not finite is replaced by the previous one, for the features of the rest.
 fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
-    let mut last = from.iter().copied().find(|v| v.is_finite()).unwrap_or(0.0);
     to.clear();
+    if every(from.iter().map(|v| v.is_finite())) {
+        return to.extend_from_slice(from);
+    }
+    let mut last = from.iter().copied().find(|v| v.is_finite()).unwrap_or(0.0);
     to.extend(from.iter().map(|v| {
         if v.is_finite() {
             last = *v;
@@ -593,6 +605,6 @@ fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
 
 /// The current before the trace, for the initial state of the filter: the first value if it is small, else 0.
 fn level_before(current: &[f64]) -> f64 {
-    let peak = current.iter().fold(0.0, |peak: f64, i| peak.max(i.abs()));
+    let peak = peak(current, 0.0);
     if current[0].abs() < 0.05 * peak { current[0] } else { 0.0 }
 }

@@ -208,8 +208,29 @@ pub(super) fn start_of_motor(current: &[f64], scratch: &mut Vec<f64>) -> Option<
     Some((0..first).rev().find(|&k| (current[k] - centre).abs() <= band).unwrap_or(0))
 }
 
-fn peak(values: &[f64], level: f64) -> f64 {
-    values.iter().fold(0.0, |peak: f64, v| peak.max((v - level).abs()))
+/// Largest distance from the level; 0 without values.
+pub(super) fn peak(values: &[f64], level: f64) -> f64 {
+    largest(values, |v| (v - level).abs()).max(0.0)
+}
+
+/// Largest value of a function, in lanes without a branch; negative infinity without values.
+pub(super) fn largest(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
+    const LANES: usize = 8;
+    let mut most = [f64::NEG_INFINITY; LANES];
+    let (chunks, rest) = values.as_chunks::<LANES>();
+    for chunk in chunks {
+        for lane in 0..LANES {
+            let value = of(chunk[lane]);
+            most[lane] = if value > most[lane] { value } else { most[lane] };
+        }
+    }
+    most.into_iter().chain(rest.iter().map(|value| of(*value))).fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// Whether all tests are true; counted, as a loop that may end early takes three times as long.
+pub(super) fn every(tests: impl ExactSizeIterator<Item = bool>) -> bool {
+    let count = tests.len() as u64;
+    tests.map(u64::from).sum::<u64>() == count
 }
 
 fn last_beyond(values: &[f64], level: f64, threshold: f64) -> Option<usize> {
@@ -232,6 +253,13 @@ pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
 pub(super) fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+}
+
+/// Median of values that are not negative, computed in place; 0 without values. The bits of such values are in their
+/// order, and integers compare faster.
+pub(super) fn median_of_magnitudes(values: &mut [f64]) -> f64 {
+    let middle = values.len() / 2;
+    if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by_key(middle, |value| value.to_bits()).1 }
 }
 
 /// The smallest difference other than 0 between neighbouring values: the step of the converter if noise does not hide

@@ -14,6 +14,9 @@ use super::{
     problem::{Problem, Signal, Sriv, Workspace},
 };
 
+/// Least number of samples of a start.
+const START_SAMPLES: usize = 200;
+
 /// Sums of one pass.
 pub(super) struct Sums<const P: usize> {
     /// Σ z φ'.
@@ -84,8 +87,9 @@ impl<const N: usize, const P: usize> Columns<N, P> {
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
-    /// Filters by 1/C and forms the sums. Without an auxiliary model the instrument is the regressor (least squares).
-    /// `None` if C cannot be discretised.
+    /// Filters by 1/C and forms the sums. Without an auxiliary model the instrument is the regressor (least squares), and
+    /// only every `workspace.stride`-th sample is used, as this is a start for the iteration. `None` if C cannot be
+    /// discretised.
     pub(super) fn pass(
         &self,
         problem: &Problem<S>,
@@ -122,12 +126,13 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         (theta, a): (&[f64; P], &[f64; N]),
         workspace: &mut Workspace<P>,
     ) -> Option<Sums<P>> {
-        let filter = Discrete::new(c, problem.interval_s)?;
+        let stride = workspace.stride;
+        let step = if IV { 1 } else { (stride / 2).min(problem.output.len() / START_SAMPLES).max(1) };
+        let filter = Discrete::new(c, problem.interval_s * step as f64)?;
         let own_filter = if APART { Some(Discrete::new(a, problem.interval_s)?) } else { None };
         let model_filter = own_filter.as_ref().unwrap_or(&filter);
         let len = problem.output.len();
         let output = &problem.output[..len];
-        let stride = workspace.stride;
         let mut kept = workspace.instruments.iter_mut();
         let mut until_kept = stride / 2;
         let model_output = &mut workspace.model_output[..len];
@@ -163,7 +168,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         let mut auxiliary_state =
             linear.start(&[0.0; N], combined::<N, P>(theta, &model_columns.read(&model_states, &first)));
         let mut raw = Raw::new();
-        for k in 0..len {
+        for k in (0..len).step_by(step) {
             let u: [f64; S] = std::array::from_fn(|s| value(s, k));
             let y = output[k];
             let mut phi = columns.read(&input_states, &u);
