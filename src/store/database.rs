@@ -18,7 +18,7 @@ use super::{
     settings::{MIB, Settings},
     spool::{Spool, Spooled},
     write::Answer,
-    writer::Writer,
+    writer::{GROUP, Writer},
 };
 use crate::throw::{MachineId, Throw, ThrowRef};
 
@@ -98,14 +98,21 @@ impl Store {
         throw: &Throw,
         received_at: Timestamp,
     ) -> Result<Spooled, StoreError> {
-        self.submit(machine, throw, received_at).await?.await.map_err(|_| StoreError::Closed)?
+        self.submit(Spool::new(machine, throw, received_at)?).await?.await.map_err(|_| StoreError::Closed)?
     }
 
     /// Stores several throws in as few commits as possible; returns the results in their order.
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
         let mut submitted = Vec::with_capacity(throws.len());
-        for (machine, throw, received_at) in throws {
-            submitted.push(self.submit(machine, throw, *received_at).await);
+        for group in throws.chunks(GROUP) {
+            // A group is compressed before its first throw is queued, so that the writer does not commit that one alone.
+            let writes: Vec<_> = group.iter().map(|(machine, throw, at)| Spool::new(machine, throw, *at)).collect();
+            for write in writes {
+                submitted.push(match write {
+                    Ok(write) => self.submit(write).await,
+                    Err(error) => Err(error),
+                });
+            }
         }
         let mut answers = Vec::with_capacity(throws.len());
         for (submitted, (_, throw, _)) in submitted.into_iter().zip(throws) {
@@ -121,13 +128,7 @@ impl Store {
         answers
     }
 
-    async fn submit(
-        &self,
-        machine: &MachineId,
-        throw: &Throw,
-        received_at: Timestamp,
-    ) -> Result<Answer<Spooled>, StoreError> {
-        let mut write = Spool::new(machine, throw, received_at)?;
+    async fn submit(&self, mut write: Spool) -> Result<Answer<Spooled>, StoreError> {
         let room = Arc::clone(&self.room).acquire_many_owned(write.kib());
         write.room = Some(room.await.map_err(|_| StoreError::Closed)?);
         self.writer.submit(write).await

@@ -69,11 +69,9 @@ pub struct MonitorRecord {
 type Statements<'q> = Query<'q, Sqlite, SqliteArguments>;
 
 impl MonitorRecord {
-    fn bind<'q>(&'q self, query: Statements<'q>, machine_row: i64, at_us: i64) -> Statements<'q> {
+    fn bind<'q>(&'q self, query: Statements<'q>) -> Statements<'q> {
         query
-            .bind(machine_row)
             .bind(&self.snapshot)
-            .bind(at_us)
             .bind(self.state.as_str())
             .bind((!self.drifts.is_empty()).then(|| text(&self.drifts)))
             .bind((!self.caveats.is_empty()).then(|| text(&self.caveats)))
@@ -104,18 +102,28 @@ impl Judgement {
     /// Writes the judgement; false, without writing, if the throw was judged before.
     async fn write(&self, connection: &mut SqliteConnection, drop_trace: bool, repeated: bool) -> sqlx::Result<bool> {
         let at_us = self.outcome.at.as_microsecond();
-        let machine_row: Option<i64> =
-            sqlx::query_scalar(sql::JUDGED).bind(self.row.0).bind(at_us).fetch_optional(&mut *connection).await?;
-        let Some(machine_row) = machine_row else {
-            return self.was_written_at(connection, repeated, at_us).await;
-        };
         let monitor = self.outcome.monitor.as_ref();
-        let statements = if monitor.is_some() { sql::ADD_ESTIMATE_AND_SET_MONITOR } else { sql::ADD_ESTIMATE };
-        let mut add = self.bind_estimate(sqlx::query(statements), machine_row);
+        let statements = if monitor.is_some() { sql::JUDGE_AND_SET_MONITOR } else { sql::JUDGE };
+        let mut judge = self.bind_estimate(sqlx::query(statements).bind(self.row.0).bind(at_us));
         if let Some(monitor) = monitor {
-            add = monitor.bind(add, machine_row, at_us);
+            judge = monitor.bind(judge);
         }
-        add.execute(&mut *connection).await?;
+        if judge.execute(&mut *connection).await?.rows_affected() == 0 {
+            return self.was_written_at(connection, repeated, at_us).await;
+        }
+        if !(self.baselines.is_empty() && self.outcome.has_only_a_monitor()) {
+            self.write_rare(connection, at_us).await?;
+        }
+        if drop_trace {
+            sqlx::query(sql::DROP_TRACE).bind(self.row.0).execute(&mut *connection).await?;
+            count(connection, "dropped_traces", 1).await?;
+        }
+        Ok(true)
+    }
+
+    /// Writes baselines and events, which few throws have.
+    async fn write_rare(&self, connection: &mut SqliteConnection, at_us: i64) -> sqlx::Result<()> {
+        let machine_row: i64 = sqlx::query_scalar(sql::MACHINE_OF).bind(self.row.0).fetch_one(&mut *connection).await?;
         for baseline in &self.baselines {
             sqlx::query(sql::ADD_BASELINE)
                 .bind(machine_row)
@@ -125,12 +133,7 @@ impl Judgement {
                 .execute(&mut *connection)
                 .await?;
         }
-        self.outcome.write_events(connection, machine_row).await?;
-        if drop_trace {
-            sqlx::query(sql::DROP_TRACE).bind(self.row.0).execute(&mut *connection).await?;
-            count(connection, "dropped_traces", 1).await?;
-        }
-        Ok(true)
+        self.outcome.write_events(connection, machine_row).await
     }
 
     /// Whether an earlier attempt of this write judged the throw.
@@ -145,13 +148,11 @@ impl Judgement {
         Ok(repeated && judged_at_us == Some(at_us))
     }
 
-    fn bind_estimate<'q>(&'q self, query: Statements<'q>, machine_row: i64) -> Statements<'q> {
+    fn bind_estimate<'q>(&'q self, query: Statements<'q>) -> Statements<'q> {
         let (health, found) = (&self.health, self.identification.as_ref());
         let features = found.map(|found| found.features.clone()).unwrap_or_default();
         let estimate: Option<&Estimate> = found.and_then(|found| found.outcome.as_ref().ok());
         let mut add = query
-            .bind(self.row.0)
-            .bind(machine_row)
             .bind(health.direction.map(Direction::as_str))
             .bind(found.is_some_and(|found| found.direction_contradicted))
             .bind(&health.quality)
@@ -210,13 +211,17 @@ impl Write for Outcome {
 impl Outcome {
     async fn write(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
         if let Some(monitor) = &self.monitor {
-            let set = monitor.bind(sqlx::query(sql::SET_MONITOR), machine_row, self.at.as_microsecond());
-            set.execute(&mut *connection).await?;
+            let set = sqlx::query(sql::SET_MONITOR).bind(machine_row).bind(self.at.as_microsecond());
+            monitor.bind(set).execute(&mut *connection).await?;
         }
         self.write_events(connection, machine_row).await
     }
 
-    /// Writes the judgement without the monitor.
+    fn has_only_a_monitor(&self) -> bool {
+        self.events.is_empty() && self.reported_gaps.is_empty() && self.command.is_none()
+    }
+
+    /// Writes the outcome without the monitor.
     async fn write_events(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
         let at_us = self.at.as_microsecond();
         for GapRow(gap_row) in &self.reported_gaps {

@@ -227,8 +227,9 @@ impl Link {
     }
 }
 
+/// The last first: a caller with several jobs waits for its first, and is woken once.
 fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError>) {
-    for job in jobs {
+    for job in jobs.into_iter().rev() {
         job.answer(committed());
     }
 }

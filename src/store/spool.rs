@@ -1,7 +1,7 @@
 //! Storage of received throws: each once, with gaps for missing numbers.
 
 use jiff::Timestamp;
-use sqlx::SqliteConnection;
+use sqlx::{Sqlite, SqliteConnection, query::Query, sqlite::SqliteArguments};
 use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
@@ -83,9 +83,26 @@ impl Spool {
         boot: Boot,
         throw_no: i64,
     ) -> sqlx::Result<ThrowRow> {
-        let row: i64 = sqlx::query_scalar(sql::ADD_THROW)
-            .bind(machine_row)
-            .bind(boot.boot_row)
+        let add = sqlx::query(sql::ADD_THROW).bind(machine_row).bind(boot.boot_row).bind(boot.position);
+        self.add(connection, add, throw_no).await?.ok_or(sqlx::Error::RowNotFound)
+    }
+
+    /// Adds the throw if it is the next one of a known boot, and no throw of the machine is missing.
+    async fn insert_next(&self, connection: &mut SqliteConnection) -> sqlx::Result<Option<ThrowRow>> {
+        let add = sqlx::query(sql::ADD_NEXT_THROW)
+            .bind(self.machine.site.as_str())
+            .bind(self.machine.machine.as_str())
+            .bind(&self.id.boot_id);
+        self.add(connection, add, self.throw_no).await
+    }
+
+    async fn add<'q>(
+        &'q self,
+        connection: &mut SqliteConnection,
+        query: Query<'q, Sqlite, SqliteArguments>,
+        throw_no: i64,
+    ) -> sqlx::Result<Option<ThrowRow>> {
+        let added = query
             .bind(throw_no)
             .bind(self.started_at_us)
             .bind(self.received_at_us)
@@ -96,19 +113,15 @@ impl Spool {
             .bind(self.supply_v)
             .bind(self.anti_alias_hz)
             .bind(self.content_crc32)
-            .bind(boot.position)
             .bind(self.trace_hash)
             .bind(&self.current.codec)
             .bind(&self.current.data)
             .bind(&self.position.codec)
             .bind(&self.position.data)
             .bind(self.trace_crc32)
-            // `fetch_all`, so that the statement after the one with a result runs too.
-            .fetch_all(connection)
-            .await?
-            .pop()
-            .ok_or(sqlx::Error::RowNotFound)?;
-        Ok(ThrowRow(row))
+            .execute(connection)
+            .await?;
+        Ok((added.rows_affected() > 0).then(|| ThrowRow(added.last_insert_rowid())))
     }
 
     /// Handles a throw whose number is stored already: it is the same throw, or another one if the logger restarted its
@@ -174,21 +187,13 @@ impl Write for Spool {
     type Output = Spooled;
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Spooled> {
-        if let Some(Next { machine_row, boot }) = self.next(connection).await? {
-            return self.insert(connection, machine_row, boot, self.throw_no).await.map(Spooled::New);
+        if let Some(row) = self.insert_next(connection).await? {
+            return Ok(Spooled::New(row));
         }
         let (spooled, boot) = self.store(connection, repeated, Follows::All).await?;
         cursor::advance(connection, boot.machine_row, self.received_at_us).await?;
         Ok(spooled)
     }
-}
-
-/// The row for the next throw of a known boot, if no throw of the machine is missing.
-#[derive(sqlx::FromRow)]
-struct Next {
-    machine_row: i64,
-    #[sqlx(flatten)]
-    boot: Boot,
 }
 
 /// The position of a new boot.
@@ -210,16 +215,6 @@ pub(super) struct StoredAt {
 impl Spool {
     pub(super) fn throw_no(&self) -> i64 {
         self.throw_no
-    }
-
-    async fn next(&self, connection: &mut SqliteConnection) -> sqlx::Result<Option<Next>> {
-        sqlx::query_as(sql::FOLLOWS)
-            .bind(self.machine.site.as_str())
-            .bind(self.machine.machine.as_str())
-            .bind(&self.id.boot_id)
-            .bind(self.throw_no)
-            .fetch_optional(connection)
-            .await
     }
 
     /// Stores the throw, and a gap for the missing numbers before it.

@@ -125,24 +125,54 @@ macro_rules! largest_machine {
     };
 }
 
-/// Parameters without numbers, so that statements can be joined.
-macro_rules! add_estimate {
+/// A throw in the machine and boot of `$place`, with its trace and the highest number of the boot; nothing if there is no
+/// place. Several statements in one call, as each call and each row of a result wake two threads; a later one runs only
+/// if the one before it changed a row.
+macro_rules! add_throw {
+    ($place:literal) => {
+        concat!(
+            "WITH place (machine_row, boot_row, position) AS (",
+            $place,
+            ") \
+             INSERT INTO throw (machine_row, boot_row, boot_position, throw_no, started_at_us, received_at_us, direction, \
+             sample_rate_hz, samples, temperature_c, supply_v, anti_alias_hz, content_crc32, trace_hash, repeats_row) \
+             SELECT machine_row, boot_row, position, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, \
+             (SELECT throw_row FROM throw AS own INDEXED BY throw_by_trace \
+             WHERE own.machine_row = place.machine_row AND own.trace_hash = ?14 LIMIT 1) FROM place; \
+             INSERT INTO trace (throw_row, current_codec, current_data, position_codec, position_data, crc32) \
+             SELECT last_insert_rowid(), ?15, ?16, ?17, ?18, ?19 WHERE changes() = 1; \
+             UPDATE boot SET highest_no = ?4 WHERE changes() = 1 AND highest_no < ?4 \
+             AND boot_row = (SELECT boot_row FROM throw WHERE throw_row = last_insert_rowid())"
+        )
+    };
+}
+
+/// Marks a pending throw as judged and adds its estimate, in one call as [`add_throw`].
+macro_rules! judge {
     () => {
-        "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
+        "UPDATE throw SET judged_at_us = ?2 WHERE throw_row = ?1 AND judged_at_us IS NULL; \
+         INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
          b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, b0_a1_cov, b0_a0_cov, a1_a0_cov, fit_pct, \
          a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, iterations, start_s, end_s, \
          duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, release_s, running_current_a, \
          energy_j, quiet_current_a, start_position_mm, resistance_ohm, back_emf_v_s_per_rad, baseline_throws, \
          baseline_needed, throws_since_baseline, state, drift) \
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+         SELECT throw_row, machine_row, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21, ?22, ?23, \
+         ?24, ?25, ?26, ?27, ?28, ?29, ?30, ?31, ?32, ?33, ?34, ?35, ?36, ?37, ?38, ?39, ?40, ?41, ?42, ?43, \
+         ?44 \
+         FROM throw WHERE throw_row = ?1 AND changes() = 1"
     };
 }
 
+/// Adds or replaces the monitor of `$machine`, a row or a query of rows.
 macro_rules! set_monitor {
-    () => {
-        "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts, caveats) VALUES (?, ?, ?, ?, ?, ?) \
-         ON CONFLICT (machine_row) DO UPDATE SET snapshot = excluded.snapshot, updated_at_us = excluded.updated_at_us, \
-         state = excluded.state, drifts = excluded.drifts, caveats = excluded.caveats"
+    ($machine:literal) => {
+        concat!(
+            "INSERT INTO monitor (machine_row, updated_at_us, snapshot, state, drifts, caveats) ",
+            $machine,
+            " ON CONFLICT (machine_row) DO UPDATE SET snapshot = excluded.snapshot, updated_at_us = excluded.updated_at_us, \
+             state = excluded.state, drifts = excluded.drifts, caveats = excluded.caveats"
+        )
     };
 }
 
@@ -170,19 +200,12 @@ statements! {
     OPEN_TAIL = "UPDATE boot SET tail_open = 1 WHERE boot_row = ?1";
     COUNTS_FROM_ZERO = "SELECT counts_from_zero FROM machine WHERE machine_row = ?1";
     SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
+    STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
+    ADD_THROW = add_throw!("VALUES (?1, ?2, ?3)");
     // The usual throw: the next one of a known boot, without missing throws.
-    FOLLOWS = concat!("SELECT machine_row, ", boots!(), " JOIN machine USING (machine_row) \
+    ADD_NEXT_THROW = add_throw!("SELECT machine_row, boot_row, position FROM boot JOIN machine USING (machine_row) \
         WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND highest_no = ?4 - 1 \
         AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)");
-    STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
-    // Three statements in one call, as each call needs two thread switches.
-    ADD_THROW = "UPDATE boot SET highest_no = ?3 WHERE boot_row = ?2 AND highest_no < ?3; \
-        INSERT INTO throw (machine_row, boot_row, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, \
-        samples, temperature_c, supply_v, anti_alias_hz, content_crc32, boot_position, trace_hash, repeats_row) \
-        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, (SELECT throw_row FROM throw INDEXED BY throw_by_trace \
-        WHERE machine_row = ?1 AND trace_hash = ?14 LIMIT 1)) RETURNING throw_row; \
-        INSERT INTO trace (throw_row, current_codec, current_data, position_codec, position_data, crc32) \
-        VALUES (last_insert_rowid(), ?15, ?16, ?17, ?18, ?19)";
     SAME_CONTENT = "SELECT throw_row FROM throw INDEXED BY throw_by_trace \
         WHERE machine_row = ?1 AND trace_hash = ?2 AND content_crc32 = ?3 AND boot_row = ?4 LIMIT 1";
 
@@ -240,14 +263,14 @@ statements! {
         WHERE judged_at_us IS NULL AND throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     THROWS = concat!("SELECT ", throw_rows!(), " \
         WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2");
-    JUDGED = "UPDATE throw SET judged_at_us = ?2 WHERE throw_row = ?1 AND judged_at_us IS NULL RETURNING machine_row";
+    MACHINE_OF = "SELECT machine_row FROM throw WHERE throw_row = ?1";
     JUDGED_AT = "SELECT judged_at_us FROM throw WHERE throw_row = ?1";
-    ADD_ESTIMATE = add_estimate!();
-    // Two statements in one call, as for ADD_THROW.
-    ADD_ESTIMATE_AND_SET_MONITOR = concat!(add_estimate!(), "; ", set_monitor!());
+    JUDGE = judge!();
+    JUDGE_AND_SET_MONITOR = concat!(judge!(), "; ", set_monitor!("SELECT machine_row, ?2, ?45, ?46, ?47, ?48 \
+        FROM throw WHERE throw_row = ?1 AND changes() = 1"));
     ADD_BASELINE = "INSERT INTO baseline (machine_row, direction, taken_at_us, payload) VALUES (?1, ?2, ?3, ?4) \
         ON CONFLICT DO NOTHING";
-    SET_MONITOR = set_monitor!();
+    SET_MONITOR = set_monitor!("VALUES (?1, ?2, ?3, ?4, ?5, ?6)");
     MONITORS = "SELECT site, machine, snapshot, state FROM monitor JOIN machine USING (machine_row) ORDER BY site, machine";
     MACHINES = "SELECT site, machine FROM machine ORDER BY site, machine";
 
