@@ -103,6 +103,8 @@ pub(crate) struct CommonAlarm {
     pub cause: Cause,
     /// The site.
     pub site: String,
+    /// One of the machines.
+    pub machine: String,
     /// Number of machines.
     pub count: u64,
     /// Time of the first raise.
@@ -192,7 +194,7 @@ const FAULT_COUNT: &str = "
     WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
 
 const COMMON: &str = "
-    SELECT alarm.cause, site, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us
+    SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us
     FROM alarm JOIN machine USING (machine_row)
     WHERE alarm.state <> 'normal' AND alarm.cause IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
     GROUP BY alarm.cause, site ORDER BY count(*) DESC";
@@ -303,6 +305,7 @@ impl FromRow<'_, SqliteRow> for CommonAlarm {
         Ok(Self {
             cause: word(row, "cause")?.unwrap_or(Cause::NotMonitored),
             site: row.try_get("site")?,
+            machine: row.try_get("machine")?,
             count: row.try_get::<i64, _>("count")?.cast_unsigned(),
             first: time(row, "first_us")?,
             last: time(row, "last_us")?,

@@ -228,8 +228,11 @@ fn common(overview: &Overview) -> Vec<Common> {
         });
         let machines = if count == 1 { "machine" } else { "machines" };
         let what = if cause == Cause::NotMonitored { "not monitored" } else { "with lost throws" };
-        let sites: Vec<String> =
-            alarms.iter().take(SILENT).map(|alarm| format!("{} {}", alarm.site, page::count(alarm.count))).collect();
+        let at_site = |alarm: &&CommonAlarm| match alarm.count {
+            1 => format!("{}/{}", alarm.site, alarm.machine),
+            count => format!("{} {}", alarm.site, page::count(count)),
+        };
+        let sites: Vec<String> = alarms.iter().take(SILENT).map(at_site).collect();
         Common {
             badge: Badge(if cause == Cause::NotMonitored { MachineState::NotMonitored } else { MachineState::Warning }),
             says: format!("{} {machines} {what}, {}", page::count(count), times.unwrap_or_default()),
