@@ -49,11 +49,8 @@ impl FeatureWatch {
         context: Context,
     ) -> Option<AlarmEvent> {
         let Context { name, at, throw, settings } = context;
-        #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
-        let departure =
-            |(gauge, _)| gauges.departure(gauge, direction, features).map(|(value, sd)| (value as f32, sd as f32));
         let recent = &mut self.sides[direction.side()];
-        recent.push_back(WATCHED.map(departure));
+        recent.push_back(gauges.departures(WATCHED.map(|(gauge, _)| gauge), direction, features));
         if recent.len() > LEVEL {
             recent.pop_front();
         }

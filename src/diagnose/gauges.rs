@@ -118,12 +118,19 @@ impl Gauges {
         }
     }
 
-    /// Departure of a gauge of this throw from normal, as a logarithm, with the standard deviation of one throw; `None`
-    /// if the gauge or its normal value is unknown.
-    pub(super) fn departure(&self, gauge: Gauge, direction: Direction, features: &Features) -> Option<(f64, f64)> {
-        let (centre, sd) = self.sides[direction.side()].of(gauge)?;
-        let value = values(features, None)[gauge as usize]?;
-        Some((f64::from(value - centre), f64::from(sd)))
+    /// Departures of some gauges of this throw from normal, as logarithms, with the standard deviation of one throw;
+    /// `None` if the gauge or its normal value is unknown.
+    pub(super) fn departures<const N: usize>(
+        &self,
+        gauges: [Gauge; N],
+        direction: Direction,
+        features: &Features,
+    ) -> [Option<(f32, f32)>; N] {
+        let (normal, values) = (&self.sides[direction.side()], values(features, None));
+        gauges.map(|gauge| {
+            let (centre, sd) = normal.of(gauge)?;
+            Some((values[gauge as usize]? - centre, sd))
+        })
     }
 
     /// Level of a gauge over the last `throws`; `None` if the gauge or its normal value is unknown.
