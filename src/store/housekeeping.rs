@@ -1,7 +1,8 @@
 //! Retention: keeps the database within its bounds, in small transactions.
 //!
-//! Traces are dropped first, then throws with their estimates, last closed alarms; pending throws only if nothing else
-//! is left. Each row comes from the machine with the most, so that a flood of one machine removes only its own history.
+//! Traces are dropped first, then throws with their estimates, last closed alarms. Each row comes from the machine with
+//! the most, so that a flood of one machine removes only its own history; of its throws, those that are judged first,
+//! then the oldest pending ones. So each bound holds also if throws arrive faster than they are judged.
 //! Age counts only while the clock is trusted: a clock that jumps ten years ahead must not empty the database. The
 //! small transactions run between those of received throws.
 
@@ -39,58 +40,71 @@ pub struct Housekeeping {
 /// The bounded quantity, by which machines are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Bound {
-    Rows,
+    Traces,
+    Throws,
+    /// Bytes, of machines that have traces.
+    TraceBytes,
+    /// Bytes, of all machines.
     Bytes,
+}
+
+impl Bound {
+    /// Selects the machines with the most.
+    const fn holdings(self) -> &'static str {
+        match self {
+            Self::Traces => sql::TRACE_HOLDINGS,
+            Self::Throws => sql::THROW_HOLDINGS,
+            Self::TraceBytes => sql::TRACE_BYTE_HOLDINGS,
+            Self::Bytes => sql::THROW_BYTE_HOLDINGS,
+        }
+    }
+}
+
+/// Rows that can be dropped.
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    Traces(Bound),
+    TracesBefore(i64),
+    Throws(Bound),
+    /// Pending throws: a machine that sends more throws than can be judged loses its oldest ones.
+    Pending(Bound),
+    Alarms,
+    Messages,
+    Pages,
 }
 
 /// A transaction that drops some rows.
 #[derive(Debug, Clone, Copy)]
-enum Drop {
-    Traces(Bound, u64),
-    TracesBefore(i64),
-    Throws(Bound, u64),
-    /// Pending throws: a machine that sends more throws than can be judged loses its oldest ones.
-    Pending,
-    Alarms(u64),
-    Messages,
-    Pages,
+struct Drop {
+    kind: Kind,
+    /// Largest number of rows.
+    rows: u64,
 }
 
 impl Drop {
     /// Name of the counter.
     const fn counter(self) -> &'static str {
-        match self {
-            Self::Traces(..) | Self::TracesBefore(_) => "dropped_traces",
-            Self::Throws(..) => "dropped_throws",
-            Self::Pending => "dropped_pending_throws",
-            Self::Alarms(_) => "dropped_alarms",
-            Self::Messages => "dropped_messages",
-            Self::Pages => "returned_pages",
+        match self.kind {
+            Kind::Traces(_) | Kind::TracesBefore(_) => "dropped_traces",
+            Kind::Throws(_) => "dropped_throws",
+            Kind::Pending(_) => "dropped_pending_throws",
+            Kind::Alarms => "dropped_alarms",
+            Kind::Messages => "dropped_messages",
+            Kind::Pages => "returned_pages",
         }
     }
 
     /// Selects the rows to drop.
     async fn choose(self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
-        match self {
-            Self::Traces(bound, rows) => {
-                let holdings = match bound {
-                    Bound::Rows => sql::TRACE_HOLDINGS,
-                    Bound::Bytes => sql::TRACE_BYTE_HOLDINGS,
-                };
-                oldest_of_largest(connection, holdings, sql::OLDEST_TRACES, rows).await
-            }
-            Self::Throws(bound, rows) => {
-                let holdings = match bound {
-                    Bound::Rows => sql::THROW_HOLDINGS,
-                    Bound::Bytes => sql::THROW_BYTE_HOLDINGS,
-                };
-                oldest_of_largest(connection, holdings, sql::OLDEST_THROWS, rows).await
-            }
-            Self::TracesBefore(at_us) => oldest(connection, sql::AGED_TRACES, BATCH, Some(at_us)).await,
-            Self::Pending => oldest(connection, sql::OLDEST_PENDING, BATCH, None).await,
-            Self::Alarms(rows) => oldest(connection, sql::OLDEST_ALARMS, rows, None).await,
-            Self::Messages => oldest(connection, sql::OLDEST_MESSAGES, BATCH, None).await,
-            Self::Pages => Ok(Vec::new()),
+        let rows = self.rows;
+        match self.kind {
+            Kind::Traces(bound) => oldest_of_largest(connection, bound, sql::OLDEST_TRACES, rows).await,
+            Kind::Throws(bound) => oldest_of_largest(connection, bound, sql::OLDEST_THROWS, rows).await,
+            Kind::Pending(bound) => oldest_of_largest(connection, bound, sql::OLDEST_PENDING, rows).await,
+            Kind::TracesBefore(at_us) => oldest(connection, sql::AGED_TRACES, rows, Some(at_us)).await,
+            Kind::Alarms => oldest(connection, sql::OLDEST_ALARMS, rows, None).await,
+            Kind::Messages => oldest(connection, sql::OLDEST_MESSAGES, rows, None).await,
+            Kind::Pages => Ok(Vec::new()),
         }
     }
 }
@@ -109,11 +123,12 @@ async fn oldest(
 /// The oldest rows of the machines with the most.
 async fn oldest_of_largest(
     connection: &mut SqliteConnection,
-    holdings: &'static str,
+    bound: Bound,
     choice: &'static str,
     rows: u64,
 ) -> sqlx::Result<Vec<i64>> {
-    let holdings: Vec<Holding> = sqlx::query_as(holdings).bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
+    let holdings = sqlx::query_as(bound.holdings());
+    let holdings: Vec<Holding> = holdings.bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
     let mut chosen = Vec::new();
     for (machine_row, rows) in shares(holdings, rows) {
         chosen.extend(oldest(connection, choice, rows, Some(machine_row)).await?);
@@ -150,13 +165,13 @@ impl Write for Drop {
     type Output = u64;
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<u64> {
-        let each: &[&'static str] = match self {
-            Self::Traces(..) => &[sql::DROP_TRACE, sql::TRACES_FROM],
-            Self::TracesBefore(_) => &[sql::DROP_TRACE],
-            Self::Throws(..) | Self::Pending => &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROW],
-            Self::Alarms(_) => &[sql::DROP_ALARM],
-            Self::Messages => &[sql::SENT],
-            Self::Pages => {
+        let each: &[&'static str] = match self.kind {
+            Kind::Traces(_) => &[sql::DROP_TRACE, sql::TRACES_FROM],
+            Kind::TracesBefore(_) => &[sql::DROP_TRACE],
+            Kind::Throws(_) | Kind::Pending(_) => &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROW],
+            Kind::Alarms => &[sql::DROP_ALARM],
+            Kind::Messages => &[sql::SENT],
+            Kind::Pages => {
                 sqlx::query("PRAGMA incremental_vacuum(512)").execute(connection).await?;
                 return Ok(PAGES);
             }
@@ -168,7 +183,7 @@ impl Write for Drop {
             }
         }
         let dropped = rows.len() as u64;
-        if matches!(self, Self::Throws(..) | Self::Pending) {
+        if matches!(self.kind, Kind::Throws(_) | Kind::Pending(_)) {
             sqlx::query(sql::DROP_EMPTY_BOOTS).execute(&mut *connection).await?;
         }
         if dropped > 0 {
@@ -201,25 +216,37 @@ impl Store {
         let mut done = Housekeeping::default();
         for _ in 0..ROUNDS {
             let figures = self.figures().await?;
-            let Some(drop) = self.excess(&figures, now, clock_trusted).await? else { break };
-            let dropped = self.writer.write(drop).await?;
-            match drop {
-                Drop::Traces(..) | Drop::TracesBefore(_) => done.traces += dropped,
-                Drop::Throws(..) => done.throws += dropped,
-                Drop::Pending => {
-                    done.throws += dropped;
-                    self.disk.dropped_pending.add(dropped);
-                }
-                Drop::Alarms(_) => done.alarms += dropped,
-                Drop::Messages => done.messages += dropped,
-                Drop::Pages => {}
-            }
-            if dropped == 0 {
+            let Some((rows, kinds)) = self.excess(&figures, now, clock_trusted).await? else { break };
+            if self.drop_rows(rows, kinds, &mut done).await? == 0 {
                 break;
             }
         }
         self.disk.restore_ballast()?;
         Ok(done)
+    }
+
+    /// Drops this number of rows, of a later kind only as far as the earlier ones have too few; returns their number.
+    async fn drop_rows(&self, rows: u64, kinds: Vec<Kind>, done: &mut Housekeeping) -> Result<u64, StoreError> {
+        let mut total = 0;
+        for kind in kinds {
+            let dropped = self.writer.write(Drop { kind, rows: rows - total }).await?;
+            match kind {
+                Kind::Traces(_) | Kind::TracesBefore(_) => done.traces += dropped,
+                Kind::Throws(_) => done.throws += dropped,
+                Kind::Pending(_) => {
+                    done.throws += dropped;
+                    self.disk.dropped_pending.add(dropped);
+                }
+                Kind::Alarms => done.alarms += dropped,
+                Kind::Messages => done.messages += dropped,
+                Kind::Pages => {}
+            }
+            total += dropped;
+            if total >= rows {
+                break;
+            }
+        }
+        Ok(total)
     }
 
     async fn figures(&self) -> Result<Figures, StoreError> {
@@ -238,52 +265,49 @@ impl Store {
         })
     }
 
-    /// The next rows to drop; `None` within all bounds.
-    async fn excess(&self, figures: &Figures, now: Timestamp, clock_trusted: bool) -> Result<Option<Drop>, StoreError> {
+    /// The number of rows to drop next, and their kinds, the least valuable first; `None` within all bounds.
+    async fn excess(
+        &self,
+        figures: &Figures,
+        now: Timestamp,
+        clock_trusted: bool,
+    ) -> Result<Option<(u64, Vec<Kind>)>, StoreError> {
         let settings = &self.settings;
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
         let missing = (settings.low_disk_mib * MIB).saturating_sub(figures.room_bytes);
-        let (too_large, no_room) = (excess > 0, missing > 0);
-        if figures.traces > settings.max_traces {
-            return Ok(Some(Drop::Traces(Bound::Rows, BATCH.min(figures.traces - settings.max_traces))));
-        }
-        if (too_large || no_room) && self.largest_has(sql::OLDEST_TRACES).await? {
-            // The number of traces follows from their mean size.
+        if excess > 0 || missing > 0 {
+            // The number of rows follows from the mean size of a throw with its trace.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);
-            return Ok(Some(Drop::Traces(Bound::Bytes, (excess.max(missing) / each + 1).min(BATCH))));
+            let mut kinds = vec![Kind::Traces(Bound::TraceBytes)];
+            // A disk that others fill costs traces only.
+            if excess > 0 {
+                kinds.extend([Kind::Throws(Bound::Bytes), Kind::Pending(Bound::Bytes)]);
+            }
+            return Ok(Some(((excess.max(missing) / each + 1).min(BATCH), kinds)));
         }
-        if too_large {
-            let judged = self.largest_has(sql::OLDEST_THROWS).await?;
-            return Ok(Some(if judged { Drop::Throws(Bound::Bytes, BATCH) } else { Drop::Pending }));
+        let excess = |count: u64, most: u64| (count > most).then(|| (count - most).min(BATCH));
+        if let Some(rows) = excess(figures.traces, settings.max_traces) {
+            return Ok(Some((rows, vec![Kind::Traces(Bound::Traces), Kind::Pending(Bound::Traces)])));
         }
-        if figures.throws > settings.max_throws {
-            return Ok(Some(Drop::Throws(Bound::Rows, BATCH.min(figures.throws - settings.max_throws))));
+        if let Some(rows) = excess(figures.throws, settings.max_throws) {
+            return Ok(Some((rows, vec![Kind::Throws(Bound::Throws), Kind::Pending(Bound::Throws)])));
         }
-        if figures.closed_alarms > settings.max_alarms {
-            return Ok(Some(Drop::Alarms(BATCH.min(figures.closed_alarms - settings.max_alarms))));
+        if let Some(rows) = excess(figures.closed_alarms, settings.max_alarms) {
+            return Ok(Some((rows, vec![Kind::Alarms])));
         }
-        if figures.messages > OUTBOX {
-            return Ok(Some(Drop::Messages));
+        if let Some(rows) = excess(figures.messages, OUTBOX) {
+            return Ok(Some((rows, vec![Kind::Messages])));
         }
         let before_us = (now - SignedDuration::from_hours(24 * i64::from(settings.trace_days))).as_microsecond();
         if clock_trusted && self.oldest_trace_us().await?.is_some_and(|oldest| oldest < before_us) {
-            return Ok(Some(Drop::TracesBefore(before_us)));
+            return Ok(Some((BATCH, vec![Kind::TracesBefore(before_us)])));
         }
-        Ok((figures.disk_low && figures.free_pages > PAGES).then_some(Drop::Pages))
+        Ok((figures.disk_low && figures.free_pages > PAGES).then(|| (PAGES, vec![Kind::Pages])))
     }
 
     async fn figure(&self, query: &'static str) -> Result<u64, StoreError> {
         let figure: i64 = self.reader.limited(sqlx::query_scalar(query).fetch_one(&self.reader.pool())).await?;
         Ok(figure.cast_unsigned())
-    }
-
-    /// Whether the machine with the most bytes has rows of this selection.
-    async fn largest_has(&self, choice: &'static str) -> Result<bool, StoreError> {
-        let pool = self.reader.pool();
-        let largest = sqlx::query_scalar::<_, i64>(sql::LARGEST_MACHINE);
-        let Some(machine_row) = self.reader.limited(largest.fetch_optional(&pool)).await? else { return Ok(false) };
-        let row = sqlx::query_scalar::<_, i64>(choice).bind(1).bind(machine_row);
-        Ok(self.reader.limited(row.fetch_optional(&pool)).await?.is_some())
     }
 
     async fn oldest_trace_us(&self) -> Result<Option<i64>, StoreError> {

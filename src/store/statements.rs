@@ -118,13 +118,6 @@ macro_rules! one_machine {
     };
 }
 
-/// The machine with the most bytes in the database, which loses its history first.
-macro_rules! largest_machine {
-    () => {
-        "SELECT machine_row FROM machine ORDER BY stored_bytes DESC, machine_row LIMIT 1"
-    };
-}
-
 /// A throw in the machine and boot of `$place`, with its trace and the highest number of the boot; nothing if there is no
 /// place. Several statements in one call, as each call and each row of a result wake two threads; a later one runs only
 /// if the one before it changed a row.
@@ -365,7 +358,6 @@ statements! {
 
     // Retention.
     LAST_HEARD = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";
-    LARGEST_MACHINE = largest_machine!();
     TRACE_HOLDINGS = "SELECT traces AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \
         ORDER BY size DESC LIMIT ?1";
     TRACE_BYTE_HOLDINGS = "SELECT stored_bytes AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \
@@ -374,16 +366,17 @@ statements! {
         ORDER BY size DESC LIMIT ?1";
     THROW_BYTE_HOLDINGS = "SELECT stored_bytes AS size, machine_row, throws AS rows FROM machine WHERE throws > 0 \
         ORDER BY size DESC LIMIT ?1";
-    OLDEST_TRACES = "SELECT throw_row FROM throw JOIN trace USING (throw_row) WHERE machine_row = ?2 \
-        AND throw_row >= (SELECT traces_from FROM machine WHERE machine_row = ?2) \
-        AND judged_at_us IS NOT NULL ORDER BY throw_row LIMIT ?1";
+    // Looks at the oldest rows only: of a machine that floods, most throws are pending.
+    OLDEST_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw JOIN trace USING (throw_row) \
+        WHERE machine_row = ?2 AND throw_row >= (SELECT traces_from FROM machine WHERE machine_row = ?2) \
+        ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
     AGED_TRACES = "SELECT throw_row FROM trace JOIN throw USING (throw_row) \
         WHERE judged_at_us IS NOT NULL AND received_at_us < ?2 ORDER BY throw_row LIMIT ?1";
     DROP_TRACE = "DELETE FROM trace WHERE throw_row = ?1";
     TRACES_FROM = "UPDATE machine SET traces_from = ?1 + 1 WHERE machine_row = (SELECT machine_row FROM throw WHERE throw_row = ?1)";
-    OLDEST_THROWS = "SELECT throw_row FROM throw WHERE machine_row = ?2 AND judged_at_us IS NOT NULL \
-        ORDER BY throw_row LIMIT ?1";
-    OLDEST_PENDING = concat!("SELECT throw_row FROM throw WHERE machine_row = (", largest_machine!(), ") ORDER BY throw_row LIMIT ?1");
+    OLDEST_THROWS = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw WHERE machine_row = ?2 \
+        ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
+    OLDEST_PENDING = "SELECT throw_row FROM throw WHERE machine_row = ?2 ORDER BY throw_row LIMIT ?1";
     MARK_PRUNED = "UPDATE boot SET pruned_to_no = max(pruned_to_no, (SELECT throw_no FROM throw WHERE throw_row = ?1)) \
         WHERE boot_row = (SELECT boot_row FROM throw WHERE throw_row = ?1)";
     DROP_OLD_GAPS = "DELETE FROM gap WHERE boot_row = (SELECT boot_row FROM throw WHERE throw_row = ?1) \
