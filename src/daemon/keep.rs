@@ -38,13 +38,15 @@ pub(super) async fn run(store: Store, last_heard: Option<Timestamp>) {
         let is_steady = clocks.are_steady(now, clock::monotonic());
         let clock_trusted = is_steady && (clocks.continue_time || Path::new(CLOCK_IS_SET).exists());
         match store.run_housekeeping(now, clock_trusted).await {
-            Ok(Housekeeping { traces: 0, throws: 0, alarms: 0, messages: 0 }) => {}
-            Ok(Housekeeping { traces, throws, alarms, messages }) => {
+            Ok(done) if done == Housekeeping::default() => {}
+            Ok(Housekeeping { traces, throws, pending, alarms, messages, pages }) => {
                 tracing::info!(
                     traces,
                     throws,
+                    pending,
                     alarms,
                     messages,
+                    pages,
                     "dropped the oldest rows to stay within the bounds of [store]"
                 );
             }

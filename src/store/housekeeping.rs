@@ -15,14 +15,17 @@ use super::{
     database::Store, disk::DiskLevel, error::StoreError, settings::MIB, spool::count, statements as sql, write::Write,
 };
 
-/// Rows dropped in one transaction: some milliseconds of work.
-const BATCH: u64 = 256;
+/// Rows dropped in one transaction: some tens of milliseconds of work.
+const BATCH: u64 = 1024;
 /// Largest number of transactions in one call, which then ends even if throws arrive faster than rows are dropped.
 const ROUNDS: usize = 256;
 /// Pages returned to the disk in one transaction.
 const PAGES: u64 = 512;
 /// Largest outbox \[messages\]: ten years of a cabinet's alarms.
 const OUTBOX: u64 = 100_000;
+
+/// Drops throws: boots remember up to which number, so that a repeat is not stored again.
+const THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROWS, sql::DROP_EMPTY_BOOTS];
 
 /// Rows dropped by a call of [`Store::run_housekeeping`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -31,10 +34,14 @@ pub struct Housekeeping {
     pub traces: u64,
     /// Dropped throws with their estimates.
     pub throws: u64,
+    /// Throws dropped before they were judged.
+    pub pending: u64,
     /// Dropped closed alarms with their events.
     pub alarms: u64,
     /// Dropped messages of the outbox, the oldest.
     pub messages: u64,
+    /// Pages returned to a disk with little space.
+    pub pages: u64,
 }
 
 /// The bounded quantity, by which machines are compared.
@@ -73,39 +80,45 @@ enum Kind {
     Pages,
 }
 
-/// A transaction that drops some rows.
-#[derive(Debug, Clone, Copy)]
-struct Drop {
-    kind: Kind,
-    /// Largest number of rows.
-    rows: u64,
-}
-
-impl Drop {
-    /// Name of the counter.
-    const fn counter(self) -> &'static str {
-        match self.kind {
-            Kind::Traces(_) | Kind::TracesBefore(_) => "dropped_traces",
-            Kind::Throws(_) => "dropped_throws",
-            Kind::Pending(_) => "dropped_pending_throws",
-            Kind::Alarms => "dropped_alarms",
-            Kind::Messages => "dropped_messages",
-            Kind::Pages => "returned_pages",
+impl Kind {
+    /// Selects the rows to drop.
+    async fn choose(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<Vec<i64>> {
+        match self {
+            Self::Traces(bound) => oldest_of_largest(connection, bound, sql::OLDEST_TRACES, rows).await,
+            Self::Throws(bound) => oldest_of_largest(connection, bound, sql::OLDEST_THROWS, rows).await,
+            Self::Pending(bound) => oldest_of_largest(connection, bound, sql::OLDEST_PENDING, rows).await,
+            Self::TracesBefore(at_us) => oldest(connection, sql::AGED_TRACES, rows, Some(at_us)).await,
+            Self::Alarms => oldest(connection, sql::OLDEST_ALARMS, rows, None).await,
+            Self::Messages => oldest(connection, sql::OLDEST_MESSAGES, rows, None).await,
+            Self::Pages => Ok(Vec::new()),
         }
     }
 
-    /// Selects the rows to drop.
-    async fn choose(self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
-        let rows = self.rows;
-        match self.kind {
-            Kind::Traces(bound) => oldest_of_largest(connection, bound, sql::OLDEST_TRACES, rows).await,
-            Kind::Throws(bound) => oldest_of_largest(connection, bound, sql::OLDEST_THROWS, rows).await,
-            Kind::Pending(bound) => oldest_of_largest(connection, bound, sql::OLDEST_PENDING, rows).await,
-            Kind::TracesBefore(at_us) => oldest(connection, sql::AGED_TRACES, rows, Some(at_us)).await,
-            Kind::Alarms => oldest(connection, sql::OLDEST_ALARMS, rows, None).await,
-            Kind::Messages => oldest(connection, sql::OLDEST_MESSAGES, rows, None).await,
-            Kind::Pages => Ok(Vec::new()),
+    /// Drops up to this number of rows; returns how many there were.
+    async fn drop(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<u64> {
+        let (statements, counter): (&[&'static str], _) = match self {
+            Self::Traces(_) => (&[sql::DROP_TRACES, sql::TRACES_FROM], "dropped_traces"),
+            Self::TracesBefore(_) => (&[sql::DROP_TRACES], "dropped_traces"),
+            Self::Throws(_) => (THROWS, "dropped_throws"),
+            Self::Pending(_) => (THROWS, "dropped_pending_throws"),
+            Self::Alarms => (&[sql::DROP_ALARMS], "dropped_alarms"),
+            Self::Messages => (&[sql::DROP_MESSAGES], "dropped_messages"),
+            Self::Pages => {
+                sqlx::query("PRAGMA incremental_vacuum(512)").execute(connection).await?;
+                return Ok(PAGES);
+            }
+        };
+        let chosen = self.choose(connection, rows).await?;
+        if chosen.is_empty() {
+            return Ok(0);
         }
+        let list = serde_json::Value::from(chosen.as_slice()).to_string();
+        for statement in statements {
+            sqlx::query(*statement).bind(&list).execute(&mut *connection).await?;
+        }
+        let dropped = chosen.len() as u64;
+        count(connection, counter, dropped.cast_signed()).await?;
+        Ok(dropped)
     }
 }
 
@@ -160,50 +173,47 @@ fn shares(holdings: Vec<Holding>, rows: u64) -> BTreeMap<i64, u64> {
     shares
 }
 
-impl Write for Drop {
-    /// Number of dropped rows.
-    type Output = u64;
+/// A transaction that drops up to `rows` rows, of a later kind only as far as the earlier ones have too few.
+struct Drop {
+    kinds: Vec<Kind>,
+    rows: u64,
+}
 
-    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<u64> {
-        let each: &[&'static str] = match self.kind {
-            Kind::Traces(_) => &[sql::DROP_TRACE, sql::TRACES_FROM],
-            Kind::TracesBefore(_) => &[sql::DROP_TRACE],
-            Kind::Throws(_) | Kind::Pending(_) => &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROW],
-            Kind::Alarms => &[sql::DROP_ALARM],
-            Kind::Messages => &[sql::SENT],
-            Kind::Pages => {
-                sqlx::query("PRAGMA incremental_vacuum(512)").execute(connection).await?;
-                return Ok(PAGES);
+impl Write for Drop {
+    type Output = Housekeeping;
+
+    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<Housekeeping> {
+        let mut done = Housekeeping::default();
+        let mut rest = self.rows;
+        for kind in &self.kinds {
+            let dropped = kind.drop(connection, rest).await?;
+            match kind {
+                Kind::Traces(_) | Kind::TracesBefore(_) => done.traces += dropped,
+                Kind::Throws(_) => done.throws += dropped,
+                Kind::Pending(_) => done.pending += dropped,
+                Kind::Alarms => done.alarms += dropped,
+                Kind::Messages => done.messages += dropped,
+                Kind::Pages => done.pages += dropped,
             }
-        };
-        let rows = self.choose(connection).await?;
-        for row in &rows {
-            for statement in each {
-                sqlx::query(*statement).bind(row).execute(&mut *connection).await?;
+            rest = rest.saturating_sub(dropped);
+            if rest == 0 {
+                break;
             }
         }
-        let dropped = rows.len() as u64;
-        if matches!(self.kind, Kind::Throws(_) | Kind::Pending(_)) {
-            sqlx::query(sql::DROP_EMPTY_BOOTS).execute(&mut *connection).await?;
-        }
-        if dropped > 0 {
-            count(connection, self.counter(), dropped.cast_signed()).await?;
-        }
-        Ok(dropped)
+        Ok(done)
     }
 }
 
 /// The figures that are compared with the bounds.
+#[derive(sqlx::FromRow)]
 struct Figures {
-    traces: u64,
-    throws: u64,
-    closed_alarms: u64,
-    messages: u64,
-    data_bytes: u64,
-    free_pages: u64,
-    /// Space for growth: free on the disk, and free pages in the file.
-    room_bytes: u64,
-    disk_low: bool,
+    traces: i64,
+    throws: i64,
+    closed_alarms: i64,
+    messages: i64,
+    page_size: i64,
+    pages: i64,
+    free_pages: i64,
 }
 
 impl Store {
@@ -215,99 +225,63 @@ impl Store {
     pub async fn run_housekeeping(&self, now: Timestamp, clock_trusted: bool) -> Result<Housekeeping, StoreError> {
         let mut done = Housekeeping::default();
         for _ in 0..ROUNDS {
-            let figures = self.figures().await?;
-            let Some((rows, kinds)) = self.excess(&figures, now, clock_trusted).await? else { break };
-            if self.drop_rows(rows, kinds, &mut done).await? == 0 {
+            let Some(drop) = self.excess(now, clock_trusted).await? else { break };
+            let round = self.writer.write(drop).await?;
+            if round == Housekeeping::default() {
                 break;
             }
+            self.disk.dropped_pending.add(round.pending);
+            done.traces += round.traces;
+            done.throws += round.throws;
+            done.pending += round.pending;
+            done.alarms += round.alarms;
+            done.messages += round.messages;
+            done.pages += round.pages;
         }
         self.disk.restore_ballast()?;
         Ok(done)
     }
 
-    /// Drops this number of rows, of a later kind only as far as the earlier ones have too few; returns their number.
-    async fn drop_rows(&self, rows: u64, kinds: Vec<Kind>, done: &mut Housekeeping) -> Result<u64, StoreError> {
-        let mut total = 0;
-        for kind in kinds {
-            let dropped = self.writer.write(Drop { kind, rows: rows - total }).await?;
-            match kind {
-                Kind::Traces(_) | Kind::TracesBefore(_) => done.traces += dropped,
-                Kind::Throws(_) => done.throws += dropped,
-                Kind::Pending(_) => {
-                    done.throws += dropped;
-                    self.disk.dropped_pending.add(dropped);
-                }
-                Kind::Alarms => done.alarms += dropped,
-                Kind::Messages => done.messages += dropped,
-                Kind::Pages => {}
-            }
-            total += dropped;
-            if total >= rows {
-                break;
-            }
-        }
-        Ok(total)
-    }
-
-    async fn figures(&self) -> Result<Figures, StoreError> {
-        let page_size = self.figure("PRAGMA page_size").await?;
-        let free_pages = self.figure("PRAGMA freelist_count").await?;
-        let pages = self.figure("PRAGMA page_count").await?;
-        Ok(Figures {
-            traces: self.figure(sql::TRACE_COUNT).await?,
-            throws: self.figure(sql::THROW_COUNT).await?,
-            closed_alarms: self.figure(sql::CLOSED_ALARMS).await?,
-            messages: self.figure(sql::OUTBOX_COUNT).await?,
-            data_bytes: pages.saturating_sub(free_pages) * page_size,
-            free_pages,
-            room_bytes: self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(free_pages * page_size),
-            disk_low: matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full),
-        })
-    }
-
-    /// The number of rows to drop next, and their kinds, the least valuable first; `None` within all bounds.
-    async fn excess(
-        &self,
-        figures: &Figures,
-        now: Timestamp,
-        clock_trusted: bool,
-    ) -> Result<Option<(u64, Vec<Kind>)>, StoreError> {
+    /// What to drop next, the least valuable first; `None` within all bounds.
+    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Option<Drop>, StoreError> {
         let settings = &self.settings;
-        let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
-        let missing = (settings.low_disk_mib * MIB).saturating_sub(figures.room_bytes);
+        let figures = sqlx::query_as(sql::FIGURES);
+        let figures: Figures = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
+        let free_bytes = figures.free_pages * figures.page_size;
+        let data_bytes = (figures.pages * figures.page_size).saturating_sub(free_bytes).cast_unsigned();
+        let room_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(free_bytes.cast_unsigned());
+        let excess = data_bytes.saturating_sub(settings.max_size_mib * MIB);
+        let missing = (settings.low_disk_mib * MIB).saturating_sub(room_bytes);
         if excess > 0 || missing > 0 {
             // The number of rows follows from the mean size of a throw with its trace.
-            let each = (figures.data_bytes / figures.traces.max(1)).max(1);
+            let each = (data_bytes / figures.traces.max(1).cast_unsigned()).max(1);
+            let rows = (excess.max(missing) / each + 1).min(BATCH);
             let mut kinds = vec![Kind::Traces(Bound::TraceBytes)];
             // A disk that others fill costs traces only.
             if excess > 0 {
                 kinds.extend([Kind::Throws(Bound::Bytes), Kind::Pending(Bound::Bytes)]);
             }
-            return Ok(Some(((excess.max(missing) / each + 1).min(BATCH), kinds)));
+            return Ok(Some(Drop { kinds, rows }));
         }
-        let excess = |count: u64, most: u64| (count > most).then(|| (count - most).min(BATCH));
-        if let Some(rows) = excess(figures.traces, settings.max_traces) {
-            return Ok(Some((rows, vec![Kind::Traces(Bound::Traces), Kind::Pending(Bound::Traces)])));
-        }
-        if let Some(rows) = excess(figures.throws, settings.max_throws) {
-            return Ok(Some((rows, vec![Kind::Throws(Bound::Throws), Kind::Pending(Bound::Throws)])));
-        }
-        if let Some(rows) = excess(figures.closed_alarms, settings.max_alarms) {
-            return Ok(Some((rows, vec![Kind::Alarms])));
-        }
-        if let Some(rows) = excess(figures.messages, OUTBOX) {
-            return Ok(Some((rows, vec![Kind::Messages])));
+        let counts = [
+            (figures.traces, settings.max_traces, vec![Kind::Traces(Bound::Traces), Kind::Pending(Bound::Traces)]),
+            (figures.throws, settings.max_throws, vec![Kind::Throws(Bound::Throws), Kind::Pending(Bound::Throws)]),
+            (figures.closed_alarms, settings.max_alarms, vec![Kind::Alarms]),
+            (figures.messages, OUTBOX, vec![Kind::Messages]),
+        ];
+        for (count, most, kinds) in counts {
+            let rows = count.cast_unsigned().saturating_sub(most).min(BATCH);
+            if rows > 0 {
+                return Ok(Some(Drop { kinds, rows }));
+            }
         }
         let before_us = (now - SignedDuration::from_hours(24 * i64::from(settings.trace_days))).as_microsecond();
         if clock_trusted && self.oldest_trace_us().await?.is_some_and(|oldest| oldest < before_us) {
-            return Ok(Some((BATCH, vec![Kind::TracesBefore(before_us)])));
+            return Ok(Some(Drop { kinds: vec![Kind::TracesBefore(before_us)], rows: BATCH }));
         }
-        Ok((figures.disk_low && figures.free_pages > PAGES).then(|| (PAGES, vec![Kind::Pages])))
-    }
-
-    async fn figure(&self, query: &'static str) -> Result<u64, StoreError> {
-        let figure: i64 = self.reader.limited(sqlx::query_scalar(query).fetch_one(&self.reader.pool())).await?;
-        Ok(figure.cast_unsigned())
+        let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
+        let many_free = disk_low && figures.free_pages.cast_unsigned() > PAGES;
+        Ok(many_free.then(|| Drop { kinds: vec![Kind::Pages], rows: PAGES }))
     }
 
     async fn oldest_trace_us(&self) -> Result<Option<i64>, StoreError> {

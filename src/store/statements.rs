@@ -118,6 +118,13 @@ macro_rules! one_machine {
     };
 }
 
+/// The chosen rows, as a JSON list.
+macro_rules! chosen {
+    () => {
+        "(SELECT value FROM json_each(?1))"
+    };
+}
+
 /// A throw in the machine and boot of `$place`, with its trace and the highest number of the boot; nothing if there is no
 /// place. Several statements in one call, as each call and each row of a result wake two threads; a later one runs only
 /// if the one before it changed a row.
@@ -373,25 +380,33 @@ statements! {
     AGED_TRACES = "SELECT throw_row FROM trace JOIN throw USING (throw_row) \
         WHERE judged_at_us IS NOT NULL AND received_at_us < ?2 ORDER BY throw_row LIMIT ?1";
     DROP_TRACE = "DELETE FROM trace WHERE throw_row = ?1";
-    TRACES_FROM = "UPDATE machine SET traces_from = ?1 + 1 WHERE machine_row = (SELECT machine_row FROM throw WHERE throw_row = ?1)";
+    DROP_TRACES = concat!("DELETE FROM trace WHERE throw_row IN ", chosen!());
+    TRACES_FROM = concat!("UPDATE machine SET traces_from = last + 1 FROM \
+        (SELECT machine_row, max(throw_row) AS last FROM throw WHERE throw_row IN ", chosen!(), " GROUP BY machine_row) AS dropped \
+        WHERE machine.machine_row = dropped.machine_row");
     OLDEST_THROWS = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw WHERE machine_row = ?2 \
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
     OLDEST_PENDING = "SELECT throw_row FROM throw WHERE machine_row = ?2 ORDER BY throw_row LIMIT ?1";
-    MARK_PRUNED = "UPDATE boot SET pruned_to_no = max(pruned_to_no, (SELECT throw_no FROM throw WHERE throw_row = ?1)) \
-        WHERE boot_row = (SELECT boot_row FROM throw WHERE throw_row = ?1)";
-    DROP_OLD_GAPS = "DELETE FROM gap WHERE boot_row = (SELECT boot_row FROM throw WHERE throw_row = ?1) \
-        AND last_no < (SELECT throw_no FROM throw WHERE throw_row = ?1)";
+    MARK_PRUNED = concat!("UPDATE boot SET pruned_to_no = max(pruned_to_no, last_no) FROM \
+        (SELECT boot_row, max(throw_no) AS last_no FROM throw WHERE throw_row IN ", chosen!(), " GROUP BY boot_row) AS dropped \
+        WHERE boot.boot_row = dropped.boot_row");
+    DROP_OLD_GAPS = concat!("DELETE FROM gap WHERE boot_row IN (SELECT boot_row FROM throw WHERE throw_row IN ", chosen!(), ") \
+        AND last_no < (SELECT pruned_to_no FROM boot WHERE boot.boot_row = gap.boot_row)");
+    DROP_THROWS = concat!("DELETE FROM throw WHERE throw_row IN ", chosen!());
     DROP_EMPTY_BOOTS = "DELETE FROM boot WHERE boot_row IN (SELECT boot_row FROM boot AS old ORDER BY boot_row LIMIT 1000) \
         AND NOT EXISTS (SELECT 1 FROM throw WHERE throw.boot_row = boot.boot_row) \
         AND position < (SELECT max(position) FROM boot AS newer WHERE newer.machine_row = boot.machine_row) \
         AND boot_row NOT IN (SELECT cursor_boot_row FROM backlog WHERE cursor_boot_row IS NOT NULL)";
     OLDEST_TRACE_TIME = "SELECT received_at_us FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL \
         ORDER BY throw_row LIMIT 1";
+    DROP_MESSAGES = concat!("DELETE FROM outbox WHERE outbox_row IN ", chosen!());
     OLDEST_MESSAGES = "SELECT outbox_row FROM outbox ORDER BY outbox_row LIMIT ?1";
-    DROP_THROW = "DELETE FROM throw WHERE throw_row = ?1";
-    DROP_ALARM = "DELETE FROM alarm WHERE alarm_row = ?1";
+    DROP_ALARMS = concat!("DELETE FROM alarm WHERE alarm_row IN ", chosen!());
     OLDEST_ALARMS = "SELECT alarm_row FROM alarm WHERE state = 'normal' ORDER BY raised_at_us LIMIT ?1";
-    CLOSED_ALARMS = "SELECT count(*) FROM alarm WHERE state = 'normal'";
+    FIGURES = "SELECT coalesce(sum(traces), 0) AS traces, coalesce(sum(throws), 0) AS throws, \
+        (SELECT count(*) FROM alarm WHERE state = 'normal') AS closed_alarms, (SELECT count(*) FROM outbox) AS messages, \
+        (SELECT page_size FROM pragma_page_size) AS page_size, (SELECT page_count FROM pragma_page_count) AS pages, \
+        (SELECT freelist_count FROM pragma_freelist_count) AS free_pages FROM machine";
     TRACE_COUNT = "SELECT coalesce(sum(traces), 0) FROM machine";
     THROW_COUNT = "SELECT coalesce(sum(throws), 0) FROM machine";
     PENDING_COUNT = "SELECT count(*) FROM throw WHERE judged_at_us IS NULL";
