@@ -3,22 +3,23 @@
 use std::{path::Path, sync::Arc};
 
 use jiff::Timestamp;
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::{
     disk::{Disk, DiskLevel},
     error::StoreError,
     judgement::{Judgement, Judgements, Outcome},
     link::Link,
+    many::ROWS,
     open::{self, Report},
     page::{Page, PageStored, WriteOff},
     place::Place,
     quarantine::{Quarantine, Refused, Sent},
     reader::Reader,
     settings::{MIB, Settings},
-    spool::{Spool, Spooled},
+    spool::{Spool, Spooled, Spools},
     write::Answer,
-    writer::{GROUP, Writer},
+    writer::Writer,
 };
 use crate::throw::{MachineId, Throw, ThrowRef};
 
@@ -36,7 +37,7 @@ pub struct Store {
 
 /// Capacity for throws that wait for their commit \[KiB\]: four of the largest throws, or a thousand usual ones.
 /// Further callers wait.
-const ROOM_KIB: usize = 64 * 1024;
+const ROOM_KIB: u32 = 64 * 1024;
 
 /// An opened store with its report.
 pub struct Opened {
@@ -71,7 +72,7 @@ impl Store {
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
         }
-        let room = Arc::new(Semaphore::new(ROOM_KIB));
+        let room = Arc::new(Semaphore::new(ROOM_KIB as usize));
         let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), place, room };
         Ok(Opened { store, report })
     }
@@ -98,40 +99,55 @@ impl Store {
         throw: &Throw,
         received_at: Timestamp,
     ) -> Result<Spooled, StoreError> {
-        self.submit(Spool::new(machine, throw, received_at)?).await?.await.map_err(|_| StoreError::Closed)?
+        let throw = Spool::new(machine, throw, received_at)?;
+        let mut spooled = self.submit(vec![throw]).await?.await.map_err(|_| StoreError::Closed)??;
+        spooled.pop().ok_or(StoreError::Closed)
     }
 
     /// Stores several throws in as few commits as possible; returns the results in their order.
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
-        let mut submitted = Vec::with_capacity(throws.len());
-        for group in throws.chunks(GROUP) {
-            // A group is compressed before its first throw is queued, so that the writer does not commit that one alone.
-            let writes: Vec<_> = group.iter().map(|(machine, throw, at)| Spool::new(machine, throw, *at)).collect();
-            for write in writes {
-                submitted.push(match write {
-                    Ok(write) => self.submit(write).await,
-                    Err(error) => Err(error),
-                });
+        let mut submitted = Vec::with_capacity(throws.len().div_ceil(ROWS));
+        for group in throws.chunks(ROWS) {
+            let (mut writes, mut invalid) = (Vec::with_capacity(group.len()), Vec::new());
+            for (machine, throw, at) in group {
+                match Spool::new(machine, throw, *at) {
+                    Ok(write) => writes.push(write),
+                    Err(error) => invalid.push((&throw.id, error)),
+                }
             }
+            submitted.push((group, self.submit(writes).await, invalid));
         }
         let mut answers = Vec::with_capacity(throws.len());
-        for (submitted, (_, throw, _)) in submitted.into_iter().zip(throws) {
-            let answer = match submitted {
+        for (group, submitted, invalid) in submitted {
+            let stored = match submitted {
                 Ok(answer) => answer.await.unwrap_or(Err(StoreError::Closed)),
                 Err(error) => Err(error),
             };
-            if let Ok(Spooled::New(row)) = answer {
-                self.reader.recent.keep(row, throw);
+            let mut invalid = invalid.into_iter().peekable();
+            let mut stored = stored.map(Vec::into_iter);
+            for (_, throw, _) in group {
+                answers.push(match (invalid.next_if(|(id, _)| *id == &throw.id), &mut stored) {
+                    (Some((_, error)), _) => Err(error),
+                    (None, Ok(stored)) => stored.next().ok_or(StoreError::Closed),
+                    (None, Err(error)) => Err(error.repeated()),
+                });
+                if let Some(Ok(Spooled::New(row))) = answers.last() {
+                    self.reader.recent.keep(*row, throw);
+                }
             }
-            answers.push(answer);
         }
         answers
     }
 
-    async fn submit(&self, mut write: Spool) -> Result<Answer<Spooled>, StoreError> {
-        let room = Arc::clone(&self.room).acquire_many_owned(write.kib());
-        write.room = Some(room.await.map_err(|_| StoreError::Closed)?);
-        self.writer.submit(write).await
+    async fn submit(&self, throws: Vec<Spool>) -> Result<Answer<Vec<Spooled>>, StoreError> {
+        let room = self.room(&throws).await?;
+        self.writer.submit(Spools { throws, room }).await
+    }
+
+    /// Waits for memory for these throws, at most for all of it.
+    async fn room(&self, throws: &[Spool]) -> Result<OwnedSemaphorePermit, StoreError> {
+        let kib = throws.iter().map(Spool::kib).fold(0, u32::saturating_add).min(ROOM_KIB);
+        Arc::clone(&self.room).acquire_many_owned(kib).await.map_err(|_| StoreError::Closed)
     }
 
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.
@@ -147,11 +163,9 @@ impl Store {
     ) -> Result<PageStored, StoreError> {
         let mut page = Page { machine: machine.clone(), after: after.cloned(), throws: Vec::new(), at };
         for throw in throws {
-            let mut spool = Spool::new(machine, throw, at)?;
-            let room = Arc::clone(&self.room).acquire_many_owned(spool.kib());
-            spool.room = Some(room.await.map_err(|_| StoreError::Closed)?);
-            page.throws.push(spool);
+            page.throws.push(Spool::new(machine, throw, at)?);
         }
+        let _room = self.room(&page.throws).await?;
         self.writer.write(page).await
     }
 

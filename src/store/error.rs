@@ -86,6 +86,16 @@ impl StoreError {
     pub(super) fn read(source: sqlx::Error) -> Self {
         Self::Read(Box::new(source))
     }
+
+    /// The same error for another throw of the same write.
+    pub(super) fn repeated(&self) -> Self {
+        match self {
+            Self::Full => Self::Full,
+            Self::Closed => Self::Closed,
+            Self::Write(problem) => Self::Write(problem.clone()),
+            other => Self::Write(other.to_string()),
+        }
+    }
 }
 
 /// The primary result code of an SQLite error.

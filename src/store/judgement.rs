@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use jiff::Timestamp;
-use sqlx::{Sqlite, SqliteConnection, query::Query, sqlite::SqliteArguments};
+use sqlx::{Row as _, Sqlite, SqliteConnection, query::Query, sqlite::SqliteArguments};
 
 use super::{
+    many,
     rows::{GapRow, ThrowRow},
     spool::{count, machine_row},
     statements as sql,
@@ -91,38 +92,61 @@ impl Write for Judgements {
 
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<bool>> {
         let mut written = Vec::with_capacity(self.judgements.len());
-        for judgement in &*self.judgements {
-            written.push(judgement.write(connection, self.drop_traces, repeated).await?);
+        for judgements in self.judgements.chunks(many::ROWS) {
+            if self.write(connection, judgements).await? {
+                written.resize(written.len() + judgements.len(), true);
+                continue;
+            }
+            for judgement in judgements {
+                written.push(
+                    self.write(connection, std::slice::from_ref(judgement)).await?
+                        || repeated && judgement.is_written(connection).await?,
+                );
+            }
         }
         Ok(written)
     }
 }
 
-impl Judgement {
-    /// Writes the judgement; false, without writing, if the throw was judged before.
-    async fn write(&self, connection: &mut SqliteConnection, drop_trace: bool, repeated: bool) -> sqlx::Result<bool> {
-        let at_us = self.outcome.at.as_microsecond();
-        let monitor = self.outcome.monitor.as_ref();
-        let statements = if monitor.is_some() { sql::JUDGE_AND_SET_MONITOR } else { sql::JUDGE };
-        let mut judge = self.bind_estimate(sqlx::query(statements).bind(self.row.0).bind(at_us));
-        if let Some(monitor) = monitor {
-            judge = monitor.bind(judge);
+impl Judgements {
+    /// Writes judgements; false, without writing, if one of the throws was judged before.
+    async fn write(&self, connection: &mut SqliteConnection, judgements: &[Judgement]) -> sqlx::Result<bool> {
+        let mut pending = many::query(sql::PENDING_AMONG, judgements.len());
+        let mut judge = many::query(sql::SET_JUDGED, judgements.len());
+        let mut estimates = many::query(sql::ADD_ESTIMATES, judgements.len());
+        let mut monitors = many::query(sql::SET_MONITORS_OF, judgements.len());
+        for judgement in judgements {
+            let (row, at_us) = (judgement.row.0, judgement.outcome.at.as_microsecond());
+            pending = pending.bind(row);
+            judge = judge.bind(row).bind(at_us);
+            estimates = judgement.bind_estimate(estimates.bind(row));
+            if let Some(monitor) = &judgement.outcome.monitor {
+                monitors = monitor.bind(monitors.bind(row).bind(at_us));
+            }
         }
-        if judge.execute(&mut *connection).await?.rows_affected() == 0 {
-            return self.was_written_at(connection, repeated, at_us).await;
+        if pending.fetch_one(&mut *connection).await?.try_get::<i64, _>(0)? != judgements.len() as i64 {
+            return Ok(false);
         }
-        if !(self.baselines.is_empty() && self.outcome.has_only_a_monitor()) {
-            self.write_rare(connection, at_us).await?;
+        for statement in [judge, estimates, monitors] {
+            statement.execute(&mut *connection).await?;
         }
-        if drop_trace {
-            sqlx::query(sql::DROP_TRACE).bind(self.row.0).execute(&mut *connection).await?;
-            count(connection, "dropped_traces", 1).await?;
+        for judgement in judgements {
+            if !(judgement.baselines.is_empty() && judgement.outcome.has_only_a_monitor()) {
+                judgement.write_rare(connection).await?;
+            }
+            if self.drop_traces {
+                sqlx::query(sql::DROP_TRACE).bind(judgement.row.0).execute(&mut *connection).await?;
+                count(connection, "dropped_traces", 1).await?;
+            }
         }
         Ok(true)
     }
+}
 
+impl Judgement {
     /// Writes baselines and events, which few throws have.
-    async fn write_rare(&self, connection: &mut SqliteConnection, at_us: i64) -> sqlx::Result<()> {
+    async fn write_rare(&self, connection: &mut SqliteConnection) -> sqlx::Result<()> {
+        let at_us = self.outcome.at.as_microsecond();
         let machine_row: i64 = sqlx::query_scalar(sql::MACHINE_OF).bind(self.row.0).fetch_one(&mut *connection).await?;
         for baseline in &self.baselines {
             sqlx::query(sql::ADD_BASELINE)
@@ -136,16 +160,11 @@ impl Judgement {
         self.outcome.write_events(connection, machine_row).await
     }
 
-    /// Whether an earlier attempt of this write judged the throw.
-    async fn was_written_at(
-        &self,
-        connection: &mut SqliteConnection,
-        repeated: bool,
-        at_us: i64,
-    ) -> sqlx::Result<bool> {
+    /// Whether this judgement is in the database.
+    async fn is_written(&self, connection: &mut SqliteConnection) -> sqlx::Result<bool> {
         let judged_at_us: Option<i64> =
             sqlx::query_scalar(sql::JUDGED_AT).bind(self.row.0).fetch_optional(connection).await?.flatten();
-        Ok(repeated && judged_at_us == Some(at_us))
+        Ok(judged_at_us == Some(self.outcome.at.as_microsecond()))
     }
 
     fn bind_estimate<'q>(&'q self, query: Statements<'q>) -> Statements<'q> {

@@ -14,6 +14,7 @@ mod graft;
 mod housekeeping;
 mod judgement;
 mod link;
+mod many;
 mod open;
 mod outside;
 mod overview;

@@ -21,7 +21,9 @@ use super::{
     open, outside,
     page::{self, Cursor},
     recent::Recent,
-    rows::{Gap, OutboxRow, Quarantined, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp},
+    rows::{
+        Gap, OutboxRow, PendingRow, Quarantined, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp,
+    },
     statements as sql,
 };
 use crate::{
@@ -190,7 +192,10 @@ impl Reader {
         let turn = async |after: Option<&MachineId>| {
             let (site, machine) = after.map(|id| (id.site.to_string(), id.machine.to_string())).unzip();
             let query = sqlx::query(sql::TO_JUDGE).bind(site).bind(limit).bind(from_us).bind(to_us).bind(machine);
-            self.limited(query.fetch_all(&self.pool())).await
+            let chosen = self.limited(query.fetch_one(&self.pool())).await?;
+            let chosen: &str = chosen.try_get(0).map_err(StoreError::read)?;
+            serde_json::from_str::<Vec<PendingRow>>(chosen)
+                .map_err(|error| StoreError::read(sqlx::Error::Decode(error.into())))
         };
         let mut rows = turn(after).await?;
         if rows.is_empty() && after.is_some() {
@@ -198,10 +203,9 @@ impl Reader {
         }
         let (mut throws, mut samples) = (Vec::with_capacity(rows.len()), 0);
         for row in rows {
-            let throw_row = ThrowRow(row.try_get("throw_row").map_err(StoreError::read)?);
-            let stored = match self.recent.take(throw_row) {
-                Some(throw) => StoredThrow::from_memory(&row, throw).map_err(StoreError::read)?,
-                None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(throw_row.0)).await?.pop() {
+            let stored = match self.recent.take(ThrowRow(row.0)) {
+                Some(throw) => StoredThrow::from_memory(row, throw).map_err(StoreError::read)?,
+                None => match self.rows(sqlx::query_as(sql::STORED_THROW).bind(row.0)).await?.pop() {
                     Some(stored) => stored,
                     // Retention has just deleted it.
                     None => continue,

@@ -74,6 +74,10 @@ pub struct StoredThrow {
     pub renumbered: bool,
 }
 
+/// A pending throw: row, site, machine, boot, number, time of reception \[µs\], whether its trace repeats another.
+#[derive(Debug, serde::Deserialize)]
+pub(super) struct PendingRow(pub(super) i64, String, String, String, i64, i64, i64);
+
 /// Suffix of the separate `boot_id` for throws whose number was taken.
 pub(super) const RENUMBERED: &str = "~again";
 
@@ -195,9 +199,19 @@ fn trace(row: &SqliteRow) -> sqlx::Result<Result<Trace, UnreadableTrace>> {
 
 impl StoredThrow {
     /// A throw from memory, with the columns added by the insertion.
-    pub(super) fn from_memory(row: &SqliteRow, throw: Throw) -> sqlx::Result<Self> {
-        let throw = Throw { id: throw_ref(row)?, ..throw };
-        Self::new(row, throw.started_at, Ok(throw))
+    pub(super) fn from_memory(row: PendingRow, throw: Throw) -> sqlx::Result<Self> {
+        let PendingRow(row, site, machine, boot_id, throw_no, received_at_us, repeats) = row;
+        let id = ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() };
+        Ok(Self {
+            row: ThrowRow(row),
+            machine: MachineId::new(&site, &machine).map_err(decode_error)?,
+            renumbered: id.boot_id.ends_with(RENUMBERED),
+            id: id.clone(),
+            started_at: throw.started_at,
+            received_at: timestamp(received_at_us),
+            repeats: repeats != 0,
+            throw: Ok(Throw { id, ..throw }),
+        })
     }
 
     fn new(row: &SqliteRow, started_at: Timestamp, throw: Result<Throw, UnreadableTrace>) -> sqlx::Result<Self> {

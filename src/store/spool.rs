@@ -1,13 +1,16 @@
 //! Storage of received throws: each once, with gaps for missing numbers.
 
+use std::collections::HashSet;
+
 use jiff::Timestamp;
-use sqlx::{Sqlite, SqliteConnection, query::Query, sqlite::SqliteArguments};
+use sqlx::{Row as _, SqliteConnection};
 use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
     codec::{self, Channel, Checksums},
     cursor::{self, Boot, Place},
     error::StoreError,
+    many,
     rows::{GapKind, RENUMBERED, ThrowRow},
     statements as sql,
     write::Write,
@@ -42,8 +45,6 @@ pub(super) struct Spool {
     trace_crc32: u32,
     /// CRC-32 of the current in the upper half, of the position in the lower half: detects repeated traces.
     trace_hash: i64,
-    /// Permit for the memory of the waiting throw; released after the answer.
-    pub(super) room: Option<OwnedSemaphorePermit>,
 }
 
 impl Spool {
@@ -72,7 +73,6 @@ impl Spool {
             position: codec::encode(throw.trace.position_mm()),
             trace_crc32: checksums.both,
             trace_hash: (i64::from(checksums.channels[0]) << 32) | i64::from(checksums.channels[1]),
-            room: None,
         })
     }
 
@@ -83,45 +83,8 @@ impl Spool {
         boot: Boot,
         throw_no: i64,
     ) -> sqlx::Result<ThrowRow> {
-        let add = sqlx::query(sql::ADD_THROW).bind(machine_row).bind(boot.boot_row).bind(boot.position);
-        self.add(connection, add, throw_no).await?.ok_or(sqlx::Error::RowNotFound)
-    }
-
-    /// Adds the throw if it is the next one of a known boot, and no throw of the machine is missing.
-    async fn insert_next(&self, connection: &mut SqliteConnection) -> sqlx::Result<Option<ThrowRow>> {
-        let add = sqlx::query(sql::ADD_NEXT_THROW)
-            .bind(self.machine.site.as_str())
-            .bind(self.machine.machine.as_str())
-            .bind(&self.id.boot_id);
-        self.add(connection, add, self.throw_no).await
-    }
-
-    async fn add<'q>(
-        &'q self,
-        connection: &mut SqliteConnection,
-        query: Query<'q, Sqlite, SqliteArguments>,
-        throw_no: i64,
-    ) -> sqlx::Result<Option<ThrowRow>> {
-        let added = query
-            .bind(throw_no)
-            .bind(self.started_at_us)
-            .bind(self.received_at_us)
-            .bind(self.direction.map(Direction::as_str))
-            .bind(self.sample_rate_hz)
-            .bind(self.samples)
-            .bind(self.temperature_c)
-            .bind(self.supply_v)
-            .bind(self.anti_alias_hz)
-            .bind(self.content_crc32)
-            .bind(self.trace_hash)
-            .bind(&self.current.codec)
-            .bind(&self.current.data)
-            .bind(&self.position.codec)
-            .bind(&self.position.data)
-            .bind(self.trace_crc32)
-            .execute(connection)
-            .await?;
-        Ok((added.rows_affected() > 0).then(|| ThrowRow(added.last_insert_rowid())))
+        let place = Placed { throw: self, machine_row, boot_row: boot.boot_row, position: boot.position, throw_no };
+        insert(connection, &[place]).await
     }
 
     /// Handles a throw whose number is stored already: it is the same throw, or another one if the logger restarted its
@@ -183,16 +146,107 @@ struct Stored {
     received_at_us: i64,
 }
 
-impl Write for Spool {
-    type Output = Spooled;
+/// A throw with its place among the throws of its machine.
+struct Placed<'a> {
+    throw: &'a Spool,
+    machine_row: i64,
+    boot_row: i64,
+    position: i64,
+    throw_no: i64,
+}
 
-    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Spooled> {
-        if let Some(row) = self.insert_next(connection).await? {
-            return Ok(Spooled::New(row));
+/// Adds throws of different machines, with their traces and the highest numbers of their boots. Returns the row of the
+/// first; the rows of the others follow it without gaps, as there is one writer and no row number is used again.
+async fn insert(connection: &mut SqliteConnection, places: &[Placed<'_>]) -> sqlx::Result<ThrowRow> {
+    let mut add = many::query(sql::ADD_THROWS, places.len());
+    for &Placed { throw, machine_row, boot_row, position, throw_no } in places {
+        add = add
+            .bind(machine_row)
+            .bind(boot_row)
+            .bind(position)
+            .bind(throw_no)
+            .bind(throw.started_at_us)
+            .bind(throw.received_at_us)
+            .bind(throw.direction.map(Direction::as_str))
+            .bind(throw.sample_rate_hz)
+            .bind(throw.samples)
+            .bind(throw.temperature_c)
+            .bind(throw.supply_v)
+            .bind(throw.anti_alias_hz)
+            .bind(throw.content_crc32)
+            .bind(throw.trace_hash);
+    }
+    let added = add.execute(&mut *connection).await?;
+    let count = places.len() as u64;
+    if added.rows_affected() != count {
+        return Err(sqlx::Error::RowNotFound);
+    }
+    let first = added.last_insert_rowid() - count.cast_signed() + 1;
+    let mut add = many::query(sql::ADD_TRACES, places.len());
+    for (row, Placed { throw, .. }) in (first..).zip(places) {
+        add = add
+            .bind(row)
+            .bind(&throw.current.codec)
+            .bind(&throw.current.data)
+            .bind(&throw.position.codec)
+            .bind(&throw.position.data)
+            .bind(throw.trace_crc32);
+    }
+    add.execute(&mut *connection).await?;
+    Ok(ThrowRow(first))
+}
+
+/// Received throws, at most [`many::ROWS`].
+pub(super) struct Spools {
+    pub(super) throws: Vec<Spool>,
+    /// Permit for the memory of the waiting throws; released after the answer.
+    #[expect(dead_code, reason = "held")]
+    pub(super) room: OwnedSemaphorePermit,
+}
+
+impl Write for Spools {
+    type Output = Vec<Spooled>;
+
+    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<Vec<Spooled>> {
+        let usual = self.usual(connection).await?;
+        let mut row = if usual.is_empty() { ThrowRow::START } else { insert(connection, &usual).await? };
+        let mut done = 0;
+        let mut spooled = Vec::with_capacity(self.throws.len());
+        for throw in &self.throws {
+            if usual.get(done).is_some_and(|place| std::ptr::eq(place.throw, throw)) {
+                spooled.push(Spooled::New(row));
+                row.0 += 1;
+                done += 1;
+                continue;
+            }
+            let (result, boot) = throw.store(connection, repeated, Follows::All).await?;
+            cursor::advance(connection, boot.machine_row, throw.received_at_us).await?;
+            spooled.push(result);
         }
-        let (spooled, boot) = self.store(connection, repeated, Follows::All).await?;
-        cursor::advance(connection, boot.machine_row, self.received_at_us).await?;
         Ok(spooled)
+    }
+}
+
+impl Spools {
+    /// The first throw of each machine, if it is the next one of a known boot and no throw of the machine is missing.
+    async fn usual(&self, connection: &mut SqliteConnection) -> sqlx::Result<Vec<Placed<'_>>> {
+        let mut find = many::query(sql::NEXT_THROWS, self.throws.len());
+        for (at, throw) in (0_i64..).zip(&self.throws) {
+            let MachineId { site, machine } = &throw.machine;
+            find = find.bind(at).bind(site.as_str()).bind(machine.as_str());
+            find = find.bind(&throw.id.boot_id).bind(throw.throw_no);
+        }
+        let found: String = find.fetch_one(connection).await?.try_get(0)?;
+        let found: Vec<(usize, i64, i64, i64)> =
+            serde_json::from_str(&found).map_err(|error| sqlx::Error::Decode(error.into()))?;
+        let mut machines = HashSet::new();
+        let first = found.into_iter().filter(|&(_, machine_row, ..)| machines.insert(machine_row));
+        Ok(first
+            .map(|(at, machine_row, boot_row, position)| {
+                let throw = &self.throws[at];
+                Placed { throw, machine_row, boot_row, position, throw_no: throw.throw_no }
+            })
+            .collect())
     }
 }
 

@@ -125,45 +125,6 @@ macro_rules! chosen {
     };
 }
 
-/// A throw in the machine and boot of `$place`, with its trace and the highest number of the boot; nothing if there is no
-/// place. Several statements in one call, as each call and each row of a result wake two threads; a later one runs only
-/// if the one before it changed a row.
-macro_rules! add_throw {
-    ($place:literal) => {
-        concat!(
-            "WITH place (machine_row, boot_row, position) AS (",
-            $place,
-            ") \
-             INSERT INTO throw (machine_row, boot_row, boot_position, throw_no, started_at_us, received_at_us, direction, \
-             sample_rate_hz, samples, temperature_c, supply_v, anti_alias_hz, content_crc32, trace_hash, repeats_row) \
-             SELECT machine_row, boot_row, position, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, \
-             (SELECT throw_row FROM throw AS own INDEXED BY throw_by_trace \
-             WHERE own.machine_row = place.machine_row AND own.trace_hash = ?14 LIMIT 1) FROM place; \
-             INSERT INTO trace (throw_row, current_codec, current_data, position_codec, position_data, crc32) \
-             SELECT last_insert_rowid(), ?15, ?16, ?17, ?18, ?19 WHERE changes() = 1; \
-             UPDATE boot SET highest_no = ?4 WHERE changes() = 1 AND highest_no < ?4 \
-             AND boot_row = (SELECT boot_row FROM throw WHERE throw_row = last_insert_rowid())"
-        )
-    };
-}
-
-/// Marks a pending throw as judged and adds its estimate, in one call as [`add_throw`].
-macro_rules! judge {
-    () => {
-        "UPDATE throw SET judged_at_us = ?2 WHERE throw_row = ?1 AND judged_at_us IS NULL; \
-         INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
-         b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, b0_a1_cov, b0_a0_cov, a1_a0_cov, fit_pct, \
-         a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, iterations, start_s, end_s, \
-         duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, release_s, running_current_a, \
-         energy_j, quiet_current_a, start_position_mm, resistance_ohm, back_emf_v_s_per_rad, baseline_throws, \
-         baseline_needed, throws_since_baseline, state, drift) \
-         SELECT throw_row, machine_row, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18, ?19, ?20, ?21, ?22, ?23, \
-         ?24, ?25, ?26, ?27, ?28, ?29, ?30, ?31, ?32, ?33, ?34, ?35, ?36, ?37, ?38, ?39, ?40, ?41, ?42, ?43, \
-         ?44 \
-         FROM throw WHERE throw_row = ?1 AND changes() = 1"
-    };
-}
-
 /// Adds or replaces the monitor of `$machine`, a row or a query of rows.
 macro_rules! set_monitor {
     ($machine:literal) => {
@@ -201,11 +162,27 @@ statements! {
     COUNTS_FROM_ZERO = "SELECT counts_from_zero FROM machine WHERE machine_row = ?1";
     SET_COUNTS_FROM_ZERO = "UPDATE machine SET counts_from_zero = 1 WHERE machine_row = ?1";
     STORED = "SELECT throw_row, content_crc32, received_at_us FROM throw WHERE boot_row = ?1 AND throw_no = ?2";
-    ADD_THROW = add_throw!("VALUES (?1, ?2, ?3)");
-    // The usual throw: the next one of a known boot, without missing throws.
-    ADD_NEXT_THROW = add_throw!("SELECT machine_row, boot_row, position FROM boot JOIN machine USING (machine_row) \
-        WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND highest_no = ?4 - 1 \
-        AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)");
+    // Statements with one row of `?`: see the module `many`.
+    // The usual throws: each the next one of a known boot, without missing throws.
+    NEXT_THROWS = "WITH new (at, site, machine, boot_id, throw_no) AS (VALUES (?, ?, ?, ?, ?)) \
+        SELECT json_group_array(json_array(at, machine_row, boot_row, position)) \
+        FROM new CROSS JOIN machine USING (site, machine) CROSS JOIN boot USING (machine_row, boot_id) \
+        WHERE highest_no = throw_no - 1 \
+        AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)";
+    ADD_THROWS = "WITH new (machine_row, boot_row, boot_position, throw_no, started_at_us, received_at_us, direction, \
+        sample_rate_hz, samples, temperature_c, supply_v, anti_alias_hz, content_crc32, trace_hash) \
+        AS (VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)) \
+        INSERT INTO throw (machine_row, boot_row, boot_position, throw_no, started_at_us, received_at_us, direction, \
+        sample_rate_hz, samples, temperature_c, supply_v, anti_alias_hz, content_crc32, trace_hash, repeats_row) \
+        SELECT new.*, (SELECT throw_row FROM throw AS own INDEXED BY throw_by_trace \
+        WHERE own.machine_row = new.machine_row AND own.trace_hash = new.trace_hash LIMIT 1) \
+        FROM new WHERE new.machine_row IS NOT NULL";
+    // Also sets the highest numbers of the boots of these throws.
+    ADD_TRACES = "INSERT INTO trace (throw_row, current_codec, current_data, position_codec, position_data, crc32) \
+        SELECT * FROM (VALUES (?, ?, ?, ?, ?, ?)) WHERE column1 IS NOT NULL; \
+        UPDATE boot SET highest_no = (SELECT max(throw_no) FROM throw WHERE throw.boot_row = boot.boot_row) \
+        WHERE boot_row IN (SELECT boot_row FROM throw WHERE throw_row > last_insert_rowid() - changes()) \
+        AND highest_no < (SELECT max(throw_no) FROM throw WHERE throw.boot_row = boot.boot_row)";
     SAME_CONTENT = "SELECT throw_row FROM throw INDEXED BY throw_by_trace \
         WHERE machine_row = ?1 AND trace_hash = ?2 AND content_crc32 = ?3 AND boot_row = ?4 LIMIT 1";
 
@@ -254,10 +231,10 @@ statements! {
         FROM ready JOIN throw AS own ON own.throw_row IN (SELECT throw_row FROM throw AS next INDEXED BY throw_pending \
         WHERE next.machine_row = ready.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no) \
         ORDER BY boot_position, throw_no LIMIT ?2 + 0)) \
-        SELECT throw_row, site, machine, boot_id, throw_no, received_at_us, repeats_row IS NOT NULL AS repeats \
+        SELECT json_group_array(json_array(throw_row, site, machine, boot_id, throw_no, received_at_us, repeats_row IS NOT NULL) \
+        ORDER BY throw.machine_row, boot_position, throw_no) \
         FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
-        WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2 + 0) \
-        ORDER BY throw.machine_row, boot_position, throw_no";
+        WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2 + 0)";
     STORED_THROW = concat!("SELECT ", throw_rows!(), " WHERE throw_row = ?1");
     PENDING = concat!("SELECT ", throw_rows!(), " \
         WHERE judged_at_us IS NULL AND throw_row > ?1 ORDER BY throw_row LIMIT ?2");
@@ -265,9 +242,20 @@ statements! {
         WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     MACHINE_OF = "SELECT machine_row FROM throw WHERE throw_row = ?1";
     JUDGED_AT = "SELECT judged_at_us FROM throw WHERE throw_row = ?1";
-    JUDGE = judge!();
-    JUDGE_AND_SET_MONITOR = concat!(judge!(), "; ", set_monitor!("SELECT machine_row, ?2, ?45, ?46, ?47, ?48 \
-        FROM throw WHERE throw_row = ?1 AND changes() = 1"));
+    // Statements with one row of `?`: see the module `many`.
+    PENDING_AMONG = "SELECT count(*) FROM throw WHERE throw_row IN (VALUES (?)) AND judged_at_us IS NULL";
+    SET_JUDGED = "WITH new (throw_row, at_us) AS (VALUES (?, ?)) \
+        UPDATE throw SET judged_at_us = new.at_us FROM new WHERE throw.throw_row = new.throw_row";
+    ADD_ESTIMATES = "WITH new AS (VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)) \
+        INSERT INTO estimate (throw_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
+        b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, b0_a1_cov, b0_a0_cov, a1_a0_cov, fit_pct, \
+        a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, iterations, start_s, end_s, \
+        duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, release_s, running_current_a, \
+        energy_j, quiet_current_a, start_position_mm, resistance_ohm, back_emf_v_s_per_rad, baseline_throws, \
+        baseline_needed, throws_since_baseline, state, drift, machine_row) \
+        SELECT new.*, throw.machine_row FROM new CROSS JOIN throw ON throw.throw_row = new.column1";
+    SET_MONITORS_OF = set_monitor!("SELECT throw.machine_row, column2, column3, column4, column5, column6 \
+        FROM (VALUES (?, ?, ?, ?, ?, ?)) AS new CROSS JOIN throw ON throw.throw_row = column1 WHERE TRUE");
     ADD_BASELINE = "INSERT INTO baseline (machine_row, direction, taken_at_us, payload) VALUES (?1, ?2, ?3, ?4) \
         ON CONFLICT DO NOTHING";
     SET_MONITOR = set_monitor!("VALUES (?1, ?2, ?3, ?4, ?5, ?6)");

@@ -11,7 +11,7 @@ use super::{
 };
 
 /// Largest number of writes in a commit. At the measured rates this takes 5 to 20 ms; larger groups are not faster.
-pub(super) const GROUP: usize = 64;
+const GROUP: usize = 64;
 /// Capacity of the queue: four groups, a tenth of a second. Further callers wait.
 const QUEUE: usize = 4 * GROUP;
 
