@@ -428,12 +428,13 @@ pub(super) fn noise_level(
     settings: &Settings,
     scratch: &mut Vec<f64>,
 ) -> Result<(), Rejection> {
+    let quiet = &current[..movement.quiet];
+    if quiet.len() < NOISE_SAMPLES {
+        return Ok(());
+    }
     let last = (movement.near_end + 1).min(current.len());
     let usual = second_difference_noise(&current[..last], scratch);
-    let quiet = &current[..movement.quiet];
-    if quiet.len() < NOISE_SAMPLES
-        || usual < (NOISE_QUANTA * movement.current.quantum).max(LEAST_NOISE * settings.current_noise_a)
-    {
+    if usual < (NOISE_QUANTA * movement.current.quantum).max(LEAST_NOISE * settings.current_noise_a) {
         return Ok(());
     }
     let at_rest = second_difference_noise(quiet, scratch);

@@ -2,7 +2,7 @@
 //! their traces.
 
 use std::{
-    collections::HashMap,
+    collections::BTreeMap,
     sync::{Arc, Mutex, PoisonError},
 };
 
@@ -12,26 +12,30 @@ use crate::throw::Throw;
 /// Largest number of samples of all channels: 32 MiB, or 400 throws of 5 s at 1 kHz.
 const MAX_SAMPLES: usize = 4 << 20;
 
+/// Distance of rows from the newest at which a throw is no longer expected to be judged from memory.
+const STALE: i64 = 10_000;
+
 /// Pending throws up to a total size.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Recent(Arc<Mutex<Kept>>);
 
 #[derive(Debug, Default)]
 struct Kept {
-    throws: HashMap<ThrowRow, Throw>,
+    throws: BTreeMap<ThrowRow, Throw>,
     samples: usize,
 }
 
 impl Recent {
-    /// Adds a stored throw. At the limit all others are removed first, as throws deleted by retention would stay, and
-    /// those of a long queue can be read from the database.
+    /// Adds a stored throw if there is space: of a long queue the oldest throws are judged first, and the newest can be
+    /// read from the database. Throws deleted by retention would stay, so the oldest leaves at a distance of [`STALE`].
     pub(super) fn keep(&self, row: ThrowRow, throw: &Throw) {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let samples = 2 * throw.trace.len();
-        if kept.samples + samples > MAX_SAMPLES {
-            *kept = Kept::default();
+        if let Some(oldest) = kept.throws.first_entry().filter(|oldest| row.0 - oldest.key().0 > STALE) {
+            let stale = oldest.remove();
+            kept.samples -= 2 * stale.trace.len();
         }
-        if samples <= MAX_SAMPLES && kept.throws.insert(row, throw.clone()).is_none() {
+        let samples = 2 * throw.trace.len();
+        if kept.samples + samples <= MAX_SAMPLES && kept.throws.insert(row, throw.clone()).is_none() {
             kept.samples += samples;
         }
     }
