@@ -120,7 +120,7 @@ impl JudgeLoop {
         }
     }
 
-    /// Judges and stores the next batch; false if there was none.
+    /// Judges and stores the next batch; returns whether further throws may be pending.
     async fn judge_next(&mut self) -> Result<bool, StoreError> {
         if !self.daemon_alarms.is_empty() {
             self.update_daemon_alarms().await?;
@@ -145,7 +145,7 @@ impl JudgeLoop {
                 self.publish(judgement);
             }
         }
-        Ok(true)
+        Ok(self.judge.more)
     }
 
     /// Repeats a write until it is stored. Returns false if the daemon must end first; the next start continues from

@@ -124,7 +124,8 @@ impl Judgements {
                 monitors = monitor.bind(monitors.bind(row).bind(at_us));
             }
         }
-        if pending.fetch_one(&mut *connection).await?.try_get::<i64, _>(0)? != judgements.len() as i64 {
+        let pending: i64 = pending.fetch_one(&mut *connection).await?.try_get(0)?;
+        if usize::try_from(pending) != Ok(judgements.len()) {
             return Ok(false);
         }
         for statement in [judge, estimates, monitors] {

@@ -178,6 +178,7 @@ impl Reader {
 
     /// Up to `limit` throws to judge next: in order for each machine, the machines in turn, starting after `after`.
     /// Later throws of a machine with an open backlog are left out, for at most `wait` after the backlog last shrank.
+    /// Also returns whether the batch is full.
     ///
     /// # Errors
     /// When the database cannot be read.
@@ -187,7 +188,7 @@ impl Reader {
         limit: u32,
         now: Timestamp,
         wait: Duration,
-    ) -> Result<Vec<StoredThrow>, StoreError> {
+    ) -> Result<(Vec<StoredThrow>, bool), StoreError> {
         let (from_us, to_us) = waiting(now, wait);
         let turn = async |after: Option<&MachineId>| {
             let (site, machine) = after.map(|id| (id.site.to_string(), id.machine.to_string())).unzip();
@@ -201,6 +202,7 @@ impl Reader {
         if rows.is_empty() && after.is_some() {
             rows = turn(None).await?;
         }
+        let mut is_full = rows.len() >= limit as usize;
         let (mut throws, mut samples) = (Vec::with_capacity(rows.len()), 0);
         for row in rows {
             let stored = match self.recent.take(ThrowRow(row.0)) {
@@ -214,10 +216,11 @@ impl Reader {
             samples += stored.throw.as_ref().map_or(0, |throw| throw.trace.len());
             throws.push(stored);
             if samples >= SAMPLES {
+                is_full = true;
                 break;
             }
         }
-        Ok(throws)
+        Ok((throws, is_full))
     }
 
     /// The cursor of a machine.

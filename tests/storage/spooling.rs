@@ -163,7 +163,7 @@ async fn the_cost_of_a_throw_does_not_grow_with_the_starts_of_its_logger() {
 
 /// The throws for the next judgements while the backlog is open.
 async fn next(store: &Store) -> Vec<(String, u64)> {
-    let throws = store.reader().to_judge(None, 16, at(100), Duration::from_hours(1)).await.unwrap();
+    let (throws, _) = store.reader().to_judge(None, 16, at(100), Duration::from_hours(1)).await.unwrap();
     throws.into_iter().map(|throw| (throw.id.boot_id, throw.id.throw_no)).collect()
 }
 
@@ -210,7 +210,7 @@ async fn a_missing_throw_holds_up_its_machine_for_a_time_and_no_other() {
     }
     spooled(&store, "22A", "c1", 1).await;
     let judged = async |at_s, wait_s| {
-        let throws = store.reader().to_judge(None, 16, at(at_s), Duration::from_secs(wait_s)).await.unwrap();
+        let (throws, _) = store.reader().to_judge(None, 16, at(at_s), Duration::from_secs(wait_s)).await.unwrap();
         throws.iter().map(|throw| (throw.machine.machine.to_string(), throw.id.throw_no)).collect::<Vec<_>>()
     };
     let of = |list: &[(&str, u64)]| ids(list);
