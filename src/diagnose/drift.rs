@@ -80,6 +80,11 @@ impl Drift {
         Self { excess, provisional, attribution, strongest, testimony, is_alarmed, levels, last_few, latest, hidden }
     }
 
+    /// The windows that show the present drift; after a step the shorter ones show it better.
+    pub(super) fn windows(&self) -> impl Iterator<Item = &Window> {
+        self.levels.iter().chain(&self.last_few).chain([&self.strongest]).flatten()
+    }
+
     /// Whether a drift is detected and above its limit, with any name.
     pub(super) fn matters(&self) -> bool {
         let limit = if self.provisional { PROVISIONAL_WIDENING } else { 1.0 };

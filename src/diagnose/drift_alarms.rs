@@ -181,8 +181,7 @@ impl DriftAlarms {
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
                 part.unwrap_or_else(|| single(cause, mean, covariance, settings))
             };
-            let windows = drift.levels.iter().flatten();
-            let parts = windows.flat_map(|window| alarm_causes(alarm.cause).map(|cause| size(cause, window)));
+            let parts = drift.windows().flat_map(|window| alarm_causes(alarm.cause).map(|cause| size(cause, window)));
             let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)));
             let Some(largest) = largest else { continue };
             let direction = drift.direction(alarm.cause, self.throws_since_onset(order), settings);

@@ -7,9 +7,9 @@
 //!
 //! # Error of the model
 //! From estimates of simulated throws: a change of motor, stiffness or inertia changes each other coefficient by less
-//! than a tenth of it. Dry friction leaks: in a viscous model a rise has the direction (g, 1, g), with g from 0
-//! (viscous) over 0.22 (stiff toe drive) to 0.4 (soft toe drive); a fall hardly leaks. The g of a machine is unknown,
-//! so the probabilities for several g are averaged.
+//! than a tenth of it. Dry friction leaks: in a viscous model a rise increases all three coefficients by a common factor
+//! too, so its direction is (g, 1 + g, g), with g from 0 (viscous) over 0.1 to 0.3 (stiff toe drive, more for larger
+//! rises) to 0.67 (soft toe drive); a fall hardly leaks. The g of a machine is unknown, so several g are averaged.
 //!
 //! # Score
 //! -2 ln of the probability of m under a wide prior on the sizes (Laplace), misfit + ln det U + ln det(D'U^-1 D) + k ln
@@ -23,10 +23,9 @@ use super::{event::Cause, settings::Settings};
 const SIZE_SCALE: f64 = 0.5;
 /// Penalty of each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
-/// Leak g of a rise of friction into b0 and a0: viscous, stiff toe drive, soft toe drive; each is equally likely.
-const FRICTION_LEAKS: [f64; 3] = [0.0, 0.2, 0.4];
-/// Standard deviation of each leak, so that together they cover the range evenly.
-const FRICTION_LEAK_SD: f64 = 0.08;
+/// Leaks of a rise of friction: viscous, stiff toe drive, soft toe drive; each is equally likely.
+const FRICTION_LEAKS: [Leak; 3] =
+    [Leak { part: 0.0, sd: 0.08 }, Leak { part: 0.25, sd: 0.12 }, Leak { part: 0.67, sd: 0.22 }];
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction besides its leak, as part of that of other causes.
@@ -50,6 +49,14 @@ pub(super) struct Fit<const K: usize> {
     pub(super) parts: [Explanation; K],
     /// Twice the negative logarithm of the probability.
     pub(super) score: f64,
+}
+
+/// Common change of all coefficients by a rise of friction, as a part of it.
+#[derive(Debug, Clone, Copy)]
+struct Leak {
+    part: f64,
+    /// Standard deviation, so that the leaks together cover their range evenly.
+    sd: f64,
 }
 
 /// The direction of a cause.
@@ -106,23 +113,28 @@ pub(super) fn fit<const K: usize>(
 ) -> Fit<K> {
     let with_leak = |leak| fit_with_leak(leak, causes, m, v, settings);
     if !causes.contains(&Cause::Friction) {
-        return with_leak(0.0);
+        return with_leak(FRICTION_LEAKS[0]);
     }
     let fits = FRICTION_LEAKS.map(with_leak);
-    let mut best = fits[0];
-    for fit in fits {
-        if fit.score < best.score {
-            best = fit;
-        }
+    let best = fits.iter().map(|fit| fit.score).fold(f64::INFINITY, f64::min);
+    let odds = fits.map(|fit| (0.5 * (best - fit.score)).exp());
+    let total: f64 = odds.iter().sum();
+    let mut mean = Fit { score: best - 2.0 * (total / fits.len() as f64).ln(), ..fits[0] };
+    for (at, part) in mean.parts.iter_mut().enumerate() {
+        let average = |of: &dyn Fn(&Explanation) -> f64| -> f64 {
+            fits.iter().zip(odds).map(|(fit, odds)| odds / total * of(&fit.parts[at])).sum()
+        };
+        let size = average(&|part| part.size);
+        let variance = average(&|part| part.size_sd.powi(2) + (part.size - size).powi(2));
+        (part.size, part.size_sd) = (size, variance.sqrt());
+        part.weights = Vector3::from_fn(|i, _| average(&|part| part.weights[i]));
     }
-    let evidence: f64 = fits.iter().map(|fit| (0.5 * (best.score - fit.score)).exp()).sum();
-    best.score -= 2.0 * (evidence / fits.len() as f64).ln();
-    best
+    mean
 }
 
 /// The same for a given leak of friction.
 fn fit_with_leak<const K: usize>(
-    leak: f64,
+    leak: Leak,
     causes: [Cause; K],
     m: &Vector3<f64>,
     v: &Matrix3<f64>,
@@ -137,7 +149,7 @@ fn fit_with_leak<const K: usize>(
         // Rows without a cause have no effect, and the size 0.
         let mut information = Matrix3::identity();
         for (at, part) in fit.parts.iter().enumerate() {
-            u += model_error(part, settings);
+            u += model_error(part, leak, settings);
             d.set_column(at, &effect(part, leak));
             information[(at, at)] = 0.0;
         }
@@ -183,18 +195,18 @@ pub(super) fn fit_along(
 }
 
 /// Effect of a cause on the coefficients per unit of its size, for a given leak of friction.
-fn effect(part: &Explanation, leak: f64) -> Vector3<f64> {
+fn effect(part: &Explanation, leak: Leak) -> Vector3<f64> {
     if part.cause == Cause::Friction && part.size > 0.0 {
-        return Vector3::new(leak, 1.0, leak);
+        return Vector3::y() + Vector3::repeat(leak.part);
     }
     direction_of(part.cause).unwrap_or_else(Vector3::zeros)
 }
 
 /// Covariance of the model error of a cause of this size.
-fn model_error(part: &Explanation, settings: &Settings) -> Matrix3<f64> {
+fn model_error(part: &Explanation, leak: Leak, settings: &Settings) -> Matrix3<f64> {
     let sd = settings.model_error / MODEL_ERROR_SD * part.size;
     if part.cause == Cause::Friction {
-        let together = Vector3::new(1.0, 0.0, 1.0) * FRICTION_LEAK_SD * part.size.max(0.0);
+        let together = Vector3::repeat(leak.sd * part.size.max(0.0));
         let rest = Vector3::new(1.0, 0.0, 1.0) * (FRICTION_ERROR * sd).powi(2);
         return together * together.transpose() + Matrix3::from_diagonal(&rest);
     }

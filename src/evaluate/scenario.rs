@@ -156,7 +156,7 @@ pub(super) const MULTIPLES: [f64; 4] = [1.5, 2.0, 3.0, 6.0];
 const PLAIN_FROM: f64 = 2.0;
 
 /// Size of the friction fault in the rows with leakage.
-const LEAKING_FRICTION: f64 = 0.54;
+const LEAKING_FRICTION: f64 = 0.35;
 /// Friction coefficient of the slide chairs in the row with a soft toe drive.
 const SOFT_TOE_MU: f64 = 0.15;
 

@@ -60,8 +60,9 @@ pub(super) struct Timeline {
     leakage: f64,
 }
 
-/// Range of the leakage; throws at trace depth with stiff and soft toe drives gave 0.22 to 0.4.
-const LEAKAGE: std::ops::Range<f64> = 0.2..0.4;
+/// Range of the common change of all coefficients by dry friction, as a part of it; throws at trace depth with stiff and
+/// soft toe drives gave 0.25 to 0.67.
+const LEAKAGE: std::ops::Range<f64> = 0.25..0.67;
 
 /// A varying temperature, and its effect on the coefficients.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -141,7 +142,7 @@ impl Timeline {
     /// Change of (ln b0, ln a1, ln a0) at throw `at`, from faults and temperature.
     pub(super) fn displacement(&self, at: usize) -> Vector3<f64> {
         let drift: Vector3<f64> = self.faults.iter().map(|fault| displacement(fault.part, fault.size_at(at))).sum();
-        let leaked = Vector3::new(drift.y, 0.0, drift.y) * self.leakage;
+        let leaked = Vector3::repeat(drift.y * self.leakage);
         drift + leaked + self.climate.map_or_else(Vector3::zeros, |climate| climate.displacement(at))
     }
 

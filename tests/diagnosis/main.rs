@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test may stop on an error, in its helpers too")]
 
 mod alarm;
+mod budget;
 mod cause;
 mod drive;
 mod evaluate;

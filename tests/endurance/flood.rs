@@ -25,7 +25,7 @@ use crate::{
 };
 
 /// Size of a throw of another machine in the database \[bytes\].
-const THROW_BYTES: u64 = 12_000;
+const THROW_BYTES: u64 = 24_000;
 /// Growth of the database by the flood between two rounds of housekeeping \[MiB\].
 const ROUND_MIB: u64 = 16;
 /// The other machines, their throws before the flood, and the interval of their throws during it.
