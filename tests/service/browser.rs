@@ -12,7 +12,7 @@ use std::{
 
 use serde_json::{Value, json};
 
-use crate::{operators::daemon_with_alarm, rig::PATIENCE, web::address};
+use crate::{http::address, operators::daemon_with_alarm, rig::PATIENCE};
 
 /// A running browser.
 struct Browser {

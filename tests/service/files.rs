@@ -9,9 +9,9 @@ use std::{
 use pointsd::throw::Throw;
 
 use crate::{
+    http::small_history,
     operators::daemon_with_alarm,
     rig::{pointsd, pointsim, throws},
-    web::small_history,
 };
 
 type Row = std::collections::HashMap<String, String>;

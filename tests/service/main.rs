@@ -6,9 +6,11 @@ mod alarms;
 mod browser;
 #[path = "../endurance/cable.rs"]
 mod cable;
+mod clients;
 mod configuration;
 mod faketime;
 mod files;
+mod http;
 mod import;
 mod operators;
 mod pages;

@@ -1,13 +1,13 @@
-//! Time of each page and view with 20,000 machines and a million throws.
+//! Size and time of each page with a large history, up to 20,000 machines and a million throws.
 
 use std::time::{Duration, Instant};
 
 use pointsd::wire::{Encoding, encode_throw};
 
 use crate::{
+    http::{self, address, check_nesting, exchange, exchange_bytes, get, small_history},
     questions::large,
     rig::{Rig, matched, pointsd, throws},
-    web::{address, exchange_bytes},
 };
 
 /// Limit of a page or view. The README gives 100 ms for a release build on a computer without other work.
@@ -118,4 +118,136 @@ async fn times_of_pages_and_views() {
 
 fn milliseconds(time: Duration) -> f64 {
     time.as_secs_f64() * 1e3
+}
+
+/// 150,000 throws of one machine, 3,000 machines, 600 alarms: the pages stay small.
+#[expect(clippy::too_many_lines, reason = "one history, every page of it")]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_big_history_gives_bounded_pages() {
+    let (rig, daemon, address) = small_history().await;
+    let fresh = get(&address, "/machines/north/21B?span=all").body.len();
+    assert!(daemon.terminate().success());
+    rig.change(
+        "WITH RECURSIVE n(i) AS (SELECT 1000 UNION ALL SELECT i + 1 FROM n WHERE i < 151000)
+         INSERT INTO throw (throw_row, machine_row, boot_row, throw_no, started_at_us, received_at_us, direction,
+                            sample_rate_hz, samples, content_crc32, judged_at_us)
+         SELECT i, machine_row, boot_row, i, started_at_us + 60000000 * i, received_at_us, direction, sample_rate_hz,
+                samples, content_crc32, judged_at_us
+         FROM n, (SELECT * FROM throw WHERE throw_row = 1)",
+    )
+    .await;
+    rig.change(
+        "WITH RECURSIVE n(i) AS (SELECT 1000 UNION ALL SELECT i + 1 FROM n WHERE i < 151000)
+         INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, b0, a1, a0, b0_sd,
+                               a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, throws_since_baseline)
+         SELECT i, machine_row, CASE i % 2 WHEN 0 THEN 'normal_to_reverse' ELSE 'reverse_to_normal' END, 0, 'good', b0,
+                a1, a0, b0_sd, a1_sd, a0_sd, i % 7, i % 11, -(i % 5), fit_pct, i
+         FROM n, (SELECT * FROM estimate WHERE throw_row = 1)",
+    )
+    .await;
+    rig.change(
+        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 3000)
+         INSERT INTO machine (site, machine) SELECT 'south', 'M' || i FROM n",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no)
+         SELECT machine_row, 'b', 0, 1 FROM machine WHERE site = 'south'",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO throw (throw_row, machine_row, boot_row, throw_no, started_at_us, received_at_us, sample_rate_hz,
+                            samples, content_crc32, judged_at_us)
+         SELECT 200000 + machine_row, machine_row, boot_row, 1, 0, 0, 1000, 0, 0, 1
+         FROM machine JOIN boot USING (machine_row) WHERE site = 'south'",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, throws_since_baseline)
+         SELECT 200000 + machine_row, machine_row, 'normal_to_reverse', 0, 'good', 1 FROM machine WHERE site = 'south'",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
+         SELECT machine, machine_row, 'kt', machine_row, 1, 'active_unacknowledged'
+         FROM machine WHERE site = 'south' AND machine_row % 5 = 0",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
+         SELECT machine || '-lost', machine_row, 'not_monitored', machine_row, 1, 'active_unacknowledged'
+         FROM machine WHERE site = 'south' AND machine_row % 6 = 1",
+    )
+    .await;
+    rig.change(
+        "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload)
+         SELECT alarm_row, 1, 0, 'critical', state, json_object('schema', 'points.alarm/1', 'alarm_id', alarm_id,
+                'event_no', 1, 'site', site, 'machine', machine, 'cause', cause, 'severity', 'critical', 'state', state,
+                'raised_at', '2026-05-04T10:00:00Z', 'event_at', '2026-05-04T10:00:00Z', 'text', 'weak')
+         FROM alarm JOIN machine USING (machine_row)",
+    )
+    .await;
+    let daemon = rig.start();
+    let address = http::address(&daemon);
+    // After the start, as the daemon derives the state of machines with a loaded monitor.
+    rig.change(
+        "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts)
+         SELECT machine_row, (SELECT snapshot FROM monitor LIMIT 1), 0,
+                CASE WHEN machine_row % 5 = 0 THEN 'critical' WHEN machine_row % 6 = 1 THEN 'not_monitored' ELSE 'healthy' END,
+                CASE WHEN machine_row % 5 = 0 THEN
+                    '[{\"cause\":\"kt\",\"change_pct\":-22.4,\"change_pct_sd\":0.5,\"direction\":null,\"limit_in_throws\":null}]' END
+         FROM machine WHERE site = 'south'",
+    )
+    .await;
+    let mut said = Vec::new();
+    for (path, most) in [
+        ("/", 150_000),
+        ("/?state=critical&page=3", 150_000),
+        ("/?q=M29", 150_000),
+        ("/api/v1/machines?site=south", 150_000),
+        ("/machines/north/21B?span=100", 400_000),
+        ("/machines/north/21B?span=1000", 400_000),
+        ("/machines/north/21B?span=all", 400_000),
+        ("/metrics", 20_000),
+    ] {
+        let began = Instant::now();
+        let answer = get(&address, path);
+        said.push(format!("{path}: {} bytes, {:.1} ms", answer.body.len(), began.elapsed().as_secs_f64() * 1e3));
+        assert_eq!(answer.status, 200, "{path}: {}", answer.body);
+        assert!(answer.body.len() < most, "{path}: {} bytes", answer.body.len());
+    }
+    println!("with 150,000 throws more (before: {fresh} bytes): {}", said.join("; "));
+    let fleet = get(&address, "/").body;
+    // 600 machines have a critical alarm: the tally counts all of them, and they are first in the list.
+    assert!(
+        fleet.contains("3,001 machines</a>") && fleet.contains(">600 <span class=\"badge critical\">"),
+        "{fleet:.3000}"
+    );
+    assert_eq!(fleet.matches("<tr><td><span class=\"badge critical\">").count(), 100);
+    assert!(fleet.contains("550 more alarms about machines"), "{fleet:.3000}");
+    assert!(fleet.contains("1 to 100 of 3,001"), "{fleet:.3000}");
+    let lost = rig.sql("SELECT count(*) AS n FROM active_alarms WHERE cause = 'not_monitored'")[0]["n"].clone();
+    assert!(fleet.contains(&format!("{lost} machines not monitored, raised from")), "{fleet:.3000}");
+    assert!(fleet.contains(&format!("By site: south {lost}")), "{fleet:.3000}");
+    assert!(fleet.contains("now −22 % ± 1") && fleet.contains("motor <strong>−22 % ± 1</strong>"), "{fleet:.3000}");
+    let last = get(&address, "/?page=30").body;
+    assert!(
+        last.contains("3,001 to 3,001 of 3,001") && last.matches("<th scope=\"row\">").count() == 1,
+        "{last:.3000}"
+    );
+    let tag = get(&address, "/").header("etag").unwrap().to_owned();
+    let again = exchange(&address, &format!("GET / HTTP/1.1\r\nHost: {address}\r\nIf-None-Match: {tag}\r\n\r\n"));
+    assert!(again.starts_with("HTTP/1.1 304") && again.len() < 300, "{again}");
+    let beyond =
+        rig.sql("SELECT machine FROM active_alarms ORDER BY site DESC, machine DESC LIMIT 1")[0]["machine"].clone();
+    let beyond = get(&address, &format!("/machines/south/{}", beyond.as_str().unwrap())).body;
+    assert!(beyond.contains(", critical · pointsd</title>"), "{beyond:.3000}");
+    // The points are from the whole history: the axis is from May to August.
+    let all = get(&address, "/machines/north/21B?span=all").body;
+    assert!(all.contains("drawn are 250 throws normal to reverse and 250 back"), "{all:.3000}");
+    for moment in ["Jun", "Jul", "Aug", "2026", "UTC"] {
+        assert!(all.matches(&format!(">{moment}</text>")).count() >= 4, "{moment} in {all}");
+    }
+    check_nesting(&all);
+    assert!(daemon.terminate().success());
 }

@@ -14,9 +14,9 @@ use std::{
 use pointsd::wire::{Encoding, encode_throw};
 
 use crate::{
+    http::{address, exchange, get},
     operators::daemon_with_alarm,
     rig::{PATIENCE, matched, stub},
-    web::{address, exchange, get},
 };
 
 const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/grafana");

@@ -10,8 +10,8 @@ use pointsd::{
 };
 
 use crate::{
+    http::{address, get},
     rig::{Daemon, PATIENCE, Rig, matched, throws_of},
-    web::{address, get},
 };
 
 /// Healthy throws for the baseline.

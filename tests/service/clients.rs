@@ -1,0 +1,166 @@
+//! Clients of the dashboard: many, slow, malicious, and a real browser. None slows down the daemon.
+
+use std::{
+    io::{Read, Write},
+    net::{TcpListener, TcpStream},
+    process::{Command, Stdio},
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering::Relaxed},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use pointsd::{
+    throw::ThrowRef,
+    wire::{Encoding, encode_throw},
+};
+
+use crate::{
+    http::{KEY, exchange_bytes, get, small_history},
+    rig::{PATIENCE, matched, throws},
+};
+
+/// Resident memory of a process \[KiB\].
+fn resident_kib(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+    line.split_whitespace().next().unwrap().parse().unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
+    const CLIENTS: usize = 200;
+    let (rig, daemon, address) = small_history().await;
+    let before = resident_kib(daemon.id());
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let paths = ["/", "/machines/north/21B?span=all", "/machines/north/21B/throws/boot/2", "/metrics"];
+    let readers: Vec<_> = (0..CLIENTS)
+        .map(|client| {
+            let address = address.clone();
+            thread::spawn(move || [0, 1, 2].map(|turn| get(&address, paths[(client + turn) % paths.len()]).status))
+        })
+        .collect();
+    let made = throws("during", 40);
+    for throw in &made {
+        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+    }
+    rig.judged(3 + made.len()).await;
+    let mut busy = 0;
+    for reader in readers {
+        for status in reader.join().unwrap() {
+            assert!(status == 200 || status == 503, "{status}");
+            busy += usize::from(status == 503);
+        }
+    }
+    let grown = resident_kib(daemon.id()).saturating_sub(before);
+    println!("{CLIENTS} readers, {busy} of {} answers were busy; memory {before} KiB + {grown} KiB", 3 * CLIENTS);
+    // 64 connections, each with a page and its buffers, and the throws.
+    assert!(grown < 64 << 10, "{grown} KiB more");
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_asks_slowly_or_without_end_is_cut_and_the_daemon_goes_on() {
+    let (rig, daemon, address) = small_history().await;
+    // More connections than the limit, each with an incomplete request.
+    let mut slow: Vec<TcpStream> = (0..100)
+        .map(|_| {
+            let mut stream = TcpStream::connect(&address).unwrap();
+            stream.write_all(b"GET / HTTP/1.1\r\nHost: ").unwrap();
+            stream
+        })
+        .collect();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    publisher.put(encode_throw(Encoding::Cbor, &throws("after", 1)[0])).await.unwrap();
+    assert_eq!(rig.judged(4).await.last().unwrap().throw, ThrowRef { boot_id: "after".to_owned(), throw_no: 1 });
+    // They make way at once, not when their time is over, and go on being replaced by others.
+    for path in ["/healthz", "/"] {
+        let begin = Instant::now();
+        slow.push(TcpStream::connect(&address).unwrap());
+        assert_eq!(get(&address, path).status, 200);
+        assert!(begin.elapsed() < Duration::from_secs(2), "{path} took {:?}", begin.elapsed());
+    }
+    for stream in &mut slow {
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        // All of them are closed: by an end, a reset, or an error response.
+        let gone = stream.read_to_end(&mut Vec::new());
+        assert!(
+            gone.as_ref().err().is_none_or(|error| error.kind() == std::io::ErrorKind::ConnectionReset),
+            "{gone:?}"
+        );
+    }
+    // An endless request is cut before it fills the memory.
+    let mut endless = TcpStream::connect(&address).unwrap();
+    endless.set_write_timeout(Some(PATIENCE)).unwrap();
+    endless.write_all(b"GET / HTTP/1.1\r\n").unwrap();
+    let cut = (0..100_000)
+        .find(|_| endless.write_all(b"X-Filler: aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa\r\n").is_err());
+    assert!(cut.is_some(), "5 MB of headers were accepted");
+    assert_eq!(get(&address, "/healthz").status, 200);
+    assert!(daemon.terminate().success());
+}
+
+/// Forwards requests to the dashboard, but only the first `pages` for the page of the fleet. Returns its address, and
+/// the number of requests for that page.
+fn relay(dashboard: &str, pages: usize) -> (String, Arc<AtomicUsize>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let (place, dashboard) = (listener.local_addr().unwrap().to_string(), dashboard.to_owned());
+    let asked = Arc::new(AtomicUsize::new(0));
+    let counted = Arc::clone(&asked);
+    thread::spawn(move || {
+        for mut stream in listener.incoming().map_while(Result::ok) {
+            let mut request = Vec::new();
+            let mut buffer = [0; 4096];
+            while !request.ends_with(b"\r\n\r\n") {
+                match stream.read(&mut buffer) {
+                    Ok(read) if read > 0 => request.extend(&buffer[..read]),
+                    // The browser opened a connection in advance.
+                    _ => break,
+                }
+            }
+            if request.starts_with(b"GET / ") && counted.fetch_add(1, Relaxed) >= pages || request.is_empty() {
+                continue;
+            }
+            // The browser may have closed the connection.
+            let _ = stream.write_all(&exchange_bytes(&dashboard, &request));
+        }
+    });
+    (place, asked)
+}
+
+/// A real browser shows the pages and runs our script under our policy: it reloads the page, and shows a message when
+/// the daemon does not answer.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_real_browser_shows_the_pages_and_keeps_them_fresh() {
+    if Command::new("chromium").arg("--version").stdout(Stdio::null()).status().is_err() {
+        println!("skipped: chromium is not installed");
+        return;
+    }
+    let (rig, daemon, address) = small_history().await;
+    let profile = rig.folder().join("browser");
+    let browse = |address: &str, path: &str, time_ms: u32| {
+        let mut command = Command::new("chromium");
+        command.args(["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--enable-logging=stderr"]);
+        command.args([format!("--user-data-dir={}", profile.display()), format!("--virtual-time-budget={time_ms}")]);
+        let output = command.args(["--dump-dom", &format!("http://{address}{path}")]).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!said.contains("Content Security Policy") && !said.contains("Uncaught"), "{said}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let machine = browse(&address, "/machines/north/21B", 2_000);
+    // The hostile boot id is a text node, not an element.
+    assert!(machine.contains("throws/%3Cscript%3E") && !machine.contains("<script>alert"), "{machine}");
+
+    let (place, asked) = relay(&address, usize::MAX);
+    let fresh = browse(&place, "/", 12_000);
+    assert!(asked.load(Relaxed) >= 2, "{asked:?} requests in twelve seconds of the browser's time");
+    assert!(fresh.contains("role=\"status\" hidden") && fresh.contains("baseline 1 of 50"), "{fresh}");
+    let (place, _) = relay(&address, 1);
+    let old = browse(&place, "/", 12_000);
+    assert!(old.contains("No answer since") && old.contains("baseline 1 of 50"), "{old}");
+    assert!(daemon.terminate().success());
+}

@@ -1,0 +1,98 @@
+//! Requests to the dashboard of a daemon.
+
+use std::{
+    io::{Read, Write},
+    net::TcpStream,
+};
+
+use pointsd::wire::{Encoding, encode_throw};
+
+use crate::rig::{Daemon, PATIENCE, Rig, matched, stub, throws};
+
+pub(crate) const KEY: &str = "points/v1/north/21B/throw";
+pub(crate) const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
+/// A boot id that a browser would run as a script if it were not escaped.
+pub(crate) const HOSTILE: &str = "<script>alert(1)</script>\"'&";
+
+/// A response.
+#[derive(Debug)]
+pub(crate) struct Answer {
+    pub(crate) status: u16,
+    pub(crate) head: String,
+    pub(crate) body: String,
+}
+
+impl Answer {
+    pub(crate) fn header(&self, name: &str) -> Option<&str> {
+        self.head.lines().find_map(|line| {
+            let (key, value) = line.split_once(':')?;
+            key.eq_ignore_ascii_case(name).then(|| value.trim())
+        })
+    }
+}
+
+/// `127.0.0.1:PORT` of the daemon's dashboard.
+pub(crate) fn address(daemon: &Daemon) -> String {
+    daemon.until_log("the dashboard is at");
+    let line = daemon.log().into_iter().find(|line| line.contains("the dashboard is at")).unwrap();
+    line.split("http://").nth(1).unwrap().trim_end_matches('/').to_owned()
+}
+
+/// Sends these bytes and returns the response up to its end.
+pub(crate) fn exchange(address: &str, request: &str) -> String {
+    String::from_utf8(exchange_bytes(address, request.as_bytes())).unwrap()
+}
+
+pub(crate) fn exchange_bytes(address: &str, request: &[u8]) -> Vec<u8> {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.write_all(request).unwrap();
+    let mut answer = Vec::new();
+    // The response of a cut connection ends early.
+    let _ = stream.read_to_end(&mut answer);
+    answer
+}
+
+pub(crate) fn ask(address: &str, method: &str, path: &str, host: &str) -> Answer {
+    let text = exchange(address, &format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
+    let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{method} {path}: {text:?}"));
+    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+    Answer { status, head: head.to_owned(), body: body.to_owned() }
+}
+
+pub(crate) fn get(address: &str, path: &str) -> Answer {
+    ask(address, "GET", path, address)
+}
+
+/// A daemon with throws of one machine: two good ones, and a rejected one with a hostile boot id.
+pub(crate) async fn small_history() -> (Rig, Daemon, String) {
+    history_in(Rig::with(WEB)).await
+}
+
+pub(crate) async fn history_in(rig: Rig) -> (Rig, Daemon, String) {
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    for throw in throws("boot", 2).iter().chain([&stub(HOSTILE, 1)]) {
+        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
+    }
+    rig.judged(3).await;
+    let address = address(&daemon);
+    (rig, daemon, address)
+}
+
+/// Checks that all elements are closed, in order.
+pub(crate) fn check_nesting(html: &str) {
+    const VOID: [&str; 4] = ["meta", "link", "!doctype", "input"];
+    let mut open = Vec::new();
+    for tag in html.split('<').skip(1) {
+        let (tag, _) = tag.split_once('>').unwrap_or_else(|| panic!("a < that begins no element: {tag:.60}"));
+        let name = tag.split([' ', '\n', '/']).next().unwrap();
+        match tag.strip_prefix('/') {
+            Some(closed) => assert_eq!(open.pop(), Some(closed), "in {html}"),
+            None if VOID.contains(&name) || tag.ends_with('/') => {}
+            None => open.push(name),
+        }
+    }
+    assert!(open.is_empty(), "{open:?} stay open");
+}
