@@ -153,17 +153,11 @@ const FLEET: &str = "
                WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
                ORDER BY near.throw_row DESC LIMIT ?9)) AS spark
     FROM chosen
-    LEFT JOIN estimate ON estimate.throw_row =
-         max(coalesce((SELECT max(throw_row) FROM estimate AS latest WHERE latest.machine_row = chosen.machine_row
-                        AND latest.direction = 'normal_to_reverse'), 0),
-             coalesce((SELECT max(throw_row) FROM estimate AS latest WHERE latest.machine_row = chosen.machine_row
-                        AND latest.direction = 'reverse_to_normal'), 0),
-             coalesce((SELECT max(throw_row) FROM estimate AS latest WHERE latest.machine_row = chosen.machine_row
-                        AND latest.direction IS NULL), 0))
-    LEFT JOIN throw ON throw.throw_row = estimate.throw_row
-    LEFT JOIN estimate AS learned ON learned.throw_row =
-         (SELECT max(throw_row) FROM estimate AS near WHERE near.machine_row = chosen.machine_row
-             AND near.direction = 'normal_to_reverse')";
+    LEFT JOIN throw ON throw.throw_row = (SELECT throw_row FROM latest WHERE latest.machine_row = chosen.machine_row
+                                           ORDER BY throw_row DESC LIMIT 1)
+    LEFT JOIN estimate ON estimate.throw_row = throw.throw_row
+    LEFT JOIN latest AS reverse ON reverse.machine_row = chosen.machine_row AND reverse.direction = 'normal_to_reverse'
+    LEFT JOIN estimate AS learned ON learned.throw_row = reverse.throw_row";
 
 /// Number of machines in each state, with the filters of [`FLEET`] except the state.
 const TALLY: &str = "

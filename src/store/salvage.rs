@@ -68,8 +68,8 @@ const FROM_INDEX: [&str; 2] = [
      FROM broken.boot INDEXED BY sqlite_autoindex_boot_1",
 ];
 
-/// Removal of rows without their parent.
-const ORPHANS: [&str; 11] = [
+/// Removal of rows without their parent, and the table of latest throws of the rest.
+const ORPHANS: [&str; 13] = [
     "DELETE FROM monitor WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
     "DELETE FROM alarm WHERE machine_row NOT IN (SELECT machine_row FROM machine)",
     "DELETE FROM alarm_event WHERE alarm_row NOT IN (SELECT alarm_row FROM alarm)",
@@ -83,6 +83,10 @@ const ORPHANS: [&str; 11] = [
      OR machine_row NOT IN (SELECT machine_row FROM machine)",
     "DELETE FROM estimate WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
     "DELETE FROM trace WHERE throw_row NOT IN (SELECT throw_row FROM throw)",
+    "DELETE FROM latest",
+    "INSERT INTO latest (machine_row, direction, throw_row, start_us) \
+     SELECT machine_row, coalesce(estimate.direction, ''), max(throw_row), started_at_us \
+     FROM estimate JOIN throw USING (machine_row, throw_row) GROUP BY machine_row, estimate.direction",
 ];
 
 /// Result of the recovery.

@@ -105,12 +105,6 @@ macro_rules! awaited {
     };
 }
 
-macro_rules! ways {
-    () => {
-        "(SELECT 'normal_to_reverse' AS direction UNION ALL SELECT 'reverse_to_normal' UNION ALL SELECT NULL) AS way"
-    };
-}
-
 /// Condition for the machine in the first two parameters.
 macro_rules! one_machine {
     () => {
@@ -299,12 +293,10 @@ statements! {
         WHERE throw_row IN (SELECT throw_row FROM throw \
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE (?2 IS NULL OR site = ?2) AND (?3 IS NULL OR machine = ?3)) \
         AND started_at_us >= ?4 ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
-    LATEST_HEALTH = concat!("SELECT ", health!("way.direction", "monitor.state", "monitor.drifts -> 0", "monitor.caveats"), "FROM machine CROSS JOIN ", ways!(), " \
-        JOIN estimate ON estimate.throw_row = (SELECT max(latest.throw_row) FROM estimate AS latest \
-        WHERE latest.machine_row = machine.machine_row AND latest.direction IS way.direction) \
-        JOIN throw USING (throw_row) JOIN boot USING (boot_row) \
+    LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.caveats"), "FROM machine JOIN latest USING (machine_row) \
+        JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
-        WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) ORDER BY site, machine, direction");
+        WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) ORDER BY site, machine, latest.direction");
     GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
         WHERE filled_at_us IS NULL AND (written_off_at_us IS NOT NULL OR told_at_us IS NOT NULL) ORDER BY gap_row LIMIT ?1";
