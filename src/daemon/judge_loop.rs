@@ -60,6 +60,8 @@ pub(super) struct Links {
     pub(super) spooled: Arc<Notify>,
     /// Notified when the outbox has a new message.
     pub(super) outbox: Arc<Notify>,
+    /// The same for the webhook.
+    pub(super) webhook: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
     /// The machines whose loggers have a liveliness token now.
     pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
@@ -201,6 +203,7 @@ impl JudgeLoop {
         if !events.is_empty() {
             self.links.status.alarm_events.fetch_add(events.len() as u64, Relaxed);
             self.links.outbox.notify_one();
+            self.links.webhook.notify_one();
         }
     }
 

@@ -30,6 +30,7 @@ mod stop;
 mod tasks;
 mod view;
 mod watchdog;
+mod webhook;
 
 pub use heartbeat::{Heartbeats, TaskName};
 pub use judge::Judged;

@@ -28,6 +28,9 @@ pub enum StartError {
     /// Another process uses the database.
     #[error(transparent)]
     Lock(#[from] LockError),
+    /// The webhook cannot be used.
+    #[error("[webhook]: {0}")]
+    Webhook(String),
     /// The operating system did not start a thread.
     #[error("cannot start the publishing thread: {0}")]
     Thread(#[from] std::io::Error),

@@ -28,6 +28,7 @@ use super::{
     tasks::{Ended, Tasks},
     view::View,
     watchdog,
+    webhook::Notifier,
 };
 use crate::{
     bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, OutletEnd, PresenceWatch, Questions},
@@ -81,6 +82,8 @@ struct Starting {
     stored: Arc<Notify>,
     /// Notified when the outbox has a new message.
     outbox: Arc<Notify>,
+    /// The same for the webhook.
+    webhook: Arc<Notify>,
 }
 
 impl Daemon {
@@ -103,6 +106,7 @@ impl Daemon {
             stops: Stops::default(),
             stored: Arc::default(),
             outbox: Arc::default(),
+            webhook: Arc::default(),
         };
         let (config, current) = watch::channel(Arc::clone(&start.config));
         let (watchers, _) = broadcast::channel(WATCHED);
@@ -110,6 +114,7 @@ impl Daemon {
         let (alive, loggers) = watch::channel(HashSet::new());
         let (outlet, outlet_end) = Outlet::start(start.session.clone())?;
 
+        start.notify_webhook().await?;
         // In reverse order of the pipeline in the module's documentation: each loop runs before its source.
         start.publish(outlet.clone(), opened.report.found == Found::Fresh).await?;
         start.judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
@@ -189,6 +194,7 @@ impl Daemon {
             ("identify", old.identify != new.identify),
             ("store", old.store != new.store),
             ("web", old.web != new.web),
+            ("webhook", old.webhook != new.webhook),
             ("log", old.log != new.log),
             ("zenoh", old.zenoh_text() != new.zenoh_text()),
         ];
@@ -225,6 +231,15 @@ impl Starting {
         Ok(())
     }
 
+    /// Starts the sending of alarm events, if there is a webhook.
+    async fn notify_webhook(&mut self) -> Result<(), StartError> {
+        let (status, wake) = (Arc::clone(&self.status), Arc::clone(&self.webhook));
+        if let Some(notifier) = Notifier::new(self.store.clone(), &self.config, status, wake).await? {
+            self.tasks.spawn("webhook", notifier.run());
+        }
+        Ok(())
+    }
+
     async fn judge(
         &mut self,
         outlet: Outlet,
@@ -239,6 +254,7 @@ impl Starting {
             outlet,
             spooled: Arc::clone(&self.stored),
             outbox: Arc::clone(&self.outbox),
+            webhook: Arc::clone(&self.webhook),
             watchers,
             loggers,
             orders,

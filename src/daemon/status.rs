@@ -55,6 +55,10 @@ pub struct Status {
     pub connected: AtomicBool,
     /// Whether storing throws fails at present.
     pub storing_fails: AtomicBool,
+    /// Whether the webhook did not accept the last message.
+    pub webhook_fails: AtomicBool,
+    /// Alarm events that the webhook refused.
+    pub webhook_refused: AtomicU64,
     started: Instant,
 }
 
@@ -133,6 +137,12 @@ pub struct StatusReport {
     pub published: u64,
     /// Health messages dropped because the publishing queue was full.
     pub unpublished: u64,
+    /// Whether the webhook did not accept the last message.
+    #[serde(default)]
+    pub webhook_fails: bool,
+    /// Alarm events that the webhook refused.
+    #[serde(default)]
+    pub webhook_refused: u64,
     /// Loops without a fresh heartbeat.
     pub silent: Vec<String>,
     /// States of the machines: `machines` and `shelved_alarms` in JSON.
@@ -165,6 +175,8 @@ impl Status {
             loggers: AtomicUsize::new(0),
             connected: AtomicBool::new(false),
             storing_fails: AtomicBool::new(false),
+            webhook_fails: AtomicBool::new(false),
+            webhook_refused: AtomicU64::new(0),
             started: clock::monotonic(),
         }
     }
@@ -243,6 +255,8 @@ impl Gauges {
             alarm_events: status.alarm_events.load(Relaxed),
             published: self.outlet.published.load(Relaxed),
             unpublished: self.outlet.dropped.load(Relaxed),
+            webhook_fails: status.webhook_fails.load(Relaxed),
+            webhook_refused: status.webhook_refused.load(Relaxed),
             silent: status.heartbeats.silent().into_iter().map(|task| task.as_ref().to_owned()).collect(),
             standing: status.standing.lock().unwrap_or_else(PoisonError::into_inner).clone(),
             windows: Vec::new(),
@@ -272,6 +286,9 @@ impl StatusReport {
         }
         if !self.connected {
             parts.push("not connected".to_owned());
+        }
+        if self.webhook_fails {
+            parts.push("WEBHOOK FAILS: alarms wait for its receiver".to_owned());
         }
         if self.dropped + self.lost > 0 {
             parts.push(format!("{} messages LOST", self.dropped + self.lost));

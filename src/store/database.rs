@@ -14,10 +14,11 @@ use super::{
     open::{self, Report},
     page::{Page, PageStored, WriteOff},
     place::Place,
-    quarantine::{Quarantine, Refused, Sent},
+    quarantine::{Quarantine, Refused, Sent, Statement},
     reader::Reader,
     settings::{MIB, Settings},
     spool::{Spool, Spooled, Spools},
+    statements as sql,
     write::Answer,
     writer::Writer,
 };
@@ -209,6 +210,16 @@ impl Store {
     /// When it could not be stored; the same call may be repeated.
     pub async fn outbox_sent(&self, rows: &[i64]) -> Result<(), StoreError> {
         self.writer.write(Sent(rows.to_vec())).await
+    }
+
+    /// Tells whether alarm events are kept for a webhook from now on.
+    pub(crate) async fn set_webhook(&self, is_on: bool) -> Result<(), StoreError> {
+        self.writer.write(Statement(sql::SET_WEBHOOK, i64::from(is_on))).await
+    }
+
+    /// Removes the notifications up to a row, which the webhook has accepted.
+    pub(crate) async fn notified(&self, last: i64) -> Result<(), StoreError> {
+        self.writer.write(Statement(sql::NOTIFIED, last)).await
     }
 
     /// Stores the starts of rejected messages with their reasons, in one transaction.

@@ -81,3 +81,14 @@ impl Write for Sent {
         Ok(())
     }
 }
+
+/// A statement with one number, without a result.
+pub(super) struct Statement(pub(super) &'static str, pub(super) i64);
+
+impl Write for Statement {
+    type Output = ();
+
+    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
+        sqlx::query(self.0).bind(self.1).execute(connection).await.map(drop)
+    }
+}

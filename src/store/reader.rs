@@ -342,6 +342,11 @@ impl Reader {
         self.rows(sqlx::query_as(sql::MESSAGES).bind(after).bind(limit)).await
     }
 
+    /// Up to `limit` notifications for the webhook with their rows, in order.
+    pub(crate) async fn notifications(&self, limit: u32) -> Result<Vec<(i64, String)>, StoreError> {
+        self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(limit)).await
+    }
+
     /// Up to `limit` open gaps, oldest first.
     ///
     /// # Errors

@@ -25,7 +25,7 @@ struct Table(&'static str, &'static str, &'static str);
 
 /// The tables in the order of their references. The traces are last: they are large, and the diagnosis does not need
 /// them.
-const TABLES: [Table; 14] = [
+const TABLES: [Table; 15] = [
     Table(
         "machine",
         "machine_row",
@@ -40,6 +40,7 @@ const TABLES: [Table; 14] = [
     Table("alarm_event", "alarm_row", "json_valid(payload) AND (severity || state) NOT GLOB '*[^a-z_]*'"),
     Table("baseline", "baseline_row", "direction IS NOT NULL"),
     Table("outbox", "outbox_row", "key NOT GLOB '*[^A-Za-z0-9_/-]*' AND json_valid(CAST(payload AS TEXT))"),
+    Table("notification", "notification_row", "json_valid(payload)"),
     Table("command", "command_row", "json_valid(payload) AND command NOT GLOB '*[^a-z_]*'"),
     Table("boot", "boot_row", "boot_id NOT GLOB '*[^ -~]*' AND octet_length(boot_id) = length(boot_id)"),
     Table("gap", "gap_row", "kind IS NOT NULL"),

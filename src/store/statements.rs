@@ -277,6 +277,11 @@ statements! {
     MESSAGES = "SELECT outbox_row, key, payload FROM outbox WHERE outbox_row > ?1 ORDER BY outbox_row LIMIT ?2";
     SENT = "DELETE FROM outbox WHERE outbox_row = ?1";
 
+    // The webhook. Without one, notifications of an earlier start are removed.
+    SET_WEBHOOK = "UPDATE webhook SET is_on = ?1; DELETE FROM notification WHERE NOT ?1";
+    NOTIFICATIONS = "SELECT notification_row, payload FROM notification ORDER BY notification_row LIMIT ?1";
+    NOTIFIED = "DELETE FROM notification WHERE notification_row <= ?1";
+
     // Quarantine.
     ADD_QUARANTINE = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start) VALUES (?1, ?2, ?3, ?4, ?5)";
     TRIM_QUARANTINE = "DELETE FROM quarantine WHERE quarantine_row <= (SELECT max(quarantine_row) FROM quarantine) - ?1";
@@ -391,6 +396,7 @@ statements! {
     THROW_COUNT = "SELECT coalesce(sum(throws), 0) FROM machine";
     PENDING_COUNT = "SELECT count(*) FROM throw WHERE judged_at_us IS NULL";
     OUTBOX_COUNT = "SELECT count(*) FROM outbox";
+    NOTIFICATION_COUNT = "SELECT count(*) FROM notification";
     QUARANTINE_COUNT = "SELECT count(*) FROM quarantine";
     OPEN_GAP_COUNT = "SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE filled_at_us IS NULL AND kind <> 'before_first_contact'";
     OPEN_ALARM_COUNT = "SELECT count(*) FROM alarm WHERE state <> 'normal'";

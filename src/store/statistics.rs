@@ -15,6 +15,8 @@ pub struct Statistics {
     pub pending: u64,
     /// Messages in the outbox.
     pub outbox: u64,
+    /// Alarm events that the webhook has not accepted yet.
+    pub notifications: u64,
     /// Open alarms.
     pub open_alarms: u64,
     /// Throw numbers in gaps.
@@ -53,6 +55,7 @@ impl Store {
             traces: reader.asked_figure(sql::TRACE_COUNT).await?,
             pending: reader.asked_figure(sql::PENDING_COUNT).await?,
             outbox: reader.asked_figure(sql::OUTBOX_COUNT).await?,
+            notifications: reader.asked_figure(sql::NOTIFICATION_COUNT).await?,
             open_alarms: reader.asked_figure(sql::OPEN_ALARM_COUNT).await?,
             missing_throws: reader.asked_figure(sql::OPEN_GAP_COUNT).await?,
             quarantined: reader.asked_figure(sql::QUARANTINE_COUNT).await?,

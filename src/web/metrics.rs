@@ -162,6 +162,7 @@ fn throws(registry: &mut Registry, view: &View) {
         ("messages_lost", "Messages received that could not be stored", report.lost),
         ("machines_refused", "Throws of new machines refused above subscribe.max_machines", report.machines_refused),
         ("alarm_events", "Alarm events", report.alarm_events),
+        ("webhook_refused", "Alarm events that the receiver of the webhook refused", report.webhook_refused),
         ("messages_published", "Messages published", report.published),
         ("messages_unpublished", "Health messages dropped because the publishing queue was full", report.unpublished),
     ] {
@@ -182,6 +183,7 @@ fn database(registry: &mut Registry, overview: &Overview) {
     for (name, help, value) in [
         ("throws_waiting", "Throws stored and not judged yet", statistics.pending),
         ("outbox_messages", "Alarm events not published yet", statistics.outbox),
+        ("webhook_pending", "Alarm events that the webhook has not accepted yet", statistics.notifications),
         ("throws_missing", "Throw numbers in gaps", statistics.missing_throws),
         ("throws_kept", "Throws in the database", statistics.throws),
         ("traces_kept", "Throws in the database with their trace", statistics.traces),

@@ -53,6 +53,9 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
     if report.loggers == 0 {
         trouble.push("No logger is connected: no throws arrive. Silence is not health.".to_owned());
     }
+    if report.webhook_fails {
+        trouble.push("The receiver of the webhook does not accept alarms: they wait, and are sent again.".to_owned());
+    }
     if report.dropped + report.lost > 0 {
         let lost = page::count(report.dropped + report.lost);
         trouble.push(format!("{lost} messages received since the start could not be stored."));

@@ -21,3 +21,4 @@ mod rig;
 mod silence;
 mod throws;
 mod web;
+mod webhook;

@@ -6,7 +6,7 @@ use pointsd::{diagnose::Cause, wire::Alarm};
 
 use crate::rig::{Daemon, PATIENCE, Rig, pointsd, pointsim};
 
-fn logger(endpoint: &str, arguments: &[&str]) {
+pub(crate) fn logger(endpoint: &str, arguments: &[&str]) {
     let mut child = pointsim(&["run", "--connect", endpoint, "--time-scale", "100000"])
         .args(arguments)
         .stderr(Stdio::null())

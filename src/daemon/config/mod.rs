@@ -3,6 +3,8 @@
 mod document;
 mod machines;
 mod operator;
+mod token;
+mod webhook;
 mod zenoh;
 
 use std::{
@@ -15,11 +17,12 @@ use std::{
 
 use rustix::fs::Access;
 use serde::{Deserialize, Serialize};
-use subtle::ConstantTimeEq as _;
 
 pub use document::{ConfigError, Document};
 pub use machines::{MachineEntry, Machines};
 pub use operator::{OperatorSession, operator_session};
+pub use token::Token;
+pub use webhook::Webhook;
 
 use crate::{
     diagnose, estimate, store,
@@ -83,24 +86,6 @@ pub struct Web {
     pub token: Option<Token>,
 }
 
-/// A secret, which does not appear in log lines and error texts.
-#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Token(String);
-
-impl Token {
-    /// Whether `text` is the secret, in constant time for texts of the same length.
-    #[must_use]
-    pub fn is(&self, text: &str) -> bool {
-        self.0.as_bytes().ct_eq(text.as_bytes()).into()
-    }
-}
-
-impl std::fmt::Debug for Token {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Token")
-    }
-}
-
 /// Format of log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -161,6 +146,7 @@ struct File {
     machines: estimate::Settings,
     machine: Vec<MachineEntry>,
     web: Web,
+    webhook: Webhook,
     log: Log,
     // Parsed as the type of zenoh for errors with a position; used as a table, merged into our defaults.
     #[serde(rename = "zenoh")]
@@ -186,6 +172,8 @@ pub struct Config {
     pub machines: Machines,
     /// The dashboard.
     pub web: Web,
+    /// Alarm events to a server of the operator.
+    pub webhook: Webhook,
     /// Log lines.
     pub log: Log,
     /// The zenoh session.
@@ -226,6 +214,7 @@ impl Config {
         check_ranges(&file, document)?;
         let machines = machines(&file, document)?;
         check_web(&file.web, document)?;
+        file.webhook.check(document)?;
         check_log(&file.log, document)?;
         check_database_path(&file.store.path, document)?;
         Ok(Self {
@@ -238,6 +227,7 @@ impl Config {
             store: file.store,
             diagnosis: file.diagnosis,
             web: file.web,
+            webhook: file.webhook,
             log: file.log,
         })
     }
@@ -292,7 +282,7 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
             document.complain("web.machine_metrics", format!("is {}, must be 0 to {MOST_SERIES}", web.machine_metrics))
         );
     }
-    let token = web.token.as_ref().map(|Token(token)| token.chars().count());
+    let token = web.token.as_ref().map(|token| token.secret().chars().count());
     if token.is_some_and(|length| !TOKEN_LENGTH.contains(&length)) {
         return Err(document.complain("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
     }

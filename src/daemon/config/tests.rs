@@ -39,10 +39,15 @@ fn the_shipped_file_is_the_built_in_defaults() {
     assert_eq!(shipped.diagnosis, built_in.diagnosis);
     assert_eq!(shipped.machines, built_in.machines);
     assert_eq!(shipped.web, built_in.web);
+    assert_eq!(shipped.webhook, built_in.webhook);
     assert_eq!(shipped.log, built_in.log);
     assert_eq!(shipped.machine, []);
     let empty = Document::parse(Path::new("empty"), String::new()).unwrap();
     assert_eq!(monitor_session(&document).unwrap().to_string(), monitor_session(&empty).unwrap().to_string());
+}
+
+fn token(secret: &str) -> Token {
+    serde_json::from_value(secret.into()).unwrap()
 }
 
 #[test]
@@ -56,6 +61,7 @@ fn the_shipped_file_shows_every_key() {
         diagnosis: diagnose::Settings,
         machines: estimate::Settings,
         web: Web,
+        webhook: Webhook,
         log: Log,
     }
     let file = File::default();
@@ -70,12 +76,19 @@ fn the_shipped_file_shows_every_key() {
             listen: Some("127.0.0.1:7480".parse().unwrap()),
             hosts: Vec::new(),
             machine_metrics: 1,
-            token: Some(Token("0123456789abcdef".to_owned())),
+            token: Some(token("0123456789abcdef")),
+        },
+        webhook: Webhook {
+            url: Some("http://a".to_owned()),
+            authorization: Some(token("secret")),
+            ca_file: Some("ca.pem".into()),
+            ..file.webhook
         },
         log: file.log,
     };
     // Keys without a default are shown as comments.
-    let text = shipped().replace("# stroke_mm", "stroke_mm").replace("# listen", "listen").replace("# token", "token");
+    let hidden = ["stroke_mm", "listen", "token", "url", "authorization", "ca_file"];
+    let text = hidden.iter().fold(shipped(), |text, key| text.replace(&format!("# {key} ="), &format!("{key} =")));
     let table: toml::Table = toml::from_str(&text).unwrap();
     let shown = keys(&table, "");
     for key in keys(&toml::Table::try_from(sections).unwrap(), "") {
@@ -112,6 +125,13 @@ fn what_is_wrong_is_named_with_line_and_key() {
         ("[web]\nlisten = \"127.0.0.1\"", "pointsd.toml:2: web.listen: invalid socket address syntax"),
         ("[web]\ntoken = \"short\"", "pointsd.toml:2: web.token: must have 16 to 256 characters"),
         ("[web]\nhosts = [\"a\", \"b:80\"]", "pointsd.toml:2: web.hosts[1]: \"b:80\" is not a host name"),
+        ("[webhook]\nurl = \"ftp://a\"", "pointsd.toml:2: webhook.url: \"ftp://a\" is not http://HOST/PATH"),
+        ("[webhook]\nurl = \"http://a:b@c/\"", "pointsd.toml:2: webhook.url: "),
+        ("[webhook]\nurl = \"alarms.example\"", "pointsd.toml:2: webhook.url: "),
+        ("[webhook]\nmax_messages = 0", "pointsd.toml:2: webhook.max_messages: is 0, must be 1 to 1000"),
+        ("[webhook]\ncauses = [\"magnet\"]", "pointsd.toml:2: webhook.causes"),
+        ("[webhook]\nauthorization = \"a\\nb\"", "pointsd.toml:2: webhook.authorization: must be"),
+        ("[webhook]\nca_file = \"/no/such/file\"", "pointsd.toml:2: webhook.ca_file: /no/such/file cannot be read"),
         ("[zenoh]\nmode = \"rooter\"", "pointsd.toml:2: zenoh.mode: "),
         ("[zenoh]\nlisten.endpoint = []", "pointsd.toml:2: zenoh.listen.endpoint: unknown field"),
         ("[zenoh]\nlisten.endpoints = [\"7447\"]", "pointsd.toml:2: zenoh.listen.endpoints"),

@@ -1,0 +1,109 @@
+//! The `[webhook]` section: alarm events to a server of the operator.
+
+use std::{fs, path::PathBuf};
+
+use hyper::{Uri, header::HeaderValue, http::uri::Authority};
+use serde::{Deserialize, Serialize};
+use tokio_rustls::rustls::pki_types::{CertificateDer, pem::PemObject as _};
+
+use super::{ConfigError, Document, Token};
+use crate::{
+    diagnose::{Cause, Severity},
+    throw::OutOfRange,
+    wire::Alarm,
+};
+
+/// The `[webhook]` section: alarm events to a server of the operator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Webhook {
+    /// Address of the receiver, `http://…` or `https://…`; without it nothing is sent.
+    pub url: Option<String>,
+    /// Least severity of the alarms that are sent.
+    pub severity: Severity,
+    /// Causes of the alarms that are sent; empty for all.
+    pub causes: Vec<Cause>,
+    /// Messages in a period, 1 to 1,000. Further events are sent at its end, as one summary.
+    pub max_messages: u32,
+    /// The period \[s\], 1 to 86,400.
+    pub period_s: f64,
+    /// Value of the header `Authorization`, up to 1,024 characters.
+    pub authorization: Option<Token>,
+    /// File with the authorities of the receiver's certificate (PEM); without it those of Mozilla.
+    pub ca_file: Option<PathBuf>,
+}
+
+/// Longest `Authorization` header \[bytes\].
+const AUTHORIZATION: usize = 1_024;
+
+impl Default for Webhook {
+    fn default() -> Self {
+        Self {
+            url: None,
+            severity: Severity::Warning,
+            causes: Vec::new(),
+            max_messages: 10,
+            period_s: 60.0,
+            authorization: None,
+            ca_file: None,
+        }
+    }
+}
+
+impl Webhook {
+    /// Whether the filters let an alarm pass.
+    #[must_use]
+    pub fn wants(&self, alarm: &Alarm) -> bool {
+        alarm.severity >= self.severity && (self.causes.is_empty() || self.causes.contains(&alarm.cause))
+    }
+
+    /// The address of the receiver; `None` without one.
+    #[must_use]
+    pub fn uri(&self) -> Option<Uri> {
+        self.url.as_ref()?.parse().ok()
+    }
+
+    /// The authorities of `ca_file`.
+    ///
+    /// # Errors
+    /// A sentence, when the file cannot be read or has no certificate.
+    pub fn authorities(&self) -> Result<Option<Vec<CertificateDer<'static>>>, String> {
+        let Some(file) = &self.ca_file else { return Ok(None) };
+        let pem = fs::read(file).map_err(|error| format!("{} cannot be read: {error}", file.display()))?;
+        let certificates: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&pem).collect();
+        match certificates {
+            Ok(certificates) if !certificates.is_empty() => Ok(Some(certificates)),
+            Ok(_) => Err(format!("{} has no certificate in PEM", file.display())),
+            Err(error) => Err(format!("{} is not PEM: {error}", file.display())),
+        }
+    }
+
+    /// Checks the section.
+    ///
+    /// # Errors
+    /// The first wrong key.
+    pub(super) fn check(&self, document: &Document) -> Result<(), ConfigError> {
+        let complain = |key: &str, problem: String| Err(document.complain(&format!("webhook.{key}"), problem));
+        if let Some(url) = &self.url {
+            let uri = self.uri().unwrap_or_default();
+            let is_http = matches!(uri.scheme_str(), Some("http" | "https"));
+            // The address is in the log, so a password must not be in it.
+            let has_user = uri.authority().is_some_and(|authority: &Authority| authority.as_str().contains('@'));
+            if !is_http || has_user || uri.host().is_none_or(str::is_empty) {
+                let problem = format!("{url:?} is not http://HOST/PATH or https://HOST/PATH without a user name");
+                return complain("url", problem);
+            }
+        }
+        OutOfRange::check([
+            ("webhook.max_messages", f64::from(self.max_messages), 1.0, 1_000.0, "messages"),
+            ("webhook.period_s", self.period_s, 1.0, 86_400.0, "s"),
+        ])
+        .map_err(|error| document.complain(&error.key, error.problem()))?;
+        if let Some(token) = &self.authorization
+            && (token.secret().len() > AUTHORIZATION || HeaderValue::from_str(token.secret()).is_err())
+        {
+            return complain("authorization", "must be up to 1024 printable ASCII characters".to_owned());
+        }
+        self.authorities().map(drop).or_else(|problem| complain("ca_file", problem))
+    }
+}

@@ -1,0 +1,174 @@
+//! Sends alarm events to the webhook, in order and at least once: each stays in the database until the receiver has
+//! accepted it. In a flood many events become one summary.
+
+mod post;
+mod summary;
+
+use std::{
+    sync::{Arc, atomic::Ordering::Relaxed},
+    time::{Duration, Instant},
+};
+
+use tokio::{sync::Notify, time};
+
+use super::{
+    clock,
+    config::{Config, Webhook},
+    offline::StartError,
+    status::Status,
+};
+use crate::{
+    store::{Store, seldom},
+    throw::MachineId,
+    wire::{self, Alarm},
+};
+use post::{PostError, Receiver};
+use summary::Summary;
+
+/// Pause after the first failed attempt; it doubles with each further one.
+const FIRST_PAUSE: Duration = Duration::from_secs(1);
+/// Longest pause between two attempts: the delay of an alarm after the receiver is back.
+const LONGEST_PAUSE: Duration = Duration::from_mins(1);
+/// Notifications read for the next message; more are read only if the filters remove all of them.
+const BATCH: u32 = 64;
+/// Notifications read for a summary: all that are kept.
+const ALL: u32 = 10_000;
+
+/// The sending loop.
+pub(super) struct Notifier {
+    store: Store,
+    settings: Webhook,
+    receiver: Receiver,
+    monitor: MachineId,
+    status: Arc<Status>,
+    /// Notified when the outbox has a new message.
+    outbox: Arc<Notify>,
+    /// Time in which at most `webhook.max_messages` are sent.
+    period: Duration,
+    /// Start of the present period, and messages sent in it.
+    sent: (Instant, u32),
+}
+
+/// A message for the receiver.
+struct Message {
+    text: String,
+    /// Number of events that it reports.
+    events: u64,
+    /// The last of them; all notifications up to this row are done with the message.
+    last: i64,
+}
+
+impl Notifier {
+    /// The loop of a configuration; `None` without a webhook.
+    ///
+    /// # Errors
+    /// When the database or the certificates cannot be used.
+    pub(super) async fn new(
+        store: Store,
+        config: &Config,
+        status: Arc<Status>,
+        outbox: Arc<Notify>,
+    ) -> Result<Option<Self>, StartError> {
+        let receiver = Receiver::new(&config.webhook).map_err(StartError::Webhook)?;
+        store.set_webhook(receiver.is_some()).await?;
+        let (settings, monitor) = (config.webhook.clone(), config.monitor.as_machine());
+        let (period, sent) = (Duration::from_secs_f64(settings.period_s), (clock::monotonic(), 0));
+        Ok(receiver.map(|receiver| Self { store, settings, receiver, monitor, status, outbox, period, sent }))
+    }
+
+    /// Runs until the future is dropped.
+    pub(super) async fn run(mut self) {
+        loop {
+            if self.sent.0.elapsed() >= self.period {
+                self.sent = (clock::monotonic(), 0);
+            }
+            let is_flood = self.sent.1 >= self.settings.max_messages;
+            let pending = self.pending(BATCH).await;
+            let message = match pending.first() {
+                None => {
+                    self.outbox.notified().await;
+                    continue;
+                }
+                Some((row, alarm)) if !is_flood => Message { text: text(alarm), events: 1, last: *row },
+                Some(_) => {
+                    time::sleep_until((self.sent.0 + self.period).into()).await;
+                    match self.summary(&self.pending(ALL).await) {
+                        Some(summary) => summary,
+                        None => continue,
+                    }
+                }
+            };
+            self.sent.1 += 1;
+            self.deliver(message).await;
+        }
+    }
+
+    /// Up to `limit` pending events that the filters let pass. If the filters let none pass, they are removed, and more
+    /// are read.
+    async fn pending(&self, limit: u32) -> Vec<(i64, Alarm)> {
+        loop {
+            let rows = match self.store.reader().notifications(limit).await {
+                Ok(rows) => rows,
+                Err(error) => {
+                    seldom!(warn, %error, "reading the notifications failed; retrying");
+                    time::sleep(FIRST_PAUSE).await;
+                    continue;
+                }
+            };
+            let Some((last, _)) = rows.last() else { return Vec::new() };
+            let last = *last;
+            let read = |(row, payload): (i64, String)| Some((row, serde_json::from_str::<Alarm>(&payload).ok()?));
+            let wanted = rows.into_iter().filter_map(read).filter(|(_, alarm)| self.settings.wants(alarm));
+            let wanted: Vec<_> = wanted.collect();
+            if !wanted.is_empty() {
+                return wanted;
+            }
+            self.remove(last).await;
+        }
+    }
+
+    /// All events in one message; one event as it is.
+    fn summary(&self, pending: &[(i64, Alarm)]) -> Option<Message> {
+        let alarms: Vec<&Alarm> = pending.iter().map(|(_, alarm)| alarm).collect();
+        let text = match &*alarms {
+            [alarm] => text(alarm),
+            alarms => text(&Summary::of(alarms, &self.monitor)?),
+        };
+        Some(Message { text, events: alarms.len() as u64, last: pending.last()?.0 })
+    }
+
+    /// Sends a message until the receiver accepts it, or refuses it.
+    async fn deliver(&self, message: Message) {
+        let mut pause = FIRST_PAUSE;
+        loop {
+            match self.receiver.post(message.text.clone()).await {
+                Ok(()) => break,
+                Err(error @ PostError::Refused(_)) => {
+                    tracing::error!(%error, events = message.events, message = message.text, "webhook: alarm events are not sent");
+                    self.status.webhook_refused.fetch_add(message.events, Relaxed);
+                    break;
+                }
+                Err(error) => {
+                    self.status.webhook_fails.store(true, Relaxed);
+                    seldom!(warn, %error, "webhook: sending an alarm failed; retrying");
+                }
+            }
+            time::sleep(pause).await;
+            pause = (2 * pause).min(LONGEST_PAUSE);
+        }
+        self.status.webhook_fails.store(false, Relaxed);
+        self.remove(message.last).await;
+    }
+
+    /// Removes the notifications up to a row.
+    async fn remove(&self, last: i64) {
+        while let Err(error) = self.store.notified(last).await {
+            seldom!(warn, %error, "removing sent notifications failed; they may be sent again");
+            time::sleep(FIRST_PAUSE).await;
+        }
+    }
+}
+
+fn text(message: &impl serde::Serialize) -> String {
+    String::from_utf8_lossy(&wire::json(message)).into_owned()
+}

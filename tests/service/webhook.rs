@@ -1,0 +1,313 @@
+//! The webhook with a real HTTP server: down, slow, failing, redirecting, silent; a killed daemon; a flood; TLS.
+
+use std::{
+    io::{BufRead, BufReader, Read, Write},
+    net::{SocketAddr, TcpListener, TcpStream},
+    process::{Child, Command, Stdio},
+    sync::mpsc,
+    thread,
+    time::Duration,
+};
+
+use serde_json::{Value, json};
+use tokio_rustls::rustls::{
+    ServerConfig, ServerConnection, StreamOwned,
+    crypto::ring,
+    pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject as _},
+};
+
+use crate::{
+    operators::logger,
+    rig::{Daemon, PATIENCE, Rig},
+};
+
+const ACCEPTED: &str = "HTTP/1.1 204 No Content\r\n\r\n";
+const FAILED: &str = "HTTP/1.1 500 Internal Server Error\r\nContent-Length: 4\r\n\r\noops";
+const MOVED: &str = "HTTP/1.1 307 Temporary Redirect\r\nLocation: /elsewhere\r\nContent-Length: 0\r\n\r\n";
+const REFUSED: &str = "HTTP/1.1 422 Unprocessable Content\r\nContent-Length: 0\r\n\r\n";
+/// The server keeps the connection open and does not answer.
+const NOTHING: &str = "";
+
+/// A request of the webhook.
+#[derive(Debug)]
+struct Post {
+    head: String,
+    body: Value,
+}
+
+/// A server that gives these answers, the last one again and again.
+struct Server {
+    address: SocketAddr,
+    posts: mpsc::Receiver<Post>,
+}
+
+impl Server {
+    fn start(address: &str, answers: &'static [&'static str]) -> Self {
+        Self::with(address, answers, |stream| Box::new(stream))
+    }
+
+    fn with(
+        address: &str,
+        answers: &'static [&'static str],
+        accept: impl Fn(TcpStream) -> Box<dyn ReadWrite> + Send + 'static,
+    ) -> Self {
+        let listener = TcpListener::bind(address).unwrap();
+        let address = listener.local_addr().unwrap();
+        let (sender, posts) = mpsc::channel();
+        thread::spawn(move || {
+            let mut silent = Vec::new();
+            for (number, stream) in listener.incoming().enumerate() {
+                let mut stream = BufReader::new(accept(stream.unwrap()));
+                let Some(post) = read(&mut stream) else { continue };
+                let answer = answers[number.min(answers.len() - 1)];
+                let _ = stream.get_mut().write_all(answer.as_bytes()).and_then(|()| stream.get_mut().flush());
+                if answer == NOTHING {
+                    silent.push(stream);
+                }
+                if sender.send(post).is_err() {
+                    return;
+                }
+            }
+        });
+        Self { address, posts }
+    }
+
+    fn next(&self) -> Post {
+        self.posts.recv_timeout(PATIENCE).unwrap_or_else(|_| panic!("no request of the webhook"))
+    }
+}
+
+trait ReadWrite: Read + Write + Send {}
+impl<Stream: Read + Write + Send> ReadWrite for Stream {}
+
+/// Reads a request; `None` if the connection ends before.
+fn read(stream: &mut impl BufRead) -> Option<Post> {
+    let (mut head, mut length) = (String::new(), 0);
+    loop {
+        let start = head.len();
+        if stream.read_line(&mut head).ok()? == 0 {
+            return None;
+        }
+        let line = head[start..].to_ascii_lowercase();
+        if let Some(value) = line.strip_prefix("content-length: ") {
+            length = value.trim().parse().ok()?;
+        }
+        if line == "\r\n" {
+            break;
+        }
+    }
+    let mut body = vec![0; length];
+    stream.read_exact(&mut body).ok()?;
+    Some(Post { head, body: serde_json::from_slice(&body).unwrap() })
+}
+
+/// An address at which nothing listens at present.
+fn free() -> SocketAddr {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap()
+}
+
+fn rig(url: &str, more: &str) -> Rig {
+    Rig::with(&format!("[webhook]\nurl = \"{url}\"\n{more}\n"))
+}
+
+/// Raises the alarm that the motor of the first machine is weak.
+fn weak_motor(daemon: &Daemon) {
+    logger(&daemon.endpoint, &["--machines", "1", "--throws", "50", "--fault", "1:kt:-25:36"]);
+}
+
+fn pending(rig: &Rig) -> i64 {
+    rig.sql("SELECT count(*) AS n FROM notification")[0]["n"].as_i64().unwrap()
+}
+
+#[test]
+fn an_alarm_waits_for_its_receiver_and_is_sent_until_it_is_accepted() {
+    let address = free();
+    let rig = rig(&format!("http://{address}/points?to=north"), "authorization = \"Bearer secret\"");
+    let daemon = rig.start();
+    weak_motor(&daemon);
+    daemon.until_log("webhook: sending an alarm failed");
+    assert_eq!(daemon.status()["webhook_fails"], true);
+    let waiting = pending(&rig);
+    assert!(waiting > 0);
+
+    let server = Server::start(&address.to_string(), &[FAILED, MOVED, ACCEPTED]);
+    let posts = [server.next(), server.next(), server.next()];
+    for post in &posts {
+        let head = post.head.to_ascii_lowercase();
+        assert!(post.head.starts_with("POST /points?to=north HTTP/1.1\r\n"), "{}", post.head);
+        for line in [&format!("host: {address}"), "content-type: application/json", "authorization: bearer secret"] {
+            assert!(head.contains(&format!("\r\n{line}\r\n")), "{line}: {head}");
+        }
+        assert_eq!(post.body, posts[0].body, "the same event until it is accepted");
+    }
+    let alarm = &posts[0].body;
+    let shown = ["schema", "machine", "cause", "event_no"].map(|key| alarm[key].clone());
+    assert_eq!(shown, [json!("points.alarm/1"), json!("machine-1"), json!("kt"), json!(1)]);
+    assert!(alarm["text"].as_str().unwrap().len() > 20 && alarm.get("by").is_none(), "{alarm}");
+
+    // The rest in order, and each event once.
+    let mut numbers = vec![1];
+    while numbers.len() < usize::try_from(waiting).unwrap() {
+        numbers.push(server.next().body["event_no"].as_i64().unwrap());
+    }
+    assert!(numbers.is_sorted_by(|one, next| one < next), "{numbers:?}");
+    let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
+    assert_eq!(code, Some(0), "{text}");
+    assert_eq!(server.next().body["state"], "active_acknowledged");
+    assert!(!daemon.log().iter().any(|line| line.contains("secret")), "the secret is not in the log");
+    assert!(daemon.terminate().success());
+    assert_eq!(pending(&rig), 0);
+}
+
+#[test]
+fn a_killed_daemon_sends_after_its_start_what_was_not_accepted() {
+    // The receiver gets the alarm and does not answer: the daemon cannot know whether it has it.
+    let server = Server::start("127.0.0.1:0", &[NOTHING, ACCEPTED]);
+    let rig = rig(&format!("http://{}/", server.address), "");
+    let daemon = rig.start();
+    weak_motor(&daemon);
+    let first = server.next().body;
+    daemon.kill();
+    let daemon = rig.start();
+    assert_eq!(server.next().body, first);
+    assert!(daemon.terminate().success());
+
+    // Without a webhook nothing is kept for it.
+    let rig = Rig::with("").moved_to(rig.folder());
+    let daemon = rig.start();
+    let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
+    assert_eq!(code, Some(0), "{text}");
+    assert_eq!(pending(&rig), 0);
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn filters_refusals_and_floods() {
+    // The first message is refused: it is not sent again. Five of twelve machines with the same alarm, two
+    // messages in a period.
+    let server = Server::start("127.0.0.1:0", &[REFUSED, ACCEPTED]);
+    let filters = "causes = [\"kt\"]\nmax_messages = 2\nperiod_s = 8.0";
+    let rig = rig(&format!("http://{}/", server.address), filters);
+    let daemon = rig.start();
+    let faults: Vec<String> = (1..=5).map(|machine| format!("{machine}:kt:-25:36")).collect();
+    let mut arguments = vec!["--machines", "12", "--throws", "50", "--fault", "12:friction:60:36"];
+    for fault in &faults {
+        arguments.extend(["--fault", fault]);
+    }
+    logger(&daemon.endpoint, &arguments);
+    let (mut alarms, mut summaries) = (Vec::new(), Vec::new());
+    let all = |alarms: &[Value], summaries: &[Value]| {
+        alarms.len() as u64 + summaries.iter().map(|it| it["events"].as_u64().unwrap()).sum::<u64>()
+    };
+    rig.judged(12 * 50).await;
+    let events = rig.sql("SELECT count(*) AS n FROM alarm_events WHERE cause = 'kt'")[0]["n"].as_u64().unwrap();
+    while all(&alarms, &summaries) < events {
+        let body = server.next().body;
+        let list = if body["schema"] == "points.alarm/1" { &mut alarms } else { &mut summaries };
+        list.push(body);
+    }
+    assert_eq!(all(&alarms, &summaries), events, "each event once");
+    assert!(alarms.iter().all(|alarm| alarm["cause"] == "kt"), "{alarms:?}");
+    let summary = &summaries[0];
+    assert_eq!(summary["schema"], "points.alarm_summary/1");
+    assert!(summary["events"].as_u64().unwrap() > 1 && alarms.len() + summaries.len() <= 8, "{summaries:?}");
+    let group = &summary["groups"][0];
+    assert_eq!((&group["cause"], &group["site"]), (&json!("kt"), &json!("north")), "{summary}");
+    assert!(summary["text"].as_str().unwrap().contains(" motor "), "{summary}");
+    assert_eq!(daemon.status()["webhook_refused"], 1);
+    assert!(daemon.terminate().success());
+    assert_eq!(pending(&rig), 0);
+}
+
+#[test]
+fn a_receiver_with_tls_needs_a_certificate_of_the_authority() {
+    let folder = tempfile::tempdir().unwrap();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/make-test-certificates");
+    let made = Command::new(script).arg(folder.path()).arg("router").output().unwrap();
+    assert!(made.status.success(), "{made:?}");
+    let file = |name: &str| folder.path().join("router").join(name);
+    let chain = vec![CertificateDer::from_pem_file(file("cert.pem")).unwrap()];
+    let key = PrivateKeyDer::from_pem_file(file("key.pem")).unwrap();
+    let tls =
+        ServerConfig::builder_with_provider(ring::default_provider().into()).with_safe_default_protocol_versions();
+    let tls = std::sync::Arc::new(tls.unwrap().with_no_client_auth().with_single_cert(chain, key).unwrap());
+    let server = Server::with("127.0.0.1:0", &[ACCEPTED], move |stream| {
+        stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        Box::new(StreamOwned::new(ServerConnection::new(std::sync::Arc::clone(&tls)).unwrap(), stream))
+    });
+    let url = format!("https://localhost:{}/", server.address.port());
+
+    // The authorities of Mozilla did not sign it.
+    let unknown = rig(&url, "");
+    let daemon = unknown.start();
+    weak_motor(&daemon);
+    daemon.until_log("UnknownIssuer");
+    assert!(daemon.terminate().success());
+
+    let known = rig(&url, &format!("ca_file = {:?}", file("ca.pem"))).moved_to(unknown.folder());
+    let daemon = known.start();
+    assert_eq!(server.next().body["cause"], "kt");
+    assert!(daemon.terminate().success());
+}
+
+/// Takes the connections of a mail client; the receiver gets the text of each mail.
+fn mail_server() -> (SocketAddr, mpsc::Receiver<String>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let (sender, mails) = mpsc::channel();
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            let mut stream = BufReader::new(stream.unwrap());
+            let say = |stream: &mut BufReader<TcpStream>, text: &str| stream.get_mut().write_all(text.as_bytes());
+            say(&mut stream, "220 test\r\n").unwrap();
+            let (mut line, mut mail) = (String::new(), String::new());
+            while stream.read_line(&mut line).is_ok_and(|read| read > 0) {
+                if line.eq_ignore_ascii_case("DATA\r\n") {
+                    say(&mut stream, "354 go on\r\n").unwrap();
+                    while !mail.ends_with("\r\n.\r\n") {
+                        stream.read_line(&mut mail).unwrap();
+                    }
+                    sender.send(std::mem::take(&mut mail)).unwrap();
+                }
+                let is_end = line.eq_ignore_ascii_case("QUIT\r\n");
+                let _ = say(&mut stream, if is_end { "221 bye\r\n" } else { "250 well\r\n" });
+                if is_end {
+                    break;
+                }
+                line.clear();
+            }
+        }
+    });
+    (address, mails)
+}
+
+/// A program that ends with the test.
+struct Program(Child);
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The receiver of `deploy/`: an alarm becomes an e-mail.
+#[test]
+fn an_alarm_becomes_a_mail() {
+    if Command::new("python3").arg("--version").output().is_err() {
+        println!("skipped: python3 is not installed");
+        return;
+    }
+    let (mail, mails) = mail_server();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/webhook-to-mail");
+    let arguments = ["127.0.0.1:0", &mail.to_string(), "points@example.org", "duty@example.org"];
+    let mut receiver = Program(Command::new(script).args(arguments).stdout(Stdio::piped()).spawn().unwrap());
+    let mut line = String::new();
+    BufReader::new(receiver.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let rig = rig(&format!("http://127.0.0.1:{}/", line.trim().rsplit(' ').next().unwrap()), "");
+    let daemon = rig.start();
+    weak_motor(&daemon);
+    let text = mails.recv_timeout(PATIENCE).unwrap();
+    assert!(text.contains("To: duty@example.org") && text.contains("Subject: [critical] Machine machine-1"), "{text}");
+    assert!(daemon.terminate().success());
+}
