@@ -7,7 +7,7 @@ use jiff::Timestamp;
 
 use super::injected::{Injected, MACHINES};
 use crate::{
-    diagnose::Cause,
+    diagnose::{Cause, Drifting},
     store::{Reader, Selector, StoreError},
     throw::MachineId,
     wire::Alarm,
@@ -20,8 +20,10 @@ const EVENTS: u32 = 10_000;
 pub(super) struct Row {
     machine: MachineId,
     injected: Option<Injected>,
-    /// First and last event of each alarm.
-    alarms: Vec<(Alarm, Alarm)>,
+    /// The first event of each alarm.
+    alarms: Vec<Alarm>,
+    /// The present drift.
+    drift: Option<Drifting>,
 }
 
 impl Row {
@@ -31,36 +33,32 @@ impl Row {
             None => self.alarms.is_empty(),
             Some(injected) => {
                 let named = |alarm: &Alarm| alarm.cause.as_str() == injected.part.cause();
-                let mut drifts =
-                    self.alarms.iter().map(|(first, _)| first).filter(|alarm| alarm.cause.is_drift()).peekable();
+                let mut drifts = self.alarms.iter().filter(|alarm| alarm.cause.is_drift()).peekable();
                 drifts.peek().is_some() && drifts.all(named)
             }
         }
     }
 
     fn cells(&self) -> [String; 6] {
-        let (first, last) = match self.alarms.iter().find(|(first, _)| first.cause.is_drift()).or(self.alarms.first()) {
-            Some((first, last)) => (Some(first), Some(last)),
-            None => (None, None),
-        };
+        let first = self.alarms.iter().find(|alarm| alarm.cause.is_drift()).or(self.alarms.first());
         let injected = self.injected.map_or_else(
             || "nothing".to_owned(),
             |injected| format!("{} {:+.0} %", word(injected.part.cause()), injected.size_pct),
         );
         let reported = match self.alarms.as_slice() {
             [] => "nothing".to_owned(),
-            alarms => alarms.iter().map(|(first, _)| first.cause.to_string()).collect::<Vec<_>>().join(", "),
+            alarms => alarms.iter().map(|alarm| alarm.cause.to_string()).collect::<Vec<_>>().join(", "),
         };
-        let size = last.and_then(|alarm| Some((alarm.change_pct?, alarm.change_pct_sd?)));
         let delay = self.injected.zip(first.and_then(|alarm| alarm.last_throw.as_ref())).map(|(injected, throw)| {
             // `throw_no` counts from 1 and `from_throw` from 0, so the first throw with the fault gives 1.
             i64::try_from(throw.throw_no).unwrap_or(i64::MAX) - i64::try_from(injected.from_throw).unwrap_or(0)
         });
+        let drift = self.drift.as_ref();
         [
             self.machine.machine.to_string(),
             injected,
             reported,
-            size.map(|(size, sd)| format!("{size:+.0} % (±{:.0} %)", 2.0 * sd)).unwrap_or_default(),
+            drift.map(|now| format!("{:+.0} % (±{:.0} %)", now.change_pct, 2.0 * now.change_pct_sd)).unwrap_or_default(),
             delay.map(|delay| delay.to_string()).unwrap_or_default(),
             if self.is_right() { "right".to_owned() } else { "WRONG".to_owned() },
         ]
@@ -71,19 +69,25 @@ fn word(cause: &str) -> String {
     cause.parse::<Cause>().map_or_else(|_| cause.to_owned(), |cause| cause.to_string())
 }
 
-/// Reads the alarms of each machine from the database.
+/// Reads the alarms and the present drift of each machine from the database.
 pub(super) async fn rows(reader: &Reader, machines: &[MachineId]) -> Result<Vec<Row>, StoreError> {
     let events = reader.alarm_history(&Selector::default(), Timestamp::UNIX_EPOCH, EVENTS).await?;
     let mut rows: Vec<Row> = machines
         .iter()
         .zip(MACHINES)
-        .map(|(machine, injected)| Row { machine: machine.clone(), injected, alarms: Vec::new() })
+        .map(|(machine, injected)| Row { machine: machine.clone(), injected, alarms: Vec::new(), drift: None })
         .collect();
     for alarm in events {
         let Some(row) = rows.iter_mut().find(|row| row.machine == alarm.machine) else { continue };
-        match row.alarms.iter_mut().find(|(first, _)| first.alarm_id == alarm.alarm_id) {
-            Some((_, last)) => *last = alarm,
-            None => row.alarms.push((alarm.clone(), alarm)),
+        if row.alarms.iter().all(|first| first.alarm_id != alarm.alarm_id) {
+            row.alarms.push(alarm);
+        }
+    }
+    let mut latest = reader.latest_health(&Selector::default()).await?;
+    latest.sort_by_key(|health| health.started_at);
+    for health in latest {
+        if let Some(row) = rows.iter_mut().find(|row| row.machine == health.machine) {
+            row.drift = health.drift;
         }
     }
     Ok(rows)
@@ -92,7 +96,7 @@ pub(super) async fn rows(reader: &Reader, machines: &[MachineId]) -> Result<Vec<
 pub(super) fn table(rows: &[Row]) -> Table {
     let mut table = Table::new();
     table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header(["machine", "injected", "reported", "size (95 %)", "after throws", ""]);
+    table.set_header(["machine", "injected", "reported", "now (95 %)", "after throws", ""]);
     for row in rows {
         table.add_row(row.cells());
     }
