@@ -42,6 +42,11 @@ const FARTHEST: f64 = 1000.0;
 const NEGLIGIBLE: f64 = 1e-5;
 /// Tail probability of each side of a 95 % interval.
 const TAIL: f64 = 0.025;
+/// Numbers of the last points, tried until the course fits the last throws: a ramp that has ended does not follow one
+/// curve from its beginning.
+const SPANS: [usize; 3] = [48, 24, 12];
+/// Numbers of last throws that a course must fit, and their largest mean distance from it, in standard deviations.
+const MUST_FIT: ([usize; 2], f64) = ([4, 12], 1.5);
 
 /// A throw in the series, or the mean of some consecutive throws.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -81,9 +86,32 @@ struct Begun {
 pub(super) struct Course(Vec<Begun>);
 
 impl Course {
-    /// Fits the course to the points, oldest first, where the last throws are single points. `None` for fewer than
-    /// three.
+    /// Fits the course to the points, oldest first, where the last throws are single points; to the last points only,
+    /// if one curve does not fit all. `None` for fewer than three.
     pub(super) fn of(points: &[Point], noise: Noise) -> Option<Self> {
+        let mut course = Self::over(points, noise)?;
+        for span in SPANS.into_iter().filter(|span| *span < points.len()) {
+            if course.fits(points, noise) {
+                break;
+            }
+            course = Self::over(&points[points.len() - span..], noise)?;
+        }
+        Some(course)
+    }
+
+    /// Whether the last throws scatter around the course.
+    fn fits(&self, points: &[Point], noise: Noise) -> bool {
+        let (lengths, most) = MUST_FIT;
+        let level = |age: f64| self.0.iter().map(|part| part.weight * part.level(age)).sum::<f64>();
+        lengths.into_iter().all(|throws| {
+            let last = &points[points.len().saturating_sub(throws)..];
+            let count = last.len() as f64;
+            let off = last.iter().map(|point| point.value - level(point.age).max(-0.99).ln_1p()).sum::<f64>() / count;
+            off.abs() < most * noise.sd * (inflation(noise.lag1, count) / count).sqrt()
+        })
+    }
+
+    fn over(points: &[Point], noise: Noise) -> Option<Self> {
         let n = points.len();
         if n < 3 || noise.sd <= 0.0 || noise.sd.is_nan() {
             return None;
@@ -192,6 +220,11 @@ impl Course {
 }
 
 impl Begun {
+    /// Expected value at an age, with the offset.
+    fn level(&self, age: f64) -> f64 {
+        regressors(self.age, age).dot(&self.mean)
+    }
+
     /// Mean and variance of the drift at an age; negative ages are in the future.
     fn at(&self, age: f64) -> (f64, f64) {
         let mut x = regressors(self.age, age);
@@ -276,6 +309,21 @@ mod tests {
             let (size, sd) = Course::of(&series(shape), NOISE).unwrap().now();
             let truth = shape(47.0).exp_m1();
             assert!((size - truth).abs() < 3.0 * sd && sd < 0.01, "{size} ± {sd} for {truth}");
+        }
+    }
+
+    /// A ramp over throws 50 to 80 and then constant; the first throws are means of twelve.
+    #[test]
+    fn a_ramp_that_has_ended_has_its_last_size() {
+        let shape = |t: f64| (0.2 * ((t - 50.0) / 30.0).clamp(0.0, 1.0)).ln_1p();
+        for now in [85.0, 95.0, 110.0, 130.0, 160.0] {
+            let blocks =
+                (0..).map(|block| f64::from(block).mul_add(12.0, 5.5)).take_while(|middle| *middle < now - 53.5);
+            let mean = |middle: f64| Point { age: now - middle, value: shape(middle), throws: 12.0 };
+            let single = series(|t| shape(t + now - 47.0));
+            let points: Vec<Point> = blocks.map(mean).chain(single).collect();
+            let (size, sd) = Course::of(&points, NOISE).unwrap().now();
+            assert!((size - 0.2).abs() < 0.01 && sd < 0.01, "{size} ± {sd} at {now}");
         }
     }
 
