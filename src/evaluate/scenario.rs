@@ -89,7 +89,7 @@ pub(super) enum Situation {
     FromFirstThrow,
     /// A first fault is repaired without a new baseline; then another part fails.
     Repaired,
-    /// Dry friction that also changes b0 and a0, at parameter depth.
+    /// Dry friction that also shifts all coefficients, at parameter depth.
     Leakage,
     /// A toe drive of 5e6 N/m and dry friction, at trace depth.
     SoftToe,
@@ -155,7 +155,7 @@ pub(super) const MULTIPLES: [f64; 4] = [1.5, 2.0, 3.0, 6.0];
 /// Least multiple of the warning limit in a plain row: with a smaller fault, scatter hides the size.
 const PLAIN_FROM: f64 = 2.0;
 
-/// Size of the friction fault in the rows with leakage; above the largest loss, as only a rise leaks.
+/// Size of the friction fault in the rows with leakage.
 const LEAKING_FRICTION: f64 = 0.54;
 /// Friction coefficient of the slide chairs in the row with a soft toe drive.
 const SOFT_TOE_MU: f64 = 0.15;

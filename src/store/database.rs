@@ -109,32 +109,29 @@ impl Store {
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
         let mut submitted = Vec::with_capacity(throws.len().div_ceil(ROWS));
         for group in throws.chunks(ROWS) {
-            let (mut writes, mut invalid) = (Vec::with_capacity(group.len()), Vec::new());
-            for (machine, throw, at) in group {
-                match Spool::new(machine, throw, *at) {
-                    Ok(write) => writes.push(write),
-                    Err(error) => invalid.push((&throw.id, error)),
-                }
-            }
-            submitted.push((group, self.submit(writes).await, invalid));
+            let mut writes = Vec::with_capacity(group.len());
+            let valid: Vec<Result<(), StoreError>> = group
+                .iter()
+                .map(|(machine, throw, at)| Spool::new(machine, throw, *at).map(|write| writes.push(write)))
+                .collect();
+            submitted.push((group, valid, self.submit(writes).await));
         }
         let mut answers = Vec::with_capacity(throws.len());
-        for (group, submitted, invalid) in submitted {
-            let stored = match submitted {
+        for (group, valid, submitted) in submitted {
+            let mut stored = match submitted {
                 Ok(answer) => answer.await.unwrap_or(Err(StoreError::Closed)),
                 Err(error) => Err(error),
-            };
-            let mut invalid = invalid.into_iter().peekable();
-            let mut stored = stored.map(Vec::into_iter);
-            for (_, throw, _) in group {
-                answers.push(match (invalid.next_if(|(id, _)| *id == &throw.id), &mut stored) {
-                    (Some((_, error)), _) => Err(error),
-                    (None, Ok(stored)) => stored.next().ok_or(StoreError::Closed),
-                    (None, Err(error)) => Err(error.repeated()),
+            }
+            .map(Vec::into_iter);
+            for ((_, throw, _), valid) in group.iter().zip(valid) {
+                let answer = valid.and_then(|()| match &mut stored {
+                    Ok(stored) => stored.next().ok_or(StoreError::Closed),
+                    Err(error) => Err(error.repeated()),
                 });
-                if let Some(Ok(Spooled::New(row))) = answers.last() {
-                    self.reader.recent.keep(*row, throw);
+                if let Ok(Spooled::New(row)) = answer {
+                    self.reader.recent.keep(row, throw);
                 }
+                answers.push(answer);
             }
         }
         answers

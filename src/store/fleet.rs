@@ -156,8 +156,8 @@ const FLEET: &str = "
     LEFT JOIN throw ON throw.throw_row = (SELECT throw_row FROM latest WHERE latest.machine_row = chosen.machine_row
                                            ORDER BY throw_row DESC LIMIT 1)
     LEFT JOIN estimate ON estimate.throw_row = throw.throw_row
-    LEFT JOIN latest AS reverse ON reverse.machine_row = chosen.machine_row AND reverse.direction = 'normal_to_reverse'
-    LEFT JOIN estimate AS learned ON learned.throw_row = reverse.throw_row";
+    LEFT JOIN latest AS near ON near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
+    LEFT JOIN estimate AS learned ON learned.throw_row = near.throw_row";
 
 /// Number of machines in each state, with the filters of [`FLEET`] except the state.
 const TALLY: &str = "

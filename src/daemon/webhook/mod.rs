@@ -9,6 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use hyper::body::Bytes;
 use tokio::{sync::Notify, time};
 
 use super::{
@@ -51,7 +52,7 @@ pub(super) struct Notifier {
 
 /// A message for the receiver.
 struct Message {
-    text: String,
+    body: Bytes,
     /// Number of events that it reports.
     events: u64,
     /// The last of them; all notifications up to this row are done with the message.
@@ -89,7 +90,7 @@ impl Notifier {
                     self.outbox.notified().await;
                     continue;
                 }
-                Some((row, alarm)) if !is_flood => Message { text: text(alarm), events: 1, last: *row },
+                Some((row, alarm)) if !is_flood => Message { body: body(alarm), events: 1, last: *row },
                 Some(_) => {
                     time::sleep_until((self.sent.0 + self.period).into()).await;
                     match self.summary(&self.pending(ALL).await) {
@@ -130,21 +131,22 @@ impl Notifier {
     /// All events in one message; one event as it is.
     fn summary(&self, pending: &[(i64, Alarm)]) -> Option<Message> {
         let alarms: Vec<&Alarm> = pending.iter().map(|(_, alarm)| alarm).collect();
-        let text = match &*alarms {
-            [alarm] => text(alarm),
-            alarms => text(&Summary::of(alarms, &self.monitor)?),
+        let body = match &*alarms {
+            [alarm] => body(alarm),
+            alarms => body(&Summary::of(alarms, &self.monitor)?),
         };
-        Some(Message { text, events: alarms.len() as u64, last: pending.last()?.0 })
+        Some(Message { body, events: alarms.len() as u64, last: pending.last()?.0 })
     }
 
     /// Sends a message until the receiver accepts it, or refuses it.
     async fn deliver(&self, message: Message) {
         let mut pause = FIRST_PAUSE;
         loop {
-            match self.receiver.post(message.text.clone()).await {
+            match self.receiver.post(message.body.clone()).await {
                 Ok(()) => break,
                 Err(error @ PostError::Refused(_)) => {
-                    tracing::error!(%error, events = message.events, message = message.text, "webhook: alarm events are not sent");
+                    let body = String::from_utf8_lossy(&message.body);
+                    tracing::error!(%error, events = message.events, %body, "webhook: alarm events are not sent");
                     self.status.webhook_refused.fetch_add(message.events, Relaxed);
                     break;
                 }
@@ -169,6 +171,6 @@ impl Notifier {
     }
 }
 
-fn text(message: &impl serde::Serialize) -> String {
-    String::from_utf8_lossy(&wire::json(message)).into_owned()
+fn body(message: &impl serde::Serialize) -> Bytes {
+    wire::json(message).into()
 }

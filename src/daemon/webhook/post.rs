@@ -80,24 +80,24 @@ impl Receiver {
     }
 
     /// Sends a JSON message; `Ok` if the receiver accepted it.
-    pub(super) async fn post(&self, message: String) -> Result<(), PostError> {
-        timeout(LIMIT, self.connect_and_post(message)).await.unwrap_or(Err(PostError::Timeout))
+    pub(super) async fn post(&self, body: Bytes) -> Result<(), PostError> {
+        timeout(LIMIT, self.connect_and_post(body)).await.unwrap_or(Err(PostError::Timeout))
     }
 
-    async fn connect_and_post(&self, message: String) -> Result<(), PostError> {
+    async fn connect_and_post(&self, body: Bytes) -> Result<(), PostError> {
         let stream = TcpStream::connect((self.host.as_str(), self.port)).await?;
         match &self.tls {
-            Some((tls, name)) => self.post_on(tls.connect(name.clone(), stream).await?, message).await,
-            None => self.post_on(stream, message).await,
+            Some((tls, name)) => self.post_on(tls.connect(name.clone(), stream).await?, body).await,
+            None => self.post_on(stream, body).await,
         }
     }
 
-    async fn post_on<Stream>(&self, stream: Stream, message: String) -> Result<(), PostError>
+    async fn post_on<Stream>(&self, stream: Stream, body: Bytes) -> Result<(), PostError>
     where
         Stream: AsyncRead + AsyncWrite + Unpin,
     {
         let (mut sender, connection) = http1::handshake(TokioIo::new(stream)).await?;
-        let mut request = Request::new(Full::new(Bytes::from(message)));
+        let mut request = Request::new(Full::new(body));
         *request.method_mut() = Method::POST;
         // The request line has the path only.
         *request.uri_mut() = self.uri.path_and_query().map(|path| Uri::from(path.clone())).unwrap_or_default();
