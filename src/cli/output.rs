@@ -25,7 +25,13 @@ pub(super) fn line(text: impl Display) -> Result<(), Failure> {
     written(writeln!(out, "{text}").and_then(|()| out.flush()))
 }
 
-fn harmless(text: &str) -> String {
+/// Moves the cursor home and clears the terminal.
+pub(super) fn clear() -> Result<(), Failure> {
+    written(write!(io::stdout(), "\x1b[H\x1b[2J"))
+}
+
+/// The text with escaped control characters, except line feeds and tabs.
+pub(super) fn harmless(text: &str) -> String {
     let mut harmless = String::with_capacity(text.len());
     for character in text.chars() {
         if character.is_control() && !matches!(character, '\n' | '\t') {

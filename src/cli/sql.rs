@@ -106,7 +106,7 @@ impl Answer for Plain {
     }
 
     fn end(&mut self) -> io::Result<()> {
-        self.0.take().map_or(Ok(()), |table| writeln!(io::stdout(), "{table}"))
+        self.0.take().map_or(Ok(()), |table| writeln!(io::stdout(), "{}", output::harmless(&table.to_string())))
     }
 }
 

@@ -67,8 +67,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let Client { session, .. } = arguments.connection.open().await?;
         let outcome = loop {
             if arguments.watch {
-                // Moves the cursor home and clears the screen.
-                output::line("\x1b[H\x1b[2J")?;
+                output::clear()?;
             }
             let outcome = show(&session, arguments).await;
             if !arguments.watch || outcome.is_err() {
@@ -118,7 +117,8 @@ fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {
     let name = key.trim_start_matches("points/v1/").trim_end_matches("/status").replace("/monitor/", "/");
     let StatusReport { version, uptime_s, database, .. } = report;
     output::line(format_args!("{name}: version {version}, up {uptime_s} s, database {database}"))?;
-    output::line(format_args!("  {}", report.line()))
+    // One line each, as all of them together are wider than a terminal.
+    report.line().split("; ").try_for_each(|part| output::line(format_args!("  {part}")))
 }
 
 fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) -> Result<(), Failure> {

@@ -1,8 +1,12 @@
 //! Logger, daemon and operators as separate processes.
 
-use std::process::Stdio;
+use std::{io::Read, process::Stdio};
 
-use pointsd::{diagnose::Cause, wire::Alarm};
+use pointsd::{
+    bus,
+    diagnose::{Cause, Command},
+    wire::Alarm,
+};
 
 use crate::rig::{Daemon, PATIENCE, Rig, pointsd, pointsim};
 
@@ -94,6 +98,28 @@ fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
     assert_eq!(rows[0]["state"], "maintenance");
     let commands = rig.sql("SELECT until FROM operator_commands WHERE command = 'maintenance_start'");
     assert!(commands[0]["until"].is_string(), "the window has no end: {commands:?}");
+}
+
+/// A flood of commands cannot displace the record of other commands.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_flood_of_commands_is_refused_after_the_first_two_hundred() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let ack = serde_json::to_vec(&Command::Ack { cause: Cause::Kt, by: "tester".to_owned() }).unwrap();
+    let mut carried_out = 0;
+    loop {
+        let replies = bus::ask(&session, "points/v1/north/21B/command", Some(ack.clone()), PATIENCE).await.unwrap();
+        let said = String::from_utf8_lossy(&replies[0].1).into_owned();
+        if said.contains("too many commands at once") {
+            break;
+        }
+        assert!(said.contains("it has sent no throw yet"), "{said}");
+        carried_out += 1;
+        assert!(carried_out < 400, "no command is refused");
+    }
+    assert!(carried_out >= 200, "only {carried_out} commands");
+    assert!(daemon.terminate().success());
 }
 
 /// Every operator command for a machine.
@@ -273,6 +299,7 @@ async fn a_machine_that_two_daemons_serve_takes_no_command() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
     let (rig, daemon) = daemon_with_alarm("a", "");
+    daemon.until_status("the states of the machines", |status| status["machines"]["critical"] == 1).await;
     for arguments in [&["status"][..], &["alarms"], &["alarms", "--json"], &["alarms", "--since", "2026-01-01"]] {
         let mut child = pointsd(arguments)
             .args(["--connect", &daemon.endpoint])
@@ -288,6 +315,13 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
         let widest = text.lines().map(|line| line.chars().count()).max().unwrap();
         assert!(widest <= 80 || arguments.contains(&"--json"), "{arguments:?} is {widest} wide: {text}");
     }
+    let mut watch =
+        pointsd(&["status", "--watch", "--connect", &daemon.endpoint]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut start = [0; 7];
+    watch.stdout.take().unwrap().read_exact(&mut start).unwrap();
+    watch.kill().unwrap();
+    watch.wait().unwrap();
+    assert_eq!(&start, b"\x1b[H\x1b[2J", "--watch clears the terminal");
     let (code, text) = daemon.operate(&["alarms", "--check"]);
     assert_eq!(code, Some(1), "{text}");
     assert!(text.contains("now -") && text.contains("(95 %)") && text.contains("not acknowledged"), "{text}");

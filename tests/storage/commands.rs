@@ -36,6 +36,8 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     assert_eq!(csv, "throw_no,b0,none,quality,bytes\n1,203.25,,good,00ff\n2,203.25,,good,00ff\n");
     let (_, table, _) = pointsd(&["sql", question], store.path());
     assert!(table.contains("throw_no") && table.contains("203.25"), "{table}");
+    let (_, table, _) = pointsd(&["sql", "SELECT char(27) || '[2J' AS text"], store.path());
+    assert!(table.contains("\\u{1b}[2J") && !table.contains('\u{1b}'), "{table:?}");
     let (_, empty, _) = pointsd(&["sql", "--json", "SELECT * FROM active_alarms"], store.path());
     assert_eq!(serde_json::from_str::<serde_json::Value>(&empty).unwrap(), serde_json::json!([]));
 
