@@ -36,7 +36,7 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::clock;
+    use crate::{daemon::clock, store::COMMANDS_KEPT};
 
     #[test]
     fn a_flood_is_slowed_down_and_a_site_in_maintenance_is_not() {
@@ -46,5 +46,6 @@ mod tests {
         assert_eq!(carried_out, 216, "200 at once, and one in 6 s for 100 s");
         assert!(budget.take(start + Duration::from_secs(100)).is_err_and(|wait| wait <= EVERY));
         assert!(budget.take(start + Duration::from_secs(107)).is_ok());
+        assert!(EVERY * COMMANDS_KEPT > Duration::from_hours(34 * 24), "the record covers 34 days of such a flood");
     }
 }

@@ -138,7 +138,7 @@ impl Link {
         }
         tracing::error!(?known, ?now, "the database was DELETED OR REPLACED: writing it again");
         let outcome = match self.place.set_strangers_aside() {
-            Ok(()) => self.move_database().await,
+            Ok(()) => self.move_database("its files were deleted or replaced").await,
             Err(error) => Err(error),
         };
         self.disk.note_replaced(outcome.is_ok());
@@ -169,7 +169,7 @@ impl Link {
             self.log_bound = log + log / 4;
             return;
         }
-        if let Err(error) = self.move_database().await {
+        if let Err(error) = self.move_database("a program keeps reading an old state of it").await {
             tracing::error!(%error, log, "moving the database away from a slow reader failed");
             self.log_bound = log + log / 4;
             self.reopen_path().await;
@@ -197,7 +197,7 @@ impl Link {
         Ok(busy == 0)
     }
 
-    async fn move_database(&mut self) -> Result<(), StoreError> {
+    async fn move_database(&mut self, why: &str) -> Result<(), StoreError> {
         let copy = self.place.next()?;
         let target = copy.to_string_lossy().replace('\'', "''");
         let connection = self.connected().await.map_err(|error| store_error(&error))?;
@@ -208,7 +208,7 @@ impl Link {
         self.disconnect().await;
         self.connected().await.map_err(|error| store_error(&error))?;
         self.reader.reopen(self.place.path()).await.map_err(|error| store_error(&error))?;
-        tracing::warn!(to = %copy.display(), "the database moved to a new file, because a program keeps reading an old state of it");
+        tracing::warn!(to = %copy.display(), why, "the database moved to a new file");
         Ok(())
     }
 

@@ -98,6 +98,17 @@ fn shelved_until_a_time_or_a_command() {
     assert!(matches!(monitor.command(&long, now(), &settings), Err(CommandError::UntilTooFar { .. })));
 }
 
+/// Names and reasons are printed on terminals, which execute control characters.
+#[test]
+fn a_name_or_reason_with_control_characters_is_refused() {
+    let (_, mut monitor, _) = alarmed(4);
+    let until = now() + SignedDuration::from_hours(8);
+    for (by, why, field) in [("mia\u{1b}[2J", "greased", "by"), ("mia", "greased\u{9b}31m", "why")] {
+        let command = Command::MaintenanceStart { until, by: by.to_owned(), why: why.to_owned() };
+        assert_eq!(monitor.command(&command, now(), &Settings::default()), Err(CommandError::Text { field }));
+    }
+}
+
 #[test]
 fn maintenance_diagnoses_nothing_and_teaches_nothing() {
     let settings = Settings::default();

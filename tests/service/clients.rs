@@ -66,21 +66,24 @@ async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
 async fn who_asks_slowly_or_without_end_is_cut_and_the_daemon_goes_on() {
     let (rig, daemon, address) = small_history().await;
     // More connections than the limit, each with an incomplete request.
-    let mut slow: Vec<TcpStream> = (0..100)
-        .map(|_| {
+    let crowd = || -> Vec<TcpStream> {
+        let slow = |_| {
             let mut stream = TcpStream::connect(&address).unwrap();
             stream.write_all(b"GET / HTTP/1.1\r\nHost: ").unwrap();
             stream
-        })
-        .collect();
+        };
+        (0..100).map(slow).collect()
+    };
+    let mut slow = crowd();
     let session = daemon.client().await;
     let publisher = matched(&session, KEY).await;
     publisher.put(encode_throw(Encoding::Cbor, &throws("after", 1)[0])).await.unwrap();
     assert_eq!(rig.judged(4).await.last().unwrap().throw, ThrowRef { boot_id: "after".to_owned(), throw_no: 1 });
     // They make way at once, not when their time is over, and go on being replaced by others.
     for path in ["/healthz", "/"] {
+        // New ones, whose time is not over yet.
+        slow.extend(crowd());
         let begin = Instant::now();
-        slow.push(TcpStream::connect(&address).unwrap());
         assert_eq!(get(&address, path).status, 200);
         assert!(begin.elapsed() < Duration::from_secs(2), "{path} took {:?}", begin.elapsed());
     }

@@ -193,14 +193,20 @@ async fn the_database_of_another_program_is_left_alone() {
     assert!(!folder.path().join("points.db-wal").exists());
 }
 
-/// An open database with 1,500 throws; all pages after the first 60 are overwritten, which is detected at their first
-/// use.
-async fn broken_under_way() -> (tempfile::TempDir, Store) {
+/// A database with 1,500 throws after a clean stop.
+async fn stopped() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path()).await.store;
     let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
     store.spool_all(&batch).await;
     store.close().await.unwrap();
+    folder
+}
+
+/// An open database with 1,500 throws; all pages after the first 60 are overwritten, which is detected at their first
+/// use.
+async fn broken_under_way() -> (tempfile::TempDir, Store) {
+    let folder = stopped().await;
     let opened = open(folder.path()).await;
     assert_eq!(opened.report.found, Found::Clean);
     break_pages(folder.path());
@@ -227,8 +233,8 @@ async fn a_database_that_breaks_under_way_ends_the_writer_and_the_next_start_set
 /// The file may be damaged after a clean stop.
 #[tokio::test]
 async fn a_file_that_was_broken_after_a_clean_stop_is_found_at_the_start() {
-    let (folder, store) = broken_under_way().await;
-    drop(store);
+    let folder = stopped().await;
+    break_pages(folder.path());
     assert!(matches!(open(folder.path()).await.report.found, Found::SetAside { .. }));
 }
 

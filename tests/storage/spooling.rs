@@ -129,6 +129,10 @@ async fn the_largest_numbers_and_oddest_times_are_taken() {
     }
     assert_eq!(store.reader().pending(ThrowRow::START, 100).await.unwrap().len(), 9);
     assert!(store.statistics().await.unwrap().missing_throws > 1 << 60);
+    // The sum of the gaps is within 64 bits in SQL too.
+    store.write_off(&machine("21B"), at(1)).await.unwrap();
+    let missing = query::<(i64,)>(&store, "SELECT sum(missing_throws) FROM data_gaps").await;
+    assert!(missing[0].0 > 1 << 40, "{missing:?}");
 }
 
 /// A logger with a new boot id for each throw slows neither its own throws nor those of others.
@@ -199,6 +203,28 @@ async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
     let mut gaps: Vec<_> = gaps.iter().map(|gap| (gap.boot_id.as_str(), gap.first_no, gap.last_no)).collect();
     gaps.sort_unstable();
     assert_eq!(gaps, [("b1", 3, 3), ("b3", 4, 5)]);
+}
+
+/// The pending throws of one machine do not fill a batch while others have some.
+#[tokio::test]
+async fn machines_take_turns_in_the_batches_to_judge() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    for throw_no in 1..=30 {
+        spooled(&store, "21B", "b1", throw_no).await;
+    }
+    for name in ["22A", "23"] {
+        spooled(&store, name, "b1", 1).await;
+    }
+    let judged = async |last: Option<&str>, most| {
+        let last = last.map(machine);
+        let (throws, _) = store.reader().to_judge(last.as_ref(), most, at(100), Duration::ZERO).await.unwrap();
+        ["21B", "22A", "23"].map(|name| throws.iter().filter(|throw| throw.machine == machine(name)).count())
+    };
+    assert_eq!(judged(None, 8).await, [6, 1, 1]);
+    // More machines than places: those after the last one judged.
+    assert_eq!(judged(None, 1).await, [1, 0, 0]);
+    assert_eq!(judged(Some("21B"), 1).await, [0, 1, 0]);
 }
 
 #[tokio::test]
