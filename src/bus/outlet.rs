@@ -1,4 +1,6 @@
-//! Publishes alarms and health from its own thread, as a put blocks on a slow link.
+//! Publishes alarms and health from two threads of their own, as a put blocks on a slow link. Nothing is dropped without
+//! a count: zenoh waits for a slow subscriber and closes the link to one that hangs, and meanwhile the queue of health
+//! fills.
 
 use std::{
     collections::{HashMap, hash_map::Entry},
@@ -11,12 +13,19 @@ use std::{
 };
 
 use tokio::sync::{mpsc, oneshot};
-use zenoh::{Session, Wait, bytes::Encoding, key_expr::KeyExpr, qos::CongestionControl};
+use zenoh::{
+    Session, Wait,
+    bytes::Encoding,
+    key_expr::KeyExpr,
+    qos::{CongestionControl, Priority},
+};
 
 use super::error::BusError;
 
-/// Capacity of the queue: the health of a burst of throws. Alarms are few, and each waits for its result.
+/// Capacity of the queue of health: a burst of throws. Alarms are few, and each waits for its result.
 const QUEUE: usize = 1_024;
+const ALARMS: usize = 16;
+
 /// Counters since the start.
 #[derive(Debug, Default)]
 pub struct OutletCounters {
@@ -28,49 +37,50 @@ pub struct OutletCounters {
     pub refused: AtomicU64,
 }
 
-enum Job {
-    Alarm { key: String, payload: Vec<u8>, done: oneshot::Sender<Result<(), BusError>> },
-    Health { key: String, payload: Vec<u8> },
+/// A message, with the receiver of the result if it is an alarm.
+struct Job {
+    key: String,
+    payload: Vec<u8>,
+    done: Option<oneshot::Sender<Result<(), BusError>>>,
 }
 
-/// Handle to the publishing thread, which ends when the last handle is dropped.
+/// Handle to the publishing threads, which end when the last handle is dropped.
 #[derive(Clone)]
 pub struct Outlet {
-    jobs: mpsc::Sender<Job>,
+    alarms: mpsc::Sender<Job>,
+    healths: mpsc::Sender<Job>,
     counters: Arc<OutletCounters>,
 }
 
-/// The end of the publishing thread.
+/// The end of the publishing threads.
 #[derive(Debug)]
-pub struct OutletEnd(oneshot::Receiver<Infallible>);
+pub struct OutletEnd([oneshot::Receiver<Infallible>; 2]);
 
 impl OutletEnd {
-    /// Waits until the thread has published its queue and ended.
+    /// Waits until the threads have published their queues and ended.
     pub async fn reached(self) {
-        // Always an error: the thread sends nothing, it only drops the sender.
-        let _ = self.0.await;
+        for end in self.0 {
+            // Always an error: the thread sends nothing, it only drops the sender.
+            let _ = end.await;
+        }
     }
 }
 
 impl Outlet {
-    /// Starts the thread. Close the session only after [`OutletEnd::reached`]: a put to a closing session panics in
+    /// Starts the threads. Close the session only after [`OutletEnd::reached`]: a put to a closing session panics in
     /// zenoh.
     ///
     /// # Errors
-    /// When the thread cannot be started.
-    pub fn start(session: Session) -> std::io::Result<(Self, OutletEnd)> {
-        let (jobs, inbox) = mpsc::channel(QUEUE);
-        let (running, end) = oneshot::channel();
+    /// When a thread cannot be started.
+    pub fn start(session: &Session) -> std::io::Result<(Self, OutletEnd)> {
         let counters = Arc::new(OutletCounters::default());
-        let counting = Arc::clone(&counters);
-        thread::Builder::new().name("publish".into()).spawn(move || {
-            run(&session, inbox, &counting);
-            drop(running);
-        })?;
-        Ok((Self { jobs, counters }, OutletEnd(end)))
+        // With a priority of their own alarms do not wait in zenoh behind health.
+        let (alarms, first) = publisher("alarms", session, Priority::InteractiveHigh, ALARMS, &counters)?;
+        let (healths, second) = publisher("publish", session, Priority::Data, QUEUE, &counters)?;
+        Ok((Self { alarms, healths, counters }, OutletEnd([first, second])))
     }
 
-    /// The counters, shared with the thread.
+    /// The counters, shared with the threads.
     #[must_use]
     pub fn counters(&self) -> Arc<OutletCounters> {
         Arc::clone(&self.counters)
@@ -83,42 +93,54 @@ impl Outlet {
     pub async fn alarm(&self, key: String, payload: Vec<u8>) -> Result<(), BusError> {
         let (done, answer) = oneshot::channel();
         let gone = || BusError::new("publish an alarm")("the publishing thread has ended".into());
-        self.jobs.send(Job::Alarm { key, payload, done }).await.map_err(|_| gone())?;
+        self.alarms.send(Job { key, payload, done: Some(done) }).await.map_err(|_| gone())?;
         answer.await.map_err(|_| gone())?
     }
 
     /// Queues the health of a throw; counts it as dropped if the queue is full.
     pub fn health(&self, key: String, payload: Vec<u8>) {
-        if self.jobs.try_send(Job::Health { key, payload }).is_err() {
+        if self.healths.try_send(Job { key, payload, done: None }).is_err() {
             self.counters.dropped.fetch_add(1, Relaxed);
         }
     }
 
-    /// Whether the thread has ended.
+    /// Whether a thread has ended.
     #[must_use]
     pub fn is_closed(&self) -> bool {
-        self.jobs.is_closed()
+        self.alarms.is_closed() || self.healths.is_closed()
     }
 }
 
-fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, counters: &OutletCounters) {
-    // For a declared key zenoh keeps the route. For any other it compares the key with every key of the network at each
-    // put, which took 0.2 ms with 1,000 machines. At most two keys for each machine.
+/// Starts a publishing thread; returns its queue and its end.
+fn publisher(
+    name: &str,
+    session: &Session,
+    priority: Priority,
+    capacity: usize,
+    counters: &Arc<OutletCounters>,
+) -> std::io::Result<(mpsc::Sender<Job>, oneshot::Receiver<Infallible>)> {
+    let (jobs, inbox) = mpsc::channel(capacity);
+    let (running, end) = oneshot::channel();
+    let (session, counters) = (session.clone(), Arc::clone(counters));
+    thread::Builder::new().name(name.into()).spawn(move || {
+        run(&session, inbox, priority, &counters);
+        drop(running);
+    })?;
+    Ok((jobs, end))
+}
+
+fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, counters: &OutletCounters) {
+    // For a declared key zenoh keeps the route. For any other it compares the key with every key of its site at each
+    // put, which took 0.2 ms with 1,000 machines. At most one key for each machine.
     let mut declared = HashMap::new();
-    while let Some(job) = jobs.blocking_recv() {
-        let is_published = match job {
-            Job::Alarm { key, payload, done } => {
-                // An alarm blocks on a slow link, and is not dropped.
-                let result = put(session, &mut declared, key, payload, CongestionControl::Block);
-                let is_published = result.is_ok();
-                // Fails if the caller stopped waiting; the event is published anyway.
-                let _ = done.send(result);
-                is_published
-            }
-            Job::Health { key, payload } => put(session, &mut declared, key, payload, CongestionControl::Drop).is_ok(),
-        };
-        let counter = if is_published { &counters.published } else { &counters.refused };
+    while let Some(Job { key, payload, done }) = jobs.blocking_recv() {
+        let result = put(session, &mut declared, key, payload, priority);
+        let counter = if result.is_ok() { &counters.published } else { &counters.refused };
         counter.fetch_add(1, Relaxed);
+        if let Some(done) = done {
+            // Fails if the caller stopped waiting; the event is published anyway.
+            let _ = done.send(result);
+        }
     }
 }
 
@@ -128,7 +150,7 @@ fn put(
     declared: &mut HashMap<String, KeyExpr<'static>>,
     key: String,
     payload: Vec<u8>,
-    congestion: CongestionControl,
+    priority: Priority,
 ) -> Result<(), BusError> {
     let failed = BusError::new(format!("publish on {key}"));
     let key = match declared.entry(key) {
@@ -141,7 +163,8 @@ fn put(
     session
         .put(&*key, payload)
         .encoding(Encoding::APPLICATION_JSON)
-        .congestion_control(congestion)
+        .priority(priority)
+        .congestion_control(CongestionControl::Block)
         .wait()
         .map_err(failed)
 }

@@ -112,7 +112,7 @@ impl Daemon {
         let (watchers, _) = broadcast::channel(WATCHED);
         let (orders, commands) = Orders::new();
         let (alive, loggers) = watch::channel(HashSet::new());
-        let (outlet, outlet_end) = Outlet::start(start.session.clone())?;
+        let (outlet, outlet_end) = Outlet::start(&start.session)?;
 
         start.notify_webhook().await?;
         // In reverse order of the pipeline in the module's documentation: each loop runs before its source.

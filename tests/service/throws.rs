@@ -1,13 +1,24 @@
 //! Reception of throws: once, repeated, in a burst, before a crash, among invalid messages.
 
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
+    thread,
+    time::Duration,
+};
+
 use pointsd::{
+    bus,
+    daemon::config::{Document, client_session},
     simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
     throw::Throw,
     wire::{Encoding, encode_throw},
 };
 use zenoh::bytes::Encoding as ContentType;
 
-use crate::rig::{Daemon, Rig, matched, pointsim, put, stub, throws, throws_of};
+use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsim, put, stub, throws, throws_of};
 
 const KEY: &str = "points/v1/north/21B/throw";
 
@@ -273,5 +284,40 @@ async fn a_load_is_judged_whole() {
     let stored =
         rig.sql("SELECT machine, count(*) AS throws FROM health_history WHERE quality = 'good' GROUP BY machine");
     assert!(stored.len() == 10 && stored.iter().all(|machine| machine["throws"] == 10), "{stored:?}");
+    assert!(daemon.terminate().success());
+}
+
+/// A slow subscriber receives every health message, or the daemon counts it as dropped.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_health_is_lost_without_a_count() {
+    const THROWS: u64 = 4_000;
+    let small_buffers = "[zenoh.transport.link.tcp]\nso_sndbuf = 8192\nso_rcvbuf = 8192\n";
+    let rig = Rig::with(small_buffers);
+    let daemon = rig.start();
+    let client = format!("{small_buffers}[zenoh]\nconnect.endpoints = [{:?}]\n", daemon.endpoint);
+    let client = client_session(&Document::parse("slow".as_ref(), client).unwrap()).unwrap();
+    let slow = bus::open(client).await.unwrap();
+    let received = Arc::new(AtomicU64::new(0));
+    let count = Arc::clone(&received);
+    let on_health = move |_| {
+        thread::sleep(Duration::from_millis(1));
+        count.fetch_add(1, Relaxed);
+    };
+    let _subscriber = slow.declare_subscriber("points/v1/**/health").callback(on_health).await.unwrap();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    for throw_no in 1..=THROWS {
+        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
+    }
+    daemon.until_status("judged throws", |status| status["judged"] == THROWS).await;
+    let all = async {
+        while received.load(Relaxed) + daemon.status()["unpublished"].as_u64().unwrap() < THROWS {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    let _ = tokio::time::timeout(PATIENCE, all).await;
+    let dropped = daemon.status()["unpublished"].as_u64().unwrap();
+    println!("{} received, {dropped} counted as dropped", received.load(Relaxed));
+    assert_eq!(received.load(Relaxed) + dropped, THROWS);
     assert!(daemon.terminate().success());
 }
