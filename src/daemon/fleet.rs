@@ -1,6 +1,6 @@
 //! The monitors of all machines; turns their changes into outcomes to store. Does no I/O.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 use jiff::Timestamp;
 
@@ -34,6 +34,9 @@ const SMALLEST_NAME: &str = "-";
 pub(super) struct Fleet {
     /// In order, so that the machines of a site stand together.
     monitors: BTreeMap<MachineId, MachineMonitor>,
+    /// Machines with a departure from a baseline: without this set every throw at a new site would search all of them.
+    /// A machine with a new baseline may stay in it.
+    witnesses: BTreeSet<MachineId>,
     /// Machines whose state has to be stored, because an earlier version wrote another one.
     to_store: HashSet<MachineId>,
 }
@@ -48,6 +51,9 @@ impl Fleet {
                 Ok(monitor) => {
                     if state != Some(monitor.state()) {
                         fleet.to_store.insert(machine.clone());
+                    }
+                    if monitor.is_witness() {
+                        fleet.witnesses.insert(machine.clone());
                     }
                     fleet.monitors.insert(machine, monitor);
                 }
@@ -99,6 +105,9 @@ impl Fleet {
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
         let mut outcome = outcome(&stored.machine, monitor, at, Vec::new());
+        if monitor.is_witness() && !self.witnesses.contains(&stored.machine) {
+            self.witnesses.insert(stored.machine.clone());
+        }
         let health = health(stored, identification.as_ref(), &verdict, since_baseline);
         outcome.events = verdict.events;
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
@@ -136,9 +145,9 @@ impl Fleet {
     /// The common change of the machines of a site, without one of them.
     fn common(&self, site: &Name, but: Option<&MachineId>, at: Timestamp) -> Common {
         let Ok(first) = MachineId::new(site.as_str(), SMALLEST_NAME) else { return Common::default() };
-        let machines = self.monitors.range(first..).take_while(|(machine, _)| machine.site == *site);
-        let others = machines.filter(|(machine, _)| Some(*machine) != but);
-        MachineMonitor::common(others.map(|(_, monitor)| monitor), at)
+        let machines = self.witnesses.range(first..).take_while(|machine| machine.site == *site);
+        let others = machines.filter(|machine| Some(*machine) != but);
+        MachineMonitor::common(others.filter_map(|machine| self.monitors.get(machine)), at)
     }
 
     /// Updates the alarm of a site, under the machine name [`ALL_MACHINES`].

@@ -271,6 +271,12 @@ impl MachineMonitor {
         operation.on_liveliness(there, alarms, context)
     }
 
+    /// Whether the machine has a departure from a baseline, which [`Self::common`] needs.
+    #[must_use]
+    pub fn is_witness(&self) -> bool {
+        !self.trail.is_empty()
+    }
+
     /// Common change of machines with these monitors in the hours before `at`.
     #[must_use]
     pub fn common<'a>(machines: impl Iterator<Item = &'a Self>, at: Timestamp) -> Common {

@@ -63,6 +63,10 @@ impl Trail {
         }
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.last.is_empty()
+    }
+
     /// The latest departure, and the standard deviations, in the hours before `at`.
     fn latest(&self, at: Timestamp) -> Option<([f32; 3], [f32; 3])> {
         let hours = SignedDuration::ZERO..=SignedDuration::from_hours(HOURS);
