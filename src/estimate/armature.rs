@@ -31,15 +31,22 @@ pub(super) fn add_supply(
     let radians_per_mm = std::f64::consts::TAU / lead_mm;
     let drive = movement.drive(current);
     let (start, end) = (movement.start(), movement.near_end);
-    let amperes = |k: usize| drive * (current[k] - movement.current.mean);
+    let amperes = |i: &f64| drive * (i - movement.current.mean);
+    let (Some([first, current @ ..]), Some([_, position @ ..])) = (current.get(start..=end), position.get(start..=end))
+    else {
+        return;
+    };
     // Sums of the products of charge, current, angle and time.
-    let (mut sums, mut charge) = ([[0.0; 4]; 3], 0.0);
-    for k in start + 1..=end {
-        charge += 0.5 * (amperes(k - 1) + amperes(k)) * interval_s;
-        let angle = movement.sign * (position[k] - movement.position.mean) * radians_per_mm;
-        let row = [charge, amperes(k), angle, (k - start) as f64];
+    let (mut sums, mut charge, mut before) = ([[0.0; 4]; 3], 0.0, amperes(first));
+    for (k, (i, x)) in current.iter().zip(position).enumerate() {
+        let now = amperes(i);
+        charge += 0.5 * (before + now) * interval_s;
+        before = now;
+        let angle = movement.sign * (x - movement.position.mean) * radians_per_mm;
+        let row = [charge, now, angle, (k + 1) as f64];
         for i in 0..3 {
-            for j in i..4 {
+            // Half of the products would be enough, but whole rows are computed two at a time.
+            for j in 0..4 {
                 sums[i][j] += row[i] * row[j];
             }
         }

@@ -45,6 +45,8 @@ const CLIPPED_FLANK: f64 = 30.0;
 /// Largest number of equal consecutive samples of a working channel: with noise of half a step 25 come once in 10^7
 /// samples.
 const REPEATED_SAMPLES: f64 = 25.0;
+/// Length of parts of which one is within every stretch of more than [`REPEATED_SAMPLES`].
+const REPEATED_PART: usize = 13;
 /// The same for a slow position: in times of one converter step at mean speed, and \[s\] for the slow start of the toe.
 const REPEATED_STEPS: f64 = 10.0;
 const REPEATED_S: f64 = 0.02;
@@ -229,6 +231,11 @@ pub(super) fn sticking(
         Channel::Position => REPEATED_SAMPLES.max(REPEATED_STEPS * step / mean_step).max(REPEATED_S / interval_s),
         Channel::Current => REPEATED_SAMPLES.max(LEVEL_CURRENT_SHARE * values.len() as f64),
     };
+    // A longer stretch covers both ends of one of these parts.
+    let is_equal = |part: &[f64]| part[0].to_bits() == part[part.len() - 1].to_bits();
+    if !values.chunks_exact(REPEATED_PART).any(is_equal) {
+        return Ok(());
+    }
     let mut at = 0;
     for stretch in values.chunk_by(|a, b| a.to_bits() == b.to_bits()) {
         if stretch.len() as f64 > longest {
