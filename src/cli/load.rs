@@ -10,10 +10,12 @@ use super::{
     output, simulate_run,
 };
 use crate::{
-    logger::{Load, Loaded},
+    logger::{Load, Loaded, quantile},
     throw::{MachineId, Name},
 };
 
+/// Machines of a site. Zenoh compares a new key with those of all sites and of all machines of its site.
+const MACHINES_OF_A_SITE: u32 = 100;
 /// Time without a judgement after which the load ends.
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -38,9 +40,12 @@ pub(super) struct Arguments {
     /// Duration of the load \[s\].
     #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=86_400))]
     seconds: u32,
-    /// Site of the machines `m-1`, `m-2` and so on.
+    /// First part of the names of the sites: `SITE-1`, `SITE-2` and so on, with 100 machines each.
     #[arg(long, default_value = "load")]
     site: Name,
+    /// The toe does not move in the first throw of every N-th machine, and the latency of the alarms is reported; 0: none.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    blocked: u32,
     /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -52,12 +57,15 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     super::runtime::block_on(async {
         let Client { session, .. } = arguments.connection.open().await?;
-        let machines =
-            (1..=arguments.machines).map(|number| MachineId::new(arguments.site.as_str(), &format!("m-{number}")));
+        let machines = (0..arguments.machines).map(|number| {
+            let site = format!("{}-{}", arguments.site, number / MACHINES_OF_A_SITE + 1);
+            MachineId::new(&site, &format!("m-{}", number % MACHINES_OF_A_SITE + 1))
+        });
         let load = Load {
             machines: machines.collect::<Result<_, _>>().or_exit(Exit::Usage)?,
             rate: arguments.rate.into(),
             throws: u64::from(arguments.rate) * u64::from(arguments.seconds),
+            blocked: arguments.blocked.into(),
             seed: arguments.seed,
         };
         let publishing = session.clone();
@@ -73,22 +81,28 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 fn report(throws: u64, rate: f64, loaded: &Loaded, as_json: bool) -> Outcome {
     let judged = loaded.latencies.len() as u64;
     let published_per_s = throws as f64 / loaded.publishing.as_secs_f64().max(1.0 / rate);
-    let [p50_ms, p99_ms, worst_ms] =
-        [0.5, 0.99, 1.0].map(|share| loaded.quantile(share).map(|time| 1e3 * time.as_secs_f64()));
+    let [health_ms, alarm_ms] = [&loaded.latencies, &loaded.alarm_latencies]
+        .map(|times| [0.5, 0.99, 1.0].map(|share| quantile(times, share).map(|time| 1e3 * time.as_secs_f64())));
     let behind_s = loaded.behind.as_secs_f64();
     if as_json {
         output::json(&json!({
             "published": throws, "published_per_s": published_per_s, "judged": judged,
             "judged_meanwhile": loaded.judged_meanwhile, "behind_s": behind_s,
-            "latency_ms": { "p50": p50_ms, "p99": p99_ms, "worst": worst_ms },
+            "latency_ms": { "p50": health_ms[0], "p99": health_ms[1], "worst": health_ms[2] },
+            "alarms": loaded.alarm_latencies.len(),
+            "alarm_latency_ms": { "p50": alarm_ms[0], "p99": alarm_ms[1], "worst": alarm_ms[2] },
         }))?;
     } else {
-        let latency = match (p50_ms, p99_ms, worst_ms) {
-            (Some(p50), Some(p99), Some(worst)) => format!(
-                "\nfrom publication to health: median {p50:.1} ms, 99 % within {p99:.1} ms, all within {worst:.1} ms"
-            ),
+        let latency = |to: &str, times: [Option<f64>; 3]| match times {
+            [Some(p50), Some(p99), Some(worst)] => {
+                format!(
+                    "\nfrom publication to {to}: median {p50:.1} ms, 99 % within {p99:.1} ms, all within {worst:.1} ms"
+                )
+            }
             _ => String::new(),
         };
+        let alarms = loaded.alarm_latencies.len();
+        let latency = latency("health", health_ms) + &latency(&format!("alarm ({alarms} alarms)"), alarm_ms);
         output::line(format!(
             "published {throws} throws, {published_per_s:.0} a second\njudged {judged}, {} of them before the last was published, \
              the last {behind_s:.1} s after it{latency}",

@@ -4,7 +4,7 @@
 //! makes each trace different.
 
 use std::{
-    collections::{HashMap, HashSet},
+    collections::HashMap,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
     thread,
     time::{Duration, Instant},
@@ -15,8 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::Deserialize;
 use zenoh::{
-    Session, Wait,
-    pubsub::{Publisher, Subscriber},
+    Session, Wait, bytes::Encoding as ContentType, key_expr::KeyExpr, pubsub::Subscriber, qos::CongestionControl,
     sample::Sample,
 };
 
@@ -25,7 +24,7 @@ use crate::{
     daemon::clock,
     simulate::{Fleet, FleetSettings, SimulatedThrow},
     throw::{MachineId, Throw, ThrowRef, Trace},
-    wire::{self, Encoding, Kind},
+    wire::{self, Alarm, Encoding, Kind},
 };
 
 /// Number of simulated machines; the others repeat them.
@@ -47,6 +46,8 @@ pub struct Load {
     pub rate: f64,
     /// Number of throws to publish.
     pub throws: u64,
+    /// The toe of every n-th machine does not move in its first throw, which raises an alarm; 0 for none.
+    pub blocked: u64,
     /// Seed of all random numbers.
     pub seed: u64,
 }
@@ -60,26 +61,41 @@ pub struct Loaded {
     pub judged_meanwhile: u64,
     /// Times from the publication of a throw to the receipt of its health, sorted.
     pub latencies: Vec<Duration>,
+    /// Times from the publication of a throw that raises an alarm to the receipt of the alarm, sorted.
+    pub alarm_latencies: Vec<Duration>,
     /// Time from the last publication to the last health.
     pub behind: Duration,
 }
 
-impl Loaded {
-    /// The latency quantile for this share of the judged throws; `None` without judged throws.
-    #[must_use]
-    pub fn quantile(&self, share: f64) -> Option<Duration> {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a length")]
-        let rank = (share * self.latencies.len() as f64).ceil() as usize;
-        self.latencies.get(rank.max(1) - 1).copied()
-    }
+/// The quantile of sorted latencies for this share of them; `None` without latencies.
+#[must_use]
+pub fn quantile(latencies: &[Duration], share: f64) -> Option<Duration> {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a length")]
+    let rank = (share * latencies.len() as f64).ceil() as usize;
+    latencies.get(rank.max(1) - 1).copied()
 }
 
-/// Throws without a received health message, and the latencies of the others.
+/// Throws without a received message, and the latencies of the others.
 #[derive(Default)]
 struct Tracking {
     published: HashMap<(MachineId, u64), Instant>,
     latencies: Vec<Duration>,
 }
+
+impl Tracking {
+    fn on_message(&mut self, throw: &(MachineId, u64), now: Instant) {
+        if let Some(published) = self.published.remove(throw) {
+            self.latencies.push(now - published);
+        }
+    }
+
+    fn sorted(&mut self) -> Vec<Duration> {
+        self.latencies.sort_unstable();
+        std::mem::take(&mut self.latencies)
+    }
+}
+
+type Shared = Arc<Mutex<Tracking>>;
 
 impl Load {
     /// Publishes the throws, and waits until the health of all has arrived, or none has arrived for `patience`.
@@ -88,34 +104,46 @@ impl Load {
     /// When the simulation or zenoh fails.
     pub fn run(&self, session: &Session, boot_id: &str, patience: Duration) -> Result<Loaded, LoggerError> {
         let prepared = self.prepare()?;
-        let tracking = Arc::new(Mutex::new(Tracking::default()));
-        let _subscribers = self.subscribe(session, boot_id, &tracking)?;
-        let publishers = self.publishers(session)?;
+        let (healths, alarms) = (Shared::default(), Shared::default());
+        let _subscribers = subscribe(session, boot_id, &healths, &alarms)?;
+        let keys = self.keys(session)?;
         let mut noise = Noise::new(self.seed);
         let start = clock::monotonic();
         for number in 0..self.throws {
             let (round, at) = (number / self.machines.len() as u64, index(number, self.machines.len()));
             let model = &prepared[at % prepared.len()];
-            let throw_no = round + 1;
-            let message = message(boot_id, throw_no, &model[index(round, model.len())], &mut noise)?;
+            let throw = (self.machines[at].clone(), round + 1);
+            let is_blocked = round == 0 && self.blocked > 0 && number.is_multiple_of(self.blocked);
+            let simulated = &model[index(round, model.len())];
+            let message = message(boot_id, throw.1, simulated, is_blocked, &mut noise)?;
             let due = start + Duration::from_secs_f64(number as f64 / self.rate);
             thread::sleep(due.saturating_duration_since(clock::monotonic()));
-            lock(&tracking).published.insert((self.machines[at].clone(), throw_no), clock::monotonic());
-            publishers[at].put(message).wait()?;
+            if is_blocked {
+                lock(&alarms).published.insert(throw.clone(), clock::monotonic());
+            }
+            lock(&healths).published.insert(throw, clock::monotonic());
+            session
+                .put(&keys[at], message)
+                .encoding(ContentType::APPLICATION_CBOR)
+                .congestion_control(CongestionControl::Block)
+                .wait()?;
         }
         let end = clock::monotonic();
-        let judged_meanwhile = lock(&tracking).latencies.len() as u64;
+        let judged_meanwhile = lock(&healths).latencies.len() as u64;
         let (mut judged, mut last) = (judged_meanwhile, end);
         while judged < self.throws && last.elapsed() < patience {
             thread::sleep(Duration::from_millis(20));
-            let now = lock(&tracking).latencies.len() as u64;
+            let now = lock(&healths).latencies.len() as u64;
             if now > judged {
                 (judged, last) = (now, clock::monotonic());
             }
         }
-        let mut latencies = std::mem::take(&mut lock(&tracking).latencies);
-        latencies.sort_unstable();
-        Ok(Loaded { publishing: end - start, judged_meanwhile, latencies, behind: last - end })
+        let alarmed = clock::monotonic();
+        while !lock(&alarms).published.is_empty() && alarmed.elapsed() < patience {
+            thread::sleep(Duration::from_millis(20));
+        }
+        let [latencies, alarm_latencies] = [healths, alarms].map(|tracking| lock(&tracking).sorted());
+        Ok(Loaded { publishing: end - start, judged_meanwhile, latencies, alarm_latencies, behind: last - end })
     }
 
     fn prepare(&self) -> Result<Vec<Vec<SimulatedThrow>>, LoggerError> {
@@ -125,57 +153,62 @@ impl Load {
         Ok(throws.collect::<Result<_, _>>()?)
     }
 
-    fn subscribe(
-        &self,
-        session: &Session,
-        boot_id: &str,
-        tracking: &Arc<Mutex<Tracking>>,
-    ) -> Result<Vec<Subscriber<()>>, LoggerError> {
-        /// The fields of a health message that identify the throw.
-        #[derive(Deserialize)]
-        struct Which {
-            boot_id: String,
-            throw_no: u64,
-        }
-        let sites: HashSet<_> = self.machines.iter().map(|id| &id.site).collect();
-        let subscribers = sites.into_iter().map(|site| {
-            let (boot_id, tracking) = (boot_id.to_owned(), Arc::clone(tracking));
-            let on_health = move |sample: Sample| {
-                let now = clock::monotonic();
-                let which = serde_json::from_slice::<Which>(&sample.payload().to_bytes());
-                if let (Ok(which), Ok((machine, _))) = (which, wire::parse_key(sample.key_expr()))
-                    && which.boot_id == boot_id
-                {
-                    let mut tracking = lock(&tracking);
-                    if let Some(published) = tracking.published.remove(&(machine, which.throw_no)) {
-                        tracking.latencies.push(now - published);
-                    }
-                }
-            };
-            session.declare_subscriber(wire::site_key(site, Kind::Health)).callback(on_health).wait()
-        });
-        Ok(subscribers.collect::<Result<_, _>>()?)
-    }
-
-    /// A publisher for each machine, after a daemon has subscribed to all of them.
-    fn publishers(&self, session: &Session) -> Result<Vec<Publisher<'static>>, LoggerError> {
-        let mut publishers = Vec::with_capacity(self.machines.len());
-        for machine in &self.machines {
-            let publisher = publisher(session, machine)?;
+    /// The keys of the throws, after a daemon has subscribed to the first. No key is declared: with a publisher for each
+    /// machine zenoh compares every new one with all others, which took minutes for 20,000 machines.
+    fn keys(&self, session: &Session) -> Result<Vec<KeyExpr<'static>>, LoggerError> {
+        if let Some(first) = self.machines.first() {
+            let publisher = publisher(session, first)?;
             while !publisher.matching_status().wait()?.matching() {
                 thread::sleep(Duration::from_millis(10));
             }
-            publishers.push(publisher);
         }
-        Ok(publishers)
+        let keys = self.machines.iter().map(|machine| KeyExpr::try_from(wire::machine_key(machine, Kind::Throw)));
+        Ok(keys.collect::<Result<_, _>>()?)
     }
+}
+
+/// Subscribes to the health and the alarms of all machines.
+fn subscribe(
+    session: &Session,
+    boot_id: &str,
+    healths: &Shared,
+    alarms: &Shared,
+) -> Result<[Subscriber<()>; 2], LoggerError> {
+    /// The fields of a health message that identify the throw.
+    #[derive(Deserialize)]
+    struct Which {
+        boot_id: String,
+        throw_no: u64,
+    }
+    let (boot_id, healths, alarms) = (boot_id.to_owned(), Arc::clone(healths), Arc::clone(alarms));
+    let on_health = move |sample: Sample| {
+        let now = clock::monotonic();
+        let which = serde_json::from_slice::<Which>(&sample.payload().to_bytes());
+        if let (Ok(which), Ok((machine, _))) = (which, wire::parse_key(sample.key_expr()))
+            && which.boot_id == boot_id
+        {
+            lock(&healths).on_message(&(machine, which.throw_no), now);
+        }
+    };
+    let on_alarm = move |sample: Sample| {
+        let now = clock::monotonic();
+        if let Ok(Alarm { machine, event, .. }) = serde_json::from_slice(&sample.payload().to_bytes())
+            && let Some(throw) = event.last_throw
+        {
+            lock(&alarms).on_message(&(machine, throw.throw_no), now);
+        }
+    };
+    Ok([
+        session.declare_subscriber(wire::every_key(Kind::Health)).callback(on_health).wait()?,
+        session.declare_subscriber(wire::every_key(Kind::Alarm)).callback(on_alarm).wait()?,
+    ])
 }
 
 fn index(number: u64, count: usize) -> usize {
     usize::try_from(number % count as u64).unwrap_or(0)
 }
 
-fn lock(tracking: &Mutex<Tracking>) -> MutexGuard<'_, Tracking> {
+fn lock(tracking: &Shared) -> MutexGuard<'_, Tracking> {
     tracking.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -183,13 +216,14 @@ fn message(
     boot_id: &str,
     throw_no: u64,
     simulated: &SimulatedThrow,
+    is_blocked: bool,
     noise: &mut Noise,
 ) -> Result<Vec<u8>, LoggerError> {
     let throw = Throw {
         id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
         started_at: clock::now(),
         direction: Some(simulated.direction),
-        trace: noise.on(&simulated.trace)?,
+        trace: noise.on(&simulated.trace, is_blocked)?,
         temperature_c: Some(simulated.temperature_c),
         supply_v: Some(simulated.supply_v),
         anti_alias_hz: simulated.anti_alias_hz,
@@ -209,14 +243,16 @@ impl Noise {
         Self { values: (0..NOISE_VALUES).map(|_| rng.sample(StandardNormal)).collect(), rng }
     }
 
-    /// A trace with noise from a random position.
-    fn on(&mut self, trace: &Trace) -> Result<Trace, LoggerError> {
-        let mut channel = |samples: &[f64], sd: f64| {
+    /// A trace with noise from a random position; without a movement of the toe if it is blocked.
+    fn on(&mut self, trace: &Trace, is_blocked: bool) -> Result<Trace, LoggerError> {
+        let mut channel = |samples: &[f64], sd: f64, moves: bool| {
             let from = self.rng.random_range(0..self.values.len());
             let noise = self.values.iter().cycle().skip(from);
-            samples.iter().zip(noise).map(|(sample, noise)| sample + sd * noise).collect()
+            let value = |sample: f64| if moves { sample } else { samples[0] };
+            samples.iter().zip(noise).map(|(sample, noise)| value(*sample) + sd * noise).collect()
         };
-        let (current, position) = (channel(trace.current_a(), CURRENT_A), channel(trace.position_mm(), POSITION_MM));
+        let current = channel(trace.current_a(), CURRENT_A, true);
+        let position = channel(trace.position_mm(), POSITION_MM, !is_blocked);
         Ok(Trace::new(trace.sample_rate_hz(), current, position)?)
     }
 }

@@ -22,7 +22,7 @@ use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
 pub use error::LoggerError;
-pub use load::{Load, Loaded};
+pub use load::{Load, Loaded, quantile};
 pub use settings::LoggerSettings;
 
 use crate::{

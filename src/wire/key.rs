@@ -40,10 +40,10 @@ pub fn machine_key(machine: &MachineId, kind: Kind) -> String {
     format!("{PREFIX}{}/{}/{}", machine.site, machine.machine, kind.as_ref())
 }
 
-/// Key expression of all machines of a site.
+/// Key expression of all machines.
 #[must_use]
-pub fn site_key(site: &Name, kind: Kind) -> String {
-    format!("{PREFIX}{site}/*/{}", kind.as_ref())
+pub fn every_key(kind: Kind) -> String {
+    format!("{PREFIX}*/*/{}", kind.as_ref())
 }
 
 /// The key of a monitor's liveliness token: `points/v1/{site}/monitor/{id}/alive`.

@@ -17,7 +17,7 @@ pub use backlog::{BacklogQuery, MAX_PAGE};
 pub use command::{Commander, InvalidCommand, Reply, decode_command};
 pub use health::Health;
 pub use key::{
-    InvalidKey, InvalidScope, Kind, Scope, machine_key, monitor_alive_key, monitor_status_key, parse_key, site_key,
+    InvalidKey, InvalidScope, Kind, Scope, every_key, machine_key, monitor_alive_key, monitor_status_key, parse_key,
 };
 pub use query::{HistoryQuery, InvalidQuery, MAX_HISTORY};
 pub use text::json;
