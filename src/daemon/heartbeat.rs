@@ -1,4 +1,4 @@
-//! Heartbeats of the four essential loops: receive, identify, write, publish.
+//! Heartbeats of the essential loops: receive, identify, write, publish, and the webhook if there is one.
 
 use std::{
     sync::atomic::{AtomicU64, Ordering::Relaxed},
@@ -25,6 +25,8 @@ pub enum TaskName {
     Write,
     /// Publishes the outbox.
     Publish,
+    /// Sends alarm events to the webhook. This loop may not exist: it is observed from its first heartbeat.
+    Webhook,
 }
 
 /// The time of the last beat of each loop.
@@ -38,7 +40,9 @@ impl Heartbeats {
     /// Heartbeats of all loops, fresh now.
     #[must_use]
     pub fn new() -> Self {
-        Self { start: clock::monotonic(), last_ms: [const { AtomicU64::new(0) }; TaskName::VARIANTS.len()] }
+        let beats = Self { start: clock::monotonic(), last_ms: Default::default() };
+        beats.last_ms[TaskName::Webhook as usize].store(u64::MAX, Relaxed);
+        beats
     }
 
     /// Records a heartbeat.
@@ -65,5 +69,21 @@ impl Heartbeats {
 impl Default for Heartbeats {
     fn default() -> Self {
         Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loop_hangs_without_beats_and_the_webhook_only_after_its_first() {
+        let mut beats = Heartbeats::new();
+        beats.start -= 2 * FRESH;
+        assert_eq!(beats.silent(), [TaskName::Receive, TaskName::Identify, TaskName::Write, TaskName::Publish]);
+        TaskName::VARIANTS.iter().for_each(|task| beats.beat(*task));
+        assert_eq!(beats.silent(), []);
+        beats.start -= 2 * FRESH;
+        assert_eq!(beats.silent(), TaskName::VARIANTS);
     }
 }

@@ -6,7 +6,7 @@ use std::{
     process::{Child, Command, Stdio},
     sync::mpsc,
     thread,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use serde_json::{Value, json};
@@ -27,6 +27,10 @@ const MOVED: &str = "HTTP/1.1 307 Temporary Redirect\r\nLocation: /elsewhere\r\n
 const REFUSED: &str = "HTTP/1.1 422 Unprocessable Content\r\nContent-Length: 0\r\n\r\n";
 /// The server keeps the connection open and does not answer.
 const NOTHING: &str = "";
+/// The server accepts the message after [`SLOW_FOR`].
+const SLOW: &str = "HTTP/1.1 202 Accepted\r\n\r\n";
+/// Less than the limit of the daemon.
+const SLOW_FOR: Duration = Duration::from_secs(8);
 
 /// A request of the webhook.
 #[derive(Debug)]
@@ -60,6 +64,9 @@ impl Server {
                 let mut stream = BufReader::new(accept(stream.unwrap()));
                 let Some(post) = read(&mut stream) else { continue };
                 let answer = answers[number.min(answers.len() - 1)];
+                if answer == SLOW {
+                    thread::sleep(SLOW_FOR);
+                }
                 let _ = stream.get_mut().write_all(answer.as_bytes()).and_then(|()| stream.get_mut().flush());
                 if answer == NOTHING {
                     silent.push(stream);
@@ -157,6 +164,36 @@ fn an_alarm_waits_for_its_receiver_and_is_sent_until_it_is_accepted() {
     assert!(!daemon.log().iter().any(|line| line.contains("secret")), "the secret is not in the log");
     assert!(daemon.terminate().success());
     assert_eq!(pending(&rig), 0);
+}
+
+/// Without an answer the daemon sends again after 10 s and a pause of 1 s, then of 2 s. A slow answer is an answer.
+/// During all this, and without any event, the loop is alive: its heartbeat may be 30 s old.
+#[test]
+fn a_receiver_may_be_slow_and_is_asked_again_after_ten_seconds() {
+    let idle_server = Server::start("127.0.0.1:0", &[ACCEPTED]);
+    let idle_rig = rig(&format!("http://{}/", idle_server.address), "");
+    let idle = idle_rig.start();
+    let began = Instant::now();
+    let server = Server::start("127.0.0.1:0", &[NOTHING, NOTHING, SLOW, ACCEPTED]);
+    let rig = rig(&format!("http://{}/", server.address), "");
+    let daemon = rig.start();
+    weak_motor(&daemon);
+    let first = (server.next().body, Instant::now());
+    let second = (server.next().body, Instant::now());
+    daemon.until_log("the receiver does not answer within 10 s");
+    assert_eq!(daemon.status()["webhook_fails"], true);
+    let third = (server.next().body, Instant::now());
+    assert_eq!((&second.0, &third.0), (&first.0, &first.0), "the same event until it is accepted");
+    let seconds = |from: Instant, to: Instant| to.duration_since(from).as_secs_f64();
+    let waits = [seconds(first.1, second.1), seconds(second.1, third.1) - SLOW_FOR.as_secs_f64()];
+    assert!(waits[0] > 10.0 && waits[0] < 16.0 && waits[1] > 11.0 && waits[1] < 18.0, "{waits:?}");
+    let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
+    assert_eq!(code, Some(0), "{text}");
+    while server.next().body["state"] != "active_acknowledged" {}
+    thread::sleep(Duration::from_secs(32).saturating_sub(began.elapsed()));
+    assert_eq!((&daemon.status()["silent"], &idle.status()["silent"]), (&json!([]), &json!([])));
+    assert_eq!(daemon.status()["webhook_fails"], false);
+    assert!(daemon.terminate().success() && idle.terminate().success());
 }
 
 #[test]

@@ -5,6 +5,7 @@ mod post;
 mod summary;
 
 use std::{
+    pin::pin,
     sync::{Arc, atomic::Ordering::Relaxed},
     time::{Duration, Instant},
 };
@@ -15,6 +16,7 @@ use tokio::{sync::Notify, time};
 use super::{
     clock,
     config::{Config, Webhook},
+    heartbeat::TaskName,
     offline::StartError,
     status::Status,
 };
@@ -30,6 +32,8 @@ use summary::Summary;
 const FIRST_PAUSE: Duration = Duration::from_secs(1);
 /// Longest pause between two attempts: the delay of an alarm after the receiver is back.
 const LONGEST_PAUSE: Duration = Duration::from_mins(1);
+/// Time between two heartbeats during a wait.
+const BEAT: Duration = Duration::from_secs(5);
 /// Notifications read for the next message; more are read only if the filters remove all of them.
 const BATCH: u32 = 64;
 /// Notifications read for a summary: all that are kept.
@@ -87,12 +91,12 @@ impl Notifier {
             let pending = self.pending(BATCH).await;
             let message = match pending.first() {
                 None => {
-                    self.outbox.notified().await;
+                    self.wait(self.outbox.notified()).await;
                     continue;
                 }
                 Some((row, alarm)) if !is_flood => Message { body: body(alarm), events: 1, last: *row },
                 Some(_) => {
-                    time::sleep_until((self.sent.0 + self.period).into()).await;
+                    self.wait(time::sleep_until((self.sent.0 + self.period).into())).await;
                     match self.summary(&self.pending(ALL).await) {
                         Some(summary) => summary,
                         None => continue,
@@ -112,7 +116,7 @@ impl Notifier {
                 Ok(rows) => rows,
                 Err(error) => {
                     seldom!(warn, %error, "reading the notifications failed; retrying");
-                    time::sleep(FIRST_PAUSE).await;
+                    self.wait(time::sleep(FIRST_PAUSE)).await;
                     continue;
                 }
             };
@@ -142,6 +146,7 @@ impl Notifier {
     async fn deliver(&self, message: Message) {
         let mut pause = FIRST_PAUSE;
         loop {
+            self.beat();
             match self.receiver.post(message.body.clone()).await {
                 Ok(()) => break,
                 Err(error @ PostError::Refused(_)) => {
@@ -155,7 +160,7 @@ impl Notifier {
                     seldom!(warn, %error, "webhook: sending an alarm failed; retrying");
                 }
             }
-            time::sleep(pause).await;
+            self.wait(time::sleep(pause)).await;
             pause = (2 * pause).min(LONGEST_PAUSE);
         }
         self.status.webhook_fails.store(false, Relaxed);
@@ -166,8 +171,24 @@ impl Notifier {
     async fn remove(&self, last: i64) {
         while let Err(error) = self.store.notified(last).await {
             seldom!(warn, %error, "removing sent notifications failed; they may be sent again");
-            time::sleep(FIRST_PAUSE).await;
+            self.wait(time::sleep(FIRST_PAUSE)).await;
         }
+    }
+
+    /// Waits with heartbeats: only requests and the database may hang.
+    async fn wait(&self, end: impl Future<Output = ()>) {
+        let (mut end, mut pace) = (pin!(end), time::interval(BEAT));
+        loop {
+            tokio::select! {
+                biased;
+                _ = pace.tick() => self.beat(),
+                () = &mut end => return,
+            }
+        }
+    }
+
+    fn beat(&self) {
+        self.status.heartbeats.beat(TaskName::Webhook);
     }
 }
 
