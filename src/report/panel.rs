@@ -159,15 +159,19 @@ impl Panel {
     }
 
     pub(super) fn draw(&self, canvas: &mut Canvas, left: f64, top: f64, width: f64, height: f64) {
+        let inside = width - 72.0 - MARGIN;
+        let marks = self.placed_marks(left + 72.0, inside);
+        let rows = marks.iter().filter_map(|mark| mark.row).max().map_or(0, |row| row + 1);
+        let above = 56.0 + MARK_ROW * rows as f64;
         let frame = Frame {
             left: left + 72.0,
-            top: top + 56.0,
-            width: width - 72.0 - MARGIN,
-            height: height - 56.0 - 54.0 - self.slant(width - 72.0 - MARGIN),
+            top: top + above,
+            width: inside,
+            height: height - above - 54.0 - self.slant(inside),
             y: self.y_axis(),
         };
         canvas.text(left + width / 2.0, top + 20.0, 15.0, Anchor::Middle, &self.title);
-        canvas.upright_text(left + 20.0, frame.top + frame.height / 2.0, 13.0, &self.y_label);
+        canvas.turned_text((left + 20.0, frame.top + frame.height / 2.0), -90, 13.0, Anchor::Middle, &self.y_label);
         for tick in frame.y.numbers() {
             let Some(y) = frame.y_of(tick.value) else { continue };
             canvas.line((frame.left, y), (frame.left + frame.width, y), GRID, 1.0, false);
@@ -175,8 +179,10 @@ impl Panel {
         }
         match &self.content {
             Content::Curves { x_label, times, curves } => {
-                let x = x_axis(canvas, &frame, x_label, *times, curves);
-                draw_curves(canvas, &frame, x, curves, &self.marks);
+                let x = x_range(*times, curves);
+                draw_x_axis(canvas, &frame, x, x_label, *times);
+                draw_curves(canvas, &frame, x, curves);
+                draw_marks(canvas, &frame, &marks);
             }
             Content::Bars { categories, groups } => {
                 let slanted = self.slant(frame.width) > 0.0;
@@ -198,7 +204,7 @@ impl Panel {
         }
         canvas.line((frame.left, frame.top), (frame.left, bottom), FRAME, 1.2, false);
         canvas.line((frame.left, bottom), (right, bottom), FRAME, 1.2, false);
-        self.legend(canvas, &frame);
+        self.legend(canvas, &frame, top + 34.0);
     }
 
     /// Extra height for slanted names of groups \[px\]; 0 when the names fit side by side.
@@ -223,7 +229,29 @@ impl Panel {
         }
     }
 
-    fn legend(&self, canvas: &mut Canvas, frame: &Frame) {
+    /// The marks in the range of the curves, from left to right, with rows in which their labels do not overlap.
+    fn placed_marks<'a>(&'a self, left: f64, width: f64) -> Vec<PlacedMark<'a>> {
+        let Content::Curves { times, curves, .. } = &self.content else { return Vec::new() };
+        let x = x_range(*times, curves);
+        let place = |(value, label): &'a (f64, String)| Some((x.place(*value)?, label.as_str()));
+        let mut shown: Vec<(f64, &str)> = self.marks.iter().filter_map(place).collect();
+        // Rounding may move a mark at the end of the axis.
+        shown.retain(|(place, _)| (-0.002..=1.002).contains(place));
+        shown.sort_by(|one, other| one.0.total_cmp(&other.0));
+        let mut ends = [f64::NEG_INFINITY; MARK_ROWS];
+        let placed = |(place, label): (f64, &'a str)| {
+            let (line, half) = (left + width * place, 0.5 * CHARACTER * label.chars().count() as f64);
+            let centre = line.max(left + half - GAP).min(left + width + MARGIN - half);
+            let row = ends.iter().position(|end| end + GAP <= centre - half);
+            if let Some(row) = row {
+                ends[row] = centre + half;
+            }
+            PlacedMark { line, centre, row, label }
+        };
+        shown.into_iter().map(placed).collect()
+    }
+
+    fn legend(&self, canvas: &mut Canvas, frame: &Frame, top: f64) {
         let names: Vec<&str> = match &self.content {
             Content::Curves { curves, .. } => curves.iter().map(|curve| curve.name.as_str()).collect(),
             Content::Bars { categories, .. } => categories.iter().map(String::as_str).collect(),
@@ -234,8 +262,8 @@ impl Panel {
         let end = frame.left + frame.width + MARGIN;
         let mut x = frame.left.min(end - shown().map(|(name, _)| width(name)).sum::<f64>());
         for (name, colour) in shown() {
-            canvas.rectangle(x, frame.top - 22.0, 14.0, 10.0, colour);
-            canvas.text(x + 19.0, frame.top - 13.0, 12.0, Anchor::Start, name);
+            canvas.rectangle(x, top, 14.0, 10.0, colour);
+            canvas.text(x + 19.0, top + 9.0, 12.0, Anchor::Start, name);
             x += width(name);
         }
     }
@@ -248,12 +276,27 @@ impl Curve {
     }
 }
 
-/// Rows of labels of neighbouring marks; the next label is at the top again.
-const MARK_ROWS: usize = 4;
+/// Largest number of rows of labels of marks; a mark without space for its label is a line only.
+const MARK_ROWS: usize = 3;
+/// Height of a row \[px\].
+const MARK_ROW: f64 = 14.0;
 
-fn x_axis(canvas: &mut Canvas, frame: &Frame, label: &str, times: bool, curves: &[Curve]) -> Axis {
+/// A mark in a chart.
+struct PlacedMark<'a> {
+    /// Place of the line and centre of the label \[px\].
+    line: f64,
+    centre: f64,
+    /// Row of the label, counted from the frame up; `None` without space for the label.
+    row: Option<usize>,
+    label: &'a str,
+}
+
+fn x_range(times: bool, curves: &[Curve]) -> Axis {
     let values = curves.iter().flat_map(|curve| &curve.points).map(|point| point.0);
-    let x = if times { Axis::of_time(&values) } else { Axis::tight(&values) };
+    if times { Axis::of_time(&values) } else { Axis::tight(&values) }
+}
+
+fn draw_x_axis(canvas: &mut Canvas, frame: &Frame, x: Axis, label: &str, times: bool) {
     let ticks = if times { x.dates(frame.width / CHARACTER) } else { x.numbers() };
     let (right, bottom) = (frame.left + frame.width, frame.top + frame.height);
     for tick in ticks {
@@ -267,12 +310,11 @@ fn x_axis(canvas: &mut Canvas, frame: &Frame, label: &str, times: bool, curves: 
     }
     let down = if times { 48.0 } else { 40.0 };
     canvas.text(frame.left + frame.width / 2.0, bottom + down, 13.0, Anchor::Middle, label);
-    x
 }
 
-fn draw_curves(canvas: &mut Canvas, frame: &Frame, x: Axis, curves: &[Curve], marks: &[(f64, String)]) {
+/// Draws the bands, then the curves, the first one on top.
+fn draw_curves(canvas: &mut Canvas, frame: &Frame, x: Axis, curves: &[Curve]) {
     let x_of = |value: f64| x.place(value).map(|place| frame.left + frame.width * place);
-    let bottom = frame.top + frame.height;
     for (curve, colour) in curves.iter().zip(COLOURS.iter().cycle()) {
         let edge = |x: f64, y: f64| x_of(x).zip(frame.y_of(y));
         let (upper, lower): (Vec<_>, Vec<_>) =
@@ -281,7 +323,8 @@ fn draw_curves(canvas: &mut Canvas, frame: &Frame, x: Axis, curves: &[Curve], ma
             canvas.area(upper.into_iter().chain(lower.into_iter().rev()), colour);
         }
     }
-    for (curve, colour) in curves.iter().zip(COLOURS.iter().cycle()) {
+    let coloured: Vec<_> = curves.iter().zip(COLOURS.iter().cycle()).collect();
+    for (curve, colour) in coloured.into_iter().rev() {
         let places: Vec<Option<(f64, f64)>> =
             curve.points.iter().map(|point| x_of(point.0).zip(frame.y_of(point.1))).collect();
         for run in places.split(Option::is_none) {
@@ -289,19 +332,22 @@ fn draw_curves(canvas: &mut Canvas, frame: &Frame, x: Axis, curves: &[Curve], ma
             if run.len() > 1 {
                 canvas.polyline(&run, colour);
             }
-            for (x, y) in run.iter().filter(|_| curve.dots) {
+            // A point without neighbours is a dot.
+            for (x, y) in run.iter().filter(|_| curve.dots || run.len() == 1) {
                 canvas.circle(*x, *y, 3.2, colour);
             }
         }
     }
-    let shown = |at: &f64| (frame.left - 0.5..=frame.left + frame.width + 0.5).contains(at);
-    for (row, (value, label)) in marks.iter().enumerate() {
-        let Some(at) = x_of(*value).filter(shown) else { continue };
-        canvas.line((at, frame.top), (at, bottom), FRAME, 1.2, true);
-        let y = frame.top + 14.0 + 15.0 * (row % MARK_ROWS) as f64;
-        let (at, anchor) =
-            if at > frame.left + 0.6 * frame.width { (at - 5.0, Anchor::End) } else { (at + 5.0, Anchor::Start) };
-        canvas.outlined_text(at, y, 12.0, anchor, label);
+}
+
+fn draw_marks(canvas: &mut Canvas, frame: &Frame, marks: &[PlacedMark<'_>]) {
+    let row_at = |row: usize| frame.top - 5.0 - MARK_ROW * row as f64;
+    for mark in marks {
+        let top = mark.row.map_or(frame.top, row_at);
+        canvas.line((mark.line, top), (mark.line, frame.top + frame.height), FRAME, 1.2, true);
+    }
+    for (mark, row) in marks.iter().filter_map(|mark| Some((mark, mark.row?))) {
+        canvas.outlined_text(mark.centre, row_at(row), 12.0, Anchor::Middle, mark.label);
     }
 }
 
@@ -320,7 +366,7 @@ fn draw_bars(
     for (at, (name, values)) in groups.iter().enumerate() {
         let left = frame.left + pitch * (at as f64 + 0.1);
         if slanted {
-            canvas.slanted_text(left + 0.5 * pitch, bottom + 14.0, 12.0, name);
+            canvas.turned_text((left + 0.5 * pitch, bottom + 14.0), -35, 12.0, Anchor::End, name);
         } else {
             canvas.text(left + 0.4 * pitch, bottom + 18.0, 12.0, Anchor::Middle, name);
         }

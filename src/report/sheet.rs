@@ -79,9 +79,9 @@ mod tests {
             .dotted_line("two", [(0.0, 2.0), (3.0, 2.5)]);
         let bars = Panel::bars("bars", "y", ["p", "q"]).group("g", [1.0, -2.0]).level(0.8, "limit");
         let svg = Sheet::new("sheet").columns(2).panel(curves).panel(bars).to_svg();
-        // The NaN leaves a single point before it and a line after it.
+        // The NaN leaves a single point before it, which is a dot, and a line after it.
         assert_eq!(svg.matches("<polyline").count(), 2);
-        assert_eq!(svg.matches("<circle").count(), 2);
+        assert_eq!(svg.matches("<circle").count(), 1 + 2);
         assert!(svg.contains("a &lt; b &amp; c"));
         assert!(svg.contains("limit"));
         assert!(!svg.contains("NaN"));
@@ -98,6 +98,30 @@ mod tests {
         let svg = chart(banded.mark(1.0, "raised").mark(9.0, "beyond"));
         assert_eq!(svg.matches("<polygon").count(), 1);
         assert!(svg.contains(">40<") && svg.contains("raised") && !svg.contains("beyond") && !svg.contains("NaN"));
+    }
+
+    #[test]
+    fn labels_of_near_marks_have_rows_above_the_curves_and_the_fourth_has_none() {
+        let chart = |count: u8| {
+            let panel = Panel::curves("", "x", "y").line("one", [(0.0, 0.0), (100.0, 1.0)]);
+            let panel = (0..count).fold(panel, |panel, at| panel.mark(50.0 + f64::from(at), format!("raised {at}")));
+            Sheet::new("").panel(panel.mark(10.0, "far")).to_svg()
+        };
+        let height_of = |svg: &str, label: &str| -> f64 {
+            let text = svg.lines().find(|line| line.contains(&format!(">{label}<"))).unwrap();
+            text.split("y=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap()
+        };
+        let svg = chart(4);
+        let rows = ["raised 0", "raised 1", "raised 2"].map(|label| height_of(&svg, label));
+        assert!(rows[0] - rows[1] >= 12.0 && rows[1] - rows[2] >= 12.0, "{rows:?}");
+        assert_eq!(height_of(&svg, "far").to_bits(), rows[0].to_bits(), "a label with space is next to the curves");
+        assert!(!svg.contains("raised 3"));
+        assert_eq!(svg.matches("stroke-dasharray").count(), 5, "every mark has its line");
+        let highest = |svg: &str| {
+            let line = svg.lines().find(|line| line.starts_with("<polyline")).unwrap();
+            line.split([' ', '"', ',']).filter_map(|word| word.parse::<f64>().ok()).nth(3).unwrap()
+        };
+        assert!(rows[0] < highest(&svg) && highest(&svg) > highest(&chart(0)), "no label lies over the curves");
     }
 
     #[test]

@@ -36,35 +36,24 @@ impl Canvas {
     }
 
     pub(super) fn text(&mut self, x: f64, y: f64, size: f64, anchor: Anchor, content: &str) {
-        let (anchor, content) = (anchor.word(), escape(content));
-        self.push(format_args!(
-            "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{size}\" text-anchor=\"{anchor}\">{content}</text>"
-        ));
+        self.text_with(format_args!("x=\"{x:.1}\" y=\"{y:.1}\""), size, anchor, content);
     }
 
     /// A text with a white outline, readable over bars and lines.
     pub(super) fn outlined_text(&mut self, x: f64, y: f64, size: f64, anchor: Anchor, content: &str) {
+        let outline = "stroke=\"#fff\" stroke-width=\"4\" stroke-linejoin=\"round\" paint-order=\"stroke\"";
+        self.text_with(format_args!("x=\"{x:.1}\" y=\"{y:.1}\" {outline}"), size, anchor, content);
+    }
+
+    /// A text that is turned by `degrees`; its anchor is at (x, y).
+    pub(super) fn turned_text(&mut self, (x, y): (f64, f64), degrees: i32, size: f64, anchor: Anchor, content: &str) {
+        let turn = format_args!("transform=\"translate({x:.1} {y:.1}) rotate({degrees})\"");
+        self.text_with(turn, size, anchor, content);
+    }
+
+    fn text_with(&mut self, place: std::fmt::Arguments<'_>, size: f64, anchor: Anchor, content: &str) {
         let (anchor, content) = (anchor.word(), escape(content));
-        self.push(format_args!(
-            "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{size}\" text-anchor=\"{anchor}\" stroke=\"#fff\" stroke-width=\"4\" \
-             stroke-linejoin=\"round\" paint-order=\"stroke\">{content}</text>"
-        ));
-    }
-
-    /// A text that rises at 35 degrees and ends at (x, y).
-    pub(super) fn slanted_text(&mut self, x: f64, y: f64, size: f64, content: &str) {
-        let content = escape(content);
-        self.push(format_args!(
-            "<text transform=\"translate({x:.1} {y:.1}) rotate(-35)\" font-size=\"{size}\" text-anchor=\"end\">{content}</text>"
-        ));
-    }
-
-    /// A text that runs upwards, centred at (x, y).
-    pub(super) fn upright_text(&mut self, x: f64, y: f64, size: f64, content: &str) {
-        let content = escape(content);
-        self.push(format_args!(
-            "<text transform=\"translate({x:.1} {y:.1}) rotate(-90)\" font-size=\"{size}\" text-anchor=\"middle\">{content}</text>"
-        ));
+        self.push(format_args!("<text {place} font-size=\"{size}\" text-anchor=\"{anchor}\">{content}</text>"));
     }
 
     pub(super) fn line(&mut self, from: (f64, f64), to: (f64, f64), colour: &str, width: f64, dashed: bool) {

@@ -11,7 +11,7 @@ use super::{
     rows::{json, machine_id, time, timestamp, word},
 };
 use crate::{
-    diagnose::{BaselineRecord, Cause, Drifting, MachineState},
+    diagnose::{AlarmState, BaselineRecord, Cause, Drifting, MachineState},
     throw::{Direction, MachineId, Name, ThrowRef},
     wire::Alarm,
 };
@@ -245,6 +245,17 @@ const TYPICAL: &str = "
     WHERE estimate.direction = ?3 AND quality = 'good' ORDER BY started_at_us DESC LIMIT 1";
 
 impl Window {
+    /// The window of a shelved alarm, or of an alarm of a machine in maintenance.
+    #[must_use]
+    pub fn of<'a>(alarm: &Alarm, windows: &'a [Self]) -> Option<&'a Self> {
+        let cause = match alarm.state {
+            AlarmState::Shelved => Some(alarm.cause),
+            AlarmState::OutOfService => None,
+            _ => return None,
+        };
+        windows.iter().find(|window| window.machine == alarm.machine && window.cause == cause)
+    }
+
     /// "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
     #[must_use]
     pub fn sentence(&self) -> String {
@@ -269,6 +280,11 @@ impl FromRow<'_, SqliteRow> for FleetRow {
         let causes: Option<&str> = row.try_get("causes")?;
         let spark: Option<Vec<[Option<f64>; 3]>> = json(row, "spark")?;
         let all = |[b0, a1, a0]: [Option<f64>; 3]| Some([b0?, a1?, a0?]);
+        let spark = spark.unwrap_or_default().into_iter().rev().map(all).skip_while(Option::is_none);
+        let spark: Vec<_> = spark.collect();
+        // Few good throws between many rough ones are no picture of the machine.
+        let is_picture = 2 * spark.iter().flatten().count() > spark.len();
+        let spark = spark.into_iter().flatten().filter(|_| is_picture).collect();
         let count = |column| row.try_get::<Option<i64>, _>(column).map(|count| count.map(i64::cast_unsigned));
         Ok(Self {
             machine: machine_id(row)?,
@@ -278,7 +294,7 @@ impl FromRow<'_, SqliteRow> for FleetRow {
             started_at: row.try_get::<Option<i64>, _>("started_at_us")?.map(timestamp),
             quality: row.try_get("quality")?,
             baseline: count("baseline_throws")?.zip(count("baseline_needed")?),
-            spark: spark.unwrap_or_default().into_iter().rev().filter_map(all).collect(),
+            spark,
         })
     }
 }

@@ -260,7 +260,9 @@ fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
             .map(|drift| format!("{} {}", drift.cause, state::size(drift.change_pct, drift.change_pct_sd))),
     );
     let is_shown = |cause: &&Cause| row.drifts.iter().any(|drift| drift.cause == **cause);
-    let other: Vec<String> = row.causes.iter().filter(|cause| !is_shown(cause)).map(ToString::to_string).collect();
+    let is_state = |cause: &&Cause| **cause == Cause::NotMonitored && row.state == MachineState::NotMonitored;
+    let other = row.causes.iter().filter(|cause| !is_shown(cause) && !is_state(cause));
+    let other: Vec<String> = other.map(ToString::to_string).collect();
     if !other.is_empty() {
         notes.push(other.join(", "));
     }
@@ -270,16 +272,18 @@ fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
     if let Some(quality) = row.quality.as_deref().filter(|quality| !EVALUATED.contains(quality)) {
         notes.push(format!("last throw rejected: {}", quality.replace('_', " ")));
     }
-    let coefficient = match row.drifts.first().map(|drift| drift.cause) {
-        Some(Cause::Kt | Cause::Inertia) => 0,
-        Some(Cause::Stiffness) => 2,
-        _ => 1,
+    let (coefficient, sign) = match row.drifts.first().map(|drift| drift.cause) {
+        Some(Cause::Kt) => (0, 1.0),
+        // All coefficients fall when inertia rises.
+        Some(Cause::Inertia) => (0, -1.0),
+        Some(Cause::Stiffness) => (2, 1.0),
+        _ => (1, 1.0),
     };
     Row {
         badge: Badge(row.state),
         drift,
         notes,
-        spark: spark(row.spark.iter().map(|change| change[coefficient]), limit_pct),
+        spark: spark(row.spark.iter().map(|change| sign * change[coefficient]), limit_pct),
         last_throw: row.started_at.map(page::time).unwrap_or_default(),
         machine: row.machine.clone(),
     }

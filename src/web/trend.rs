@@ -120,7 +120,8 @@ fn change(
     let mut panel = Panel::history(title, "% from the baseline");
     let mut furthest = (0.0_f64, 0.0_f64);
     for (direction, rows) in ways {
-        let points: Vec<_> = rows.iter().filter_map(|row| Some((x(row.started_at), value(row)?))).collect();
+        // NaN, for a throw without the value, interrupts the curve.
+        let points: Vec<_> = rows.iter().map(|row| (x(row.started_at), value(row).unwrap_or(f64::NAN))).collect();
         furthest = points.iter().fold(furthest, |(low, high), (_, change)| (low.min(*change), high.max(*change)));
         panel = panel.line(direction.to_string(), points);
     }
@@ -169,16 +170,15 @@ pub(super) fn features(ways: &Ways, marks: &[Mark], baselines: &[BaselineRecord]
             least = points.iter().fold(least, |least, (_, value)| least.min(*value));
             panel = panel.line(direction.to_string(), points);
         }
-        let normal = usual(ways, baselines, value);
         // Takes the colour of the band in the other charts.
         panel = panel.line("", []);
-        for (level, direction) in &normal {
-            panel = panel.level(*level, if normal.len() > 1 { direction.as_str() } else { "baseline" });
+        for level in usual(ways, baselines, value) {
+            panel = panel.level(level, "");
         }
         if !least.is_finite() {
             return None;
         }
-        let says = format!("{title} {of}. The dashed lines are the medians of the baseline.");
+        let says = format!("{title} {of}. The dashed lines are the medians of the baseline in each direction.");
         Some(Picture { svg: drawn_with(panel, rejected_at(ways, least), marks), says })
     };
     ratios.iter().copied().chain(shown).filter_map(picture).collect()
@@ -192,7 +192,7 @@ fn ratio(row: &Health, known: Option<f64>, at: usize) -> Option<f64> {
 
 /// Median of a feature for each direction, over the throws in the chart up to the baseline, or over the first good
 /// ones.
-fn usual(ways: &Ways, baselines: &[BaselineRecord], value: fn(&Health) -> Option<f64>) -> Vec<(f64, String)> {
+fn usual(ways: &Ways, baselines: &[BaselineRecord], value: fn(&Health) -> Option<f64>) -> Vec<f64> {
     let one = |(direction, rows): &(Direction, Vec<Health>)| {
         let baseline = baselines.iter().filter(|it| it.direction == *direction).max_by_key(|it| it.taken_at)?;
         let good = || rows.iter().filter(|row| row.is_evaluated());
@@ -201,7 +201,7 @@ fn usual(ways: &Ways, baselines: &[BaselineRecord], value: fn(&Health) -> Option
             values = good().take(BASELINE).filter_map(value).collect();
         }
         values.sort_by(f64::total_cmp);
-        Some((*values.get(values.len() / 2)?, direction.to_string()))
+        values.get(values.len() / 2).copied()
     };
     ways.iter().filter_map(one).collect()
 }
