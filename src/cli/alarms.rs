@@ -12,8 +12,9 @@ use super::{
 use crate::{
     bus,
     daemon::StatusReport,
-    diagnose::{AlarmState, Cause, Severity},
+    diagnose::{Cause, Severity},
     store::Window,
+    web,
     wire::{self, Alarm, Health, Kind},
 };
 
@@ -96,9 +97,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                     health.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect();
                 print_open(alarms, &health, &windows, arguments.all)?;
             }
-            let names = daemons.iter().map(|(key, _)| {
-                key.trim_start_matches("points/v1/").trim_end_matches("/status").replace("/monitor/", "/")
-            });
+            let names = daemons.iter().map(|(key, _)| operator::monitor_name(key));
             output::line(format_args!("answered by {}", names.collect::<Vec<_>>().join(", ")))?;
         }
         Ok(if arguments.check && !found.is_empty() { Exit::Negative } else { Exit::Ok })
@@ -135,8 +134,7 @@ pub(super) fn print_open(
     alarms.sort_by_key(|alarm| (common(alarm), std::cmp::Reverse(alarm.severity), std::cmp::Reverse(alarm.raised_at)));
     let mut groups: BTreeMap<Cause, Vec<&Alarm>> = BTreeMap::new();
     for alarm in &alarms {
-        let group = groups.entry(alarm.cause).or_default();
-        group.push(alarm);
+        groups.entry(alarm.cause).or_default().push(alarm);
     }
     for alarm in &alarms {
         let group = &groups[&alarm.cause];
@@ -152,19 +150,14 @@ pub(super) fn print_open(
 fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(), Failure> {
     let machine = &alarm.machine;
     output::line(format_args!("{:8}  {machine}  {}", alarm.severity.as_str().to_uppercase(), alarm.cause))?;
-    let of = |cause| windows.iter().find(|window| window.machine == alarm.machine && window.cause == cause);
-    let window = match alarm.state {
-        AlarmState::Shelved => of(Some(alarm.cause)),
-        AlarmState::OutOfService => of(None),
-        _ => None,
-    };
-    let window = window.map(|window| format!(" {}", window.sentence())).unwrap_or_default();
+    let window = Window::of(alarm, windows).map(|window| format!(" {}", window.sentence())).unwrap_or_default();
     indented(&format!("raised {}, {}{window}", time(alarm.raised_at), alarm.state.words()))?;
     let drifts = health.iter().filter(|health| health.machine == alarm.machine).filter_map(|health| health.drift);
     if let Some(drift) = drifts.into_iter().find(|drift| drift.cause == alarm.cause) {
-        let limit = drift.limit_in_throws.map(|limit| format!("; critical in about {:.0} throws", limit.mid));
-        let (size, sd) = (drift.change_pct, drift.change_pct_sd);
-        indented(&format!("now {size:+.0} % ± {:.0} (95 %){}", 2.0 * sd, limit.unwrap_or_default()))?;
+        let limit = web::forecast(&drift).map(|limit| format!("; {limit}")).unwrap_or_default();
+        // A plain minus sign, as in the other tables of the command line.
+        let size = web::size(drift.change_pct, drift.change_pct_sd).replace('−', "-");
+        indented(&format!("now {size} (95 %){limit}"))?;
     }
     indented(&alarm.text)
 }

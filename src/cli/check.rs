@@ -20,6 +20,6 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let config = Config::load(&arguments.config).or_exit(Exit::Config)?;
     database::block_on(async { store::refuse_foreign(&config.store.path).await.or_exit(Exit::Config) })?;
-    output::line(format_args!("{}: right", arguments.config.display()))?;
+    output::line(format_args!("{}: valid", arguments.config.display()))?;
     Ok(Exit::Ok)
 }

@@ -2,7 +2,6 @@
 
 use std::{
     fs,
-    io::{self, IsTerminal as _},
     num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::atomic::{AtomicUsize, Ordering},
@@ -122,11 +121,8 @@ fn live_all(plan: &Plan, threads: usize) -> Vec<evaluate::Outcome> {
     outcomes.into_iter().map(|(_, outcome)| outcome).collect()
 }
 
-/// A progress bar on a terminal, nothing in a pipe.
+/// A progress bar, hidden if standard error is not a terminal.
 fn progress(lives: u64) -> ProgressBar {
-    if !io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
     let style = ProgressStyle::with_template("{wide_bar} {human_pos} of {human_len} lives, {eta} left");
     ProgressBar::new(lives).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }

@@ -77,6 +77,11 @@ impl Connection {
     }
 }
 
+/// Name of a daemon, `{site}/{id}`, from the key of its status.
+pub(super) fn monitor_name(key: &str) -> String {
+    key.trim_start_matches("points/v1/").trim_end_matches("/status").replace("/monitor/", "/")
+}
+
 /// Closes a session. After an error the end of the process closes the link.
 pub(super) async fn close(session: Session) {
     if let Err(error) = session.close().await {

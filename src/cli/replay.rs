@@ -2,7 +2,6 @@
 
 use std::{
     collections::BTreeMap,
-    io::{self, IsTerminal as _},
     path::{Path, PathBuf},
 };
 
@@ -128,7 +127,8 @@ struct Replayed {
 
 /// Runs all throws of `old` that have a trace through `new`, in the order in which they arrived.
 async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError> {
-    let progress = if io::stderr().is_terminal() { ProgressBar::new_spinner() } else { ProgressBar::hidden() };
+    // Hidden if standard error is not a terminal.
+    let progress = ProgressBar::new_spinner();
     let mut replayed = Replayed { throws: 0, without_trace: 0, since: None };
     let mut after = ThrowRow::START;
     loop {

@@ -5,6 +5,7 @@ use std::{
     time::Duration,
 };
 
+use comfy_table::ContentArrangement;
 use jiff::SignedDuration;
 use serde_json::{Value, json};
 
@@ -114,7 +115,7 @@ fn read<T: serde::de::DeserializeOwned>(replies: &[(String, Vec<u8>)]) -> Vec<T>
 }
 
 fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {
-    let name = key.trim_start_matches("points/v1/").trim_end_matches("/status").replace("/monitor/", "/");
+    let name = operator::monitor_name(key);
     let StatusReport { version, uptime_s, database, .. } = report;
     output::line(format_args!("{name}: version {version}, up {uptime_s} s, database {database}"))?;
     // One line each, as all of them together are wider than a terminal.
@@ -133,7 +134,8 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     }
     let tally: Vec<String> =
         tally.values().map(|(state, count)| format!("{count} {}", state.as_str().replace('_', " "))).collect();
-    output::line(format_args!("{} machines: {}", machines.len(), tally.join(", ")))?;
+    let tally = if tally.is_empty() { String::new() } else { format!(": {}", tally.join(", ")) };
+    output::line(format_args!("{} machines{tally}", machines.len()))?;
     let asked = |machine: &MachineId, rows: &[&Health]| {
         arguments.site.as_ref().is_none_or(|site| *site == machine.site)
             && arguments.state.is_none_or(|wanted| wanted == state(rows))
@@ -146,7 +148,8 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
         .filter(|(machine, rows)| asked(machine, rows) && (is_short || !quiet.contains(&state(rows))))
         .collect();
     shown.sort_by_key(|(machine, rows)| (rank(state(rows)), **machine));
-    let mut table = output::table(["machine", "state", "moves to", "motor", "friction", "stiffness", "last throw"]);
+    let mut table = output::plain_table(["machine", "state", "to", "motor", "friction", "stiffness", "last throw"]);
+    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(output::width());
     for (machine, rows) in &shown {
         for (at, row) in rows.iter().enumerate() {
             let first = |text: String| if at == 0 { text } else { String::new() };

@@ -35,14 +35,8 @@ impl AlarmLine {
     /// the machine; `windows` are open shelvings and maintenance.
     pub(super) fn new(alarm: &Alarm, raised: Option<(f64, f64)>, drifts: &[Drifting], windows: &[Window]) -> Self {
         let drift = drifts.iter().find(|drift| drift.cause == alarm.cause);
-        let of = |cause| windows.iter().find(|window| window.machine == alarm.machine && window.cause == cause);
-        let window = match alarm.state {
-            AlarmState::Shelved => of(Some(alarm.cause)),
-            AlarmState::OutOfService => of(None),
-            _ => None,
-        };
         let by = alarm.by.as_ref().map(|by| format!(" by {by}")).unwrap_or_default();
-        let state = match (alarm.state, window) {
+        let state = match (alarm.state, Window::of(alarm, windows)) {
             (AlarmState::Shelved, Some(window)) => format!("shelved {}", window.sentence()),
             (AlarmState::OutOfService, Some(window)) => page::window(window),
             (AlarmState::ActiveAcknowledged, _) => format!("acknowledged{by}"),

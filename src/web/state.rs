@@ -53,7 +53,7 @@ impl Badge {
 }
 
 /// "+57 % ± 3" or "−20.1 % ± 0.4": a size with two standard deviations, which are never shown as 0.
-pub(super) fn size(change_pct: f64, sd: f64) -> String {
+pub(crate) fn size(change_pct: f64, sd: f64) -> String {
     let decimals = usize::from(2.0 * sd < 0.95);
     format!("{} % ± {:.decimals$}", signed(change_pct, decimals), (2.0 * sd).max(0.1))
 }
@@ -69,7 +69,7 @@ pub(super) fn signed(value: f64, decimals: usize) -> String {
 }
 
 /// "critical in about 40 throws (30 to 60)".
-pub(super) fn forecast(drift: &Drifting) -> Option<String> {
+pub(crate) fn forecast(drift: &Drifting) -> Option<String> {
     let limit = drift.limit_in_throws?;
     Some(format!("critical in about {:.0} throws ({:.0} to {:.0})", limit.mid, limit.low, limit.high))
 }

@@ -3,6 +3,8 @@
 
 use std::fmt::Write as _;
 
+use percent_encoding::percent_decode_str;
+
 use crate::throw::ThrowRef;
 
 /// Largest page \[throws\]; a higher `limit` is reduced to it.
@@ -40,9 +42,10 @@ impl BacklogQuery {
             parameters.split(';').filter_map(|pair| pair.split_once('=')).find(|(key, _)| key.trim() == name)
         };
         let number = |name: &str| value(name).and_then(|(_, number)| number.trim().parse::<u64>().ok());
-        let after = value("after_boot")
-            .zip(number("after_no"))
-            .map(|((_, boot_id), throw_no)| ThrowRef { boot_id: unescape(boot_id), throw_no });
+        let after = value("after_boot").zip(number("after_no")).map(|((_, boot_id), throw_no)| ThrowRef {
+            boot_id: percent_decode_str(boot_id).decode_utf8_lossy().into_owned(),
+            throw_no,
+        });
         let limit = number("limit").and_then(|limit| usize::try_from(limit).ok()).unwrap_or(MAX_PAGE);
         Self { after, limit: limit.clamp(1, MAX_PAGE) }
     }
@@ -81,22 +84,6 @@ fn escape(boot_id: &str) -> String {
         }
     }
     escaped
-}
-
-fn unescape(text: &str) -> String {
-    let mut bytes = Vec::with_capacity(text.len());
-    let mut rest = text.as_bytes();
-    while let Some((&first, after)) = rest.split_first() {
-        let code = after.get(..2).filter(|_| first == b'%').and_then(|code| std::str::from_utf8(code).ok());
-        if let Some(byte) = code.and_then(|code| u8::from_str_radix(code, 16).ok()) {
-            bytes.push(byte);
-            rest = &after[2..];
-        } else {
-            bytes.push(first);
-            rest = after;
-        }
-    }
-    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 #[cfg(test)]

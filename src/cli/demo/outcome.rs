@@ -10,6 +10,7 @@ use crate::{
     diagnose::{Cause, Drifting},
     store::{Reader, Selector, StoreError},
     throw::MachineId,
+    web,
     wire::Alarm,
 };
 
@@ -58,9 +59,7 @@ impl Row {
             self.machine.machine.to_string(),
             injected,
             reported,
-            drift
-                .map(|now| format!("{:+.0} % (±{:.0} %)", now.change_pct, 2.0 * now.change_pct_sd))
-                .unwrap_or_default(),
+            drift.map(|now| web::size(now.change_pct, now.change_pct_sd).replace('−', "-")).unwrap_or_default(),
             delay.map(|delay| delay.to_string()).unwrap_or_default(),
             if self.is_right() { "right".to_owned() } else { "WRONG".to_owned() },
         ]
