@@ -80,7 +80,7 @@ impl Outlet {
         Ok((Self { alarms, healths, counters }, OutletEnd([first, second])))
     }
 
-    /// The counters, shared with the threads.
+    /// Counters of published, dropped and refused messages, shared with the threads.
     #[must_use]
     pub fn counters(&self) -> Arc<OutletCounters> {
         Arc::clone(&self.counters)

@@ -1,5 +1,6 @@
 //! The estimator: from a throw to b0, a1, a0 with their covariance (SRIV in continuous time).
 
+mod acceptance;
 mod armature;
 mod brake;
 mod checks;
@@ -23,6 +24,7 @@ mod release;
 mod settings;
 mod small;
 pub mod sriv;
+mod window;
 
 pub use covariance::Noise;
 pub use features::Features;

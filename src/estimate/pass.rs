@@ -17,7 +17,7 @@ use super::{
 /// Least number of samples of a start.
 const START_SAMPLES: usize = 200;
 
-/// Sums of one pass.
+/// Both sides of the instrumental-variable equations, summed over the samples in one pass.
 pub(super) struct Sums<const P: usize> {
     /// Σ z φ'.
     pub(super) normal: [[f64; P]; P],

@@ -58,8 +58,8 @@ impl Drive {
         self.metres_per_radian * state[SCREW_SPEED] - self.toe.speed(state)
     }
 
-    /// Starts to slip if the force in the state `reached`, computed with a holding clutch, exceeds the limit. Then the
-    /// step has to be computed again.
+    /// Starts to slip if the force in the state `reached`, computed with a holding clutch, exceeds the limit. Returns
+    /// whether the clutch slips now; the caller then computes the step again.
     #[inline]
     pub(super) fn breaks_away(&mut self, reached: &State, toe_m: f64) -> bool {
         if self.slips() {

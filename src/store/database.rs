@@ -42,7 +42,7 @@ const ROOM_KIB: u32 = 64 * 1024;
 
 /// An opened store with its report.
 pub struct Opened {
-    /// The store.
+    /// The store, ready for throws.
     pub store: Store,
     /// Report on the opening.
     pub report: Report,

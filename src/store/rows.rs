@@ -126,7 +126,7 @@ pub struct OutboxRow {
 /// A message in quarantine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Quarantined {
-    /// When it arrived.
+    /// Time of arrival.
     pub received_at: Timestamp,
     /// Key of the message.
     pub key: String,
