@@ -81,7 +81,9 @@ mod tests {
         let mut beats = Heartbeats::new();
         beats.start -= 2 * FRESH;
         assert_eq!(beats.silent(), [TaskName::Receive, TaskName::Identify, TaskName::Write, TaskName::Publish]);
-        TaskName::VARIANTS.iter().for_each(|task| beats.beat(*task));
+        for task in TaskName::VARIANTS {
+            beats.beat(*task);
+        }
         assert_eq!(beats.silent(), []);
         beats.start -= 2 * FRESH;
         assert_eq!(beats.silent(), TaskName::VARIANTS);
