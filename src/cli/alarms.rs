@@ -155,8 +155,7 @@ fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(
     let drifts = health.iter().filter(|health| health.machine == alarm.machine).filter_map(|health| health.drift);
     if let Some(drift) = drifts.into_iter().find(|drift| drift.cause == alarm.cause) {
         let limit = web::forecast(&drift).map(|limit| format!("; {limit}")).unwrap_or_default();
-        // A plain minus sign, as in the other tables of the command line.
-        let size = web::size(drift.change_pct, drift.change_pct_sd).replace('−', "-");
+        let size = output::size(drift.change_pct, drift.change_pct_sd);
         indented(&format!("now {size} (95 %){limit}"))?;
     }
     indented(&alarm.text)

@@ -12,7 +12,7 @@ use comfy_table::{ContentArrangement, Table, presets};
 use serde::Serialize;
 
 use super::{Exit, Failure, ResultExt};
-use crate::report::Sheet;
+use crate::{report::Sheet, web};
 
 /// Width of a table in a pipe or on a terminal of unknown width \[columns\].
 const WIDTH: u16 = 80;
@@ -62,6 +62,11 @@ pub(super) fn io_error(error: csv::Error) -> io::Error {
         csv::ErrorKind::Io(error) => error,
         other => io::Error::other(format!("{other:?}")),
     }
+}
+
+/// A change with its 95 % interval [%], as on the pages but with a plain minus sign, as in all output of the command line.
+pub(super) fn size(change_pct: f64, change_pct_sd: f64) -> String {
+    web::size(change_pct, change_pct_sd).replace('−', "-")
 }
 
 /// A table without borders.

@@ -119,7 +119,7 @@ fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {
     let StatusReport { version, uptime_s, database, .. } = report;
     output::line(format_args!("{name}: version {version}, up {uptime_s} s, database {database}"))?;
     // One line each, as all of them together are wider than a terminal.
-    report.line().split("; ").try_for_each(|part| output::line(format_args!("  {part}")))
+    report.parts().into_iter().try_for_each(|part| output::line(format_args!("  {part}")))
 }
 
 fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) -> Result<(), Failure> {

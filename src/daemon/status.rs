@@ -274,6 +274,12 @@ impl StatusReport {
     /// One line of text, problems first.
     #[must_use]
     pub fn line(&self) -> String {
+        self.parts().join("; ")
+    }
+
+    /// The parts of [`Self::line`]: each problem, then the counts.
+    #[must_use]
+    pub fn parts(&self) -> Vec<String> {
         let mut parts = Vec::new();
         match self.disk.as_str() {
             "ok" => {}
@@ -316,6 +322,6 @@ impl StatusReport {
             "{} loggers, {} throws stored, {} judged ({} not evaluated), {} in quarantine",
             self.loggers, self.stored, self.judged, self.not_evaluated, self.quarantined
         ));
-        parts.join("; ")
+        parts
     }
 }

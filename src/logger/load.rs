@@ -130,18 +130,8 @@ impl Load {
         }
         let end = clock::monotonic();
         let judged_meanwhile = lock(&healths).latencies.len() as u64;
-        let (mut judged, mut last) = (judged_meanwhile, end);
-        while judged < self.throws && last.elapsed() < patience {
-            thread::sleep(Duration::from_millis(20));
-            let now = lock(&healths).latencies.len() as u64;
-            if now > judged {
-                (judged, last) = (now, clock::monotonic());
-            }
-        }
-        let alarmed = clock::monotonic();
-        while !lock(&alarms).published.is_empty() && alarmed.elapsed() < patience {
-            thread::sleep(Duration::from_millis(20));
-        }
+        let last = wait_for_all(&healths, end, patience);
+        wait_for_all(&alarms, clock::monotonic(), patience);
         let [latencies, alarm_latencies] = [healths, alarms].map(|tracking| lock(&tracking).sorted());
         Ok(Loaded { publishing: end - start, judged_meanwhile, latencies, alarm_latencies, behind: last - end })
     }
@@ -202,6 +192,20 @@ fn subscribe(
         session.declare_subscriber(wire::every_key(Kind::Health)).callback(on_health).wait()?,
         session.declare_subscriber(wire::every_key(Kind::Alarm)).callback(on_alarm).wait()?,
     ])
+}
+
+/// Waits until every published throw has its message, or no message has arrived for `patience`. Returns the time of
+/// the last message, or `start` without one.
+fn wait_for_all(tracking: &Shared, start: Instant, patience: Duration) -> Instant {
+    let (mut awaited, mut last) = (lock(tracking).published.len(), start);
+    while awaited > 0 && last.elapsed() < patience {
+        thread::sleep(Duration::from_millis(20));
+        let now = lock(tracking).published.len();
+        if now < awaited {
+            (awaited, last) = (now, clock::monotonic());
+        }
+    }
+    last
 }
 
 fn index(number: u64, count: usize) -> usize {

@@ -5,12 +5,14 @@ use std::{path::Path, time::Duration};
 use comfy_table::{CellAlignment, Table, presets::UTF8_FULL_CONDENSED};
 use jiff::Timestamp;
 
-use super::injected::{Injected, MACHINES};
+use super::{
+    super::output,
+    injected::{Injected, MACHINES},
+};
 use crate::{
     diagnose::{Cause, Drifting},
     store::{Reader, Selector, StoreError},
     throw::MachineId,
-    web,
     wire::Alarm,
 };
 
@@ -59,7 +61,7 @@ impl Row {
             self.machine.machine.to_string(),
             injected,
             reported,
-            drift.map(|now| web::size(now.change_pct, now.change_pct_sd).replace('−', "-")).unwrap_or_default(),
+            drift.map(|now| output::size(now.change_pct, now.change_pct_sd)).unwrap_or_default(),
             delay.map(|delay| delay.to_string()).unwrap_or_default(),
             if self.is_right() { "right".to_owned() } else { "WRONG".to_owned() },
         ]
