@@ -163,6 +163,13 @@ statements! {
         FROM new CROSS JOIN machine USING (site, machine) CROSS JOIN boot USING (machine_row, boot_id) \
         WHERE highest_no = throw_no - 1 \
         AND NOT EXISTS (SELECT 1 FROM backlog WHERE backlog.machine_row = machine.machine_row)";
+    ADD_NEW_MACHINES = "INSERT OR IGNORE INTO machine (site, machine) \
+        SELECT * FROM (VALUES (?, ?)) WHERE column1 IS NOT NULL";
+    // The first boots of machines without a boot: their first throw has the number 1, and nothing is missing.
+    ADD_FIRST_BOOTS = "WITH new (site, machine, boot_id, first_seen_us, position) AS (VALUES (?, ?, ?, ?, ?)) \
+        INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no, position, tail_open) \
+        SELECT machine_row, boot_id, first_seen_us, 0, position, 0 FROM new CROSS JOIN machine USING (site, machine) \
+        WHERE NOT EXISTS (SELECT 1 FROM boot WHERE boot.machine_row = machine.machine_row) GROUP BY machine_row";
     ADD_THROWS = "WITH new (machine_row, boot_row, boot_position, throw_no, started_at_us, received_at_us, direction, \
         sample_rate_hz, samples, temperature_c, supply_v, anti_alias_hz, content_crc32, trace_hash) \
         AS (VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)) \

@@ -113,6 +113,37 @@ async fn a_batch_is_answered_in_its_order() {
     assert!(matches!(answers[151], Err(StoreError::ThrowNumber(u64::MAX))));
 }
 
+/// The first throws of a large fleet arrive together: the same rows as if each had arrived alone.
+#[tokio::test]
+async fn new_machines_in_a_batch_are_stored_like_single_ones() {
+    let mut batch: Vec<_> = (1..=60).map(|n| (machine(&n.to_string()), throw("b1", 1), at(n))).collect();
+    let also = |n: u32, boot_id: &str, throw_no| (machine(&n.to_string()), throw(boot_id, throw_no), at(100));
+    // Another boot, a repeat, the next one, missing throws before the first, numbers from 0, a late number 0.
+    batch.extend([also(5, "b2", 1), also(7, "b1", 1), also(9, "b1", 2)]);
+    batch.extend([also(70, "b1", 4), also(71, "b1", 0), also(72, "b1", 1), also(72, "b1", 0), also(70, "b0", 1)]);
+    let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let [together, alone] = [open(folders[0].path()).await.store, open(folders[1].path()).await.store];
+    let answers: Vec<Spooled> = together.spool_all(&batch).await.into_iter().map(Result::unwrap).collect();
+    for ((machine, throw, received_at), answer) in batch.iter().zip(answers) {
+        let single = alone.spool(machine, throw, *received_at).await.unwrap();
+        assert_eq!(matches!(answer, Spooled::New(_)), matches!(single, Spooled::New(_)), "{machine} {:?}", throw.id);
+    }
+    for what in [
+        "SELECT machine || ' ' || boot_id, highest_no, position, tail_open + 10 * counts_from_zero \
+         FROM boot JOIN machine USING (machine_row) ORDER BY machine, position",
+        "SELECT machine || ' ' || boot_id, throw_no, boot_position, received_at_us \
+         FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+         ORDER BY machine, boot_position, throw_no",
+        "SELECT machine || ' ' || boot_id || ' ' || kind, detected_at_us, first_no, last_no \
+         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) ORDER BY 1, first_no",
+        "SELECT machine, cursor_position, cursor_no, since_us FROM backlog JOIN machine USING (machine_row) ORDER BY 1",
+    ] {
+        let [together, alone]: [Vec<(String, i64, i64, i64)>; 2] =
+            [query(&together, what).await, query(&alone, what).await];
+        assert!(!alone.is_empty() && together == alone, "{what}:\n{together:?}\n{alone:?}");
+    }
+}
+
 /// Extreme numbers and times from a defective logger do not stop the writer.
 #[tokio::test]
 async fn the_largest_numbers_and_oddest_times_are_taken() {
