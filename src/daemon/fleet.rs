@@ -216,6 +216,7 @@ fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observat
         grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
         ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
         incomplete: rejection.is_some_and(Rejection::is_incomplete),
+        faulty: rejection.and_then(Rejection::faulty_channel).map(Into::into),
         features_only: rejection == Some(&Rejection::NoPosition),
         features: found.map(|found| found.features.clone()).unwrap_or_default(),
         temperature_c: declared.and_then(|throw| throw.temperature_c),

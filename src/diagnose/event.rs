@@ -6,7 +6,10 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{correlation::Correlation, course::LimitForecast};
-use crate::throw::{Direction, ThrowRef};
+use crate::{
+    estimate::Channel,
+    throw::{Direction, ThrowRef},
+};
 
 /// Cause of an alarm.
 #[derive(
@@ -101,6 +104,15 @@ pub enum SensorChannel {
     Temperature,
     /// Of the supply voltage.
     Supply,
+}
+
+impl From<Channel> for SensorChannel {
+    fn from(channel: Channel) -> Self {
+        match channel {
+            Channel::Current => Self::Current,
+            Channel::Position => Self::Position,
+        }
+    }
 }
 
 /// Name for people.

@@ -1,5 +1,6 @@
-//! The features of throws without a usable estimate: of machines with a current sensor only, and of machines whose
-//! throws are rejected one after the other. A refusal is a verdict on the data: what the features still show is said.
+//! The features of throws whose coefficients cannot be judged: of machines with a current sensor only, of machines
+//! whose throws are rejected one after the other, and of machines whose throws are all rough, so that they have no
+//! baseline. A refusal is a verdict on the data: what the features still show is said.
 
 use std::collections::VecDeque;
 
@@ -8,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     alarm::{Alarms, Evidence},
     event::{AlarmEvent, Cause, Severity},
-    gauges::{Change, Gauge, Gauges},
+    gauges::{Change, Gauge, Gauges, sd_of_mean},
     operational::Context,
     robust::median,
     text,
@@ -110,7 +111,8 @@ impl FeatureWatch {
             }
             let size = median(&mut values);
             let sd = median(&mut of(|(_, sd)| *sd)).max(gauge.floor());
-            (size.abs() > limit.max(SIGNIFICANT_SD * sd)).then_some(Change { gauge, size, size_sd: sd })
+            let size_sd = sd_of_mean(gauge, sd, LEVEL as f64);
+            (size.abs() > limit.max(SIGNIFICANT_SD * sd)).then_some(Change { gauge, size, size_sd })
         };
         let largest = |at: usize| {
             [0, 1].into_iter().filter_map(|side| in_side(side, at)).max_by(|a, b| a.size.abs().total_cmp(&b.size.abs()))

@@ -62,7 +62,7 @@ pub(super) struct Level {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Change {
     pub(super) gauge: Gauge,
-    /// Median change of the last throws, as a logarithm, and the standard deviation of one throw.
+    /// Median change of the last throws, as a logarithm, and its standard deviation.
     pub(super) size: f64,
     pub(super) size_sd: f64,
 }
@@ -147,17 +147,20 @@ impl Gauges {
             .collect();
         let count = departures.len() as f64;
         let mean = |values: fn(&(f64, f64)) -> f64| departures.iter().map(values).sum::<f64>() / count;
-        (2 * departures.len() > throws.min(self.recent.len())).then(|| {
-            let spread = CORRELATED * mean(|(_, sd)| *sd);
-            let learned = spread * (1.0 / count + 1.0 / LEARNED.0 as f64).sqrt();
-            Level { value: mean(|(value, _)| *value), sd: learned.hypot(gauge.floor()) }
-        })
+        (2 * departures.len() > throws.min(self.recent.len()))
+            .then(|| Level { value: mean(|(value, _)| *value), sd: sd_of_mean(gauge, mean(|(_, sd)| *sd), count) })
     }
 
     /// Deletes the last throws.
     pub(super) fn forget_recent(&mut self) {
         self.recent.clear();
     }
+}
+
+/// Standard deviation of the mean departure of `count` throws from the normal value of `gauge`; `sd` is that of one
+/// throw.
+pub(super) fn sd_of_mean(gauge: Gauge, sd: f64, count: f64) -> f64 {
+    (CORRELATED * sd * (1.0 / count + 1.0 / LEARNED.0 as f64).sqrt()).hypot(gauge.floor())
 }
 
 impl Normal {

@@ -131,6 +131,7 @@ impl MachineMonitor {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
             let disbelief = temperature.disbelief.or(supply_v.map(Disbelief::Supply));
             verdict.events.extend(operation.on_sensors(disbelief, alarms, context));
+            verdict.events.extend(operation.on_channel(observation.faulty, alarms, context));
             self.observe_in_service(observation, evaluated.as_ref(), at, settings, &mut verdict);
         }
         verdict.baseline =
@@ -158,7 +159,8 @@ impl MachineMonitor {
             self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
             self.observe_evaluated(throw, &observation.throw, at, settings, verdict);
         }
-        let watched = self.watch_features(observation, evaluated.is_some(), at, settings, verdict);
+        let is_judged = evaluated.is_some_and(|throw| self.tracks.of_one_throw(throw.direction).is_some());
+        let watched = self.watch_features(observation, is_judged, at, settings, verdict);
         let blind = self.blind;
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
         verdict.events.extend(operation.on_evaluation(evaluated.is_some() || watched, blind.as_ref(), alarms, context));
@@ -173,17 +175,18 @@ impl MachineMonitor {
         }
     }
 
-    /// Watches the features of a throw without an estimate. Returns whether the machine is monitored by them.
+    /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
+    /// on a machine whose every throw is rough. Returns whether the machine is monitored by them.
     fn watch_features(
         &mut self,
         observation: &Observation,
-        is_evaluated: bool,
+        is_judged: bool,
         at: Timestamp,
         settings: &Settings,
         verdict: &mut Verdict,
     ) -> bool {
         let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
-        if is_evaluated {
+        if is_judged {
             verdict.events.extend(self.features.on_estimate(&mut self.alarms, context));
             return true;
         }
@@ -417,7 +420,12 @@ impl MachineMonitor {
     #[must_use]
     pub fn caveats(&self) -> Vec<String> {
         let blind = self.blind.as_ref().map(|blind| text::blind(&self.name, blind));
-        blind.into_iter().chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes))).collect()
+        let only_features = self.features.is_monitoring() && !self.tracks.any_baseline();
+        blind
+            .into_iter()
+            .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
+            .chain(only_features.then(|| text::only_features(&self.name)))
+            .collect()
     }
 
     /// The end of the maintenance window, while the machine is out of service.

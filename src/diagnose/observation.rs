@@ -3,6 +3,7 @@
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 
+use super::event::SensorChannel;
 use crate::{
     estimate::{Features, Grade},
     throw::{Direction, ThrowRef},
@@ -25,6 +26,8 @@ pub struct Observation {
     pub ratios_only: bool,
     /// Whether the points did not complete their movement (obstruction, no detection).
     pub incomplete: bool,
+    /// The sensor whose values are impossible, stuck or too noisy in this throw.
+    pub faulty: Option<SensorChannel>,
     /// Whether the machine has a current sensor only, and its coefficients cannot be determined.
     pub features_only: bool,
     /// Duration, currents and travel, measured without the model.
@@ -68,8 +71,11 @@ impl Evaluated {
         }
         let scale = Matrix3::from_diagonal(&Vector3::from(*estimate).map(f64::recip));
         let sensor = scale * covariance * scale;
+        // Of ratios, the variance of the common scale is only a large number.
+        let of_scale = |i: usize| if observation.ratios_only { sensor[(0, 0)] - 2.0 * sensor[(0, i)] } else { 0.0 };
         let usable = sensor.iter().all(|v| v.is_finite())
-            && sensor.diagonal().iter().all(|v| (0.0..WORST_SD * WORST_SD).contains(v));
+            && sensor.diagonal().iter().all(|v| *v >= 0.0)
+            && (0..3).all(|i| sensor[(i, i)] + of_scale(i) < WORST_SD * WORST_SD);
         usable.then(|| Self {
             direction,
             log: estimate.map(f64::ln),

@@ -19,6 +19,8 @@ use crate::throw::{Direction, ThrowRef};
 const SLOW_IN_A_ROW: u32 = 3;
 /// Consecutive rejected temperatures that raise the alarm: a single one is a disturbance.
 const DISBELIEVED_IN_A_ROW: u32 = 3;
+/// Throws with an unusable channel among the last eight that raise the alarm: one or two are disturbances.
+const UNUSABLE_OF_EIGHT: u32 = 3;
 /// Longest time between two ticks that counts as silence \[s\]: more is a jump of the clock or a stopped daemon.
 const LONGEST_TICK_S: f64 = 3600.0;
 /// Longest time between two ticks that counts for delays of minutes \[s\]: after a start of the daemon loggers have the
@@ -63,6 +65,11 @@ pub(super) struct Operation {
     disbelieved: u32,
     #[serde(default)]
     believed: u32,
+    /// The sensor with unusable values, its throws among the last eight as bits, and throws without such values.
+    #[serde(default)]
+    unusable: Option<(SensorChannel, u8)>,
+    #[serde(default)]
+    usable: u32,
     since_gap: u32,
     /// Throws in gaps, since the alarm was raised.
     lost: u64,
@@ -206,6 +213,35 @@ impl Operation {
                 .all(|event| matches!(event.channel, None | Some(SensorChannel::Temperature | SensorChannel::Supply)))
         {
             alarms.clear(Cause::Sensor, text::sensor_plausible(name), at)
+        } else {
+            None
+        }
+    }
+
+    /// Applies the sensor whose values are unusable in a throw, if any.
+    pub(super) fn on_channel(
+        &mut self,
+        faulty: Option<SensorChannel>,
+        alarms: &mut Alarms,
+        context: Context,
+    ) -> Option<AlarmEvent> {
+        let Context { name, at, settings, .. } = context;
+        streak(&mut self.usable, faulty.is_none());
+        if let Some((channel, throws)) = &mut self.unusable {
+            *throws = *throws << 1 | u8::from(faulty == Some(*channel));
+        }
+        let over = self.unusable.is_none_or(|(_, throws)| throws == 0);
+        if let Some(channel) = faulty.filter(|_| over) {
+            self.unusable = Some((channel, 1));
+        }
+        let (channel, throws) = self.unusable?;
+        let alarmed = alarms.active().any(|event| event.cause == Cause::Sensor && event.channel == Some(channel));
+        if throws.count_ones() >= UNUSABLE_OF_EIGHT {
+            let evidence = context.warning(text::sensor_unusable(name, channel));
+            alarms.raise(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, at)
+        } else if self.usable >= settings.off_delay_throws.max(u8::BITS) {
+            self.unusable = None;
+            if alarmed { alarms.clear(Cause::Sensor, text::sensor_usable(name, channel), at) } else { None }
         } else {
             None
         }

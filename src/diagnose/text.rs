@@ -174,14 +174,21 @@ pub(super) fn features(name: &str, changes: &[Change], throws: usize) -> String 
             Gauge::Charge => "charge of a throw",
             _ => "travel",
         };
-        let scatter = 100.0 * change.size_sd * change.size.exp();
-        format!("{what} {:+.0} % (scatter of a throw {scatter:.0} %)", percent(change.size))
+        format!("{what} {:+.0} % (±{:.0} %)", percent(change.size), 196.0 * change.size_sd * change.size.exp())
     };
     let changes: Vec<String> = changes.iter().map(change).collect();
     format!(
         "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. Their coefficients are not known, \
          so no part can be named. Check slide chairs, lubrication, drive and supply.",
         changes.join(", ")
+    )
+}
+
+/// Text for a machine without a baseline of its coefficients.
+pub(super) fn only_features(name: &str) -> String {
+    format!(
+        "Machine {name}: its throws do not give the complete coefficients of a baseline, so only duration, running current, \
+         charge and travel are monitored. A change of these is reported without its cause."
     )
 }
 
@@ -226,6 +233,17 @@ pub(super) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
         }
     };
     format!("Machine {name}: the {what}. Check the sensor and its cable.")
+}
+
+pub(super) fn sensor_unusable(name: &str, channel: SensorChannel) -> String {
+    format!(
+        "Machine {name}: the {channel} reads impossible, stuck or very noisy values, so the throws cannot be evaluated. Check \
+         the sensor, its cable and its supply; throws_not_evaluated has the reason of each throw."
+    )
+}
+
+pub(super) fn sensor_usable(name: &str, channel: SensorChannel) -> String {
+    format!("Machine {name}: the values of the {channel} are usable again.")
 }
 
 pub(super) fn sensor_plausible(name: &str) -> String {

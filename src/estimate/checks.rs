@@ -1,7 +1,7 @@
 //! Checks of a trace before the estimation.
 
 use super::{
-    movement::{MIN_QUIET, Movement, every, largest, mean, median_of_magnitudes, peak, quantum},
+    movement::{Level, MIN_QUIET, Movement, every, largest, mean, median_of_magnitudes, peak, quantum},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -14,6 +14,16 @@ const LARGEST_POSITION_MM: f64 = 10_000.0;
 const LEAST_TRAVEL_MM: f64 = 2.0;
 const LEAST_TRAVEL_SHARE: f64 = 0.02;
 const LEAST_TRAVEL_SIGMAS: f64 = 8.0;
+/// Largest bend of the rails of a locked toe \[mm\], and least distance of two medians that noise does not cause
+/// \[standard deviations\].
+const LARGEST_BEND_MM: f64 = 20.0;
+const MEDIAN_SIGMAS: f64 = 3.0;
+/// Difference of the first and the last quarter of the quiet samples from which the toe was displaced \[standard
+/// deviations\]: 200 samples of white noise or hum cause less than 0.8, a displacement at any time 0.9 or more.
+const DISPLACED_SIGMAS: f64 = 0.85;
+/// Least speed of a moving toe in a noisy position, as share of its mean speed, and least movement \[standard deviations\].
+const LEAST_SPEED_SHARE: f64 = 0.25;
+const MOVED_SIGMAS: f64 = 4.0;
 /// Least and largest travel of a complete throw, as share of the stroke.
 const COMPLETE_SHARE: f64 = 0.95;
 const TOO_LONG_SHARE: f64 = 1.15;
@@ -110,10 +120,20 @@ pub(super) fn course(
     let at = |k: usize| k as f64 * interval_s;
     let travel_mm = movement.travel_mm;
     let furthest = peak(position, position[0]);
+    let noise_mm = whole_noise(movement, position, noise_mm, scratch);
+    let noisy = Rejection::Noisy {
+        channel: Channel::Position,
+        measured: noise_mm,
+        expected: POSITION_NOISE_FACTOR * settings.position_noise_mm,
+    };
     let least =
         LEAST_TRAVEL_MM.max(LEAST_TRAVEL_SHARE * settings.stroke_mm.unwrap_or(0.0)).max(LEAST_TRAVEL_SIGMAS * noise_mm);
     if travel_mm.max(furthest) < least {
-        return Err(Rejection::NoMovement);
+        return Err(if travel_mm > LARGEST_BEND_MM.max(MEDIAN_SIGMAS * noise_mm) {
+            noisy
+        } else {
+            Rejection::NoMovement
+        });
     }
     // Without quiet samples the noise follows from differences, which include the ripple of the supply.
     let quiet = movement.current;
@@ -132,10 +152,10 @@ pub(super) fn course(
         return Err(Rejection::MovedBackwards { back_mm });
     }
     if let Some(stroke_mm) = settings.stroke_mm {
-        if travel_mm < COMPLETE_SHARE * stroke_mm {
+        if travel_mm + noise_mm < COMPLETE_SHARE * stroke_mm {
             return Err(Rejection::Incomplete { travel_mm, stroke_mm });
         }
-        if travel_mm > TOO_LONG_SHARE * stroke_mm {
+        if travel_mm - noise_mm > TOO_LONG_SHARE * stroke_mm {
             return Err(Rejection::TravelTooLong { travel_mm, stroke_mm });
         }
     } else if let Some(off) = movement.motor_off {
@@ -151,6 +171,9 @@ pub(super) fn course(
                     stuck_s: stalled_s,
                 });
             }
+            if noise_mm > LARGEST_POSITION_SHARE * travel_mm && moves_until(off, movement, position, noise_mm) {
+                return Err(noisy);
+            }
             return Err(Rejection::Obstructed { position_mm: movement.end_mm, stalled_s });
         }
     }
@@ -163,6 +186,36 @@ pub(super) fn course(
         return Err(Rejection::StartMissing { current_a: first_a });
     }
     Ok(())
+}
+
+/// The noise of the position, also if it is hum or other noise that is not white: then the values at rest scatter more
+/// than their differences show. A toe that was displaced there is not noise.
+fn whole_noise(movement: &Movement, position: &[f64], noise_mm: f64, scratch: &mut Vec<f64>) -> f64 {
+    let Level { mean: centre, sd, samples, .. } = movement.position;
+    let quarter = samples / 4;
+    if quarter < MIN_QUIET || sd < 2.0 * noise_mm {
+        return noise_mm;
+    }
+    let of = |from: usize| mean(position[from..from + quarter].iter().copied());
+    if (of(samples - quarter) - of(0)).abs() > DISPLACED_SIGMAS * sd {
+        return noise_mm;
+    }
+    scratch.clear();
+    scratch.extend(position[..samples].iter().map(|x| (x - centre).abs()));
+    noise_mm.max(SD_PER_MEDIAN * median_of_magnitudes(scratch))
+}
+
+/// Whether the toe still moves before the end of the motor: in a noisy position the first sample near the end of the
+/// travel is much too early. Compares the means of the second and the last third of the time since then.
+fn moves_until(off: usize, movement: &Movement, position: &[f64], noise_mm: f64) -> bool {
+    let third = off.saturating_sub(movement.near_end) / 3;
+    if third == 0 {
+        return false;
+    }
+    let of = |from: usize| mean(position[from..from + third].iter().copied());
+    let moved = movement.sign * (of(off - third) - of(off - 2 * third));
+    let usual = movement.travel_mm * third as f64 / off.saturating_sub(movement.start()).max(1) as f64;
+    moved > (LEAST_SPEED_SHARE * usual).max(MOVED_SIGMAS * noise_mm * (2.0 / third as f64).sqrt())
 }
 
 /// Rejects a toe that already moves at the start of the motor: three consecutive positions are displaced. (Noise can

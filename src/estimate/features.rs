@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::rejection::Channel;
+
 /// Features of a throw; `None` if the trace does not show them.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
@@ -34,4 +36,23 @@ pub struct Features {
     pub resistance_ohm: Option<f64>,
     /// Back-EMF constant at the screw, (V - R i) / omega in steady state \[V s/rad\]; needs `supply_v` and the position.
     pub back_emf_v_s_per_rad: Option<f64>,
+}
+
+impl Features {
+    /// The features without those that follow from a channel.
+    pub(super) fn without(self, channel: Channel) -> Self {
+        match channel {
+            Channel::Position => Self {
+                duration_s: None,
+                release_s: None,
+                travel_mm: None,
+                start_position_mm: None,
+                end_position_mm: None,
+                ..self
+            },
+            Channel::Current => {
+                Self { peak_current_a: None, running_current_a: None, mean_current_a: None, charge_as: None, ..self }
+            }
+        }
+    }
 }

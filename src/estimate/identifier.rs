@@ -110,6 +110,11 @@ impl Identifier {
             .and_then(|()| self.estimate(throw, settings, &movement, (interval_s, factor, noise_mm), released));
         let moved = direction_moved(&movement, &outcome);
         let mut features = movement.features(&self.current, &self.position, interval_s);
+        if let Err(Rejection::Noisy { channel, .. } | Rejection::Stuck { channel: channel @ Channel::Position, .. }) =
+            outcome
+        {
+            features = features.without(channel);
+        }
         features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
         if let Some(supply_v) = features.supply_v.and(throw.possible_supply_v()) {
             let channels = (self.current.as_slice(), self.position.as_slice());

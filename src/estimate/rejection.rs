@@ -378,6 +378,20 @@ impl Rejection {
         matches!(self, Self::Misfit { .. } | Self::LateStart { .. } | Self::BrakedStart | Self::Uncertain { .. })
     }
 
+    /// The channel whose values show that its sensor or cable is faulty, if the reason is one.
+    #[must_use]
+    pub fn faulty_channel(&self) -> Option<Channel> {
+        match self {
+            Self::NotFinite { channel, .. }
+            | Self::Implausible { channel, .. }
+            | Self::Clipped { channel, .. }
+            | Self::Stuck { channel, .. }
+            | Self::Noisy { channel, .. } => Some(*channel),
+            Self::NoCurrent { .. } => Some(Channel::Current),
+            _ => None,
+        }
+    }
+
     /// Whether the points did not complete their movement: a fault of the machine, not of the sensors.
     #[must_use]
     pub fn is_incomplete(&self) -> bool {

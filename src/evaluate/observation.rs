@@ -29,6 +29,7 @@ pub(super) fn observation(
         direction: Some(if at.is_multiple_of(2) { Direction::NormalToReverse } else { Direction::ReverseToNormal }),
         estimate,
         incomplete: false,
+        faulty: None,
         features_only: false,
         grade: Grade::Good,
         ratios_only: false,

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     diagnose::{Cause, Observation},
-    estimate::{Identifier, Settings},
+    estimate::{Identifier, Rejection, Settings},
     simulate::{
         self, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Part, Sensors, SimulatedMachine, SimulatedThrow,
     },
@@ -80,7 +80,8 @@ impl TraceMachine {
             throw: throw.id,
             started_at: throw.started_at,
             direction: found.direction,
-            incomplete: found.outcome.as_ref().is_err_and(crate::estimate::Rejection::is_incomplete),
+            incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
+            faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),
             features_only: false,
             grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),

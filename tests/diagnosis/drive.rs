@@ -33,6 +33,8 @@ pub(crate) struct State {
     /// Rate of the logger's clock.
     pub(crate) clock: f64,
     pub(crate) stroke: f64,
+    /// Noise of the position sensor \[mm\].
+    pub(crate) position_noise_mm: f64,
     /// Release of the brake after the start of the motor \[s\].
     pub(crate) brake_s: f64,
 }
@@ -50,6 +52,7 @@ impl State {
         position_gain: 1.0,
         clock: 1.0,
         stroke: 1.0,
+        position_noise_mm: 0.02,
         brake_s: 0.0,
     };
 }
@@ -120,6 +123,7 @@ impl Drive {
             started_at: throw.started_at,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
+            faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),
             features_only: found.outcome == Err(Rejection::NoPosition),
             grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
@@ -174,7 +178,7 @@ impl Drive {
             let (amperes, way) = (current[k], toe[k] * MM_PER_RADIAN);
             let mm = if rest == 0.0 { way } else { STROKE_MM * state.stroke - way };
             recorded_a.push(state.current_gain * direction.sign() * amperes + 0.02 * normal(&mut self.rng));
-            recorded_mm.push(state.position_gain * mm + 0.02 * normal(&mut self.rng));
+            recorded_mm.push(state.position_gain * mm + state.position_noise_mm * normal(&mut self.rng));
             at += 1e-3 / state.clock;
         }
         (Trace::new(1000.0, recorded_a, recorded_mm).unwrap(), volts)

@@ -1,14 +1,18 @@
 //! Throws without coefficients: their features are monitored.
 
+use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
-    diagnose::{Cause, MachineMonitor, MachineState, Observation, Settings},
-    estimate::Features,
+    diagnose::{AlarmState, Cause, MachineMonitor, MachineState, Observation, Settings},
+    estimate::{Features, Grade},
+    throw::{Direction, ThrowRef},
 };
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::{
     drive::{Drive, State},
     field::{Machine, Scatter},
+    fleet::normal,
 };
 
 /// A machine with a current sensor only, whose logger publishes no voltage, after a healthy time without an event.
@@ -70,5 +74,95 @@ fn throws_that_are_rejected_one_after_the_other_show_by_their_features_that_the_
         let ended: Vec<_> =
             (0..20).flat_map(|_| machine.feed(&mut monitor, Vector3::zeros(), None, &settings).events).collect();
         assert!(!ended.is_empty() && monitor.state() == MachineState::Healthy, "{ended:?}");
+    }
+}
+
+#[test]
+fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_features() {
+    let settings = Settings::default();
+    // A brake that releases 20 ms late hides the scale of the coefficients in every throw.
+    let late = State { brake_s: 0.02, ..State::SOUND };
+    let faults = [
+        ("dry slide chairs", State { friction: 2.5, ..late }, true),
+        ("a weak motor", State { torque: 0.75, back_emf: 0.75, ..late }, true),
+        ("less friction", State { friction: 0.95, ..late }, false),
+    ];
+    for (name, state, is_found) in faults {
+        for seed in 0..4 {
+            let mut drive = Drive::new(58_000 + seed, false);
+            for throw in 0..60 {
+                let verdict = drive.feed(late, &settings);
+                assert_eq!(verdict.events, [], "{name}, throw {throw}");
+                assert_eq!(verdict.baselines_taken, [], "{name}: a baseline of rough throws");
+            }
+            assert_eq!(drive.monitor.state(), MachineState::Healthy, "{name}");
+            assert_eq!(drive.monitor.caveats().len(), 1, "{name}: {:?}", drive.monitor.caveats());
+            let events: Vec<_> = (0..24).flat_map(|_| drive.feed(state, &settings).events).collect();
+            let causes: Vec<Cause> = events.iter().map(|event| event.cause).collect();
+            assert_eq!(causes, if is_found { vec![Cause::Unattributed] } else { vec![] }, "{name}: {events:?}");
+        }
+    }
+}
+
+/// Observations of a machine without a toe sensor, from drawn features: standard deviations of the logarithms of
+/// duration, running current and charge, lag-1 correlation, and whether the tails are heavy.
+fn healthy_features(sd: [f64; 3], lag1: f64, heavy: bool, rng: &mut ChaCha8Rng) -> impl FnMut() -> Observation {
+    let mut state = [0.0; 3];
+    let mut throw = 0;
+    move || {
+        for value in &mut state {
+            let tail = if heavy {
+                (3.0 / (0..3).map(|_| normal(rng).powi(2)).sum::<f64>()).sqrt() / 3.0_f64.sqrt()
+            } else {
+                1.0
+            };
+            *value = lag1 * *value + (1.0 - lag1 * lag1).sqrt() * normal(rng) * tail;
+        }
+        throw += 1;
+        let of = |at: usize, usual: f64| Some(usual * (sd[at] * state[at]).exp());
+        Observation {
+            throw: ThrowRef { boot_id: "a".to_owned(), throw_no: throw },
+            started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw.cast_signed()),
+            direction: Some(Direction::BOTH[usize::from(throw % 2 == 0)]),
+            estimate: None,
+            grade: Grade::Good,
+            ratios_only: false,
+            incomplete: false,
+            faulty: None,
+            features_only: true,
+            features: Features {
+                duration_s: of(0, 4.3),
+                running_current_a: of(1, 0.9),
+                charge_as: of(2, 4.6),
+                ..Features::default()
+            },
+            temperature_c: None,
+        }
+    }
+}
+
+#[test]
+fn healthy_machines_without_a_toe_sensor_stay_within_the_budget() {
+    // 1 in 146,000 throws is the default budget of a machine.
+    let settings = Settings::default();
+    for (name, sd, lag1, heavy) in [
+        ("as measured on repeats", [0.0045, 0.008, 0.008], 0.3, false),
+        ("usual weather", [0.008, 0.025, 0.025], 0.5, false),
+        ("heavy tails", [0.008, 0.025, 0.025], 0.5, true),
+        ("strong correlation", [0.008, 0.025, 0.025], 0.8, false),
+    ] {
+        let (mut alarms, mut throws) = (0, 0);
+        for seed in 0..50 {
+            let mut rng = ChaCha8Rng::seed_from_u64(59_000 + seed);
+            let mut next = healthy_features(sd, lag1, heavy, &mut rng);
+            let mut monitor = MachineMonitor::new("21B");
+            for _ in 0..2000 {
+                throws += 1;
+                let events = monitor.observe(&next(), &settings).events;
+                alarms += events.iter().filter(|event| event.state == AlarmState::ActiveUnacknowledged).count();
+            }
+        }
+        println!("{name}: {alarms} alarms in {throws} throws");
+        assert!(alarms <= 2, "{name}: {alarms} alarms in {throws} throws");
     }
 }

@@ -85,6 +85,7 @@ impl Machine {
             grade: Grade::Good,
             ratios_only: false,
             incomplete: false,
+            faulty: None,
             features_only: false,
             features: Features { duration_s: Some(duration_s), ..Features::default() },
             temperature_c,

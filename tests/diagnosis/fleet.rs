@@ -84,6 +84,7 @@ impl Machine {
             direction: Some(self.only.unwrap_or(turn)),
             estimate: Some((estimate.into(), scale * self.nature.covariance() * scale)),
             incomplete: false,
+            faulty: None,
             features_only: false,
             grade: Grade::Good,
             ratios_only: false,

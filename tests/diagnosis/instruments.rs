@@ -1,7 +1,7 @@
 //! Sensor, supply or machine: lives of a drive with faulty sensors or parts, with and without a published supply
 //! voltage. A healthy part is never named alone.
 
-use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, SensorChannel, Settings};
+use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, SensorChannel, Settings};
 
 use crate::drive::{Drive, State};
 
@@ -160,4 +160,26 @@ fn a_sensor_that_is_mended_clears_its_alarm_also_after_a_restart() {
     assert!((pct - 6.0).abs() < 0.5, "{pct}");
     let json = serde_json::to_value(&events[0]).unwrap();
     assert_eq!((&json["cause"], &json["channel"]), (&"sensor".into(), &"position".into()));
+}
+
+#[test]
+fn a_noisy_position_sensor_is_named_and_sends_nobody_to_the_track() {
+    let settings = Settings::default();
+    for (noise_mm, seed) in [1.0, 2.5, 6.0, 15.0].into_iter().zip(77_000..) {
+        let mut drive = Drive::new(seed, false);
+        let noisy = State { position_noise_mm: noise_mm, ..State::SOUND };
+        for throw in 0..60 {
+            assert_eq!(drive.feed(State::SOUND, &settings).events, [], "throw {throw}");
+        }
+        // One or two noisy throws are a disturbance.
+        for state in [noisy, noisy].into_iter().chain([State::SOUND; 12]) {
+            assert_eq!(drive.feed(state, &settings).events, [], "{noise_mm} mm");
+        }
+        let events: Vec<_> = (0..16).flat_map(|_| drive.feed(noisy, &settings).events).collect();
+        let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
+        assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Position))], "{noise_mm} mm: {events:?}");
+        let ended: Vec<_> = (0..16).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        assert_eq!(ended.iter().map(|event| event.cause).collect::<Vec<_>>(), [Cause::Sensor], "{ended:?}");
+        assert_eq!(drive.monitor.state(), MachineState::Healthy);
+    }
 }

@@ -56,6 +56,7 @@ impl Life {
             started_at: throw.started_at,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
+            faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),
             features_only: false,
             grade: Grade::Good,
             ratios_only: false,

@@ -1,6 +1,6 @@
 //! Damaged traces: each is rejected with its reason.
 
-use pointsd::estimate::{Identification, Identifier, Rejection, Settings};
+use pointsd::estimate::{Channel, Identification, Identifier, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, Sensors};
 use pointsd::throw::{Direction, Trace};
 use rand::RngExt;
@@ -185,6 +185,13 @@ const TABLE: &[Damage] = &[
     ("a lone position 0.3 mm off", "spike|position_jump", |c| c.position[1500] += 0.3),
     ("1 A of noise in the current", "noisy", |c| c.noise(true, 1.0)),
     ("2 mm of noise in the position", "noisy", |c| c.noise(false, 2.0)),
+    ("6 mm of noise in the position", "noisy", |c| c.noise(false, 6.0)),
+    ("20 mm of noise in the position", "noisy", |c| c.noise(false, 20.0)),
+    ("hum of 6 mm in the position", "noisy", |c| {
+        for (k, x) in c.position.iter_mut().enumerate() {
+            *x += 6.0 * (std::f64::consts::TAU * 0.05 * k as f64).sin();
+        }
+    }),
     ("a tenth of the true sampling rate", "too_slow", |c| c.rate_hz = 100.0),
     ("every tenth sample only, unfiltered", "undersampled", |c| {
         c.rate_hz = 100.0;
@@ -279,6 +286,42 @@ fn what_the_machine_did_wrong_is_told_from_what_the_sensors_did() {
     let cut_off = Conditions { cut_off_after_s: Some(2.0), ..Conditions::default() };
     let refused = outcome(cut_off, Some(115.0)).outcome.unwrap_err();
     assert!(matches!(refused, Rejection::Incomplete { .. }), "{refused}");
+}
+
+#[test]
+fn noise_of_the_position_neither_makes_nor_hides_an_obstruction() {
+    let machine = Parameters::default();
+    for direction in Direction::BOTH {
+        for (noise_mm, seed) in [0.3, 1.0, 3.0, 6.0, 12.0].into_iter().zip(7..) {
+            for stroke_mm in [None, Some(115.0)] {
+                let settings = Settings { stroke_mm, ..settings_of(&machine) };
+                let identify = |obstruction_mm: Option<f64>| {
+                    let conditions = Conditions { obstruction_mm, ..Conditions::default() };
+                    let sensors = Sensors::default();
+                    let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
+                    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+                    let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
+                    let (current, mut position) = trace.into_channels();
+                    for mm in &mut position {
+                        *mm += noise_mm * rng.sample::<f64, _>(rand_distr::StandardNormal);
+                    }
+                    let trace = Trace::new(1000.0, current, position).unwrap();
+                    Identifier::default().identify(&throw_with(trace, None), &settings)
+                };
+                let what = format!("{direction}, {noise_mm} mm, stroke {stroke_mm:?}");
+                let free = identify(None);
+                let channel =
+                    free.outcome.as_ref().err().map(|refused| (refused.is_incomplete(), refused.faulty_channel()));
+                let expected = if noise_mm > 0.5 { Some((false, Some(Channel::Position))) } else { None };
+                assert_eq!(channel, expected, "{what}: {:?}", free.outcome);
+                assert_eq!(free.features.duration_s.is_some(), channel.is_none(), "{what}: {:?}", free.features);
+                // Noise of a fifth of the way hides what the toe did.
+                let stopped = identify(Some(60.0)).outcome.unwrap_err();
+                let hidden = noise_mm > 10.0 && stopped.faulty_channel() == Some(Channel::Position);
+                assert!(stopped.is_incomplete() || hidden, "{what}: {stopped}");
+            }
+        }
+    }
 }
 
 #[test]
