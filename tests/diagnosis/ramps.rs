@@ -205,3 +205,26 @@ fn a_healthy_machine_completes_its_baseline_whatever_its_scatter() {
         assert!(trends <= 3 && events == 0);
     }
 }
+
+/// The throws of a machine may depend strongly on those before. Its limits are high, but a large step exceeds them.
+#[test]
+fn a_machine_whose_throws_wander_shows_a_large_step() {
+    const LIVES: u64 = 40;
+    let settings = Settings::default();
+    for (cause, size) in [(Cause::Kt, -20.0), (Cause::Friction, 150.0), (Cause::Stiffness, 40.0)] {
+        let named = (0..LIVES).filter(|seed| {
+            let mut machine = Machine::new(54_000 + seed, Scatter { phi: 0.9, ..Scatter::USUAL });
+            let mut monitor = pointsd::diagnose::MachineMonitor::new("21B");
+            for _ in 0..130 {
+                machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
+            }
+            (0..48).any(|_| {
+                let events = machine.feed(&mut monitor, shift(cause, size), None, &settings).events;
+                events.iter().any(|event| event.cause == cause && event.state == AlarmState::ActiveUnacknowledged)
+            })
+        });
+        let named = named.count();
+        println!("{cause:?} {size} %: named in {named} of {LIVES} lives");
+        assert!(named >= 38, "{cause:?} {size} %: {named} of {LIVES}");
+    }
+}
