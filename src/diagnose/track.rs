@@ -105,10 +105,13 @@ impl Tracks {
         let mut sensor = throw.sensor;
         if throw.ratios_only {
             // The common scale is arbitrary. A single fault changes one of the three coefficients, so the scale is
-            // chosen such that the two others stay, without uncertainty.
-            sensor.add_scalar_mut(-sensor[(0, 0)]);
-            let mut sorted: [f64; 3] = raw.into();
-            raw.add_scalar_mut(-median(&mut sorted));
+            // chosen such that the middle one stays; the others have the errors of their ratios to it.
+            let mut order = [0, 1, 2];
+            order.sort_by(|a, b| raw[*a].total_cmp(&raw[*b]));
+            let fixed = order[1];
+            raw.add_scalar_mut(-raw[fixed]);
+            let errors = sensor.column(fixed).into_owned();
+            sensor = Matrix3::from_fn(|i, j| sensor[(i, j)] - errors[i] - errors[j] + errors[fixed]);
         }
         track.since_baseline += 1;
         let oldest = track.recent.push(RecentThrow::new(order, raw, distance, sensor.into()));

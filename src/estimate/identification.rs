@@ -79,12 +79,18 @@ impl Estimate {
     }
 
     /// Covariance for a comparison with a baseline. Errors that are equal in every throw cancel in it, except for
-    /// ratios, whose baseline has complete estimates; such errors do not average out over a window.
+    /// ratios, whose baseline has complete estimates. Such errors do not average out over a window; the covariance of
+    /// ratios is one of them, as it comes from the misfit of the model, which repeats.
     #[must_use]
     pub fn drift_covariance(&self) -> Matrix3<f64> {
         /// Length of the longest window of the diagnosis \[throws\].
         const LONGEST_WINDOW: f64 = 24.0;
-        if self.ratios_only { self.covariance + LONGEST_WINDOW * self.systematic } else { self.covariance }
+        if !self.ratios_only {
+            return self.covariance;
+        }
+        let coefficients = Vector3::from(self.coefficients()) / self.b0;
+        let of_scale = self.covariance[(0, 0)] * coefficients * coefficients.transpose();
+        of_scale + LONGEST_WINDOW * (self.covariance - of_scale + self.systematic)
     }
 
     /// Standard deviations of the whole error of (b0, a1, a0).

@@ -1,9 +1,10 @@
 //! Hard cases: two faults at once, one direction only, temperature, outliers, a short baseline; and the budget of false
 //! alarms.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, Settings, Severity, TemperatureSource},
+    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, Observation, Settings, Severity, TemperatureSource},
+    estimate::Grade,
     throw::Direction,
 };
 
@@ -195,5 +196,37 @@ fn the_rate_of_false_alarms_is_that_of_the_budget_within_a_factor_of_three() {
         let allowed = MACHINES as f64 * f64::from(LIFE) / BUDGET_THROWS;
         let ratio = raised as f64 / allowed;
         assert!((1.0 / 3.0..=3.0).contains(&ratio), "phi {phi}: {raised} alarms, {allowed} in the budget");
+    }
+}
+
+/// Very dry slide chairs make every throw rough: only the ratios are known, and that of the stiffness errs by up to
+/// twice its stated standard deviation, in every throw alike.
+#[test]
+fn friction_in_rough_throws_is_friction_although_the_other_ratio_errs() {
+    for (friction_pct, error_sd) in [(140.0, 0.06), (60.0, 0.03)] {
+        for seed in 0..20_u32 {
+            let mut machine = Machine::new(800 + u64::from(seed), Nature::default());
+            let mut monitor = machine.learned(&Settings::default());
+            let part = f64::from(seed) / 10.0 - 0.95;
+            let shared = Vector3::new(0.0, -0.3, 1.0) * error_sd;
+            let fault = shift(Cause::Friction, friction_pct) + 2.0 * part * shared;
+            let events: Vec<AlarmEvent> = (0..20)
+                .flat_map(|_| {
+                    let throw = machine.throw(fault);
+                    let (estimate, _) = throw.estimate.unwrap();
+                    let ratios = estimate.map(|value| value / estimate[0]);
+                    // Any scale, noise of the ratios, and the shared error, which no mean of 24 throws reduces.
+                    let log = Matrix3::repeat(0.2)
+                        + Matrix3::from_diagonal(&Vector3::new(0.0, 0.005, 0.005).map(|sd| sd * sd))
+                        + 24.0 * shared * shared.transpose();
+                    let scale = Matrix3::from_diagonal(&Vector3::from(ratios));
+                    let estimate = Some((ratios, scale * log * scale));
+                    let rough = Observation { estimate, grade: Grade::Rough, ratios_only: true, ..throw };
+                    monitor.observe(&rough, &Settings::default()).events
+                })
+                .collect();
+            let causes: Vec<Cause> = events.iter().map(|event| event.cause).collect();
+            assert!(!causes.is_empty() && causes.iter().all(|cause| *cause == Cause::Friction), "{part}: {events:?}");
+        }
     }
 }

@@ -257,3 +257,31 @@ fn dry_slide_chairs_are_friction_whatever_the_grade() {
         }
     }
 }
+
+/// The error of the ratios by very dry chairs is equal in every throw, so a mean of 24 throws has it too.
+#[test]
+fn the_mean_of_rough_throws_is_as_uncertain_as_it_errs() {
+    for (model, slide_friction, direction) in [
+        (RailModel::Beam, 0.5, Direction::NormalToReverse),
+        (RailModel::Beam, 0.7, Direction::NormalToReverse),
+        (RailModel::Beam, 0.7, Direction::ReverseToNormal),
+    ] {
+        let rails = Rails { model, slide_friction, ..Rails::default() };
+        let machine = Parameters { rails, ..Parameters::default() };
+        let known = machine.coefficients().unwrap();
+        let (mut mean, mut variance) = (0.0, 0.0);
+        for seed in 0..24 {
+            let throw = simulated(&machine, &Sensors::default(), direction, 300 + seed);
+            let estimate = Identifier::default().identify(&throw, &Settings::default()).outcome.unwrap();
+            assert!(estimate.ratios_only, "{slide_friction}: {estimate:?}");
+            let [_, stiffness] = estimate.ratios();
+            let drift = estimate.drift_covariance();
+            let log = |i: usize, j: usize| drift[(i, j)] / (estimate.coefficients()[i] * estimate.coefficients()[j]);
+            mean += (stiffness / (known.a0 / known.b0)).ln() / 24.0;
+            variance += (log(2, 2) - 2.0 * log(0, 2) + log(0, 0)) / (24.0 * 24.0);
+        }
+        let sd = variance.sqrt();
+        println!("{slide_friction}, {direction}: {:.1} % ± {:.1} %", 100.0 * mean, 100.0 * sd);
+        assert!(mean.abs() < 2.5 * sd, "{slide_friction}, {direction}: {mean} ± {sd}");
+    }
+}
