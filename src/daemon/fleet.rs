@@ -49,6 +49,8 @@ impl Fleet {
         for StoredMonitor { machine, snapshot, state } in stored {
             match MachineMonitor::from_snapshot(&snapshot) {
                 Ok(monitor) => {
+                    // An earlier version stored the name without the site.
+                    let monitor = monitor.named(name_of(&machine));
                     if state != Some(monitor.state()) {
                         fleet.to_store.insert(machine.clone());
                     }
@@ -78,7 +80,7 @@ impl Fleet {
     }
 
     fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {
-        self.monitors.entry(machine.clone()).or_insert_with(|| MachineMonitor::new(machine.machine.as_str()))
+        self.monitors.entry(machine.clone()).or_insert_with(|| MachineMonitor::new(&name_of(machine)))
     }
 
     /// Diagnoses a throw; returns the judgement to store.
@@ -156,8 +158,7 @@ impl Fleet {
         if *common == Common::default() && !self.monitors.contains_key(&id) {
             return None;
         }
-        let name = format!("All machines of {site}");
-        let monitor = self.monitors.entry(id.clone()).or_insert_with(|| MachineMonitor::new(&name));
+        let monitor = self.monitor(&id);
         let events = monitor.follow_site(common, now, settings);
         (!events.is_empty()).then(|| outcome(&id, monitor, now, events))
     }
@@ -201,6 +202,11 @@ impl Fleet {
             Outcome { command: Some(command.clone()), ..outcome }
         }))
     }
+}
+
+/// The name of a machine in texts: maintainers read them away from any table.
+fn name_of(id: &MachineId) -> String {
+    if id.machine.as_str() == ALL_MACHINES { format!("All machines of {}", id.site) } else { id.to_string() }
 }
 
 fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observation {

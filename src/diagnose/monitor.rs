@@ -86,6 +86,12 @@ impl MachineMonitor {
         }
     }
 
+    /// Replaces the name of the machine in later texts.
+    #[must_use]
+    pub fn named(self, name: String) -> Self {
+        Self { name, ..self }
+    }
+
     /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program.
     ///
     /// # Errors

@@ -242,7 +242,7 @@ async fn the_readmes_subscriber_gets_every_alarm_over_its_own_cut_links() {
             cable.mend();
         }
     }
-    let mut missing: Vec<String> = (0..alarms).map(|number| format!("Machine m{number}:")).collect();
+    let mut missing: Vec<String> = (0..alarms).map(|number| format!("Machine north/m{number}:")).collect();
     let found = tokio::task::spawn_blocking(move || {
         while !missing.is_empty() {
             let Some(line) = lines.next() else { break };

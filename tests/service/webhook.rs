@@ -345,6 +345,9 @@ fn an_alarm_becomes_a_mail() {
     let daemon = rig.start();
     weak_motor(&daemon);
     let text = mails.recv_timeout(PATIENCE).unwrap();
-    assert!(text.contains("To: duty@example.org") && text.contains("Subject: [critical] Machine machine-1"), "{text}");
+    assert!(
+        text.contains("To: duty@example.org") && text.contains("Subject: [critical] Machine north/machine-1"),
+        "{text}"
+    );
     assert!(daemon.terminate().success());
 }
