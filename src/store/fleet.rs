@@ -33,6 +33,8 @@ pub(crate) struct FleetQuery {
     pub limit: u32,
     /// Throws of each machine for its small chart.
     pub spark: u32,
+    /// Leaves out machines that are not monitored and have no other open alarm.
+    pub without_silent: bool,
 }
 
 #[derive(Debug, Clone, Serialize)]
@@ -139,6 +141,9 @@ const FLEET: &str = "
                WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?3))
           AND (?4 IS NULL OR instr(lower(site || '/' || machine), lower(?4)) > 0)
           AND NOT (site = ?5 AND machine = ?6)
+          AND NOT (?10 AND coalesce(monitor.state, 'learning') = 'not_monitored' AND NOT EXISTS (SELECT 1 FROM alarm
+               WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'
+                 AND alarm.cause NOT IN ('not_monitored', 'data_loss')))
         ORDER BY CASE coalesce(monitor.state, 'learning') WHEN 'critical' THEN 0 WHEN 'not_monitored' THEN 1
                  WHEN 'warning' THEN 2 WHEN 'maintenance' THEN 3 WHEN 'learning' THEN 4 ELSE 5 END,
                  coalesce(abs(monitor.drifts ->> '$[0].change_pct'), 0) DESC, site, machine
@@ -168,6 +173,9 @@ const TALLY: &str = "
            WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?2))
       AND (?3 IS NULL OR instr(lower(site || '/' || machine), lower(?3)) > 0)
       AND NOT (site = ?4 AND machine = ?5)
+      AND NOT (?6 AND coalesce(monitor.state, 'learning') = 'not_monitored' AND NOT EXISTS (SELECT 1 FROM alarm
+           WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'
+             AND alarm.cause NOT IN ('not_monitored', 'data_loss')))
     GROUP BY 1";
 
 const SITES: &str = "SELECT site FROM machine GROUP BY site ORDER BY site LIMIT ?1";
@@ -355,7 +363,8 @@ impl Reader {
             .bind(itself.machine.as_str())
             .bind(query.limit)
             .bind(query.offset)
-            .bind(query.spark);
+            .bind(query.spark)
+            .bind(query.without_silent);
         self.asked(statement).await
     }
 
@@ -370,7 +379,8 @@ impl Reader {
             .bind(query.cause.map(Cause::as_str))
             .bind(query.search.as_deref())
             .bind(itself.site.as_str())
-            .bind(itself.machine.as_str());
+            .bind(itself.machine.as_str())
+            .bind(query.without_silent);
         let rows: Vec<(String, i64)> = self.asked(statement).await?;
         Ok(rows.into_iter().map(|(state, count)| (state.parse().unwrap_or_default(), count.cast_unsigned())).collect())
     }

@@ -35,6 +35,8 @@ const SPARK: u32 = 40;
 const PAGES: u32 = 10_000;
 /// Longest search text: a site, a slash and a machine \[characters\].
 const SEARCH: usize = 129;
+/// More machines than this that are not monitored, and have no other alarm, are one line of the list.
+const SILENT_ROWS: u64 = 10;
 /// Qualities of throws that were not rejected.
 const EVALUATED: [&str; 3] = ["good", "rough", "current_only"];
 /// Largest number of names in a list; more are counted.
@@ -56,6 +58,8 @@ struct Page {
     states: Vec<(&'static str, String, bool)>,
     rows: Vec<Row>,
     shown: String,
+    /// Number of the machines in one line, and the address of their list.
+    grouped: Option<(String, String)>,
     before: Option<String>,
     after: Option<String>,
     silent: String,
@@ -120,6 +124,7 @@ impl Filters {
             offset: self.page * MACHINES,
             limit: MACHINES,
             spark: SPARK,
+            without_silent: false,
         })
     }
 
@@ -153,19 +158,20 @@ fn wrong() -> Failure {
 
 pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
     let filters = Filters::from_query(query.as_deref())?;
-    let query = filters.query()?;
+    let mut query = filters.query()?;
     let overview = web.overview().await?;
     let itself = web.view.config().monitor.as_machine();
     let _turn = web.turn().await?;
     let reader = web.view.reader();
     let is_filtered = query.site.is_some() || query.cause.is_some() || query.search.is_some();
     let tally = if is_filtered { reader.tally(&query, &itself).await? } else { overview.tally.clone() };
+    let grouped = group_silent(&mut query, &tally, reader, &itself).await?;
     let rows = reader.fleet(&query, &itself).await?;
     let windows = reader.windows(None).await?;
     let limits = web.view.config().diagnosis.clone();
-    let matching: u64 = match query.state {
+    let matching = match query.state {
         Some(state) => tally.iter().filter(|(of, _)| *of == state).map(|(_, count)| count).sum(),
-        None => tally.iter().map(|(_, count)| count).sum(),
+        None => total(&tally).saturating_sub(grouped),
     };
     let (first, last) = (u64::from(query.offset), u64::from(query.offset) + rows.len() as u64);
     let more_alarms = overview.fault_count.saturating_sub(overview.faults.len() as u64);
@@ -173,7 +179,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     Ok(page::html(&Page {
         trouble: trouble::all(&web.view, &overview),
         tally: tally_links(&tally, &filters),
-        machines: page::count(tally.iter().map(|(_, count)| count).sum()),
+        machines: page::count(total(&tally)),
         common: common(&overview),
         alarms: overview.faults.iter().map(|fault| fault_line(fault, &windows)).collect(),
         more_alarms: if more_alarms > 0 { page::count(more_alarms) } else { String::new() },
@@ -182,9 +188,11 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         states: state::ALL.iter().map(|it| choice(it.as_str(), Badge(*it).word(), &filters.state)).collect(),
         rows: rows.iter().map(|row| shown(row, &windows, limits.friction_limit_pct)).collect(),
         shown: match rows.len() {
+            0 if grouped > 0 => "No other machine.".to_owned(),
             0 => "No machine matches these filters.".to_owned(),
             _ => format!("{} to {} of {}", page::count(first + 1), page::count(last), page::count(matching)),
         },
+        grouped: (grouped > 0).then(|| (page::count(grouped), filters.with_state("not_monitored").address())),
         before: (filters.page > 0).then(|| filters.to_page(filters.page - 1).address()),
         after: (last < matching).then(|| filters.to_page(filters.page + 1).address()),
         silent: silent(&web.view, reader).await?,
@@ -196,6 +204,28 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         ),
         filters,
     }))
+}
+
+fn total(tally: &[(MachineState, u64)]) -> u64 {
+    tally.iter().map(|(_, count)| count).sum()
+}
+
+/// Number of the machines that are one line of the list: not monitored, and without another alarm. They have a common
+/// cause, such as a lost link, and would push machines with faults out of sight. The query leaves them out.
+async fn group_silent(
+    query: &mut FleetQuery,
+    tally: &[(MachineState, u64)],
+    reader: &Reader,
+    itself: &MachineId,
+) -> Result<u64, Failure> {
+    let silent = tally.iter().find(|(state, _)| *state == MachineState::NotMonitored).map_or(0, |(_, count)| *count);
+    if silent <= SILENT_ROWS || query.state.is_some() || query.cause.is_some() || query.search.is_some() {
+        return Ok(0);
+    }
+    let others = FleetQuery { without_silent: true, ..query.clone() };
+    let grouped = total(tally).saturating_sub(total(&reader.tally(&others, itself).await?));
+    query.without_silent = grouped > SILENT_ROWS;
+    Ok(if query.without_silent { grouped } else { 0 })
 }
 
 fn tally_links(tally: &[(MachineState, u64)], filters: &Filters) -> Vec<(Badge, String, String)> {
