@@ -1,5 +1,7 @@
 //! A chart: curves over an x axis, or bars in groups.
 
+use serde::{Serialize, Serializer};
+
 use super::axis::Axis;
 use super::svg::{Anchor, Canvas};
 
@@ -14,23 +16,30 @@ const MARGIN: f64 = 24.0;
 const GRID: &str = "#dddddd";
 const FRAME: &str = "#444444";
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
+#[serde(untagged)]
 enum Content {
     Curves { x_label: String, times: bool, curves: Vec<Curve> },
     Bars { categories: Vec<String>, groups: Vec<(String, Vec<f64>)> },
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 struct Curve {
     name: String,
+    #[serde(serialize_with = "short")]
     points: Vec<(f64, f64)>,
     /// Half width of the band around the curve, one value for each point; empty for no band.
     reach: Vec<f64>,
     dots: bool,
 }
 
-/// A chart with its title, axes and legend.
-#[derive(Debug, Clone)]
+/// Writes y with five digits, more than a screen resolves.
+fn short<S: Serializer>(points: &[(f64, f64)], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(points.iter().map(|(x, y)| (x, format!("{y:.4e}").parse().unwrap_or(*y))))
+}
+
+/// A chart with its title, axes and legend. As JSON, data for a script that draws the chart.
+#[derive(Debug, Clone, Serialize)]
 pub struct Panel {
     title: String,
     y_label: String,
@@ -39,6 +48,7 @@ pub struct Panel {
     levels: Vec<(f64, String)>,
     /// Dashed vertical lines of a chart of curves: x and label.
     marks: Vec<(f64, String)>,
+    #[serde(flatten)]
     content: Content,
 }
 

@@ -47,7 +47,6 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
     for (name, value) in [
         (header::CONTENT_SECURITY_POLICY, POLICY),
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
-        (header::CACHE_CONTROL, "no-store"),
         (header::REFERRER_POLICY, "same-origin"),
         (header::VARY, "accept-encoding"),
         // One request for each connection: an idle one would use up the number of connections.
@@ -55,6 +54,7 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
     ] {
         headers.insert(name, HeaderValue::from_static(value));
     }
+    headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
     shorten(response, known.as_ref(), wants_gzip).await
 }
 

@@ -77,6 +77,8 @@ struct Page {
     spans: Vec<(&'static str, &'static str, bool)>,
     trends: Vec<Picture>,
     features: Vec<Picture>,
+    /// JSON: time and address of each throw in the charts.
+    drawn_throws: String,
     drawn: String,
     rejected: String,
     events: Vec<Event>,
@@ -150,6 +152,7 @@ pub async fn report(
 ) -> Result<Option<String>, StoreError> {
     let Some(mut file) = read(reader, machine, span, settings).await? else { return Ok(None) };
     file.file_style = Some(page::STYLE);
+    file.trends.iter_mut().chain(&mut file.features).for_each(|picture| picture.data.clear());
     file.alarms.iter_mut().for_each(|alarm| alarm.throw = None);
     Ok(Some(page::rendered(&file)))
 }
@@ -191,6 +194,7 @@ async fn read(
         spans: Span::CHOICES.into_iter().map(|(choice, word, says)| (word, says, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
         features: trend::features(&both, &marks, &baselines),
+        drawn_throws: drawn_throws(&both),
         drawn: drawn(&both),
         rejected: rejected(&both),
         events: events.iter().map(event).collect(),
@@ -209,10 +213,13 @@ async fn rows(
     direction: Direction,
     span: Span,
 ) -> Result<Vec<Health>, StoreError> {
-    match span {
-        Span::Newest(limit) => Ok(trend::thinned(reader.newest_of(machine, direction, limit).await?)),
-        Span::All => reader.spread_of(machine, direction, u32::try_from(trend::POINTS).unwrap_or(u32::MAX)).await,
-    }
+    let mut rows = match span {
+        Span::Newest(limit) => trend::thinned(reader.newest_of(machine, direction, limit).await?),
+        Span::All => reader.spread_of(machine, direction, u32::try_from(trend::POINTS).unwrap_or(u32::MAX)).await?,
+    };
+    // Throws from a backlog are judged after later ones.
+    rows.sort_by_key(|row| row.started_at);
+    Ok(rows)
 }
 
 fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {
@@ -275,6 +282,11 @@ fn drawn(ways: &Ways) -> String {
         page::time(first),
         page::time(last)
     )
+}
+
+fn drawn_throws(ways: &Ways) -> String {
+    let rows = ways.iter().flat_map(|(_, rows)| rows);
+    page::data(&rows.map(|row| (trend::x(row.started_at), page::throw_path(&row.throw))).collect::<Vec<_>>())
 }
 
 /// "Rejected throws: 12 supply sagged, 3 no movement."

@@ -45,12 +45,19 @@ use tokio::net::TcpListener;
 use crate::daemon::View;
 use connection::Bounded;
 use overview::Web;
-use page::{Failure, STYLE, asset};
+use page::{Failure, STYLE, asset, lasting_asset};
 
 pub use machine::{Span, report};
 pub(crate) use state::{forecast, size};
 
 const REFRESH: &str = include_str!("pages/refresh.js");
+const CHARTS: &str = include_str!("pages/charts.js");
+/// The chart library, after its licence.
+const UPLOT: &str =
+    concat!("/*\n", include_str!("pages/uplot/LICENSE"), "*/\n", include_str!("pages/uplot/uPlot.iife.min.js"));
+const UPLOT_STYLE: &str = include_str!("pages/uplot/uPlot.min.css");
+const SCRIPT_TYPE: &str = "text/javascript; charset=utf-8";
+const STYLE_TYPE: &str = "text/css; charset=utf-8";
 
 /// The dashboard cannot listen on its address.
 #[derive(Debug, thiserror::Error)]
@@ -111,8 +118,11 @@ fn router(web: Arc<Web>) -> Router {
         .route("/api/v1/alarms", get(api::alarms))
         .route("/metrics", get(metrics::page))
         .route("/healthz", get(healthz))
-        .route("/style.css", get(|| async { asset("text/css; charset=utf-8", STYLE) }))
-        .route("/refresh.js", get(|| async { asset("text/javascript; charset=utf-8", REFRESH) }))
+        .route("/style.css", get(|| async { asset(STYLE_TYPE, STYLE) }))
+        .route("/refresh.js", get(|| async { asset(SCRIPT_TYPE, REFRESH) }))
+        .route("/charts.js", get(|| async { asset(SCRIPT_TYPE, CHARTS) }))
+        .route("/uPlot-1.6.32.js", get(|| async { lasting_asset(SCRIPT_TYPE, UPLOT) }))
+        .route("/uPlot-1.6.32.css", get(|| async { lasting_asset(STYLE_TYPE, UPLOT_STYLE) }))
         .fallback(|| async { Failure::not_found("There is no such page.") })
         .layer(middleware::from_fn_with_state(Arc::clone(&web), guard::guard))
         .with_state(web)

@@ -8,6 +8,7 @@ use axum::{
 };
 use jiff::Timestamp;
 use percent_encoding::{NON_ALPHANUMERIC, utf8_percent_encode};
+use serde::Serialize;
 
 use crate::{
     store::{StoreError, Window},
@@ -98,8 +99,25 @@ pub(super) fn text(status: StatusCode, text: String) -> Response {
     (status, text).into_response()
 }
 
+/// A file of this version of the program: browsers ask whether their copy is still the same.
 pub(super) fn asset(kind: &'static str, content: &'static str) -> Response {
-    ([(header::CONTENT_TYPE, HeaderValue::from_static(kind))], content).into_response()
+    cached(kind, "no-cache", content)
+}
+
+/// A file with its version in its address: browsers keep it for a year.
+pub(super) fn lasting_asset(kind: &'static str, content: &'static str) -> Response {
+    cached(kind, "public, max-age=31536000, immutable", content)
+}
+
+fn cached(kind: &'static str, cache: &'static str, content: &'static str) -> Response {
+    let headers = [(header::CONTENT_TYPE, kind), (header::CACHE_CONTROL, cache)];
+    (headers.map(|(name, value)| (name, HeaderValue::from_static(value))), content).into_response()
+}
+
+/// JSON for a data block of a page; no text in it can end the block.
+pub(super) fn data(value: &impl Serialize) -> String {
+    // An error cannot happen: the keys are texts.
+    serde_json::to_string(value).unwrap_or_default().replace('<', "\\u003c")
 }
 
 /// A valid machine name, also of an unknown machine.
@@ -109,8 +127,12 @@ pub(super) fn known_name(site: &str, machine: &str) -> Result<MachineId, Failure
 }
 
 pub(super) fn throw_address(machine: &MachineId, throw: &ThrowRef) -> String {
-    let boot = utf8_percent_encode(&throw.boot_id, NON_ALPHANUMERIC);
-    format!("/machines/{}/{}/throws/{boot}/{}", machine.site, machine.machine, throw.throw_no)
+    format!("/machines/{}/{}/throws/{}", machine.site, machine.machine, throw_path(throw))
+}
+
+/// End of the address of a throw, below the throws of its machine.
+pub(super) fn throw_path(throw: &ThrowRef) -> String {
+    format!("{}/{}", utf8_percent_encode(&throw.boot_id, NON_ALPHANUMERIC), throw.throw_no)
 }
 
 /// "in maintenance until … by …: …", or the same of a shelved alarm.

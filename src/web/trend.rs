@@ -20,7 +20,16 @@ const SIZE: (f64, f64) = (420.0, 290.0);
 /// A chart with its caption.
 pub(super) struct Picture {
     pub(super) svg: String,
+    /// The same chart as JSON, for the page's script; empty in a file without scripts.
+    pub(super) data: String,
     pub(super) says: String,
+}
+
+impl Picture {
+    fn new(panel: Panel, says: String) -> Self {
+        let data = page::data(&panel);
+        Self { svg: Sheet::new("").panel_size(SIZE.0, SIZE.1).panel(panel).to_svg(), data, says }
+    }
 }
 
 /// A vertical line with its label.
@@ -68,26 +77,22 @@ pub(super) fn coefficients(
         .map(|(title, name, limit, at)| {
             let own = scatter.map(|scatter| scatter[at]);
             let limits = (limit, limit * settings.critical_factor);
-            Picture {
-                svg: change(title, limits, own, ways, marks, |row| Some(row.change_pct?[at])),
-                says: format!(
-                    "Change of {name} from the baseline. {}Warning at {limit} %, critical at {} %.",
-                    own.map(|own| format!("The band of ± {own:.1} % is the scatter of this machine. "))
-                        .unwrap_or_default(),
-                    limits.1
-                ),
-            }
+            let says = format!(
+                "Change of {name} from the baseline. {}Warning at {limit} %, critical at {} %.",
+                own.map(|own| format!("The band of ± {own:.1} % is the scatter of this machine. ")).unwrap_or_default(),
+                limits.1
+            );
+            Picture::new(change(title, limits, own, ways, marks, |row| Some(row.change_pct?[at])), says)
         })
         .collect();
     let limits = (settings.inertia_limit_pct, settings.inertia_limit_pct * settings.critical_factor);
-    pictures.push(Picture {
-        svg: change("inertia", limits, None, ways, marks, |row| Some(inertia_pct(row.change_pct?, scatter))),
-        says: format!(
-            "The change of inertia that fits the changes of b0, a1 and a0 best. It shows the inertia only if all three \
-             change alike. Warning at {} %, critical at {} %.",
-            limits.0, limits.1
-        ),
-    });
+    let says = format!(
+        "The change of inertia that fits the changes of b0, a1 and a0 best. It shows the inertia only if all three \
+         change alike. Warning at {} %, critical at {} %.",
+        limits.0, limits.1
+    );
+    let inertia = change("inertia", limits, None, ways, marks, |row| Some(inertia_pct(row.change_pct?, scatter)));
+    pictures.push(Picture::new(inertia, says));
     pictures
 }
 
@@ -116,7 +121,7 @@ fn change(
     ways: &Ways,
     marks: &[Mark],
     value: impl Fn(&Health) -> Option<f64>,
-) -> String {
+) -> Panel {
     let mut panel = Panel::history(title, "% from the baseline");
     let mut furthest = (0.0_f64, 0.0_f64);
     for (direction, rows) in ways {
@@ -139,7 +144,7 @@ fn change(
         panel = panel.level(-critical, "critical");
     }
     let rejected = rejected_at(ways, furthest.0.min(-warning));
-    drawn_with(panel, rejected, marks)
+    marked(panel, rejected, marks)
 }
 
 /// A feature, which a throw has with or without an estimate.
@@ -179,7 +184,7 @@ pub(super) fn features(ways: &Ways, marks: &[Mark], baselines: &[BaselineRecord]
             return None;
         }
         let says = format!("{title} {of}. The dashed lines are the medians of the baseline in each direction.");
-        Some(Picture { svg: drawn_with(panel, rejected_at(ways, least), marks), says })
+        Some(Picture::new(marked(panel, rejected_at(ways, least), marks), says))
     };
     ratios.iter().copied().chain(shown).filter_map(picture).collect()
 }
@@ -209,8 +214,9 @@ fn usual(ways: &Ways, baselines: &[BaselineRecord], value: fn(&Health) -> Option
 /// Number of first good throws that replace the throws of a baseline outside the chart.
 const BASELINE: usize = 25;
 
-fn x(at: Timestamp) -> f64 {
-    at.as_duration().as_secs_f64()
+/// Time on the axis \[s\], with as few digits as the timestamp.
+pub(super) fn x(at: Timestamp) -> f64 {
+    at.as_microsecond() as f64 / 1e6
 }
 
 /// Times of the first and the last throw in the chart.
@@ -228,14 +234,9 @@ fn rejected_at(ways: &Ways, height: f64) -> Vec<(f64, f64)> {
     dots.into_iter().flat_map(|at| [(at, height), (at, f64::NAN)]).collect()
 }
 
-fn drawn_with(panel: Panel, rejected: Vec<(f64, f64)>, marks: &[Mark]) -> String {
+fn marked(panel: Panel, rejected: Vec<(f64, f64)>, marks: &[Mark]) -> Panel {
     let panel = if rejected.is_empty() { panel } else { panel.dotted_line("rejected", rejected) };
-    let panel = marks.iter().fold(panel, |panel, mark| panel.mark(x(mark.at), mark.label.clone()));
-    sheet(panel)
-}
-
-fn sheet(panel: Panel) -> String {
-    Sheet::new("").panel_size(SIZE.0, SIZE.1).panel(panel).to_svg()
+    marks.iter().fold(panel, |panel, mark| panel.mark(x(mark.at), mark.label.clone()))
 }
 
 /// A curve over the time of a throw.
@@ -250,7 +251,7 @@ pub(super) fn over_time(title: &str, unit: &str, curves: &[Curve<'_>], says: Str
     let panel = curves.iter().fold(Panel::curves(title, "s", unit), |panel, curve| {
         panel.line(curve.name, drawn(curve.rate_hz, curve.values))
     });
-    Picture { svg: sheet(panel), says }
+    Picture::new(panel, says)
 }
 
 /// "Motor current over the time of the throw, 6,000 samples at 1000 Hz."

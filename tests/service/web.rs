@@ -50,8 +50,16 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
             "the policy forbids inline style and script"
         );
     }
-    for asset in ["/style.css", "/refresh.js"] {
-        assert_eq!(get(&address, asset).status, 200);
+    for asset in ["/style.css", "/refresh.js", "/charts.js"] {
+        let asset = get(&address, asset);
+        assert_eq!((asset.status, asset.header("cache-control")), (200, Some("no-cache")));
+    }
+    // The chart library comes from the daemon, with its licence, and browsers keep it.
+    let library = get(&address, "/uPlot-1.6.32.js");
+    assert!(library.body.starts_with("/*\nThe MIT License") && library.body.contains("(v1.6.32)"), "{library:.300?}");
+    for asset in ["/uPlot-1.6.32.js", "/uPlot-1.6.32.css"] {
+        assert!(machine.body.contains(&format!("\"{asset}\"")) && throw.body.contains(&format!("\"{asset}\"")));
+        assert!(get(&address, asset).header("cache-control").unwrap().contains("immutable"), "{asset}");
     }
 
     for method in ["POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE"] {
@@ -130,6 +138,9 @@ async fn hostile_names_and_reasons_are_text_and_lead_where_they_say() {
     let throw = get(&address, &link);
     assert_eq!(throw.status, 200, "{link}: {throw:?}");
     assert!(throw.body.contains("alert(1)") && throw.body.contains("alert(2)"), "{}", throw.body);
+    let drawn = machine.body.split("id=\"drawn\">").nth(1).unwrap().split("</script>").next().unwrap();
+    let drawn: Vec<(f64, String)> = serde_json::from_str(drawn).unwrap();
+    assert!(drawn.iter().all(|(_, path)| link.ends_with(path) || path.starts_with("boot/")), "{drawn:?}");
     for page in [get(&address, "/"), machine, throw] {
         assert!(!page.body.contains("<script>") && !page.body.contains("<img"), "{}", page.body);
         check_nesting(&page.body);

@@ -42,14 +42,15 @@ function replace(main, fresh) {
   main.replaceChildren(...fresh.childNodes);
   main.querySelectorAll(".scroll").forEach((box, at) => { box.scrollLeft = wide[at] || 0; });
   main.querySelectorAll("details").forEach((box, at) => { box.open = open[at] || false; });
+  document.dispatchEvent(new Event("replaced"));
   if (focused >= 0) main.querySelectorAll("a, [tabindex]")[focused]?.focus({ preventScroll: true });
   scrollTo(...place);
   localTimes();
 }
 
-// While text is selected or a form is being filled in, the page is not replaced.
+// While text is selected, a form is being filled in or a chart is dragged, the page is not replaced.
 function isBusy() {
-  if (getSelection().type === "Range") return true;
+  if (getSelection().type === "Range" || document.querySelector(".u-over:active")) return true;
   const fields = document.querySelectorAll("main input:not([type=hidden]), main textarea, main select");
   return [...fields].some((field) => field === document.activeElement || field.value !== (field.defaultValue ?? field.value));
 }
