@@ -94,6 +94,13 @@ impl Browser {
         }
     }
 
+    /// The mouse at a place: `mouseMoved`, `mousePressed` or `mouseReleased`.
+    fn mouse(&mut self, tab: &Tab, kind: &str, [x, y]: [f64; 2]) {
+        let (button, clicks) = if kind == "mouseMoved" { ("none", 0) } else { ("left", 1) };
+        let event = json!({"type": kind, "x": x, "y": y, "button": button, "clickCount": clicks});
+        self.call(Some(tab), "Input.dispatchMouseEvent", &event);
+    }
+
     /// Clicks on the middle of the first element of a selector, with the mouse.
     fn click(&mut self, tab: &Tab, selector: &str) {
         let place = format!(
@@ -101,11 +108,9 @@ impl Browser {
              const box = it.getClientRects()[0]; return [box.x + box.width / 2, box.y + box.height / 2]; }})()"
         );
         self.until(tab, &format!("document.readyState == 'complete' && document.querySelector({selector:?}) != null"));
-        let place = self.value(tab, &place).unwrap();
-        for kind in ["mousePressed", "mouseReleased"] {
-            let event = json!({"type": kind, "x": place[0], "y": place[1], "button": "left", "clickCount": 1});
-            self.call(Some(tab), "Input.dispatchMouseEvent", &event);
-        }
+        let place = serde_json::from_value(self.value(tab, &place).unwrap()).unwrap();
+        self.mouse(tab, "mousePressed", place);
+        self.mouse(tab, "mouseReleased", place);
     }
 
     /// Types into a field of the form.
@@ -161,6 +166,89 @@ async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     browser.until(&fleet, "document.querySelector('ul.alarms').innerText.includes('acknowledged by A. Meyer')");
     assert_eq!(browser.value(&fleet, "window.untouched"), Some(true.into()));
     assert_eq!(rig.sql("SELECT by_whom FROM operator_commands")[0]["by_whom"], "A. Meyer");
+    drop(browser);
+    assert!(daemon.terminate().success());
+}
+
+/// The chart of friction, among those that the page's script made.
+const FRICTION: &str = "uPlot.sync('page').plots[1]";
+/// Its values of both directions.
+const VALUES: &str = "uPlot.sync('page').plots[1].series.flatMap((it, at) => it.label.includes(' to ') \
+                      ? uPlot.sync('page').plots[1].data[at].filter((value) => value != null) : [])";
+/// Places on the page: of a share of the width, and of a point of the first curve.
+const PLACES: &str = "
+    chart = uPlot.sync('page').plots[1];
+    chart.root.scrollIntoView({block: 'center'});
+    box = chart.over.getBoundingClientRect();
+    at = (share) => [box.x + share * box.width, box.y + box.height / 2];
+    point = (x, y) => [box.x + chart.valToPos(x, 'x'), box.y + chart.valToPos(y, 'y')];";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_charts_show_every_throw_zoom_and_lead_to_it_and_are_pictures_without_scripts() {
+    let (rig, daemon) = daemon_with_alarm("a", "[web]\nlisten = \"127.0.0.1:0\"\n");
+    rig.until_sql("SELECT 1 AS n FROM health_history WHERE throw_no = 50").await;
+    let Some(mut browser) = Browser::start(&rig.folder().join("browser")) else { return };
+    let page = format!("http://{}/machines/north/machine-1", address(&daemon));
+    let tab = browser.open("about:blank");
+    browser.call(Some(&tab), "Emulation.setTimezoneOverride", &json!({"timezoneId": "Europe/Berlin"}));
+    browser.call(Some(&tab), "Page.navigate", &json!({"url": page}));
+    browser.until(
+        &tab,
+        "document.querySelectorAll('figure .uplot').length >= 7 && document.querySelectorAll('figure:not(.live)').length == 0",
+    );
+    let drawn = format!("{VALUES}.length");
+    let stored = "SELECT count(a1_pct) AS n FROM health_history WHERE machine = 'machine-1'";
+    assert_eq!(browser.value(&tab, &drawn).unwrap(), rig.sql(stored)[0]["n"]);
+
+    // A drag zooms all charts, a double click ends it.
+    let place = |browser: &mut Browser, expression: &str| -> [f64; 2] {
+        serde_json::from_value(browser.value(&tab, &format!("{PLACES} {expression}")).unwrap()).unwrap()
+    };
+    let is_zoomed = "uPlot.sync('page').plots.every((it) => it.scales.x.max - it.scales.x.min \
+                     < 0.5 * (it.data[0].at(-1) - it.data[0][0]))";
+    assert_eq!(browser.value(&tab, is_zoomed), Some(false.into()));
+    for (kind, share) in [("mouseMoved", 0.6), ("mousePressed", 0.6), ("mouseMoved", 0.8), ("mouseReleased", 0.8)] {
+        let place = place(&mut browser, &format!("at({share})"));
+        browser.mouse(&tab, kind, place);
+    }
+    browser.until(&tab, is_zoomed);
+    // Also after the page has replaced itself.
+    browser.value(&tab, "document.dispatchEvent(new Event('replaced'))");
+    browser.until(&tab, is_zoomed);
+    browser.value(&tab, &format!("{FRICTION}.over.dispatchEvent(new MouseEvent('dblclick'))"));
+    browser.until(&tab, &format!("!({is_zoomed})"));
+
+    // The pointer shows throw, size and time, and a click opens the throw.
+    let newest = "at = chart.data[0].findLastIndex((_, at) => chart.series.some((it, of) => \
+                  it.label.includes(' to ') && chart.data[of][at] != null)), \
+                  of = chart.series.findIndex((it, of) => it.label.includes(' to ') && chart.data[of][at] != null)";
+    let over = place(&mut browser, &format!("{newest}; point(chart.data[0][at], chart.data[of][at])"));
+    browser.mouse(&tab, "mouseMoved", over);
+    let last = rig.sql(
+        "SELECT throw_no, strftime('%Y-%m-%d %H:%M:%S UTC (', started_at) AS at FROM health_history
+         WHERE a1_pct IS NOT NULL ORDER BY started_at DESC",
+    );
+    let readout =
+        browser.value(&tab, &format!("{FRICTION}.root.closest('figure').querySelector('.readout').innerText"));
+    let readout = readout.unwrap().as_str().unwrap().to_owned();
+    assert!(readout.starts_with(last[0]["at"].as_str().unwrap()) && readout.contains("GMT+"), "{readout}");
+    assert!(readout.ends_with(&format!("throw {}", last[0]["throw_no"])), "{readout}");
+    browser.mouse(&tab, "mousePressed", over);
+    browser.mouse(&tab, "mouseReleased", over);
+    browser.until(
+        &tab,
+        &format!("location.pathname.endsWith('/{}') && document.readyState == 'complete'", last[0]["throw_no"]),
+    );
+    browser
+        .until(&tab, "document.querySelectorAll('figure .uplot').length == document.querySelectorAll('figure').length");
+
+    // Without scripts the pictures are there.
+    browser.call(Some(&tab), "Emulation.setScriptExecutionDisabled", &json!({"value": true}));
+    browser.call(Some(&tab), "Page.navigate", &json!({"url": page}));
+    browser.until(&tab, "document.readyState == 'complete' && document.querySelectorAll('figure svg').length >= 7");
+    let is_seen = "[...document.querySelectorAll('figure svg')].every((it) => it.getBoundingClientRect().height > 100)";
+    assert_eq!(browser.value(&tab, is_seen), Some(true.into()));
+    assert_eq!(browser.value(&tab, "document.querySelector('.uplot')"), Some(Value::Null));
     drop(browser);
     assert!(daemon.terminate().success());
 }
