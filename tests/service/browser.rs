@@ -175,13 +175,15 @@ const FRICTION: &str = "uPlot.sync('page').plots[1]";
 /// Its values of both directions.
 const VALUES: &str = "uPlot.sync('page').plots[1].series.flatMap((it, at) => it.label.includes(' to ') \
                       ? uPlot.sync('page').plots[1].data[at].filter((value) => value != null) : [])";
-/// Places on the page: of a share of the width, and of a point of the first curve.
+/// Places on the page: of a share of the width, and of a point, inside of the chart if it is at its edge.
 const PLACES: &str = "
     chart = uPlot.sync('page').plots[1];
     chart.root.scrollIntoView({block: 'center'});
     box = chart.over.getBoundingClientRect();
     at = (share) => [box.x + share * box.width, box.y + box.height / 2];
-    point = (x, y) => [box.x + chart.valToPos(x, 'x'), box.y + chart.valToPos(y, 'y')];";
+    inside = (place, size) => Math.min(Math.max(place, 2), size - 2);
+    point = (x, y) => [box.x + inside(chart.valToPos(x, 'x'), box.width),
+                       box.y + inside(chart.valToPos(y, 'y'), box.height)];";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_charts_show_every_throw_zoom_and_lead_to_it_and_are_pictures_without_scripts() {
