@@ -1,16 +1,20 @@
 //! The course of a drift over the last throws: its present size, and a forecast.
 //!
-//! Along the effect of its cause, a throw at time t (in throws, now = 0) has the value y = o + s(t) + n. The offset o
-//! is the error of the baseline's centre. The drift s begins at some throw tau: s(t) = 0 before it, and
-//! `a + b (t - tau) + c (t - tau)^2` from it on, so that a step, a ramp and an accelerating wear are the same model. The noise n is an
-//! autoregression of first order. Sizes are parts of nominal, as wear is linear in these and not in their logarithms.
-//! With normal priors on o, a, b, c the problem is linear for a given tau (least squares on the whitened series). Each
-//! tau of a grid gets the weight of its evidence; the mixture gives the present size, with an interval that assumes
-//! neither shape nor beginning, and the throws until a limit.
+//! Along the effect of its cause, a throw has the value `level + n`. The level goes through stages: first there is no
+//! drift and the level is o, the error of the baseline's centre; each later stage begins at some throw and has the level
+//! `a + b s + c s^2`, s throws after its beginning, independent of the stage before it. A step, a ramp, a ramp that has
+//! ended, an accelerating wear and a repair are all such series. The noise n is an autoregression of first order that
+//! begins anew with each stage. Sizes are parts of nominal, as wear is linear in these and not in their logarithms.
+//!
+//! With normal priors on o, a, b, c a stage is a linear problem, solved recursively (recursive least squares), and its
+//! evidence is the product of the densities of its values. The evidence of all series of stages up to a throw is a sum
+//! over the beginning of the last one (exact inference for multiple changepoints: Fearnhead, Statistics and Computing
+//! 16, 2006, section 2). The mixture over the last stages gives the present size, with an interval that assumes neither
+//! shape nor beginning, and the throws until a limit.
 
 use std::ops::Range;
 
-use nalgebra::{Matrix4, Vector4};
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use statrs::function::erf::erf;
 
@@ -27,26 +31,27 @@ pub struct LimitForecast {
     pub high: f64,
 }
 
-/// Prior standard deviations of step, slope and curvature: steps up to about half of nominal, ramps of days to weeks,
-/// curvature that doubles a usual slope within fifty throws.
+/// Prior standard deviation of the level at the beginning of a stage: steps up to about half of nominal.
 const STEP_SD: f64 = 0.4;
-const SLOPE_SD: f64 = 0.004;
-const CURVATURE_SD: [f64; 3] = [1e-6, 1e-5, 2e-4];
+/// Prior standard deviations of slope and curvature of a stage, equally probable: a constant level, ramps of days to
+/// weeks, and curvature up to one that doubles a usual slope within fifty throws.
+const SHAPES: [(f64, f64); 4] = [(1e-5, 1e-8), (0.004, 1e-6), (0.004, 1e-5), (0.004, 2e-4)];
+/// Prior probability that a stage begins at a point. Simulated (steps, ramps and accelerating wear, followed for 600
+/// throws): 0.02 gives intervals that contain the size in 94 %, 0.06 in 96 %, and fewer forecasts.
+const BEGINS_PER_POINT: f64 = 0.04;
+/// Stages with a drift whose logarithm of the evidence is less than the best by more than this are left out.
+const NEGLIGIBLE: f64 = 12.0;
 /// Largest distance of a value from the medians of its neighbours, in standard deviations; larger ones are clipped.
 const CLIP_SD: f64 = 3.0;
 /// Number of neighbours on each side.
 const NEIGHBOURS: usize = 3;
 /// Farthest forecast \[throws\].
 const FARTHEST: f64 = 1000.0;
-/// Onsets with less than this part of the best probability are left out, as they do not change an interval.
-const NEGLIGIBLE: f64 = 1e-5;
+/// Least probability of reaching a limit within [`FARTHEST`] for a forecast: most drifts that go on have it, and less
+/// than 1 % of the throws after a step (same simulation).
+const LIKELY: f64 = 0.6;
 /// Tail probability of each side of a 95 % interval.
 const TAIL: f64 = 0.025;
-/// Numbers of the last points, tried until the course fits the last throws: a ramp that has ended does not follow one
-/// curve from its beginning.
-const SPANS: [usize; 3] = [48, 24, 12];
-/// Numbers of last throws that a course must fit, and their largest mean distance from it, in standard deviations.
-const MUST_FIT: ([usize; 2], f64) = ([4, 12], 1.5);
 
 /// A throw in the series, or the mean of some consecutive throws.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -70,179 +75,165 @@ pub(super) struct Noise {
     pub(super) offset_sd: f64,
 }
 
-/// The drift for a given beginning.
-#[derive(Debug, Clone, Copy)]
-struct Begun {
-    /// Age of the beginning.
-    age: f64,
-    weight: f64,
-    /// o, a, b, c.
-    mean: Vector4<f64>,
-    covariance: Matrix4<f64>,
-}
-
 /// The course of a drift over the last throws.
 #[derive(Debug, Clone)]
-pub(super) struct Course(Vec<Begun>);
+pub(super) struct Course {
+    /// The last stage with each of its possible beginnings and shapes, with weights that sum to 1.
+    last: Vec<(f64, Stage)>,
+    /// Variance of the baseline's centre, part of each size.
+    offset_variance: f64,
+}
 
 impl Course {
-    /// Fits the course to the points, oldest first, where the last throws are single points; to the last points only,
-    /// if one curve does not fit all. `None` for fewer than three.
+    /// The course of the points, oldest first, where the last throws are single points. `None` for fewer than three.
     pub(super) fn of(points: &[Point], noise: Noise) -> Option<Self> {
-        let mut course = Self::over(points, noise)?;
-        for span in SPANS.into_iter().filter(|span| *span < points.len()) {
-            if course.fits(points, noise) {
-                break;
-            }
-            course = Self::over(&points[points.len() - span..], noise)?;
-        }
-        Some(course)
-    }
-
-    /// Whether the last throws scatter around the course.
-    fn fits(&self, points: &[Point], noise: Noise) -> bool {
-        let (lengths, most) = MUST_FIT;
-        let level = |age: f64| self.0.iter().map(|part| part.weight * part.level(age)).sum::<f64>();
-        lengths.into_iter().all(|throws| {
-            let last = &points[points.len().saturating_sub(throws)..];
-            let count = last.len() as f64;
-            let off = last.iter().map(|point| point.value - level(point.age).max(-0.99).ln_1p()).sum::<f64>() / count;
-            off.abs() < most * noise.sd * (inflation(noise.lag1, count) / count).sqrt()
-        })
-    }
-
-    fn over(points: &[Point], noise: Noise) -> Option<Self> {
-        let n = points.len();
-        if n < 3 || noise.sd <= 0.0 || noise.sd.is_nan() {
+        if points.len() < 3 || noise.sd <= 0.0 || noise.sd.is_nan() {
             return None;
         }
-        let calm = calmed(points, CLIP_SD * noise.sd);
-        // The scatter is that of a logarithm, so it grows with the size.
-        let scale: Vec<f64> = calm.iter().map(|value| value.exp()).collect();
-        let values: Vec<f64> = calm.iter().map(|value| value.exp_m1()).collect();
-        let fresh_sd = noise.sd * (1.0 - noise.lag1 * noise.lag1).sqrt();
-        // Row of a point: offset, 1, t, t^2, and the value.
-        let row = |at: usize| {
-            let t = -points[at].age;
-            (Vector4::new(1.0, 1.0, t, t * t), values[at])
-        };
-        // The whitened row: means of several throws are independent, single throws are an autoregression. The second
-        // row is for a drift that begins at this point, with only the offset before it.
-        let whitened = |at: usize| {
-            let ((x, y), throws) = (row(at), points[at].throws);
-            if throws > 1.0 {
-                let sd = scale[at] * noise.sd * (inflation(noise.lag1, throws) / throws).sqrt();
-                (x / sd, x / sd, y / sd)
-            } else if at == 0 || points[at - 1].throws > 1.0 {
-                let sd = scale[at] * noise.sd;
-                (x / sd, x / sd, y / sd)
-            } else {
-                let sd = scale[at] * fresh_sd;
-                let (before, y_before) = row(at - 1);
-                let began = Vector4::new(x[0] - noise.lag1, x[1], x[2], x[3]);
-                ((x - noise.lag1 * before) / sd, began / sd, (y - noise.lag1 * y_before) / sd)
+        let series = Series::new(points, noise);
+        let offset_variance = (noise.offset_sd * noise.offset_sd).max(1e-12);
+        let mut stages = vec![Stage::undrifted(points[0].age, offset_variance)];
+        // Logarithm of the evidence of all series of stages up to the point before.
+        let mut before = 0.0;
+        for at in 0..points.len() {
+            // A drift is not measured by a single throw.
+            if at + 1 < points.len() {
+                let evidence = before + (BEGINS_PER_POINT / SHAPES.len() as f64).ln();
+                stages.extend(SHAPES.map(|shape| Stage::drifted(at, points[at].age, shape, evidence)));
             }
-        };
-        let rows: Vec<_> = (0..n).map(whitened).collect();
-        let precisions = CURVATURE_SD.map(|curvature_sd| {
-            let prior = Vector4::new(noise.offset_sd.max(1e-6), STEP_SD, SLOPE_SD, curvature_sd);
-            Matrix4::from_diagonal(&prior.map(|sd| (sd * sd).recip()))
-        });
-        // Before the drift there is only the offset.
-        let (mut offset, mut offset_right): (f64, f64) =
-            rows.iter().map(|(x, _, y)| (x[0] * x[0], x[0] * y)).fold((0.0, 0.0), |(a, b), (c, d)| (a + c, b + d));
-        let (mut after, mut after_right) = (Matrix4::zeros(), Vector4::zeros());
-        let mut begun: Vec<(Begun, f64)> = Vec::with_capacity(CURVATURE_SD.len() * n);
-        for from in (0..n).rev() {
-            let (x, began, y) = rows[from];
-            offset -= x[0] * x[0];
-            offset_right -= x[0] * y;
-            if from + 1 < n {
-                let mut information = after + began * began.transpose();
-                let mut right = after_right + began * y;
-                information[(0, 0)] += offset;
-                right[0] += offset_right;
-                let age = points[from].age;
-                let since_begin = since_begin(age);
-                let information = since_begin.transpose() * information * since_begin;
-                let right = since_begin.transpose() * right;
-                for precision in &precisions {
-                    let normal = information + precision;
-                    let Some(factor) = normal.cholesky() else { continue };
-                    let (mean, covariance) = (factor.solve(&right), factor.inverse());
-                    // Twice the logarithm of the evidence, without common terms.
-                    let evidence = right.dot(&mean) - factor.determinant().ln() + precision.determinant().ln();
-                    begun.push((Begun { age, weight: 0.0, mean, covariance }, evidence));
-                }
+            for stage in &mut stages {
+                stage.add(&series, at);
             }
-            after += x * x.transpose();
-            after_right += x * y;
+            let best = stages.iter().filter(|stage| stage.drifted).map(|stage| stage.evidence).fold(f64::MIN, f64::max);
+            stages.retain(|stage| stage.evidence > best - NEGLIGIBLE);
+            before = total_evidence(&stages);
         }
-        let best = begun.iter().map(|(_, evidence)| *evidence).fold(f64::NEG_INFINITY, f64::max);
-        let weighted =
-            begun.into_iter().map(|(part, evidence)| Begun { weight: (0.5 * (evidence - best)).exp(), ..part });
-        let mut parts: Vec<Begun> = weighted.filter(|part| part.weight > NEGLIGIBLE).collect();
-        let total: f64 = parts.iter().map(|part| part.weight).sum();
-        for part in &mut parts {
-            part.weight /= total;
-        }
-        Some(Self(parts))
+        stages.retain(|stage| stage.drifted);
+        let total = total_evidence(&stages);
+        let last = stages.into_iter().map(|stage| ((stage.evidence - total).exp(), stage)).collect();
+        Some(Self { last, offset_variance })
     }
 
     /// Present size of the drift as part of nominal, and its standard deviation.
     pub(super) fn now(&self) -> (f64, f64) {
-        let mean: f64 = self.0.iter().map(|part| part.weight * part.at(0.0).0).sum();
-        let spread = |part: &Begun| {
-            let (m, variance) = part.at(0.0);
-            part.weight * (variance + (m - mean).powi(2))
+        let mean: f64 = self.last.iter().map(|(weight, stage)| weight * stage.level(0.0).0).sum();
+        let spread = |(weight, stage): &(f64, Stage)| {
+            let (level, variance) = stage.level(0.0);
+            weight * (variance + (level - mean).powi(2))
         };
-        (mean, self.0.iter().map(spread).sum::<f64>().sqrt())
+        (mean, (self.offset_variance + self.last.iter().map(spread).sum::<f64>()).sqrt())
     }
 
-    /// Throws until the drift reaches `limit`, a part of nominal with the sign of the drift. `None` if it may never do
-    /// so, or has done so.
+    /// Throws until the drift reaches `limit`, a part of nominal with the sign of the drift, if the drift goes on.
+    /// `None` if it probably does not, or has reached the limit.
     pub(super) fn reaches(&self, limit: f64) -> Option<LimitForecast> {
         let above = |ahead: f64| -> f64 {
-            let part = |part: &Begun| {
-                let (mean, variance) = part.at(-ahead);
-                part.weight * normal_below((mean - limit) * limit.signum() / variance.sqrt())
+            let part = |(weight, stage): &(f64, Stage)| {
+                let (mean, variance) = stage.level(-ahead);
+                weight * normal_below((mean - limit) * limit.signum() / (variance + self.offset_variance).sqrt())
             };
-            self.0.iter().map(part).sum()
+            self.last.iter().map(part).sum()
         };
-        if above(0.0) > 0.5 {
+        let reached = above(FARTHEST);
+        if above(0.0) > 0.5 || reached < LIKELY {
             return None;
         }
-        let low = first(&above, TAIL)?;
-        let mid = first(&above, 0.5)?;
-        let high = first(&above, 1.0 - TAIL)?;
-        Some(LimitForecast { low, mid, high })
+        let share = |share: f64| first(&above, share * reached);
+        Some(LimitForecast { low: share(TAIL)?, mid: share(0.5)?, high: share(1.0 - TAIL)? })
     }
 }
 
-impl Begun {
-    /// Expected value at an age, with the offset.
-    fn level(&self, age: f64) -> f64 {
-        regressors(self.age, age).dot(&self.mean)
+/// The values of a course as parts of nominal, with the variance of their noise.
+struct Series<'a> {
+    points: &'a [Point],
+    values: Vec<f64>,
+    variances: Vec<f64>,
+    lag1: f64,
+}
+
+impl<'a> Series<'a> {
+    fn new(points: &'a [Point], noise: Noise) -> Self {
+        let (values, variances) = calmed(points, CLIP_SD * noise.sd)
+            .zip(points)
+            .map(|((value, middle), point)| {
+                // The scatter is that of a logarithm, so it grows with the level.
+                let sd = middle.exp() * noise.sd;
+                (value.exp_m1(), sd * sd * inflation(noise.lag1, point.throws) / point.throws)
+            })
+            .unzip();
+        Self { points, values, variances, lag1: noise.lag1 }
     }
 
-    /// Mean and variance of the drift at an age; negative ages are in the future.
-    fn at(&self, age: f64) -> (f64, f64) {
-        let mut x = regressors(self.age, age);
-        x[0] = 0.0;
-        (x.dot(&self.mean), (x.transpose() * self.covariance * x).x)
+    /// Whether the noise of a point is correlated with that of the point before.
+    fn is_correlated(&self, at: usize) -> bool {
+        self.points[at].throws <= 1.0 && self.points[at - 1].throws <= 1.0
     }
 }
 
-/// Regressors of o, a, b, c at an age, for a drift that began at the age `begun`.
-fn regressors(begun: f64, age: f64) -> Vector4<f64> {
-    let since = begun - age;
-    if since < 0.0 { Vector4::new(1.0, 0.0, 0.0, 0.0) } else { Vector4::new(1.0, 1.0, since, since * since) }
+/// A stage for a given beginning and shape.
+#[derive(Debug, Clone, Copy)]
+struct Stage {
+    /// Index of its first point.
+    from: usize,
+    /// Age of its first point.
+    age: f64,
+    drifted: bool,
+    /// a, b, c.
+    mean: Vector3<f64>,
+    covariance: Matrix3<f64>,
+    /// Logarithm of the evidence of this stage and of all series of stages before it, without common terms.
+    evidence: f64,
 }
 
-/// Converts o, a, b, c of a drift that began at an age to the coefficients of offset, 1, t and t^2.
-fn since_begin(age: f64) -> Matrix4<f64> {
-    let tau = -age;
-    Matrix4::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, -tau, tau * tau, 0.0, 0.0, 1.0, -2.0 * tau, 0.0, 0.0, 0.0, 1.0)
+impl Stage {
+    /// The first stage, without drift.
+    fn undrifted(age: f64, offset_variance: f64) -> Self {
+        let covariance = Matrix3::from_diagonal(&Vector3::new(offset_variance, 0.0, 0.0));
+        Self { from: 0, age, drifted: false, mean: Vector3::zeros(), covariance, evidence: 0.0 }
+    }
+
+    /// A later stage with the prior of a shape; `evidence` is that of all series of stages before it.
+    fn drifted(from: usize, age: f64, (slope_sd, curvature_sd): (f64, f64), evidence: f64) -> Self {
+        let prior_sd = Vector3::new(STEP_SD, slope_sd, curvature_sd);
+        let covariance = Matrix3::from_diagonal(&prior_sd.component_mul(&prior_sd));
+        Self { from, age, drifted: true, mean: Vector3::zeros(), covariance, evidence }
+    }
+
+    /// Adds a point by recursive least squares on the whitened series.
+    fn add(&mut self, series: &Series, at: usize) {
+        let mut x = self.regressors(series.points[at].age);
+        let mut value = series.values[at];
+        let mut variance = series.variances[at];
+        if at > self.from && series.is_correlated(at) {
+            x -= series.lag1 * self.regressors(series.points[at - 1].age);
+            value -= series.lag1 * series.values[at - 1];
+            variance *= 1.0 - series.lag1 * series.lag1;
+        }
+        let gain = self.covariance * x;
+        let expected = x.dot(&gain) + variance;
+        let off = value - x.dot(&self.mean);
+        self.evidence -= 0.5 * (off * off / expected + expected.ln());
+        self.mean += gain * (off / expected);
+        self.covariance -= gain * gain.transpose() / expected;
+    }
+
+    /// Mean and variance of the level at an age; negative ages are in the future.
+    fn level(&self, age: f64) -> (f64, f64) {
+        let x = self.regressors(age);
+        (x.dot(&self.mean), x.dot(&(self.covariance * x)))
+    }
+
+    /// Regressors of a, b, c at an age.
+    fn regressors(&self, age: f64) -> Vector3<f64> {
+        let since = self.age - age;
+        Vector3::new(1.0, since, since * since)
+    }
+}
+
+/// Logarithm of the sum of the evidences.
+fn total_evidence(stages: &[Stage]) -> f64 {
+    let best = stages.iter().map(|stage| stage.evidence).fold(f64::MIN, f64::max);
+    best + stages.iter().map(|stage| (stage.evidence - best).exp()).sum::<f64>().ln()
 }
 
 /// First number of throws ahead at which `share` is reached, by growing steps and bisection.
@@ -269,23 +260,23 @@ fn normal_below(z: f64) -> f64 {
     0.5 * (1.0 + erf(z / std::f64::consts::SQRT_2))
 }
 
-/// The values, without single outliers: each is clipped to `reach` around the range between the medians of the values
-/// before it and after it, so that a step passes from its second throw on.
+/// The values without single outliers, each with the level that its neighbours show: a value is clipped to `reach` around
+/// the range between the medians of the values before it and after it, so that a step passes from its second throw on.
 ///
 /// The last value has no later one; the value before it takes this place, as two throws show a step.
-fn calmed(points: &[Point], reach: f64) -> Vec<f64> {
+fn calmed(points: &[Point], reach: f64) -> impl Iterator<Item = (f64, f64)> {
     let n = points.len();
     let middle = |range: Range<usize>| {
         let mut values: Vec<f64> = points[range].iter().map(|point| point.value).collect();
         median(&mut values)
     };
-    let calm = |at: usize| {
-        let before = if at == 0 { 1..2 } else { at.saturating_sub(NEIGHBOURS)..at };
-        let after = if at + 1 == n { at - 1..at } else { at + 1..n.min(at + 1 + NEIGHBOURS) };
-        let (before, after) = (middle(before), middle(after));
-        points[at].value.clamp(before.min(after) - reach, before.max(after) + reach)
-    };
-    (0..n).map(calm).collect()
+    (0..n).map(move |at| {
+        let before = middle(if at == 0 { 1..2 } else { at.saturating_sub(NEIGHBOURS)..at });
+        let after = middle(if at + 1 == n { at - 1..at } else { at + 1..n.min(at + 1 + NEIGHBOURS) });
+        let (low, high) = (before.min(after), before.max(after));
+        let value = points[at].value;
+        (value.clamp(low - reach, high + reach), value.clamp(low, high))
+    })
 }
 
 #[cfg(test)]
@@ -325,6 +316,23 @@ mod tests {
             let (size, sd) = Course::of(&points, NOISE).unwrap().now();
             assert!((size - 0.2).abs() < 0.01 && sd < 0.01, "{size} ± {sd} at {now}");
         }
+    }
+
+    /// A step within a mean of twelve throws, which is neither its old nor its new level.
+    #[test]
+    fn a_step_within_a_mean_of_throws_does_not_shift_the_present_size() {
+        let mean = |value, block: u32| Point { age: 53.5 + 12.0 * f64::from(block), value, throws: 12.0 };
+        let levels = [0.0, 0.0, 0.11, 0.26, 0.26];
+        let blocks = levels.into_iter().zip((0..5).rev()).map(|(value, block)| mean(value, block));
+        let points: Vec<Point> = blocks.chain(series(|_| 0.26)).collect();
+        let (size, sd) = Course::of(&points, NOISE).unwrap().now();
+        assert!((size - 0.26_f64.exp_m1()).abs() < 2.0 * sd && sd < 0.003, "{size} ± {sd}");
+    }
+
+    #[test]
+    fn after_a_repair_the_size_is_zero() {
+        let (size, sd) = Course::of(&series(|t| if t < 40.0 { 0.2 } else { 0.0 }), NOISE).unwrap().now();
+        assert!(size.abs() < 2.0 * sd && sd < 0.005, "{size} ± {sd}");
     }
 
     #[test]

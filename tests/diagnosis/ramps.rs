@@ -12,6 +12,8 @@ use crate::{
 };
 
 const LIVES: u64 = 4;
+/// Throws for which a machine is followed after its ramp has ended.
+const AFTER_THE_END: u32 = 100;
 
 /// Size in percent, at `throw`, of a ramp to `top` percent over `throws` throws, straight or accelerating.
 fn ramp(top: f64, throws: u32, power: i32, throw: u32) -> f64 {
@@ -43,7 +45,7 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
             let critical = settings.critical_factor * settings.limit_pct(cause).unwrap();
             let critical_at = (1..=throws).find(|throw| size(*throw).abs() >= critical).unwrap();
             let mut given = false;
-            for throw in 1..=throws {
+            for throw in 1..=throws + AFTER_THE_END {
                 let verdict = machine.feed(&mut monitor, shift(cause, size(throw)), None, &settings);
                 let active = |event: &&AlarmEvent| event.state == AlarmState::ActiveUnacknowledged;
                 let raised = verdict.events.iter().filter(active).find(|event| event.cause == cause);
@@ -74,7 +76,7 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
         share(held, said)
     );
     let within = share(reached, forecasts);
-    assert!((89.0..=100.0).contains(&within), "forecasts held {within:.1} % of {forecasts}");
+    assert!((90.0..=99.0).contains(&within), "forecasts held {within:.1} % of {forecasts}");
     assert!(share(forecast, ramps) >= 80.0, "a forecast in {forecast} of {ramps} ramps");
 }
 
@@ -111,7 +113,7 @@ fn a_direction_is_told_when_both_have_six_throws_and_not_before() {
 #[test]
 fn the_size_of_a_step_holds_from_its_first_alarm_on() {
     /// Throws after the first alarm.
-    const FOLLOWED: usize = 20;
+    const FOLLOWED: usize = 100;
     let settings = Settings::default();
     let (mut said, mut held) = ([0_u32; FOLLOWED + 1], [0_u32; FOLLOWED + 1]);
     let parts = [
@@ -133,7 +135,7 @@ fn the_size_of_a_step_holds_from_its_first_alarm_on() {
             machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
         }
         let mut alarmed = None;
-        for throw in 0..40 {
+        for throw in 0..120 {
             let fault = if sides[machine.side()] { shift(cause, size) } else { Vector3::zeros() };
             let verdict = machine.feed(&mut monitor, fault, None, &settings);
             let active = |event: &&AlarmEvent| event.cause == cause && event.state == AlarmState::ActiveUnacknowledged;
