@@ -123,12 +123,24 @@ impl Intermittent {
         let share = budget * OVERLAP / COUNTED.len() as f64;
         let shows = |throws: &usize| {
             let counted = self.recent.len().min(*throws);
-            let all = || self.recent.iter().rev().take(counted).flatten();
-            let count = all().count();
-            (count >= 3 && self.chance(count, counted as f64) < share).then(|| {
-                let mean = all().map(|d| Vector3::from(d.map(f64::from))).sum::<Vector3<f64>>() / count as f64;
-                (counted as f64 / count as f64, mean, count as f64)
-            })
+            let all: Vec<Vector3<f64>> =
+                self.recent.iter().rev().take(counted).flatten().map(|d| Vector3::from(d.map(f64::from))).collect();
+            let enough = |count: usize| count >= 3 && self.chance(count, counted as f64) < share;
+            if !enough(all.len()) {
+                return None;
+            }
+            // A fault gives departures of the same kind, heavy tails give all kinds.
+            let kind = |(cause, sign): (Cause, f64)| -> Vec<Vector3<f64>> {
+                let is_of_kind = |departure: &&Vector3<f64>| {
+                    let part = single(cause, departure, of_one_throw, settings);
+                    sign * part.size > 0.0 && part.relevance(settings) > 1.0
+                };
+                all.iter().filter(is_of_kind).copied().collect()
+            };
+            let kinds = Cause::PHYSICAL.into_iter().flat_map(|cause| [(cause, 1.0), (cause, -1.0)]);
+            let most = kinds.map(kind).max_by_key(Vec::len).filter(|most| enough(most.len()))?;
+            let count = most.len() as f64;
+            Some((counted as f64 / count, most.iter().sum::<Vector3<f64>>() / count, count))
         };
         let (one_in, mean, count) = COUNTED.iter().find_map(shows)?;
         let covariance = of_one_throw / count;

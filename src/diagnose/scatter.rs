@@ -41,7 +41,7 @@ const GAUSSIAN_WEIGHT: f64 = 60.0;
 /// Uncertainty of the covariance of a mean.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Doubt {
-    /// Degrees of freedom of the variance of one throw.
+    /// Degrees of freedom of the variance of the innovations.
     pub(super) degrees_of_freedom: f64,
     /// Possible factors of the serial correlation on the assumed covariance, with their probabilities.
     pub(super) factors: Vec<(f64, f64)>,
@@ -81,10 +81,10 @@ impl Scatter {
             let raw = if share > 0.0 { one[(i, i)] / (zero[(i, i)] * share.max(0.2)) } else { 0.0 };
             let unbiased = (raw + centres as f64 / throws) / (1.0 - 3.0 * centres as f64 / throws);
             let weight = throws * share;
-            // The transformed estimate is nearly normal.
-            let own = unbiased.clamp(-MOST_LAG1, MOST_LAG1).atanh();
-            lag1[i] = ((weight * own + usual_weight * f64::atanh(usual)) / (weight + usual_weight))
-                .tanh()
+            // The arcsine of the estimate is nearly normal.
+            let own = unbiased.clamp(-MOST_LAG1, MOST_LAG1).asin();
+            lag1[i] = ((weight * own + usual_weight * usual.asin()) / (weight + usual_weight))
+                .sin()
                 .clamp(LAG1_RANGE.0, LAG1_RANGE.1);
             let lost = centres as f64 * (1.0 + share * (inflation(lag1[i], throws) - 1.0)) / throws;
             grow[i] = (1.0 / (1.0 - lost.min(0.5))).sqrt();
@@ -118,11 +118,6 @@ impl Scatter {
     /// Lag-1 correlations of the natural scatter.
     pub(super) fn lag1(&self) -> [f64; 3] {
         self.lag1
-    }
-
-    /// Whether an outlier affects more than five following throws.
-    pub(super) fn is_persistent(&self) -> bool {
-        self.lag1_of_one(&self.sensor()).max() > 0.65
     }
 
     /// Standard deviation of one throw whose estimate has the covariance `sensor`.
@@ -176,10 +171,11 @@ impl Scatter {
             + sensor.component_mul(&(ends * ends.transpose()))
     }
 
-    /// Uncertainty of `of_mean` of `w` throws, from the variance of the throws and the lag-1 correlation, both from a
-    /// finite number of throws. The inverse hyperbolic tangent of a lag-1 correlation from n throws is nearly normal
-    /// with variance 1/n (Fisher). With the measured variance of the innovations, a larger correlation also means a
-    /// larger variance of one throw. Each coefficient has a third of the probability.
+    /// Uncertainty of `of_mean` of `w` throws, from the variance of the innovations and the lag-1 correlation, both from
+    /// a finite number of throws. The variance of a lag-1 correlation from n throws is (1 - phi^2)/n (Bartlett), so its
+    /// arcsine is nearly normal with variance 1/n for each phi. The innovations are independent, so each throw is a
+    /// degree of freedom of their variance; with it, a larger correlation also means a larger variance of one throw.
+    /// Each coefficient has a third of the probability.
     pub(super) fn doubt(&self, w: usize) -> Doubt {
         /// Standard deviations from the estimate, and between the nodes.
         const NODES: (i32, f64) = (6, 0.8);
@@ -197,7 +193,7 @@ impl Scatter {
             let assumed = natural[(i, i)] * of_natural(phi) * (1.0 - phi * phi);
             factors.extend((-NODES.0..=NODES.0).map(|node| {
                 let z = f64::from(node) * NODES.1;
-                let other = (phi.atanh() + z * sd).tanh().clamp(LAG1_RANGE.0, MOST_LAG1);
+                let other = (phi.asin() + z * sd).clamp(LAG1_RANGE.0.asin(), MOST_LAG1.asin()).sin();
                 let natural = assumed * of_natural(other) / of_natural(phi);
                 let factor = (natural + fixed) / (assumed + fixed).max(f64::MIN_POSITIVE);
                 (factor, (-0.5 * z * z).exp())
@@ -207,8 +203,7 @@ impl Scatter {
         for (_, weight) in &mut factors {
             *weight /= total;
         }
-        let independent = self.lag1.iter().map(|phi| effective(self.throws, *phi)).sum::<f64>() / 3.0;
-        Doubt { degrees_of_freedom: independent * self.tail_worth + self.leaning, factors }
+        Doubt { degrees_of_freedom: self.throws * self.tail_worth + self.leaning, factors }
     }
 }
 

@@ -23,13 +23,10 @@ use crate::{estimate::Grade, throw::Direction};
 /// Largest number of throws set aside in a direction: a longest window shows every relevant drift.
 const MOST_ASIDE: usize = WINDOWS[3];
 
-/// Largest innovation in standard deviations; larger ones are clipped. A step needs two throws.
-const CLIP_SD: f64 = 8.0;
-/// The same if an outlier has a long effect. The limits of such a machine are high: with 3.5 no step of any size could
-/// exceed those of a lag-1 correlation near 0.9.
-const CLIP_PERSISTENT_SD: f64 = 5.0;
-/// The same with heavy tails. A step needs four throws.
-const CLIP_WILD_SD: f64 = 3.5;
+/// Largest part of the limit of T that a single innovation may have: two throws show a step.
+const MOST_OF_ONE: f64 = 0.35;
+/// The same with heavy tails: four throws show a step.
+const MOST_OF_ONE_WILD: f64 = 0.08;
 
 /// Largest difference of the drifts of both directions that counts as agreement, in standard deviations.
 const AGREE_SD: f64 = 2.0;
@@ -233,12 +230,8 @@ impl Tracks {
         let mixed = mixed.map(|mixed| (&mixed_tail, &mixed.scatter, &mixed.thresholds));
         let mut best: Option<(Window, &Scatter)> = None;
         for (tail, scatter, thresholds) in own.chain(mixed) {
-            let clip_sd = match scatter.is_persistent() {
-                _ if wild => CLIP_WILD_SD,
-                true => CLIP_PERSISTENT_SD,
-                false => CLIP_SD,
-            };
-            if let Some(window) = tail.strongest(clip_sd, scatter, thresholds, baselines)
+            let most_of_one = if wild { MOST_OF_ONE_WILD } else { MOST_OF_ONE };
+            if let Some(window) = tail.strongest(most_of_one, scatter, thresholds, baselines)
                 && best.is_none_or(|(best, _)| window.excess > best.excess)
             {
                 best = Some((window, scatter));

@@ -170,21 +170,19 @@ impl<'a> Stream<'a> {
         Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0 })
     }
 
-    /// T of the mean innovation of the last throws of `window`, as a level, each innovation clipped at `clip_sd`. An
+    /// T of the mean innovation of the last throws of `window`, as a level, each innovation clipped at `reach`. An
     /// outlier with an effect on the following throws is a single innovation.
     fn score(
         &self,
         window: &Window,
-        clip_sd: f64,
+        reach: &Vector3<f64>,
         scatter: &Scatter,
         baselines: [Option<&Baseline>; 2],
     ) -> Option<f64> {
         let n = window.throws as f64;
-        let sensor =
-            self.0[..window.throws].iter().map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / n;
-        let (sd, rho) = (scatter.sd_of_one(&sensor), scatter.lag1_of_one(&sensor));
+        let sensor = self.mean_sensor(window.throws);
+        let rho = scatter.lag1_of_one(&sensor);
         let fresh = rho.map(|rho| (1.0 - rho * rho).sqrt());
-        let reach = sd.component_mul(&fresh) * clip_sd;
         let residual = |at: usize| self.0.get(at).map(|(side, throw)| Some(baselines[*side]?.compensated(throw.raw())));
         let mut sum = Vector3::zeros();
         let mut throw = residual(0)??;
@@ -199,22 +197,41 @@ impl<'a> Stream<'a> {
         Some((level.transpose() * inverse * level).x)
     }
 
+    /// The innovation of each coefficient that alone gives the score of `window` the value `t`.
+    fn reach(&self, t: f64, window: &Window, scatter: &Scatter) -> Option<Vector3<f64>> {
+        let sensor = self.mean_sensor(window.throws);
+        let inverse = (window.covariance + scatter.more_of_score(window.throws, &sensor)).try_inverse()?;
+        let rho = scatter.lag1_of_one(&sensor);
+        Some(Vector3::from_fn(|i, _| window.throws as f64 * (1.0 - rho[i]) * (t / inverse[(i, i)]).sqrt()))
+    }
+
+    /// Mean covariance of the estimates of the last throws.
+    fn mean_sensor(&self, throws: usize) -> Matrix3<f64> {
+        self.0[..throws].iter().map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / throws as f64
+    }
+
     /// The window with the largest `excess`, also below the limit. Above a quarter of the limit, mean and mean
-    /// innovation must agree.
+    /// innovation must agree; a single innovation counts for at most the part `most_of_one` of the shortest window's
+    /// limit. So an outlier is no drift, however heavy the tails, and with high limits too a step shows.
     pub(super) fn strongest(
         &self,
-        clip_sd: f64,
+        most_of_one: f64,
         scatter: &Scatter,
         thresholds: &Thresholds,
         baselines: [Option<&Baseline>; 2],
     ) -> Option<Window> {
         let mut best: Option<Window> = None;
+        let mut reach = None;
         for (at, &throws) in WINDOWS.iter().enumerate() {
             let Some(mut window) = self.window(throws, scatter, baselines) else { continue };
+            if at == 0 {
+                reach = self.reach(most_of_one * thresholds.of(0), &window, scatter);
+            }
             let Some(inverse) = window.covariance.try_inverse() else { continue };
             let t = (window.mean.transpose() * inverse * window.mean).x;
-            let score =
-                if t > 0.25 * thresholds.of(at) { self.score(&window, clip_sd, scatter, baselines) } else { None };
+            let score = reach
+                .filter(|_| t > 0.25 * thresholds.of(at))
+                .and_then(|reach| self.score(&window, &reach, scatter, baselines));
             window.excess = t.min(score.unwrap_or(t)) / thresholds.of(at);
             if best.is_none_or(|best| window.excess > best.excess) {
                 best = Some(window);

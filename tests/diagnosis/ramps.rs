@@ -208,8 +208,7 @@ fn a_healthy_machine_completes_its_baseline_whatever_its_scatter() {
     }
 }
 
-/// The throws of a machine may depend strongly on those before. Its limits are high, but a large step exceeds them,
-/// except on some machines: with an estimated correlation of 0.95 the baseline hardly determines the scatter.
+/// The throws of a machine may depend strongly on those before. Its limits are high, but a large step exceeds them.
 #[test]
 fn a_machine_whose_throws_wander_shows_a_large_step() {
     const LIVES: u64 = 40;
@@ -228,6 +227,6 @@ fn a_machine_whose_throws_wander_shows_a_large_step() {
         });
         let named = named.count();
         println!("{cause:?} {size} %: named in {named} of {LIVES} lives");
-        assert!(named >= 32, "{cause:?} {size} %: {named} of {LIVES}");
+        assert!(named >= 38, "{cause:?} {size} %: {named} of {LIVES}");
     }
 }
