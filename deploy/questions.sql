@@ -9,9 +9,9 @@ GROUP BY site, machine ORDER BY critical DESC, alarms DESC LIMIT 20;
 
 -- 2. How fast does each coefficient of a machine drift? [% per 100 throws, over its last 200 good throws to reverse]
 WITH last AS (
-    SELECT row_number() OVER (ORDER BY started_at DESC) AS n, b0_pct, a1_pct, a0_pct FROM health_history
+    SELECT row_number() OVER (ORDER BY started_at_us DESC) AS n, b0_pct, a1_pct, a0_pct FROM health_history
     WHERE site = 'north' AND machine = 'm1' AND direction = 'normal_to_reverse' AND quality = 'good' AND b0_pct IS NOT NULL
-    ORDER BY started_at DESC LIMIT 200),
+    ORDER BY started_at_us DESC LIMIT 200),
 mean AS (SELECT avg(n) AS n, avg(b0_pct) AS b0, avg(a1_pct) AS a1, avg(a0_pct) AS a0, count(*) AS throws FROM last)
 SELECT mean.throws,
        -100 * sum((last.n - mean.n) * (b0_pct - b0)) / sum((last.n - mean.n) * (last.n - mean.n)) AS b0_per_100,
@@ -19,22 +19,23 @@ SELECT mean.throws,
        -100 * sum((last.n - mean.n) * (a0_pct - a0)) / sum((last.n - mean.n) * (last.n - mean.n)) AS a0_per_100
 FROM last, mean;
 
--- 3. What did the last maintenance of a machine change? [mean of 50 throws before and after]
+-- 3. What did the last maintenance of a machine change? [mean of 100 throws before and after]
 WITH visit AS (
-    SELECT max(carried_out_at) AS at FROM operator_commands
+    SELECT unixepoch(max(carried_out_at)) * 1000000 AS at_us FROM operator_commands
     WHERE site = 'north' AND machine = 'm1' AND command IN ('maintenance_end', 'rebaseline')),
+good AS NOT MATERIALIZED (SELECT * FROM health_history WHERE site = 'north' AND machine = 'm1' AND quality = 'good'),
 near AS (
-    SELECT started_at >= visit.at AS is_after, b0, a1, a0,
-           row_number() OVER (PARTITION BY started_at >= visit.at, direction
-                              ORDER BY abs(julianday(started_at) - julianday(visit.at))) AS n
-    FROM health_history, visit WHERE site = 'north' AND machine = 'm1' AND quality = 'good')
-SELECT CASE is_after WHEN 1 THEN 'after' ELSE 'before' END AS side, count(*) AS throws,
-       avg(b0) AS b0, avg(a1) AS a1, avg(a0) AS a0
-FROM near WHERE n <= 50 GROUP BY is_after;
+    SELECT * FROM (SELECT 'before' AS side, b0, a1, a0 FROM good WHERE started_at_us < (SELECT at_us FROM visit)
+                   ORDER BY started_at_us DESC LIMIT 100)
+    UNION ALL
+    SELECT * FROM (SELECT 'after', b0, a1, a0 FROM good WHERE started_at_us >= (SELECT at_us FROM visit)
+                   ORDER BY started_at_us LIMIT 100))
+SELECT side, count(*) AS throws, avg(b0) AS b0, avg(a1) AS a1, avg(a0) AS a0 FROM near GROUP BY side;
 
--- 4. How does the friction of a machine follow the temperature? [by 5 K]
+-- 4. How did the friction of a machine follow the temperature in the last year? [by 5 K]
 SELECT 5 * cast(round(temperature_c / 5) AS INTEGER) AS about_c, count(*) AS throws, avg(a1_pct) AS a1_pct
 FROM health_history WHERE site = 'north' AND machine = 'm1' AND quality = 'good' AND temperature_c IS NOT NULL
+  AND started_at_us >= (unixepoch('now') - 365 * 86400) * 1000000
 GROUP BY about_c ORDER BY about_c;
 
 -- 5. Why were throws rejected, and on how many machines?
@@ -72,11 +73,10 @@ WHERE one.direction = 'normal_to_reverse' AND apart > 10 ORDER BY apart DESC LIM
 
 -- 11. Which throws of a machine can be exported with their traces? [`pointsd export --traces DIR`; README: the codec of traces]
 SELECT boot_id, throw_no, started_at, quality FROM health_history
-WHERE site = 'north' AND machine = 'm1' ORDER BY started_at DESC LIMIT 20;
+WHERE site = 'north' AND machine = 'm1' ORDER BY started_at_us DESC LIMIT 20;
 
 -- 12. What did the last twenty throws before an alarm look like?
-WITH raised AS (
-    SELECT site, machine, raised_at FROM alarm_history WHERE site = 'north' AND machine = 'm1' ORDER BY raised_at DESC LIMIT 1)
 SELECT started_at, direction, quality, b0_pct, a1_pct, a0_pct, duration_s, mean_current_a
-FROM health_history JOIN raised USING (site, machine)
-WHERE started_at <= raised_at ORDER BY started_at DESC LIMIT 20;
+FROM health_history WHERE site = 'north' AND machine = 'm1'
+  AND started_at_us < (SELECT (unixepoch(max(raised_at)) + 1) * 1000000 FROM alarm_history WHERE site = 'north' AND machine = 'm1')
+ORDER BY started_at_us DESC LIMIT 20;

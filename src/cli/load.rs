@@ -37,7 +37,7 @@ pub(super) struct Arguments {
     /// Throws per second of all machines together.
     #[arg(long, value_name = "R", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rate: u32,
-    /// Duration of the load \[s\].
+    /// Duration of the load in seconds.
     #[arg(long, value_name = "S", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=86_400))]
     seconds: u32,
     /// First part of the names of the sites: `SITE-1`, `SITE-2` and so on, with 100 machines each.

@@ -64,7 +64,7 @@ pub(super) fn io_error(error: csv::Error) -> io::Error {
     }
 }
 
-/// A change with its 95 % interval [%], as on the pages but with a plain minus sign, as in all output of the command line.
+/// A change with its 95 % interval \[%\], as on the pages but with a plain minus sign, as in all output of the command line.
 pub(super) fn size(change_pct: f64, change_pct_sd: f64) -> String {
     web::size(change_pct, change_pct_sd).replace('−', "-")
 }

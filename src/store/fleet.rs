@@ -3,12 +3,17 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use sqlx::{FromRow, Row, sqlite::SqliteRow};
+use sqlx::{
+    FromRow, Row, Sqlite,
+    query::QueryAs,
+    sqlite::{SqliteArguments, SqliteRow},
+};
 
 use super::{
     error::StoreError,
     reader::Reader,
     rows::{json, machine_id, time, timestamp, word},
+    statements as sql,
 };
 use crate::{
     diagnose::{AlarmState, BaselineRecord, Cause, Drifting, MachineState},
@@ -35,6 +40,46 @@ pub(crate) struct FleetQuery {
     pub spark: u32,
     /// Leaves out machines that are not monitored and have no other open alarm.
     pub without_silent: bool,
+}
+
+impl FleetQuery {
+    /// A statement on the machines of `matching!`, with its first five parameters.
+    fn matching<'q, Row>(
+        &'q self,
+        statement: &'static str,
+        itself: &'q MachineId,
+    ) -> QueryAs<'q, Sqlite, Row, SqliteArguments>
+    where
+        Row: for<'r> FromRow<'r, SqliteRow>,
+    {
+        sqlx::query_as(statement)
+            .bind(self.site.as_ref().map(Name::as_str))
+            .bind(self.cause.map(Cause::as_str))
+            .bind(self.search.as_deref())
+            .bind(itself.site.as_str())
+            .bind(itself.machine.as_str())
+    }
+}
+
+/// Numbers of machines.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Tally {
+    /// Number of machines in each state.
+    pub states: Vec<(MachineState, u64)>,
+    /// Number of machines that are not monitored and have no other open alarm.
+    pub silent: u64,
+}
+
+impl Tally {
+    /// Number of all machines.
+    pub(crate) fn total(&self) -> u64 {
+        self.states.iter().map(|(_, count)| count).sum()
+    }
+
+    /// Number of the machines in a state.
+    pub(crate) fn of(&self, state: MachineState) -> u64 {
+        self.states.iter().filter(|(of, _)| *of == state).map(|(_, count)| count).sum()
+    }
 }
 
 #[derive(Debug, Clone, Serialize)]
@@ -131,23 +176,35 @@ pub struct Window {
     pub why: Option<String>,
 }
 
-/// Machines that match the filters ?1 site, ?2 state, ?3 cause and ?4 text, the worst state first.
-const FLEET: &str = "
+/// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself, which is ?4/?5. A silent
+/// machine is not monitored and has no other open alarm.
+macro_rules! matching {
+    () => {
+        "(SELECT machine.machine_row, site, machine, coalesce(monitor.state, 'learning') AS state, monitor.drifts,
+                 CASE WHEN monitor.state = 'not_monitored' THEN NOT EXISTS (SELECT 1 FROM alarm
+                     WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'
+                       AND alarm.cause NOT IN ('not_monitored', 'data_loss')) ELSE 0 END AS is_silent
+          FROM machine LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row
+          WHERE (?1 IS NULL OR site = ?1)
+            AND (?2 IS NULL OR EXISTS (SELECT 1 FROM alarm
+                 WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?2))
+            AND (?3 IS NULL OR instr(lower(site || '/' || machine), lower(?3)) > 0)
+            AND NOT (site = ?4 AND machine = ?5))"
+    };
+}
+
+/// The matching machines of state ?6, without silent ones if ?7, the worst state first.
+const FLEET: &str = concat!(
+    "
     WITH chosen AS (
-        SELECT machine.machine_row, site, machine, coalesce(monitor.state, 'learning') AS state, monitor.drifts
-        FROM machine LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row
-        WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR coalesce(monitor.state, 'learning') = ?2)
-          AND (?3 IS NULL OR EXISTS (SELECT 1 FROM alarm
-               WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?3))
-          AND (?4 IS NULL OR instr(lower(site || '/' || machine), lower(?4)) > 0)
-          AND NOT (site = ?5 AND machine = ?6)
-          AND NOT (?10 AND coalesce(monitor.state, 'learning') = 'not_monitored' AND NOT EXISTS (SELECT 1 FROM alarm
-               WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'
-                 AND alarm.cause NOT IN ('not_monitored', 'data_loss')))
-        ORDER BY CASE coalesce(monitor.state, 'learning') WHEN 'critical' THEN 0 WHEN 'not_monitored' THEN 1
+        SELECT machine_row, site, machine, state, drifts FROM ",
+    matching!(),
+    "
+        WHERE (?6 IS NULL OR state = ?6) AND NOT (?7 AND is_silent)
+        ORDER BY CASE state WHEN 'critical' THEN 0 WHEN 'not_monitored' THEN 1
                  WHEN 'warning' THEN 2 WHEN 'maintenance' THEN 3 WHEN 'learning' THEN 4 ELSE 5 END,
-                 coalesce(abs(monitor.drifts ->> '$[0].change_pct'), 0) DESC, site, machine
-        LIMIT ?7 OFFSET ?8)
+                 coalesce(abs(drifts ->> '$[0].change_pct'), 0) DESC, site, machine
+        LIMIT ?8 OFFSET ?9)
     SELECT chosen.site, chosen.machine, chosen.state, chosen.drifts, throw.started_at_us, estimate.quality,
            coalesce(estimate.baseline_throws, learned.baseline_throws) AS baseline_throws,
            coalesce(estimate.baseline_needed, learned.baseline_needed) AS baseline_needed,
@@ -156,27 +213,17 @@ const FLEET: &str = "
            (SELECT json_group_array(json_array(b0_pct, a1_pct, a0_pct)) FROM
              (SELECT b0_pct, a1_pct, a0_pct FROM estimate AS near
                WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
-               ORDER BY near.throw_row DESC LIMIT ?9)) AS spark
+               ORDER BY near.throw_row DESC LIMIT ?10)) AS spark
     FROM chosen
     LEFT JOIN throw ON throw.throw_row = (SELECT throw_row FROM latest WHERE latest.machine_row = chosen.machine_row
                                            ORDER BY throw_row DESC LIMIT 1)
     LEFT JOIN estimate ON estimate.throw_row = throw.throw_row
     LEFT JOIN latest AS near ON near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
-    LEFT JOIN estimate AS learned ON learned.throw_row = near.throw_row";
+    LEFT JOIN estimate AS learned ON learned.throw_row = near.throw_row"
+);
 
-/// Number of machines in each state, with the filters of [`FLEET`] except the state.
-const TALLY: &str = "
-    SELECT coalesce(monitor.state, 'learning'), count(*)
-    FROM machine LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row
-    WHERE (?1 IS NULL OR site = ?1)
-      AND (?2 IS NULL OR EXISTS (SELECT 1 FROM alarm
-           WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?2))
-      AND (?3 IS NULL OR instr(lower(site || '/' || machine), lower(?3)) > 0)
-      AND NOT (site = ?4 AND machine = ?5)
-      AND NOT (?6 AND coalesce(monitor.state, 'learning') = 'not_monitored' AND NOT EXISTS (SELECT 1 FROM alarm
-           WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'
-             AND alarm.cause NOT IN ('not_monitored', 'data_loss')))
-    GROUP BY 1";
+/// Number of matching machines in each state, and of the silent ones among them.
+const TALLY: &str = concat!("SELECT state, count(*), sum(is_silent) FROM ", matching!(), " GROUP BY state");
 
 const SITES: &str = "SELECT site FROM machine GROUP BY site ORDER BY site LIMIT ?1";
 
@@ -225,24 +272,6 @@ const BASELINES: &str = "
 
 const STATE: &str = "
     SELECT state, drifts, caveats FROM monitor JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2";
-
-/// The previous and the next throw of a machine, in the order of their start.
-const NEIGHBOURS: &str = "
-    WITH this AS (SELECT throw_row, throw.machine_row, started_at_us FROM throw JOIN boot USING (boot_row)
-                  JOIN machine ON machine.machine_row = throw.machine_row
-                  WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND throw_no = ?4)
-    SELECT boot_id, throw_no, throw.throw_row = (SELECT near.throw_row FROM throw AS near
-               WHERE near.machine_row = this.machine_row
-                 AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row)
-               ORDER BY near.started_at_us, near.throw_row LIMIT 1) AS is_later
-    FROM this JOIN throw ON throw.throw_row IN (
-        (SELECT near.throw_row FROM throw AS near WHERE near.machine_row = this.machine_row
-            AND (near.started_at_us, near.throw_row) < (this.started_at_us, this.throw_row)
-            ORDER BY near.started_at_us DESC, near.throw_row DESC LIMIT 1),
-        (SELECT near.throw_row FROM throw AS near WHERE near.machine_row = this.machine_row
-            AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row)
-            ORDER BY near.started_at_us, near.throw_row LIMIT 1))
-    JOIN boot USING (boot_row)";
 
 /// The newest good throw of a direction with a trace, up to a time, among the 300 throws before it.
 const TYPICAL: &str = "
@@ -354,35 +383,23 @@ impl FromRow<'_, SqliteRow> for Window {
 impl Reader {
     /// A page of the fleet, without the daemon itself.
     pub(crate) async fn fleet(&self, query: &FleetQuery, itself: &MachineId) -> Result<Vec<FleetRow>, StoreError> {
-        let statement = sqlx::query_as(FLEET)
-            .bind(query.site.as_ref().map(Name::as_str))
+        let statement = query
+            .matching(FLEET, itself)
             .bind(query.state.map(MachineState::as_str))
-            .bind(query.cause.map(Cause::as_str))
-            .bind(query.search.as_deref())
-            .bind(itself.site.as_str())
-            .bind(itself.machine.as_str())
+            .bind(query.without_silent)
             .bind(query.limit)
             .bind(query.offset)
-            .bind(query.spark)
-            .bind(query.without_silent);
+            .bind(query.spark);
         self.asked(statement).await
     }
 
     /// Number of machines in each state; the filter of the state is ignored.
-    pub(crate) async fn tally(
-        &self,
-        query: &FleetQuery,
-        itself: &MachineId,
-    ) -> Result<Vec<(MachineState, u64)>, StoreError> {
-        let statement = sqlx::query_as(TALLY)
-            .bind(query.site.as_ref().map(Name::as_str))
-            .bind(query.cause.map(Cause::as_str))
-            .bind(query.search.as_deref())
-            .bind(itself.site.as_str())
-            .bind(itself.machine.as_str())
-            .bind(query.without_silent);
-        let rows: Vec<(String, i64)> = self.asked(statement).await?;
-        Ok(rows.into_iter().map(|(state, count)| (state.parse().unwrap_or_default(), count.cast_unsigned())).collect())
+    pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<Tally, StoreError> {
+        let rows: Vec<(String, i64, i64)> = self.asked(query.matching(TALLY, itself)).await?;
+        let silent = rows.iter().map(|(_, _, silent)| silent.cast_unsigned()).sum();
+        let states =
+            rows.into_iter().map(|(state, count, _)| (state.parse().unwrap_or_default(), count.cast_unsigned()));
+        Ok(Tally { states: states.collect(), silent })
     }
 
     /// The first `limit` sites by name.
@@ -453,7 +470,8 @@ impl Reader {
         machine: &MachineId,
         throw: &ThrowRef,
     ) -> Result<[Option<ThrowRef>; 2], StoreError> {
-        let statement = sqlx::query_as(NEIGHBOURS).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let statement =
+            sqlx::query_as(sql::THROW_NEIGHBOURS).bind(machine.site.as_str()).bind(machine.machine.as_str());
         let statement = statement.bind(throw.boot_id.as_str()).bind(throw.throw_no.cast_signed());
         let rows: Vec<(String, i64, bool)> = self.asked(statement).await?;
         let mut neighbours = [None, None];

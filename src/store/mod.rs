@@ -40,7 +40,7 @@ pub use disk::DiskLevel;
 pub use error::StoreError;
 pub use export::{Export, Exported};
 pub use fleet::Window;
-pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Present};
+pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Present, Tally};
 pub use housekeeping::Housekeeping;
 pub use judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub use open::{Found, Report, refuse_foreign};

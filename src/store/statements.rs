@@ -348,6 +348,23 @@ statements! {
         ORDER BY event_at_us DESC, alarm_row DESC, event_no DESC LIMIT ?3");
     THROW_AT = concat!("SELECT ", throw_rows!(), " WHERE throw.throw_row = (SELECT throw_row FROM throw JOIN boot USING (boot_row) \
         WHERE boot.machine_row = ", one_machine!(), " AND boot_id = ?3 AND throw_no = ?4)");
+    // The previous and the next throw of a machine, in the order of their start. CROSS JOIN: SQLite would read all throws
+    // of the machine to find one.
+    THROW_NEIGHBOURS = "WITH this AS (SELECT throw_row, throw.machine_row, started_at_us FROM machine JOIN boot USING (machine_row) \
+        CROSS JOIN throw ON throw.boot_row = boot.boot_row \
+        WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND throw_no = ?4) \
+        SELECT boot_id, throw_no, throw.throw_row = (SELECT near.throw_row FROM throw AS near \
+        WHERE near.machine_row = this.machine_row \
+        AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row) \
+        ORDER BY near.started_at_us, near.throw_row LIMIT 1) AS is_later \
+        FROM this JOIN throw ON throw.throw_row IN ( \
+        (SELECT near.throw_row FROM throw AS near WHERE near.machine_row = this.machine_row \
+        AND (near.started_at_us, near.throw_row) < (this.started_at_us, this.throw_row) \
+        ORDER BY near.started_at_us DESC, near.throw_row DESC LIMIT 1), \
+        (SELECT near.throw_row FROM throw AS near WHERE near.machine_row = this.machine_row \
+        AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row) \
+        ORDER BY near.started_at_us, near.throw_row LIMIT 1)) \
+        JOIN boot USING (boot_row)";
     HEALTH_AT = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row = ?1");
 

@@ -46,7 +46,7 @@ pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQu
     let _turn = web.turn().await?;
     let reader = web.view.reader();
     let tally = reader.tally(&query, &itself).await?;
-    let tally: BTreeMap<&str, u64> = tally.into_iter().map(|(state, count)| (state.as_str(), count)).collect();
+    let tally: BTreeMap<&str, u64> = tally.states.into_iter().map(|(state, count)| (state.as_str(), count)).collect();
     Ok(answer(&json!({"tally": tally, "machines": reader.fleet(&query, &itself).await?})))
 }
 

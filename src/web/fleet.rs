@@ -23,7 +23,7 @@ use super::{
 use crate::{
     daemon::{View, clock},
     diagnose::{Cause, MachineState},
-    store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Window},
+    store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, Window},
     throw::MachineId,
 };
 
@@ -165,13 +165,13 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let reader = web.view.reader();
     let is_filtered = query.site.is_some() || query.cause.is_some() || query.search.is_some();
     let tally = if is_filtered { reader.tally(&query, &itself).await? } else { overview.tally.clone() };
-    let grouped = group_silent(&mut query, &tally, reader, &itself).await?;
+    let grouped = group_silent(&mut query, &tally);
     let rows = reader.fleet(&query, &itself).await?;
     let windows = reader.windows(None).await?;
     let limits = web.view.config().diagnosis.clone();
     let matching = match query.state {
-        Some(state) => tally.iter().filter(|(of, _)| *of == state).map(|(_, count)| count).sum(),
-        None => total(&tally).saturating_sub(grouped),
+        Some(state) => tally.of(state),
+        None => tally.total().saturating_sub(grouped),
     };
     let (first, last) = (u64::from(query.offset), u64::from(query.offset) + rows.len() as u64);
     let more_alarms = overview.fault_count.saturating_sub(overview.faults.len() as u64);
@@ -179,7 +179,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     Ok(page::html(&Page {
         trouble: trouble::all(&web.view, &overview),
         tally: tally_links(&tally, &filters),
-        machines: page::count(total(&tally)),
+        machines: page::count(tally.total()),
         common: common(&overview),
         alarms: overview.faults.iter().map(|fault| fault_line(fault, &windows)).collect(),
         more_alarms: if more_alarms > 0 { page::count(more_alarms) } else { String::new() },
@@ -206,33 +206,19 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     }))
 }
 
-fn total(tally: &[(MachineState, u64)]) -> u64 {
-    tally.iter().map(|(_, count)| count).sum()
+/// Number of the silent machines if they are one line of the list, which the query then leaves out. They have a common
+/// cause, such as a lost link, and would push machines with faults out of sight.
+fn group_silent(query: &mut FleetQuery, tally: &Tally) -> u64 {
+    let is_chosen = query.state.is_some() || query.cause.is_some() || query.search.is_some();
+    query.without_silent = tally.silent > SILENT_ROWS && !is_chosen;
+    if query.without_silent { tally.silent } else { 0 }
 }
 
-/// Number of the machines that are one line of the list: not monitored, and without another alarm. They have a common
-/// cause, such as a lost link, and would push machines with faults out of sight. The query leaves them out.
-async fn group_silent(
-    query: &mut FleetQuery,
-    tally: &[(MachineState, u64)],
-    reader: &Reader,
-    itself: &MachineId,
-) -> Result<u64, Failure> {
-    let silent = tally.iter().find(|(state, _)| *state == MachineState::NotMonitored).map_or(0, |(_, count)| *count);
-    if silent <= SILENT_ROWS || query.state.is_some() || query.cause.is_some() || query.search.is_some() {
-        return Ok(0);
-    }
-    let others = FleetQuery { without_silent: true, ..query.clone() };
-    let grouped = total(tally).saturating_sub(total(&reader.tally(&others, itself).await?));
-    query.without_silent = grouped > SILENT_ROWS;
-    Ok(if query.without_silent { grouped } else { 0 })
-}
-
-fn tally_links(tally: &[(MachineState, u64)], filters: &Filters) -> Vec<(Badge, String, String)> {
-    let count = |state| tally.iter().find(|(of, _)| *of == state).map_or(0, |(_, count)| *count);
-    let link =
-        |state: MachineState| (Badge(state), page::count(count(state)), filters.with_state(state.as_str()).address());
-    state::ALL.into_iter().filter(|state| count(*state) > 0).map(link).collect()
+fn tally_links(tally: &Tally, filters: &Filters) -> Vec<(Badge, String, String)> {
+    let link = |state: MachineState| {
+        (Badge(state), page::count(tally.of(state)), filters.with_state(state.as_str()).address())
+    };
+    state::ALL.into_iter().filter(|state| tally.of(*state) > 0).map(link).collect()
 }
 
 fn fault_line(fault: &Fault, windows: &[Window]) -> AlarmLine {

@@ -58,14 +58,14 @@ pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Res
         database(&mut registry, &overview);
         alarms(&mut registry, &overview);
         let series = web.view.config().web.machine_metrics;
-        let omitted = if overview.machines <= u64::from(series) { 0 } else { overview.machines };
+        let omitted = if overview.tally.total() <= u64::from(series) { 0 } else { overview.tally.total() };
         let omitted = ConstGauge::new(omitted.cast_signed());
         registry.register(
             "machines_omitted",
             "Machines without own series, as there are more than web.machine_metrics",
             omitted,
         );
-        if overview.machines <= u64::from(series)
+        if overview.tally.total() <= u64::from(series)
             && let Ok(Ok(rows)) = time::timeout(LIMIT, machine_rows(&web, series)).await
         {
             machines(&mut registry, &rows);
@@ -187,7 +187,7 @@ fn database(registry: &mut Registry, overview: &Overview) {
         ("throws_missing", "Throw numbers in gaps", statistics.missing_throws),
         ("throws_kept", "Throws in the database", statistics.throws),
         ("traces_kept", "Throws in the database with their trace", statistics.traces),
-        ("machines", "Machines with any state or throw", overview.machines),
+        ("machines", "Machines with any state or throw", overview.tally.total()),
     ] {
         registry.register(name, help, ConstGauge::new(value.cast_signed()));
     }

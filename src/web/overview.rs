@@ -9,8 +9,7 @@ use tokio::sync::{Mutex, Semaphore, SemaphorePermit};
 
 use crate::{
     daemon::{View, clock},
-    diagnose::MachineState,
-    store::{CommonAlarm, Fault, FleetQuery, Selector, Statistics, StoreError},
+    store::{CommonAlarm, Fault, FleetQuery, Selector, Statistics, StoreError, Tally},
     throw::MachineId,
     wire::Alarm,
 };
@@ -28,8 +27,7 @@ const SITES: u32 = 200;
 #[derive(Debug)]
 pub(super) struct Overview {
     /// Number of machines in each state; states without machines are left out.
-    pub(super) tally: Vec<(MachineState, u64)>,
-    pub(super) machines: u64,
+    pub(super) tally: Tally,
     /// Open alarms about the condition of machines, the worst first, up to [`FAULTS`].
     pub(super) faults: Vec<Fault>,
     pub(super) fault_count: u64,
@@ -77,7 +75,6 @@ impl Web {
         let tally = reader.tally(&FleetQuery::default(), &itself).await?;
         let (faults, unreadable) = reader.faults(FAULTS, &itself).await?;
         let overview = Arc::new(Overview {
-            machines: tally.iter().map(|(_, count)| count).sum(),
             tally,
             faults,
             fault_count: reader.fault_count(&itself).await?,

@@ -138,7 +138,7 @@
       dashed(chart, colour.ink, [at, top], [at, bottom]);
       if (row < 0) continue;
       ends[row] = centre + half;
-      label(chart, colour, text, centre, top, "center");
+      label(chart, colour, text, centre, top - 3 * uPlot.pxRatio, "center");
     }
     ctx.restore();
   }
