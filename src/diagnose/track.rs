@@ -24,7 +24,7 @@ use crate::{estimate::Grade, throw::Direction};
 const MOST_ASIDE: usize = WINDOWS[3];
 
 /// Largest part of the limit of T that a single innovation may have: two throws show a step.
-const MOST_OF_ONE: f64 = 0.35;
+const MOST_OF_ONE: f64 = 0.4;
 /// The same with heavy tails: four throws show a step.
 const MOST_OF_ONE_WILD: f64 = 0.08;
 
