@@ -388,7 +388,9 @@ fn look_at(cause: Cause, size: f64) -> &'static str {
         (Cause::Kt, false) => "Check the motor: magnets, brushes, commutator.",
         (Cause::Kt, true) => "Check the motor: a part may have been replaced.",
         (Cause::Friction, true) => "Check slide chairs and lubrication.",
-        (Cause::Friction, false) => "If it was cleaned or lubricated, take a new baseline.",
+        (Cause::Friction, false) => {
+            "Rain does this and passes. Take a new baseline only if it was cleaned or lubricated."
+        }
         (Cause::Stiffness, true) => "Check rods, stretcher bars and heel for binding.",
         (Cause::Stiffness, false) => "Check rods, stretcher bars and fastenings for looseness or cracks.",
         (Cause::Inertia, true) => {

@@ -2,15 +2,15 @@
 
 use super::{
     acceptance::{Departure, accept, finish, misfit},
-    armature, brake,
-    checks::{self, second_difference_noise},
+    armature, brake, course,
     covariance::Noise,
-    current_only, decimate,
+    current_only, damage, decimate,
     filter::Hold,
     hum,
     identification::{Estimate, Grade, Identification},
     lateness,
     movement::{Level, MIN_QUIET, Movement, every, peak, start_of_motor},
+    noise::{self, second_difference_noise},
     ratios::{self, FullModel},
     rejection::{Channel, Rejection},
     release,
@@ -76,8 +76,8 @@ impl Identifier {
         let raw_interval_s = 1.0 / trace.sample_rate_hz();
         let factor = decimate::factor(trace.sample_rate_hz());
         let interval_s = raw_interval_s * factor as f64;
-        let raw_checks = checks::values(trace.current_a(), trace.position_mm(), raw_interval_s)
-            .and_then(|()| checks::clipping(trace.current_a(), raw_interval_s));
+        let raw_checks = damage::values(trace.current_a(), trace.position_mm(), raw_interval_s)
+            .and_then(|()| damage::clipping(trace.current_a(), raw_interval_s));
 
         copy_finite(&mut self.current, trace.current_a());
         copy_finite(&mut self.position, trace.position_mm());
@@ -103,10 +103,10 @@ impl Identifier {
             .and_then(|()| long_enough(self.current.len(), interval_s))
             .and_then(|()| {
                 let channels = (self.current.as_slice(), self.position.as_slice());
-                checks::course(&movement, channels, interval_s, settings, noise_mm, &mut self.scratch)
+                course::course(&movement, channels, interval_s, settings, noise_mm, &mut self.scratch)
             })
-            .and_then(|()| checks::sticking(&movement, Channel::Current, trace.current_a(), raw_interval_s, factor))
-            .and_then(|()| checks::sticking(&movement, Channel::Position, trace.position_mm(), raw_interval_s, factor))
+            .and_then(|()| damage::sticking(&movement, Channel::Current, trace.current_a(), raw_interval_s, factor))
+            .and_then(|()| damage::sticking(&movement, Channel::Position, trace.position_mm(), raw_interval_s, factor))
             .and_then(|()| self.estimate(throw, settings, &movement, (interval_s, factor, noise_mm), released));
         let moved = direction_moved(&movement, &outcome);
         let mut features = movement.features(&self.current, &self.position, interval_s);
@@ -145,7 +145,7 @@ impl Identifier {
             throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
         let known =
             throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
-        let outcome = checks::values(trace.current_a(), &[], 1.0 / trace.sample_rate_hz())
+        let outcome = damage::values(trace.current_a(), &[], 1.0 / trace.sample_rate_hz())
             .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
             .and_then(|()| {
@@ -175,11 +175,11 @@ impl Identifier {
     ) -> Result<Estimate, Rejection> {
         let rate_hz = 1.0 / interval_s;
         let filter_hz = throw.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001);
-        checks::resolved(movement)?;
-        let noisy = checks::noise(movement, settings).err();
-        let no_inrush = checks::inrush(movement, &self.current, &mut self.scratch);
-        let mut doubt = checks::early(movement, &self.position).err();
-        let rise_samples = checks::rise_samples(movement, &self.current);
+        noise::resolved(movement)?;
+        let noisy = noise::plausible(movement, settings).err();
+        let no_inrush = course::inrush(movement, &self.current, &mut self.scratch);
+        let mut doubt = course::early(movement, &self.position).err();
+        let rise_samples = course::rise_samples(movement, &self.current);
         if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
             let undersampled = Rejection::Undersampled { rise_samples };
             // At this rate every inductance is resolved, so samples of the rise are lost.
@@ -199,14 +199,14 @@ impl Identifier {
             }
             verdict => verdict,
         };
-        or_doubt(checks::spikes(movement, Channel::Current, &self.current, interval_s, filtered))?;
-        or_doubt(checks::spikes(movement, Channel::Position, &self.position, interval_s, filtered))?;
+        or_doubt(damage::spikes(movement, Channel::Current, &self.current, interval_s, filtered))?;
+        or_doubt(damage::spikes(movement, Channel::Position, &self.position, interval_s, filtered))?;
         if factor == 1 && filter_hz.is_none() {
             let noise_a = second_difference_noise(&self.current, &mut self.scratch);
             let (current, position) = ((interval_s, noise_a), (interval_s, noise_mm));
-            or_doubt(checks::steps(movement, Channel::Current, &self.current, current, &mut self.scratch))?;
-            or_doubt(checks::steps(movement, Channel::Position, &self.position, position, &mut self.scratch))?;
-            checks::noise_level(movement, &self.current, interval_s, settings, &mut self.scratch)?;
+            or_doubt(damage::steps(movement, Channel::Current, &self.current, current, &mut self.scratch))?;
+            or_doubt(damage::steps(movement, Channel::Position, &self.position, position, &mut self.scratch))?;
+            noise::noise_level(movement, &self.current, interval_s, settings, &mut self.scratch)?;
         }
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
         let mut window = self.window(settings, movement, interval_s, filter_hz, released)?;

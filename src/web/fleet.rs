@@ -215,9 +215,15 @@ fn group_silent(query: &mut FleetQuery, tally: &Tally) -> u64 {
 }
 
 fn tally_links(tally: &Tally, filters: &Filters) -> Vec<(Badge, String, String)> {
-    let link = |state: MachineState| {
-        (Badge(state), page::count(tally.of(state)), filters.with_state(state.as_str()).address())
+    // A machine with a fault is not monitored either when its link is lost: the fault must stay in sight.
+    let with_other_alarms = tally.of(MachineState::NotMonitored).saturating_sub(tally.silent);
+    let number = |state| match state {
+        MachineState::NotMonitored if with_other_alarms > 0 => {
+            format!("{} ({} with other alarms)", page::count(tally.of(state)), page::count(with_other_alarms))
+        }
+        _ => page::count(tally.of(state)),
     };
+    let link = |state: MachineState| (Badge(state), number(state), filters.with_state(state.as_str()).address());
     state::ALL.into_iter().filter(|state| tally.of(*state) > 0).map(link).collect()
 }
 

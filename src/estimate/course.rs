@@ -1,0 +1,236 @@
+//! Checks of the course of a throw: one complete movement, driven by a motor that starts.
+
+use super::{
+    damage::LEAST_SLIP,
+    movement::{Level, MIN_QUIET, Movement, every, mean, median_of_magnitudes, peak},
+    noise::{LARGEST_POSITION_SHARE, POSITION_NOISE_FACTOR, SD_PER_MEDIAN, first_difference_noise},
+    rejection::{Channel, Rejection},
+    settings::Settings,
+};
+
+/// Shortest movement: \[mm\], as share of the stroke, and in standard deviations of the position noise. A locked rail
+/// that bends moves less.
+const LEAST_TRAVEL_MM: f64 = 2.0;
+const LEAST_TRAVEL_SHARE: f64 = 0.02;
+const LEAST_TRAVEL_SIGMAS: f64 = 8.0;
+/// Largest bend of the rails of a locked toe \[mm\], and least distance of two medians that noise does not cause
+/// \[standard deviations\].
+const LARGEST_BEND_MM: f64 = 20.0;
+const MEDIAN_SIGMAS: f64 = 3.0;
+/// Difference of the first and the last quarter of the quiet samples from which the toe was displaced \[standard
+/// deviations\]: 200 samples of white noise or hum cause less than 0.8, a displacement at any time 0.9 or more.
+const DISPLACED_SIGMAS: f64 = 0.85;
+/// Least speed of a moving toe in a noisy position, as share of its mean speed, and least movement \[standard deviations\].
+const LEAST_SPEED_SHARE: f64 = 0.25;
+const MOVED_SIGMAS: f64 = 4.0;
+/// Least and largest travel of a complete throw, as share of the stroke.
+const COMPLETE_SHARE: f64 = 0.95;
+const TOO_LONG_SHARE: f64 = 1.15;
+/// Longest movement \[s\]: machines take 0.5 to 10 s, and their overload protection ends much longer movements.
+const LONGEST_MOVEMENT_S: f64 = 30.0;
+/// Longest time of the motor after the arrival of the toe \[s\].
+const LONGEST_STALL_S: f64 = 0.5;
+/// Least peak current, in standard deviations of the noise: chance gives six once in 10^9 samples.
+const LEAST_CURRENT_SIGMAS: f64 = 6.0;
+/// Largest movement backwards, or before the start of the motor: as share of the travel (the rails spring), and in
+/// standard deviations of the noise (largest of several thousand samples).
+const WRONG_WAY_SHARE: f64 = 0.02;
+const WRONG_WAY_SIGMAS: f64 = 10.0;
+/// Displacement of three consecutive positions at the start of the motor, in standard deviations; chance exceeds it in
+/// 1 of 1,000,000 healthy throws.
+const EARLY_SIGMAS: f64 = 2.8;
+/// Current of the first sample, as share of the peak, above which the recording began too late.
+const LATE_START_SHARE: f64 = 0.25;
+/// Least ratio of peak to running current at the start of a motor.
+const INRUSH_FACTOR: f64 = 1.5;
+
+/// Rejects a trace without one complete movement driven by a measurable current.
+pub(super) fn course(
+    movement: &Movement,
+    (current, position): (&[f64], &[f64]),
+    interval_s: f64,
+    settings: &Settings,
+    noise_mm: f64,
+    scratch: &mut Vec<f64>,
+) -> Result<(), Rejection> {
+    let at = |k: usize| k as f64 * interval_s;
+    let travel_mm = movement.travel_mm;
+    let furthest = peak(position, position[0]);
+    let noise_mm = whole_noise(movement, position, noise_mm, scratch);
+    let noisy = Rejection::Noisy {
+        channel: Channel::Position,
+        measured: noise_mm,
+        expected: POSITION_NOISE_FACTOR * settings.position_noise_mm,
+    };
+    let least =
+        LEAST_TRAVEL_MM.max(LEAST_TRAVEL_SHARE * settings.stroke_mm.unwrap_or(0.0)).max(LEAST_TRAVEL_SIGMAS * noise_mm);
+    if travel_mm.max(furthest) < least {
+        return Err(if travel_mm > LARGEST_BEND_MM.max(MEDIAN_SIGMAS * noise_mm) {
+            noisy
+        } else {
+            Rejection::NoMovement
+        });
+    }
+    // Without quiet samples the noise follows from differences, which include the ripple of the supply.
+    let quiet = movement.current;
+    let noise_a = if quiet.samples >= MIN_QUIET { quiet.sd } else { first_difference_noise(current, scratch) };
+    if movement.motor_off.is_none() || movement.peak_a < LEAST_CURRENT_SIGMAS * noise_a {
+        return Err(Rejection::NoCurrent { travel_mm });
+    }
+    let start = movement.start();
+    let moved_mm = peak(&position[..=start], position[0]);
+    if moved_mm > WRONG_WAY_SHARE * travel_mm.max(furthest) + WRONG_WAY_SIGMAS * noise_mm {
+        return Err(Rejection::MovedBeforeCurrent { moved_mm });
+    }
+    jumps(movement, position, interval_s, noise_mm)?;
+    let back_mm = backwards(movement, &position[..=movement.motor_off.unwrap_or(position.len() - 1)]);
+    if back_mm > WRONG_WAY_SHARE * travel_mm + WRONG_WAY_SIGMAS * noise_mm {
+        return Err(Rejection::MovedBackwards { back_mm });
+    }
+    if let Some(stroke_mm) = settings.stroke_mm {
+        if travel_mm + noise_mm < COMPLETE_SHARE * stroke_mm {
+            return Err(Rejection::Incomplete { travel_mm, stroke_mm });
+        }
+        if travel_mm - noise_mm > TOO_LONG_SHARE * stroke_mm {
+            return Err(Rejection::TravelTooLong { travel_mm, stroke_mm });
+        }
+    } else if let Some(off) = movement.motor_off {
+        let stalled_s = at(off.saturating_sub(movement.arrived));
+        if stalled_s > LONGEST_STALL_S {
+            let stalled = &position[movement.arrived.midpoint(off)..=off];
+            if movement.position.sd > 0.0 && stalled.iter().all(|x| x.to_bits() == stalled[0].to_bits()) {
+                let at_s = at(movement.arrived);
+                return Err(Rejection::Stuck {
+                    channel: Channel::Position,
+                    value: stalled[0],
+                    at_s,
+                    stuck_s: stalled_s,
+                });
+            }
+            if noise_mm > LARGEST_POSITION_SHARE * travel_mm && moves_until(off, movement, position, noise_mm) {
+                return Err(noisy);
+            }
+            return Err(Rejection::Obstructed { position_mm: movement.end_mm, stalled_s });
+        }
+    }
+    let duration_s = at(movement.near_end.saturating_sub(start));
+    if duration_s > LONGEST_MOVEMENT_S {
+        return Err(Rejection::TooSlow { duration_s, longest_s: LONGEST_MOVEMENT_S, rate_hz: 1.0 / interval_s });
+    }
+    let first_a = current[0] - movement.current.mean;
+    if movement.quiet < MIN_QUIET && first_a.abs() > LATE_START_SHARE * movement.peak_a {
+        return Err(Rejection::StartMissing { current_a: first_a });
+    }
+    Ok(())
+}
+
+/// The noise of the position, also if it is hum or other noise that is not white: then the values at rest scatter more
+/// than their differences show. A toe that was displaced there is not noise.
+fn whole_noise(movement: &Movement, position: &[f64], noise_mm: f64, scratch: &mut Vec<f64>) -> f64 {
+    let Level { mean: centre, sd, samples, .. } = movement.position;
+    let quarter = samples / 4;
+    if quarter < MIN_QUIET || sd < 2.0 * noise_mm {
+        return noise_mm;
+    }
+    let of = |from: usize| mean(position[from..from + quarter].iter().copied());
+    if (of(samples - quarter) - of(0)).abs() > DISPLACED_SIGMAS * sd {
+        return noise_mm;
+    }
+    scratch.clear();
+    scratch.extend(position[..samples].iter().map(|x| (x - centre).abs()));
+    noise_mm.max(SD_PER_MEDIAN * median_of_magnitudes(scratch))
+}
+
+/// Whether the toe still moves before the end of the motor: in a noisy position the first sample near the end of the
+/// travel is much too early. Compares the means of the second and the last third of the time since then.
+fn moves_until(off: usize, movement: &Movement, position: &[f64], noise_mm: f64) -> bool {
+    let third = off.saturating_sub(movement.near_end) / 3;
+    if third == 0 {
+        return false;
+    }
+    let of = |from: usize| mean(position[from..from + third].iter().copied());
+    let moved = movement.sign * (of(off - third) - of(off - 2 * third));
+    let usual = movement.travel_mm * third as f64 / off.saturating_sub(movement.start()).max(1) as f64;
+    moved > (LEAST_SPEED_SHARE * usual).max(MOVED_SIGMAS * noise_mm * (2.0 / third as f64).sqrt())
+}
+
+/// Rejects a toe that already moves at the start of the motor: three consecutive positions are displaced. (Noise can
+/// displace one of them.)
+pub(super) fn early(movement: &Movement, position: &[f64]) -> Result<(), Rejection> {
+    if movement.quiet <= 2 * MIN_QUIET {
+        return Ok(());
+    }
+    let start = movement.start();
+    let moved_mm = (mean(position[start - 2..=start].iter().copied()) - movement.position.mean).abs();
+    let noise_mm = (EARLY_SIGMAS * movement.position.sd).max(movement.position.quantum);
+    if moved_mm > noise_mm.max(LEAST_SLIP * movement.travel_mm) {
+        return Err(Rejection::MovedBeforeCurrent { moved_mm });
+    }
+    Ok(())
+}
+
+/// Rejects a movement without inrush: a starting motor takes more current than a running one.
+pub(super) fn inrush(movement: &Movement, current: &[f64], scratch: &mut Vec<f64>) -> Result<(), Rejection> {
+    let (start, end) = (movement.start(), movement.near_end.max(movement.start() + 1));
+    let early = start + ((end - start) / 5).max(1);
+    let level = |i: &f64| (i - movement.current.mean).abs();
+    let peak_a = peak(&current[start..early], movement.current.mean);
+    scratch.clear();
+    scratch.extend(current[early..end].iter().map(level));
+    let running_a = median_of_magnitudes(scratch);
+    if peak_a < INRUSH_FACTOR * running_a { Err(Rejection::NoInrush { peak_a, running_a }) } else { Ok(()) }
+}
+
+/// Least height of the first crest as share of the peak; the crest lasts while the current is above this share of it.
+const CREST_SHARE: f64 = 0.9;
+const CREST_FLATNESS: f64 = 0.97;
+
+/// Samples from the last quiet one to the end of the first crest of the current.
+pub(super) fn rise_samples(movement: &Movement, current: &[f64]) -> usize {
+    let start = movement.start();
+    let level = |k: usize| (current[k] - movement.current.mean).abs();
+    let falls = |k: usize| k + 1 == current.len() || level(k + 1) <= level(k);
+    let Some(crest) = (start..current.len()).find(|&k| level(k) >= CREST_SHARE * movement.peak_a && falls(k)) else {
+        return 0;
+    };
+    let flat = (crest + 1..current.len()).take_while(|&k| level(k) >= CREST_FLATNESS * level(crest)).count();
+    crest + flat - start + 1
+}
+
+/// Largest step of the position between two samples: in mean steps of the movement, in standard deviations of the
+/// noise, and in steps of the converter (at most 0.5 mm each).
+const JUMP_MEAN_STEPS: f64 = 5.0;
+const JUMP_SIGMAS: f64 = 10.0;
+const JUMP_QUANTA: f64 = 3.0;
+const LARGEST_QUANTUM_MM: f64 = 0.5;
+
+/// Rejects a step between two samples that the speed of the machine does not explain.
+fn jumps(movement: &Movement, position: &[f64], interval_s: f64, noise_mm: f64) -> Result<(), Rejection> {
+    let span = movement.arrived.saturating_sub(movement.start()).max(1);
+    let mean_step = movement.travel_mm / span as f64;
+    let allowed = JUMP_MEAN_STEPS * mean_step
+        + JUMP_SIGMAS * noise_mm
+        + JUMP_QUANTA * movement.position.quantum.min(LARGEST_QUANTUM_MM);
+    let steps = position.array_windows().map(|[before, after]| (after - before).abs());
+    if every(steps.clone().map(|step| step <= allowed)) {
+        return Ok(());
+    }
+    match steps.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) {
+        Some((at, jump_mm)) if jump_mm > allowed => {
+            Err(Rejection::PositionJump { jump_mm, at_s: at as f64 * interval_s })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Largest distance back from the furthest position so far.
+fn backwards(movement: &Movement, position: &[f64]) -> f64 {
+    let sign = if movement.sign == 0.0 { 1.0 } else { movement.sign };
+    let (mut furthest, mut worst) = (f64::NEG_INFINITY, 0.0);
+    for x in position {
+        let x = sign * x;
+        furthest = if x > furthest { x } else { furthest };
+        worst = if furthest - x > worst { furthest - x } else { worst };
+    }
+    worst
+}

@@ -1,0 +1,272 @@
+//! Checks for damaged samples: impossible, clipped, stuck, single wrong values and lasting steps.
+
+use super::{
+    movement::{MIN_QUIET, Movement, every, largest, quantum},
+    rejection::{Channel, Rejection},
+};
+
+/// Largest plausible current \[A\] and position \[mm\]; public recordings contain 188,776 A.
+const LARGEST_CURRENT_A: f64 = 1000.0;
+const LARGEST_POSITION_MM: f64 = 10_000.0;
+/// A clipped plateau: least number of samples, and least height of its flanks in steps of the converter. (A smooth
+/// crest falls by nine times its depth over twice its width, and its depth is at least one step.)
+const CLIPPED_SAMPLES: usize = 3;
+const CLIPPED_FLANK: f64 = 30.0;
+/// Largest number of equal consecutive samples of a working channel: with noise of half a step 25 come once in 10^7
+/// samples.
+const REPEATED_SAMPLES: f64 = 25.0;
+/// Length of parts of which one is within every stretch of more than [`REPEATED_SAMPLES`].
+const REPEATED_PART: usize = 13;
+/// The same for a slow position: in times of one converter step at mean speed, and \[s\] for the slow start of the toe.
+const REPEATED_STEPS: f64 = 10.0;
+const REPEATED_S: f64 = 0.02;
+/// The same for a current without noise, which may be constant, as share of the movement.
+const LEVEL_CURRENT_SHARE: f64 = 0.3;
+
+/// Rejects values that are not finite, or not plausible.
+pub(super) fn values(current: &[f64], position: &[f64], interval_s: f64) -> Result<(), Rejection> {
+    let channels = [(Channel::Current, current, LARGEST_CURRENT_A), (Channel::Position, position, LARGEST_POSITION_MM)];
+    // The usual trace. A comparison with NaN is false.
+    let is_plausible = |values: &[f64], largest: f64| every(values.iter().map(|v| v.abs() <= largest));
+    if channels.iter().all(|(_, values, largest)| is_plausible(values, *largest)) {
+        return Ok(());
+    }
+    for (channel, values, _) in channels {
+        if let Some(sample) = values.iter().position(|v| !v.is_finite()) {
+            return Err(Rejection::NotFinite { channel, sample, at_s: sample as f64 * interval_s });
+        }
+    }
+    for (channel, values, largest) in channels {
+        if let Some(at) = values.iter().position(|v| v.abs() > largest) {
+            return Err(Rejection::Implausible { channel, at_s: at as f64 * interval_s, value: values[at] });
+        }
+    }
+    Ok(())
+}
+
+/// Rejects a clipped current: a plateau of equal extreme values with steep flanks.
+pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection> {
+    for sign in [1.0, -1.0] {
+        let limit = largest(current, |i| sign * i);
+        let Some(from) = current.iter().position(|i| sign * i >= limit) else { continue };
+        let length = current[from..].iter().take_while(|i| sign * **i >= limit).count();
+        if length < CLIPPED_SAMPLES || from == 0 {
+            continue;
+        }
+        let drop_at = |k: usize| current.get(k).map_or(0.0, |i| limit - sign * i);
+        let before = drop_at(from.saturating_sub(length));
+        let after = drop_at(from + 2 * length - 1);
+        let steep = CLIPPED_FLANK * quantum(current);
+        if before.min(after).max(drop_at(from - 1)) > steep && before > steep {
+            return Err(Rejection::Clipped {
+                channel: Channel::Current,
+                limit: sign * limit,
+                at_s: from as f64 * interval_s,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Rejects a channel that repeats a value during the movement for longer than the converter step explains.
+pub(super) fn sticking(
+    movement: &Movement,
+    channel: Channel,
+    values: &[f64],
+    interval_s: f64,
+    factor: usize,
+) -> Result<(), Rejection> {
+    let to = (movement.near_end * factor).min(values.len());
+    let start = (movement.start() * factor).min(to);
+    let step = quantum(&values[start..to]);
+    let noisy = movement.level(channel).sd > 0.5 * step && step > 0.0;
+    let mean_step = movement.travel_mm / (to - start).max(1) as f64;
+    // Without noise the values before the start are equal.
+    let from = if noisy { 0 } else { start };
+    let values = &values[from..to];
+    let longest = match channel {
+        _ if noisy => REPEATED_SAMPLES,
+        Channel::Position => REPEATED_SAMPLES.max(REPEATED_STEPS * step / mean_step).max(REPEATED_S / interval_s),
+        Channel::Current => REPEATED_SAMPLES.max(LEVEL_CURRENT_SHARE * values.len() as f64),
+    };
+    // A longer stretch covers both ends of one of these parts.
+    let is_equal = |part: &[f64]| part[0].to_bits() == part[part.len() - 1].to_bits();
+    if !values.chunks_exact(REPEATED_PART).any(is_equal) {
+        return Ok(());
+    }
+    let mut at = 0;
+    for stretch in values.chunk_by(|a, b| a.to_bits() == b.to_bits()) {
+        if stretch.len() as f64 > longest {
+            let (at_s, stuck_s) = ((from + at) as f64 * interval_s, stretch.len() as f64 * interval_s);
+            return Err(Rejection::Stuck { channel, value: stretch[0], at_s, stuck_s });
+        }
+        at += stretch.len();
+    }
+    Ok(())
+}
+
+/// Least height of a spike: as share of the peak current and of the travel, and in standard deviations of the noise.
+const SPIKE_CURRENT_SHARE: f64 = 0.02;
+const SPIKE_TRAVEL_SHARE: f64 = 0.002;
+const SPIKE_SIGMAS: f64 = 12.0;
+/// Factor on these shares at a low rate with a filter, where vibrations of the machine look like single values.
+const SPIKE_FILTERED_FACTOR: f64 = 10.0;
+/// Least height of a spike as share of the signal's change between samples: on a steep flank jitter looks like a spike.
+const SPIKE_SLOPE_SHARE: f64 = 0.4;
+/// Tolerance of a spike's shape in the second differences: minus one half of the height at the neighbours, and nothing
+/// two samples away.
+const SPIKE_BESIDE_SHARE: f64 = 0.3;
+/// Number of spikes from which they count as a ripple that the sampling hardly resolves.
+const RIPPLE_SPIKES: usize = 6;
+
+/// Rejects single values far from their neighbours: the second difference is large there, half as large with the
+/// opposite sign at the neighbours, and small two samples away (unlike the ringing of an anti-alias filter after the
+/// inrush). A few are corrupt values; many are a ripple that the sampling hardly resolves.
+pub(super) fn spikes(
+    movement: &Movement,
+    channel: Channel,
+    values: &[f64],
+    interval_s: f64,
+    filtered: bool,
+) -> Result<(), Rejection> {
+    let range = if channel == Channel::Current {
+        SPIKE_CURRENT_SHARE * movement.peak_a
+    } else {
+        SPIKE_TRAVEL_SHARE * movement.travel_mm
+    };
+    let range = if filtered { SPIKE_FILTERED_FACTOR * range } else { range };
+    let threshold =
+        range.max(SPIKE_SIGMAS * movement.level(channel).sd).max(3.0 * movement.level(channel).quantum.min(range));
+    let bend = |k: usize| values[k] - 0.5 * (values[k - 1] + values[k + 1]);
+    let steep = |k: usize| SPIKE_SLOPE_SHARE * (values[k + 1] - values[k - 1]).abs();
+    let last = movement.near_end.min(values.len().saturating_sub(3));
+    // The usual trace bends nowhere that far.
+    let is_straight = |[a, b, c]: &[f64; 3]| {
+        let here = (b - 0.5 * (a + c)).abs();
+        (here <= threshold) | (here <= SPIKE_SLOPE_SHARE * (c - a).abs())
+    };
+    if last <= 3 || every(values[2..=last].array_windows().map(is_straight)) {
+        return Ok(());
+    }
+    let mut spikes = (3..last).filter(|&k| {
+        let here = bend(k);
+        let opposite = |beside: f64| -beside * here.signum() > SPIKE_BESIDE_SHARE * here.abs();
+        let quiet = |further: f64| further.abs() < SPIKE_BESIDE_SHARE * here.abs();
+        here.abs() > threshold.max(steep(k))
+            && opposite(bend(k - 1))
+            && opposite(bend(k + 1))
+            && quiet(bend(k - 2))
+            && quiet(bend(k + 2))
+    });
+    match spikes.next() {
+        Some(at) if spikes.count() + 1 < RIPPLE_SPIKES => {
+            Err(Rejection::Spike { channel, height: bend(at), at_s: at as f64 * interval_s })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Least step within the inrush, as share of the peak and in standard deviations; means would hide it in the flank.
+pub(super) const INRUSH_STEP_SHARE: f64 = 0.18;
+pub(super) const INRUSH_STEP_SIGMAS: f64 = 12.0;
+/// Samples after the start of the motor that are checked for such a step.
+pub(super) const INRUSH_STEP_SAMPLES: std::ops::Range<usize> = 3..19;
+/// Least share of a step in means of half the length: 1 for a step, an eighth for a smooth signal.
+const SHORT_MEAN_SHARE: f64 = 0.6;
+const SHORT_MEAN_SIGMAS: f64 = 5.0;
+/// Length of the mean on each side of a step \[s\].
+const STEP_S: f64 = 0.008;
+/// Least step in standard deviations of its noise, for several thousand places on a smooth signal.
+const STEP_SIGNIFICANCE: f64 = 6.5;
+/// Duration of the oscillation of the inrush \[s\].
+pub(super) const INRUSH_S: f64 = 0.15;
+/// Least step of the current, as share of its peak; rails and friction cause smaller ones.
+const LEAST_STEP: f64 = 0.006;
+/// Least step of the position, as share of the travel.
+pub(super) const LEAST_SLIP: f64 = 5e-4;
+
+/// Rejects a lasting step between two samples: inductance and inertia prevent it in current and position, so it is a
+/// changed gain, a shifted offset or lost samples. Means over 8 and over 4 ms, with the trend removed, show the same
+/// height only for a step; for a smooth signal the shorter means show an eighth. Many steps are a ripple that the
+/// sampling hardly resolves.
+pub(super) fn steps(
+    movement: &Movement,
+    channel: Channel,
+    values: &[f64],
+    (interval_s, noise): (f64, f64),
+    sums: &mut Vec<f64>,
+) -> Result<(), Rejection> {
+    // A step at rest increases the noise at rest, but not that of differences.
+    let rest = movement.level(channel);
+    let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(rest.quantum);
+    let start = movement.start();
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let wide = 2 * ((0.5 * STEP_S / interval_s) as usize).clamp(2, 16);
+    if channel == Channel::Current {
+        let far = |k: &usize| {
+            let [a, b, c, d] = [values[k - 1], values[*k], values[k + 1], values[k + 2]];
+            (0.5 * (a - d) + 1.5 * (c - b)).abs() > (INRUSH_STEP_SIGMAS * sd).max(INRUSH_STEP_SHARE * movement.peak_a)
+        };
+        let inrush =
+            start + INRUSH_STEP_SAMPLES.start..(start + INRUSH_STEP_SAMPLES.end).min(values.len().saturating_sub(2));
+        let mut found = inrush.filter(far);
+        // One step shows at neighbouring places too; more are a switching supply.
+        if let Some(at) = found.next().filter(|_| found.count() < 3) {
+            return Err(Rejection::CurrentJump { jump_a: values[at + 1] - values[at], at_s: at as f64 * interval_s });
+        }
+    }
+    sums.clear();
+    sums.push(0.0);
+    let mut sum = 0.0;
+    sums.extend(values.iter().map(|v| {
+        sum += v - values[0];
+        sum
+    }));
+    let step = |k: usize, width: usize| {
+        let [a, b, c, d, e] =
+            [k + 1 - 2 * width, k + 1 - width, k + 1, k + 1 + width, k + 1 + 2 * width].map(|at| sums[at]);
+        (1.5 * (d - c - (c - b)) - 0.5 * (e - d - (b - a))) / width as f64
+    };
+    // The variance of a step is 5 / width of that of a sample.
+    let [long, short] = [wide, wide / 2].map(|width| sd * (5.0 / width as f64).sqrt());
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let settled = start + (INRUSH_S / interval_s) as usize + wide;
+    let (clear, least) = match channel {
+        // Inductance and back-EMF oscillate faster than these means.
+        Channel::Current => (start.saturating_sub(2 * wide)..settled, LEAST_STEP * movement.peak_a),
+        // The toe starts with a jerk.
+        Channel::Position => (start..start + 4 * wide, LEAST_SLIP * movement.travel_mm),
+    };
+    let last = (movement.near_end + 1).min(values.len()).saturating_sub(2 * wide);
+    let threshold = (STEP_SIGNIFICANCE * long).max(least);
+    // The usual trace has no step on either side of the excluded part.
+    let is_flat = |from: usize, to: usize| {
+        let Some(count) = to.checked_sub(from).filter(|count| *count > 0) else { return true };
+        let [a, b, c, d, e] = std::array::from_fn(|at| &sums[from + 1 + at * wide - 2 * wide..][..count]);
+        every((0..count).map(|k| {
+            let size = 1.5 * (d[k] - c[k] - (c[k] - b[k])) - 0.5 * (e[k] - d[k] - (b[k] - a[k]));
+            size.abs() <= threshold * wide as f64
+        }))
+    };
+    let first = 2 * wide - 1;
+    if is_flat(first, clear.start.min(last)) && is_flat(clear.end.max(first), last) {
+        return Ok(());
+    }
+    let mut found = (first..last).filter(|k| {
+        let size = step(*k, wide);
+        !clear.contains(k) && size.abs() > threshold && {
+            let near = step(*k, wide / 2) * size.signum();
+            near > (SHORT_MEAN_SIGMAS * short).max(SHORT_MEAN_SHARE * size.abs())
+        }
+    });
+    let Some(at) = found.next() else { return Ok(()) };
+    // One step shows at a few neighbouring places.
+    if found.count() > 5 * wide {
+        return Ok(());
+    }
+    let (size, at_s) = (step(at, wide), at as f64 * interval_s);
+    Err(match channel {
+        Channel::Current => Rejection::CurrentJump { jump_a: size, at_s },
+        Channel::Position => Rejection::PositionJump { jump_mm: size.abs(), at_s },
+    })
+}

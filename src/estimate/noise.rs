@@ -1,0 +1,131 @@
+//! Noise of the channels, and checks of its size.
+
+use super::{
+    damage::INRUSH_S,
+    movement::{MIN_QUIET, Movement, median_of_magnitudes},
+    rejection::{Channel, Rejection},
+    settings::Settings,
+};
+
+/// Largest ratio of measured to configured noise; more is a fault of the sensor or its wiring. Noise of the current
+/// affects the coefficients ten times as much as noise of the position. The covariance uses the measured noise.
+const CURRENT_NOISE_FACTOR: f64 = 3.5;
+pub(super) const POSITION_NOISE_FACTOR: f64 = 25.0;
+
+/// Largest noise for the estimation, as share of the peak current and of the travel.
+const LARGEST_NOISE_SHARE: f64 = 0.025;
+pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
+
+/// Rejects noise that is too large compared with the signals.
+pub(super) fn resolved(movement: &Movement) -> Result<(), Rejection> {
+    for (channel, level, expected) in [
+        (Channel::Current, movement.current, LARGEST_NOISE_SHARE * movement.peak_a),
+        (Channel::Position, movement.position, LARGEST_POSITION_SHARE * movement.travel_mm),
+    ] {
+        if level.samples >= MIN_QUIET && level.sd > expected {
+            return Err(Rejection::Noisy { channel, measured: level.sd, expected });
+        }
+    }
+    Ok(())
+}
+
+/// Rejects noise that is too large compared with the configured sensors.
+pub(super) fn plausible(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
+    for (channel, level, expected, factor) in [
+        (Channel::Current, movement.current, settings.current_noise_a, CURRENT_NOISE_FACTOR),
+        (Channel::Position, movement.position, settings.position_noise_mm, POSITION_NOISE_FACTOR),
+    ] {
+        if level.samples >= MIN_QUIET && level.sd > factor * expected {
+            return Err(Rejection::Noisy { channel, measured: level.sd, expected });
+        }
+    }
+    Ok(())
+}
+
+/// Shortest stretch for a noise comparison \[samples\].
+const NOISE_SAMPLES: usize = 64;
+/// Least noise that hides the vibrations of the machine, as share of the configured noise.
+const LEAST_NOISE: f64 = 0.5;
+/// Standard normal quantile for one false rejection in 3 million stretches.
+const NOISE_QUANTILE: f64 = 5.0;
+/// Least noise for a comparison, in steps of the converter; below it, rounding determines the differences.
+const NOISE_QUANTA: f64 = 8.0;
+/// Ratio of the noise at rest to that of the whole trace: more is a disturbance at rest, less is noise from the
+/// machine.
+const REST_NOISE: std::ops::Range<f64> = 0.6..1.5;
+
+/// Rejects a stretch of the current with other noise than the rest, which shows another gain, if the noise elsewhere is
+/// that of the sensor. (With a ripple of the supply, noise of a commutator, a coarse converter, or a sensor so good
+/// that vibrations are visible, there is no check.)
+pub(super) fn noise_level(
+    movement: &Movement,
+    current: &[f64],
+    interval_s: f64,
+    settings: &Settings,
+    scratch: &mut Vec<f64>,
+) -> Result<(), Rejection> {
+    let quiet = &current[..movement.quiet];
+    if quiet.len() < NOISE_SAMPLES {
+        return Ok(());
+    }
+    let last = (movement.near_end + 1).min(current.len());
+    let usual = second_difference_noise(&current[..last], scratch);
+    if usual < (NOISE_QUANTA * movement.current.quantum).max(LEAST_NOISE * settings.current_noise_a) {
+        return Ok(());
+    }
+    let at_rest = second_difference_noise(quiet, scratch);
+    if at_rest > REST_NOISE.end * usual {
+        return Err(Rejection::GainChanged { ratio: at_rest / usual });
+    }
+    // A disturbed stretch may cover most of one half.
+    let [first, second] = [&quiet[..quiet.len() / 2], &quiet[quiet.len() / 2..]];
+    let halves = second_difference_noise(first, scratch).max(second_difference_noise(second, scratch));
+    if halves < REST_NOISE.start * usual {
+        return Ok(());
+    }
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let settled = movement.start() + (INRUSH_S / interval_s) as usize;
+    scratch.clear();
+    scratch.push(0.0);
+    let (mut sum, square) = (0.0, 6.0 * usual * usual);
+    for (k, w) in current[..last].windows(3).enumerate() {
+        if (settled..last).contains(&k) || k + 3 < movement.start() {
+            sum += (w[2] - 2.0 * w[1] + w[0]).powi(2) / square;
+            scratch.push(sum);
+        }
+    }
+    let mut width = NOISE_SAMPLES;
+    while width < scratch.len() {
+        // Neighbouring second differences share samples, so 35/18 of them count as one. (Wilson, Hilferty)
+        let spread = 2.0 / 9.0 * (35.0 / 18.0) / width as f64;
+        let limit = |sign: f64| (1.0 - spread + sign * NOISE_QUANTILE * spread.sqrt()).powi(3);
+        let (low, high) = (limit(-1.0), limit(1.0));
+        for from in (0..scratch.len() - width).step_by(width / 4) {
+            let ratio = (scratch[from + width] - scratch[from]) / width as f64;
+            // In motion vibrations of the machine may add to the noise.
+            let at_rest = from + width + 3 < movement.start();
+            if ratio < low || (at_rest && ratio > high) {
+                return Err(Rejection::GainChanged { ratio: ratio.sqrt() });
+            }
+        }
+        width *= 2;
+    }
+    Ok(())
+}
+
+/// Standard deviation over median magnitude of a normal variable.
+pub(super) const SD_PER_MEDIAN: f64 = 1.4826;
+
+/// Standard deviation of white noise on a smooth signal, from the median of its second differences.
+pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.array_windows().map(|[a, b, c]| (c - 2.0 * b + a).abs()));
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 6.0_f64.sqrt()
+}
+
+/// The same from first differences, for a mostly constant signal.
+pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));
+    SD_PER_MEDIAN * median_of_magnitudes(scratch) / 2.0_f64.sqrt()
+}
