@@ -167,10 +167,10 @@ pub(super) fn spikes(
 }
 
 /// Least step within the inrush, as share of the peak and in standard deviations; means would hide it in the flank.
-pub(super) const INRUSH_STEP_SHARE: f64 = 0.18;
-pub(super) const INRUSH_STEP_SIGMAS: f64 = 12.0;
+const INRUSH_STEP_SHARE: f64 = 0.18;
+const INRUSH_STEP_SIGMAS: f64 = 12.0;
 /// Samples after the start of the motor that are checked for such a step.
-pub(super) const INRUSH_STEP_SAMPLES: std::ops::Range<usize> = 3..19;
+const INRUSH_STEP_SAMPLES: std::ops::Range<usize> = 3..19;
 /// Least share of a step in means of half the length: 1 for a step, an eighth for a smooth signal.
 const SHORT_MEAN_SHARE: f64 = 0.6;
 const SHORT_MEAN_SIGMAS: f64 = 5.0;
