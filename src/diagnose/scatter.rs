@@ -33,9 +33,6 @@ const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
 const LAG1_RANGE: (f64, f64) = (-0.3, 0.95);
 /// Strongest possible lag-1 correlation of an uncertain estimate: a series that is hardly stationary.
 const MOST_LAG1: f64 = 0.98;
-/// Growth of the error of a lag-1 correlation with its cube: simulated, the arcsine of an estimate from 50 to 100 throws
-/// has an error of 1.05 (phi = 0), 1.1 (0.5), 1.3 to 1.4 (0.8) and 1.4 to 1.6 (0.9) over the square root of their number.
-const STRONGER: f64 = 0.6;
 /// Fourth moment of a Gaussian variable relative to the square of its variance.
 const GAUSSIAN_KURTOSIS: f64 = 3.0;
 /// Weight of Gaussian tails in the kurtosis of a baseline, in values of independent throws.
@@ -44,7 +41,7 @@ const GAUSSIAN_WEIGHT: f64 = 60.0;
 /// Uncertainty of the covariance of a mean.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Doubt {
-    /// Degrees of freedom of the variance of the innovations.
+    /// Degrees of freedom of the variance of one throw.
     pub(super) degrees_of_freedom: f64,
     /// Possible factors of the serial correlation on the assumed covariance, with their probabilities.
     pub(super) factors: Vec<(f64, f64)>,
@@ -84,10 +81,10 @@ impl Scatter {
             let raw = if share > 0.0 { one[(i, i)] / (zero[(i, i)] * share.max(0.2)) } else { 0.0 };
             let unbiased = (raw + centres as f64 / throws) / (1.0 - 3.0 * centres as f64 / throws);
             let weight = throws * share;
-            // The arcsine of the estimate is nearly normal.
-            let own = unbiased.clamp(-MOST_LAG1, MOST_LAG1).asin();
-            lag1[i] = ((weight * own + usual_weight * usual.asin()) / (weight + usual_weight))
-                .sin()
+            // The transformed estimate is nearly normal.
+            let own = unbiased.clamp(-MOST_LAG1, MOST_LAG1).atanh();
+            lag1[i] = ((weight * own + usual_weight * f64::atanh(usual)) / (weight + usual_weight))
+                .tanh()
                 .clamp(LAG1_RANGE.0, LAG1_RANGE.1);
             let lost = centres as f64 * (1.0 + share * (inflation(lag1[i], throws) - 1.0)) / throws;
             grow[i] = (1.0 / (1.0 - lost.min(0.5))).sqrt();
@@ -174,11 +171,10 @@ impl Scatter {
             + sensor.component_mul(&(ends * ends.transpose()))
     }
 
-    /// Uncertainty of `of_mean` of `w` throws, from the variance of the innovations and the lag-1 correlation, both from
-    /// a finite number of throws. The variance of a lag-1 correlation from n throws is (1 - phi^2)/n (Bartlett), so its
-    /// arcsine is nearly normal with variance 1/n, and more for a strong correlation (see [`STRONGER`]). The innovations are independent, so each throw is a
-    /// degree of freedom of their variance; with it, a larger correlation also means a larger variance of one throw.
-    /// Each coefficient has a third of the probability.
+    /// Uncertainty of `of_mean` of `w` throws, from the variance of the throws and the lag-1 correlation, both from a
+    /// finite number of throws. The inverse hyperbolic tangent of a lag-1 correlation from n throws is nearly normal
+    /// with variance 1/n (Fisher). With the measured variance of the innovations, a larger correlation also means a
+    /// larger variance of one throw. Each coefficient has a third of the probability.
     pub(super) fn doubt(&self, w: usize) -> Doubt {
         /// Standard deviations from the estimate, and between the nodes.
         const NODES: (i32, f64) = (6, 0.8);
@@ -191,13 +187,12 @@ impl Scatter {
         for i in 0..3 {
             let phi = self.lag1[i];
             let share = natural[(i, i)] / (natural[(i, i)] + sensor[(i, i)]).max(f64::MIN_POSITIVE);
-            let few_throws = 1.0 + STRONGER * phi.abs().powi(3);
-            let sd = few_throws / ((self.throws * share).max(1.0) + usual_weight).sqrt();
+            let sd = ((self.throws * share).max(1.0) + usual_weight).sqrt().recip();
             let fixed = sensor[(i, i)] * (1.0 / w as f64 + 1.0 / self.throws);
             let assumed = natural[(i, i)] * of_natural(phi) * (1.0 - phi * phi);
             factors.extend((-NODES.0..=NODES.0).map(|node| {
                 let z = f64::from(node) * NODES.1;
-                let other = (phi.asin() + z * sd).clamp(LAG1_RANGE.0.asin(), MOST_LAG1.asin()).sin();
+                let other = (phi.atanh() + z * sd).tanh().clamp(LAG1_RANGE.0, MOST_LAG1);
                 let natural = assumed * of_natural(other) / of_natural(phi);
                 let factor = (natural + fixed) / (assumed + fixed).max(f64::MIN_POSITIVE);
                 (factor, (-0.5 * z * z).exp())
@@ -207,7 +202,8 @@ impl Scatter {
         for (_, weight) in &mut factors {
             *weight /= total;
         }
-        Doubt { degrees_of_freedom: self.throws * self.tail_worth + self.leaning, factors }
+        let independent = self.lag1.iter().map(|phi| effective(self.throws, *phi)).sum::<f64>() / 3.0;
+        Doubt { degrees_of_freedom: independent * self.tail_worth + self.leaning, factors }
     }
 }
 

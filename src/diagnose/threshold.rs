@@ -20,14 +20,9 @@ const CROSSINGS_PER_ALARM: f64 = 16.0;
 /// Coefficients in a residual.
 const DIMENSIONS: f64 = 3.0;
 
-/// Number of the way to compute the limits; limits stored by a version with another one are computed anew.
-const METHOD: u32 = 1;
-
 /// Limits of T for the four windows, and the budget for which they were computed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Thresholds {
-    #[serde(default)]
-    method: u32,
     budget: f64,
     limits: [f64; 4],
 }
@@ -36,13 +31,13 @@ impl Thresholds {
     /// Computes the limits for `budget` false alarms per throw of the stream, shared among its windows.
     pub(super) fn compute(scatter: &Scatter, budget: f64) -> Self {
         let share = CROSSINGS_PER_ALARM * budget / WINDOWS.len() as f64;
-        Self { method: METHOD, budget, limits: WINDOWS.map(|w| limit(share, &scatter.doubt(w))) }
+        Self { budget, limits: WINDOWS.map(|w| limit(share, &scatter.doubt(w))) }
     }
 
-    /// Whether the limits were computed for this budget, and in this way.
+    /// Whether the limits were computed for this budget.
     #[expect(clippy::float_cmp, reason = "any change of the setting asks for new limits")]
     pub(super) fn are_for(&self, budget: f64) -> bool {
-        self.method == METHOD && self.budget == budget
+        self.budget == budget
     }
 
     /// The limit of the window `WINDOWS[at]`.
