@@ -99,7 +99,7 @@ impl Course {
             // A drift is not measured by a single throw.
             if at + 1 < points.len() {
                 let evidence = before + (BEGINS_PER_POINT / SHAPES.len() as f64).ln();
-                stages.extend(SHAPES.map(|shape| Stage::drifted(at, points[at].age, shape, evidence)));
+                stages.extend(SHAPES.map(|shape| Stage::drifted(points[at].age, shape, evidence)));
             }
             for stage in &mut stages {
                 stage.add(&series, at);
@@ -173,8 +173,6 @@ impl<'a> Series<'a> {
 /// A stage for a given beginning and shape.
 #[derive(Debug, Clone, Copy)]
 struct Stage {
-    /// Index of its first point.
-    from: usize,
     /// Age of its first point.
     age: f64,
     drifted: bool,
@@ -189,14 +187,14 @@ impl Stage {
     /// The first stage, without drift.
     fn undrifted(age: f64, offset_variance: f64) -> Self {
         let covariance = Matrix3::from_diagonal(&Vector3::new(offset_variance, 0.0, 0.0));
-        Self { from: 0, age, drifted: false, mean: Vector3::zeros(), covariance, evidence: 0.0 }
+        Self { age, drifted: false, mean: Vector3::zeros(), covariance, evidence: 0.0 }
     }
 
     /// A later stage with the prior of a shape; `evidence` is that of all series of stages before it.
-    fn drifted(from: usize, age: f64, (slope_sd, curvature_sd): (f64, f64), evidence: f64) -> Self {
+    fn drifted(age: f64, (slope_sd, curvature_sd): (f64, f64), evidence: f64) -> Self {
         let prior_sd = Vector3::new(STEP_SD, slope_sd, curvature_sd);
         let covariance = Matrix3::from_diagonal(&prior_sd.component_mul(&prior_sd));
-        Self { from, age, drifted: true, mean: Vector3::zeros(), covariance, evidence }
+        Self { age, drifted: true, mean: Vector3::zeros(), covariance, evidence }
     }
 
     /// Adds a point by recursive least squares on the whitened series.
@@ -204,7 +202,7 @@ impl Stage {
         let mut x = self.regressors(series.points[at].age);
         let mut value = series.values[at];
         let mut variance = series.variances[at];
-        if at > self.from && series.is_correlated(at) {
+        if series.points[at].age < self.age && series.is_correlated(at) {
             x -= series.lag1 * self.regressors(series.points[at - 1].age);
             value -= series.lag1 * series.values[at - 1];
             variance *= 1.0 - series.lag1 * series.lag1;

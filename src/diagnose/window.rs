@@ -138,16 +138,14 @@ impl<'a> Stream<'a> {
         let last = self.0.get(..throws)?;
         let count = |side: usize| last.iter().filter(|(at, _)| *at == side).count();
         let counts = [count(0), count(1)];
-        let mut sensor = Matrix3::zeros();
+        let sensor = self.mean_sensor(throws);
         let mut distance = [0.0; 2];
         let mut residuals = [Vector3::zeros(); KEPT];
         for (residual, (side, throw)) in residuals.iter_mut().zip(last) {
-            sensor += Matrix3::from(throw.sensor);
             distance[*side] += f64::from(throw.distance_k);
             *residual = baselines[*side]?.compensated(throw.raw());
         }
         let n = throws as f64;
-        sensor /= n;
         let sd = scatter.sd_of_one(&sensor);
         let mut values = [0.0; KEPT];
         let mean = Vector3::from_fn(|i, _| {
@@ -180,8 +178,7 @@ impl<'a> Stream<'a> {
         baselines: [Option<&Baseline>; 2],
     ) -> Option<f64> {
         let n = window.throws as f64;
-        let sensor = self.mean_sensor(window.throws);
-        let rho = scatter.lag1_of_one(&sensor);
+        let (rho, inverse) = self.innovation(window, scatter)?;
         let fresh = rho.map(|rho| (1.0 - rho * rho).sqrt());
         let residual = |at: usize| self.0.get(at).map(|(side, throw)| Some(baselines[*side]?.compensated(throw.raw())));
         let mut sum = Vector3::zeros();
@@ -193,16 +190,20 @@ impl<'a> Stream<'a> {
             throw = before.unwrap_or_default();
         }
         let level = sum.component_div(&rho.map(|rho| n * (1.0 - rho)));
-        let inverse = (window.covariance + scatter.more_of_score(window.throws, &sensor)).try_inverse()?;
         Some((level.transpose() * inverse * level).x)
     }
 
     /// The innovation of each coefficient that alone gives the score of `window` the value `t`.
     fn reach(&self, t: f64, window: &Window, scatter: &Scatter) -> Option<Vector3<f64>> {
-        let sensor = self.mean_sensor(window.throws);
-        let inverse = (window.covariance + scatter.more_of_score(window.throws, &sensor)).try_inverse()?;
-        let rho = scatter.lag1_of_one(&sensor);
+        let (rho, inverse) = self.innovation(window, scatter)?;
         Some(Vector3::from_fn(|i, _| window.throws as f64 * (1.0 - rho[i]) * (t / inverse[(i, i)]).sqrt()))
+    }
+
+    /// Lag-1 correlations of the last throws of `window`, and the inverse covariance of their mean innovation as a level.
+    fn innovation(&self, window: &Window, scatter: &Scatter) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+        let sensor = self.mean_sensor(window.throws);
+        let covariance = window.covariance + scatter.more_of_score(window.throws, &sensor);
+        Some((scatter.lag1_of_one(&sensor), covariance.try_inverse()?))
     }
 
     /// Mean covariance of the estimates of the last throws.
@@ -221,17 +222,17 @@ impl<'a> Stream<'a> {
         baselines: [Option<&Baseline>; 2],
     ) -> Option<Window> {
         let mut best: Option<Window> = None;
-        let mut reach = None;
+        let (mut shortest, mut reach) = (None, None);
         for (at, &throws) in WINDOWS.iter().enumerate() {
             let Some(mut window) = self.window(throws, scatter, baselines) else { continue };
-            if at == 0 {
-                reach = self.reach(most_of_one * thresholds.of(0), &window, scatter);
-            }
+            let shortest = *shortest.get_or_insert(window);
             let Some(inverse) = window.covariance.try_inverse() else { continue };
             let t = (window.mean.transpose() * inverse * window.mean).x;
-            let score = reach
-                .filter(|_| t > 0.25 * thresholds.of(at))
-                .and_then(|reach| self.score(&window, &reach, scatter, baselines));
+            let mut score = None;
+            if t > 0.25 * thresholds.of(at) {
+                reach = reach.or_else(|| self.reach(most_of_one * thresholds.of(0), &shortest, scatter));
+                score = reach.and_then(|reach| self.score(&window, &reach, scatter, baselines));
+            }
             window.excess = t.min(score.unwrap_or(t)) / thresholds.of(at);
             if best.is_none_or(|best| window.excess > best.excess) {
                 best = Some(window);
