@@ -88,7 +88,7 @@ pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges
             // The rest of the status is most important when the database does not answer.
             Err(error) => tracing::warn!(%error, "the database does not answer: status without maintenance windows"),
         }
-        bus::answer(question, Ok(vec![(key.clone(), wire::json(&report))])).await;
+        bus::answer(question, Ok(vec![(key.clone(), wire::json(&report).into_bytes())])).await;
     }
 }
 

@@ -83,11 +83,13 @@ impl Fleet {
         self.monitors.entry(machine.clone()).or_insert_with(|| MachineMonitor::new(&name_of(machine)))
     }
 
-    /// Diagnoses a throw; returns the judgement to store.
+    /// Diagnoses a throw; returns the judgement to store, with the monitor if this is the last throw of its machine in the
+    /// transaction.
     pub(super) fn judge(
         &mut self,
         stored: &StoredThrow,
         identification: Option<Identification>,
+        is_last: bool,
         settings: &Settings,
         at: Timestamp,
     ) -> Judgement {
@@ -106,12 +108,19 @@ impl Fleet {
             verdict.state = monitor.state();
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
-        let mut outcome = outcome(&stored.machine, monitor, at, Vec::new());
+        let monitor_after = is_last.then(|| record(monitor));
         if monitor.is_witness() && !self.witnesses.contains(&stored.machine) {
             self.witnesses.insert(stored.machine.clone());
         }
         let health = health(stored, identification.as_ref(), &verdict, since_baseline);
-        outcome.events = verdict.events;
+        let outcome = Outcome {
+            machine: stored.machine.clone(),
+            at,
+            monitor: monitor_after,
+            events: verdict.events,
+            reported_gaps: Vec::new(),
+            command: None,
+        };
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
 
@@ -279,11 +288,15 @@ fn health(
 
 /// The outcome with the present monitor and the new events.
 fn outcome(machine: &MachineId, monitor: &MachineMonitor, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
-    let record = MonitorRecord {
-        snapshot: String::from_utf8_lossy(&json(monitor)).into_owned(),
+    let monitor = Some(record(monitor));
+    Outcome { machine: machine.clone(), at, monitor, events, reported_gaps: Vec::new(), command: None }
+}
+
+fn record(monitor: &MachineMonitor) -> MonitorRecord {
+    MonitorRecord {
+        snapshot: json(monitor),
         state: monitor.state(),
         drifts: monitor.drifts().to_vec(),
         caveats: monitor.caveats(),
-    };
-    Outcome { machine: machine.clone(), at, monitor: Some(record), events, reported_gaps: Vec::new(), command: None }
+    }
 }

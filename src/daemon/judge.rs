@@ -1,13 +1,13 @@
 //! The judge: identifies pending throws, diagnoses them in order, and commits the judgements.
 
-use std::{sync::Arc, time::Duration};
+use std::{collections::HashMap, sync::Arc, time::Duration};
 
 use tokio::sync::watch;
 
 use super::{clock, config::Config, fleet::Fleet, identify::Pool};
 use crate::{
     diagnose::AlarmEvent,
-    store::{Judgement, Store, StoreError},
+    store::{Judgement, Store, StoreError, ThrowRow},
     throw::MachineId,
     wire::Health,
 };
@@ -74,9 +74,12 @@ impl Judge {
             Some((stored.throw.as_ref().ok()?.clone(), config.machines.of(&stored.machine).clone()))
         });
         let mut found = self.pool.identify(readable.collect()).await.into_iter();
+        // One transaction stores the batch, so the monitor after the last throw of each machine is enough.
+        let last: HashMap<&MachineId, ThrowRow> = throws.iter().map(|stored| (&stored.machine, stored.row)).collect();
         let judgements = throws.iter().map(|stored| {
             let identification = if stored.throw.is_ok() { found.next().flatten() } else { None };
-            self.fleet.judge(stored, identification, &config.diagnosis, clock::now())
+            let is_last = last.get(&stored.machine) == Some(&stored.row);
+            self.fleet.judge(stored, identification, is_last, &config.diagnosis, clock::now())
         });
         Ok(judgements.collect())
     }

@@ -57,10 +57,11 @@ impl Store {
     pub async fn open(settings: &Settings, now: Timestamp) -> Result<Opened, StoreError> {
         let disk = Arc::new(Disk::new(&settings.path, settings.ballast_mib, settings.low_disk_mib));
         let place = Place::new(&settings.path);
-        let (connection, report) = open::open(settings, &disk, &place, now).await?;
+        let (mut connection, report) = open::open(settings, &disk, &place, now).await?;
+        let options = open::continuing(settings, &mut connection).await?;
         let reader = Reader::open(&settings.path).await?;
         let writer = Writer::start(Link {
-            options: open::writing(settings, false),
+            options,
             connection: Some(connection),
             disk: Arc::clone(&disk),
             place: place.clone(),

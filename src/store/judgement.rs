@@ -74,8 +74,8 @@ impl MonitorRecord {
         query
             .bind(&self.snapshot)
             .bind(self.state.as_str())
-            .bind((!self.drifts.is_empty()).then(|| text(&self.drifts)))
-            .bind((!self.caveats.is_empty()).then(|| text(&self.caveats)))
+            .bind((!self.drifts.is_empty()).then(|| json(&self.drifts)))
+            .bind((!self.caveats.is_empty()).then(|| json(&self.caveats)))
     }
 }
 
@@ -154,7 +154,7 @@ impl Judgement {
                 .bind(machine_row)
                 .bind(baseline.direction.as_str())
                 .bind(at_us)
-                .bind(text(baseline))
+                .bind(json(baseline))
                 .execute(&mut *connection)
                 .await?;
         }
@@ -210,13 +210,8 @@ impl Judgement {
             .bind(health.baseline.map(|(_, needed)| needed.cast_signed()))
             .bind(health.throws_since_baseline.cast_signed())
             .bind(health.state.map(MachineState::as_str))
-            .bind(health.drift.as_ref().map(text))
+            .bind(health.drift.as_ref().map(json))
     }
-}
-
-/// JSON of a value, as text.
-fn text<T: serde::Serialize>(value: &T) -> String {
-    String::from_utf8_lossy(&json(value)).into_owned()
 }
 
 impl Write for Outcome {
@@ -275,7 +270,7 @@ async fn add_command(
         .bind(command.name())
         .bind(command.by())
         .bind(command.why())
-        .bind(text(command))
+        .bind(json(command))
         .execute(&mut *connection)
         .await?;
     sqlx::query(sql::TRIM_COMMANDS).bind(COMMANDS_KEPT).execute(connection).await.map(drop)
@@ -303,7 +298,7 @@ async fn add_alarm_event(
         .bind(alarm.event_at.as_microsecond())
         .bind(alarm.severity.as_str())
         .bind(alarm.state.as_str())
-        .bind(text(alarm))
+        .bind(json(alarm))
         .bind(at_us.max(alarm.event_at.as_microsecond()))
         .execute(&mut *connection)
         .await?;

@@ -63,7 +63,7 @@ impl Alarm {
     /// The published message as JSON.
     #[must_use]
     pub fn into_message(self) -> Vec<u8> {
-        json(&self.published())
+        json(&self.published()).into_bytes()
     }
 }
 
@@ -106,7 +106,7 @@ mod tests {
             why: None,
         };
         let alarm = Alarm::new(&MachineId::new("north", "21B").unwrap(), &event);
-        assert_eq!(serde_json::from_slice::<Alarm>(&json(&alarm)).unwrap(), alarm, "the database keeps all of it");
+        assert_eq!(serde_json::from_str::<Alarm>(&json(&alarm)).unwrap(), alarm, "the database keeps all of it");
         let message = alarm.into_message();
         let expected = serde_json::json!({
             "schema": "points.alarm/1", "alarm_id": "north.21B.incomplete_throw.1777889472000000", "event_no": 2,

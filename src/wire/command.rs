@@ -62,6 +62,6 @@ impl Reply {
     /// The reply as JSON.
     #[must_use]
     pub fn to_json(&self) -> Vec<u8> {
-        json(self)
+        json(self).into_bytes()
     }
 }

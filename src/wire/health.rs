@@ -97,7 +97,7 @@ impl Health {
     /// The message as JSON.
     #[must_use]
     pub fn to_json(&self) -> Vec<u8> {
-        json(self)
+        json(self).into_bytes()
     }
 }
 

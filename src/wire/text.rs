@@ -9,6 +9,6 @@ use serde::Serialize;
 /// has this.
 #[must_use]
 #[expect(clippy::expect_used, reason = "a receiver could take an empty message for a valid one")]
-pub fn json<T: Serialize + ?Sized>(value: &T) -> Vec<u8> {
-    serde_json::to_vec(value).expect("every message of this program has a JSON form")
+pub fn json<T: Serialize + ?Sized>(value: &T) -> String {
+    serde_json::to_string(value).expect("every message of this program has a JSON form")
 }

@@ -159,5 +159,5 @@ pub(super) fn encode(throw: &Throw) -> Vec<u8> {
         supply_v: throw.supply_v,
         anti_alias_hz: throw.anti_alias_hz,
     };
-    json(&written)
+    json(&written).into_bytes()
 }
