@@ -11,7 +11,7 @@ use zenoh::{
 use super::error::BusError;
 use crate::{
     throw::MachineId,
-    wire::{Commander, Kind, machine_key, monitor_alive_key},
+    wire::{Commander, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_alive_key},
 };
 
 /// A query or command without a usable answer.
@@ -140,12 +140,8 @@ pub async fn command(
 /// # Errors
 /// When zenoh refuses the query.
 pub async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
-    let keys = alive(session, "points/v1/*/monitor/*/alive").await?;
-    let name = |key: &String| {
-        let mut chunks = key.split('/').skip(2);
-        Some(format!("{}/{}", chunks.next()?, chunks.nth(1)?))
-    };
-    Ok(keys.iter().filter_map(name).collect())
+    let keys = alive(session, EVERY_MONITOR_ALIVE).await?;
+    Ok(keys.iter().filter_map(|key| parse_monitor_alive_key(key)).map(|name| name.to_string()).collect())
 }
 
 /// Checks that the daemon `expected` runs behind this session.

@@ -189,6 +189,23 @@ impl Fleet {
         Some(outcome(own_machine, monitor, now, vec![event]))
     }
 
+    /// Updates the alarm about watched daemons that are away; call it when they change.
+    pub(super) fn peers(
+        &mut self,
+        own_machine: &MachineId,
+        away: &[(MachineId, Timestamp)],
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<Outcome> {
+        if away.is_empty() && !self.monitors.contains_key(own_machine) {
+            return None;
+        }
+        let away: Vec<(String, Timestamp)> = away.iter().map(|(peer, since)| (peer.to_string(), *since)).collect();
+        let monitor = self.monitor(own_machine);
+        let event = monitor.peers(&away, now, settings)?;
+        Some(outcome(own_machine, monitor, now, vec![event]))
+    }
+
     /// Reports lost throws to the monitor of a machine.
     pub(super) fn gap(&mut self, machine: &MachineId, lost: u64, at: Timestamp, settings: &Settings) -> Outcome {
         let monitor = self.monitor(machine);

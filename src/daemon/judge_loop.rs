@@ -22,6 +22,7 @@ use super::{
     heartbeat::TaskName,
     judge::{Judge, Judged},
     orders::Order,
+    peers::Peers,
     status::Status,
 };
 use crate::{
@@ -66,6 +67,7 @@ pub(super) struct Links {
     /// The machines whose loggers have a liveliness token now.
     pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
     pub(super) orders: mpsc::Receiver<Order>,
+    pub(super) peers: Arc<Peers>,
     /// Cancelled when the daemon must end even with unstored changes.
     pub(super) give_up: CancellationToken,
 }
@@ -76,6 +78,8 @@ pub(super) struct JudgeLoop {
     links: Links,
     /// Name of the daemon as a machine, for its alarms.
     own_machine: MachineId,
+    /// Watched daemons that were away at the last tick, with the time since when.
+    away: Option<Vec<(MachineId, Timestamp)>>,
     /// Queue of unstored events: at most a raise, an escalation and a clearance.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
     /// Ticks since all monitors were last stored.
@@ -91,6 +95,7 @@ impl JudgeLoop {
             judge,
             links,
             own_machine,
+            away: None,
             daemon_alarms: VecDeque::new(),
             ticks: 0,
             budget: Budget::new(clock::monotonic()),
@@ -221,6 +226,14 @@ impl JudgeLoop {
         for (machine, (lost, reported_gaps)) in self.old_gaps(now).await {
             let outcome = self.judge.fleet.gap(&machine, lost, now, &config.diagnosis);
             self.record(Outcome { reported_gaps, ..outcome }).await?;
+        }
+        let away = self.links.peers.away();
+        if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
+            let outcome = self.judge.fleet.peers(&self.own_machine, &away, now, &config.diagnosis);
+            self.away = Some(away);
+            if let Some(outcome) = outcome {
+                self.record(outcome).await?;
+            }
         }
         self.update_standing();
         Ok(())

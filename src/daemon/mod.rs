@@ -21,6 +21,7 @@ mod keep;
 mod lock;
 mod offline;
 mod orders;
+mod peers;
 mod presence;
 mod publish;
 mod receive;

@@ -21,6 +21,7 @@ use super::{
     lock::DatabaseLock,
     offline::StartError,
     orders::{Order, Orders},
+    peers::Peers,
     presence,
     publish::Publisher,
     receive::{Intake, Receiver},
@@ -34,7 +35,7 @@ use crate::{
     bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, OutletEnd, PresenceWatch, Questions},
     store::{self, Found, Store},
     throw::MachineId,
-    wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
+    wire::{Commander, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
 /// Capacity of the channel of judged throws; a slower observer misses some.
@@ -248,6 +249,11 @@ impl Starting {
         loggers: watch::Receiver<HashSet<MachineId>>,
         orders: mpsc::Receiver<Order>,
     ) -> Result<(), StartError> {
+        let peers = Arc::new(Peers::new(self.config.monitor.watched()));
+        if !self.config.monitor.peers.is_empty() {
+            let tokens = PresenceWatch::subscribe(&self.session, EVERY_MONITOR_ALIVE).await?;
+            self.tasks.spawn("peers", Arc::clone(&peers).follow(tokens));
+        }
         let judge = Judge::restore(self.store.clone(), config).await?;
         let links = Links {
             status: Arc::clone(&self.status),
@@ -258,6 +264,7 @@ impl Starting {
             watchers,
             loggers,
             orders,
+            peers,
             give_up: self.stops.give_up.clone(),
         };
         self.tasks.spawn(JUDGE, JudgeLoop::new(judge, links).run(self.stops.judge.clone()));

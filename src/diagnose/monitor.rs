@@ -14,7 +14,7 @@ use super::{
     features::FeatureWatch,
     instruments::Instruments,
     observation::{Evaluated, Irregularity, Observation},
-    operational::{Context, Operation},
+    operational::{self, Context, Operation},
     settings::Settings,
     site::{self, Common, Trail},
     snapshot::VersionOne,
@@ -314,6 +314,14 @@ impl MachineMonitor {
     ) -> Option<AlarmEvent> {
         let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
         operation.on_daemon_trouble(trouble, alarms, context)
+    }
+
+    /// Applies a change of the watched daemons that are away, with the time since when, for the monitor of the daemon
+    /// itself.
+    pub fn peers(&mut self, away: &[(String, Timestamp)], now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
+        let (_, alarms, context) = self.parts(to_micros(now), None, settings);
+        let text = (!away.is_empty()).then(|| text::peers_away(away));
+        operational::on_peers(text, alarms, context)
     }
 
     /// Applies `lost` missing throws.

@@ -350,3 +350,13 @@ impl Operation {
         };
     }
 }
+
+/// Applies a change of the watched daemons that are away, with a text about them; `None` if all are there.
+pub(super) fn on_peers(away: Option<String>, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
+    let (cause, at) = (Cause::NotMonitored, context.at);
+    match away {
+        None => alarms.clear(cause, text::peers_back(), at),
+        Some(text) if alarms.is_active(cause) => alarms.remark(cause, text, at),
+        Some(text) => alarms.raise(cause, context.critical(text), at),
+    }
+}

@@ -1,5 +1,7 @@
 //! The texts of alarms: what happened, how certain it is, what to check, and the forecast.
 
+use jiff::Timestamp;
+
 use super::{
     cause::{Attribution, Naming, Rival},
     course::LimitForecast,
@@ -270,6 +272,24 @@ pub(super) fn logger_back(name: &str) -> String {
 
 pub(super) fn daemon_calm() -> String {
     "pointsd stores all data again.".to_owned()
+}
+
+pub(super) fn peers_away(away: &[(String, Timestamp)]) -> String {
+    let daemons: Vec<String> =
+        away.iter().map(|(name, since)| format!("{name} since {}", since.strftime("%Y-%m-%d %H:%M:%S UTC"))).collect();
+    let (daemons_are, their, those) = if away.len() == 1 {
+        ("The daemon", "Its", "that computer and its link")
+    } else {
+        ("These daemons", "Their", "those computers and their links")
+    };
+    format!(
+        "{daemons_are} cannot be reached: {}. {their} machines are not monitored. Check {those}.",
+        daemons.join(", ")
+    )
+}
+
+pub(super) fn peers_back() -> String {
+    "All watched daemons can be reached again.".to_owned()
 }
 
 pub(super) fn gap(name: &str, lost: u64) -> String {

@@ -13,9 +13,10 @@ async fn alarms_and_commands_pass_the_central_router_and_throws_stay_in_the_cabi
     let folder = railway().folder("router");
     let text = replaced(&read("zenoh/router.json5"), "/etc/zenohd/tls/", &format!("{}/", folder.display()));
     let text = replaced(&text, "tls/[::]:7447", "tls/127.0.0.1:0");
-    let (_router, endpoint) = open_and_locate(zenoh::Config::from_json5(&text).unwrap()).await;
+    let (router, endpoint) = open_and_locate(zenoh::Config::from_json5(&text).unwrap()).await;
     let (cabinet, loggers) = open_and_locate(zenoh_table(&cabinet_toml("tls/127.0.0.1:0", Some(&endpoint)))).await;
 
+    let daemons = cabinet.liveliness().declare_subscriber("points/v1/*/monitor/*/alive").history(true).await.unwrap();
     let throws = throw_subscriber(&cabinet).await;
     let commands = answer(&cabinet, "points/v1/north/*/command", COMMAND).await;
     let _north = answer(&cabinet, "points/v1/north/*/alarm", NORTH).await;
@@ -24,6 +25,9 @@ async fn alarms_and_commands_pass_the_central_router_and_throws_stay_in_the_cabi
     let operator = client("operator", &endpoint).await;
     let curious = viewer.declare_subscriber("points/v1/**/throw").await.unwrap();
 
+    // The daemon of another site, which this cabinet may watch.
+    let _south = router.liveliness().declare_token("points/v1/south/monitor/box/alive").await.unwrap();
+    let _logger = router.liveliness().declare_token("points/v1/south/21A/alive").await.unwrap();
     let joined = async {
         while ask(&viewer, "points/v1/**/alarm", None).await.is_empty() {
             tokio::task::yield_now().await;
@@ -31,6 +35,9 @@ async fn alarms_and_commands_pass_the_central_router_and_throws_stay_in_the_cabi
     };
     tokio::time::timeout(PATIENCE, joined).await.expect("the cabinet joins the router");
     assert_eq!(ask(&viewer, "points/v1/**/alarm", None).await, [NORTH], "a cabinet speaks for its own site only");
+    let seen = tokio::time::timeout(PATIENCE, daemons.recv_async()).await.expect("the cabinet sees a daemon").unwrap();
+    assert_eq!(seen.key_expr().as_str(), "points/v1/south/monitor/box/alive");
+    assert!(alive(&cabinet, "points/v1/south/21A/alive").await.is_empty(), "loggers of another site are not shown");
 
     assert!(ask(&viewer, COMMAND, Some("{}")).await.is_empty());
     assert_eq!(commands.load(Ordering::SeqCst), 0);

@@ -17,6 +17,7 @@ mod pages;
 mod prometheus;
 mod python;
 mod questions;
+mod region;
 mod rig;
 mod silence;
 mod throws;

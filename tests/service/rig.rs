@@ -391,9 +391,9 @@ pub(crate) async fn put(session: &Session, key: &str, encoding: Encoding, payloa
 }
 
 /// A publisher that is connected to a subscriber.
-pub(crate) async fn matched(session: &Session, key: &'static str) -> zenoh::pubsub::Publisher<'static> {
+pub(crate) async fn matched(session: &Session, key: impl Into<String>) -> zenoh::pubsub::Publisher<'static> {
     let publisher = session
-        .declare_publisher(key)
+        .declare_publisher(key.into())
         .encoding(Encoding::APPLICATION_CBOR)
         .congestion_control(CongestionControl::Block)
         .await

@@ -38,6 +38,18 @@ pub struct Monitor {
     pub site: Name,
     /// Identifier at the site; the liveliness token is `points/v1/{site}/monitor/{id}/alive`.
     pub id: Name,
+    /// Other daemons that this one watches.
+    pub peers: Vec<Peer>,
+}
+
+/// The name of another daemon.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Peer {
+    /// Its `monitor.site`.
+    pub site: Name,
+    /// Its `monitor.id`.
+    pub id: Name,
 }
 
 impl Monitor {
@@ -45,6 +57,11 @@ impl Monitor {
     #[must_use]
     pub fn as_machine(&self) -> MachineId {
         MachineId { site: self.site.clone(), machine: self.id.clone() }
+    }
+
+    /// The names of the watched daemons as machines.
+    pub(super) fn watched(&self) -> impl Iterator<Item = MachineId> {
+        self.peers.iter().map(|peer| MachineId { site: peer.site.clone(), machine: peer.id.clone() })
     }
 }
 
@@ -108,7 +125,7 @@ pub struct Log {
 
 impl Default for Monitor {
     fn default() -> Self {
-        Self { site: fixed_name("fleet"), id: fixed_name("pointsd") }
+        Self { site: fixed_name("fleet"), id: fixed_name("pointsd"), peers: Vec::new() }
     }
 }
 
@@ -212,6 +229,7 @@ impl Config {
         let scope =
             Scope::parse(&file.subscribe.key).map_err(|error| document.complain("subscribe.key", error.to_string()))?;
         check_ranges(&file, document)?;
+        check_peers(&file.monitor, document)?;
         let machines = machines(&file, document)?;
         check_web(&file.web, document)?;
         file.webhook.check(document)?;
@@ -245,6 +263,13 @@ fn check_ranges(file: &File, document: &Document) -> Result<(), ConfigError> {
     .and_then(|()| file.diagnosis.validate().map_err(|error| error.within("diagnosis")))
     .and_then(|()| file.machines.check().map_err(|error| error.within("machines")))
     .map_err(|error| document.complain(&error.key, error.problem()))
+}
+
+fn check_peers(monitor: &Monitor, document: &Document) -> Result<(), ConfigError> {
+    match monitor.watched().position(|peer| peer == monitor.as_machine()) {
+        Some(index) => Err(document.complain(&format!("monitor.peers[{index}]"), "is this daemon itself")),
+        None => Ok(()),
+    }
 }
 
 fn machines(file: &File, document: &Document) -> Result<Machines, ConfigError> {

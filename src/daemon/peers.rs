@@ -1,0 +1,79 @@
+//! Presence of the other daemons that this one watches. Nobody monitors the machines of a daemon that is away.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use jiff::Timestamp;
+
+use super::clock;
+use crate::{bus::PresenceWatch, throw::MachineId, wire::parse_monitor_alive_key};
+
+/// Absence after which there is an alarm: a restart takes seconds.
+const GRACE: Duration = Duration::from_secs(30);
+
+/// The watched daemons.
+#[derive(Debug)]
+pub(super) struct Peers {
+    started: Instant,
+    /// Of each daemon that is away, since when.
+    away: Mutex<BTreeMap<MachineId, Option<Away>>>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Away {
+    since: Instant,
+    at: Timestamp,
+}
+
+impl Away {
+    fn now() -> Self {
+        Self { since: clock::monotonic(), at: clock::now() }
+    }
+}
+
+impl Peers {
+    /// These daemons, away until their tokens arrive.
+    pub(super) fn new(peers: impl IntoIterator<Item = MachineId>) -> Self {
+        let away = Away::now();
+        let peers = peers.into_iter().map(|peer| (peer, Some(away))).collect();
+        Self { started: away.since, away: Mutex::new(peers) }
+    }
+
+    /// Follows the tokens of all daemons.
+    pub(super) async fn follow(self: Arc<Self>, mut tokens: PresenceWatch) {
+        while let Some(change) = tokens.next().await {
+            if let Some(daemon) = parse_monitor_alive_key(&change.key) {
+                self.change(&daemon, change.alive);
+            }
+        }
+    }
+
+    fn change(&self, daemon: &MachineId, is_there: bool) {
+        let mut peers = self.away.lock().unwrap_or_else(PoisonError::into_inner);
+        match peers.get_mut(daemon) {
+            Some(away) if is_there => {
+                tracing::info!(%daemon, "watched daemon connected");
+                *away = None;
+            }
+            Some(away @ None) => {
+                tracing::warn!(%daemon, "watched daemon disconnected");
+                *away = Some(Away::now());
+            }
+            _ => {}
+        }
+    }
+
+    /// The daemons that are away for at least [`GRACE`], with the time since when. `None` for this time after the start
+    /// unless all are there: it is not known yet.
+    pub(super) fn away(&self) -> Option<Vec<(MachineId, Timestamp)>> {
+        let peers = self.away.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = clock::monotonic();
+        let is_known = now.duration_since(self.started) >= GRACE || peers.values().all(Option::is_none);
+        let away = peers.iter().filter_map(|(peer, away)| Some((peer, (*away)?)));
+        let long = away.filter(|(_, away)| now.duration_since(away.since) >= GRACE);
+        is_known.then(|| long.map(|(peer, away)| (peer.clone(), away.at)).collect())
+    }
+}

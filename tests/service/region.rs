@@ -1,0 +1,101 @@
+//! A region: a router, and four daemons behind it, each of which serves a site.
+
+use std::{fs, time::Duration};
+
+use pointsd::wire::{Alarm, Encoding, encode_throw};
+use zenoh::Session;
+
+use crate::rig::{PATIENCE, Rig, client_of, matched, pointsd, throws};
+
+const SITES: [&str; 4] = ["east", "north", "south", "west"];
+
+/// The daemon of a site; that of `east` watches the others.
+fn rig(site: &str, router: &str) -> Rig {
+    let peers = if site == SITES[0] {
+        SITES[1..].iter().map(|peer| format!("{{ site = {peer:?}, id = \"box\" }}")).collect()
+    } else {
+        Vec::new()
+    };
+    Rig::with(&format!(
+        "[monitor]\nsite = {site:?}\nid = \"box\"\npeers = [{}]\n[subscribe]\nkey = \"points/v1/{site}/**\"",
+        peers.join(", ")
+    ))
+    .behind(router)
+}
+
+/// The machines whose health the daemons return to one query.
+async fn machines(session: &Session) -> Vec<String> {
+    let none = zenoh::query::ConsolidationMode::None;
+    let replies = session.get("points/v1/**/health").consolidation(none).await.unwrap();
+    let mut machines = Vec::new();
+    while let Ok(reply) = replies.recv_async().await {
+        machines.push(reply.result().unwrap().key_expr().split('/').nth(2).unwrap().to_owned());
+    }
+    machines.sort();
+    machines.dedup();
+    machines
+}
+
+async fn until_machines(session: &Session, expected: &[&str]) {
+    let reached = async {
+        while machines(session).await != expected {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    tokio::time::timeout(PATIENCE, reached).await.unwrap_or_else(|_| panic!("not all of {expected:?} answer"));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_daemon_that_is_gone_is_missed_and_another_takes_over_from_its_backup() {
+    let config =
+        "{ mode: 'router', listen: { endpoints: ['tcp/127.0.0.1:0'] }, scouting: { multicast: { enabled: false } } }";
+    let router = zenoh::open(zenoh::Config::from_json5(config).unwrap()).await.unwrap();
+    let endpoint = router.info().locators().await[0].to_string();
+    let rigs = SITES.map(|site| rig(site, &endpoint));
+    let mut daemons: Vec<_> = rigs.iter().map(Rig::start).collect();
+    let session = client_of(&endpoint).await;
+    let alarms = session.declare_subscriber("points/v1/**/alarm").await.unwrap();
+    let send = async |site: &str, throw_no: usize| {
+        let throw = throws("b", throw_no as u64).remove(throw_no - 1);
+        let publisher = matched(&session, format!("points/v1/{site}/21B/throw")).await;
+        publisher.put(encode_throw(Encoding::Cbor, &throw)).await.unwrap();
+    };
+    for (site, rig) in SITES.iter().zip(&rigs) {
+        send(site, 1).await;
+        rig.judged(1).await;
+    }
+    until_machines(&session, &SITES).await;
+
+    // The last backup of the daemon that is killed.
+    let backup = rigs[2].folder().join("backup.db");
+    let made = pointsd(&["backup", "--config"]).arg(rigs[2].config()).arg(&backup).output().unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    daemons.remove(2).kill();
+    let next = async || {
+        let sample = tokio::time::timeout(2 * PATIENCE, alarms.recv_async()).await.expect("an alarm event").unwrap();
+        let alarm: Alarm = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+        (sample.key_expr().to_string(), alarm)
+    };
+    let (key, alarm) = next().await;
+    assert_eq!(key, "points/v1/east/box/alarm");
+    assert!(alarm.text.starts_with("The daemon cannot be reached: south/box since "), "{}", alarm.text);
+    assert_eq!((alarm.cause.as_str(), alarm.severity.as_str()), ("not_monitored", "critical"));
+    until_machines(&session, &["east", "north", "west"]).await;
+    for at in [0, 1, 3] {
+        send(SITES[at], 2).await;
+        rigs[at].judged(2).await;
+    }
+
+    // Another computer takes over, with the configuration and the backup of the first.
+    let other = rig("south", &endpoint);
+    fs::copy(&backup, other.database()).unwrap();
+    let taken_over = other.start();
+    let (_, alarm) = next().await;
+    assert_eq!(alarm.text, "All watched daemons can be reached again.");
+    send("south", 2).await;
+    let history = other.judged(2).await;
+    assert_eq!(history.iter().map(|health| health.throw.throw_no).collect::<Vec<_>>(), [1, 2]);
+    until_machines(&session, &SITES).await;
+    assert!(alarms.try_recv().unwrap().is_none(), "an alarm without a fault");
+    assert!(taken_over.terminate().success());
+}
