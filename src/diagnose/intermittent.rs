@@ -20,8 +20,19 @@ use super::{
 
 /// Lengths of the two windows of departures \[throws\].
 const COUNTED: [usize; 2] = [50, 100];
-/// Least squared distance of a departure, in variances: 1 in 1,000 throws of a usual machine.
-const FAR: f64 = 16.0;
+/// Departures of a least size.
+#[derive(Debug, Clone, Copy)]
+struct Size {
+    /// Least squared distance, in variances.
+    far: f64,
+    /// Prior of their rate: departures, and throws.
+    prior: (f64, f64),
+}
+
+/// Every departure: 1 in 1,000 throws of a usual machine.
+const ANY: Size = Size { far: 16.0, prior: (0.5, 50.0) };
+/// Large ones, of which fewer are enough: 2 in 1,000 throws with a scatter of Student's t with three degrees of freedom.
+const LARGE: Size = Size { far: 100.0, prior: (0.5, 300.0) };
 /// Largest length of a departure \[throws of a direction\].
 const LONGEST_RUN: u32 = 2;
 /// Least squared distance of a throw far out: 5 in 10,000 throws of Gaussian scatter, 2 in 100 of Student's t with
@@ -32,8 +43,8 @@ const HEAVY_FROM: f64 = 0.006;
 const TAIL_PRIOR_THROWS: f64 = 100.0;
 /// Throws after which a throw far out counts for the tails, as no fault followed it.
 const DECIDED_AFTER: usize = 24;
-/// Prior of the rate: departures, and throws.
-const PRIOR: (f64, f64) = (0.5, 50.0);
+/// Throws far out added as prior.
+const TAIL_PRIOR: f64 = 0.5;
 /// Throws of a machine before its rate counts: a baseline of one direction.
 const KNOWN_FROM: f64 = 50.0;
 /// Throws over which counts of overlapping windows are one test.
@@ -49,6 +60,9 @@ pub(super) struct Intermittent {
     begun: [Option<([f32; 3], u32)>; 2],
     /// Departures and throws of the healthy past, before the last throws.
     past: (f64, f64),
+    /// Large departures among them.
+    #[serde(default)]
+    past_large: f64,
     /// Throws far out, and all throws: shows how heavy the tails are.
     tail: (f64, f64),
     /// Whether each of the last throws was far out; newest last. They count later, so that a fault does not count as a
@@ -94,7 +108,7 @@ impl Intermittent {
         }
         let far = |d: Vector3<f64>| {
             let part = |cause| single(cause, &d, of_one_throw, settings).relevance(settings);
-            square(d) > FAR && Cause::PHYSICAL.into_iter().any(|cause| part(cause) > 1.0)
+            square(d) > ANY.far && Cause::PHYSICAL.into_iter().any(|cause| part(cause) > 1.0)
         };
         #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
         let ended = if far(departure) {
@@ -109,7 +123,9 @@ impl Intermittent {
         if !complete || self.recent.len() > COUNTED[1] {
             let oldest = self.recent.pop_front().flatten();
             if self.alarmed.is_none() {
+                let is_large = oldest.is_some_and(|d| square(Vector3::from(d.map(f64::from))) > LARGE.far);
                 self.past.0 += f64::from(u8::from(oldest.is_some()));
+                self.past_large += f64::from(u8::from(is_large));
                 self.past.1 += 1.0;
             }
         }
@@ -120,12 +136,14 @@ impl Intermittent {
         if self.past.1 < KNOWN_FROM {
             return None;
         }
-        let share = budget * OVERLAP / COUNTED.len() as f64;
-        let shows = |throws: &usize| {
-            let counted = self.recent.len().min(*throws);
-            let all: Vec<Vector3<f64>> =
-                self.recent.iter().rev().take(counted).flatten().map(|d| Vector3::from(d.map(f64::from))).collect();
-            let enough = |count: usize| count >= 3 && self.chance(count, counted as f64) < share;
+        let mut tests = [ANY, LARGE].into_iter().flat_map(|size| COUNTED.map(|throws| (size, throws)));
+        let share = budget * OVERLAP / (2 * COUNTED.len()) as f64;
+        let inverse = of_one_throw.try_inverse()?;
+        let shows = |(size, throws): (Size, usize)| {
+            let counted = self.recent.len().min(throws);
+            let last = self.recent.iter().rev().take(counted).flatten().map(|d| Vector3::from(d.map(f64::from)));
+            let all: Vec<Vector3<f64>> = last.filter(|d| (d.transpose() * inverse * d).x > size.far).collect();
+            let enough = |count: usize| count >= 3 && self.chance(size, count, counted as f64) < share;
             if !enough(all.len()) {
                 return None;
             }
@@ -142,7 +160,7 @@ impl Intermittent {
             let count = most.len() as f64;
             Some((counted as f64 / count, most.iter().sum::<Vector3<f64>>() / count, count))
         };
-        let (one_in, mean, count) = COUNTED.iter().find_map(shows)?;
+        let (one_in, mean, count) = tests.find_map(shows)?;
         let covariance = of_one_throw / count;
         let mut parts = Cause::PHYSICAL.map(|cause| (single(cause, &mean, &covariance, settings), cause));
         let misfit = |part: &Explanation| {
@@ -160,7 +178,7 @@ impl Intermittent {
     /// Whether the scatter of the machine has heavy tails.
     pub(super) fn is_wild(&self) -> bool {
         let (far, throws) = self.tail;
-        (far + PRIOR.0) / (throws + TAIL_PRIOR_THROWS) > HEAVY_FROM
+        (far + TAIL_PRIOR) / (throws + TAIL_PRIOR_THROWS) > HEAVY_FROM
     }
 
     /// Ends the alarm and discards its departures.
@@ -172,17 +190,18 @@ impl Intermittent {
     /// Whether departures are as rare as before.
     pub(super) fn is_over(&self) -> bool {
         let count = self.recent.iter().rev().take(COUNTED[0]).flatten().count();
-        count == 0 || self.chance(count, COUNTED[0] as f64) > OVER_FROM
+        count == 0 || self.chance(ANY, count, COUNTED[0] as f64) > OVER_FROM
     }
 
     /// Discards the last throws after a change of the machine.
     pub(super) fn reset(&mut self) {
-        *self = Self { past: self.past, tail: self.tail, ..Self::default() };
+        *self = Self { past: self.past, past_large: self.past_large, tail: self.tail, ..Self::default() };
     }
 
-    /// Probability of at least `count` departures in `throws` with the rate of the machine.
-    fn chance(&self, count: usize, throws: f64) -> f64 {
-        let (shape, exposure) = (self.past.0 + PRIOR.0, self.past.1 + PRIOR.1);
+    /// Probability of at least `count` departures of a size in `throws` with the rate of the machine.
+    fn chance(&self, size: Size, count: usize, throws: f64) -> f64 {
+        let past = if size.far > ANY.far { self.past_large } else { self.past.0 };
+        let (shape, exposure) = (past + size.prior.0, self.past.1 + size.prior.1);
         let p = throws / (throws + exposure);
         let of = |k: f64| {
             let ln = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0);

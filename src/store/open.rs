@@ -31,8 +31,6 @@ static MIGRATIONS: Migrator = sqlx::migrate!();
 
 /// Size to which SQLite truncates the log after a checkpoint \[bytes\].
 const LOG_KEPT: u64 = 16 * MIB;
-/// Pages in the log that start a checkpoint: nearly [`LOG_KEPT`], as busy pages are written once for each checkpoint.
-const CHECKPOINT_PAGES: u32 = 4000;
 /// Time limit of the check after a clean stop: 644 MB take 0.3 s, so it covers about 10 GB.
 const CHECK_LIMIT: Duration = Duration::from_secs(5);
 /// Instructions of SQLite's virtual machine between two checks of the clock.
@@ -87,7 +85,6 @@ pub(super) fn writing(settings: &Settings, fresh: bool) -> SqliteConnectOptions 
         .synchronous(synchronous)
         .busy_timeout(BUSY)
         .pragma("journal_size_limit", LOG_KEPT.to_string())
-        .pragma("wal_autocheckpoint", CHECKPOINT_PAGES.to_string())
         .disable_statement_logging()
 }
 

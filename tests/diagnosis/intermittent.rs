@@ -40,6 +40,27 @@ fn every_fifth_throw_is_found_within_60_and_every_tenth_within_150() {
 }
 
 #[test]
+fn of_a_large_fault_fewer_throws_are_enough() {
+    let settings = Settings::default();
+    for (tail, least) in [(None, 20), (Some(3), 18)] {
+        let found = |seed: &u64| {
+            let mut machine = Machine::new(62_000 + seed, Scatter { tail, ..Scatter::USUAL });
+            let mut monitor = MachineMonitor::new("21B");
+            for _ in 0..150 {
+                machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
+            }
+            let first = (1..=80).find_map(|throw| {
+                let fault = if throw % 10 == 0 { shift(Cause::Friction, 100.0) } else { Vector3::zeros() };
+                machine.feed(&mut monitor, fault, None, &settings).events.into_iter().next()
+            });
+            first.is_some_and(|event| event.cause == Cause::Friction)
+        };
+        let found = (0..LIVES).filter(found).count();
+        assert!(found >= least, "tail {tail:?}: {found} of {LIVES}");
+    }
+}
+
+#[test]
 fn an_intermittent_fault_that_is_mended_clears() {
     let settings = Settings::default();
     let mut machine = Machine::new(61_000, Scatter::USUAL);
