@@ -5,8 +5,14 @@ use pointsd::{
     evaluate::{Amount, Plan, Report},
 };
 
-const SMALL: Amount =
-    Amount { trials: 6, trace_trials: 0, healthy_throws: 20_000, trace_healthy_throws: 0, budget_lives: 2 };
+const SMALL: Amount = Amount {
+    trials: 6,
+    trace_trials: 0,
+    healthy_throws: 20_000,
+    trace_healthy_throws: 0,
+    fleet_throws: 0,
+    budget_lives: 2,
+};
 
 fn report(seed: u64, amount: Amount) -> Report {
     let plan = Plan::new(seed, amount, Settings::default());
@@ -15,7 +21,14 @@ fn report(seed: u64, amount: Amount) -> Report {
 
 #[test]
 fn the_order_in_which_lives_are_lived_changes_nothing() {
-    let amount = Amount { trials: 2, trace_trials: 0, healthy_throws: 500, trace_healthy_throws: 0, budget_lives: 1 };
+    let amount = Amount {
+        trials: 2,
+        trace_trials: 0,
+        healthy_throws: 500,
+        trace_healthy_throws: 0,
+        fleet_throws: 0,
+        budget_lives: 1,
+    };
     let plan = Plan::new(5, amount, Settings::default());
     let mut backwards: Vec<_> = (0..plan.lives()).rev().map(|life| plan.live(life)).collect();
     backwards.reverse();
@@ -37,12 +50,23 @@ fn plain_faults_are_named_right_and_health_is_not_alarmed() {
 
 #[test]
 fn the_json_has_the_promised_keys() {
-    let amount = Amount { trials: 1, trace_trials: 0, healthy_throws: 100, trace_healthy_throws: 0, budget_lives: 1 };
+    let amount = Amount {
+        trials: 1,
+        trace_trials: 0,
+        healthy_throws: 100,
+        trace_healthy_throws: 0,
+        fleet_throws: 100,
+        budget_lives: 1,
+    };
     let json = serde_json::to_value(report(1, amount)).unwrap();
     assert_eq!(json["seed"], 1);
     for key in ["depth", "throws", "false_alarms"] {
         assert!(!json["healthy"][0][key].is_null(), "{key}");
     }
+    // The usual fleet is first and has no label; every other fleet has one.
+    let fleets: Vec<_> = json["healthy"].as_array().unwrap().iter().map(|healthy| &healthy["fleet"]).collect();
+    assert_eq!(fleets.len(), 8);
+    assert!(fleets[0].is_null() && fleets[1..].iter().all(|label| label.is_string()), "{fleets:?}");
     let row = json["rows"][0].as_object().unwrap();
     let keys = [
         "depth",
