@@ -185,8 +185,25 @@ fn healthy_table(report: &Report) -> Table {
 
 fn rows_table(report: &Report, depth: Depth) -> Table {
     let header = [
-        "case", "cause", "shape", "noise", "size %", "lives", "right %", "wrong", "critical", "ambig.", "missed",
-        "delay", "p95", "paper %", "wrong", "CUSUM %", "wrong",
+        "case",
+        "cause",
+        "shape",
+        "noise",
+        "size %",
+        "lives",
+        "right %",
+        "wrong",
+        "critical",
+        "ambig.",
+        "missed",
+        "delay",
+        "p95",
+        "interval %",
+        "forecast %",
+        "paper %",
+        "wrong",
+        "CUSUM %",
+        "wrong",
     ];
     let mut table = table(header, 4);
     for row in report.rows.iter().filter(|row| row.depth == depth) {
@@ -207,6 +224,8 @@ fn row_cells(row: &Row) -> Vec<Cell> {
     cells.push(Cell::new(format!("{mark}{}", share(monitor))));
     cells.extend([monitor.wrong, row.wrong_critical, monitor.ambiguous, monitor.missed].map(Cell::new));
     cells.extend([monitor.delay_median, monitor.delay_p95].map(|throws| Cell::new(delay(throws))));
+    let coverage = |share: Option<f64>| share.map_or_else(|| "-".to_owned(), |share| format!("{:.1}", 100.0 * share));
+    cells.extend([row.size_coverage, row.forecast_coverage].map(|share| Cell::new(coverage(share))));
     for comparator in [&row.paper, &row.cusum] {
         cells.extend([Cell::new(share(comparator)), Cell::new(comparator.wrong)]);
     }

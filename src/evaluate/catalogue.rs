@@ -117,7 +117,7 @@ fn trace_rows(limits: Limits) -> Vec<Scenario> {
     rows
 }
 
-/// Rows of what happens to machines in the field, at parameter depth. No goal for the diagnosis includes them.
+/// Rows of what happens to machines in the field, at parameter depth. All are hard.
 fn field_rows(limits: Limits) -> Vec<Scenario> {
     let row = |situation, fault, shape| Scenario {
         depth: Depth::Parameter,

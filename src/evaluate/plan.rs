@@ -4,6 +4,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     catalogue::catalogue,
+    coverage::Coverage,
     cusum::Design,
     domain,
     healthy::FLEETS,
@@ -91,8 +92,9 @@ pub struct Outcome(Kind);
 enum Kind {
     /// Number of alarms of the monitor, the paper's rule and the CUSUM.
     Healthy([usize; 3]),
-    /// The judgements of the same three, and whether the monitor named a healthy part at critical severity.
-    Row([Judgement; 3], bool),
+    /// The judgements of the same three, whether the monitor named a healthy part at critical severity, and its
+    /// statements about size and forecast.
+    Row([Judgement; 3], bool, Coverage),
     Budget {
         throws: usize,
         alarmed: bool,
@@ -153,6 +155,7 @@ impl Plan {
         let mut healthy = Vec::new();
         let mut judgements = vec![Vec::new(); self.scenarios.len()];
         let mut wrong_critical = vec![0; self.scenarios.len()];
+        let mut coverages = vec![Coverage::default(); self.scenarios.len()];
         let mut budget = BUDGET_PHI.map(|phi| Budget::new(phi, BUDGET_THROWS));
         for (task, outcome) in self.tasks.iter().zip(outcomes) {
             match (*task, outcome.0) {
@@ -162,8 +165,9 @@ impl Plan {
                 (Task::Fleet { fleet, throws, .. }, Kind::Healthy(alarms)) => {
                     add(&mut healthy, Depth::Parameter, Some(FLEETS[fleet].label), throws, alarms);
                 }
-                (Task::Row { row, .. }, Kind::Row(three, accused)) => {
+                (Task::Row { row, .. }, Kind::Row(three, accused, coverage)) => {
                     judgements[row].push(three);
+                    coverages[row].merge(coverage);
                     wrong_critical[row] += usize::from(accused);
                 }
                 (Task::Budget { phi, .. }, Kind::Budget { throws, alarmed }) => budget[phi].add(throws, alarmed),
@@ -171,12 +175,12 @@ impl Plan {
             }
         }
         healthy.sort_by_key(|healthy: &Healthy| (healthy.fleet.is_some(), healthy.depth as u8));
-        let lived = self.scenarios.iter().zip(judgements.iter().zip(wrong_critical));
-        let rows =
-            lived.filter(|(_, (judgements, _))| !judgements.is_empty()).map(|(scenario, (judgements, accused))| {
-                let tally = |rule: usize| Tally::of(judgements.iter().map(|three| three[rule]));
-                Row::new(scenario, judgements.len(), accused, [tally(0), tally(1), tally(2)])
-            });
+        let lived = (0..self.scenarios.len()).filter(|&row| !judgements[row].is_empty());
+        let rows = lived.map(|row| {
+            let tally = |rule: usize| Tally::of(judgements[row].iter().map(|three| three[rule]));
+            let tallies = [tally(0), tally(1), tally(2)];
+            Row::new(&self.scenarios[row], judgements[row].len(), wrong_critical[row], coverages[row], tallies)
+        });
         let budget = budget.into_iter().filter(|budget| budget.throws > 0).collect();
         Report { seed: self.seed, healthy, rows: rows.collect(), budget }
     }
@@ -206,7 +210,7 @@ impl Plan {
         let heard = live(&mut source, &life, self.rules(scenario.situation, scenario.noise));
         let rules = [(&heard.monitor, heard.trend), (&heard.paper, None), (&heard.cusum, None)];
         let judgements = rules.map(|(calls, trend)| judge(calls, trend, &life));
-        Kind::Row(judgements, names_wrongly(&heard.monitor, &life))
+        Kind::Row(judgements, names_wrongly(&heard.monitor, &life), heard.coverage)
     }
 
     /// A healthy life up to the first alarm, with limits so small that only the budget of the drift rule prevents

@@ -3,6 +3,7 @@
 use serde::{Serialize, Serializer};
 
 use super::{
+    coverage::Coverage,
     judge::Judgement,
     scenario::{Depth, Noise, Scenario, Shape},
 };
@@ -84,6 +85,10 @@ pub struct Row {
     pub monitor: Tally,
     /// Lives in which the monitor named a healthy part at critical severity at any time.
     pub wrong_critical: usize,
+    /// Share of the monitor's 95 % intervals of the size that contain the true size; `None` without an interval.
+    pub size_coverage: Option<f64>,
+    /// Share of the monitor's forecasts that contain the true throws to the critical limit; `None` without a forecast.
+    pub forecast_coverage: Option<f64>,
     /// Results of the paper's rule on the same throws.
     #[serde(serialize_with = "without_names")]
     pub paper: Tally,
@@ -162,7 +167,13 @@ fn without_names<S: Serializer>(tally: &Tally, serializer: S) -> Result<S::Ok, S
 
 impl Row {
     /// The row of a scenario after its lives were judged.
-    pub(super) fn new(scenario: &Scenario, trials: usize, wrong_critical: usize, tallies: [Tally; 3]) -> Self {
+    pub(super) fn new(
+        scenario: &Scenario,
+        trials: usize,
+        wrong_critical: usize,
+        coverage: Coverage,
+        tallies: [Tally; 3],
+    ) -> Self {
         let [monitor, paper, cusum] = tallies;
         let cause: Vec<&str> = scenario.faults.iter().map(|(part, _)| part.as_str()).collect();
         Self {
@@ -177,6 +188,8 @@ impl Row {
             trials,
             monitor,
             wrong_critical,
+            size_coverage: coverage.sizes.value(),
+            forecast_coverage: coverage.forecasts.value(),
             paper,
             cusum,
         }

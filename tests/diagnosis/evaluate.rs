@@ -86,6 +86,9 @@ fn the_json_has_the_promised_keys() {
     for key in keys {
         assert!(row.contains_key(key), "{key}");
     }
+    for key in ["size_coverage", "forecast_coverage"] {
+        assert!(row[key].is_null() || row[key].is_f64(), "{key}");
+    }
     for comparator in ["paper", "cusum"] {
         let tally = row[comparator].as_object().unwrap();
         let sum: u64 = ["right", "wrong", "missed"].iter().map(|key| tally[*key].as_u64().unwrap()).sum();
