@@ -2,7 +2,7 @@
 
 use pointsd::{
     diagnose::Settings,
-    evaluate::{Amount, Plan, Report},
+    evaluate::{Amount, Plan, Report, Shape},
 };
 
 const SMALL: Amount = Amount {
@@ -43,6 +43,13 @@ fn plain_faults_are_named_right_and_health_is_not_alarmed() {
     assert_eq!(plain.len(), 32);
     for row in plain {
         assert_eq!(row.monitor.right, row.trials, "{row:?}");
+    }
+    // A change of the sentence about a trend would make every wear late.
+    let wear = report.rows.iter().find(|row| row.shape == Shape::Wear).unwrap();
+    assert!(wear.monitor.right > 0 && wear.monitor.wrong == 0, "{wear:?}");
+    for row in report.rows.iter().filter(|row| row.shape == Shape::Accelerating || row.case.contains("summer")) {
+        assert_eq!((row.monitor.right, row.hard), (row.trials, true), "{row:?}");
+        assert!(row.size_coverage.unwrap() > 0.5, "{row:?}");
     }
     assert_eq!(report.healthy[0].throws, 20_000);
     assert_eq!(report.healthy[0].false_alarms, 0);
