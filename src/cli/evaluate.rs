@@ -48,6 +48,9 @@ pub(super) struct Arguments {
     /// Healthy throws, completely simulated.
     #[arg(long, value_name = "N")]
     trace_healthy_throws: Option<usize>,
+    /// Throws of each healthy fleet with other scatter or weather, with simulated coefficients.
+    #[arg(long, value_name = "N")]
+    fleet_throws: Option<usize>,
     /// Lives for each serial correlation in the section of the false-alarm budget.
     #[arg(long, value_name = "N")]
     budget_lives: Option<usize>,
@@ -70,6 +73,7 @@ impl Arguments {
             trace_trials: self.trace_trials.unwrap_or(base.trace_trials),
             healthy_throws: self.healthy_throws.unwrap_or(base.healthy_throws),
             trace_healthy_throws: self.trace_healthy_throws.unwrap_or(base.trace_healthy_throws),
+            fleet_throws: self.fleet_throws.unwrap_or(base.fleet_throws),
             budget_lives: self.budget_lives.unwrap_or(base.budget_lives),
         }
     }
@@ -170,18 +174,36 @@ fn table<const N: usize>(header: [&str; N], texts: usize) -> Table {
 }
 
 fn healthy_table(report: &Report) -> Table {
-    let mut table = table(["depth", "throws", "false alarms", "paper", "CUSUM"], 1);
+    let mut table = table(["depth", "fleet", "throws", "false alarms", "paper", "CUSUM"], 2);
     for healthy in &report.healthy {
         let counts = [healthy.throws, healthy.false_alarms, healthy.paper_false_alarms, healthy.cusum_false_alarms];
-        table.add_row([vec![healthy.depth.as_str().to_owned()], counts.map(|n| n.to_string()).to_vec()].concat());
+        let texts = [healthy.depth.as_str(), healthy.fleet.unwrap_or("usual")].map(str::to_owned);
+        table.add_row([texts.to_vec(), counts.map(|n| n.to_string()).to_vec()].concat());
     }
     table
 }
 
 fn rows_table(report: &Report, depth: Depth) -> Table {
     let header = [
-        "case", "cause", "shape", "noise", "size %", "lives", "right %", "wrong", "critical", "ambig.", "missed",
-        "delay", "p95", "paper %", "wrong", "CUSUM %", "wrong",
+        "case",
+        "cause",
+        "shape",
+        "noise",
+        "size %",
+        "lives",
+        "right %",
+        "wrong",
+        "critical",
+        "ambig.",
+        "missed",
+        "delay",
+        "p95",
+        "interval %",
+        "forecast %",
+        "paper %",
+        "wrong",
+        "CUSUM %",
+        "wrong",
     ];
     let mut table = table(header, 4);
     for row in report.rows.iter().filter(|row| row.depth == depth) {
@@ -202,6 +224,8 @@ fn row_cells(row: &Row) -> Vec<Cell> {
     cells.push(Cell::new(format!("{mark}{}", share(monitor))));
     cells.extend([monitor.wrong, row.wrong_critical, monitor.ambiguous, monitor.missed].map(Cell::new));
     cells.extend([monitor.delay_median, monitor.delay_p95].map(|throws| Cell::new(delay(throws))));
+    let coverage = |share: Option<f64>| share.map_or_else(|| "-".to_owned(), |share| format!("{:.1}", 100.0 * share));
+    cells.extend([row.size_coverage, row.forecast_coverage].map(|share| Cell::new(coverage(share))));
     for comparator in [&row.paper, &row.cusum] {
         cells.extend([Cell::new(share(comparator)), Cell::new(comparator.wrong)]);
     }

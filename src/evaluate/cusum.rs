@@ -13,8 +13,9 @@ use nalgebra::Vector3;
 use super::{
     comparator::{Baseline, Caller, log_theta},
     judge::Call,
-    parameter::{ParameterMachine, SCATTER_PHI},
+    parameter::ParameterMachine,
     random::stream,
+    scatter::Scatter,
     scenario::{Limits, Noise},
 };
 use crate::diagnose::{Cause, Observation};
@@ -140,7 +141,7 @@ fn tuning_lives(seed: u64, noise: Noise, baseline: usize) -> Vec<TuningLife> {
     let mut lives = Vec::new();
     for machine_no in 0..TUNING.0 {
         let random = stream(seed, super::domain::TUNING, noise as usize, machine_no);
-        let mut machine = ParameterMachine::new(random, noise, SCATTER_PHI);
+        let mut machine = ParameterMachine::new(random, noise, Scatter::USUAL);
         let mut directions = [(); 2].map(|()| (Baseline::new(baseline), Vec::new(), Vector3::zeros()));
         for throw in 0..2 * (baseline + TUNING.1) {
             let (theta, _) = machine.throw(throw % 2, Vector3::zeros());

@@ -46,33 +46,40 @@ fn is_part(cause: Cause) -> bool {
     matches!(cause, Cause::Kt | Cause::Friction | Cause::Stiffness | Cause::Inertia)
 }
 
-/// Judges the calls of a life, given in their order, by the definitions in [`super`].
-pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
+/// Judges the calls of a life, given in their order, by the definitions in [`super`]; `trend`: the throw at which the
+/// rule stated that its baseline has a trend.
+pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Judgement {
     if life.is_learned() && !calls.is_empty() {
         return Judgement::Wrong;
     }
     let before = calls.iter().take_while(|call| call.at < life.onset);
     let after = &calls[before.clone().count()..];
-    if before.into_iter().any(|call| Some(call.cause) != life.repaired()) {
+    let after = || after.iter().filter(|call| Some(call.cause) != life.lasting());
+    if before.into_iter().any(|call| Some(call.cause) != life.earlier()) {
         return Judgement::Wrong;
     }
     let truth: Vec<Cause> = life.truth().collect();
     // For a sensor fault, an alarm that names part and sensor does not count as a name.
     let open = |call: &Call| call.or_sensor && truth.contains(&Cause::Sensor);
-    let named = || after.iter().filter(|call| is_part(call.cause) && !open(call));
+    let named = || after().filter(|call| is_part(call.cause) && !open(call));
     let wrong_first = named().next().is_some_and(|first| !truth.contains(&first.cause));
     let wrong_critical = named().any(|call| call.critical && !truth.contains(&call.cause));
     if wrong_first || wrong_critical {
         return Judgement::Wrong;
     }
-    let first = |cause: Cause| after.iter().find(|call| call.cause == cause).map(|call| call.at);
-    let both = after.iter().find(|call| open(call)).map(|call| call.at);
+    let first = |cause: Cause| after().find(|call| call.cause == cause).map(|call| call.at);
+    let both = after().find(|call| open(call)).map(|call| call.at);
     let unattributed = first(Cause::Unattributed).into_iter().chain(both).min();
     let all_named = truth.iter().map(|&cause| first(cause)).collect::<Option<Vec<_>>>();
     let all_named = all_named.and_then(|throws| throws.into_iter().max());
     let (right, ambiguous) = match truth.len() {
         1 => (all_named, unattributed),
         _ => (all_named.into_iter().chain(unattributed).min(), None),
+    };
+    // Wear from the first throw: an early statement about the baseline is as good as a name, and a late name is none.
+    let right = match life.deadline() {
+        Some(deadline) => right.into_iter().chain(trend).min().filter(|at| *at < deadline),
+        None => right,
     };
     match (right, ambiguous) {
         (Some(at), _) => Judgement::Right(at - life.onset + 1),
@@ -85,9 +92,9 @@ pub(super) fn judge(calls: &[Call], life: &Timeline) -> Judgement {
 pub(super) fn names_wrongly(calls: &[Call], life: &Timeline) -> bool {
     let at_fault = |call: &Call| {
         if call.at < life.onset {
-            Some(call.cause) == life.repaired()
+            Some(call.cause) == life.earlier()
         } else {
-            life.truth().any(|part| part == call.cause)
+            life.truth().chain(life.lasting()).any(|part| part == call.cause)
         }
     };
     calls.iter().any(|call| call.critical && is_part(call.cause) && !at_fault(call))
@@ -105,8 +112,10 @@ mod tests {
 
     fn life(situation: Situation, parts: &[Cause]) -> Timeline {
         let faults = parts.iter().map(|&part| (part, 0.2)).collect();
-        let (depth, shape, noise, hard) = (Depth::Parameter, Shape::Step, Noise::Default, false);
-        let scenario = Scenario { depth, situation, faults, shape, noise, hard };
+        let shape = if situation == Situation::Wear { Shape::Wear } else { Shape::Step };
+        let (depth, noise, hard) = (Depth::Parameter, Noise::Default, false);
+        let earlier = (situation == Situation::OnTop).then_some((Cause::Friction, 0.3));
+        let scenario = Scenario { depth, situation, faults, earlier, shape, noise, hard };
         Timeline::of(&scenario, 0, BASELINE, &mut stream(1, 0, 0, 0))
     }
 
@@ -117,7 +126,7 @@ mod tests {
             .iter()
             .map(|&(after, cause, critical)| Call { at: at(after), cause, critical, or_sensor: false })
             .collect();
-        judge(&calls, life)
+        judge(&calls, None, life)
     }
 
     /// Alarms as throw, cause and whether critical; and what they are worth.
@@ -186,10 +195,40 @@ mod tests {
     #[test]
     fn after_a_repair_only_the_second_fault_counts_and_the_first_may_be_named_in_its_time() {
         let life = life(Situation::Repaired, &[Cause::Kt]);
-        let first = life.repaired().unwrap();
+        let first = life.earlier().unwrap();
         assert_ne!(first, Cause::Kt);
         assert_eq!(judged(&life, &[(-110, first, true), (2, Cause::Kt, false)]), Judgement::Right(3));
         assert_eq!(judged(&life, &[(-110, Cause::Kt, true), (2, Cause::Kt, false)]), Judgement::Wrong);
         assert_eq!(judged(&life, &[(-110, first, true), (2, first, false)]), Judgement::Wrong);
+    }
+
+    #[test]
+    fn a_second_fault_wants_its_own_name_beside_the_first() {
+        use Cause::{Friction, Inertia, Kt, Unattributed};
+        let life = life(Situation::OnTop, &[Kt]);
+        let cases: &[Case] = &[
+            (&[(-50, Friction, false)], Judgement::Missed),
+            (&[(-50, Friction, false), (3, Kt, false)], Judgement::Right(4)),
+            (&[(-50, Friction, false), (2, Friction, true), (3, Kt, false)], Judgement::Right(4)),
+            (&[(-50, Friction, false), (2, Unattributed, false)], Judgement::Ambiguous),
+            (&[(-50, Friction, false), (2, Inertia, false), (3, Kt, false)], Judgement::Wrong),
+            (&[(-50, Kt, false), (3, Kt, false)], Judgement::Wrong),
+        ];
+        for (calls, expected) in cases {
+            assert_eq!(judged(&life, calls), *expected, "{calls:?}");
+        }
+    }
+
+    #[test]
+    fn wear_from_the_first_throw_wants_a_name_or_a_trend_in_time() {
+        let life = life(Situation::Wear, &[Cause::Friction]);
+        let deadline = life.deadline().unwrap();
+        let friction = |at| Call { at, cause: Cause::Friction, critical: false, or_sensor: false };
+        assert_eq!(judge(&[], None, &life), Judgement::Missed);
+        assert_eq!(judge(&[friction(deadline - 1)], None, &life), Judgement::Right(deadline));
+        assert_eq!(judge(&[friction(deadline)], None, &life), Judgement::Missed);
+        assert_eq!(judge(&[friction(deadline)], Some(40), &life), Judgement::Right(41));
+        let inertia = Call { cause: Cause::Inertia, ..friction(deadline) };
+        assert_eq!(judge(&[inertia], Some(40), &life), Judgement::Wrong);
     }
 }

@@ -1,6 +1,7 @@
 //! One life, observed by the monitor and both comparators.
 
 use super::{
+    coverage::Coverage,
     cusum::{Cusum, Design},
     judge::Call,
     observation::observation,
@@ -11,6 +12,9 @@ use super::{
     trace::TraceMachine,
 };
 use crate::diagnose::{MachineMonitor, Observation, Settings};
+
+/// Words in the monitor's sentence about a baseline with a trend.
+const TREND: &str = "the baseline has a trend";
 
 /// Source of the throws of a life.
 #[derive(Debug)]
@@ -50,8 +54,19 @@ pub(super) struct Heard {
     pub(super) monitor: Vec<Call>,
     /// Number of all alarms of the monitor.
     pub(super) raised: usize,
+    /// First throw at which the monitor stated that its baseline has a trend.
+    pub(super) trend: Option<usize>,
+    /// Whether the sizes and forecasts of the monitor were true.
+    pub(super) coverage: Coverage,
     pub(super) paper: Vec<Call>,
     pub(super) cusum: Vec<Call>,
+}
+
+impl Heard {
+    /// Number of alarms of the three rules.
+    pub(super) fn alarms(&self) -> [usize; 3] {
+        [self.raised, self.paper.len(), self.cusum.len()]
+    }
 }
 
 /// Simulates a life and applies the three rules.
@@ -59,10 +74,22 @@ pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> He
     let mut monitor = MachineMonitor::new("evaluated");
     let mut paper = PaperRule::new(rules.limits, rules.baseline);
     let mut cusum = Cusum::new(rules.cusum, rules.baseline);
-    let mut heard = Heard { monitor: Vec::new(), raised: 0, paper: Vec::new(), cusum: Vec::new() };
+    let mut heard = Heard {
+        monitor: Vec::new(),
+        raised: 0,
+        trend: None,
+        coverage: Coverage::default(),
+        paper: Vec::new(),
+        cusum: Vec::new(),
+    };
     for at in 0..life.throws {
         let observation = source.observe(at, life);
-        let events = monitor.observe(&observation, rules.settings).events;
+        let verdict = monitor.observe(&observation, rules.settings);
+        if heard.trend.is_none() && verdict.caveats.iter().any(|caveat| caveat.contains(TREND)) {
+            heard.trend = Some(at);
+        }
+        heard.coverage.add(at, &verdict, life, rules.settings);
+        let events = verdict.events;
         heard.raised += events.iter().filter(|event| event.event_no == 1).count();
         heard.monitor.extend(events.iter().filter_map(|event| Call::of(event, at)));
         paper.observe(at, &observation);

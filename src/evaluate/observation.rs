@@ -3,7 +3,7 @@
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Matrix3;
 
-use super::timeline::THROWS_A_DAY;
+use super::weather::THROWS_A_DAY;
 use crate::{
     diagnose::Observation,
     estimate::{Features, Grade},

@@ -3,8 +3,7 @@
 //! The logarithms of (b0, a1, a0) of a throw are the sum of
 //! - the nominal values of the machine, slightly different in the two directions,
 //! - the drift of the life,
-//! - natural scatter (weather, lubrication): a first-order autoregression over consecutive throws, common to both
-//!   directions; standard deviations 0.5, 3 and 1 %,
+//! - natural scatter, usually with standard deviations of 0.5, 3 and 1 %,
 //! - the error of the estimator, with the covariance measured on simulated throws: standard deviations 0.53, 0.60 and
 //!   0.52 % at the default sensor noise of 0.02 A, correlations 0.97, 0.91 and 0.79. Each observation contains this
 //!   covariance.
@@ -14,12 +13,8 @@ use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-use super::scenario::Noise;
+use super::{scatter::Scatter, scenario::Noise};
 
-/// Standard deviation of the natural scatter of ln b0, ln a1, ln a0.
-const SCATTER_SD: [f64; 3] = [0.005, 0.03, 0.01];
-/// Serial correlation of the natural scatter between consecutive throws, unless a run sets another.
-pub(super) const SCATTER_PHI: f64 = 0.5;
 /// Nominal b0 \[rad s⁻² A⁻¹\], a1 \[s⁻¹\], a0 \[s⁻²\] of the simulated machine.
 const NOMINAL: [f64; 3] = [203.0, 5.9, 1.56];
 /// Standard deviations of the logarithms between machines, and between the directions of one machine.
@@ -44,32 +39,30 @@ pub(super) struct ParameterMachine {
     /// Logarithms of the nominal coefficients in each direction.
     nominal: [Vector3<f64>; 2],
     weather: Vector3<f64>,
-    phi: f64,
+    scatter: Scatter,
     estimator_covariance: Matrix3<f64>,
     estimator_factor: Matrix3<f64>,
 }
 
 impl ParameterMachine {
-    /// A random machine with sensors of this `noise`, and weather with the serial correlation `phi`.
-    pub(super) fn new(mut random: ChaCha8Rng, noise: Noise, phi: f64) -> Self {
+    /// A random machine with sensors of this `noise`, and this natural `scatter`.
+    pub(super) fn new(mut random: ChaCha8Rng, noise: Noise, scatter: Scatter) -> Self {
         let between_machines = draw(&mut random).map(|x| x * SPREAD_SD[0]);
         let nominal = [(); 2].map(|()| {
             let between_directions = draw(&mut random).map(|x| x * SPREAD_SD[1]);
             Vector3::from(NOMINAL).map(f64::ln) + between_machines + between_directions
         });
-        let weather = draw(&mut random).component_mul(&Vector3::from(SCATTER_SD));
+        let weather = draw(&mut random).component_mul(&Vector3::from(scatter.sd));
         let sd = estimator_sd(noise);
         let estimator_covariance = Matrix3::from_fn(|i, j| sd[i] * sd[j] * ESTIMATOR_CORRELATION[i][j]);
         // Positive definite by its constants; a test would find zeros as missing errors.
         let estimator_factor = estimator_covariance.cholesky().map_or_else(Matrix3::zeros, |factor| factor.l());
-        Self { random, nominal, weather, phi, estimator_covariance, estimator_factor }
+        Self { random, nominal, weather, scatter, estimator_covariance, estimator_factor }
     }
 
     /// Estimates (b0, a1, a0) of the next throw and their covariance, with the true logarithms changed by `drift`.
     pub(super) fn throw(&mut self, direction: usize, drift: Vector3<f64>) -> ([f64; 3], Matrix3<f64>) {
-        let innovation = (1.0 - self.phi * self.phi).sqrt();
-        let fresh = draw(&mut self.random).component_mul(&Vector3::from(SCATTER_SD));
-        self.weather = self.phi * self.weather + innovation * fresh;
+        self.weather = self.scatter.next(self.weather, || self.random.sample(StandardNormal));
         let error = self.estimator_factor * draw(&mut self.random);
         let theta = (self.nominal[direction] + drift + self.weather + error).map(f64::exp);
         let scale = Matrix3::from_diagonal(&theta);
@@ -88,7 +81,8 @@ mod tests {
 
     #[test]
     fn throws_scatter_as_calibrated() {
-        let mut machine = ParameterMachine::new(stream(7, 0, 0, 0), Noise::Default, SCATTER_PHI);
+        let scatter = Scatter::USUAL;
+        let mut machine = ParameterMachine::new(stream(7, 0, 0, 0), Noise::Default, scatter);
         let throws: Vec<Vector3<f64>> =
             (0..40_000).map(|_| Vector3::from(machine.throw(0, Vector3::zeros()).0).map(f64::ln)).collect();
         let mean = throws.iter().sum::<Vector3<f64>>() / throws.len() as f64;
@@ -99,9 +93,9 @@ mod tests {
         let (now, next) = (covariance(0), covariance(1));
         let estimator = estimator_sd(Noise::Default);
         for i in 0..3 {
-            let expected = SCATTER_SD[i].powi(2) + estimator[i].powi(2);
+            let expected = scatter.sd[i].powi(2) + estimator[i].powi(2);
             assert!((now[(i, i)] / expected - 1.0).abs() < 0.05, "variance {i}: {} of {expected}", now[(i, i)]);
-            let expected = SCATTER_PHI * SCATTER_SD[i].powi(2);
+            let expected = scatter.phi * scatter.sd[i].powi(2);
             assert!((next[(i, i)] / expected - 1.0).abs() < 0.15, "lag 1 of {i}: {} of {expected}", next[(i, i)]);
         }
         let expected = 0.97 * estimator[0] * estimator[1];

@@ -3,15 +3,19 @@
 use rand_chacha::ChaCha8Rng;
 
 use super::{
+    catalogue::catalogue,
+    coverage::Coverage,
     cusum::Design,
     domain,
+    healthy::FLEETS,
     judge::{Judgement, judge, names_wrongly},
     life::{Rules, Source, live},
     observation::observation,
-    parameter::{ParameterMachine, SCATTER_PHI},
+    parameter::ParameterMachine,
     random::stream,
     report::{Budget, Healthy, Report, Row, Tally},
-    scenario::{Depth, Limits, Noise, PARTS, Scenario, Situation, catalogue},
+    scatter::Scatter,
+    scenario::{Depth, Limits, Noise, PARTS, Scenario, Situation},
     timeline::Timeline,
     trace::TraceMachine,
 };
@@ -28,6 +32,8 @@ pub struct Amount {
     pub healthy_throws: usize,
     /// Healthy throws at trace depth, in total.
     pub trace_healthy_throws: usize,
+    /// Throws of each healthy fleet whose scatter or weather the diagnosis does not assume.
+    pub fleet_throws: usize,
     /// Lives in the budget section for each serial correlation.
     pub budget_lives: usize,
 }
@@ -39,17 +45,26 @@ impl Amount {
         trace_trials: 20,
         healthy_throws: 1_000_000,
         trace_healthy_throws: 5_000,
+        fleet_throws: 200_000,
         budget_lives: 400,
     };
     /// About a tenth, which takes seconds.
-    pub const QUICK: Self =
-        Self { trials: 50, trace_trials: 2, healthy_throws: 100_000, trace_healthy_throws: 500, budget_lives: 100 };
+    pub const QUICK: Self = Self {
+        trials: 50,
+        trace_trials: 2,
+        healthy_throws: 100_000,
+        trace_healthy_throws: 500,
+        fleet_throws: 20_000,
+        budget_lives: 100,
+    };
 }
 
 /// Monitored throws of a healthy life at parameter depth.
 const HEALTHY_LIFE: usize = 10_000;
 /// Monitored throws of a healthy life at trace depth, where a throw takes more time.
 const HEALTHY_TRACE_LIFE: usize = 500;
+/// Monitored throws of a life in a fleet: more than half a year, so that the season has its whole range.
+const FLEET_LIFE: usize = 4_000;
 
 /// Serial correlations in the budget section.
 const BUDGET_PHI: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
@@ -64,6 +79,7 @@ const NO_LIMIT_PCT: f64 = 0.001;
 #[derive(Debug, Clone, Copy)]
 enum Task {
     Healthy { depth: Depth, machine: usize, throws: usize },
+    Fleet { fleet: usize, machine: usize, throws: usize },
     Row { row: usize, trial: usize },
     Budget { phi: usize, machine: usize },
 }
@@ -76,8 +92,9 @@ pub struct Outcome(Kind);
 enum Kind {
     /// Number of alarms of the monitor, the paper's rule and the CUSUM.
     Healthy([usize; 3]),
-    /// The judgements of the same three, and whether the monitor named a healthy part at critical severity.
-    Row([Judgement; 3], bool),
+    /// The judgements of the same three, whether the monitor named a healthy part at critical severity, and its
+    /// statements about size and forecast.
+    Row([Judgement; 3], bool, Coverage),
     Budget {
         throws: usize,
         alarmed: bool,
@@ -126,6 +143,7 @@ impl Plan {
     pub fn live(&self, life: usize) -> Outcome {
         Outcome(match self.tasks[life] {
             Task::Healthy { depth, machine, throws } => Kind::Healthy(self.healthy(depth, machine, throws)),
+            Task::Fleet { fleet, machine, throws } => Kind::Healthy(self.fleet(fleet, machine, throws)),
             Task::Row { row, trial } => self.row(row, trial),
             Task::Budget { phi, machine } => self.budget(phi, machine),
         })
@@ -137,27 +155,32 @@ impl Plan {
         let mut healthy = Vec::new();
         let mut judgements = vec![Vec::new(); self.scenarios.len()];
         let mut wrong_critical = vec![0; self.scenarios.len()];
+        let mut coverages = vec![Coverage::default(); self.scenarios.len()];
         let mut budget = BUDGET_PHI.map(|phi| Budget::new(phi, BUDGET_THROWS));
         for (task, outcome) in self.tasks.iter().zip(outcomes) {
             match (*task, outcome.0) {
                 (Task::Healthy { depth, throws, .. }, Kind::Healthy(alarms)) => {
-                    add(&mut healthy, depth, throws, alarms);
+                    add(&mut healthy, depth, None, throws, alarms);
                 }
-                (Task::Row { row, .. }, Kind::Row(three, accused)) => {
+                (Task::Fleet { fleet, throws, .. }, Kind::Healthy(alarms)) => {
+                    add(&mut healthy, Depth::Parameter, Some(FLEETS[fleet].label), throws, alarms);
+                }
+                (Task::Row { row, .. }, Kind::Row(three, accused, coverage)) => {
                     judgements[row].push(three);
+                    coverages[row].merge(coverage);
                     wrong_critical[row] += usize::from(accused);
                 }
                 (Task::Budget { phi, .. }, Kind::Budget { throws, alarmed }) => budget[phi].add(throws, alarmed),
                 _ => {}
             }
         }
-        healthy.sort_by_key(|healthy: &Healthy| healthy.depth as u8);
-        let lived = self.scenarios.iter().zip(judgements.iter().zip(wrong_critical));
-        let rows =
-            lived.filter(|(_, (judgements, _))| !judgements.is_empty()).map(|(scenario, (judgements, accused))| {
-                let tally = |rule: usize| Tally::of(judgements.iter().map(|three| three[rule]));
-                Row::new(scenario, judgements.len(), accused, [tally(0), tally(1), tally(2)])
-            });
+        healthy.sort_by_key(|healthy: &Healthy| (healthy.fleet.is_some(), healthy.depth as u8));
+        let lived = (0..self.scenarios.len()).filter(|&row| !judgements[row].is_empty());
+        let rows = lived.map(|row| {
+            let tally = |rule: usize| Tally::of(judgements[row].iter().map(|three| three[rule]));
+            let tallies = [tally(0), tally(1), tally(2)];
+            Row::new(&self.scenarios[row], judgements[row].len(), wrong_critical[row], coverages[row], tallies)
+        });
         let budget = budget.into_iter().filter(|budget| budget.throws > 0).collect();
         Report { seed: self.seed, healthy, rows: rows.collect(), budget }
     }
@@ -166,8 +189,16 @@ impl Plan {
         let life = Timeline::healthy(2 * self.baseline + throws);
         let random = stream(self.seed, domain::HEALTHY, depth as usize, machine);
         let mut source = source(depth, Situation::Plain, Noise::Default, random, &life);
-        let heard = live(&mut source, &life, self.rules(Situation::Plain, Noise::Default));
-        [heard.raised, heard.paper.len(), heard.cusum.len()]
+        live(&mut source, &life, self.rules(Situation::Plain, Noise::Default)).alarms()
+    }
+
+    fn fleet(&self, fleet: usize, machine: usize, throws: usize) -> [usize; 3] {
+        let mut random = stream(self.seed, domain::WEATHER, fleet, machine);
+        let life = FLEETS[fleet].life(2 * self.baseline + throws, &mut random);
+        let random = stream(self.seed, domain::FLEET, fleet, machine);
+        let machine = ParameterMachine::new(random, Noise::Default, FLEETS[fleet].scatter);
+        let mut source = Source::Parameter(Box::new(machine));
+        live(&mut source, &life, self.rules(Situation::Plain, Noise::Default)).alarms()
     }
 
     fn row(&self, row: usize, trial: usize) -> Kind {
@@ -177,15 +208,17 @@ impl Plan {
         let random = stream(self.seed, domain::ROW, row, trial);
         let mut source = source(scenario.depth, scenario.situation, scenario.noise, random, &life);
         let heard = live(&mut source, &life, self.rules(scenario.situation, scenario.noise));
-        let judgements = [&heard.monitor, &heard.paper, &heard.cusum].map(|calls| judge(calls, &life));
-        Kind::Row(judgements, names_wrongly(&heard.monitor, &life))
+        let rules = [(&heard.monitor, heard.trend), (&heard.paper, None), (&heard.cusum, None)];
+        let judgements = rules.map(|(calls, trend)| judge(calls, trend, &life));
+        Kind::Row(judgements, names_wrongly(&heard.monitor, &life), heard.coverage)
     }
 
     /// A healthy life up to the first alarm, with limits so small that only the budget of the drift rule prevents
     /// alarms.
     fn budget(&self, phi: usize, machine: usize) -> Kind {
         let random = stream(self.seed, domain::BUDGET, phi, machine);
-        let mut source = ParameterMachine::new(random, Noise::Default, BUDGET_PHI[phi]);
+        let scatter = Scatter { phi: BUDGET_PHI[phi], ..Scatter::USUAL };
+        let mut source = ParameterMachine::new(random, Noise::Default, scatter);
         let mut monitor = MachineMonitor::new("evaluated");
         let life = Timeline::healthy(2 * self.baseline + BUDGET_LIFE);
         for at in 0..life.throws {
@@ -210,17 +243,21 @@ impl Plan {
 /// The simulated machine of a life.
 pub(super) fn source(depth: Depth, situation: Situation, noise: Noise, random: ChaCha8Rng, life: &Timeline) -> Source {
     match depth {
-        Depth::Parameter => Source::Parameter(Box::new(ParameterMachine::new(random, noise, SCATTER_PHI))),
+        Depth::Parameter => Source::Parameter(Box::new(ParameterMachine::new(random, noise, Scatter::USUAL))),
         Depth::Trace => Source::Trace(Box::new(TraceMachine::new(random, situation, noise, life))),
     }
 }
 
 /// All lives of a run, the long ones at trace depth first, so that the threads end at about the same time.
 fn tasks(amount: Amount, scenarios: &[Scenario]) -> Vec<Task> {
-    let healthy = |depth, total: usize, each: usize| {
-        let throws = move |machine| each.min(total - machine * each);
-        (0..total.div_ceil(each)).map(move |machine| Task::Healthy { depth, machine, throws: throws(machine) })
+    let lives = |total: usize, each: usize| {
+        (0..total.div_ceil(each)).map(move |machine| (machine, each.min(total - machine * each)))
     };
+    let healthy =
+        |depth, total, each| lives(total, each).map(move |(machine, throws)| Task::Healthy { depth, machine, throws });
+    let fleets = (0..FLEETS.len()).flat_map(|fleet| {
+        lives(amount.fleet_throws, FLEET_LIFE).map(move |(machine, throws)| Task::Fleet { fleet, machine, throws })
+    });
     let rows = |wanted: Depth, trials: usize| {
         let rows = scenarios.iter().enumerate().filter(move |(_, scenario)| scenario.depth == wanted);
         rows.flat_map(move |(row, _)| (0..trials).map(move |trial| Task::Row { row, trial }))
@@ -229,14 +266,21 @@ fn tasks(amount: Amount, scenarios: &[Scenario]) -> Vec<Task> {
     healthy(Depth::Trace, amount.trace_healthy_throws, HEALTHY_TRACE_LIFE)
         .chain(rows(Depth::Trace, amount.trace_trials))
         .chain(healthy(Depth::Parameter, amount.healthy_throws, HEALTHY_LIFE))
+        .chain(fleets)
         .chain(rows(Depth::Parameter, amount.trials))
         .chain(budget.map(|(phi, machine)| Task::Budget { phi, machine }))
         .collect()
 }
 
-fn add(healthy: &mut Vec<Healthy>, depth: Depth, throws: usize, [monitor, paper, cusum]: [usize; 3]) {
-    let at = healthy.iter().position(|healthy| healthy.depth == depth).unwrap_or_else(|| {
-        healthy.push(Healthy::none(depth));
+fn add(
+    healthy: &mut Vec<Healthy>,
+    depth: Depth,
+    fleet: Option<&'static str>,
+    throws: usize,
+    [monitor, paper, cusum]: [usize; 3],
+) {
+    let at = healthy.iter().position(|healthy| (healthy.depth, healthy.fleet) == (depth, fleet)).unwrap_or_else(|| {
+        healthy.push(Healthy::none(depth, fleet));
         healthy.len() - 1
     });
     healthy[at].throws += throws;

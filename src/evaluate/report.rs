@@ -3,6 +3,7 @@
 use serde::{Serialize, Serializer};
 
 use super::{
+    coverage::Coverage,
     judge::Judgement,
     scenario::{Depth, Noise, Scenario, Shape},
 };
@@ -27,7 +28,7 @@ pub struct Report {
     pub budget: Vec<Budget>,
 }
 
-/// False alarms on healthy machines at one depth.
+/// False alarms on healthy machines at one depth, of the usual fleet or of another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Healthy {
     /// Depth of the simulation.
@@ -40,6 +41,9 @@ pub struct Healthy {
     pub paper_false_alarms: usize,
     /// Alarms of the CUSUM.
     pub cusum_false_alarms: usize,
+    /// Name of a fleet whose scatter or weather the diagnosis does not assume; `None` for the usual fleet.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fleet: Option<&'static str>,
 }
 
 /// The budget of false alarms against what was measured.
@@ -81,6 +85,10 @@ pub struct Row {
     pub monitor: Tally,
     /// Lives in which the monitor named a healthy part at critical severity at any time.
     pub wrong_critical: usize,
+    /// Share of the monitor's 95 % intervals of the size that contain the true size; `None` without an interval.
+    pub size_coverage: Option<f64>,
+    /// Share of the monitor's forecasts that contain the true throws to the critical limit; `None` without a forecast.
+    pub forecast_coverage: Option<f64>,
     /// Results of the paper's rule on the same throws.
     #[serde(serialize_with = "without_names")]
     pub paper: Tally,
@@ -108,8 +116,8 @@ pub struct Tally {
 
 impl Healthy {
     /// Results without any throws.
-    pub(super) fn none(depth: Depth) -> Self {
-        Self { depth, throws: 0, false_alarms: 0, paper_false_alarms: 0, cusum_false_alarms: 0 }
+    pub(super) fn none(depth: Depth, fleet: Option<&'static str>) -> Self {
+        Self { depth, throws: 0, false_alarms: 0, paper_false_alarms: 0, cusum_false_alarms: 0, fleet }
     }
 }
 
@@ -159,7 +167,13 @@ fn without_names<S: Serializer>(tally: &Tally, serializer: S) -> Result<S::Ok, S
 
 impl Row {
     /// The row of a scenario after its lives were judged.
-    pub(super) fn new(scenario: &Scenario, trials: usize, wrong_critical: usize, tallies: [Tally; 3]) -> Self {
+    pub(super) fn new(
+        scenario: &Scenario,
+        trials: usize,
+        wrong_critical: usize,
+        coverage: Coverage,
+        tallies: [Tally; 3],
+    ) -> Self {
         let [monitor, paper, cusum] = tallies;
         let cause: Vec<&str> = scenario.faults.iter().map(|(part, _)| part.as_str()).collect();
         Self {
@@ -174,6 +188,8 @@ impl Row {
             trials,
             monitor,
             wrong_critical,
+            size_coverage: coverage.sizes.value(),
+            forecast_coverage: coverage.forecasts.value(),
             paper,
             cusum,
         }
@@ -227,7 +243,7 @@ impl Report {
     /// The goals that the run did not meet, as sentences.
     #[must_use]
     pub fn shortfalls(&self) -> Vec<String> {
-        let healthy = self.healthy.iter().filter(|healthy| healthy.false_alarms > 0);
+        let healthy = self.healthy.iter().filter(|healthy| healthy.fleet.is_none() && healthy.false_alarms > 0);
         let healthy = healthy.map(|h| format!("{} false alarms in {} healthy throws", h.false_alarms, h.throws));
         let rows = self.rows.iter().flat_map(|row| {
             let name = format!(

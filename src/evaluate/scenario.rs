@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::{diagnose::Cause, simulate::Parameters};
+use crate::diagnose::Cause;
 
 /// Depth of the simulation of a life.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
@@ -21,8 +21,16 @@ pub enum Depth {
 pub enum Shape {
     /// Full size from the first throw on.
     Step,
-    /// Linear growth over `RAMP_THROWS` throws of the machine.
+    /// Linear growth over 100 throws of the machine.
     Ramp,
+    /// Growth with the square of the throws, over 200 throws.
+    Accelerating,
+    /// Linear growth by 0.25 % of nominal a throw, over 240 throws.
+    Wear,
+    /// Full size in every fifth throw, none in the others.
+    EveryFifth,
+    /// Full size in every tenth throw, all of one direction; none in the others.
+    EveryTenth,
 }
 
 impl Depth {
@@ -43,6 +51,34 @@ impl Shape {
         match self {
             Self::Step => "step",
             Self::Ramp => "ramp",
+            Self::Accelerating => "accelerating",
+            Self::Wear => "wear",
+            Self::EveryFifth => "every_fifth",
+            Self::EveryTenth => "every_tenth",
+        }
+    }
+
+    /// Throws of a machine, in both directions, until a fault is complete. An intermittent fault is followed for this
+    /// number of throws, so that every tenth throw is a usable sample.
+    pub(super) fn throws(self) -> usize {
+        match self {
+            Self::Step => 0,
+            Self::Ramp => 100,
+            Self::Accelerating | Self::EveryFifth | Self::EveryTenth => 200,
+            Self::Wear => 240,
+        }
+    }
+
+    /// Size at throw `throw` of the fault, from 1 on, as a fraction of its full size.
+    pub(super) fn part_at(self, throw: usize) -> f64 {
+        let grown = || (throw as f64 / self.throws() as f64).min(1.0);
+        let every = |period: usize| if throw % period == 1 { 1.0 } else { 0.0 };
+        match self {
+            Self::Step => 1.0,
+            Self::Ramp | Self::Wear => grown(),
+            Self::Accelerating => grown().powi(2),
+            Self::EveryFifth => every(5),
+            Self::EveryTenth => every(10),
         }
     }
 }
@@ -89,6 +125,12 @@ pub(super) enum Situation {
     FromFirstThrow,
     /// A first fault is repaired without a new baseline; then another part fails.
     Repaired,
+    /// A baseline in winter; the fault begins in summer. The throws contain the temperature.
+    Season,
+    /// A fault that grows from the first throw on.
+    Wear,
+    /// The fault begins while another part still has one.
+    OnTop,
     /// Dry friction that also shifts all coefficients, at parameter depth.
     Leakage,
     /// A toe drive of 5e6 N/m and dry friction, at trace depth.
@@ -128,6 +170,9 @@ impl Situation {
             Self::ShortBaseline => "short baseline",
             Self::FromFirstThrow => "fault from the first throw",
             Self::Repaired => "second fault after a repair, no rebaseline",
+            Self::Season => "baseline in winter, fault in summer",
+            Self::Wear => "wear from the first throw",
+            Self::OnTop => "second fault, the first still exists",
             Self::Leakage => "dry friction leaking into b0 and a0",
             Self::SoftToe => "soft toe drive, dry friction",
             Self::Slow => "100 Hz, anti-aliased",
@@ -143,32 +188,8 @@ impl Situation {
     }
 }
 
-/// Throws of a machine, in both directions, until a ramp has its full size.
-pub(super) const RAMP_THROWS: usize = 100;
-
 /// The four parts that drift, in the order of the table.
 pub(super) const PARTS: [Cause; 4] = [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia];
-
-/// Sizes of the faults as multiples of the warning limit.
-pub(super) const MULTIPLES: [f64; 4] = [1.5, 2.0, 3.0, 6.0];
-
-/// Least multiple of the warning limit in a plain row: with a smaller fault, scatter hides the size.
-const PLAIN_FROM: f64 = 2.0;
-
-/// Size of the friction fault in the rows with leakage.
-const LEAKING_FRICTION: f64 = 0.54;
-/// Friction coefficient of the slide chairs in the row with a soft toe drive.
-const SOFT_TOE_MU: f64 = 0.15;
-
-/// Faulty instrument, whether the supply voltage is published, correct cause, and size.
-const INSTRUMENTS: [(Instrument, bool, Cause, f64); 6] = [
-    (Instrument::Current, true, Cause::Sensor, 0.08),
-    (Instrument::Current, false, Cause::Sensor, 0.08),
-    (Instrument::Position, false, Cause::Sensor, 0.06),
-    (Instrument::Clock, false, Cause::Sensor, 0.05),
-    (Instrument::Supply, true, Cause::Supply, -0.35),
-    (Instrument::Supply, false, Cause::SlowThrow, -0.35),
-];
 
 /// Scenario of a row of the table.
 #[derive(Debug, Clone, PartialEq)]
@@ -179,6 +200,8 @@ pub(super) struct Scenario {
     pub(super) situation: Situation,
     /// The faulty parts with the size as a fraction of nominal; two for a pair.
     pub(super) faults: Vec<(Cause, f64)>,
+    /// Part and size of a fault that begins earlier and still exists.
+    pub(super) earlier: Option<(Cause, f64)>,
     /// Development of the fault.
     pub(super) shape: Shape,
     /// Noise of the current sensor.
@@ -189,100 +212,6 @@ pub(super) struct Scenario {
 
 /// Warning limits as fractions, in the order of [`PARTS`].
 pub(super) type Limits = [f64; 4];
-
-/// All rows of the table, in order. The position of a row determines its random streams.
-pub(super) fn catalogue(limits: Limits) -> Vec<Scenario> {
-    let mut rows = parameter_rows(limits);
-    rows.extend(trace_rows(limits));
-    rows
-}
-
-fn parameter_rows(limits: Limits) -> Vec<Scenario> {
-    let row = |situation, faults, shape, noise, hard| Scenario {
-        depth: Depth::Parameter,
-        situation,
-        faults,
-        shape,
-        noise,
-        hard,
-    };
-    let parts = || PARTS.into_iter().zip(limits);
-    let mut rows = Vec::new();
-    for (part, limit) in parts() {
-        for shape in [Shape::Step, Shape::Ramp] {
-            for multiple in MULTIPLES {
-                let faults = vec![(part, multiple * limit)];
-                rows.push(row(Situation::Plain, faults, shape, Noise::Default, multiple < PLAIN_FROM));
-            }
-            for (noise, hard) in [(Noise::Low, false), (Noise::High, true)] {
-                rows.push(row(Situation::Plain, vec![(part, PLAIN_FROM * limit)], shape, noise, hard));
-            }
-        }
-    }
-    for first in 0..PARTS.len() {
-        for second in first + 1..PARTS.len() {
-            for multiple in [2.0, 6.0] {
-                let faults = [first, second].map(|part| (PARTS[part], multiple * limits[part])).to_vec();
-                rows.push(row(Situation::Pair, faults, Shape::Step, Noise::Default, true));
-            }
-        }
-    }
-    let alone = [
-        Situation::Temperature { measured: true },
-        Situation::Temperature { measured: false },
-        Situation::ShortBaseline,
-        Situation::FromFirstThrow,
-        Situation::Repaired,
-    ];
-    for situation in alone {
-        for (part, limit) in parts() {
-            rows.push(row(situation, vec![(part, PLAIN_FROM * limit)], Shape::Step, Noise::Default, true));
-        }
-    }
-    for shape in [Shape::Step, Shape::Ramp] {
-        rows.push(row(Situation::Leakage, vec![(Cause::Friction, LEAKING_FRICTION)], shape, Noise::Default, true));
-    }
-    rows
-}
-
-fn trace_rows(limits: Limits) -> Vec<Scenario> {
-    let row = |situation, fault, shape| Scenario {
-        depth: Depth::Trace,
-        situation,
-        faults: vec![fault],
-        shape,
-        noise: Noise::Default,
-        hard: situation != Situation::Plain,
-    };
-    let mut rows = Vec::new();
-    for (part, limit) in PARTS.into_iter().zip(limits) {
-        for shape in [Shape::Step, Shape::Ramp] {
-            rows.push(row(Situation::Plain, (part, PLAIN_FROM * limit), shape));
-        }
-    }
-    for (part, limit) in PARTS.into_iter().zip(limits) {
-        rows.push(row(Situation::Slow, (part, PLAIN_FROM * limit), Shape::Step));
-    }
-    rows.push(row(Situation::SoftToe, (Cause::Friction, added_by_dry_chairs(SOFT_TOE_MU)), Shape::Step));
-    for (which, volts, cause, size) in INSTRUMENTS {
-        rows.push(row(Situation::Instrument { which, volts }, (cause, size), Shape::Step));
-    }
-    rows
-}
-
-/// Increase of a1 of the simulated machine by the friction coefficient `mu` of the slide chairs, as a fraction.
-#[expect(
-    clippy::expect_used,
-    reason = "the default machine is within its ranges, and so is every friction coefficient used here"
-)]
-fn added_by_dry_chairs(mu: f64) -> f64 {
-    let a1 = |mu| {
-        let mut machine = Parameters::default();
-        machine.rails.slide_friction = mu;
-        machine.coefficients().expect("a machine within its ranges").a1
-    };
-    a1(mu) / a1(Parameters::default().rails.slide_friction) - 1.0
-}
 
 /// The change of (ln b0, ln a1, ln a0) when `part` changes by the fraction `size`, from equation (13).
 pub(super) fn displacement(part: Cause, size: f64) -> Vector3<f64> {

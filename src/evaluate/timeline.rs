@@ -4,7 +4,10 @@ use nalgebra::Vector3;
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
-use super::scenario::{PARTS, RAMP_THROWS, Scenario, Shape, Situation, displacement};
+use super::{
+    scenario::{PARTS, Scenario, Shape, Situation, displacement},
+    weather::{Climate, SEASON_THROWS, SWING_THROWS, WetSpells},
+};
 use crate::diagnose::Cause;
 
 /// Throws of a life after its fault is complete.
@@ -13,10 +16,13 @@ const WATCH_THROWS: usize = 120;
 const SHORT_BASELINE_THROWS: usize = 30;
 /// In a life with a repair: throws with the first fault, and throws after its repair.
 const REPAIR_ACT_THROWS: usize = 60;
+/// Throws with the first fault before the second one, if the first still exists then.
+const EARLIER_THROWS: usize = 60;
 /// Healthy throws between the baseline and the fault: a random number from this range.
 const HEALTHY_THROWS: std::ops::Range<usize> = 20..80;
-/// Period of the temperature \[throws\]; the healthy part of these lives is at least as long.
-const SWING_THROWS: usize = 240;
+/// Change of a part from which its wear from the first throw counts as stated too late: the default warning limit of
+/// friction, as a fraction of nominal.
+const WORN: f64 = 0.15;
 
 /// A fault of one part.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,10 +45,7 @@ impl Fault {
         if at < self.onset || self.repaired.is_some_and(|end| at >= end) {
             return 0.0;
         }
-        match self.shape {
-            Shape::Step => self.size,
-            Shape::Ramp => self.size * ((at - self.onset + 1) as f64 / RAMP_THROWS as f64).min(1.0),
-        }
+        self.size * self.shape.part_at(at - self.onset + 1)
     }
 }
 
@@ -55,7 +58,10 @@ pub(super) struct Timeline {
     pub(super) onset: usize,
     /// Throws of the life.
     pub(super) throws: usize,
-    climate: Option<Climate>,
+    /// A varying temperature.
+    pub(super) climate: Option<Climate>,
+    /// Wet spells.
+    pub(super) wet: WetSpells,
     /// Share of ln friction that moves ln b0 and ln a0 too.
     leakage: f64,
 }
@@ -64,44 +70,22 @@ pub(super) struct Timeline {
 /// soft toe drives gave 0.25 to 0.67.
 const LEAKAGE: std::ops::Range<f64> = 0.25..0.67;
 
-/// A varying temperature, and its effect on the coefficients.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Climate {
-    phase: f64,
-    measured: bool,
-}
-
-/// Change of ln b0, ln a1 and ln a0 per kelvin: warmth weakens the magnets, thins the grease, and softens the rails by
-/// thermal thrust.
-const PER_KELVIN: [f64; 3] = [-0.0015, -0.008, -0.001];
-/// Mean, seasonal and daily amplitude of the temperature \[°C\].
-const TEMPERATURE: [f64; 3] = [12.0, 12.0, 3.0];
-/// Throws a day.
-pub(super) const THROWS_A_DAY: usize = 20;
-
-impl Climate {
-    fn temperature_c(self, at: usize) -> f64 {
-        let [mean, season, day] = TEMPERATURE;
-        let turn = |period: f64| (std::f64::consts::TAU * (at as f64 / period + self.phase)).sin();
-        mean + season * turn(SWING_THROWS as f64) + day * turn(THROWS_A_DAY as f64)
-    }
-
-    fn displacement(self, at: usize) -> Vector3<f64> {
-        let warmer = self.temperature_c(at) - TEMPERATURE[0];
-        Vector3::from(PER_KELVIN) * warmer
-    }
-}
-
 impl Timeline {
     /// Whether the fault exists from the first throw, so that the baseline learns it. Then every alarm comes from
     /// scatter.
     pub(super) fn is_learned(&self) -> bool {
-        self.onset == 0
+        self.onset == 0 && self.deadline().is_none()
+    }
+
+    /// The throw before which wear from the first throw must be stated; `None` for all other faults.
+    pub(super) fn deadline(&self) -> Option<usize> {
+        let wear = self.faults.iter().find(|fault| fault.shape == Shape::Wear)?;
+        (wear.onset..self.throws).find(|&at| wear.size_at(at).abs() >= WORN)
     }
 
     /// A healthy life of `throws` throws.
     pub(super) fn healthy(throws: usize) -> Self {
-        Self { faults: Vec::new(), onset: throws, throws, climate: None, leakage: 0.0 }
+        Self { faults: Vec::new(), onset: throws, throws, climate: None, wet: WetSpells::default(), leakage: 0.0 }
     }
 
     /// Life `trial` of a row, for a monitor whose baseline needs `baseline` throws of the machine.
@@ -112,8 +96,10 @@ impl Timeline {
         let healthy = random.random_range(HEALTHY_THROWS);
         let start = match situation {
             Situation::ShortBaseline => SHORT_BASELINE_THROWS,
-            Situation::FromFirstThrow => 0,
+            Situation::FromFirstThrow | Situation::Wear => 0,
+            // The healthy part lasts as long as the period of the temperature, or until summer.
             Situation::Temperature { .. } => baseline + SWING_THROWS + healthy,
+            Situation::Season => baseline + SEASON_THROWS + healthy,
             _ => baseline + healthy,
         };
         let sign = |bit: usize, size: f64| {
@@ -127,16 +113,22 @@ impl Timeline {
             faults.push(Fault { part: before, size: REPAIRED_SIZE, onset: start, repaired, shape: Shape::Step });
             onset = start + 2 * REPAIR_ACT_THROWS;
         }
+        if let Some((part, size)) = scenario.earlier {
+            let size = sign(scenario.faults.len(), size) * size;
+            faults.push(Fault { part, size, onset: start, repaired: None, shape: Shape::Step });
+            onset = start + EARLIER_THROWS;
+        }
         for (bit, &(part, size)) in scenario.faults.iter().enumerate() {
             faults.push(Fault { part, size: sign(bit, size) * size, onset, repaired: None, shape: scenario.shape });
         }
-        let ramp = if scenario.shape == Shape::Ramp { RAMP_THROWS } else { 0 };
         let climate = match situation {
-            Situation::Temperature { measured } => Some(Climate { phase: random.random(), measured }),
+            Situation::Temperature { measured } => Some(Climate::swing(measured, random)),
+            Situation::Season => Some(Climate::summer(baseline)),
             _ => None,
         };
         let leakage = if situation == Situation::Leakage { random.random_range(LEAKAGE) } else { 0.0 };
-        Self { faults, onset, throws: onset + ramp + WATCH_THROWS, climate, leakage }
+        let throws = onset + scenario.shape.throws() + WATCH_THROWS;
+        Self { faults, onset, throws, climate, wet: WetSpells::default(), leakage }
     }
 
     /// Change of (ln b0, ln a1, ln a0) at throw `at`, from faults and temperature.
@@ -144,7 +136,8 @@ impl Timeline {
         let drift: Vector3<f64> = self.faults.iter().map(|fault| displacement(fault.part, fault.size_at(at))).sum();
         // A fall hardly leaks.
         let leaked = Vector3::repeat(drift.y.max(0.0) * self.leakage);
-        drift + leaked + self.climate.map_or_else(Vector3::zeros, |climate| climate.displacement(at))
+        let warmth = self.climate.map_or_else(Vector3::zeros, |climate| climate.displacement(at));
+        drift + leaked + warmth + self.wet.displacement(at)
     }
 
     /// The measured temperature of throw `at` \[°C\].
@@ -157,9 +150,15 @@ impl Timeline {
         self.faults.iter().filter(|fault| fault.onset == self.onset).map(|fault| fault.part)
     }
 
-    /// The part that is repaired before the judged fault; its name before the onset is right.
-    pub(super) fn repaired(&self) -> Option<Cause> {
-        self.faults.iter().find(|fault| fault.repaired.is_some()).map(|fault| fault.part)
+    /// The part with a fault before the judged one; its name before the onset is right.
+    pub(super) fn earlier(&self) -> Option<Cause> {
+        self.faults.iter().find(|fault| fault.onset < self.onset).map(|fault| fault.part)
+    }
+
+    /// The part whose earlier fault still exists; its name is right before and after the onset.
+    pub(super) fn lasting(&self) -> Option<Cause> {
+        let lasts = |fault: &&Fault| fault.onset < self.onset && fault.repaired.is_none();
+        self.faults.iter().find(lasts).map(|fault| fault.part)
     }
 }
 

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     observation::{observation, started_at},
-    scenario::{Instrument, Noise, PARTS, RAMP_THROWS, Shape, Situation},
+    scenario::{Instrument, Noise, PARTS, Shape, Situation},
     timeline::{Fault, Timeline},
 };
 use crate::{
@@ -124,8 +124,9 @@ fn sensors(situation: Situation, noise: Noise) -> Sensors {
 
 fn simulated(fault: &Fault) -> simulate::Fault {
     let shape = match fault.shape {
-        Shape::Step => simulate::Shape::Step,
-        Shape::Ramp => simulate::Shape::Ramp { throws: RAMP_THROWS as u64 },
+        Shape::Ramp => simulate::Shape::Ramp { throws: fault.shape.throws() as u64 },
+        // The rows at trace depth have steps and ramps only.
+        _ => simulate::Shape::Step,
     };
     simulate::Fault { part: part(fault.part), shape, size_pct: 100.0 * fault.size, from_throw: fault.onset as u64 }
 }

@@ -2,11 +2,17 @@
 
 use pointsd::{
     diagnose::Settings,
-    evaluate::{Amount, Plan, Report},
+    evaluate::{Amount, Plan, Report, Shape},
 };
 
-const SMALL: Amount =
-    Amount { trials: 6, trace_trials: 0, healthy_throws: 20_000, trace_healthy_throws: 0, budget_lives: 2 };
+const SMALL: Amount = Amount {
+    trials: 6,
+    trace_trials: 0,
+    healthy_throws: 20_000,
+    trace_healthy_throws: 0,
+    fleet_throws: 0,
+    budget_lives: 2,
+};
 
 fn report(seed: u64, amount: Amount) -> Report {
     let plan = Plan::new(seed, amount, Settings::default());
@@ -15,7 +21,14 @@ fn report(seed: u64, amount: Amount) -> Report {
 
 #[test]
 fn the_order_in_which_lives_are_lived_changes_nothing() {
-    let amount = Amount { trials: 2, trace_trials: 0, healthy_throws: 500, trace_healthy_throws: 0, budget_lives: 1 };
+    let amount = Amount {
+        trials: 2,
+        trace_trials: 0,
+        healthy_throws: 500,
+        trace_healthy_throws: 0,
+        fleet_throws: 0,
+        budget_lives: 1,
+    };
     let plan = Plan::new(5, amount, Settings::default());
     let mut backwards: Vec<_> = (0..plan.lives()).rev().map(|life| plan.live(life)).collect();
     backwards.reverse();
@@ -31,18 +44,36 @@ fn plain_faults_are_named_right_and_health_is_not_alarmed() {
     for row in plain {
         assert_eq!(row.monitor.right, row.trials, "{row:?}");
     }
+    // A change of the sentence about a trend would make every wear late.
+    let wear = report.rows.iter().find(|row| row.shape == Shape::Wear).unwrap();
+    assert!(wear.monitor.right > 0 && wear.monitor.wrong == 0, "{wear:?}");
+    for row in report.rows.iter().filter(|row| row.shape == Shape::Accelerating || row.case.contains("summer")) {
+        assert_eq!((row.monitor.right, row.hard), (row.trials, true), "{row:?}");
+        assert!(row.size_coverage.unwrap() > 0.5, "{row:?}");
+    }
     assert_eq!(report.healthy[0].throws, 20_000);
     assert_eq!(report.healthy[0].false_alarms, 0);
 }
 
 #[test]
 fn the_json_has_the_promised_keys() {
-    let amount = Amount { trials: 1, trace_trials: 0, healthy_throws: 100, trace_healthy_throws: 0, budget_lives: 1 };
+    let amount = Amount {
+        trials: 1,
+        trace_trials: 0,
+        healthy_throws: 100,
+        trace_healthy_throws: 0,
+        fleet_throws: 100,
+        budget_lives: 1,
+    };
     let json = serde_json::to_value(report(1, amount)).unwrap();
     assert_eq!(json["seed"], 1);
     for key in ["depth", "throws", "false_alarms"] {
         assert!(!json["healthy"][0][key].is_null(), "{key}");
     }
+    // The usual fleet is first and has no label; every other fleet has one.
+    let fleets: Vec<_> = json["healthy"].as_array().unwrap().iter().map(|healthy| &healthy["fleet"]).collect();
+    assert_eq!(fleets.len(), 8);
+    assert!(fleets[0].is_null() && fleets[1..].iter().all(|label| label.is_string()), "{fleets:?}");
     let row = json["rows"][0].as_object().unwrap();
     let keys = [
         "depth",
@@ -61,6 +92,9 @@ fn the_json_has_the_promised_keys() {
     ];
     for key in keys {
         assert!(row.contains_key(key), "{key}");
+    }
+    for key in ["size_coverage", "forecast_coverage"] {
+        assert!(row[key].is_null() || row[key].is_f64(), "{key}");
     }
     for comparator in ["paper", "cusum"] {
         let tally = row[comparator].as_object().unwrap();

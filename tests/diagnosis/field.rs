@@ -4,6 +4,7 @@
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
+pub(crate) use pointsd::evaluate::Scatter;
 use pointsd::{
     diagnose::{MachineMonitor, Observation, Settings, Verdict},
     estimate::{Features, Grade},
@@ -13,21 +14,6 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::fleet::{Nature, normal};
-
-/// Scatter of a machine in the field.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Scatter {
-    /// Standard deviation of ln b0, ln a1, ln a0.
-    pub(crate) sd: [f64; 3],
-    /// Serial correlation between consecutive throws of the machine.
-    pub(crate) phi: f64,
-    /// Degrees of freedom of Student's t; `None`: Gauss.
-    pub(crate) tail: Option<u32>,
-}
-
-impl Scatter {
-    pub(crate) const USUAL: Self = Self { sd: [0.005, 0.03, 0.01], phi: 0.5, tail: None };
-}
 
 pub(crate) struct Machine {
     pub(crate) rng: ChaCha8Rng,
@@ -51,15 +37,6 @@ impl Machine {
         Self { rng, throws: 0, scatter, state, centre, root, started_at }
     }
 
-    /// A random number with unit variance: Gauss or Student.
-    fn draw(&mut self) -> f64 {
-        let gauss = normal(&mut self.rng);
-        let Some(tail) = self.scatter.tail else { return gauss };
-        let square: f64 = (0..tail).map(|_| normal(&mut self.rng).powi(2)).sum();
-        let tail = f64::from(tail);
-        gauss / (square / tail).sqrt() * ((tail - 2.0) / tail).sqrt()
-    }
-
     /// The direction of the next throw: 0 or 1.
     pub(crate) fn side(&self) -> usize {
         usize::from(self.throws % 2 == 1)
@@ -67,9 +44,7 @@ impl Machine {
 
     /// The next throw, 72 minutes later, with `shift` added to ln b0, ln a1, ln a0.
     pub(crate) fn throw(&mut self, shift: Vector3<f64>, temperature_c: Option<f64>) -> Observation {
-        let Scatter { sd, phi, .. } = self.scatter;
-        let fresh = (1.0 - phi * phi).sqrt();
-        self.state = Vector3::from_fn(|i, _| phi * self.state[i] + fresh * sd[i] * self.draw());
+        self.state = self.scatter.next(self.state, || normal(&mut self.rng));
         let error = self.root * Vector3::from_fn(|_, _| normal(&mut self.rng));
         let side = self.side();
         let estimate = (self.centre[side] + self.state + error + shift).map(f64::exp);

@@ -1,0 +1,162 @@
+//! The rows of the table, in order.
+
+use super::scenario::{Depth, Instrument, Limits, Noise, PARTS, Scenario, Shape, Situation};
+use crate::{diagnose::Cause, simulate::Parameters};
+
+/// Sizes of the faults as multiples of the warning limit.
+pub(super) const MULTIPLES: [f64; 4] = [1.5, 2.0, 3.0, 6.0];
+
+/// Least multiple of the warning limit in a plain row: with a smaller fault, scatter hides the size.
+const PLAIN_FROM: f64 = 2.0;
+
+/// Size of the friction fault in the rows with leakage.
+const LEAKING_FRICTION: f64 = 0.54;
+/// Friction coefficient of the slide chairs in the row with a soft toe drive.
+const SOFT_TOE_MU: f64 = 0.15;
+
+/// Faulty instrument, whether the supply voltage is published, correct cause, and size.
+const INSTRUMENTS: [(Instrument, bool, Cause, f64); 6] = [
+    (Instrument::Current, true, Cause::Sensor, 0.08),
+    (Instrument::Current, false, Cause::Sensor, 0.08),
+    (Instrument::Position, false, Cause::Sensor, 0.06),
+    (Instrument::Clock, false, Cause::Sensor, 0.05),
+    (Instrument::Supply, true, Cause::Supply, -0.35),
+    (Instrument::Supply, false, Cause::SlowThrow, -0.35),
+];
+
+/// Intermittent faults: part, size in the throws that have it, and how often.
+const INTERMITTENT: [(Cause, f64, Shape); 3] = [
+    (Cause::Friction, 0.60, Shape::EveryFifth),
+    (Cause::Kt, -0.15, Shape::EveryFifth),
+    (Cause::Friction, 1.00, Shape::EveryTenth),
+];
+
+/// Friction at the end of the row with wear: 0.25 % a throw.
+const WORN_FRICTION: f64 = 0.60;
+
+/// All rows of the table, in order. The position of a row determines its random streams.
+pub(super) fn catalogue(limits: Limits) -> Vec<Scenario> {
+    let mut rows = parameter_rows(limits);
+    rows.extend(trace_rows(limits));
+    rows.extend(field_rows(limits));
+    rows
+}
+
+fn parameter_rows(limits: Limits) -> Vec<Scenario> {
+    let row = |situation, faults, shape, noise, hard| Scenario {
+        depth: Depth::Parameter,
+        situation,
+        faults,
+        earlier: None,
+        shape,
+        noise,
+        hard,
+    };
+    let parts = || PARTS.into_iter().zip(limits);
+    let mut rows = Vec::new();
+    for (part, limit) in parts() {
+        for shape in [Shape::Step, Shape::Ramp] {
+            for multiple in MULTIPLES {
+                let faults = vec![(part, multiple * limit)];
+                rows.push(row(Situation::Plain, faults, shape, Noise::Default, multiple < PLAIN_FROM));
+            }
+            for (noise, hard) in [(Noise::Low, false), (Noise::High, true)] {
+                rows.push(row(Situation::Plain, vec![(part, PLAIN_FROM * limit)], shape, noise, hard));
+            }
+        }
+    }
+    for first in 0..PARTS.len() {
+        for second in first + 1..PARTS.len() {
+            for multiple in [2.0, 6.0] {
+                let faults = [first, second].map(|part| (PARTS[part], multiple * limits[part])).to_vec();
+                rows.push(row(Situation::Pair, faults, Shape::Step, Noise::Default, true));
+            }
+        }
+    }
+    let alone = [
+        Situation::Temperature { measured: true },
+        Situation::Temperature { measured: false },
+        Situation::ShortBaseline,
+        Situation::FromFirstThrow,
+        Situation::Repaired,
+    ];
+    for situation in alone {
+        for (part, limit) in parts() {
+            rows.push(row(situation, vec![(part, PLAIN_FROM * limit)], Shape::Step, Noise::Default, true));
+        }
+    }
+    for shape in [Shape::Step, Shape::Ramp] {
+        rows.push(row(Situation::Leakage, vec![(Cause::Friction, LEAKING_FRICTION)], shape, Noise::Default, true));
+    }
+    rows
+}
+
+fn trace_rows(limits: Limits) -> Vec<Scenario> {
+    let row = |situation, fault, shape| Scenario {
+        depth: Depth::Trace,
+        situation,
+        faults: vec![fault],
+        earlier: None,
+        shape,
+        noise: Noise::Default,
+        hard: situation != Situation::Plain,
+    };
+    let mut rows = Vec::new();
+    for (part, limit) in PARTS.into_iter().zip(limits) {
+        for shape in [Shape::Step, Shape::Ramp] {
+            rows.push(row(Situation::Plain, (part, PLAIN_FROM * limit), shape));
+        }
+    }
+    for (part, limit) in PARTS.into_iter().zip(limits) {
+        rows.push(row(Situation::Slow, (part, PLAIN_FROM * limit), Shape::Step));
+    }
+    rows.push(row(Situation::SoftToe, (Cause::Friction, added_by_dry_chairs(SOFT_TOE_MU)), Shape::Step));
+    for (which, volts, cause, size) in INSTRUMENTS {
+        rows.push(row(Situation::Instrument { which, volts }, (cause, size), Shape::Step));
+    }
+    rows
+}
+
+/// Rows of what happens to machines in the field, at parameter depth. All are hard.
+fn field_rows(limits: Limits) -> Vec<Scenario> {
+    let row = |situation, fault, shape| Scenario {
+        depth: Depth::Parameter,
+        situation,
+        faults: vec![fault],
+        earlier: None,
+        shape,
+        noise: Noise::Default,
+        hard: true,
+    };
+    let [kt, friction, stiffness, _] = limits.map(|limit| PLAIN_FROM * limit);
+    let mut rows = Vec::new();
+    for (situation, shape) in [(Situation::Season, Shape::Step), (Situation::Plain, Shape::Accelerating)] {
+        for (part, limit) in PARTS.into_iter().zip(limits) {
+            rows.push(row(situation, (part, PLAIN_FROM * limit), shape));
+        }
+    }
+    for (part, size, shape) in INTERMITTENT {
+        rows.push(row(Situation::Plain, (part, size), shape));
+    }
+    rows.push(row(Situation::Wear, (Cause::Friction, WORN_FRICTION), Shape::Wear));
+    for (first, second) in
+        [((Cause::Friction, friction), (Cause::Kt, kt)), ((Cause::Kt, kt), (Cause::Stiffness, stiffness))]
+    {
+        rows.push(Scenario { earlier: Some(first), ..row(Situation::OnTop, second, Shape::Step) });
+    }
+    rows
+}
+
+/// Increase of a1 of the simulated machine by the friction coefficient `mu` of the slide chairs, as a fraction.
+#[expect(
+    clippy::expect_used,
+    reason = "the default machine is within its ranges, and so is every friction coefficient used here"
+)]
+fn added_by_dry_chairs(mu: f64) -> f64 {
+    let a1 = |mu| {
+        let mut machine = Parameters::default();
+        machine.rails.slide_friction = mu;
+        machine.coefficients().expect("a machine within its ranges").a1
+    };
+    a1(mu) / a1(Parameters::default().rails.slide_friction) - 1.0
+}

@@ -1,0 +1,60 @@
+//! Fleets of healthy machines whose scatter or weather the diagnosis does not assume.
+
+use rand_chacha::ChaCha8Rng;
+
+use super::{
+    scatter::Scatter,
+    timeline::Timeline,
+    weather::{Climate, WetSpells},
+};
+
+/// Weather of a fleet.
+#[derive(Debug, Clone, Copy)]
+enum Weather {
+    Steady,
+    /// A year with a swing of 20 K in each direction, and 3 K over a day, not published.
+    Year,
+    /// Rare wet spells: friction -20 % for 15 throws.
+    Wet,
+}
+
+/// A fleet of healthy machines.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fleet {
+    /// Name in the table.
+    pub(super) label: &'static str,
+    /// Natural scatter of its machines.
+    pub(super) scatter: Scatter,
+    weather: Weather,
+}
+
+/// Scatter three times the usual one.
+const TRIPLE_SD: [f64; 3] = [3.0 * Scatter::USUAL.sd[0], 3.0 * Scatter::USUAL.sd[1], 3.0 * Scatter::USUAL.sd[2]];
+
+/// The fleets, in the order of the table. The position of a fleet determines its random streams.
+pub(super) const FLEETS: [Fleet; 7] = [
+    scattering("serial correlation 0.5", Scatter::USUAL),
+    scattering("serial correlation 0.8", Scatter { phi: 0.8, ..Scatter::USUAL }),
+    scattering("serial correlation 0.9", Scatter { phi: 0.9, ..Scatter::USUAL }),
+    scattering("Student's t, 3 degrees of freedom", Scatter { tail: Some(3), ..Scatter::USUAL }),
+    scattering("three times the scatter", Scatter { sd: TRIPLE_SD, ..Scatter::USUAL }),
+    Fleet { label: "year of +-20 K, not published", scatter: Scatter::USUAL, weather: Weather::Year },
+    Fleet { label: "wet spells", scatter: Scatter::USUAL, weather: Weather::Wet },
+];
+
+const fn scattering(label: &'static str, scatter: Scatter) -> Fleet {
+    Fleet { label, scatter, weather: Weather::Steady }
+}
+
+impl Fleet {
+    /// A life of `throws` throws in the weather of this fleet.
+    pub(super) fn life(&self, throws: usize, random: &mut ChaCha8Rng) -> Timeline {
+        let mut life = Timeline::healthy(throws);
+        match self.weather {
+            Weather::Steady => {}
+            Weather::Year => life.climate = Some(Climate::year(random)),
+            Weather::Wet => life.wet = WetSpells::new(throws, random),
+        }
+        life
+    }
+}
