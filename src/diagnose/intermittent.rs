@@ -122,7 +122,7 @@ impl Intermittent {
         self.recent.push_back(ended);
         if !complete || self.recent.len() > COUNTED[1] {
             let oldest = self.recent.pop_front().flatten();
-            if self.alarmed.is_none() {
+            if self.alarmed.is_none() && !self.is_rising() {
                 let is_large = oldest.is_some_and(|d| square(Vector3::from(d.map(f64::from))) > LARGE.far);
                 self.past.0 += f64::from(u8::from(oldest.is_some()));
                 self.past_large += f64::from(u8::from(is_large));
@@ -193,6 +193,13 @@ impl Intermittent {
         count == 0 || self.chance(ANY, count, COUNTED[0] as f64) > OVER_FROM
     }
 
+    /// Whether departures are so much more frequent than before that they may be a fault, which the rate of the machine
+    /// must not learn.
+    fn is_rising(&self) -> bool {
+        let count = self.recent.iter().flatten().count();
+        count >= 3 && self.chance(ANY, count, self.recent.len() as f64) < RISING_FROM
+    }
+
     /// Discards the last throws after a change of the machine.
     pub(super) fn reset(&mut self) {
         *self = Self { past: self.past, past_large: self.past_large, tail: self.tail, ..Self::default() };
@@ -216,5 +223,7 @@ impl Intermittent {
 const CLEAR: f64 = 6.0;
 /// Probability of the number of departures, with the rate of the machine, from which they have ended.
 const OVER_FROM: f64 = 0.05;
+/// Probability below which it may be rising: much larger than that of a false alarm, and rare.
+const RISING_FROM: f64 = 0.001;
 /// Number of summed terms of the tail.
 const TAIL_TERMS: usize = 60;
