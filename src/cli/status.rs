@@ -135,7 +135,8 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     let tally: Vec<String> =
         tally.values().map(|(state, count)| format!("{count} {}", state.as_str().replace('_', " "))).collect();
     let tally = if tally.is_empty() { String::new() } else { format!(": {}", tally.join(", ")) };
-    output::line(format_args!("{} machines{tally}", machines.len()))?;
+    let noun = if machines.len() == 1 { "machine" } else { "machines" };
+    output::line(format_args!("{} {noun}{tally}", machines.len()))?;
     let asked = |machine: &MachineId, rows: &[&Health]| {
         arguments.site.as_ref().is_none_or(|site| *site == machine.site)
             && arguments.state.is_none_or(|wanted| wanted == state(rows))

@@ -121,8 +121,9 @@ impl Intermittent {
         };
         self.recent.push_back(ended);
         if !complete || self.recent.len() > COUNTED[1] {
-            let oldest = self.recent.pop_front().flatten();
-            if self.alarmed.is_none() && !self.is_rising() {
+            let is_rising = self.is_rising();
+            let oldest = self.recent.pop_front().flatten().filter(|_| !is_rising);
+            if self.alarmed.is_none() {
                 let is_large = oldest.is_some_and(|d| square(Vector3::from(d.map(f64::from))) > LARGE.far);
                 self.past.0 += f64::from(u8::from(oldest.is_some()));
                 self.past_large += f64::from(u8::from(is_large));

@@ -313,7 +313,7 @@ async fn operators_act_from_the_page_with_the_token_and_from_nowhere_else() {
         assert!(page.contains("<span class=\"badge maintenance\">") && !page.contains("<script>"), "{page}");
     }
     let (_, status) = daemon.operate(&["status"]);
-    assert!(status.contains("1 machines: 1 maintenance") && status.contains("by A. Meyer: <script>"), "{status}");
+    assert!(status.contains("1 machine: 1 maintenance") && status.contains("by A. Meyer: <script>"), "{status}");
     assert_eq!(rig.sql("SELECT DISTINCT state FROM machine_health")[0]["state"], "maintenance");
     let api: serde_json::Value = serde_json::from_str(&get(&address, "/api/v1/machines").body).unwrap();
     assert_eq!(
