@@ -33,7 +33,7 @@ pub struct Judgement {
     pub identification: Option<Identification>,
     /// Baselines that became usable or complete with this throw.
     pub baselines: Vec<BaselineRecord>,
-    /// Monitor after this throw, and its alarm events.
+    /// The alarm events of this throw, and the monitor after it.
     pub outcome: Outcome,
 }
 
@@ -44,7 +44,7 @@ pub struct Outcome {
     pub machine: MachineId,
     /// Time of the change.
     pub at: Timestamp,
-    /// Monitor after the change; `None` if it did not change.
+    /// Monitor after the change; `None` if it did not change, or if a later outcome of the same transaction has it.
     pub monitor: Option<MonitorRecord>,
     /// Alarm events in order; each is added to the history and to the outbox, once.
     pub events: Vec<AlarmEvent>,
