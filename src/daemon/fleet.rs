@@ -108,19 +108,12 @@ impl Fleet {
             verdict.state = monitor.state();
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
-        let monitor_after = is_last.then(|| record(monitor));
+        let events = std::mem::take(&mut verdict.events);
+        let outcome = outcome(&stored.machine, is_last.then_some(&*monitor), at, events);
         if monitor.is_witness() && !self.witnesses.contains(&stored.machine) {
             self.witnesses.insert(stored.machine.clone());
         }
         let health = health(stored, identification.as_ref(), &verdict, since_baseline);
-        let outcome = Outcome {
-            machine: stored.machine.clone(),
-            at,
-            monitor: monitor_after,
-            events: verdict.events,
-            reported_gaps: Vec::new(),
-            command: None,
-        };
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
 
@@ -141,7 +134,7 @@ impl Fleet {
             // The existence of a token is stored at once, so that its loss is detected after a restart too.
             let changes = before != (monitor.is_announced(), monitor.state()) || !events.is_empty();
             if all || changes || self.to_store.contains(machine) {
-                changed.push(outcome(machine, monitor, now, events));
+                changed.push(outcome(machine, Some(monitor), now, events));
             }
         }
         self.to_store.clear();
@@ -169,7 +162,7 @@ impl Fleet {
         }
         let monitor = self.monitor(&id);
         let events = monitor.follow_site(common, now, settings);
-        (!events.is_empty()).then(|| outcome(&id, monitor, now, events))
+        (!events.is_empty()).then(|| outcome(&id, Some(monitor), now, events))
     }
 
     /// Updates the alarm about the daemon itself, under its name as a machine.
@@ -186,7 +179,7 @@ impl Fleet {
         let monitor = self.monitor(own_machine);
         let trouble = trouble.map(|(severity, text)| (*severity, text.as_str()));
         let event = monitor.trouble(trouble, now, settings)?;
-        Some(outcome(own_machine, monitor, now, vec![event]))
+        Some(outcome(own_machine, Some(monitor), now, vec![event]))
     }
 
     /// Updates the alarm about watched daemons that are away; call it when they change.
@@ -203,14 +196,14 @@ impl Fleet {
         let away: Vec<(String, Timestamp)> = away.iter().map(|(peer, since)| (peer.to_string(), *since)).collect();
         let monitor = self.monitor(own_machine);
         let event = monitor.peers(&away, now, settings)?;
-        Some(outcome(own_machine, monitor, now, vec![event]))
+        Some(outcome(own_machine, Some(monitor), now, vec![event]))
     }
 
     /// Reports lost throws to the monitor of a machine.
     pub(super) fn gap(&mut self, machine: &MachineId, lost: u64, at: Timestamp, settings: &Settings) -> Outcome {
         let monitor = self.monitor(machine);
         let events = monitor.gap(lost, at, settings);
-        outcome(machine, monitor, at, events)
+        outcome(machine, Some(monitor), at, events)
     }
 
     /// Applies an operator's command; `None` if the machine has no monitor.
@@ -224,7 +217,7 @@ impl Fleet {
         let monitor = self.monitors.get_mut(machine)?;
         let result = monitor.command(command, now, settings);
         Some(result.map(|events| {
-            let outcome = outcome(machine, monitor, now, events);
+            let outcome = outcome(machine, Some(monitor), now, events);
             Outcome { command: Some(command.clone()), ..outcome }
         }))
     }
@@ -303,17 +296,13 @@ fn health(
     }
 }
 
-/// The outcome with the present monitor and the new events.
-fn outcome(machine: &MachineId, monitor: &MachineMonitor, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
-    let monitor = Some(record(monitor));
-    Outcome { machine: machine.clone(), at, monitor, events, reported_gaps: Vec::new(), command: None }
-}
-
-fn record(monitor: &MachineMonitor) -> MonitorRecord {
-    MonitorRecord {
+/// The outcome with the present monitor, if it is to be stored, and the new events.
+fn outcome(machine: &MachineId, monitor: Option<&MachineMonitor>, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
+    let record = monitor.map(|monitor| MonitorRecord {
         snapshot: json(monitor),
         state: monitor.state(),
         drifts: monitor.drifts().to_vec(),
         caveats: monitor.caveats(),
-    }
+    });
+    Outcome { machine: machine.clone(), at, monitor: record, events, reported_gaps: Vec::new(), command: None }
 }

@@ -42,15 +42,17 @@ pub(super) fn catalogue(limits: Limits) -> Vec<Scenario> {
     rows
 }
 
+/// A row with default noise; hard unless its situation is plain.
+fn row(depth: Depth, situation: Situation, faults: Vec<(Cause, f64)>, shape: Shape) -> Scenario {
+    let hard = situation != Situation::Plain;
+    Scenario { depth, situation, faults, earlier: None, shape, noise: Noise::Default, hard }
+}
+
 fn parameter_rows(limits: Limits) -> Vec<Scenario> {
     let row = |situation, faults, shape, noise, hard| Scenario {
-        depth: Depth::Parameter,
-        situation,
-        faults,
-        earlier: None,
-        shape,
         noise,
         hard,
+        ..row(Depth::Parameter, situation, faults, shape)
     };
     let parts = || PARTS.into_iter().zip(limits);
     let mut rows = Vec::new();
@@ -92,15 +94,7 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
 }
 
 fn trace_rows(limits: Limits) -> Vec<Scenario> {
-    let row = |situation, fault, shape| Scenario {
-        depth: Depth::Trace,
-        situation,
-        faults: vec![fault],
-        earlier: None,
-        shape,
-        noise: Noise::Default,
-        hard: situation != Situation::Plain,
-    };
+    let row = |situation, fault, shape| row(Depth::Trace, situation, vec![fault], shape);
     let mut rows = Vec::new();
     for (part, limit) in PARTS.into_iter().zip(limits) {
         for shape in [Shape::Step, Shape::Ramp] {
@@ -119,15 +113,7 @@ fn trace_rows(limits: Limits) -> Vec<Scenario> {
 
 /// Rows of what happens to machines in the field, at parameter depth. All are hard.
 fn field_rows(limits: Limits) -> Vec<Scenario> {
-    let row = |situation, fault, shape| Scenario {
-        depth: Depth::Parameter,
-        situation,
-        faults: vec![fault],
-        earlier: None,
-        shape,
-        noise: Noise::Default,
-        hard: true,
-    };
+    let row = |situation, fault, shape| Scenario { hard: true, ..row(Depth::Parameter, situation, vec![fault], shape) };
     let [kt, friction, stiffness, _] = limits.map(|limit| PLAIN_FROM * limit);
     let mut rows = Vec::new();
     for (situation, shape) in [(Situation::Season, Shape::Step), (Situation::Plain, Shape::Accelerating)] {
