@@ -208,8 +208,15 @@ fn detrended(throws: &[BaselineThrow], slopes: Option<[f64; 3]>) -> impl Iterato
     throws.iter().map(move |throw| Vector3::from(throw.log) - slopes * (throw.order - first) as f64)
 }
 
-/// Slopes of the logarithms over the throws of both directions; `sensor` is the mean covariance of their estimates.
-pub(super) fn trend<'a>(sides: [impl Iterator<Item = &'a BaselineThrow>; 2], sensor: Matrix3<f64>) -> [f64; 3] {
+/// Slopes of the logarithms over the throws of both directions; `sensor` is the mean covariance of their estimates, `wanted`
+/// the number of throws of both baselines.
+pub(super) fn trend<'a>(
+    sides: [impl Iterator<Item = &'a BaselineThrow>; 2],
+    sensor: Matrix3<f64>,
+    wanted: usize,
+) -> [f64; 3] {
+    /// A baseline is complete when each direction has its throws, so the last throw of one may be the last but two of both.
+    const LAST: usize = 4;
     let mut throws: Vec<TrendThrow> = Vec::new();
     let mut variance = [0.0; 3];
     for (side, series) in sides.into_iter().enumerate() {
@@ -228,7 +235,8 @@ pub(super) fn trend<'a>(sides: [impl Iterator<Item = &'a BaselineThrow>; 2], sen
     }
     throws.sort_unstable_by_key(|throw| throw.order);
     let error_part = std::array::from_fn(|i| (sensor[(i, i)] / variance[i].max(f64::MIN_POSITIVE)).min(0.9));
-    trend::slopes(&throws, variance.map(f64::sqrt), error_part)
+    let bound = if throws.len() + LAST > wanted { trend::AT_THE_END } else { trend::WHILE_FILLING };
+    trend::slopes(&throws, variance.map(f64::sqrt), error_part, bound)
 }
 
 fn clip(residual: Vector3<f64>, robust: [(f64, f64); 3]) -> Vector3<f64> {

@@ -327,16 +327,11 @@ impl Tracks {
     /// Looks for a trend in the throws of the baselines, also those set aside. One that changes no coefficient by a
     /// third of a warning limit does not count.
     fn follow_trend(&mut self, settings: &Settings) {
-        /// Throws between two searches.
-        const EVERY: usize = 4;
         let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
         let count: usize = throws.each_ref().map(|throws| throws.clone().count()).iter().sum();
-        if !count.is_multiple_of(EVERY) {
-            return;
-        }
         let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
         let limits = [Cause::Kt, Cause::Friction, Cause::Stiffness].map(|cause| settings.limit_pct(cause));
-        let slopes = trend(throws, 0.5 * (sensor[0] + sensor[1]));
+        let slopes = trend(throws, 0.5 * (sensor[0] + sensor[1]), 2 * settings.baseline_throws);
         let matters = |i: usize| {
             let change_pct = 100.0 * (slopes[i] * count as f64).abs();
             limits[i].is_some_and(|limit| change_pct > limit / 3.0)

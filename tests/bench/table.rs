@@ -1,0 +1,36 @@
+//! The table at the end: times from the benchmarks, each beside its peer.
+
+use std::{fs, path::Path};
+
+/// A row: the measured thing, its time, its peer and the peer's time \[s\].
+pub(crate) struct Row {
+    pub(crate) what: &'static str,
+    pub(crate) time_s: f64,
+    pub(crate) peer: &'static str,
+    pub(crate) peer_s: f64,
+}
+
+impl Row {
+    /// A row of two benchmarks of the same run, given by their paths below `folder`; `None` if one was not run.
+    pub(crate) fn of(
+        folder: &Path,
+        (what, benchmark): (&'static str, &str),
+        (peer, its_benchmark): (&'static str, &str),
+    ) -> Option<Self> {
+        Some(Self { what, time_s: mean_s(folder, benchmark)?, peer, peer_s: mean_s(folder, its_benchmark)? })
+    }
+}
+
+/// Mean time of a benchmark, as criterion has stored it \[s\].
+fn mean_s(folder: &Path, benchmark: &str) -> Option<f64> {
+    let text = fs::read(folder.join(benchmark).join("new/estimates.json")).ok()?;
+    let estimates: serde_json::Value = serde_json::from_slice(&text).ok()?;
+    Some(estimates["mean"]["point_estimate"].as_f64()? * 1e-9)
+}
+
+pub(crate) fn print(rows: &[Row]) {
+    println!("| pointsd | us | peer | us | peer / pointsd |\n|---|---:|---|---:|---:|");
+    for Row { what, time_s, peer, peer_s } in rows {
+        println!("| {what} | {:.0} | {peer} | {:.0} | {:.1} |", 1e6 * time_s, 1e6 * peer_s, peer_s / time_s);
+    }
+}
