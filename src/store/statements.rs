@@ -253,8 +253,9 @@ statements! {
         a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, iterations, start_s, end_s, \
         duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, release_s, running_current_a, \
         energy_j, quiet_current_a, start_position_mm, resistance_ohm, back_emf_v_s_per_rad, baseline_throws, \
-        baseline_needed, throws_since_baseline, state, drift, machine_row) \
-        SELECT new.*, throw.machine_row FROM new CROSS JOIN throw ON throw.throw_row = new.column1";
+        baseline_needed, throws_since_baseline, state, drift, machine_row, rejected_start_us) \
+        SELECT new.*, throw.machine_row, iif(new.column4 IN ('good', 'rough', 'current_only'), NULL, throw.started_at_us) \
+        FROM new CROSS JOIN throw ON throw.throw_row = new.column1";
     SET_MONITORS_OF = set_monitor!("SELECT throw.machine_row, column2, column3, column4, column5, column6 \
         FROM (VALUES (?, ?, ?, ?, ?, ?)) AS new CROSS JOIN throw ON throw.throw_row = column1 WHERE TRUE");
     ADD_BASELINE = "INSERT INTO baseline (machine_row, direction, taken_at_us, payload) VALUES (?1, ?2, ?3, ?4) \

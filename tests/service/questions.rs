@@ -38,16 +38,18 @@ pub(crate) async fn large(rig: &Rig, machines: u64, rows: u64) {
                     1000, 0, i % 40 - 10, 0, 1 FROM n"
         ),
         "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, b0, a1, a0, b0_sd, a1_sd,
-                               a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, mean_current_a, throws_since_baseline)
+                               a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, duration_s, mean_current_a, throws_since_baseline, rejected_start_us)
          SELECT throw_row, machine_row, direction, 0, CASE throw_row % 47 WHEN 0 THEN 'no_movement' ELSE 'good' END,
                 200 + throw_row % 7, 5, 2, 1, 1, 1, throw_row % 7 - 3, machine_row % 40 - 20 + (direction = 'normal_to_reverse') * 15,
-                throw_row % 5, 99.9, 3.5, 4.2, 100 FROM throw"
+                throw_row % 5, 99.9, 3.5, 4.2, 100, CASE throw_row % 47 WHEN 0 THEN started_at_us END FROM throw"
             .to_owned(),
-        "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
-         SELECT 'a' || throw_row, machine_row, 'friction', started_at_us, 1,
-                CASE throw_row % 3 WHEN 0 THEN 'active_unacknowledged' ELSE 'normal' END
-         FROM throw WHERE throw_row % 97 = 0 OR machine_row = 11 AND throw_row % 9 = 0"
-            .to_owned(),
+        // Of the last million throws, as the number of open alarms does not grow with the history.
+        format!(
+            "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
+             SELECT 'a' || throw_row, machine_row, 'friction', started_at_us, 1,
+                    CASE WHEN throw_row % 3 = 0 AND throw_row > {rows} - 1000000 THEN 'active_unacknowledged' ELSE 'normal' END
+             FROM throw WHERE throw_row % 97 = 0 OR machine_row = 11 AND throw_row % 9 = 0"
+        ),
         "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload)
          SELECT alarm_row, 1, raised_at_us, 'critical', state, json_object('text', 'a sentence') FROM alarm"
             .to_owned(),
@@ -82,7 +84,12 @@ async fn twelve_questions_are_answered_in_time() {
     for (question, index) in [
         ("SELECT count(*) FROM health_history WHERE started_at >= date('now', '-1 day')", "throw_by_start_text"),
         ("SELECT * FROM health_history ORDER BY started_at DESC LIMIT 100", "throw_by_start_text"),
-        ("SELECT * FROM throws_not_evaluated", "estimate_refused"),
+        (
+            "SELECT * FROM throws_not_evaluated ORDER BY started_at DESC LIMIT 100",
+            "SCAN estimate USING INDEX estimate_rejected_by_text",
+        ),
+        ("SELECT * FROM throws_not_evaluated WHERE site = 'north' AND machine = 'm1'", "estimate_refused"),
+        ("SELECT * FROM alarm_events WHERE site = 'north' AND machine = 'm1'", "alarm_of_machine"),
     ] {
         let (_, plan) = ask(&format!("EXPLAIN QUERY PLAN {question}"));
         assert!(plan.iter().any(|step| step["detail"].as_str().unwrap().contains(index)), "{question}: {plan:?}");
