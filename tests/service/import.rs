@@ -50,7 +50,8 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
 #[test]
 fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
     let rig = Rig::new();
-    let rows = (0..200).map(|k| format!("{:.3},{}\n", f64::from(k) * 0.04, if k < 20 || k > 150 { 0.0 } else { 2.0 }));
+    let current = |k| if (20..=150).contains(&k) { 2.0 } else { 0.0 };
+    let rows = (0..200).map(|k| format!("{:.3},{}\n", f64::from(k) * 0.04, current(k)));
     let (file, copy) = (rig.folder().join("throw.csv"), rig.folder().join("copy.csv"));
     fs::write(&file, format!("time_s,current_a\n{}", rows.collect::<String>())).unwrap();
     fs::copy(&file, &copy).unwrap();
