@@ -82,6 +82,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count) -> Outcome {
     for (number, file) in arguments.files.iter().enumerate() {
         for throw in read(arguments, number, file)? {
+            // The time of a CSV file changes when it is copied; the store would take it for another throw.
+            if !is_json(file) && pipeline.has(&arguments.machine.0, &throw.id).await.or_exit(Exit::Io)? {
+                count.known += 1;
+                continue;
+            }
             let (spooled, judged) = pipeline.take(&arguments.machine.0, &throw).await.or_exit(Exit::Io)?;
             match spooled {
                 Spooled::New(_) => count.new += 1,
@@ -94,8 +99,11 @@ async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count
 }
 
 fn read(arguments: &Arguments, number: usize, file: &Path) -> Result<Vec<Throw>, Failure> {
-    let is_json = file.extension().is_some_and(|extension| extension == "json" || extension == "jsonl");
-    if is_json { read_json(file) } else { read_csv(arguments, number, file).map(|throw| vec![throw]) }
+    if is_json(file) { read_json(file) } else { read_csv(arguments, number, file).map(|throw| vec![throw]) }
+}
+
+fn is_json(file: &Path) -> bool {
+    file.extension().is_some_and(|extension| extension == "json" || extension == "jsonl")
 }
 
 fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {

@@ -13,7 +13,7 @@ use super::{
 use crate::{
     bus::BusError,
     store::{Spooled, Store, StoreError},
-    throw::{MachineId, Throw},
+    throw::{MachineId, Throw, ThrowRef},
 };
 
 /// An error at the start of the daemon.
@@ -72,6 +72,14 @@ impl Offline {
         self.waiting += 1;
         let judged = if self.waiting >= GROUP { self.judge().await? } else { Vec::new() };
         Ok((spooled, judged))
+    }
+
+    /// Whether the database has a throw with this number of a machine.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn has(&self, machine: &MachineId, throw: &ThrowRef) -> Result<bool, StoreError> {
+        Ok(self.store.reader().throw_of(machine, throw).await?.is_some())
     }
 
     /// Judges all pending throws.

@@ -14,7 +14,7 @@ pub struct Features {
     pub release_s: Option<f64>,
     /// Largest magnitude of the current \[A\]. Below 1 kHz it depends on the sampling instants and scatters by 13 %.
     pub peak_current_a: Option<f64>,
-    /// Median magnitude of the current in the second half of the time of the motor \[A\].
+    /// Mean magnitude of the current from the half to nine tenths of the time of the motor \[A\].
     pub running_current_a: Option<f64>,
     /// Mean magnitude of the current while the motor ran \[A\].
     pub mean_current_a: Option<f64>,

@@ -60,7 +60,11 @@ impl Movement {
         let quiet = start.map_or(len, |start| start + 1);
         let before = if start == Some(0) { 0 } else { quiet };
         let mut level = Level::of(&current[..before]);
-        let threshold = |level: &Level, peak: f64| (ON_SHARE * peak).max(5.0 * level.sd);
+        let threshold = |level: &Level, peak: f64| {
+            // A pulse of a contact among a few samples looks like noise as large as the running current.
+            let largest = if level.samples < MIN_QUIET { START_SHARE * peak } else { f64::INFINITY };
+            (ON_SHARE * peak).max((5.0 * level.sd).min(largest))
+        };
         let mut peak_a = peak(current, level.mean);
         let mut motor_off = start.and_then(|_| last_beyond(current, level.mean, threshold(&level, peak_a)));
         if let Some(off) = motor_off.filter(|_| level.samples < MIN_QUIET) {

@@ -73,7 +73,9 @@ pub enum Rejection {
         travel_mm: f64,
     },
     /// The toe moved before the motor was on.
-    #[error("the toe moved {moved_mm:.2} mm before the current rose: the channels are not synchronous")]
+    #[error(
+        "the toe moved {moved_mm:.2} mm before the current rose: the channels are not synchronous, or the recording begins with the end of an earlier movement"
+    )]
     MovedBeforeCurrent {
         /// Distance moved by then \[mm\].
         moved_mm: f64,

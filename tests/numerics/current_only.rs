@@ -72,3 +72,24 @@ fn without_the_voltage_or_at_a_low_rate_there_are_features() {
         }
     }
 }
+
+/// Recordings of three-phase machines at 25 Hz begin with a few samples at rest, often with the pulse of a contact, and
+/// end with the current of the detection circuit.
+#[test]
+fn the_pulse_of_a_contact_before_the_inrush_is_no_noise() {
+    for before in [&[0.0, 0.0][..], &[0.0, 0.0, 0.56, 0.24], &[0.0, 0.0, 0.0, 0.59, 0.0], &[0.0, 0.0, 0.0, 2.2, 0.0]] {
+        let mut current = [before, &[4.06]].concat();
+        current.extend([2.1; 128]);
+        current.extend([0.6; 10]);
+        current.extend([0.0; 2]);
+        let nothing = vec![f64::NAN; current.len()];
+        let throw = throw_with(Trace::new(25.0, current, nothing).unwrap(), None);
+        let Features { duration_s, running_current_a, quiet_current_a, .. } =
+            Identifier::default().identify(&throw, &Settings::default()).features;
+        let expected_s = 139.0 / 25.0;
+        // The pulse may count as the start.
+        assert!((duration_s.unwrap() - expected_s).abs() < 0.13, "{before:?}: {duration_s:?} for {expected_s} s");
+        assert!((running_current_a.unwrap() - 2.1).abs() < 0.05, "{before:?}: {running_current_a:?}");
+        assert_eq!(quiet_current_a, None, "{before:?}");
+    }
+}

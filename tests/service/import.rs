@@ -48,6 +48,23 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
 }
 
 #[test]
+fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
+    let rig = Rig::new();
+    let current = |k| if (20..=150).contains(&k) { 2.0 } else { 0.0 };
+    let rows = (0..200).map(|k| format!("{:.3},{}\n", f64::from(k) * 0.04, current(k)));
+    let (file, copy) = (rig.folder().join("throw.csv"), rig.folder().join("copy.csv"));
+    fs::write(&file, format!("time_s,current_a\n{}", rows.collect::<String>())).unwrap();
+    fs::copy(&file, &copy).unwrap();
+    let (code, said, error) = import(&rig, &[&file, &copy], &["--started-at", "2026-01-01T00:00:00Z"]);
+    assert_eq!(code, Some(0), "{error}");
+    assert_eq!(said.trim(), "1 throws imported (1 not evaluated), 1 known before, 0 alarm events");
+    let (code, said, error) = import(&rig, &[&copy], &[]);
+    assert_eq!(code, Some(0), "{error}");
+    assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 1 known before, 0 alarm events");
+    assert_eq!(rig.sql("SELECT throw_no FROM health_history").len(), 1);
+}
+
+#[test]
 fn a_wrong_line_is_named_and_what_came_before_its_file_is_kept() {
     let rig = Rig::new();
     let made = throws("recorded", 2);
