@@ -17,7 +17,7 @@
 //! | [`bus`] | zenoh sessions, publishers, subscribers, queries | core, `wire` |
 //! | [`logger`] | the device at the machine that publishes its throws, with simulated machines behind it | core, `wire`, `bus`, the daemon's clock |
 //! | [`daemon`] | the running monitor: pipeline, supervision, configuration | everything above |
-//! | [`web`] | the dashboard and the metrics, for reading only | core, `store`, `daemon` |
+//! | [`web`] | the dashboard with its commands, and the metrics | core, `store`, `daemon` |
 //! | [`cli`] | the commands of `pointsd` and `pointsim` | everything above |
 
 pub mod bus;

@@ -47,7 +47,7 @@ pub(super) struct Arguments {
     /// Print every alarm, without summaries of alarms with the same cause.
     #[arg(long)]
     all: bool,
-    /// Exit with 1 if an alarm is open.
+    /// Exit with 1 if an alarm is open, or a reply is unreadable.
     #[arg(long, conflicts_with_all = ["since", "limit"])]
     check: bool,
     #[command(flatten)]
@@ -79,28 +79,28 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let replies = answer.map_err(operator::failure)?;
         watched.map_err(operator::failure)?;
         let (daemons, health) = (daemons.map_err(operator::failure)?, health.map_err(operator::failure)?);
-        let found = replies.iter().filter_map(|(_, payload)| Some((serde_json::from_slice(payload).ok()?, payload)));
-        let found: Vec<(Alarm, &Vec<u8>)> = found.filter(|(alarm, _)| is_requested(alarm, arguments)).collect();
+        let (found, unreadable) = operator::read::<Alarm>(&replies);
+        let found: Vec<_> = found.into_iter().filter(|(_, alarm)| is_requested(alarm, arguments)).collect();
+        let is_open = !found.is_empty() || unreadable > 0;
         if arguments.json {
-            for (_, payload) in &found {
+            for ((_, payload), _) in &found {
                 output::line(String::from_utf8_lossy(payload))?;
             }
         } else {
-            let alarms: Vec<Alarm> = found.iter().map(|(alarm, _)| alarm.clone()).collect();
+            let alarms: Vec<Alarm> = found.into_iter().map(|(_, alarm)| alarm).collect();
             if arguments.since.is_some() || arguments.limit.is_some() {
                 print_events(&alarms)?;
             } else {
-                let windows =
-                    daemons.iter().filter_map(|(_, report)| serde_json::from_slice::<StatusReport>(report).ok());
-                let windows: Vec<Window> = windows.flat_map(|report| report.windows).collect();
-                let health: Vec<Health> =
-                    health.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect();
+                let reports = operator::read::<StatusReport>(&daemons).0;
+                let windows: Vec<Window> = reports.into_iter().flat_map(|(_, report)| report.windows).collect();
+                let health = operator::read::<Health>(&health).0.into_iter();
+                let health: Vec<Health> = health.map(|(_, health)| health).collect();
                 print_open(alarms, &health, &windows, arguments.all)?;
             }
             let names = daemons.iter().map(|(key, _)| operator::monitor_name(key));
             output::line(format_args!("answered by {}", names.collect::<Vec<_>>().join(", ")))?;
         }
-        Ok(if arguments.check && !found.is_empty() { Exit::Negative } else { Exit::Ok })
+        Ok(if arguments.check && is_open { Exit::Negative } else { Exit::Ok })
     })
 }
 

@@ -146,7 +146,7 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path) -> Result<Throw, 
 
 fn report(arguments: &Arguments, judged: &[Judged], count: &mut Count) -> Result<(), Failure> {
     for throw in judged {
-        count.refused += u64::from(throw.health.coefficients.is_none());
+        count.refused += u64::from(throw.health.is_rejected());
         count.alarms += throw.events.len() as u64;
         if arguments.json {
             let Health { machine, throw: id, quality, direction, .. } = &throw.health;

@@ -4,6 +4,7 @@ use std::{path::PathBuf, str::FromStr, time::Duration};
 
 use anyhow::Context;
 use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, civil::Date, tz::TimeZone};
+use serde::de::DeserializeOwned;
 use strum::VariantArray as _;
 use zenoh::Session;
 
@@ -75,6 +76,23 @@ impl Connection {
         }
         Ok(Client { session, monitor })
     }
+}
+
+/// A reply of a query: its key and its payload.
+type Message = (String, Vec<u8>);
+
+/// Reads replies as JSON, and counts those that this program cannot read. These are reported: they may be from a newer
+/// daemon, and must not look like silence.
+pub(super) fn read<T: DeserializeOwned>(replies: &[Message]) -> (Vec<(&Message, T)>, usize) {
+    let mut values = Vec::with_capacity(replies.len());
+    for reply in replies {
+        match serde_json::from_slice(&reply.1) {
+            Ok(value) => values.push((reply, value)),
+            Err(error) => eprintln!("unreadable reply of {}, perhaps of a newer daemon: {error}", reply.0),
+        }
+    }
+    let unreadable = replies.len() - values.len();
+    (values, unreadable)
 }
 
 /// Name of a daemon, `{site}/{id}`, from the key of its status.

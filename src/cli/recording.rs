@@ -63,7 +63,9 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
         let record = record.context("not readable as CSV")?;
         let line = record.position().map_or(0, csv::Position::line);
         let [time_s, current_a] = places.map(|(name, place)| number(record.get(place), line, name));
-        let position_mm = position.map_or(Ok(f64::NAN), |place| number(record.get(place), line, POSITION));
+        // An exported trace has an empty cell where the position was not measured.
+        let measured = position.filter(|place| record.get(*place) != Some(""));
+        let position_mm = measured.map_or(Ok(f64::NAN), |place| number(record.get(place), line, POSITION));
         let time_s = time_s?;
         if !time_s.is_finite() {
             bail!("line {line}, column {TIME}: {time_s} is not a time");

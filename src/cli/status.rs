@@ -92,26 +92,31 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     if daemons.is_empty() {
         return Err(operator::failure(OperatorError::NoDaemon));
     }
-    let reports: Vec<StatusReport> = read(&daemons);
+    let (reports, mut unreadable) = operator::read::<StatusReport>(&daemons);
     if arguments.json {
-        let values = |replies: &[(String, Vec<u8>)]| -> Vec<Value> { read(replies) };
-        output::line(json!({"daemons": values(&daemons), "health": values(&health), "alarms": values(&alarms)}))?;
+        let [daemons, health, alarms] = [&daemons, &health, &alarms].map(|replies| {
+            let (values, others) = operator::read::<Value>(replies);
+            unreadable += others;
+            values.into_iter().map(|(_, value)| value).collect::<Vec<_>>()
+        });
+        output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}))?;
     } else {
-        for ((key, _), report) in daemons.iter().zip(&reports) {
+        for ((key, _), report) in &reports {
             print_daemon(key, report)?;
         }
-        let windows: Vec<Window> = reports.iter().flat_map(|report| report.windows.clone()).collect();
-        let (health, mut alarms): (Vec<Health>, Vec<Alarm>) = (read(&health), read(&alarms));
+        let windows: Vec<Window> = reports.iter().flat_map(|(_, report)| report.windows.clone()).collect();
+        let (health, of_health) = operator::read::<Health>(&health);
+        let (alarms, of_alarms) = operator::read::<Alarm>(&alarms);
+        unreadable += of_health + of_alarms;
+        let health: Vec<Health> = health.into_iter().map(|(_, health)| health).collect();
+        let mut alarms: Vec<Alarm> = alarms.into_iter().map(|(_, alarm)| alarm).collect();
         alarms.retain(|alarm| arguments.site.as_ref().is_none_or(|site| *site == alarm.machine.site));
         print_machines(&health, &windows, arguments)?;
         alarms::print_open(alarms, &health, &windows, false)?;
     }
     let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
-    Ok(if reports.iter().all(is_well) { Exit::Ok } else { Exit::Negative })
-}
-
-fn read<T: serde::de::DeserializeOwned>(replies: &[(String, Vec<u8>)]) -> Vec<T> {
-    replies.iter().filter_map(|(_, payload)| serde_json::from_slice(payload).ok()).collect()
+    let are_well = unreadable == 0 && reports.iter().all(|(_, report)| is_well(report));
+    Ok(if are_well { Exit::Ok } else { Exit::Negative })
 }
 
 fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {

@@ -327,8 +327,12 @@ impl JudgeLoop {
             Some(Ok(outcome)) => {
                 let stored = self.record(outcome).await?;
                 self.update_standing();
-                tracing::info!(%machine, ?command, "operator's command applied");
-                (stored, command.confirmation(machine))
+                if stored {
+                    tracing::info!(%machine, ?command, "operator's command applied");
+                    (true, command.confirmation(machine))
+                } else {
+                    (false, "the daemon stops and could not store the command: send it again".to_owned())
+                }
             }
         })
     }

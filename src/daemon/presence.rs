@@ -21,8 +21,8 @@ pub(super) async fn run(mut tokens: PresenceWatch, status: Arc<Status>, alive: w
     while let Some(change) = tokens.next().await {
         let Ok((machine, Kind::Alive)) = wire::parse_key(&change.key) else { continue };
         alive.send_modify(|alive| {
-            if change.alive && alive.len() < MOST {
-                if alive.insert(machine.clone()) {
+            if change.alive {
+                if alive.len() < MOST && alive.insert(machine.clone()) {
                     tracing::info!(%machine, "logger connected");
                 }
             } else if alive.remove(&machine) {

@@ -190,6 +190,8 @@ impl Receiver {
             }
             throws = self.without_the_unstorable(failed, &error).await;
             if throws.is_empty() {
+                // The database has stored or quarantined each of them.
+                self.storing_works();
                 return;
             }
             tokio::select! {

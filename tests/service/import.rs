@@ -57,11 +57,18 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
     fs::copy(&file, &copy).unwrap();
     let (code, said, error) = import(&rig, &[&file, &copy], &["--started-at", "2026-01-01T00:00:00Z"]);
     assert_eq!(code, Some(0), "{error}");
-    assert_eq!(said.trim(), "1 throws imported (1 not evaluated), 1 known before, 0 alarm events");
+    assert_eq!(said.trim(), "1 throws imported (0 not evaluated), 1 known before, 0 alarm events");
     let (code, said, error) = import(&rig, &[&copy], &[]);
     assert_eq!(code, Some(0), "{error}");
     assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 1 known before, 0 alarm events");
     assert_eq!(rig.sql("SELECT throw_no FROM health_history").len(), 1);
+    // An exported trace without positions can be imported.
+    let text = fs::read_to_string(&file).unwrap();
+    let text = text.replace("current_a", "current_a,position_mm").replace(",0\n", ",0,\n").replace(",2\n", ",2,\n");
+    fs::write(&copy, text).unwrap();
+    let (code, said, error) = import(&rig, &[&copy], &[]);
+    assert_eq!(code, Some(0), "{error}");
+    assert!(said.starts_with("1 throws imported (0 not evaluated)"), "{said}");
 }
 
 #[test]

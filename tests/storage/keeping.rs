@@ -79,6 +79,22 @@ async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_droppe
     assert_eq!(again, Spooled::Duplicate);
 }
 
+/// A burst after a long life: the estimates of old throws, whose traces are gone, are not pending throws.
+#[tokio::test]
+async fn a_burst_of_pending_throws_costs_no_history() {
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Settings { max_traces: 100, ..settings(folder.path()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    judged(&store, 1, 150).await;
+    store.run_housekeeping(at(0), true).await.unwrap();
+    let burst: Vec<_> = (151..=400).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    store.spool_all(&burst).await;
+    store.run_housekeeping(at(0), true).await.unwrap();
+    let statistics = store.statistics().await.unwrap();
+    assert_eq!((statistics.pending, statistics.counters["dropped_pending_throws"]), (100, 150));
+    assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(150,)]);
+}
+
 /// Retention deletes the history of the largest machine first; that of the others stays complete.
 #[tokio::test]
 async fn a_machine_that_floods_loses_its_own_history_and_no_others() {

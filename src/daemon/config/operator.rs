@@ -6,8 +6,8 @@ use super::{ConfigError, Document, File, section, zenoh as sessions};
 use crate::throw::MachineId;
 
 /// Sections of a daemon's file.
-const DAEMON_SECTIONS: [&str; 8] =
-    ["monitor", "subscribe", "identify", "store", "diagnosis", "machines", "machine", "web"];
+const DAEMON_SECTIONS: [&str; 9] =
+    ["monitor", "subscribe", "identify", "store", "diagnosis", "machines", "machine", "web", "webhook"];
 /// Sections of `pointsim`'s file, whose `[zenoh]` is a client's.
 const LOGGER_SECTIONS: [&str; 2] = ["logger", "fleet"];
 /// Keys of a daemon's TLS section that are valid for its clients too.

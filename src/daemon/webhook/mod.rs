@@ -122,7 +122,13 @@ impl Notifier {
             };
             let Some((last, _)) = rows.last() else { return Vec::new() };
             let last = *last;
-            let read = |(row, payload): (i64, String)| Some((row, serde_json::from_str::<Alarm>(&payload).ok()?));
+            let read = |(row, payload): (i64, String)| match serde_json::from_str::<Alarm>(&payload) {
+                Ok(alarm) => Some((row, alarm)),
+                Err(error) => {
+                    tracing::error!(row, %error, "an alarm event of another version cannot be sent: LOST for the webhook");
+                    None
+                }
+            };
             let wanted = rows.into_iter().filter_map(read).filter(|(_, alarm)| self.settings.wants(alarm));
             let wanted: Vec<_> = wanted.collect();
             if !wanted.is_empty() {

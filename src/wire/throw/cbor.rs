@@ -188,7 +188,13 @@ fn float(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<f64> {
 
 fn channel(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<Vec<f64>>) -> Decoded<()> {
     once(field, slot.as_ref())?;
-    *slot = Some(samples(decoder, field)?);
+    *slot = match decoder.datatype()? {
+        Type::Null | Type::Undefined => {
+            skip(decoder, 1)?;
+            None
+        }
+        _ => Some(samples(decoder, field)?),
+    };
     Ok(())
 }
 

@@ -1,3 +1,4 @@
+use minicbor::Encoder;
 use proptest::prelude::*;
 
 use super::*;
@@ -32,6 +33,20 @@ fn both_encodings_carry_a_throw_unchanged() {
         }
         assert_eq!(decode_throw(encoding, &bytes).unwrap(), example());
     }
+}
+
+#[test]
+fn a_position_that_is_null_is_a_missing_one_in_both_encodings() {
+    assert!(json("", "").unwrap().trace.has_position());
+    assert!(!json("[0.5, 1, 2]", "null").unwrap().trace.has_position());
+    let mut message = Encoder::new(Vec::new());
+    message.map(6).unwrap().str("boot_id").unwrap().str("b").unwrap().str("throw_no").unwrap().u8(1).unwrap();
+    message.str("started_at").unwrap().str("2026-05-04T10:00:00Z").unwrap();
+    message.str("sample_rate_hz").unwrap().u8(100).unwrap();
+    message.str("current_a").unwrap().array(2).unwrap().f32(0.5).unwrap().f32(1.0).unwrap();
+    message.str("position_mm").unwrap().null().unwrap();
+    let throw = decode_throw(Encoding::Cbor, &message.into_writer()).unwrap();
+    assert!(!throw.trace.has_position() && throw.trace.current_a() == [0.5, 1.0]);
 }
 
 #[test]
