@@ -19,7 +19,7 @@ pub use backlog::{Ending, Page, page};
 pub use error::BusError;
 pub use inbox::{Inbox, InboxCounters};
 pub use message::{Limits, Message};
-pub use operator::{OperatorError, ask, command, monitors, require_monitored, require_running};
+pub use operator::{Answers, OperatorError, ask, command, monitors, require_monitored, require_running};
 pub use outlet::{Outlet, OutletCounters, OutletEnd};
 pub use presence::{Audience, Presence, PresenceWatch};
 pub use queries::{Question, Questions, answer};

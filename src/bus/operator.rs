@@ -63,21 +63,45 @@ pub enum OperatorError {
     /// The daemon stopped answering between the query and the command.
     #[error("the daemon {0} stopped answering: check with pointsd alarms whether the command was applied")]
     Gone(String),
+    /// A daemon did not answer in time.
+    #[error("a daemon did not answer in time: is its computer overloaded, or the link down?")]
+    Timeout,
     /// The daemon refused, with its reason.
     #[error("{0}")]
     Refused(String),
 }
 
-/// Queries all daemons; returns the keys and payloads of their replies.
+/// The replies of all daemons to a query.
+#[derive(Debug, Default)]
+pub struct Answers {
+    /// Keys and payloads.
+    pub messages: Vec<(String, Vec<u8>)>,
+    /// The errors of daemons that could not answer.
+    pub errors: Vec<OperatorError>,
+}
+
+impl Answers {
+    /// The messages, if no daemon replied with an error.
+    ///
+    /// # Errors
+    /// The first error of a daemon.
+    pub fn complete(self) -> Result<Vec<(String, Vec<u8>)>, OperatorError> {
+        self.errors.into_iter().next().map_or(Ok(self.messages), Err)
+    }
+}
+
+/// Queries all daemons.
 ///
 /// # Errors
-/// When zenoh refuses the query, or a daemon replies with an error.
+/// When zenoh refuses the query.
 pub async fn ask(
     session: &Session,
     selector: &str,
     payload: Option<Vec<u8>>,
     timeout: Duration,
-) -> Result<Vec<(String, Vec<u8>)>, OperatorError> {
+) -> Result<Answers, OperatorError> {
+    /// Zenoh's own reply after the time limit of the query.
+    const TIMEOUT: &str = "Timeout";
     let asked = BusError::new(format!("ask {selector}"));
     let mut get = session
         .get(selector.to_owned())
@@ -88,18 +112,25 @@ pub async fn ask(
         get = get.payload(payload).encoding(Encoding::APPLICATION_JSON);
     }
     let replies = get.await.map_err(asked)?;
-    let mut messages = Vec::new();
+    let mut answers = Answers::default();
     while let Ok(reply) = replies.recv_async().await {
         match reply.into_result() {
-            Ok(sample) => messages.push((sample.key_expr().to_string(), sample.payload().to_bytes().into_owned())),
+            Ok(sample) => {
+                let payload = sample.payload().to_bytes().into_owned();
+                answers.messages.push((sample.key_expr().to_string(), payload));
+            }
             Err(error) => {
                 let text =
                     error.payload().try_to_string().map_or_else(|_| "an error".to_owned(), |text| text.to_string());
-                return Err(OperatorError::Refused(text));
+                answers.errors.push(if text == TIMEOUT {
+                    OperatorError::Timeout
+                } else {
+                    OperatorError::Refused(text)
+                });
             }
         }
     }
-    Ok(messages)
+    Ok(answers)
 }
 
 /// Sends a command to the daemon that serves a machine, and returns its reply. First asks all daemons that would apply
@@ -115,7 +146,7 @@ pub async fn command(
     timeout: Duration,
 ) -> Result<Vec<u8>, OperatorError> {
     let key = machine_key(machine, Kind::Command);
-    let replies = ask(session, &key, None, timeout).await?;
+    let replies = ask(session, &key, None, timeout).await?.complete()?;
     let daemons = replies.iter().map(|(_, payload)| serde_json::from_slice::<Commander>(payload));
     let daemons = daemons.collect::<Result<Vec<_>, _>>().map_err(|_| OperatorError::Nameless(machine.to_string()))?;
     let commander = match daemons.as_slice() {
@@ -131,8 +162,13 @@ pub async fn command(
     if let Some(expected) = expected.map(ToString::to_string).filter(|expected| *expected != commander.monitor) {
         return Err(OperatorError::AnotherDaemon { found: commander.monitor.clone(), expected });
     }
-    let replies = ask(session, &format!("{key}?session={}", commander.session), Some(payload), timeout).await?;
-    replies.into_iter().next().map(|(_, reply)| reply).ok_or_else(|| OperatorError::Gone(commander.monitor.clone()))
+    let gone = || OperatorError::Gone(commander.monitor.clone());
+    let answers = ask(session, &format!("{key}?session={}", commander.session), Some(payload), timeout).await?;
+    match answers.complete() {
+        Ok(replies) => replies.into_iter().next().map(|(_, reply)| reply).ok_or_else(gone),
+        Err(OperatorError::Timeout) => Err(gone()),
+        Err(refused) => Err(refused),
+    }
 }
 
 /// The names of the running daemons, as `{site}/{id}`, from their liveliness tokens.
@@ -173,7 +209,7 @@ pub async fn require_monitored(
         return Err(OperatorError::NoDaemon);
     }
     let Some(machine) = machine else { return Ok(()) };
-    let health = ask(session, &machine_key(machine, Kind::Health), None, timeout).await?;
+    let health = ask(session, &machine_key(machine, Kind::Health), None, timeout).await?.complete()?;
     // The machine may be the name of a daemon, for the alarms about the daemon itself.
     if health.is_empty() && alive(session, &monitor_alive_key(&machine.site, &machine.machine)).await?.is_empty() {
         return Err(OperatorError::Unknown(machine.to_string()));

@@ -33,8 +33,6 @@ pub struct OutletCounters {
     pub published: AtomicU64,
     /// Health messages dropped because the queue was full. They are in the database.
     pub dropped: AtomicU64,
-    /// Messages that zenoh refused.
-    pub refused: AtomicU64,
 }
 
 /// A message, with the receiver of the result if it is an alarm.
@@ -135,11 +133,17 @@ fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, cou
     let mut declared = HashMap::new();
     while let Some(Job { key, payload, done }) = jobs.blocking_recv() {
         let result = put(session, &mut declared, key, payload, priority);
-        let counter = if result.is_ok() { &counters.published } else { &counters.refused };
-        counter.fetch_add(1, Relaxed);
-        if let Some(done) = done {
+        if result.is_ok() {
+            counters.published.fetch_add(1, Relaxed);
+        }
+        match (done, result) {
             // Fails if the caller stopped waiting; the event is published anyway.
-            let _ = done.send(result);
+            (Some(done), result) => drop(done.send(result)),
+            (None, Ok(())) => {}
+            (None, Err(error)) => {
+                counters.dropped.fetch_add(1, Relaxed);
+                tracing::debug!(%error, "publishing the health of a throw failed");
+            }
         }
     }
 }

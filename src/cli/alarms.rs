@@ -47,7 +47,7 @@ pub(super) struct Arguments {
     /// Print every alarm, without summaries of alarms with the same cause.
     #[arg(long)]
     all: bool,
-    /// Exit with 1 if an alarm is open, or a reply is unreadable.
+    /// Exit with 1 if an alarm is open, or a daemon's answer is missing or unreadable.
     #[arg(long, conflicts_with_all = ["since", "limit"])]
     check: bool,
     #[command(flatten)]
@@ -67,37 +67,44 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let Client { session, .. } = arguments.connection.open().await?;
         let answer = bus::ask(&session, &selector(arguments), None, ANSWER_TIMEOUT).await;
         let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, ANSWER_TIMEOUT).await;
-        let health = bus::ask(&session, "points/v1/*/*/health", None, ANSWER_TIMEOUT).await;
+        let shows_open = !arguments.json && arguments.since.is_none() && arguments.limit.is_none();
+        let health = match &arguments.machine {
+            _ if !shows_open => Ok(bus::Answers::default()),
+            Some(MachineArgument(machine)) => {
+                bus::ask(&session, &wire::machine_key(machine, Kind::Health), None, ANSWER_TIMEOUT).await
+            }
+            None => bus::ask(&session, "points/v1/*/*/health", None, ANSWER_TIMEOUT).await,
+        };
         let watched = match &answer {
-            Ok(replies) if replies.is_empty() => {
+            Ok(answers) if answers.messages.is_empty() && answers.errors.is_empty() => {
                 let machine = arguments.machine.as_ref().map(|MachineArgument(machine)| machine);
                 bus::require_monitored(&session, machine, ANSWER_TIMEOUT).await
             }
             _ => Ok(()),
         };
         operator::close(session).await;
-        let replies = answer.map_err(operator::failure)?;
+        let answers = answer.map_err(operator::failure)?;
         watched.map_err(operator::failure)?;
         let (daemons, health) = (daemons.map_err(operator::failure)?, health.map_err(operator::failure)?);
-        let (found, unreadable) = operator::read::<Alarm>(&replies);
+        let (found, problems) = operator::read::<Alarm>(&answers);
         let found: Vec<_> = found.into_iter().filter(|(_, alarm)| is_requested(alarm, arguments)).collect();
-        let is_open = !found.is_empty() || unreadable > 0;
+        let is_open = !found.is_empty() || problems > 0;
         if arguments.json {
             for ((_, payload), _) in &found {
                 output::line(String::from_utf8_lossy(payload))?;
             }
         } else {
             let alarms: Vec<Alarm> = found.into_iter().map(|(_, alarm)| alarm).collect();
-            if arguments.since.is_some() || arguments.limit.is_some() {
-                print_events(&alarms)?;
-            } else {
+            if shows_open {
                 let reports = operator::read::<StatusReport>(&daemons).0;
                 let windows: Vec<Window> = reports.into_iter().flat_map(|(_, report)| report.windows).collect();
                 let health = operator::read::<Health>(&health).0.into_iter();
                 let health: Vec<Health> = health.map(|(_, health)| health).collect();
                 print_open(alarms, &health, &windows, arguments.all)?;
+            } else {
+                print_events(&alarms)?;
             }
-            let names = daemons.iter().map(|(key, _)| operator::monitor_name(key));
+            let names = daemons.messages.iter().map(|(key, _)| operator::monitor_name(key));
             output::line(format_args!("answered by {}", names.collect::<Vec<_>>().join(", ")))?;
         }
         Ok(if arguments.check && is_open { Exit::Negative } else { Exit::Ok })

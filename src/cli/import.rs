@@ -109,8 +109,13 @@ fn is_json(file: &Path) -> bool {
 fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     let name = || file.display().to_string();
     let bytes = fs::read(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
-    if let Ok(throw) = wire::decode_throw(Encoding::Json, &bytes) {
-        return Ok(vec![throw]);
+    match wire::decode_throw(Encoding::Json, &bytes) {
+        Ok(throw) => return Ok(vec![throw]),
+        // Otherwise a file of lines would be explained by its first.
+        Err(error) if file.extension().is_some_and(|extension| extension == "json") && is_one_object(&bytes) => {
+            return Err(error).with_context(name).or_exit(Exit::Data);
+        }
+        Err(_) => {}
     }
     let lines = bytes.split(|byte| *byte == b'\n').enumerate().filter(|(_, line)| !line.trim_ascii().is_empty());
     lines
@@ -119,6 +124,11 @@ fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
             throw.with_context(|| format!("{}, line {}", name(), at + 1)).or_exit(Exit::Data)
         })
         .collect()
+}
+
+/// Whether the bytes are a single JSON object, over one or more lines.
+fn is_one_object(bytes: &[u8]) -> bool {
+    serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(bytes).is_ok()
 }
 
 fn read_csv(arguments: &Arguments, number: usize, file: &Path) -> Result<Throw, Failure> {

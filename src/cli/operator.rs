@@ -10,7 +10,7 @@ use zenoh::Session;
 
 use super::{Exit, Failure, Outcome, ResultExt, output, runtime};
 use crate::{
-    bus::{self, OperatorError},
+    bus::{self, Answers, OperatorError},
     daemon::{
         clock,
         config::{Document, OperatorSession, operator_session},
@@ -81,18 +81,21 @@ impl Connection {
 /// A reply of a query: its key and its payload.
 type Message = (String, Vec<u8>);
 
-/// Reads replies as JSON, and counts those that this program cannot read. These are reported: they may be from a newer
-/// daemon, and must not look like silence.
-pub(super) fn read<T: DeserializeOwned>(replies: &[Message]) -> (Vec<(&Message, T)>, usize) {
-    let mut values = Vec::with_capacity(replies.len());
-    for reply in replies {
-        match serde_json::from_slice(&reply.1) {
-            Ok(value) => values.push((reply, value)),
-            Err(error) => eprintln!("unreadable reply of {}, perhaps of a newer daemon: {error}", reply.0),
+/// Reads the messages as JSON, and counts those that this program cannot read and the errors of daemons. Both are
+/// reported: they must not look like silence.
+pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)>, usize) {
+    let mut values = Vec::with_capacity(answers.messages.len());
+    for message in &answers.messages {
+        match serde_json::from_slice(&message.1) {
+            Ok(value) => values.push((message, value)),
+            Err(error) => eprintln!("unreadable reply of {}, perhaps of a newer daemon: {error}", message.0),
         }
     }
-    let unreadable = replies.len() - values.len();
-    (values, unreadable)
+    for error in &answers.errors {
+        eprintln!("no answer of a daemon: {error}");
+    }
+    let problems = answers.messages.len() - values.len() + answers.errors.len();
+    (values, problems)
 }
 
 /// Name of a daemon, `{site}/{id}`, from the key of its status.

@@ -113,7 +113,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 
 fn read(document: &Document) -> Result<Plan, ConfigError> {
     let file: File = document.deserialize()?;
-    file.logger.validate().map_err(|error| document.complain(&format!("logger.{}", error.key), error.to_string()))?;
+    file.logger.validate().map_err(|error| document.complain(&format!("logger.{}", error.key), error.problem()))?;
     file.fleet.check().map_err(|error| document.complain(&format!("fleet.{}", error.key), error.problem()))?;
     check_log(&file.log, document)?;
     Ok(Plan { logger: file.logger, fleet: file.fleet, log: file.log, zenoh: client_session(document)? })

@@ -57,6 +57,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         Ok(()) => Ok(Exit::Ok),
         // The reader closed the pipe.
         Err(Trouble::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Exit::Ok),
+        Err(Trouble::Output(error)) if error.kind() == io::ErrorKind::InvalidInput => Err(error).or_exit(Exit::Usage),
         Err(Trouble::Output(error)) => Err(error).context("cannot write the answer").or_exit(Exit::Io),
         Err(Trouble::Store(error @ StoreError::Read(_))) => Err(Failure { exit: Exit::Data, error: error.into() }),
         Err(Trouble::Store(error)) => Err(Failure { exit: Exit::NoInput, error: error.into() }),
@@ -141,7 +142,8 @@ impl<W> Json<W> {
 impl<W: Write> Answer for Json<W> {
     fn columns(&mut self, names: &[String]) -> io::Result<()> {
         if !self.names.is_empty() {
-            return Err(io::Error::other("--json takes one statement at a time"));
+            self.end()?;
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "--json takes one statement at a time"));
         }
         names.clone_into(&mut self.names);
         write!(self.out, "[")

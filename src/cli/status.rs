@@ -71,8 +71,12 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 output::clear()?;
             }
             let outcome = show(&session, arguments).await;
-            if !arguments.watch || outcome.is_err() {
+            if !arguments.watch {
                 break outcome;
+            }
+            // A daemon that restarts, for example.
+            if let Err(failure) = outcome {
+                eprintln!("{:#}", failure.error);
             }
             tokio::select! {
                 () = tokio::time::sleep(WATCH_INTERVAL) => {}
@@ -89,14 +93,14 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     let daemons = ask("points/v1/*/monitor/*/status").await.map_err(operator::failure)?;
     let health = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
     let alarms = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
-    if daemons.is_empty() {
+    if daemons.messages.is_empty() && daemons.errors.is_empty() {
         return Err(operator::failure(OperatorError::NoDaemon));
     }
-    let (reports, mut unreadable) = operator::read::<StatusReport>(&daemons);
+    let (reports, mut problems) = operator::read::<StatusReport>(&daemons);
     if arguments.json {
-        let [daemons, health, alarms] = [&daemons, &health, &alarms].map(|replies| {
-            let (values, others) = operator::read::<Value>(replies);
-            unreadable += others;
+        let [daemons, health, alarms] = [&daemons, &health, &alarms].map(|answers| {
+            let (values, others) = operator::read::<Value>(answers);
+            problems += others;
             values.into_iter().map(|(_, value)| value).collect::<Vec<_>>()
         });
         output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}))?;
@@ -104,18 +108,21 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         for ((key, _), report) in &reports {
             print_daemon(key, report)?;
         }
-        let windows: Vec<Window> = reports.iter().flat_map(|(_, report)| report.windows.clone()).collect();
+        let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
+        let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
+        let windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
         let (health, of_health) = operator::read::<Health>(&health);
         let (alarms, of_alarms) = operator::read::<Alarm>(&alarms);
-        unreadable += of_health + of_alarms;
-        let health: Vec<Health> = health.into_iter().map(|(_, health)| health).collect();
-        let mut alarms: Vec<Alarm> = alarms.into_iter().map(|(_, alarm)| alarm).collect();
-        alarms.retain(|alarm| arguments.site.as_ref().is_none_or(|site| *site == alarm.machine.site));
+        problems += of_health + of_alarms;
+        let health = health.into_iter().map(|(_, health)| health);
+        let health: Vec<Health> = health.filter(|health| is_asked(&health.machine)).collect();
+        let alarms = alarms.into_iter().map(|(_, alarm)| alarm);
+        let alarms: Vec<Alarm> = alarms.filter(|alarm| is_asked(&alarm.machine)).collect();
         print_machines(&health, &windows, arguments)?;
         alarms::print_open(alarms, &health, &windows, false)?;
     }
     let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
-    let are_well = unreadable == 0 && reports.iter().all(|(_, report)| is_well(report));
+    let are_well = problems == 0 && reports.iter().all(|(_, report)| is_well(report));
     Ok(if are_well { Exit::Ok } else { Exit::Negative })
 }
 
@@ -142,17 +149,12 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     let tally = if tally.is_empty() { String::new() } else { format!(": {}", tally.join(", ")) };
     let noun = if machines.len() == 1 { "machine" } else { "machines" };
     output::line(format_args!("{} {noun}{tally}", machines.len()))?;
-    let asked = |machine: &MachineId, rows: &[&Health]| {
-        arguments.site.as_ref().is_none_or(|site| *site == machine.site)
-            && arguments.state.is_none_or(|wanted| wanted == state(rows))
-    };
+    let is_asked = |rows: &[&Health]| arguments.state.is_none_or(|wanted| wanted == state(rows));
     let is_short =
         arguments.all || arguments.state.is_some() || arguments.site.is_some() || machines.len() <= MAX_LISTED;
     let quiet = [MachineState::Healthy, MachineState::Learning];
-    let mut shown: Vec<_> = machines
-        .iter()
-        .filter(|(machine, rows)| asked(machine, rows) && (is_short || !quiet.contains(&state(rows))))
-        .collect();
+    let mut shown: Vec<_> =
+        machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !quiet.contains(&state(rows)))).collect();
     shown.sort_by_key(|(machine, rows)| (rank(state(rows)), **machine));
     let mut table = output::plain_table(["machine", "state", "to", "motor", "friction", "stiffness", "last throw"]);
     table.set_content_arrangement(ContentArrangement::Dynamic).set_width(output::width());

@@ -24,7 +24,7 @@ const REPEATED: &str = "repeated_trace";
 const ESTIMATOR_FAILED: &str = "estimator_failed";
 
 /// Machine name of the alarms about all machines of a site.
-const ALL_MACHINES: &str = "all-machines";
+pub(super) const ALL_MACHINES: &str = "all-machines";
 
 /// The first name in the order of names.
 const SMALLEST_NAME: &str = "-";
@@ -71,8 +71,10 @@ impl Fleet {
     pub(super) fn standing(&self, own_machine: &MachineId) -> Standing {
         let own_alarms = self.monitors.get(own_machine).map_or(0, |monitor| monitor.open_alarms().len() as u64);
         let mut standing = Standing { own_alarms, ..Standing::default() };
-        for (_, monitor) in self.monitors.iter().filter(|(machine, _)| *machine != own_machine) {
-            *standing.machines.entry(monitor.state()).or_default() += 1;
+        for (machine, monitor) in self.monitors.iter().filter(|(machine, _)| *machine != own_machine) {
+            if machine.machine.as_str() != ALL_MACHINES {
+                *standing.machines.entry(monitor.state()).or_default() += 1;
+            }
             let shelved = monitor.open_alarms().iter().filter(|alarm| alarm.state == AlarmState::Shelved).count();
             standing.shelved_alarms += shelved as u64;
         }

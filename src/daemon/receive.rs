@@ -11,7 +11,7 @@ use jiff::Timestamp;
 use tokio::{sync::Notify, task, time};
 use tokio_util::sync::CancellationToken;
 
-use super::{clock, heartbeat::TaskName, status::Status};
+use super::{clock, fleet::ALL_MACHINES, heartbeat::TaskName, status::Status};
 use crate::{
     bus::{Inbox, Message},
     store::{QUARANTINED_BYTES, Refused, Spooled, Store, StoreError, seldom},
@@ -91,6 +91,8 @@ impl Intake {
         // Checked first: the daemon itself is in the database as a machine after its first alarm.
         let reason = if machine == self.itself {
             "this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned()
+        } else if machine.machine.as_str() == ALL_MACHINES {
+            format!("{ALL_MACHINES} is the name of the common alarms of a site: a machine needs another")
         } else if known.len() >= self.max_machines && !known.contains_key(&machine) {
             self.status.machines_refused.add(1);
             format!("more than {} machines: raise subscribe.max_machines", self.max_machines)

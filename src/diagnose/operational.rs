@@ -320,8 +320,15 @@ impl Operation {
             return None;
         }
         self.since_gap = 0;
-        self.lost = self.lost.saturating_add(lost);
-        alarms.raise(Cause::DataLoss, context.warning(text::gap(context.name, lost)), context.at)
+        let before = self.lost;
+        self.lost = before.saturating_add(lost);
+        let text = text::gap(context.name, self.lost);
+        if !alarms.is_active(Cause::DataLoss) {
+            return alarms.raise(Cause::DataLoss, context.warning(text), context.at);
+        }
+        // A link that flaps must not make an event of each gap: their sum is reported at each power of two.
+        let is_more = before == 0 || before.ilog2() != self.lost.ilog2();
+        is_more.then(|| alarms.remark(Cause::DataLoss, text, context.at)).flatten()
     }
 
     /// Applies an irregularity of the logger.

@@ -1,12 +1,15 @@
 //! Plausibility of the temperature: a failed sensor must not hide a fault.
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
 /// Possible temperatures of a machine \[°C\]: from the coldest place with rails to a drive in the sun.
 const POSSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=90.0;
 /// Fastest change by weather, sun and a warm motor: at once \[K\], and per hour \[K/h\].
 const JUMP_K: (f64, f64) = (20.0, 2.0);
+/// Longest time for which the last temperature is used for throws without one. A sensor that stops must not compensate
+/// the throws of summer with the temperature of winter.
+const HOLDS: SignedDuration = SignedDuration::from_hours(24);
 /// Consecutive similar readings after which a jump is accepted, as the sensor was moved.
 const SETTLED_READINGS: u32 = 6;
 
@@ -24,7 +27,7 @@ pub(super) enum Disbelief {
 /// The temperature of a throw after the check.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reading {
-    /// The temperature to use \[°C\]: that of the throw, or the last accepted one; `None` before any.
+    /// The temperature to use \[°C\]: that of the throw, or the last accepted one of the last day; `None` without.
     pub(super) celsius: Option<f64>,
     /// Reason for the rejection of the throw's temperature.
     pub(super) disbelief: Option<Disbelief>,
@@ -42,7 +45,10 @@ impl Thermometer {
     /// Checks the temperature of a throw at a time.
     pub(super) fn read(&mut self, celsius: Option<f64>, at: Timestamp) -> Reading {
         let before = self.believed.map(|(celsius, _)| celsius);
-        let Some(celsius) = celsius else { return Reading { celsius: before, disbelief: None } };
+        let Some(celsius) = celsius else {
+            let recent = self.believed.filter(|(_, then)| at.duration_since(*then).abs() <= HOLDS);
+            return Reading { celsius: recent.map(|(celsius, _)| celsius), disbelief: None };
+        };
         if !POSSIBLE_C.contains(&celsius) {
             self.doubted = None;
             return Reading { celsius: before, disbelief: Some(Disbelief::Impossible(celsius)) };
@@ -62,5 +68,22 @@ impl Thermometer {
         self.doubted = None;
         self.believed = Some((celsius, at));
         Reading { celsius: Some(celsius), disbelief: None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_temperature_holds_for_a_day() {
+        let mut thermometer = Thermometer::default();
+        let start = Timestamp::UNIX_EPOCH;
+        let later = |hours| start + SignedDuration::from_hours(hours);
+        assert_eq!(thermometer.read(None, start).celsius, None);
+        assert_eq!(thermometer.read(Some(-10.0), start).celsius, Some(-10.0));
+        assert_eq!(thermometer.read(None, later(20)).celsius, Some(-10.0));
+        assert_eq!(thermometer.read(None, later(25)).celsius, None);
+        assert_eq!(thermometer.read(Some(-8.0), later(26)).celsius, Some(-8.0));
     }
 }

@@ -140,6 +140,7 @@ impl Logger {
         let selector = format!("{}?limit=100", wire::machine_key(machine, Kind::Health));
         let replies = bus::ask(&self.session, &selector, None, Duration::from_secs(5)).await.ok()?;
         replies
+            .messages
             .iter()
             .filter_map(|(_, payload)| serde_json::from_slice::<Health>(payload).ok())
             .filter(|health| health.throw.boot_id == self.boot_id)

@@ -225,8 +225,14 @@ impl Store {
     pub async fn run_housekeeping(&self, now: Timestamp, clock_trusted: bool) -> Result<Housekeeping, StoreError> {
         let mut done = Housekeeping::default();
         for _ in 0..ROUNDS {
-            let Some(drop) = self.excess(now, clock_trusted).await? else { break };
-            let round = self.writer.write(drop).await?;
+            let mut round = Housekeeping::default();
+            // A bound that cannot be met must not keep the others from being met.
+            for drop in self.excess(now, clock_trusted).await? {
+                round = self.writer.write(drop).await?;
+                if round != Housekeeping::default() {
+                    break;
+                }
+            }
             if round == Housekeeping::default() {
                 break;
             }
@@ -242,8 +248,9 @@ impl Store {
         Ok(done)
     }
 
-    /// What to drop next, the least valuable first; `None` within all bounds.
-    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Option<Drop>, StoreError> {
+    /// What to drop next, the least valuable first; empty within all bounds.
+    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<Drop>, StoreError> {
+        let mut due = Vec::new();
         let settings = &self.settings;
         let figures = sqlx::query_as(sql::FIGURES);
         let figures: Figures = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
@@ -259,9 +266,9 @@ impl Store {
             let mut kinds = vec![Kind::Traces(Bound::TraceBytes)];
             // A disk that others fill costs traces only.
             if excess > 0 {
-                kinds.extend([Kind::Throws(Bound::Bytes), Kind::Pending(Bound::Bytes)]);
+                kinds.extend([Kind::Throws(Bound::Bytes), Kind::Pending(Bound::Bytes), Kind::Alarms]);
             }
-            return Ok(Some(Drop { kinds, rows }));
+            due.push(Drop { kinds, rows });
         }
         let counts = [
             (figures.traces, settings.max_traces, vec![Kind::Traces(Bound::Traces), Kind::Pending(Bound::Traces)]),
@@ -272,16 +279,18 @@ impl Store {
         for (count, most, kinds) in counts {
             let rows = count.cast_unsigned().saturating_sub(most).min(BATCH);
             if rows > 0 {
-                return Ok(Some(Drop { kinds, rows }));
+                due.push(Drop { kinds, rows });
             }
         }
         let before_us = (now - SignedDuration::from_hours(24 * i64::from(settings.trace_days))).as_microsecond();
         if clock_trusted && self.oldest_trace_us().await?.is_some_and(|oldest| oldest < before_us) {
-            return Ok(Some(Drop { kinds: vec![Kind::TracesBefore(before_us)], rows: BATCH }));
+            due.push(Drop { kinds: vec![Kind::TracesBefore(before_us)], rows: BATCH });
         }
         let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
-        let many_free = disk_low && figures.free_pages.cast_unsigned() > PAGES;
-        Ok(many_free.then(|| Drop { kinds: vec![Kind::Pages], rows: PAGES }))
+        if disk_low && figures.free_pages.cast_unsigned() > PAGES {
+            due.push(Drop { kinds: vec![Kind::Pages], rows: PAGES });
+        }
+        Ok(due)
     }
 
     async fn oldest_trace_us(&self) -> Result<Option<i64>, StoreError> {

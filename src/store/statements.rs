@@ -396,7 +396,8 @@ statements! {
         WHERE machine.machine_row = dropped.machine_row");
     OLDEST_THROWS = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw WHERE machine_row = ?2 \
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
-    OLDEST_PENDING = "SELECT throw_row FROM throw WHERE machine_row = ?2 AND judged_at_us IS NULL ORDER BY throw_row LIMIT ?1";
+    OLDEST_PENDING = "SELECT throw_row FROM throw WHERE machine_row = ?2 AND judged_at_us IS NULL \
+        ORDER BY boot_position, throw_no LIMIT ?1";
     MARK_PRUNED = concat!("UPDATE boot SET pruned_to_no = max(pruned_to_no, last_no) FROM \
         (SELECT boot_row, max(throw_no) AS last_no FROM throw WHERE throw_row IN ", chosen!(), " GROUP BY boot_row) AS dropped \
         WHERE boot.boot_row = dropped.boot_row");

@@ -170,6 +170,24 @@ fn lost_throws_are_an_alarm_until_none_was_lost_for_a_while() {
     assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
 }
 
+/// The sum of the lost throws is reported as it grows, but not every gap of a link that flaps.
+#[test]
+fn a_growing_loss_is_reported_at_each_power_of_two() {
+    let settings = Settings::default();
+    let (mut machine, mut monitor) = machine();
+    let at = machine.throw(Vector3::zeros()).started_at;
+    let mut said = Vec::new();
+    for lost in [1, 0, 1, 1, 1, 1, 500, 1] {
+        said.extend(monitor.gap(lost, at, &settings).into_iter().map(|event| event.text));
+    }
+    assert_eq!(said.len(), 4, "{said:?}");
+    for (text, sum) in
+        said.iter().zip([": 1 throw never", ": 2 throws never", ": 4 throws never", ": 505 throws never"])
+    {
+        assert!(text.contains(sum), "{sum}: {text}");
+    }
+}
+
 #[test]
 fn nonsense_in_an_estimate_neither_panics_nor_teaches() {
     let settings = Settings::default();

@@ -66,5 +66,5 @@ pub(crate) fn mib(file: &Path) -> f64 {
 /// Status of the daemon; `None` if it does not reply in time.
 pub(crate) async fn status(session: &Session) -> Option<StatusReport> {
     let replies = bus::ask(session, "points/v1/*/monitor/*/status", None, Duration::from_secs(5)).await.ok()?;
-    serde_json::from_slice(&replies.first()?.1).ok()
+    serde_json::from_slice(&replies.messages.first()?.1).ok()
 }

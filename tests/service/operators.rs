@@ -110,7 +110,7 @@ async fn a_flood_of_commands_is_refused_after_the_first_two_hundred() {
     let mut carried_out = 0;
     loop {
         let replies = bus::ask(&session, "points/v1/north/21B/command", Some(ack.clone()), PATIENCE).await.unwrap();
-        let said = String::from_utf8_lossy(&replies[0].1).into_owned();
+        let said = String::from_utf8_lossy(&replies.messages[0].1).into_owned();
         if said.contains("too many commands at once") {
             break;
         }
@@ -188,6 +188,37 @@ async fn a_machine_that_no_daemon_serves_is_told_apart_from_no_daemon() {
     let (code, said) = daemon.operate(&["alarms", "north/21B"]);
     assert_eq!(code, Some(69), "{said}");
     assert!(said.contains("no daemon knows north/21B"), "{said}");
+    assert!(daemon.terminate().success());
+}
+
+/// A daemon that cannot answer, or is of another version, hides neither the others nor itself.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_others() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    assert_eq!(daemon.operate(&["status"]).0, Some(0));
+    assert_eq!(daemon.operate(&["alarms", "--check"]).0, Some(0));
+    let session = daemon.client().await;
+    let other = session.declare_queryable("points/v1/east/monitor/other/status").await.unwrap();
+    let broken = session.declare_queryable("points/v1/east/m1/alarm").await.unwrap();
+    let answering = tokio::spawn(async move {
+        loop {
+            tokio::select! {
+                Ok(query) = other.recv_async() => query.reply("points/v1/east/monitor/other/status", "{}").await.unwrap(),
+                Ok(query) = broken.recv_async() => query.reply_err("the database does not answer").await.unwrap(),
+                else => break,
+            }
+        }
+    });
+    let (code, said) = daemon.operate(&["status"]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("fleet/pointsd: version"), "{said}");
+    assert!(said.contains("unreadable reply of points/v1/east/monitor/other/status"), "{said}");
+    assert!(said.contains("no answer of a daemon: the database does not answer"), "{said}");
+    let (code, said) = daemon.operate(&["alarms", "--check"]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("the database does not answer"), "{said}");
+    answering.abort();
     assert!(daemon.terminate().success());
 }
 

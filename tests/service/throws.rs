@@ -118,6 +118,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     put(&session, KEY, ContentType::APPLICATION_CBOR, vec![b'x'; 2_000_000]).await;
     put(&session, "points/v1/north/no name!/throw", json(), good(1)).await;
     put(&session, "points/v1/fleet/pointsd/throw", json(), good(1)).await;
+    put(&session, "points/v1/north/all-machines/throw", json(), good(1)).await;
     put(&session, "points/v1/north/second/throw", json(), good(1)).await;
     put(&session, "points/v1/north/third/throw", json(), good(1)).await;
     publisher.put(good(2)).await.unwrap();
@@ -131,19 +132,20 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     assert!(daemon.terminate().success());
     let reasons = rig.sql("SELECT reason FROM quarantine ORDER BY quarantine_row");
     let reasons: Vec<&str> = reasons.iter().map(|row| row["reason"].as_str().unwrap()).collect();
-    assert_eq!(reasons.len(), 6, "{reasons:?}");
+    assert_eq!(reasons.len(), 7, "{reasons:?}");
     let says = [
         "not a throw in JSON",
         "not valid CBOR",
         "2000000 bytes",
         "is not a site or machine name",
         "the name of pointsd itself",
+        "the name of the common alarms of a site",
         "more than 2 machines",
     ];
     for word in says {
         assert!(reasons.iter().any(|reason| reason.contains(word)), "{word}: {reasons:?}");
     }
-    assert!(status.contains("\"quarantined\":6"), "{status}");
+    assert!(status.contains("\"quarantined\":7"), "{status}");
     let sizes =
         rig.sql("SELECT payload_bytes, length(payload_start) AS kept FROM quarantine WHERE reason LIKE '2000000%'");
     assert_eq!((&sizes[0]["payload_bytes"], &sizes[0]["kept"]), (&2_000_000.into(), &1024.into()));

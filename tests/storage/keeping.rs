@@ -95,6 +95,18 @@ async fn a_burst_of_pending_throws_costs_no_history() {
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(150,)]);
 }
 
+/// Other programs fill the disk, and no trace is left to drop: the other bounds hold all the same.
+#[tokio::test]
+async fn a_disk_that_others_fill_does_not_end_the_retention() {
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Settings { low_disk_mib: 1 << 20, max_throws: 150, ..settings(folder.path()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    judged(&store, 1, 200).await;
+    store.run_housekeeping(at(0), true).await.unwrap();
+    let statistics = store.statistics().await.unwrap();
+    assert_eq!((statistics.traces, statistics.throws), (0, 150));
+}
+
 /// Retention deletes the history of the largest machine first; that of the others stays complete.
 #[tokio::test]
 async fn a_machine_that_floods_loses_its_own_history_and_no_others() {

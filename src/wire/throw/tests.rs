@@ -40,7 +40,21 @@ fn a_position_that_is_null_is_a_missing_one_in_both_encodings() {
     assert!(json("", "").unwrap().trace.has_position());
     assert!(!json("[0.5, 1, 2]", "null").unwrap().trace.has_position());
     let mut message = Encoder::new(Vec::new());
-    message.map(6).unwrap().str("boot_id").unwrap().str("b").unwrap().str("throw_no").unwrap().u8(1).unwrap();
+    message
+        .map(7)
+        .unwrap()
+        .str("schema")
+        .unwrap()
+        .str("points.throw/1")
+        .unwrap()
+        .str("boot_id")
+        .unwrap()
+        .str("b")
+        .unwrap()
+        .str("throw_no")
+        .unwrap()
+        .u8(1)
+        .unwrap();
     message.str("started_at").unwrap().str("2026-05-04T10:00:00Z").unwrap();
     message.str("sample_rate_hz").unwrap().u8(100).unwrap();
     message.str("current_a").unwrap().array(2).unwrap().f32(0.5).unwrap().f32(1.0).unwrap();
