@@ -19,8 +19,9 @@ use crate::{
 const MACHINES: usize = 3;
 const THROWS: u64 = 1_600;
 const ROOM: usize = 128 << 20;
-/// Largest memory of the daemon while it reads them, far less than their size \[MiB\].
-const MEMORY_MIB: f64 = 110.0;
+/// Largest memory of the daemon while it reads them, less than their size \[MiB\]: 87 on a quiet computer, 112 beside
+/// compilers on both cores.
+const MEMORY_MIB: f64 = 130.0;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_daemon_that_starts_behind_full_caches_takes_all_of_them() {
