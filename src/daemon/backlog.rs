@@ -40,7 +40,8 @@ const TURN: usize = 8;
 /// Pages without new throws after which the query of a logger ends. A few are normal: a logger that does not know the
 /// last boot starts again with its oldest throw.
 const REPEATED_PAGES: usize = 4;
-/// Time after which a connected logger that replies without the awaited throws does not have them.
+/// If a connected logger has replied for this long without the awaited throws, it no longer has them: they are written
+/// off as a gap.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Pause after a failed query, doubled up to [`LONGEST_PAUSE`].
 const PAUSE: Duration = Duration::from_secs(1);

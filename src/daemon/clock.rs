@@ -1,4 +1,5 @@
-//! The clocks of the shell: the only calls of the system clock. The core gets the time as a parameter.
+//! The clocks of the shell: the only calls of the clocks of `std` and `jiff`. Deadlines, pauses and
+//! durations of store, daemon and web use the `Instant` of tokio as well. The core gets the time as a parameter.
 
 use std::time::Instant;
 

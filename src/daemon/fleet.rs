@@ -34,10 +34,12 @@ const SMALLEST_NAME: &str = "-";
 pub(super) struct Fleet {
     /// In order, so that the machines of a site stand together.
     monitors: BTreeMap<MachineId, MachineMonitor>,
-    /// Machines with a departure from a baseline: without this set every throw at a new site would search all of them.
-    /// A machine with a new baseline may stay in it.
+    /// Machines whose monitor has a departure from its baseline: the only ones that can take part in a common change.
+    /// The set saves a search through all machines of a site at each throw. It may also hold machines with a new
+    /// baseline, which has no departure yet.
     witnesses: BTreeSet<MachineId>,
-    /// Machines whose state has to be stored, because an earlier version wrote another one.
+    /// Machines whose stored state differs from that of their monitor, as an earlier version computed it differently;
+    /// stored again at the next tick.
     to_store: HashSet<MachineId>,
 }
 

@@ -16,9 +16,9 @@ const PACE: Duration = Duration::from_secs(1);
 /// systemd-timesyncd creates this file after setting the clock from a time server. Other time services are not
 /// detected, as the kernel state needs a system call that the unit forbids.
 const CLOCK_IS_SET: &str = "/run/systemd/timesync/synchronized";
-/// Without this file the clock is trusted as long as it continues the times in the database. A longer time between the
-/// newest throw and the start, or a longer jump, may be a wrong clock: then the age bound is off, and only the bounds
-/// of bytes and rows hold.
+/// Without this file the clock is trusted if the start is at most this long after the newest throw in the database, and
+/// as long as the clock does not jump ahead by more. Otherwise the clock may be wrong, and only the bounds of bytes
+/// and rows are applied.
 const CONTINUES: SignedDuration = SignedDuration::from_hours(31 * 24);
 /// Time for which wall and monotonic clock must agree before the age bound holds: a clock that jumps ten years ahead
 /// must not remove all traces.

@@ -66,8 +66,8 @@ impl Peers {
         }
     }
 
-    /// The daemons that are away for at least [`GRACE`], with the time since when. `None` for this time after the start
-    /// unless all are there: it is not known yet.
+    /// The daemons that have been away for at least [`GRACE`], each with the time when it left. `None` in the first
+    /// [`GRACE`] after the start, unless all daemons are present: the tokens may still arrive.
     pub(super) fn away(&self) -> Option<Vec<(MachineId, Timestamp)>> {
         let peers = self.away.lock().unwrap_or_else(PoisonError::into_inner);
         let now = clock::monotonic();

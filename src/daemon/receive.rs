@@ -19,8 +19,8 @@ use crate::{
     wire::{self, Encoding},
 };
 
-/// Messages in a batch: many, as the rejected ones cost one sync in total; few enough that a throw waits for the
-/// previous batch only a fraction of a second.
+/// Largest batch \[messages\]. A large batch shares one sync among its rejected messages; a small one keeps the wait
+/// for the previous batch below a second.
 const BATCH: usize = 256;
 /// Least time between two batches: the throws of a busy fleet share syncs, statements and wake-ups, which cost half of
 /// the processor time at 400 throws/s. A single throw is stored at once.

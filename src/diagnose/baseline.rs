@@ -215,7 +215,8 @@ pub(super) fn trend<'a>(
     sensor: Matrix3<f64>,
     wanted: usize,
 ) -> [f64; 3] {
-    /// A baseline is complete when each direction has its throws, so the last throw of one may be the last but two of both.
+    /// The stricter bound applies to this many last throws of both baselines together: one direction may complete its
+    /// baseline two throws before the other.
     const LAST: usize = 4;
     let mut throws: Vec<TrendThrow> = Vec::new();
     let mut variance = [0.0; 3];

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{event::Severity, settings::Settings, threshold::WINDOWS};
 
-/// Part of the level from which a size is still at this level; scatter of a few throws is larger than the rest.
+/// A size of at least this part of the level still has the level: the scatter of a few throws can cause the difference.
 const NEAR_LEVEL: f64 = 0.75;
 /// Part of the level below which a size has left it: more than half of the drift has ended.
 const LEFT_LEVEL: f64 = 0.5;

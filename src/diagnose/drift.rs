@@ -15,7 +15,8 @@ use super::{
 };
 use crate::throw::Direction;
 
-/// Lead from which an alarm with one name does not wait longer: odds of 150 to 1.
+/// From this lead of one name over the others on (odds of 150 to 1) the name is certain enough that an alarm does not
+/// wait for further throws because of it.
 const SAFE: f64 = 10.0;
 /// Extra throws of waiting while the name is uncertain.
 const DOUBTED_PATIENCE: u32 = 2;
@@ -29,7 +30,7 @@ const PROVISIONAL_WIDENING: f64 = 1.5;
 
 /// Part of the warning limit below which a size plus two standard deviations is plain health.
 const HEALTHY_BELOW: f64 = 0.5;
-/// Part of the size that the other direction must not reach in a drift of one direction.
+/// A drift concerns one direction only if the other direction has less than this part of its size.
 const ONE_SIDED: f64 = 0.5;
 /// Least difference of the directions for this, in standard deviations.
 const ONE_SIDED_SD: f64 = 3.0;

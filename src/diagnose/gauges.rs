@@ -1,6 +1,7 @@
-//! Quantities of a throw in addition to the coefficients: travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current and charge, each as departure of its logarithm from the normal value of the direction. Errors of sensors, clock and
-//! supply change them in other ways than faults of parts.
+//! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
+//! inrush, running current, charge). Each is used as the logarithm of its ratio to the normal value of the direction.
+//! Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which distinguishes the
+//! two.
 
 use std::collections::VecDeque;
 
@@ -19,7 +20,7 @@ pub(super) enum Gauge {
     Volts,
     /// The largest current, about the supply voltage over the resistance.
     Inrush,
-    /// The current in the second half of the motor's time.
+    /// The mean current from the half to nine tenths of the time of the motor.
     Running,
     /// The integral of the current; the energy of the motor over the supply voltage.
     Charge,
@@ -39,13 +40,14 @@ impl Gauge {
     }
 }
 
-/// Values of a gauge and direction after which its normal value is known, and after which it is fixed.
+/// The normal value of a gauge in a direction is used from the first number of values on, and fixed from the second.
 const LEARNED: (usize, usize) = (12, 24);
 /// Largest number of throws of both directions in a level.
 const RECENT: usize = WINDOWS[2];
 /// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
 const COPPER: (f64, f64) = (0.0039, 20.0);
-/// Ratio of the standard deviations of a mean of correlated throws and of independent ones, for a correlation of 0.5.
+/// Factor on the standard deviation of a mean, as consecutive throws are correlated: √((1 + 0.5) / (1 - 0.5)) for a
+/// correlation of 0.5.
 const CORRELATED: f64 = 1.7;
 
 /// Logarithms of a throw; `None` for unknown ones.

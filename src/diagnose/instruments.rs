@@ -40,7 +40,7 @@ const DECIDES: f64 = 10.0;
 const EXCLUDES: f64 = 6.0;
 /// Relative error of an effect on a gauge.
 const GAUGE_ERROR: f64 = 0.15;
-/// Largest score of a gauge, as other effects may change it.
+/// Bound of the score of one gauge, so that a gauge that changes for another reason cannot decide alone.
 const MOST: f64 = 40.0;
 /// Significance of a supply change \[standard deviations\], and the least relevant change, as a logarithm.
 const SUPPLY_SD: f64 = 4.0;

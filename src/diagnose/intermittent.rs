@@ -41,13 +41,13 @@ const FAR_OUT: f64 = 20.0;
 /// Rate of throws far out from which the tails are heavy, and number of usual throws added as prior.
 const HEAVY_FROM: f64 = 0.006;
 const TAIL_PRIOR_THROWS: f64 = 100.0;
-/// Throws after which a throw far out counts for the tails, as no fault followed it.
+/// A throw far out counts as part of the tails of the scatter after this many further throws without a fault.
 const DECIDED_AFTER: usize = 24;
 /// Throws far out added as prior.
 const TAIL_PRIOR: f64 = 0.5;
 /// Throws of a machine before its rate counts: a baseline of one direction.
 const KNOWN_FROM: f64 = 50.0;
-/// Throws over which counts of overlapping windows are one test.
+/// Counts of overlapping windows are nearly equal; this many consecutive ones count as one test.
 const OVERLAP: f64 = 10.0;
 
 /// Departures of a machine.

@@ -17,8 +17,8 @@ use statrs::function::beta::ln_beta;
 
 use super::sym3::Sym3;
 
-/// Throws of a direction from which the scatter comes from the baseline alone. With fewer, typical values of machines
-/// are used too, as a dozen correlated throws hardly determine a covariance and its serial correlation.
+/// From this number of throws of a direction on the covariance is that of the baseline alone, and the lag-1 correlation
+/// nearly so. With fewer, both are weighted means with typical values: a dozen correlated throws hardly determine them.
 const ENOUGH_THROWS: f64 = 50.0;
 /// Typical lag-1 correlation: weight in throws, and centre; for few and for enough throws.
 const USUAL_LAG1: [(f64, f64); 2] = [(20.0, 0.35), (4.0, 0.2)];

@@ -31,7 +31,7 @@ const WITNESSES: usize = 3;
 const MOST_WITNESSES: usize = 32;
 /// Least share of them with a change of the same sign and at least half of the median.
 const AGREE: f64 = 0.75;
-/// Least significance of the median in its standard deviations, which are 1.25 / sqrt(n) of those of a machine.
+/// The median is significant from four of its standard deviations on; that of n machines is 1.25 / √n of that of one.
 const BEYOND_CHANCE: f64 = 4.0 * 1.25;
 
 /// Part of the warning limit below which a common change has ended.

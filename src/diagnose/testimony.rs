@@ -1,4 +1,4 @@
-//! Verdict of the gauges of a machine on a drift: a part, a sensor, or the supply.
+//! What the gauges say about a drift: caused by a part, by a sensor or the clock, or by the supply.
 
 use super::event::{RunnerUp, SensorChannel};
 

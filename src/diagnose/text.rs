@@ -380,7 +380,7 @@ fn coefficients(attribution: &Attribution) -> String {
 }
 
 fn runner_up(runner_up: Option<&RunnerUp>) -> String {
-    /// Misfits as log-likelihood ratios: odds of 1000 to 1, and of 20 to 1.
+    /// Margins as twice the log-likelihood ratio: odds of 1000 to 1, and of 20 to 1.
     const UNLIKELY: f64 = 13.8;
     const LESS_LIKELY: f64 = 6.0;
     runner_up.map_or_else(String::new, |r| {

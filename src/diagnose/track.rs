@@ -31,7 +31,8 @@ const MOST_OF_ONE_WILD: f64 = 0.08;
 /// Largest difference of the drifts of both directions that counts as agreement, in standard deviations.
 const AGREE_SD: f64 = 2.0;
 
-/// Ratio of the least visible size to that without temperature, from which the temperature hides a fault.
+/// The temperature hides a fault if, because of the uncertain effect of the temperature, only a size more than this
+/// many times larger would show.
 const HIDES_FROM: f64 = 1.5;
 
 /// The suspicion against adding a throw to a baseline.

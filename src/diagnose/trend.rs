@@ -15,16 +15,17 @@ const LEAST_THROWS: usize = 24;
 const PHIS: u32 = 16;
 /// Prior standard deviation of the change over all throws, in standard deviations of one throw.
 const CHANGE_SD: f64 = 4.0;
-/// Logarithm of the Bayes factor of slope and levels from which there is a trend, while the baseline fills. Of lives with
-/// a standard deviation of 3 %, phi 0.5 and a slope of 0.25 % a throw, 96 % reach it before the change is 15 %; so do 2 to
-/// 10 % of healthy ones with phi from 0 to 0.7, most of them for a few throws.
+/// A baseline that still fills has a trend from this logarithm of the Bayes factor of slope against levels on. Of lives
+/// with a slope of 0.25 % a throw (standard deviation 3 %, phi 0.5), 96 % reach it before the change is 15 %; of
+/// healthy lives (phi 0 to 0.7) 2 to 10 % reach it, most of them for a few throws.
 pub(super) const WHILE_FILLING: f64 = 2.0;
 /// The same for the last throws of a baseline, which stays provisional with a trend. Of 4,000 series of 100 healthy throws
 /// with phi from 0 to 0.9 about 1 % or fewer reach it.
 pub(super) const AT_THE_END: f64 = 2.7;
 /// Number of parts of the series between which a step may be.
 const STEPS: usize = 12;
-/// The same for slope and step. A step is detected as a drift.
+/// Logarithm of the Bayes factor of slope against step from which the series has a slope and not a step, which is
+/// detected as a drift.
 const STEP_BOUND: f64 = 1.0;
 /// Residuals are clipped at this many robust standard deviations.
 const CLIP_SD: f64 = 3.5;

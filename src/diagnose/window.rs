@@ -168,8 +168,9 @@ impl<'a> Stream<'a> {
         Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0 })
     }
 
-    /// T of the mean innovation of the last throws of `window`, as a level, each innovation clipped at `reach`. An
-    /// outlier with an effect on the following throws is a single innovation.
+    /// T of the last throws of `window`, from their mean innovation (converted to a level) instead of their mean; each
+    /// innovation is clipped at `reach`. An outlier that affects the following throws too is one innovation, so it
+    /// counts once.
     fn score(
         &self,
         window: &Window,
@@ -193,7 +194,7 @@ impl<'a> Stream<'a> {
         Some((level.transpose() * inverse * level).x)
     }
 
-    /// The innovation of each coefficient that alone gives the score of `window` the value `t`.
+    /// For each coefficient: the single innovation that would give `window` the score `t`.
     fn reach(&self, t: f64, window: &Window, scatter: &Scatter) -> Option<Vector3<f64>> {
         let (rho, inverse) = self.innovation(window, scatter)?;
         Some(Vector3::from_fn(|i, _| window.throws as f64 * (1.0 - rho[i]) * (t / inverse[(i, i)]).sqrt()))

@@ -15,8 +15,8 @@ use super::{
 const MAX_SD_PCT: [f64; 3] = [6.0, 12.0, 30.0];
 /// Largest standard deviation for a trace that ends during the movement \[%\].
 const MAX_SD_CUT_PCT: f64 = 1.2;
-/// Departure of the movement from a linear model by dry friction, rails and a soft drive, as share of the travel: root
-/// mean square, and averaged over 20 ms.
+/// Departures from the linear model that dry friction, rails and a soft drive cause in a healthy throw, as share of the
+/// travel: root mean square, and the largest mean over [`MISFIT_STRETCH_S`].
 const MISFIT_RMS: f64 = 4e-4;
 const MISFIT_PEAK: f64 = 1e-3;
 const MISFIT_STRETCH_S: f64 = 0.02;
@@ -25,8 +25,9 @@ const FITTED_SHARE: f64 = 0.3;
 /// Ratio of the slow departure's variance to that from noise, above which the load varies. Healthy throws are below it,
 /// as the departure has some 15 degrees of freedom.
 const LEAST_WANDER: f64 = 4.0;
-/// Errors of the common scale for each second of delay of the toe, and for each millimetre of slow departure: the
-/// inrush takes 50 ms and one millimetre.
+/// Relative error of the common scale of b0, a1 and a0: for each second by which the toe starts late (the inrush, which
+/// determines the scale, takes 50 ms), and for each millimetre of slow departure (the toe moves about one millimetre in
+/// that time).
 const SCALE_PER_S: f64 = 20.0;
 const SCALE_PER_MM: f64 = 3.0;
 /// Error of the common scale for a departure of the rise as large as the peak.

@@ -24,8 +24,8 @@ const LARGEST_SD: f64 = 0.5;
 const CERTAIN: f64 = 16.0;
 /// Root mean square of the effect of rails and toe drive on the start, as a share of the travel.
 const MODEL_SHARE: f64 = 1e-4;
-/// The residual variance of the best brake counts above this multiple of the noise's variance, times `CORRELATED`, as
-/// its samples are not independent.
+/// The variance of the residual beyond this multiple of the noise's variance is added to the noise, times `CORRELATED`:
+/// neighbouring samples of such a residual are not independent.
 const NOISE_ROOM: f64 = 1.2;
 const CORRELATED: f64 = 15.0;
 

@@ -13,12 +13,13 @@ use super::{
 const LEAST_TRAVEL_MM: f64 = 2.0;
 const LEAST_TRAVEL_SHARE: f64 = 0.02;
 const LEAST_TRAVEL_SIGMAS: f64 = 8.0;
-/// Largest bend of the rails of a locked toe \[mm\], and least distance of two medians that noise does not cause
-/// \[standard deviations\].
+/// A locked toe moves by the bend of the rails, at most this far \[mm\]. The toe moved if its travel (from the mean at
+/// rest to the median at the end) is larger, and larger than this many standard deviations of the noise.
 const LARGEST_BEND_MM: f64 = 20.0;
 const MEDIAN_SIGMAS: f64 = 3.0;
-/// Difference of the first and the last quarter of the quiet samples from which the toe was displaced \[standard
-/// deviations\]: 200 samples of white noise or hum cause less than 0.8, a displacement at any time 0.9 or more.
+/// The toe was displaced before the throw if the means of the first and the last quarter of the quiet samples differ by
+/// this many standard deviations. White noise or hum gives less than 0.8 over 200 samples, a displacement at any time
+/// 0.9 or more.
 const DISPLACED_SIGMAS: f64 = 0.85;
 /// Least speed of a moving toe in a noisy position, as share of its mean speed, and least movement \[standard deviations\].
 const LEAST_SPEED_SHARE: f64 = 0.25;

@@ -8,16 +8,19 @@ use super::{
 /// Largest plausible current \[A\] and position \[mm\]; public recordings contain 188,776 A.
 const LARGEST_CURRENT_A: f64 = 1000.0;
 const LARGEST_POSITION_MM: f64 = 10_000.0;
-/// A clipped plateau: least number of samples, and least height of its flanks in steps of the converter. (A smooth
-/// crest falls by nine times its depth over twice its width, and its depth is at least one step.)
+/// A plateau of the largest value counts as clipped from this many samples on, if its flanks are at least this high
+/// \[steps of the converter\]. A smooth crest has lower flanks: one plateau width outside the plateau it has fallen by
+/// nine times its depth within the plateau, which is at most one step.
 const CLIPPED_SAMPLES: usize = 3;
 const CLIPPED_FLANK: f64 = 30.0;
 /// Largest number of equal consecutive samples of a working channel: with noise of half a step 25 come once in 10^7
 /// samples.
 const REPEATED_SAMPLES: f64 = 25.0;
-/// Length of parts of which one is within every stretch of more than [`REPEATED_SAMPLES`].
+/// The search first compares the two ends of parts of this length: every stretch of more than [`REPEATED_SAMPLES`]
+/// equal samples contains one whole part.
 const REPEATED_PART: usize = 13;
-/// The same for a slow position: in times of one converter step at mean speed, and \[s\] for the slow start of the toe.
+/// For a position without noise the bound is larger: this many times the time of one converter step at mean speed, and
+/// at least this time \[s\] for the slow start of the toe.
 const REPEATED_STEPS: f64 = 10.0;
 const REPEATED_S: f64 = 0.02;
 /// The same for a current without noise, which may be constant, as share of the movement.
@@ -166,7 +169,8 @@ pub(super) fn spikes(
     }
 }
 
-/// Least step within the inrush, as share of the peak and in standard deviations; means would hide it in the flank.
+/// Least height of a step within the inrush: as share of the peak current, and in standard deviations. Single samples
+/// are compared, as a mean over the steep flank hides a step.
 const INRUSH_STEP_SHARE: f64 = 0.18;
 const INRUSH_STEP_SIGMAS: f64 = 12.0;
 /// Samples after the start of the motor that are checked for such a step.

@@ -23,8 +23,8 @@ use crate::throw::{Direction, Throw};
 /// Least number of samples and shortest time for three coefficients.
 const MIN_SAMPLES: usize = 30;
 const MIN_DURATION_S: f64 = 0.3;
-/// Relative change of the parameters at which the iteration ends. On throws an iteration reduces the change 200 times or
-/// more, so the rest is a thousandth of a standard deviation.
+/// The iteration ends at this relative change of the parameters. Each iteration divides the change by 200 or more, so
+/// the remaining error is below a thousandth of a standard deviation.
 const TOLERANCE: f64 = 1e-4;
 /// Quiet samples in the window before the start of the motor.
 const LEAD_IN: usize = 2;
@@ -37,7 +37,7 @@ const SLOWEST_RISE_S: f64 = 0.008;
 /// cause 10 %, jitter of 0.3 ms causes 1 to 20 %.
 const ROUGH_RISE_SIGMAS: f64 = 8.0;
 const ROUGH_RISE_SHARE: f64 = 0.03;
-/// Part of this departure from noise, in standard deviations.
+/// Part of the departure of the rise that noise explains \[standard deviations\]; only the rest counts.
 const RISE_NOISE_SIGMAS: f64 = 4.0;
 /// Largest departure of a movement with usable ratios, as share of the travel: unlocking 0.5 s after the start of the
 /// motor causes 4.5 %.

@@ -6,7 +6,8 @@ use super::{features::Features, rejection::Channel};
 /// Share of the peak current at which the search for the start of the motor begins: above sensor noise, below the first
 /// crest.
 const START_SHARE: f64 = 0.05;
-/// Share of the peak current above which the motor counts as on: with the help of the spring a throw needs very little.
+/// The motor counts as on above this share of the peak current. The share is small because a throw in which the spring
+/// helps needs very little current.
 const ON_SHARE: f64 = 0.005;
 /// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm is above the noise of position sensors,
 /// and reached within the first 50 ms.

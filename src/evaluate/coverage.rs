@@ -11,7 +11,7 @@ const SD_95: f64 = 1.96;
 /// While an alarm is active, size and forecast are checked at every throw of the fault whose number is a multiple of
 /// this: consecutive sizes come from almost the same throws.
 const CHECKED_EVERY: usize = 10;
-/// Tolerance of a limit that the fault reaches with its last throw exactly, for rounding.
+/// Rounding tolerance for a fault that reaches its limit exactly with its last throw.
 const ROUNDING: f64 = 1e-9;
 
 /// Statements of one kind, and how many were true.

@@ -20,8 +20,8 @@ const REPAIR_ACT_THROWS: usize = 60;
 const EARLIER_THROWS: usize = 60;
 /// Healthy throws between the baseline and the fault: a random number from this range.
 const HEALTHY_THROWS: std::ops::Range<usize> = 20..80;
-/// Change of a part from which its wear from the first throw counts as stated too late: the default warning limit of
-/// friction, as a fraction of nominal.
+/// A statement about wear from the first throw comes too late once the part has changed by this much (fraction of
+/// nominal): the default warning limit of friction.
 const WORN: f64 = 0.15;
 
 /// A fault of one part.
@@ -66,8 +66,8 @@ pub(super) struct Timeline {
     leakage: f64,
 }
 
-/// Range of the common change of all coefficients by dry friction, as a part of it; throws at trace depth with stiff and
-/// soft toe drives gave 0.25 to 0.67.
+/// Dry friction adds this part of its change of ln a1 to the logarithms of all three coefficients: simulated throws
+/// with stiff and soft toe drives gave 0.25 to 0.67.
 const LEAKAGE: std::ops::Range<f64> = 0.25..0.67;
 
 impl Timeline {

@@ -1,7 +1,7 @@
 //! Faults of the simulated machine: the part, the size, and the development over the throws.
 //!
-//! A size is the change of the coefficient: a torque loss of 10 % lowers b0 by 10 %, friction of +25 % raises a1 by 25
-//! %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
+//! The size of a fault is the change of a coefficient: a torque loss of 10 % lowers b0 by 10 %, friction of +25 %
+//! raises a1 by 25 %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
 //!
 //! Estimates show this change, with one exception. On a beam the chairs near the heel stick until the rail has bent, so
 //! their friction builds up over the first centimetres of toe travel, which no constant coefficient describes: friction

@@ -88,7 +88,7 @@ pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64,
         let Some(next) = next_boot(connection, machine_row, cursor.position).await? else {
             return sqlx::query(sql::CLOSE_BACKLOG).bind(machine_row).execute(connection).await.map(drop);
         };
-        // The cursor names a throw of the logger, so it cannot move to before the first throw of a boot.
+        // The cursor is the number of a real throw: it cannot enter a boot whose first throw is still awaited.
         if awaited(connection, next.boot_row).await?.is_some_and(|(first_no, _)| first_no <= 1) {
             break;
         }

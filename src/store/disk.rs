@@ -124,8 +124,8 @@ impl Disk {
         }
     }
 
-    /// The worst level since the last call. Without this, a full disk would be invisible, as the removed ballast ends
-    /// it within the write.
+    /// The worst level since the last call. The write that finds the disk full removes the ballast and is then repeated
+    /// with success, so [`Self::level`] alone would never show a full disk.
     pub(super) fn worst_level(&self) -> DiskLevel {
         if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
     }

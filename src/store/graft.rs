@@ -31,7 +31,8 @@ struct Entry {
     sql: Option<String>,
 }
 
-/// Copies the broken file with the better of the two layouts; `None` if neither fits.
+/// Copies the broken file and writes the schema table of a new or of a moved database into the copy, whichever makes
+/// more tables readable. `None` if at most half of the tables are readable with either: then a few fit by chance.
 pub(super) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::Result<Option<PathBuf>> {
     let copy = beside(broken, "-grafted");
     let pages = fs::copy(broken, &copy)? / PAGE as u64;

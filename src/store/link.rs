@@ -49,7 +49,7 @@ pub(super) struct Link {
     pub(super) broken: bool,
     /// Identity of the open files, after the first write; renewed after each move.
     pub(super) identity: Option<Identity>,
-    /// Time of the last comparison of the identity.
+    /// When the identity of the open files was last compared with that of the files at the configured path.
     pub(super) looked: Option<Instant>,
     /// Size of the log that starts a checkpoint or a move \[bytes\]; raised if both fail.
     pub(super) log_bound: u64,
@@ -227,7 +227,8 @@ impl Link {
     }
 }
 
-/// The last first: a caller with several jobs waits for its first, and is woken once.
+/// Answers the jobs, the last one first: a caller with several jobs waits for its first job, so it wakes once, when all
+/// its answers are there.
 fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError>) {
     for job in jobs.into_iter().rev() {
         job.answer(committed());

@@ -1,13 +1,13 @@
-//! Statements for many rows. A call of the database thread, and each statement and row of its result, wakes a thread;
-//! this cost a fifth of the processor time when each row had its own call.
+//! Statements for many rows at once. Each call of the database thread, each statement and each row of a result wakes a
+//! thread; with one call for each row this took a fifth of the processor time.
 
 use sqlx::{AssertSqlSafe, Sqlite, query::Query, sqlite::SqliteArguments};
 
 /// Largest number of rows in a statement: that of a group of writes and of a batch of judgements.
 pub(super) const ROWS: usize = 64;
 
-/// A statement with its row of parameters, the first `(?, …)`, repeated for `rows` rows. Their number is rounded up to
-/// a power of two, so that few statements are prepared. The parameters of the other rows are NULL: every such statement
+/// The statement with its first `(?, …)` repeated for `rows` rows. The number of rows is rounded up to a power of two,
+/// so that few different statements are prepared. The parameters of the added rows are NULL; every such statement
 /// ignores rows whose first parameter is NULL.
 pub(super) fn query<'q>(statement: &str, rows: usize) -> Query<'q, Sqlite, SqliteArguments> {
     let from = statement.find("(?").unwrap_or(0);

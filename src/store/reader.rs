@@ -376,8 +376,8 @@ impl Reader {
     }
 }
 
-/// Range of times of the last shrinking of a backlog for which the judge waits. A time in the future comes from before
-/// the clock was set back.
+/// The judge waits for a backlog that was opened or last became smaller within this range of times \[µs\]. The upper
+/// end is now: a later time was stored before the clock was set back.
 fn waiting(now: Timestamp, wait: Duration) -> (i64, i64) {
     let wait_us = i64::try_from(wait.as_micros()).unwrap_or(i64::MAX);
     (now.as_microsecond().saturating_sub(wait_us).saturating_add(1), now.as_microsecond())

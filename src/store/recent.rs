@@ -12,7 +12,8 @@ use crate::throw::Throw;
 /// Largest number of samples of all channels: 32 MiB, or 400 throws of 5 s at 1 kHz.
 const MAX_SAMPLES: usize = 4 << 20;
 
-/// Distance of rows from the newest at which a throw is no longer expected to be judged from memory.
+/// A throw more than this many rows older than the newest is dropped from memory: if it is still to be judged, it is
+/// read from the database.
 const STALE: i64 = 10_000;
 
 /// Pending throws up to a total size.
@@ -26,8 +27,9 @@ struct Kept {
 }
 
 impl Recent {
-    /// Adds a stored throw if there is space: of a long queue the oldest throws are judged first, and the newest can be
-    /// read from the database. Throws deleted by retention would stay, so the oldest leaves at a distance of [`STALE`].
+    /// Adds a stored throw if there is space. With a long queue the oldest throws are judged first, and the newest are
+    /// read from the database later. A throw that retention deletes is never judged, so the oldest is dropped at a
+    /// distance of [`STALE`].
     pub(super) fn keep(&self, row: ThrowRow, throw: &Throw) {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(oldest) = kept.throws.first_entry().filter(|oldest| row.0 - oldest.key().0 > STALE) {

@@ -106,7 +106,8 @@ impl Spool {
         let again = if let Some(again) = self::boot(connection, machine_row, &boot_id).await? {
             again
         } else {
-            // The separate boot is placed before the real boot, which stays the last one for backlog queries.
+            // The separate boot gets a position before that of the real boot: backlog queries take the boot with the
+            // highest position as the last one.
             let new = (boot_id.as_str(), boot.position.saturating_sub(SPACING / 2), 0, false);
             add_boot(connection, machine_row, new, self.received_at_us).await?
         };

@@ -1,4 +1,5 @@
-//! All statements of the store, in one place so that a test can prepare them against the real schema.
+//! The statements of the store that are prepared by a test against the real schema. Those of the fleet page are in
+//! `fleet`, those of a recovery in `graft` and `salvage`.
 
 macro_rules! statements {
     ($($name:ident = $sql:expr;)*) => {
@@ -313,7 +314,8 @@ statements! {
     GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
         WHERE filled_at_us IS NULL AND (written_off_at_us IS NOT NULL OR told_at_us IS NOT NULL) ORDER BY gap_row LIMIT ?1";
-    // An awaited gap counts if its machine no longer waits for the backlog.
+    // A gap that a backlog may still fill is left out while its machine waits, that is while its backlog was opened or
+    // last became smaller between ?2 and ?3.
     UNREPORTED_GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) LEFT JOIN backlog USING (machine_row) \
         WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' \

@@ -4,9 +4,9 @@ use super::{database::Store, disk::DiskLevel, place::Place};
 use crate::diagnose::Severity;
 
 impl Store {
-    /// Severity and text of all problems, present or since the last call, and of `more`. Fast enough for every few
-    /// seconds. The alarm can be stored on a full disk too, as the failed write removes the ballast, which has space
-    /// for thousands of alarms.
+    /// The highest severity and one text for all present problems, for those since the last call, and for `more`.
+    /// Cheap: called every few seconds. The alarm can be stored on a full disk too: its write fails once, which removes
+    /// the ballast, and the freed space holds thousands of alarms.
     #[must_use]
     pub fn trouble(&self, more: Option<(Severity, String)>) -> Option<(Severity, String)> {
         let disk = match self.disk.worst_level() {

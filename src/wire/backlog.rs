@@ -50,9 +50,9 @@ impl BacklogQuery {
         Self { after, limit: limit.clamp(1, MAX_PAGE) }
     }
 
-    /// The index of the first throw of the page in `kept`, the throws of the backlog, oldest first.
-    ///
-    /// For an unknown boot this is 0. For a boot of which only later throws are left, it is the first of these.
+    /// Index in `kept` (the backlog, oldest first) where the page starts: behind the last throw of the boot of `after`
+    /// whose number is not above that of `after`. If only later throws of this boot are left, it is the first of them;
+    /// 0 if the boot is unknown, or without `after`.
     #[must_use]
     pub fn start<'a>(&self, kept: impl DoubleEndedIterator<Item = &'a ThrowRef> + ExactSizeIterator) -> usize {
         let Some(after) = &self.after else { return 0 };
