@@ -1,9 +1,6 @@
 //! `pointsd replay`: runs stored throws with other settings, and compares the alarms.
 
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, path::PathBuf};
 
 use anyhow::anyhow;
 use indicatif::ProgressBar;
@@ -18,7 +15,7 @@ use super::{
 use crate::{
     daemon::Offline,
     diagnose::{Cause, Severity},
-    store::{Reader, Selector, StoreError, ThrowRow},
+    store::{Reader, Selector, StoreError, ThrowRow, beside},
     throw::MachineId,
 };
 
@@ -83,7 +80,7 @@ struct Report {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let mut config = load(Some(&arguments.config))?;
     let from = arguments.from.clone().unwrap_or_else(|| config.store.path.clone());
-    let into = arguments.into.clone().unwrap_or_else(|| with_suffix(&from, ".replay"));
+    let into = arguments.into.clone().unwrap_or_else(|| beside(&from, ".replay"));
     require(from.exists(), Exit::NoInput, || format!("no database at {}; name one with --from FILE", from.display()))?;
     require(!into.exists(), Exit::CannotCreate, || {
         format!("{} exists already; remove it, or name another with --into FILE", into.display())
@@ -110,12 +107,6 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 
 fn require(right: bool, exit: Exit, problem: impl FnOnce() -> String) -> Result<(), Failure> {
     if right { Ok(()) } else { Err(Failure { exit, error: anyhow!(problem()) }) }
-}
-
-fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(suffix);
-    name.into()
 }
 
 struct Replayed {

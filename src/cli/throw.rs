@@ -9,6 +9,7 @@ use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
 use super::{Exit, Outcome, ResultExt, output};
+use crate::daemon::config::overlay;
 use crate::simulate::{Coefficients, Condition, Conditions, Motion, Parameters, Part, Recording, Sensors};
 use crate::throw::Direction;
 
@@ -165,7 +166,7 @@ fn settings(arguments: &Arguments) -> Result<Settings, super::Failure> {
             .with_context(|| format!("{} cannot be read", path.display()))
             .or_exit(Exit::NoInput)?;
         let file = text.parse().with_context(|| path.display().to_string()).or_exit(Exit::Config)?;
-        merge(&mut table, file);
+        overlay(&mut table, &file);
     }
     for change in &arguments.changes {
         apply(&mut table, change).or_exit(Exit::Usage)?;
@@ -173,17 +174,6 @@ fn settings(arguments: &Arguments) -> Result<Settings, super::Failure> {
     // The error has several lines.
     let one_line = |error: toml::de::Error| anyhow!("{}", error.to_string().trim().replace('\n', " "));
     table.try_into().map_err(one_line).context("the configuration is wrong").or_exit(Exit::Config)
-}
-
-fn merge(into: &mut toml::Table, from: toml::Table) {
-    for (key, value) in from {
-        match (into.get_mut(&key), value) {
-            (Some(toml::Value::Table(inner)), toml::Value::Table(changes)) => merge(inner, changes),
-            (_, value) => {
-                into.insert(key, value);
-            }
-        }
-    }
 }
 
 /// Applies `a.b.c=value`; a value that is not valid TOML is a text.
@@ -200,7 +190,7 @@ fn apply(table: &mut toml::Table, change: &str) -> anyhow::Result<()> {
         toml::Value::Table(outer)
     });
     let toml::Value::Table(nested) = nested else { bail!("--set {change}: the key is empty") };
-    merge(table, nested);
+    overlay(table, &nested);
     Ok(())
 }
 

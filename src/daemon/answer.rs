@@ -1,12 +1,10 @@
 //! Answers queries from the database, and forwards operators' commands to the judge loop.
 
-use jiff::Timestamp;
-
 use super::{orders::Orders, status::Gauges};
 use crate::{
     bus::{self, Question, Questions},
     store::{Reader, Selector, StoreError},
-    wire::{self, Commander, HistoryQuery, Kind},
+    wire::{self, Alarm, Commander, Health, HistoryQuery, Kind},
 };
 
 type Replies = Result<Vec<(String, Vec<u8>)>, String>;
@@ -22,13 +20,10 @@ pub(super) async fn health(mut questions: Questions, reader: Reader) {
 async fn health_replies(question: &Question, reader: &Reader) -> Replies {
     let rows = match HistoryQuery::parse(question.parameters()).map_err(|error| error.to_string())? {
         HistoryQuery::Current => reader.latest_health(&selector(question)).await,
-        HistoryQuery::History { since, limit } => {
-            reader.health_history(&selector(question), since.unwrap_or(Timestamp::UNIX_EPOCH), row_limit(limit)).await
-        }
+        HistoryQuery::History { since, limit } => reader.health_history(&selector(question), since, limit).await,
     };
-    let rows = rows.map_err(|error| unavailable(&error))?;
-    let messages = rows.iter().map(|health| (wire::machine_key(&health.machine, Kind::Health), health.to_json()));
-    Ok(messages.filter(|(key, _)| question.asks_about(key)).collect())
+    let message = |health: Health| (wire::machine_key(&health.machine, Kind::Health), health.to_json());
+    messages(question, rows, message)
 }
 
 /// Answers alarm queries, except those that the queryable `elsewhere` receives and answers too.
@@ -45,13 +40,19 @@ pub(super) async fn alarms(mut questions: Questions, reader: Reader, elsewhere: 
 async fn alarm_replies(question: &Question, reader: &Reader) -> Replies {
     let rows = match HistoryQuery::parse(question.parameters()).map_err(|error| error.to_string())? {
         HistoryQuery::Current => reader.open_alarms(&selector(question)).await,
-        HistoryQuery::History { since, limit } => {
-            reader.alarm_history(&selector(question), since.unwrap_or(Timestamp::UNIX_EPOCH), row_limit(limit)).await
-        }
+        HistoryQuery::History { since, limit } => reader.alarm_history(&selector(question), since, limit).await,
     };
-    let rows = rows.map_err(|error| unavailable(&error))?;
-    let messages = rows.into_iter().map(|alarm| (wire::machine_key(&alarm.machine, Kind::Alarm), alarm.into_message()));
-    Ok(messages.filter(|(key, _)| question.asks_about(key)).collect())
+    let message = |alarm: Alarm| (wire::machine_key(&alarm.machine, Kind::Alarm), alarm.into_message());
+    messages(question, rows, message)
+}
+
+fn messages<T>(
+    question: &Question,
+    rows: Result<Vec<T>, StoreError>,
+    message: impl Fn(T) -> (String, Vec<u8>),
+) -> Replies {
+    let rows = rows.map_err(|error| format!("the daemon cannot answer: {error}"))?;
+    Ok(rows.into_iter().map(message).filter(|(key, _)| question.asks_about(key)).collect())
 }
 
 /// Receives operators' commands, and answers queries for the name of the daemon, `itself`. A command for another daemon
@@ -90,14 +91,6 @@ pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges
         }
         bus::answer(question, Ok(vec![(key.clone(), wire::json(&report).into_bytes())])).await;
     }
-}
-
-fn unavailable(error: &StoreError) -> String {
-    format!("the daemon cannot answer: {error}")
-}
-
-fn row_limit(limit: usize) -> u32 {
-    u32::try_from(limit).unwrap_or(u32::MAX)
 }
 
 /// Limits the database query to a site or machine in the key; other keys are filtered afterwards.

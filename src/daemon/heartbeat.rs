@@ -36,15 +36,16 @@ pub struct Heartbeats {
     last_ms: [AtomicU64; TaskName::VARIANTS.len()],
 }
 
-impl Heartbeats {
-    /// Heartbeats of all loops, fresh now.
-    #[must_use]
-    pub fn new() -> Self {
+/// Heartbeats of all loops, fresh now.
+impl Default for Heartbeats {
+    fn default() -> Self {
         let beats = Self { start: clock::monotonic(), last_ms: Default::default() };
         beats.last_ms[TaskName::Webhook as usize].store(u64::MAX, Relaxed);
         beats
     }
+}
 
+impl Heartbeats {
     /// Records a heartbeat.
     pub fn beat(&self, task: TaskName) {
         self.last_ms[task as usize].store(self.elapsed_ms(), Relaxed);
@@ -61,14 +62,13 @@ impl Heartbeats {
         TaskName::VARIANTS.iter().copied().filter(silent).collect()
     }
 
-    fn elapsed_ms(&self) -> u64 {
-        u64::try_from(clock::monotonic().duration_since(self.start).as_millis()).unwrap_or(u64::MAX)
+    /// Time since the start.
+    pub(super) fn uptime(&self) -> Duration {
+        clock::monotonic().duration_since(self.start)
     }
-}
 
-impl Default for Heartbeats {
-    fn default() -> Self {
-        Self::new()
+    fn elapsed_ms(&self) -> u64 {
+        u64::try_from(self.uptime().as_millis()).unwrap_or(u64::MAX)
     }
 }
 
@@ -78,7 +78,7 @@ mod tests {
 
     #[test]
     fn a_loop_hangs_without_beats_and_the_webhook_only_after_its_first() {
-        let mut beats = Heartbeats::new();
+        let mut beats = Heartbeats::default();
         beats.start -= 2 * FRESH;
         assert_eq!(beats.silent(), [TaskName::Receive, TaskName::Identify, TaskName::Write, TaskName::Publish]);
         for task in TaskName::VARIANTS {

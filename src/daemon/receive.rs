@@ -234,14 +234,14 @@ impl Receiver {
     /// Quarantines throws that the database rejects although it accepts other writes, so that they do not block the
     /// others.
     async fn without_the_unstorable(&self, throws: Vec<Received>, error: &StoreError) -> Vec<Received> {
-        if !matches!(error, StoreError::Write(_) | StoreError::ThrowNumber(_)) {
+        if !matches!(error, StoreError::Write(_)) {
             return throws;
         }
         let mut storable = Vec::with_capacity(throws.len());
         for received in throws {
             match self.store.spool(&received.0, &received.1, received.2).await {
                 Ok(spooled) => self.count(spooled),
-                Err(error @ (StoreError::Write(_) | StoreError::ThrowNumber(_))) => {
+                Err(error @ StoreError::Write(_)) => {
                     let reason = format!("the database rejects it: {error}");
                     let refused = Refused::throw(&received.0, &received.1, reason, received.2);
                     match self.store.quarantine(vec![refused]).await {

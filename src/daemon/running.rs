@@ -142,12 +142,6 @@ impl Daemon {
         self.watchers.subscribe()
     }
 
-    /// The zenoh session.
-    #[must_use]
-    pub fn session(&self) -> &Session {
-        &self.session
-    }
-
     /// Endpoints on which the session listens.
     pub async fn locators(&self) -> Vec<String> {
         self.session.info().locators().await.iter().map(ToString::to_string).collect()

@@ -6,12 +6,11 @@ use std::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed},
     },
-    time::Instant,
 };
 
 use serde::{Deserialize, Serialize};
 
-use super::{clock, heartbeat::Heartbeats};
+use super::heartbeat::Heartbeats;
 use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{MachineState, Severity},
@@ -19,7 +18,7 @@ use crate::{
 };
 
 /// Counters and states, shared by all loops.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Status {
     /// Heartbeats of the loops.
     pub heartbeats: Heartbeats,
@@ -59,7 +58,6 @@ pub struct Status {
     pub webhook_fails: AtomicBool,
     /// Alarm events that the webhook refused.
     pub webhook_refused: AtomicU64,
-    started: Instant,
 }
 
 /// Number of machines in each state, and of shelved alarms.
@@ -154,35 +152,6 @@ pub struct StatusReport {
 }
 
 impl Status {
-    /// Counters at the start.
-    #[must_use]
-    pub fn new() -> Self {
-        Self {
-            heartbeats: Heartbeats::new(),
-            stored: AtomicU64::new(0),
-            duplicates: AtomicU64::new(0),
-            quarantined: AtomicU64::new(0),
-            lost: AtomicU64::new(0),
-            backlog_received: AtomicU64::new(0),
-            ignored: AtomicU64::new(0),
-            backlog: AtomicU64::new(0),
-            judged: AtomicU64::new(0),
-            not_evaluated: AtomicU64::new(0),
-            standing: Mutex::default(),
-            refused: Mutex::default(),
-            machines_refused: Recent::default(),
-            alarm_events: AtomicU64::new(0),
-            loggers: AtomicUsize::new(0),
-            connected: AtomicBool::new(false),
-            storing_fails: AtomicBool::new(false),
-            webhook_fails: AtomicBool::new(false),
-            webhook_refused: AtomicU64::new(0),
-            started: clock::monotonic(),
-        }
-    }
-}
-
-impl Status {
     /// Counts a throw without an estimate.
     pub(super) fn refuse(&self, reason: &str) {
         self.not_evaluated.fetch_add(1, Relaxed);
@@ -209,12 +178,6 @@ impl Status {
     }
 }
 
-impl Default for Status {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 /// The sources of a status report.
 #[derive(Clone)]
 pub(super) struct Gauges {
@@ -229,7 +192,7 @@ impl Gauges {
         let status = &self.status;
         StatusReport {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            uptime_s: clock::monotonic().duration_since(status.started).as_secs(),
+            uptime_s: status.heartbeats.uptime().as_secs(),
             database: self.store.path().display().to_string(),
             disk: match self.store.disk_level() {
                 DiskLevel::Ample => "ok",

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use sd_notify::NotifyState;
-use tokio::{sync::mpsc, time};
+use tokio::time;
 
 use super::{heartbeat::TaskName, status::Gauges};
 use crate::store::StoreError;
@@ -51,16 +51,12 @@ pub(super) async fn watch(gauges: Gauges) {
     let mut routine = time::interval(ROUTINE);
     routine.tick().await;
     let mut trouble = String::new();
-    let (probe_sender, mut probes) = mpsc::channel::<()>(1);
-    let probe = tokio::spawn(probe_writer(gauges.clone(), probe_sender));
+    let mut probe = tokio::spawn(probe_writer(gauges.clone()));
     loop {
         tokio::select! {
             _ = look.tick() => {}
             _ = routine.tick() => tracing::info!("{}", gauges.report().line()),
-            _ = probes.recv() => {
-                probe.abort();
-                return;
-            }
+            _ = &mut probe => return,
         }
         let report = gauges.report();
         let line = report.line();
@@ -82,12 +78,11 @@ pub(super) async fn watch(gauges: Gauges) {
 }
 
 /// Probes the writer with an empty write. An error counts as an answer: a full disk is a status, not a hang.
-async fn probe_writer(gauges: Gauges, gone: mpsc::Sender<()>) {
+async fn probe_writer(gauges: Gauges) {
     let mut pace = time::interval(LOOK);
     loop {
         pace.tick().await;
         if matches!(gauges.store.outbox_sent(&[]).await, Err(StoreError::Closed)) {
-            let _ = gone.send(()).await;
             return;
         }
         gauges.status.heartbeats.beat(TaskName::Write);

@@ -8,6 +8,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
+    command::CommandError,
     correlation::Correlation,
     course::LimitForecast,
     event::{AlarmEvent, AlarmState, Cause, RunnerUp, SensorChannel, Severity},
@@ -148,17 +149,6 @@ pub(super) struct Alarms {
     pub(super) out_of_service: bool,
 }
 
-/// An operator's command that the state of the alarm does not allow.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Unfit {
-    /// The alarm is not open.
-    NotOpen,
-    /// The alarm is acknowledged already, by this operator.
-    Acknowledged(String),
-    /// The alarm is not shelved.
-    NotShelved,
-}
-
 impl Alarms {
     fn find(&self, cause: Cause) -> Option<usize> {
         self.open.iter().position(|alarm| alarm.last.cause == cause)
@@ -243,11 +233,13 @@ impl Alarms {
     }
 
     /// Acknowledges an alarm.
-    pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<AlarmEvent, Unfit> {
-        let index = self.find(cause).ok_or(Unfit::NotOpen)?;
+    pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<AlarmEvent, CommandError> {
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
         let state = self.open[index].state.beneath_mut();
         *state = match state {
-            State::Active { acknowledged: Some(before) } => return Err(Unfit::Acknowledged(before.by.clone())),
+            State::Active { acknowledged: Some(before) } => {
+                return Err(CommandError::AlreadyAcknowledged { cause, by: before.by.clone() });
+            }
             State::Active { acknowledged: None } => {
                 State::Active { acknowledged: Some(Acknowledgement { by: by.to_owned(), at }) }
             }
@@ -263,8 +255,8 @@ impl Alarms {
         until: Timestamp,
         actor: Actor,
         at: Timestamp,
-    ) -> Result<AlarmEvent, Unfit> {
-        let index = self.find(cause).ok_or(Unfit::NotOpen)?;
+    ) -> Result<AlarmEvent, CommandError> {
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
         let state = &mut self.open[index].state;
         let (by, why) = (actor.by.unwrap_or_default().to_owned(), actor.why.unwrap_or_default().to_owned());
         *state = State::Shelved { until, by, why, beneath: Box::new(state.beneath().clone()) };
@@ -272,10 +264,10 @@ impl Alarms {
     }
 
     /// Ends the shelving.
-    pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Result<AlarmEvent, Unfit> {
-        let index = self.find(cause).ok_or(Unfit::NotOpen)?;
+    pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Result<AlarmEvent, CommandError> {
+        let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
         let state = &mut self.open[index].state;
-        let State::Shelved { beneath, .. } = state else { return Err(Unfit::NotShelved) };
+        let State::Shelved { beneath, .. } = state else { return Err(CommandError::NotShelved { cause }) };
         *state = (**beneath).clone();
         Ok(self.event(index, at, actor, None))
     }

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{Actor, Alarms, Unfit},
+    alarm::{Actor, Alarms},
     baseline::BaselineRecord,
     command::{Command, CommandError},
     drift_alarms::{DRIFTS, DriftAlarms, Onset},
@@ -358,24 +358,12 @@ impl MachineMonitor {
         let now = to_micros(now);
         command.validate(now, settings)?;
         let actor = Actor { by: Some(command.by()), why: command.why() };
-        let unfit = |cause: Cause| {
-            move |unfit| match unfit {
-                Unfit::NotOpen => CommandError::NoSuchAlarm { cause },
-                Unfit::Acknowledged(by) => CommandError::AlreadyAcknowledged { cause, by },
-                Unfit::NotShelved => CommandError::NotShelved { cause },
-            }
-        };
         match command {
-            Command::Ack { cause, by } => {
-                self.alarms.acknowledge(*cause, by, now).map(|event| vec![event]).map_err(unfit(*cause))
-            }
+            Command::Ack { cause, by } => Ok(vec![self.alarms.acknowledge(*cause, by, now)?]),
             Command::Shelve { cause, until, .. } => {
-                let event = self.alarms.shelve(*cause, to_micros(*until), actor, now);
-                event.map(|event| vec![event]).map_err(unfit(*cause))
+                Ok(vec![self.alarms.shelve(*cause, to_micros(*until), actor, now)?])
             }
-            Command::Unshelve { cause, .. } => {
-                self.alarms.unshelve(*cause, actor, now).map(|event| vec![event]).map_err(unfit(*cause))
-            }
+            Command::Unshelve { cause, .. } => Ok(vec![self.alarms.unshelve(*cause, actor, now)?]),
             Command::Rebaseline { by, why } => Ok(self.rebaseline(by, why, actor, now)),
             Command::MaintenanceStart { .. } if self.maintenance.is_some() => Err(CommandError::InMaintenance),
             Command::MaintenanceStart { until, by, why } => {
@@ -424,12 +412,6 @@ impl MachineMonitor {
         &self.drift.now
     }
 
-    /// The fault that the last throw could not show at its temperature.
-    #[must_use]
-    pub fn blind(&self) -> Option<Blindness> {
-        self.blind
-    }
-
     /// Sentences about what the monitor cannot show at present.
     #[must_use]
     pub fn caveats(&self) -> Vec<String> {
@@ -440,12 +422,6 @@ impl MachineMonitor {
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(only_features.then(|| text::only_features(&self.name)))
             .collect()
-    }
-
-    /// The end of the maintenance window, while the machine is out of service.
-    #[must_use]
-    pub fn maintenance_until(&self) -> Option<Timestamp> {
-        self.maintenance.as_ref()?.until
     }
 
     /// The state of the machine.

@@ -7,8 +7,11 @@ use super::{features::Features, rejection::Rejection};
 use crate::throw::Direction;
 
 /// Trust in an estimate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize, strum::IntoStaticStr,
+)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Grade {
     /// The model fits the throw; the covariance is that of the sensors' noise.
     #[default]
@@ -23,12 +26,8 @@ pub enum Grade {
 impl Grade {
     /// The word in messages and in the column `quality`.
     #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Good => "good",
-            Self::Rough => "rough",
-            Self::CurrentOnly => "current_only",
-        }
+    pub fn as_str(self) -> &'static str {
+        self.into()
     }
 }
 

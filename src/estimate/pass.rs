@@ -138,21 +138,17 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         let model_output = &mut workspace.model_output[..len];
         let holds: [Hold; S] = problem.inputs.map(|input| match input {
             Signal::Sampled(_, hold) => hold,
-            Signal::Constant | Signal::Impulse => Hold::Zero,
+            Signal::Constant => Hold::Zero,
         });
         // A signal without samples is an empty slice and a constant.
         let sampled: [&[f64]; S] = problem.inputs.map(|input| match input {
             Signal::Sampled(u, _) => u,
-            Signal::Constant | Signal::Impulse => &[],
+            Signal::Constant => &[],
         });
         let constants: [f64; S] = problem.inputs.map(|input| f64::from(u8::from(matches!(input, Signal::Constant))));
         let value = |s: usize, k: usize| sampled[s].get(k).copied().unwrap_or(constants[s]);
-        // Every filter starts at rest; an impulse is in the last derivative at once.
-        let start = |filter: &Discrete<N>, s: usize| {
-            let impulse = matches!(problem.inputs[s], Signal::Impulse);
-            let z = std::array::from_fn(|i| f64::from(u8::from(impulse && i == N - 1)));
-            filter.readout(holds[s]).start(&z, value(s, 0))
-        };
+        // Every filter starts at rest.
+        let start = |filter: &Discrete<N>, s: usize| filter.readout(holds[s]).start(&[0.0; N], value(s, 0));
         let linear = filter.readout(Hold::First);
         let columns = Columns::new(self, &holds, &filter);
         let model_columns = Columns::new(self, &holds, model_filter);

@@ -9,8 +9,6 @@ pub enum Signal<'a> {
     Sampled(&'a [f64], Hold),
     /// 1 from the first sample on: its coefficient is a constant load.
     Constant,
-    /// A unit impulse at the first sample: its coefficients are the initial conditions.
-    Impulse,
 }
 
 /// The data of an identification.
@@ -32,22 +30,12 @@ pub struct Problem<'a, const S: usize> {
 pub struct Sriv<const N: usize, const S: usize, const P: usize> {
     /// Input and derivative of each of the first P-N columns.
     pub(super) columns: [(usize, usize); P],
-    numerator_orders: [usize; S],
-    /// Start of the iteration.
-    pub start: Start<N>,
+    /// Start of the iteration: least squares with the filter 1/(s+λ)^N, λ in rad/s.
+    pub start_per_s: f64,
     /// Relative change of the parameters at which the iteration has converged.
     pub tolerance: f64,
     /// Largest number of iterations.
     pub max_iterations: usize,
-}
-
-/// Start of the iteration.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Start<const N: usize> {
-    /// Least squares with the filter 1/(s+λ)^N, λ in rad/s.
-    Lag(f64),
-    /// Least squares with the filter 1/A(s), A monic with these coefficients \[`a_1` … `a_N`\].
-    Denominator([f64; N]),
 }
 
 /// The numerators do not have `P` parameters in total, or one has at least the order of the denominator.
@@ -115,7 +103,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         if used != P - N {
             return Err(invalid);
         }
-        Ok(Self { columns, numerator_orders, start: Start::Lag(5.0), tolerance: 1e-6, max_iterations: 50 })
+        Ok(Self { columns, start_per_s: 5.0, tolerance: 1e-6, max_iterations: 50 })
     }
 
     /// The denominator coefficients `a_1` … `a_N` in a parameter vector.
@@ -133,11 +121,5 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             }
         }
         coefficients
-    }
-
-    /// Order of the numerator of one input.
-    #[must_use]
-    pub fn numerator_order(&self, input: usize) -> usize {
-        self.numerator_orders[input]
     }
 }

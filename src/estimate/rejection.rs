@@ -25,8 +25,9 @@ impl fmt::Display for Channel {
 
 /// The reason why a throw has no estimate. `Display` is one sentence for people; [`Rejection::code`] is stable for
 /// programs, and the tag `code` in JSON.
-#[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize, Deserialize, strum::IntoStaticStr)]
 #[serde(tag = "code", rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Rejection {
     /// The trace or its window is too short for three coefficients.
     #[error("the trace is too short for three coefficients: {samples} samples, {duration_s:.2} s")]
@@ -49,10 +50,12 @@ pub enum Rejection {
     /// The message has no toe position, and current and supply voltage do not determine the coefficients.
     #[error("there is no toe position: only the features of the current are known")]
     #[serde(rename = "current_only")]
+    #[strum(serialize = "current_only")]
     NoPosition,
     /// A value that a point machine cannot have.
     #[error("the {channel} at {at_s:.3} s is {value}, which is not possible for a point machine: a corrupt value")]
     #[serde(rename = "implausible_value")]
+    #[strum(serialize = "implausible_value")]
     Implausible {
         /// Which channel.
         channel: Channel,
@@ -315,6 +318,7 @@ pub enum Rejection {
     /// A setting is out of its range.
     #[error("the setting {problem}")]
     #[serde(rename = "bad_settings")]
+    #[strum(serialize = "bad_settings")]
     Settings {
         /// The setting, its value and its range.
         problem: String,
@@ -325,43 +329,7 @@ impl Rejection {
     /// The code of the reason, as in the column `quality`.
     #[must_use]
     pub fn code(&self) -> &'static str {
-        match self {
-            Self::TooShort { .. } => "too_short",
-            Self::NotFinite { .. } => "not_finite",
-            Self::Implausible { .. } => "implausible_value",
-            Self::NoMovement => "no_movement",
-            Self::NoPosition => "current_only",
-            Self::NoCurrent { .. } => "no_current",
-            Self::MovedBeforeCurrent { .. } => "moved_before_current",
-            Self::StartMissing { .. } => "start_missing",
-            Self::Incomplete { .. } => "incomplete",
-            Self::Obstructed { .. } => "obstructed",
-            Self::TravelTooLong { .. } => "travel_too_long",
-            Self::TooSlow { .. } => "too_slow",
-            Self::MovedBackwards { .. } => "moved_backwards",
-            Self::Clipped { .. } => "clipped",
-            Self::Stuck { .. } => "stuck",
-            Self::PositionJump { .. } => "position_jump",
-            Self::CurrentJump { .. } => "current_jump",
-            Self::GainChanged { .. } => "gain_changed",
-            Self::OnsetMissing { .. } => "onset_missing",
-            Self::RoughRise { .. } => "rough_rise",
-            Self::LateStart { .. } => "late_start",
-            Self::BrakedStart => "braked_start",
-            Self::Spike { .. } => "spike",
-            Self::Undersampled { .. } => "undersampled",
-            Self::Noisy { .. } => "noisy",
-            Self::Singular => "singular",
-            Self::NotConverged { .. } => "not_converged",
-            Self::Unstable { .. } => "unstable",
-            Self::NotPositive { .. } => "not_positive",
-            Self::PoorFit { .. } => "poor_fit",
-            Self::Misfit { .. } => "misfit",
-            Self::NoInrush { .. } => "no_inrush",
-            Self::EndMissing { .. } => "end_missing",
-            Self::Uncertain { .. } => "uncertain",
-            Self::Settings { .. } => "bad_settings",
-        }
+        self.into()
     }
 
     /// Whether the reason has a time between `from_s` and `to_s` \[s\].

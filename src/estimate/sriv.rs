@@ -18,9 +18,8 @@
 //! `y_eq`) / Â, which is independent of the noise in y. Filter and auxiliary model come from the previous estimate; the
 //! first estimate is least squares with the filter 1/(s+λ)^N. (Young 1984; Garnier, Gilson, Young.)
 //!
-//! A constant load is the input [`Signal::Constant`]; unknown initial conditions are the input [`Signal::Impulse`] with
-//! numerator order N-1. One pass over the samples filters, computes the sums and stores the instruments for the
-//! covariance; the buffers are in [`Workspace`] and are reused.
+//! A constant load is the input [`Signal::Constant`]. One pass over the samples filters, computes the sums and stores
+//! the instruments for the covariance; the buffers are in [`Workspace`] and are reused.
 
 use super::{
     pass::{Auxiliary, Sums},
@@ -28,7 +27,7 @@ use super::{
     small::{Inverse, invert, times},
 };
 
-pub use super::problem::{InvalidStructure, Problem, Signal, Sriv, Start, Workspace};
+pub use super::problem::{InvalidStructure, Problem, Signal, Sriv, Workspace};
 
 /// Reason for the end of the iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -139,10 +138,7 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
             return Err(Failure::TooFewSamples);
         }
 
-        let mut denominator = match self.start {
-            Start::Lag(lambda) => lag(lambda),
-            Start::Denominator(a) => a,
-        };
+        let mut denominator = lag(self.start_per_s);
         let (mut parameters, mut inverse) = solve(self.pass(problem, &denominator, None, workspace), &denominator)?;
         let mut iterations = 0;
         let mut was_reflected = false;

@@ -1,6 +1,6 @@
 //! The rows of the table, in order.
 
-use super::scenario::{Depth, Instrument, Limits, Noise, PARTS, Scenario, Shape, Situation};
+use super::scenario::{Depth, Instrument, Limits, Noise, Scenario, Shape, Situation};
 use crate::{diagnose::Cause, simulate::Parameters};
 
 /// Sizes of the faults as multiples of the warning limit.
@@ -54,7 +54,7 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
         hard,
         ..row(Depth::Parameter, situation, faults, shape)
     };
-    let parts = || PARTS.into_iter().zip(limits);
+    let parts = || Cause::PHYSICAL.into_iter().zip(limits);
     let mut rows = Vec::new();
     for (part, limit) in parts() {
         for shape in [Shape::Step, Shape::Ramp] {
@@ -67,10 +67,10 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
             }
         }
     }
-    for first in 0..PARTS.len() {
-        for second in first + 1..PARTS.len() {
+    for first in 0..Cause::PHYSICAL.len() {
+        for second in first + 1..Cause::PHYSICAL.len() {
             for multiple in [2.0, 6.0] {
-                let faults = [first, second].map(|part| (PARTS[part], multiple * limits[part])).to_vec();
+                let faults = [first, second].map(|part| (Cause::PHYSICAL[part], multiple * limits[part])).to_vec();
                 rows.push(row(Situation::Pair, faults, Shape::Step, Noise::Default, true));
             }
         }
@@ -96,12 +96,12 @@ fn parameter_rows(limits: Limits) -> Vec<Scenario> {
 fn trace_rows(limits: Limits) -> Vec<Scenario> {
     let row = |situation, fault, shape| row(Depth::Trace, situation, vec![fault], shape);
     let mut rows = Vec::new();
-    for (part, limit) in PARTS.into_iter().zip(limits) {
+    for (part, limit) in Cause::PHYSICAL.into_iter().zip(limits) {
         for shape in [Shape::Step, Shape::Ramp] {
             rows.push(row(Situation::Plain, (part, PLAIN_FROM * limit), shape));
         }
     }
-    for (part, limit) in PARTS.into_iter().zip(limits) {
+    for (part, limit) in Cause::PHYSICAL.into_iter().zip(limits) {
         rows.push(row(Situation::Slow, (part, PLAIN_FROM * limit), Shape::Step));
     }
     rows.push(row(Situation::SoftToe, (Cause::Friction, added_by_dry_chairs(SOFT_TOE_MU)), Shape::Step));
@@ -117,7 +117,7 @@ fn field_rows(limits: Limits) -> Vec<Scenario> {
     let [kt, friction, stiffness, _] = limits.map(|limit| PLAIN_FROM * limit);
     let mut rows = Vec::new();
     for (situation, shape) in [(Situation::Season, Shape::Step), (Situation::Plain, Shape::Accelerating)] {
-        for (part, limit) in PARTS.into_iter().zip(limits) {
+        for (part, limit) in Cause::PHYSICAL.into_iter().zip(limits) {
             rows.push(row(situation, (part, PLAIN_FROM * limit), shape));
         }
     }

@@ -1,7 +1,7 @@
 //! Whether the published sizes and forecasts of a drift are true.
 
 use super::{
-    scenario::{PARTS, Shape},
+    scenario::Shape,
     timeline::{Fault, Timeline},
 };
 use crate::diagnose::{AlarmEvent, AlarmState, Cause, Settings, Verdict};
@@ -77,7 +77,7 @@ impl Coverage {
 /// Whether the fault is a step or grows: an intermittent fault has two sizes, and the size of wear from the first throw
 /// depends on the throw that the baseline counts from.
 fn has_one_size(fault: &Fault) -> bool {
-    PARTS.contains(&fault.part) && matches!(fault.shape, Shape::Step | Shape::Ramp | Shape::Accelerating)
+    Cause::PHYSICAL.contains(&fault.part) && matches!(fault.shape, Shape::Step | Shape::Ramp | Shape::Accelerating)
 }
 
 /// The published size and its standard deviation \[%\], if the event raises an alarm about `part`.

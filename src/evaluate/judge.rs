@@ -19,7 +19,7 @@ pub(super) struct Call {
 impl Call {
     /// The call of an alarm event at throw `at`, if it raises a drift alarm or makes it critical.
     pub(super) fn of(event: &AlarmEvent, at: usize) -> Option<Self> {
-        let named = is_part(event.cause)
+        let named = Cause::PHYSICAL.contains(&event.cause)
             || matches!(event.cause, Cause::Unattributed | Cause::Sensor | Cause::Supply | Cause::SlowThrow);
         let active = matches!(event.state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged);
         let critical = event.severity == Severity::Critical;
@@ -42,10 +42,6 @@ pub(super) enum Judgement {
     Missed,
 }
 
-fn is_part(cause: Cause) -> bool {
-    matches!(cause, Cause::Kt | Cause::Friction | Cause::Stiffness | Cause::Inertia)
-}
-
 /// Judges the calls of a life, given in their order, by the definitions in [`super`]; `trend`: the throw at which the
 /// rule stated that its baseline has a trend.
 pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Judgement {
@@ -61,7 +57,7 @@ pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Ju
     let truth: Vec<Cause> = life.truth().collect();
     // For a sensor fault, an alarm that names part and sensor does not count as a name.
     let open = |call: &Call| call.or_sensor && truth.contains(&Cause::Sensor);
-    let named = || after().filter(|call| is_part(call.cause) && !open(call));
+    let named = || after().filter(|call| Cause::PHYSICAL.contains(&call.cause) && !open(call));
     let wrong_first = named().next().is_some_and(|first| !truth.contains(&first.cause));
     let wrong_critical = named().any(|call| call.critical && !truth.contains(&call.cause));
     if wrong_first || wrong_critical {
@@ -97,7 +93,7 @@ pub(super) fn names_wrongly(calls: &[Call], life: &Timeline) -> bool {
             life.truth().chain(life.lasting()).any(|part| part == call.cause)
         }
     };
-    calls.iter().any(|call| call.critical && is_part(call.cause) && !at_fault(call))
+    calls.iter().any(|call| call.critical && Cause::PHYSICAL.contains(&call.cause) && !at_fault(call))
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use super::{
     comparator::{Baseline, Caller, log_theta},
     judge::Call,
-    scenario::{Limits, PARTS},
+    scenario::Limits,
 };
 use crate::diagnose::{Cause, Observation};
 
@@ -65,7 +65,8 @@ impl PaperRule {
 fn verdict(change: Vector3<f64>, tests: &[Vector3<f64>], limits: Limits) -> Option<Cause> {
     let size = change.map(|x| x.exp_m1().abs());
     let [kt, friction, stiffness, inertia] = limits;
-    let alone: Vec<Cause> = (0..3).filter(|&i| size[i] >= [kt, friction, stiffness][i]).map(|i| PARTS[i]).collect();
+    let alone: Vec<Cause> =
+        (0..3).filter(|&i| size[i] >= [kt, friction, stiffness][i]).map(|i| Cause::PHYSICAL[i]).collect();
     if alone.is_empty() && size[0] < inertia {
         None
     } else if correlated(tests) {

@@ -2,9 +2,12 @@
 
 use super::{
     report::{Report, Row, Tally},
-    scenario::{Depth, Noise, PARTS, Shape, Situation},
+    scenario::{Depth, Noise, Shape, Situation},
 };
-use crate::report::{Panel, Sheet};
+use crate::{
+    diagnose::Cause,
+    report::{Panel, Sheet},
+};
 
 /// A curve: its name, and its value for a row.
 type Curve = (&'static str, fn(&Row) -> Option<f64>);
@@ -26,10 +29,10 @@ const RIGHT: [Curve; 3] = [
 #[must_use]
 pub fn picture(report: &Report) -> String {
     let title = format!("Naming a fault: delay and share right, seed {}", report.seed);
-    let mut sheet = Sheet::new(title).columns(PARTS.len()).panel_size(460.0, 300.0);
+    let mut sheet = Sheet::new(title).columns(Cause::PHYSICAL.len()).panel_size(460.0, 300.0);
     for shape in [Shape::Step, Shape::Ramp] {
         for (quantity, curves) in [("throws to the name", DELAYS.as_slice()), ("named right [%]", RIGHT.as_slice())] {
-            for part in PARTS {
+            for part in Cause::PHYSICAL {
                 let rows: Vec<&Row> = report.rows.iter().filter(|row| shown(row, part.as_str(), shape)).collect();
                 let panel = Panel::curves(format!("{part}, {}", shape.as_str()), "size [% of nominal]", quantity);
                 sheet = sheet.panel(curves.iter().fold(panel, |panel, (name, value)| {

@@ -15,11 +15,11 @@ use super::{
     random::stream,
     report::{Budget, Healthy, Report, Row, Tally},
     scatter::Scatter,
-    scenario::{Depth, Limits, Noise, PARTS, Scenario, Situation},
+    scenario::{Depth, Limits, Noise, Scenario, Situation},
     timeline::Timeline,
     trace::TraceMachine,
 };
-use crate::diagnose::{MachineMonitor, Settings};
+use crate::diagnose::{Cause, MachineMonitor, Settings};
 
 /// Number of lives and throws to simulate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -289,9 +289,9 @@ fn add(
     healthy[at].cusum_false_alarms += cusum;
 }
 
-/// The warning limits as fractions, in the order of [`PARTS`].
+/// The warning limits as fractions, in the order of [`Cause::PHYSICAL`].
 fn limits(settings: &Settings) -> Limits {
-    PARTS.map(|part| settings.limit_pct(part).unwrap_or_default() / 100.0)
+    Cause::PHYSICAL.map(|part| settings.limit_pct(part).unwrap_or_default() / 100.0)
 }
 
 /// Settings of the budget section: a budget with several false alarms in a run, and practically no warning limits.

@@ -6,8 +6,9 @@ use serde::Serialize;
 use crate::diagnose::Cause;
 
 /// Depth of the simulation of a life.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Depth {
     /// Coefficients from a calibrated scatter.
     Parameter,
@@ -16,8 +17,9 @@ pub enum Depth {
 }
 
 /// Development of a fault from its first throw.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Shape {
     /// Full size from the first throw on.
     Step,
@@ -37,10 +39,7 @@ impl Depth {
     /// The word in tables and JSON.
     #[must_use]
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Parameter => "parameter",
-            Self::Trace => "trace",
-        }
+        self.into()
     }
 }
 
@@ -48,14 +47,7 @@ impl Shape {
     /// The word in tables and JSON.
     #[must_use]
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Step => "step",
-            Self::Ramp => "ramp",
-            Self::Accelerating => "accelerating",
-            Self::Wear => "wear",
-            Self::EveryFifth => "every_fifth",
-            Self::EveryTenth => "every_tenth",
-        }
+        self.into()
     }
 
     /// Throws of a machine, in both directions, until a fault is complete. An intermittent fault is followed for this
@@ -84,8 +76,9 @@ impl Shape {
 }
 
 /// Noise of the current sensor; the position sensor always has 20 µm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::IntoStaticStr)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Noise {
     /// 0.005 A.
     Low,
@@ -99,11 +92,7 @@ impl Noise {
     /// The word in tables and JSON.
     #[must_use]
     pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Low => "low",
-            Self::Default => "default",
-            Self::High => "high",
-        }
+        self.into()
     }
 }
 
@@ -188,9 +177,6 @@ impl Situation {
     }
 }
 
-/// The four parts that drift, in the order of the table.
-pub(super) const PARTS: [Cause; 4] = [Cause::Kt, Cause::Friction, Cause::Stiffness, Cause::Inertia];
-
 /// Scenario of a row of the table.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Scenario {
@@ -210,7 +196,7 @@ pub(super) struct Scenario {
     pub(super) hard: bool,
 }
 
-/// Warning limits as fractions, in the order of [`PARTS`].
+/// Warning limits as fractions, in the order of [`Cause::PHYSICAL`].
 pub(super) type Limits = [f64; 4];
 
 /// The change of (ln b0, ln a1, ln a0) when `part` changes by the fraction `size`, from equation (13).

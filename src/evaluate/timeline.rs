@@ -5,7 +5,7 @@ use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
-    scenario::{PARTS, Scenario, Shape, Situation, displacement},
+    scenario::{Scenario, Shape, Situation, displacement},
     weather::{Climate, SEASON_THROWS, SWING_THROWS, WetSpells},
 };
 use crate::diagnose::Cause;
@@ -169,6 +169,6 @@ const LARGEST_LOSS: f64 = 0.5;
 const REPAIRED_SIZE: f64 = 0.30;
 
 fn other_part(part: Cause, trial: usize) -> Cause {
-    let others = PARTS.into_iter().filter(|other| *other != part);
-    others.cycle().nth(trial % (PARTS.len() - 1)).unwrap_or(part)
+    let others = Cause::PHYSICAL.into_iter().filter(|other| *other != part);
+    others.cycle().nth(trial % (Cause::PHYSICAL.len() - 1)).unwrap_or(part)
 }

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     observation::{observation, started_at},
-    scenario::{Instrument, Noise, PARTS, Shape, Situation},
+    scenario::{Instrument, Noise, Shape, Situation},
     timeline::{Fault, Timeline},
 };
 use crate::{
@@ -42,7 +42,7 @@ impl TraceMachine {
         if situation == Situation::SoftToe {
             fleet.machine.drive_stiffness_n_m = SOFT_TOE_N_M;
         }
-        let parts = life.faults.iter().filter(|fault| PARTS.contains(&fault.part));
+        let parts = life.faults.iter().filter(|fault| Cause::PHYSICAL.contains(&fault.part));
         fleet.faults = parts.map(|fault| FleetFault { machine: 0, fault: simulated(fault) }).collect();
         let (mut volts, mut errs) = (true, None);
         if let (Situation::Instrument { which, volts: published }, Some(fault)) = (situation, life.faults.first()) {

@@ -35,8 +35,8 @@ pub struct LoggerSettings {
 impl Default for LoggerSettings {
     fn default() -> Self {
         Self {
-            site: fixed_name("north"),
-            machine: fixed_name("machine"),
+            site: Name::fixed("north"),
+            machine: Name::fixed("machine"),
             seed: 1,
             throws: None,
             interval_s: 600.0,
@@ -47,11 +47,6 @@ impl Default for LoggerSettings {
             started_at: None,
         }
     }
-}
-
-#[expect(clippy::expect_used, reason = "called with literals that a test reads")]
-fn fixed_name(text: &str) -> Name {
-    text.parse().expect("a valid name")
 }
 
 impl LoggerSettings {

@@ -207,7 +207,6 @@ impl Wander {
 /// A machine of a fleet, with its own random number generator.
 #[derive(Debug, Clone)]
 pub struct SimulatedMachine {
-    number: usize,
     parameters: Parameters,
     sensors: Sensors,
     climate: Climate,
@@ -220,31 +219,10 @@ pub struct SimulatedMachine {
 }
 
 impl SimulatedMachine {
-    /// Index in the fleet, from 0.
-    #[must_use]
-    pub fn number(&self) -> usize {
-        self.number
-    }
-
     /// Parameters of the machine when new.
     #[must_use]
     pub fn parameters(&self) -> &Parameters {
         &self.parameters
-    }
-
-    /// The faults of this machine, in the order in which they were added.
-    pub fn faults(&self) -> impl Iterator<Item = &Fault> {
-        self.faults.iter().map(|(fault, _)| fault)
-    }
-
-    /// Adds a fault, for the throws from here on.
-    pub fn add_fault(&mut self, fault: Fault) {
-        self.faults.push((fault, 0.0));
-    }
-
-    /// Removes all faults.
-    pub fn repair(&mut self) {
-        self.faults.clear();
     }
 
     /// Simulates the next throw; directions alternate, starting with normal to reverse.
@@ -417,7 +395,6 @@ impl FleetSettings {
         parameters.rails.bending_stiffness_n_m2 *= stiffness;
         let wander = std::array::from_fn(|_| Wander::new(self.scatter.correlation, &mut rng));
         Ok(SimulatedMachine {
-            number,
             parameters,
             sensors: self.sensors.clone(),
             climate: self.climate,

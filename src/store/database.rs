@@ -101,7 +101,7 @@ impl Store {
         throw: &Throw,
         received_at: Timestamp,
     ) -> Result<Spooled, StoreError> {
-        let throw = Spool::new(machine, throw, received_at)?;
+        let throw = Spool::new(machine, throw, received_at);
         let mut spooled = self.submit(vec![throw]).await?.await.map_err(|_| StoreError::Closed)??;
         spooled.pop().ok_or(StoreError::Closed)
     }
@@ -110,25 +110,21 @@ impl Store {
     pub async fn spool_all(&self, throws: &[(MachineId, Throw, Timestamp)]) -> Vec<Result<Spooled, StoreError>> {
         let mut submitted = Vec::with_capacity(throws.len().div_ceil(ROWS));
         for group in throws.chunks(ROWS) {
-            let mut writes = Vec::with_capacity(group.len());
-            let valid: Vec<Result<(), StoreError>> = group
-                .iter()
-                .map(|(machine, throw, at)| Spool::new(machine, throw, *at).map(|write| writes.push(write)))
-                .collect();
-            submitted.push((group, valid, self.submit(writes).await));
+            let writes = group.iter().map(|(machine, throw, at)| Spool::new(machine, throw, *at)).collect();
+            submitted.push((group, self.submit(writes).await));
         }
         let mut answers = Vec::with_capacity(throws.len());
-        for (group, valid, submitted) in submitted {
+        for (group, submitted) in submitted {
             let mut stored = match submitted {
                 Ok(answer) => answer.await.unwrap_or(Err(StoreError::Closed)),
                 Err(error) => Err(error),
             }
             .map(Vec::into_iter);
-            for ((_, throw, _), valid) in group.iter().zip(valid) {
-                let answer = valid.and_then(|()| match &mut stored {
+            for (_, throw, _) in group {
+                let answer = match &mut stored {
                     Ok(stored) => stored.next().ok_or(StoreError::Closed),
                     Err(error) => Err(error.repeated()),
-                });
+                };
                 if let Ok(Spooled::New(row)) = answer {
                     self.reader.recent.keep(row, throw);
                 }
@@ -160,10 +156,8 @@ impl Store {
         throws: &[Throw],
         at: Timestamp,
     ) -> Result<PageStored, StoreError> {
-        let mut page = Page { machine: machine.clone(), after: after.cloned(), throws: Vec::new(), at };
-        for throw in throws {
-            page.throws.push(Spool::new(machine, throw, at)?);
-        }
+        let throws = throws.iter().map(|throw| Spool::new(machine, throw, at)).collect();
+        let page = Page { machine: machine.clone(), after: after.cloned(), throws, at };
         let _room = self.room(&page.throws).await?;
         self.writer.write(page).await
     }

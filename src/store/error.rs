@@ -67,9 +67,6 @@ pub enum StoreError {
     /// The store was closed, or its writer ended.
     #[error("the store is closed")]
     Closed,
-    /// The number of a throw does not fit a 64-bit signed integer.
-    #[error("throw_no {0} is too large: at most 9223372036854775807")]
-    ThrowNumber(u64),
     /// A file of the database cannot be read, written or renamed.
     #[error("cannot {action} {}: {source}", path.display())]
     File {

@@ -68,8 +68,7 @@ async fn entries(connection: &mut SqliteConnection) -> sqlx::Result<Vec<Entry>> 
 
 /// The layout of a moved or restored database.
 async fn moved(fresh: &mut SqliteConnection, to: &Path) -> sqlx::Result<Vec<Entry>> {
-    let path = to.to_string_lossy().replace('\'', "''");
-    sqlx::query(AssertSqlSafe(format!("VACUUM INTO '{path}'"))).execute(fresh).await?;
+    sqlx::query("VACUUM INTO ?1").bind(to.to_string_lossy()).execute(fresh).await?;
     let mut connection = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(to)).await?;
     let entries = entries(&mut connection).await;
     connection.close().await?;

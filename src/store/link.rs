@@ -5,7 +5,7 @@
 
 use std::{sync::Arc, time::Duration};
 
-use sqlx::{AssertSqlSafe, Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use tokio::time::Instant;
 
 use super::{
@@ -199,10 +199,9 @@ impl Link {
 
     async fn move_database(&mut self, why: &str) -> Result<(), StoreError> {
         let copy = self.place.next()?;
-        let target = copy.to_string_lossy().replace('\'', "''");
         let connection = self.connected().await.map_err(|error| store_error(&error))?;
-        let vacuum = AssertSqlSafe(format!("VACUUM INTO '{target}'"));
-        sqlx::query(vacuum).execute(connection).await.map_err(|error| store_error(&error))?;
+        let vacuum = sqlx::query("VACUUM INTO ?1").bind(copy.to_string_lossy());
+        vacuum.execute(connection).await.map_err(|error| store_error(&error))?;
         self.place.switch(&copy)?;
         self.identity = None;
         self.disconnect().await;

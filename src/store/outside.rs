@@ -151,9 +151,8 @@ impl Backup {
 
     async fn copy(&self) -> Result<(), StoreError> {
         let mut connection = connect(&self.from).await?;
-        let target = self.partial.to_string_lossy().replace('\'', "''");
-        let vacuum = AssertSqlSafe(format!("VACUUM INTO '{target}'"));
-        sqlx::query(vacuum).execute(&mut connection).await.map_err(StoreError::read)?;
+        let vacuum = sqlx::query("VACUUM INTO ?1").bind(self.partial.to_string_lossy());
+        vacuum.execute(&mut connection).await.map_err(StoreError::read)?;
         let mut copy = connect(&self.partial).await?;
         let findings: Vec<String> =
             sqlx::query_scalar("PRAGMA quick_check(5)").fetch_all(&mut copy).await.map_err(StoreError::read)?;

@@ -21,9 +21,7 @@ use super::{
     open, outside,
     page::{self, Cursor},
     recent::Recent,
-    rows::{
-        Gap, OutboxRow, PendingRow, Quarantined, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp,
-    },
+    rows::{Gap, OutboxRow, PendingRow, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp},
     statements as sql,
 };
 use crate::{
@@ -365,14 +363,6 @@ impl Reader {
     ) -> Result<Vec<Gap>, StoreError> {
         let (from_us, to_us) = waiting(now, wait);
         self.rows(sqlx::query_as(sql::UNREPORTED_GAPS).bind(limit).bind(from_us).bind(to_us)).await
-    }
-
-    /// The newest `limit` messages in quarantine, newest first.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn quarantined(&self, limit: u32) -> Result<Vec<Quarantined>, StoreError> {
-        self.rows(sqlx::query_as(sql::QUARANTINE).bind(limit)).await
     }
 }
 

@@ -123,21 +123,6 @@ pub struct OutboxRow {
     pub payload: Vec<u8>,
 }
 
-/// A message in quarantine.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Quarantined {
-    /// Time of arrival.
-    pub received_at: Timestamp,
-    /// Key of the message.
-    pub key: String,
-    /// Reason for the rejection.
-    pub reason: String,
-    /// Size of the whole message \[bytes\].
-    pub payload_bytes: u64,
-    /// Start of the message.
-    pub payload_start: Vec<u8>,
-}
-
 fn decode_error(error: impl std::error::Error + Send + Sync + 'static) -> sqlx::Error {
     sqlx::Error::Decode(Box::new(error))
 }
@@ -213,9 +198,23 @@ impl StoredThrow {
             throw: Ok(Throw { id, ..throw }),
         })
     }
+}
 
-    fn new(row: &SqliteRow, started_at: Timestamp, throw: Result<Throw, UnreadableTrace>) -> sqlx::Result<Self> {
-        let id = throw_ref(row)?;
+impl FromRow<'_, SqliteRow> for StoredThrow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        let (id, started_at) = (throw_ref(row)?, time(row, "started_at_us")?);
+        let throw = match trace(row)? {
+            Ok(trace) => Ok(Throw {
+                id: id.clone(),
+                started_at,
+                direction: word::<Direction>(row, "direction")?,
+                trace,
+                temperature_c: row.try_get("temperature_c")?,
+                supply_v: row.try_get("supply_v")?,
+                anti_alias_hz: row.try_get("anti_alias_hz")?,
+            }),
+            Err(unreadable) => Err(unreadable),
+        };
         Ok(Self {
             row: ThrowRow(row.try_get("throw_row")?),
             machine: machine_id(row)?,
@@ -226,25 +225,6 @@ impl StoredThrow {
             throw,
             repeats: row.try_get("repeats")?,
         })
-    }
-}
-
-impl FromRow<'_, SqliteRow> for StoredThrow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        let started_at = time(row, "started_at_us")?;
-        let throw = match trace(row)? {
-            Ok(trace) => Ok(Throw {
-                id: throw_ref(row)?,
-                started_at,
-                direction: word::<Direction>(row, "direction")?,
-                trace,
-                temperature_c: row.try_get("temperature_c")?,
-                supply_v: row.try_get("supply_v")?,
-                anti_alias_hz: row.try_get("anti_alias_hz")?,
-            }),
-            Err(unreadable) => Err(unreadable),
-        };
-        Self::new(row, started_at, throw)
     }
 }
 
@@ -296,18 +276,6 @@ impl FromRow<'_, SqliteRow> for Gap {
             last_no: unsigned(row, "last_no")?,
             kind: word(row, "kind")?.unwrap_or(GapKind::Missed),
             detected_at: time(row, "detected_at_us")?,
-        })
-    }
-}
-
-impl FromRow<'_, SqliteRow> for Quarantined {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        Ok(Self {
-            received_at: time(row, "received_at_us")?,
-            key: row.try_get("key")?,
-            reason: row.try_get("reason")?,
-            payload_bytes: unsigned(row, "payload_bytes")?,
-            payload_start: row.try_get("payload_start")?,
         })
     }
 }

@@ -9,7 +9,6 @@ use tokio::sync::OwnedSemaphorePermit;
 use super::{
     codec::{self, Channel, Checksums},
     cursor::{self, Boot, Place},
-    error::StoreError,
     many,
     rows::{GapKind, RENUMBERED, ThrowRow},
     statements as sql,
@@ -53,13 +52,13 @@ impl Spool {
         u32::try_from((self.current.data.len() + self.position.data.len()) / 1024 + 1).unwrap_or(u32::MAX)
     }
 
-    pub(super) fn new(machine: &MachineId, throw: &Throw, received_at: Timestamp) -> Result<Self, StoreError> {
-        let throw_no = i64::try_from(throw.id.throw_no).map_err(|_| StoreError::ThrowNumber(throw.id.throw_no))?;
+    pub(super) fn new(machine: &MachineId, throw: &Throw, received_at: Timestamp) -> Self {
         let checksums = Checksums::of(throw.trace.current_a(), throw.trace.position_mm());
-        Ok(Self {
+        Self {
             machine: machine.clone(),
             id: throw.id.clone(),
-            throw_no,
+            // The wire admits no number above `i64::MAX`.
+            throw_no: throw.id.throw_no.cast_signed(),
             started_at_us: throw.started_at.as_microsecond(),
             received_at_us: received_at.as_microsecond(),
             direction: throw.direction,
@@ -73,7 +72,7 @@ impl Spool {
             position: codec::encode(throw.trace.position_mm()),
             trace_crc32: checksums.both,
             trace_hash: (i64::from(checksums.channels[0]) << 32) | i64::from(checksums.channels[1]),
-        })
+        }
     }
 
     async fn insert(

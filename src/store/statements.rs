@@ -294,7 +294,6 @@ statements! {
     // Quarantine.
     ADD_QUARANTINE = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start) VALUES (?1, ?2, ?3, ?4, ?5)";
     TRIM_QUARANTINE = "DELETE FROM quarantine WHERE quarantine_row <= (SELECT max(quarantine_row) FROM quarantine) - ?1";
-    QUARANTINE = "SELECT received_at_us, key, reason, payload_bytes, payload_start FROM quarantine ORDER BY quarantine_row DESC LIMIT ?1";
     ADD_COMMAND = "INSERT INTO command (machine_row, at_us, command, by_whom, why, payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
     TRIM_COMMANDS = "DELETE FROM command WHERE command_row <= (SELECT max(command_row) FROM command) - ?1";
 

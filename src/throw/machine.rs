@@ -21,6 +21,11 @@ impl Name {
     /// Longest name, in characters (all of them one byte).
     pub const MAX_LEN: usize = 64;
 
+    #[expect(clippy::expect_used, reason = "called with literals that a test reads")]
+    pub(crate) fn fixed(text: &str) -> Self {
+        text.parse().expect("a valid name")
+    }
+
     /// The name as text.
     #[must_use]
     pub fn as_str(&self) -> &str {

@@ -64,15 +64,6 @@ impl Direction {
     pub const fn side(self) -> usize {
         self as usize
     }
-
-    /// The other direction.
-    #[must_use]
-    pub const fn opposite(self) -> Self {
-        match self {
-            Self::NormalToReverse => Self::ReverseToNormal,
-            Self::ReverseToNormal => Self::NormalToReverse,
-        }
-    }
 }
 
 /// The text for people: "normal to reverse".

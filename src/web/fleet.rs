@@ -114,11 +114,10 @@ impl Filters {
     }
 
     pub(super) fn query(&self) -> Result<FleetQuery, Failure> {
-        let state = |word: &String| serde_json::from_value::<MachineState>(word.as_str().into()).map_err(|_| wrong());
         let given = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
         Ok(FleetQuery {
             site: given(&self.site).map(|site| site.parse().map_err(|_| wrong())).transpose()?,
-            state: given(&self.state).as_ref().map(state).transpose()?,
+            state: given(&self.state).map(|state| state.parse().map_err(|_| wrong())).transpose()?,
             cause: given(&self.cause).map(|cause| cause.parse().map_err(|_| wrong())).transpose()?,
             search: given(&self.search).map(|text| text.chars().take(SEARCH).collect()),
             offset: self.page * MACHINES,

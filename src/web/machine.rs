@@ -92,7 +92,7 @@ struct Page {
 
 /// The last throw of a direction.
 struct Way {
-    direction: &'static str,
+    direction: Direction,
     baseline: String,
     /// For each coefficient: change in the last throw, and scatter of the machine.
     changes: Option<[(String, String); 3]>,
@@ -243,10 +243,7 @@ fn ways(both: &Ways, baselines: &[BaselineRecord]) -> Vec<Way> {
             None => "none yet".to_owned(),
         };
         Way {
-            direction: match direction {
-                Direction::NormalToReverse => "normal to reverse",
-                Direction::ReverseToNormal => "reverse to normal",
-            },
+            direction: *direction,
             baseline,
             changes: change.map(|change| [text(0, change), text(1, change), text(2, change)]),
             without: last.map(without).unwrap_or_default(),

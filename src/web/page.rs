@@ -13,6 +13,7 @@ use serde::Serialize;
 use crate::{
     store::{StoreError, Window},
     throw::{MachineId, ThrowRef},
+    wire,
 };
 
 /// The style sheet of all pages.
@@ -116,8 +117,7 @@ fn cached(kind: &'static str, cache: &'static str, content: &'static str) -> Res
 
 /// JSON for a data block of a page; no text in it can end the block.
 pub(super) fn data(value: &impl Serialize) -> String {
-    // An error cannot happen: the keys are texts.
-    serde_json::to_string(value).unwrap_or_default().replace('<', "\\u003c")
+    wire::json(value).replace('<', "\\u003c")
 }
 
 /// A valid machine name, also of an unknown machine.

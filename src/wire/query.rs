@@ -3,9 +3,9 @@
 use jiff::Timestamp;
 
 /// Largest number of rows in the reply to a query.
-pub const MAX_HISTORY: usize = 10_000;
+pub const MAX_HISTORY: u32 = 10_000;
 /// Rows in the reply to a history query without `limit`.
-const DEFAULT_LIMIT: usize = 1_000;
+const DEFAULT_LIMIT: u32 = 1_000;
 
 /// The parameters of a `health` or `alarm` query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,10 +14,10 @@ pub enum HistoryQuery {
     Current,
     /// The newest `limit` rows since `since`, oldest first.
     History {
-        /// Time of the oldest row; `None` for no bound.
-        since: Option<Timestamp>,
+        /// Time of the oldest row; 1970 for no bound.
+        since: Timestamp,
         /// Largest number of rows.
-        limit: usize,
+        limit: u32,
     },
 }
 
@@ -58,7 +58,9 @@ impl HistoryQuery {
             .transpose()?;
         Ok(match (since, limit) {
             (None, None) => Self::Current,
-            (since, limit) => Self::History { since, limit: limit.unwrap_or(DEFAULT_LIMIT) },
+            (since, limit) => {
+                Self::History { since: since.unwrap_or(Timestamp::UNIX_EPOCH), limit: limit.unwrap_or(DEFAULT_LIMIT) }
+            }
         })
     }
 }
@@ -77,7 +79,7 @@ mod tests {
         assert_eq!(HistoryQuery::parse("_time=[now(-1h)..]").unwrap(), HistoryQuery::Current);
         let noon = "2026-05-04T12:00:00Z".parse().unwrap();
         for text in ["since=2026-05-04T12:00:00Z;limit=7", "limit=7;since=2026-05-04T14:00:00+02:00"] {
-            assert_eq!(HistoryQuery::parse(text).unwrap(), HistoryQuery::History { since: Some(noon), limit: 7 });
+            assert_eq!(HistoryQuery::parse(text).unwrap(), HistoryQuery::History { since: noon, limit: 7 });
         }
         for text in ["since=yesterday", "limit=0", "limit=-1", "limit=10001", "limit=many"] {
             assert!(HistoryQuery::parse(text).is_err(), "{text} was taken");

@@ -23,6 +23,7 @@ pub use machines::{MachineEntry, Machines};
 pub use operator::{OperatorSession, operator_session};
 pub use token::Token;
 pub use webhook::Webhook;
+pub(crate) use zenoh::overlay;
 
 use crate::{
     diagnose, estimate, store,
@@ -125,7 +126,7 @@ pub struct Log {
 
 impl Default for Monitor {
     fn default() -> Self {
-        Self { site: fixed_name("fleet"), id: fixed_name("pointsd"), peers: Vec::new() }
+        Self { site: Name::fixed("fleet"), id: Name::fixed("pointsd"), peers: Vec::new() }
     }
 }
 
@@ -145,11 +146,6 @@ impl Default for Log {
     fn default() -> Self {
         Self { level: "info,zenoh=warn".to_owned(), format: LogFormat::Text }
     }
-}
-
-#[expect(clippy::expect_used, reason = "called with literals that a test reads")]
-fn fixed_name(text: &str) -> Name {
-    text.parse().expect("a valid name")
 }
 
 #[derive(Debug, Default, Deserialize)]

@@ -60,7 +60,8 @@ pub(super) fn session_config(
     })
 }
 
-fn overlay(base: &mut Table, over: &Table) {
+/// Merges `over` into `base`: nested tables key by key, any other value replaces the one in `base`.
+pub(crate) fn overlay(base: &mut Table, over: &Table) {
     for (key, value) in over {
         match (base.get_mut(key), value) {
             (Some(Value::Table(below)), Value::Table(above)) => overlay(below, above),

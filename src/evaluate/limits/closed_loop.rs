@@ -61,14 +61,7 @@ pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, O
             Current::Controller => "controller",
             Current::Replayed => "replayed",
         };
-        let mut row = Row {
-            label: format!("{from}, {noise_um}, {load_pct}"),
-            throws,
-            noisy: true,
-            errors_pct: Vec::new(),
-            stated_sd_pct: [0.0; 3],
-            refusal: None,
-        };
+        let mut row = Row::new(format!("{from}, {noise_um}, {load_pct}"), throws, true);
         let noise = noise_um / 1000.0 * plant.radians_per_mm();
         for _ in 0..throws {
             let (current, position) = plant.throw(current, noise, load_pct / 100.0, bench);

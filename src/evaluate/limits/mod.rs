@@ -19,12 +19,6 @@ pub struct Runs {
     pub seed: u64,
 }
 
-impl Default for Runs {
-    fn default() -> Self {
-        Self { throws: 60, seed: 1 }
-    }
-}
-
 /// Computes every finding, in the order of this page.
 ///
 /// # Errors

@@ -62,14 +62,7 @@ impl Bench {
         let known = trial.machine.at_temperature(trial.temperature_c).coefficients()?;
         let reference = trial.reference.unwrap_or([known.b0, known.a1, known.a0]);
         let noisy = trial.sensors.current.noise > 0.0 || trial.repeats > 1;
-        let mut row = Row {
-            label: label.into(),
-            throws: 0,
-            noisy,
-            errors_pct: Vec::new(),
-            stated_sd_pct: [0.0; 3],
-            refusal: None,
-        };
+        let mut row = Row::new(label, 0, noisy);
         let cases = trial.directions.iter().flat_map(|way| (0..trial.phases).map(move |phase| (way, phase)));
         for (direction, phase) in cases {
             let supply_phase_rad = std::f64::consts::PI * f64::from(phase) / f64::from(trial.phases);

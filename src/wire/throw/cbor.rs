@@ -288,15 +288,11 @@ fn skip(decoder: &mut Decoder<'_>, depth: usize) -> Decoded<()> {
     Ok(())
 }
 
+#[expect(clippy::expect_used, reason = "a receiver could take an empty message for a valid one")]
 pub(super) fn encode(throw: &Throw) -> Vec<u8> {
     let mut encoder = Encoder::new(Vec::with_capacity(256 + 8 * throw.trace.len()));
-    match write(&mut encoder, throw) {
-        Ok(()) => encoder.into_writer(),
-        Err(error) => match error.into_write() {
-            Some(never) => match never {},
-            None => Vec::new(),
-        },
-    }
+    write(&mut encoder, throw).expect("every throw has a CBOR form");
+    encoder.into_writer()
 }
 
 fn write(encoder: &mut Encoder<Vec<u8>>, throw: &Throw) -> Result<(), EncodeError<Infallible>> {

@@ -14,7 +14,7 @@ pub use fields::MAX_BOOT_ID_BYTES;
 
 use crate::throw::Throw;
 
-/// Encoding of a throw.
+/// Encoding of a throw, by its content type on zenoh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
     /// `application/cbor`.
@@ -24,15 +24,6 @@ pub enum Encoding {
 }
 
 impl Encoding {
-    /// The content type on zenoh.
-    #[must_use]
-    pub const fn content_type(self) -> &'static str {
-        match self {
-            Self::Cbor => "application/cbor",
-            Self::Json => "application/json",
-        }
-    }
-
     /// The encoding of a payload. A first byte `{` after white space means JSON also without the content type, which
     /// many clients do not set: no CBOR map begins with this byte.
     #[must_use]

@@ -26,9 +26,9 @@ fn json(from: &str, to: &str) -> Result<Throw, InvalidThrow> {
 
 #[test]
 fn both_encodings_carry_a_throw_unchanged() {
-    for encoding in [Encoding::Cbor, Encoding::Json] {
+    for (encoding, its_own) in [(Encoding::Cbor, "application/cbor"), (Encoding::Json, "application/json")] {
         let bytes = encode_throw(encoding, &example());
-        for content_type in ["", "zenoh/bytes", "application/cbor", encoding.content_type()] {
+        for content_type in ["", "zenoh/bytes", "application/cbor", its_own] {
             assert_eq!(Encoding::of(content_type, &bytes), encoding);
         }
         assert_eq!(decode_throw(encoding, &bytes).unwrap(), example());
