@@ -140,10 +140,11 @@ async fn show(row: &'static Row) {
     let (sound, weak) = all.split_at(HEALTHY);
     let rig = Rig::with(CONFIG);
     let daemon = rig.start();
-    send(&daemon, sound).await;
+    let session = send(&daemon, sound).await;
     rig.judged(HEALTHY).await;
+    drop(session);
     let daemon = befall(&rig, daemon, row.before);
-    send(&daemon, &(row.disguise)(sound, weak)).await;
+    let _session = send(&daemon, &(row.disguise)(sound, weak)).await;
     rig.judged(HEALTHY + WITHIN).await;
 
     let web = address(&daemon);
@@ -159,12 +160,15 @@ async fn show(row: &'static Row) {
     assert!(daemon.terminate().success(), "{}", row.name);
 }
 
-async fn send(daemon: &Daemon, throws: &[Throw]) {
+/// Publishes throws. The session must live until they are judged: when it closes, its queue may still hold some.
+async fn send(daemon: &Daemon, throws: &[Throw]) -> zenoh::Session {
     let session = daemon.client().await;
     let publisher = matched(&session, "points/v1/north/21B/throw").await;
     for throw in throws {
         publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
     }
+    drop(publisher);
+    session
 }
 
 fn befall(rig: &Rig, daemon: Daemon, before: Before) -> Daemon {
