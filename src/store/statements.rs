@@ -271,8 +271,9 @@ statements! {
     ADD_ALARM_EVENT = "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload, known_at_us) \
         SELECT alarm_row, ?2, ?3, ?4, ?5, ?6, ?7 FROM alarm WHERE alarm_id = ?1 ON CONFLICT DO NOTHING";
     SET_ALARM = "UPDATE alarm SET last_event_no = ?2, state = ?3 WHERE alarm_id = ?1 AND last_event_no <= ?2";
+    // Without statistics SQLite reads all alarms in the order of time, to save the sort of the few open ones.
     OPEN_ALARMS = "SELECT payload \
-        FROM alarm JOIN machine USING (machine_row) \
+        FROM alarm INDEXED BY alarm_open JOIN machine USING (machine_row) \
         JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
         WHERE alarm.state <> 'normal' AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) \
         ORDER BY raised_at_us, alarm.alarm_row";

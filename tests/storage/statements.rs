@@ -63,6 +63,11 @@ async fn a_question_about_the_history_chooses_its_rows_in_an_index() {
     let has = |words: &str| plan.iter().any(|(.., step)| step.starts_with(words));
     assert!(has("SEARCH throw USING COVERING INDEX throw_by_time"), "{plan:?}");
     assert!(has("SEARCH estimate USING INTEGER PRIMARY KEY"), "{plan:?}");
+    // Every page shows the open alarms, so they are not searched among all alarms.
+    let (_, sql) = statements::ALL.iter().find(|(name, _)| *name == "OPEN_ALARMS").unwrap();
+    let question = sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {sql}"));
+    let plan: Vec<(i64, i64, i64, String)> = sqlx::query_as(question).fetch_all(&mut connection).await.unwrap();
+    assert!(plan.iter().any(|(.., step)| step.contains("alarm_open")), "{plan:?}");
 }
 
 /// All forms of a query of the history return the same rows.
