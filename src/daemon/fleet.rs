@@ -38,8 +38,7 @@ pub(super) struct Fleet {
     /// The set saves a search through all machines of a site at each throw. It may also hold machines with a new
     /// baseline, which has no departure yet.
     witnesses: BTreeSet<MachineId>,
-    /// Machines whose stored state differs from that of their monitor, as an earlier version computed it differently;
-    /// stored again at the next tick.
+    /// Machines whose stored monitor may differ from that in memory; stored again at the next tick.
     to_store: HashSet<MachineId>,
 }
 
@@ -148,6 +147,11 @@ impl Fleet {
             changed.extend(self.follow_site(&site, &common, now, settings));
         }
         changed
+    }
+
+    /// Stores the monitor of a machine at the next tick also if it does not change.
+    pub(super) fn store_again(&mut self, machine: &MachineId) {
+        self.to_store.insert(machine.clone());
     }
 
     /// The common change of the machines of a site, without one of them.

@@ -167,6 +167,8 @@ impl JudgeLoop {
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
                 Err(error) => seldom!(warn, %error, what, "storing failed; retrying"),
             }
+            // May store a newer monitor of the daemon, which a repeated write then replaces by an older one.
+            self.judge.fleet.store_again(&self.own_machine);
             self.update_daemon_alarms().await?;
             self.links.status.heartbeats.beat(TaskName::Identify);
             if self.links.give_up.is_cancelled() {

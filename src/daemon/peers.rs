@@ -7,9 +7,14 @@ use std::{
 };
 
 use jiff::Timestamp;
+use zenoh::Session;
 
 use super::clock;
-use crate::{bus::PresenceWatch, throw::MachineId, wire::parse_monitor_alive_key};
+use crate::{
+    bus::{self, BusError},
+    throw::MachineId,
+    wire::{EVERY_MONITOR_ALIVE, parse_monitor_alive_key},
+};
 
 /// Absence after which there is an alarm: a restart takes seconds.
 const GRACE: Duration = Duration::from_secs(30);
@@ -42,13 +47,17 @@ impl Peers {
         Self { started: away.since, away: Mutex::new(peers) }
     }
 
-    /// Follows the tokens of all daemons.
-    pub(super) async fn follow(self: Arc<Self>, mut tokens: PresenceWatch) {
-        while let Some(change) = tokens.next().await {
-            if let Some(daemon) = parse_monitor_alive_key(&change.key) {
-                self.change(&daemon, change.alive);
+    /// Follows the tokens of all daemons while the session is open.
+    ///
+    /// # Errors
+    /// When zenoh refuses the subscription.
+    pub(super) async fn follow(self: Arc<Self>, session: &Session) -> Result<(), BusError> {
+        let on_change = move |key: &str, is_there: bool| {
+            if let Some(daemon) = parse_monitor_alive_key(key) {
+                self.change(&daemon, is_there);
             }
-        }
+        };
+        bus::watch_tokens(session, EVERY_MONITOR_ALIVE, on_change).await
     }
 
     fn change(&self, daemon: &MachineId, is_there: bool) {

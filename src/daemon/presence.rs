@@ -6,10 +6,11 @@ use std::{
 };
 
 use tokio::sync::watch;
+use zenoh::Session;
 
 use super::status::Status;
 use crate::{
-    bus::PresenceWatch,
+    bus::{self, BusError},
     throw::MachineId,
     wire::{self, Kind},
 };
@@ -17,18 +18,28 @@ use crate::{
 /// Largest number of watched tokens.
 const MOST: usize = 100_000;
 
-pub(super) async fn run(mut tokens: PresenceWatch, status: Arc<Status>, alive: watch::Sender<HashSet<MachineId>>) {
-    while let Some(change) = tokens.next().await {
-        let Ok((machine, Kind::Alive)) = wire::parse_key(&change.key) else { continue };
+/// Keeps `alive` the machines whose loggers have a liveliness token in `key_expression`, while the session is open.
+///
+/// # Errors
+/// When zenoh refuses the subscription.
+pub(super) async fn watch(
+    session: &Session,
+    key_expression: &str,
+    status: Arc<Status>,
+    alive: watch::Sender<HashSet<MachineId>>,
+) -> Result<(), BusError> {
+    let on_change = move |key: &str, is_alive: bool| {
+        let Ok((machine, Kind::Alive)) = wire::parse_key(key) else { return };
         alive.send_modify(|alive| {
-            if change.alive {
-                if alive.len() < MOST && alive.insert(machine.clone()) {
-                    tracing::info!(%machine, "logger connected");
+            if !is_alive {
+                if alive.remove(&machine) {
+                    tracing::warn!(%machine, "logger disconnected");
                 }
-            } else if alive.remove(&machine) {
-                tracing::warn!(%machine, "logger disconnected");
+            } else if alive.len() < MOST && alive.insert(machine.clone()) {
+                tracing::info!(%machine, "logger connected");
             }
             status.loggers.store(alive.len(), Relaxed);
         });
-    }
+    };
+    bus::watch_tokens(session, key_expression, on_change).await
 }

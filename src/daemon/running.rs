@@ -32,10 +32,10 @@ use super::{
     webhook::Notifier,
 };
 use crate::{
-    bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, OutletEnd, PresenceWatch, Questions},
+    bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, OutletEnd, Questions},
     store::{self, Found, Store},
     throw::MachineId,
-    wire::{Commander, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, monitor_status_key},
+    wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
 /// Capacity of the channel of judged throws; a slower observer misses some.
@@ -121,7 +121,7 @@ impl Daemon {
         start.judge(outlet.clone(), current, watchers.clone(), loggers.clone(), commands).await?;
         let gauges = start.receive(&outlet, loggers).await?;
 
-        start.presence(alive).await?;
+        presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), alive).await?;
         start.answer(&orders, &gauges).await?;
         start.tasks.spawn("keep the bounds", keep::run(start.store.clone(), start.store.reader().last_heard().await?));
         start.tasks.spawn("watchdog", watchdog::watch(gauges.clone()));
@@ -245,8 +245,7 @@ impl Starting {
     ) -> Result<(), StartError> {
         let peers = Arc::new(Peers::new(self.config.monitor.watched()));
         if !self.config.monitor.peers.is_empty() {
-            let tokens = PresenceWatch::subscribe(&self.session, EVERY_MONITOR_ALIVE).await?;
-            self.tasks.spawn("peers", Arc::clone(&peers).follow(tokens));
+            Arc::clone(&peers).follow(&self.session).await?;
         }
         let judge = Judge::restore(self.store.clone(), config).await?;
         let links = Links {
@@ -321,12 +320,6 @@ impl Starting {
         // Ends with the receiving loop: the next start fetches the rest.
         self.tasks.spawn("backlog", backlog.run(self.stops.receive.clone()));
         Ok(gauges)
-    }
-
-    async fn presence(&mut self, alive: watch::Sender<HashSet<MachineId>>) -> Result<(), BusError> {
-        let tokens = PresenceWatch::subscribe(&self.session, &self.scope(Kind::Alive)).await?;
-        self.tasks.spawn("presence", presence::run(tokens, Arc::clone(&self.status), alive));
-        Ok(())
     }
 
     /// Starts the answers to queries and commands.

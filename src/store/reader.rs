@@ -326,7 +326,9 @@ impl Reader {
         since: Timestamp,
         limit: u32,
     ) -> Result<Vec<Alarm>, StoreError> {
-        let query = sqlx::query_as(sql::ALARM_HISTORY).bind(which.site()).bind(which.machine());
+        let of_machine = which.machine().is_some();
+        let statement = if of_machine { sql::ALARM_HISTORY_OF_MACHINE } else { sql::ALARM_HISTORY };
+        let query = sqlx::query_as(statement).bind(which.site()).bind(which.machine());
         let (mut alarms, _) = self.asked_alarms(query.bind(since.as_microsecond()).bind(limit)).await?;
         alarms.reverse();
         Ok(alarms)

@@ -281,6 +281,11 @@ statements! {
         FROM alarm_event JOIN alarm USING (alarm_row) JOIN machine USING (machine_row) \
         WHERE coalesce(known_at_us, event_at_us) >= ?3 AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) \
         ORDER BY coalesce(known_at_us, event_at_us) DESC, alarm_row DESC, event_no DESC LIMIT ?4";
+    // CROSS JOIN: of one machine, its few alarms are searched instead of all events in the order of time.
+    ALARM_HISTORY_OF_MACHINE = "SELECT payload FROM machine \
+        CROSS JOIN alarm INDEXED BY alarm_of_machine USING (machine_row) CROSS JOIN alarm_event USING (alarm_row) \
+        WHERE (?1 IS NULL OR site = ?1) AND machine = ?2 AND coalesce(known_at_us, event_at_us) >= ?3 \
+        ORDER BY coalesce(known_at_us, event_at_us) DESC, alarm_row DESC, event_no DESC LIMIT ?4";
 
     // The outbox.
     ADD_MESSAGE = "INSERT INTO outbox (key, payload, created_at_us) VALUES (?1, ?2, ?3)";

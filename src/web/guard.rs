@@ -114,10 +114,12 @@ fn accepts_gzip(headers: &HeaderMap) -> bool {
 fn refusal(request: &Request, names: &[String], commands: bool) -> Option<Failure> {
     let is_post = commands && *request.method() == Method::POST;
     if !is_post && !matches!(*request.method(), Method::GET | Method::HEAD) {
-        return Some(Failure::new(
-            StatusCode::METHOD_NOT_ALLOWED,
-            "The dashboard can only be read, with GET. Operators' commands need web.token in the configuration.",
-        ));
+        let says = if commands {
+            "The dashboard takes only GET, and POST for operators' commands."
+        } else {
+            "The dashboard can only be read, with GET. Operators' commands need web.token in the configuration."
+        };
+        return Some(Failure::new(StatusCode::METHOD_NOT_ALLOWED, says));
     }
     let Some(host) = asked_host(request.headers()) else {
         return Some(Failure::new(
