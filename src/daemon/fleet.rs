@@ -32,8 +32,8 @@ const SMALLEST_NAME: &str = "-";
 /// The monitors of all machines.
 #[derive(Default)]
 pub(super) struct Fleet {
-    /// In order, so that the machines of a site stand together.
-    monitors: BTreeMap<MachineId, MachineMonitor>,
+    /// In order, so that the machines of a site stand together. Boxed, as half of the places in the tree are empty.
+    monitors: BTreeMap<MachineId, Box<MachineMonitor>>,
     /// Machines whose monitor has a departure from its baseline: the only ones that can take part in a common change.
     /// The set saves a search through all machines of a site at each throw. It may also hold machines with a new
     /// baseline, which has no departure yet.
@@ -43,29 +43,27 @@ pub(super) struct Fleet {
 }
 
 impl Fleet {
-    /// Restores the monitors from the database. A snapshot that cannot be read is logged and left out: the machine
-    /// learns a new baseline.
-    pub(super) fn restore(stored: Vec<StoredMonitor>) -> Self {
-        let mut fleet = Self::default();
+    /// Restores monitors from the database. A snapshot that cannot be read is logged and left out: the machine learns a
+    /// new baseline.
+    pub(super) fn restore(&mut self, stored: Vec<StoredMonitor>) {
         for StoredMonitor { machine, snapshot, state } in stored {
             match MachineMonitor::from_snapshot(&snapshot) {
                 Ok(monitor) => {
                     // An earlier version stored the name without the site.
                     let monitor = monitor.named(name_of(&machine));
                     if state != Some(monitor.state()) {
-                        fleet.to_store.insert(machine.clone());
+                        self.to_store.insert(machine.clone());
                     }
                     if monitor.is_witness() {
-                        fleet.witnesses.insert(machine.clone());
+                        self.witnesses.insert(machine.clone());
                     }
-                    fleet.monitors.insert(machine, monitor);
+                    self.monitors.insert(machine, Box::new(monitor));
                 }
                 Err(error) => {
                     tracing::error!(%machine, %error, "the stored monitor cannot be read: learning a new baseline");
                 }
             }
         }
-        fleet
     }
 
     /// Number of machines in each state, and of shelved alarms, without the daemon's own alarms.
@@ -83,7 +81,7 @@ impl Fleet {
     }
 
     fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {
-        self.monitors.entry(machine.clone()).or_insert_with(|| MachineMonitor::new(&name_of(machine)))
+        self.monitors.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
     }
 
     /// Diagnoses a throw; returns the judgement to store, with the monitor if this is the last throw of its machine in the
@@ -159,7 +157,7 @@ impl Fleet {
         let Ok(first) = MachineId::new(site.as_str(), SMALLEST_NAME) else { return Common::default() };
         let machines = self.witnesses.range(first..).take_while(|machine| machine.site == *site);
         let others = machines.filter(|machine| Some(*machine) != but);
-        MachineMonitor::common(others.filter_map(|machine| self.monitors.get(machine)), at)
+        MachineMonitor::common(others.filter_map(|machine| self.monitors.get(machine).map(Box::as_ref)), at)
     }
 
     /// Updates the alarm of a site, under the machine name [`ALL_MACHINES`].

@@ -15,6 +15,8 @@ use crate::{
 /// Largest number of throws in a batch of identification and commit. The store returns fewer if their traces are long.
 /// A commit waits behind groups of received throws, so smaller batches fell behind at 1,500 throws/s.
 const BATCH: u32 = 256;
+/// Monitors in one query of the start; each is up to 20 kB of text.
+const PAGE: u32 = 256;
 
 /// A judged throw, for observers in the same process.
 #[derive(Debug, Clone)]
@@ -49,7 +51,14 @@ impl Judge {
     /// # Errors
     /// When the database cannot be read.
     pub(super) async fn restore(store: Store, config: watch::Receiver<Arc<Config>>) -> Result<Self, StoreError> {
-        let fleet = Fleet::restore(store.reader().monitors().await?);
+        // Page by page: a snapshot as text needs more memory than the monitor.
+        let (mut fleet, mut last) = (Fleet::default(), None);
+        loop {
+            let page = store.reader().monitors(last.as_ref(), PAGE).await?;
+            let Some(end) = page.last() else { break };
+            last = Some(end.machine.clone());
+            fleet.restore(page);
+        }
         let pool = Pool::new(config.borrow().identify.threads);
         Ok(Self { store, fleet, pool, config, last: None, more: false })
     }

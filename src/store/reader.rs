@@ -258,12 +258,13 @@ impl Reader {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
-    /// The stored monitors of all machines.
+    /// The stored monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn monitors(&self) -> Result<Vec<StoredMonitor>, StoreError> {
-        self.rows(sqlx::query_as(sql::MONITORS)).await
+    pub async fn monitors(&self, after: Option<&MachineId>, limit: u32) -> Result<Vec<StoredMonitor>, StoreError> {
+        let (site, machine) = after.map_or(("", ""), |after| (after.site.as_str(), after.machine.as_str()));
+        self.rows(sqlx::query_as(sql::MONITORS).bind(site).bind(machine).bind(limit)).await
     }
 
     /// All machines in the database.

@@ -262,7 +262,8 @@ statements! {
     ADD_BASELINE = "INSERT INTO baseline (machine_row, direction, taken_at_us, payload) VALUES (?1, ?2, ?3, ?4) \
         ON CONFLICT DO NOTHING";
     SET_MONITOR = set_monitor!("VALUES (?1, ?2, ?3, ?4, ?5, ?6)");
-    MONITORS = "SELECT site, machine, snapshot, state FROM monitor JOIN machine USING (machine_row) ORDER BY site, machine";
+    MONITORS = "SELECT site, machine, snapshot, state FROM machine CROSS JOIN monitor USING (machine_row) \
+        WHERE (site, machine) > (?1, ?2) ORDER BY site, machine LIMIT ?3";
     MACHINES = "SELECT site, machine FROM machine ORDER BY site, machine";
 
     // Alarms.

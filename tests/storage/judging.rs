@@ -65,7 +65,7 @@ async fn judgements_of_a_group_are_written_in_order_and_once_each() {
     let events: Vec<(i64,)> = query(&store, "SELECT event_no FROM alarm_events ORDER BY event_no").await;
     assert_eq!(events, [(1,), (2,)]);
     assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap().len(), 2);
-    assert_eq!(store.reader().monitors().await.unwrap()[0].snapshot, "{\"events\":2}");
+    assert_eq!(store.reader().monitors(None, 10).await.unwrap()[0].snapshot, "{\"events\":2}");
 }
 
 #[tokio::test]
@@ -132,7 +132,7 @@ async fn a_restart_finds_snapshots_and_what_waits() {
     let reader = opened.store.reader();
     let snapshot = "{\"events\":1}".to_owned();
     let state = Some(MachineState::Warning);
-    assert_eq!(reader.monitors().await.unwrap(), [StoredMonitor { machine: machine("21B"), snapshot, state }]);
+    assert_eq!(reader.monitors(None, 10).await.unwrap(), [StoredMonitor { machine: machine("21B"), snapshot, state }]);
     let pending = reader.pending(ThrowRow::START, 10).await.unwrap();
     assert_eq!(pending.iter().map(|throw| throw.row).collect::<Vec<_>>(), [second]);
     assert!(reader.pending(second, 10).await.unwrap().is_empty());

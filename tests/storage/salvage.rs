@@ -136,7 +136,7 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
         reader.open_alarms(&Selector::default()).await.unwrap()[0].event,
         event(1, AlarmState::ActiveUnacknowledged)
     );
-    assert_eq!(reader.monitors().await.unwrap()[0].machine, machine("21B"));
+    assert_eq!(reader.monitors(None, 10).await.unwrap()[0].machine, machine("21B"));
     // A stored throw is still a repetition.
     let again = store.spool(&machine("21B"), &crate::given::throw("b1", 7), at(0)).await.unwrap();
     assert_eq!(again, pointsd::store::Spooled::Duplicate);

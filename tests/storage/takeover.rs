@@ -80,7 +80,7 @@ async fn a_database_of_the_version_before_is_taken_over_with_everything() {
         ["ack", "shelve", "maintenance_start"]
     );
 
-    for stored in reader.monitors().await.unwrap() {
+    for stored in reader.monitors(None, 100).await.unwrap() {
         let monitor = MachineMonitor::from_snapshot(&stored.snapshot).unwrap();
         assert!(Direction::BOTH.iter().all(|way| monitor.baseline(*way).is_some_and(|baseline| baseline.complete)));
         let state = match stored.machine.machine.as_str() {
