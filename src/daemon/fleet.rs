@@ -13,7 +13,7 @@ use crate::{
     estimate::{Estimate, Identification, Rejection},
     store::{Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
     throw::{MachineId, Name},
-    wire::{Health, json},
+    wire::{Alarm, Health, json},
 };
 
 /// `quality` of a throw whose stored trace cannot be read.
@@ -25,6 +25,9 @@ const ESTIMATOR_FAILED: &str = "estimator_failed";
 
 /// Machine name of the alarms about all machines of a site.
 pub(super) const ALL_MACHINES: &str = "all-machines";
+
+/// Ticks in an hour, one each five seconds.
+const TICKS_AN_HOUR: usize = 720;
 
 /// The first name in the order of names.
 const SMALLEST_NAME: &str = "-";
@@ -40,6 +43,8 @@ pub(super) struct Fleet {
     witnesses: BTreeSet<MachineId>,
     /// Machines whose stored monitor may differ from that in memory; stored again at the next tick.
     to_store: HashSet<MachineId>,
+    /// Ticks in this hour.
+    ticks: usize,
 }
 
 impl Fleet {
@@ -84,6 +89,20 @@ impl Fleet {
         self.monitors.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
     }
 
+    /// Takes over the `open` alarms that no monitor has, as after the loss of a snapshot: nothing else would end them.
+    pub(super) fn adopt(&mut self, open: Vec<Alarm>, now: Timestamp) -> Vec<Outcome> {
+        let mut outcomes = Vec::new();
+        for Alarm { machine, event, .. } in open {
+            let monitor = self.monitor(&machine);
+            let is_own = |own: &AlarmEvent| own.cause == event.cause && own.raised_at == event.raised_at;
+            if !monitor.open_alarms().iter().any(is_own) {
+                let event = monitor.adopt(event, now);
+                outcomes.push(outcome(&machine, Some(monitor), now, vec![event]));
+            }
+        }
+        outcomes
+    }
+
     /// Diagnoses a throw; returns the judgement to store, with the monitor if this is the last throw of its machine in the
     /// transaction.
     pub(super) fn judge(
@@ -118,24 +137,30 @@ impl Fleet {
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
 
-    /// Advances the time of every machine, with the present liveliness tokens; returns the outcomes to store, with
-    /// `all` also of machines without a change.
+    /// Advances the time of every machine, with the present liveliness tokens; returns the machines to store, with their
+    /// events. The monitors count silent time, so that each is also stored at one of [`TICKS_AN_HOUR`] ticks.
     pub(super) fn tick(
         &mut self,
         now: Timestamp,
         settings: &Settings,
         loggers: &HashSet<MachineId>,
-        all: bool,
-    ) -> Vec<Outcome> {
+        own_machine: &MachineId,
+    ) -> Vec<(MachineId, Vec<AlarmEvent>)> {
         let mut changed = Vec::new();
-        for (machine, monitor) in &mut self.monitors {
+        self.ticks = (self.ticks + 1) % TICKS_AN_HOUR;
+        for (index, (machine, monitor)) in self.monitors.iter_mut().enumerate() {
             let before = (monitor.is_announced(), monitor.state());
             let mut events: Vec<_> = monitor.logger(loggers.contains(machine), now, settings).into_iter().collect();
             events.extend(monitor.tick(now, settings));
+            // After a change of its name nobody else ends the alarms of the daemon.
+            if machine != own_machine && monitor.has_no_logger() {
+                events.extend(monitor.trouble(None, now, settings));
+                events.extend(monitor.peers(&[], now, settings));
+            }
             // The existence of a token is stored at once, so that its loss is detected after a restart too.
             let changes = before != (monitor.is_announced(), monitor.state()) || !events.is_empty();
-            if all || changes || self.to_store.contains(machine) {
-                changed.push(outcome(machine, Some(monitor), now, events));
+            if index % TICKS_AN_HOUR == self.ticks || changes || self.to_store.contains(machine) {
+                changed.push((machine.clone(), events));
             }
         }
         self.to_store.clear();
@@ -145,6 +170,11 @@ impl Fleet {
             changed.extend(self.follow_site(&site, &common, now, settings));
         }
         changed
+    }
+
+    /// The outcome with the present monitor of a machine and new events.
+    pub(super) fn outcome(&self, machine: &MachineId, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
+        outcome(machine, self.monitors.get(machine).map(Box::as_ref), at, events)
     }
 
     /// Stores the monitor of a machine at the next tick also if it does not change.
@@ -161,14 +191,19 @@ impl Fleet {
     }
 
     /// Updates the alarm of a site, under the machine name [`ALL_MACHINES`].
-    fn follow_site(&mut self, site: &Name, common: &Common, now: Timestamp, settings: &Settings) -> Option<Outcome> {
+    fn follow_site(
+        &mut self,
+        site: &Name,
+        common: &Common,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<(MachineId, Vec<AlarmEvent>)> {
         let id = MachineId::new(site.as_str(), ALL_MACHINES).ok()?;
         if *common == Common::default() && !self.monitors.contains_key(&id) {
             return None;
         }
-        let monitor = self.monitor(&id);
-        let events = monitor.follow_site(common, now, settings);
-        (!events.is_empty()).then(|| outcome(&id, Some(monitor), now, events))
+        let events = self.monitor(&id).follow_site(common, now, settings);
+        (!events.is_empty()).then_some((id, events))
     }
 
     /// Updates the alarm about the daemon itself, under its name as a machine.

@@ -7,7 +7,7 @@ use tokio::sync::watch;
 use super::{clock, config::Config, fleet::Fleet, identify::Pool};
 use crate::{
     diagnose::AlarmEvent,
-    store::{Judgement, Store, StoreError, ThrowRow},
+    store::{Judgement, Outcome, Selector, Store, StoreError, ThrowRow},
     throw::MachineId,
     wire::Health,
 };
@@ -61,6 +61,15 @@ impl Judge {
         }
         let pool = Pool::new(config.borrow().identify.threads);
         Ok(Self { store, fleet, pool, config, last: None, more: false })
+    }
+
+    /// Takes over the open alarms that no monitor has; returns the outcomes to store.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub(super) async fn adopt(&mut self) -> Result<Vec<Outcome>, StoreError> {
+        let open = self.store.reader().open_alarms(&Selector::default()).await?;
+        Ok(self.fleet.adopt(open, clock::now()))
     }
 
     /// The present configuration.

@@ -35,8 +35,8 @@ use crate::{
 
 /// Time between two ticks of the monitors, which need at least one a minute.
 const TICK: Duration = Duration::from_secs(5);
-/// Ticks in an hour.
-const TICKS_AN_HOUR: u32 = 720;
+/// Changes of monitors in one transaction.
+const CHANGES: usize = 64;
 /// Gaps in one query; the gaps of a machine are reported together.
 const GAPS: u32 = 10_000;
 /// Pause after an error of the database.
@@ -82,8 +82,6 @@ pub(super) struct JudgeLoop {
     away: Option<Vec<(MachineId, Timestamp)>>,
     /// Queue of unstored events: at most a raise, an escalation and a clearance.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
-    /// Ticks since all monitors were last stored.
-    ticks: u32,
     /// Rate limit of commands.
     budget: Budget,
 }
@@ -97,7 +95,6 @@ impl JudgeLoop {
             own_machine,
             away: None,
             daemon_alarms: VecDeque::new(),
-            ticks: 0,
             budget: Budget::new(clock::monotonic()),
         }
     }
@@ -107,6 +104,8 @@ impl JudgeLoop {
     /// # Errors
     /// When the store is closed.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
+        let adopted = self.judge.adopt().await?;
+        self.record_all(adopted.into()).await?;
         let mut tick = time::interval(TICK);
         let mut beat = time::interval(Duration::from_secs(1));
         let mut may_be_pending = true;
@@ -162,6 +161,7 @@ impl JudgeLoop {
         W: Future<Output = Result<(), StoreError>>,
     {
         loop {
+            self.links.status.heartbeats.beat(TaskName::Identify);
             match write(self.judge.store.clone()).await {
                 Ok(()) => return Ok(true),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
@@ -170,7 +170,6 @@ impl JudgeLoop {
             // May store a newer monitor of the daemon, which a repeated write then replaces by an older one.
             self.judge.fleet.store_again(&self.own_machine);
             self.update_daemon_alarms().await?;
-            self.links.status.heartbeats.beat(TaskName::Identify);
             if self.links.give_up.is_cancelled() {
                 return Ok(false);
             }
@@ -180,13 +179,18 @@ impl JudgeLoop {
 
     /// Stores an outcome and notifies the publisher of its events; returns whether it is stored.
     async fn record(&mut self, outcome: Outcome) -> Result<bool, StoreError> {
+        self.record_all(Arc::new([outcome])).await
+    }
+
+    /// Stores outcomes in one transaction, like [`Self::record`].
+    async fn record_all(&mut self, outcomes: Arc<[Outcome]>) -> Result<bool, StoreError> {
         let write = |store: Store| {
-            let outcome = outcome.clone();
-            async move { store.record(outcome).await }
+            let outcomes = Arc::clone(&outcomes);
+            async move { store.record_all(outcomes).await }
         };
-        let stored = self.until_stored("a change of a monitor", write).await?;
+        let stored = self.until_stored("changes of monitors", write).await?;
         if stored {
-            self.announce(&outcome);
+            outcomes.iter().for_each(|outcome| self.announce(outcome));
         }
         Ok(stored)
     }
@@ -217,13 +221,13 @@ impl JudgeLoop {
     /// Advances the time of the monitors, and reports gaps that no backlog will fill.
     async fn on_tick(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
-        // The monitors count silent time; they are stored every hour, so that a restart keeps it.
-        self.ticks += 1;
-        let store_all = self.ticks.is_multiple_of(TICKS_AN_HOUR);
         self.update_daemon_alarms().await?;
-        let changed = self.judge.fleet.tick(now, &config.diagnosis, &self.links.loggers.borrow(), store_all);
-        for outcome in changed {
-            self.record(outcome).await?;
+        // A copy: the callback of zenoh that changes the set must not wait for a tick of a large fleet.
+        let loggers = self.links.loggers.borrow().clone();
+        let changed = self.judge.fleet.tick(now, &config.diagnosis, &loggers, &self.own_machine);
+        for changed in changed.chunks(CHANGES) {
+            let outcome = |(machine, events): &(_, Vec<_>)| self.judge.fleet.outcome(machine, now, events.clone());
+            self.record_all(changed.iter().map(outcome).collect()).await?;
         }
         for (machine, (lost, reported_gaps)) in self.old_gaps(now).await {
             let outcome = self.judge.fleet.gap(&machine, lost, now, &config.diagnosis);

@@ -15,6 +15,7 @@ use super::{
     backlog::{Asker, Backlog},
     clock,
     config::Config,
+    fleet::ALL_MACHINES,
     judge::{Judge, Judged},
     judge_loop::{JudgeLoop, Links},
     keep,
@@ -281,10 +282,12 @@ impl Starting {
             store: self.store.clone(),
         };
         let machines = self.store.reader().machines().await?;
+        let own_machine = self.config.monitor.as_machine();
+        let sends = |machine: &MachineId| *machine != own_machine && machine.machine.as_str() != ALL_MACHINES;
         let intake = Arc::new(Intake {
             store: self.store.clone(),
             status: Arc::clone(&self.status),
-            machines: Mutex::new(machines.into_iter().map(|machine| (machine, false)).collect()),
+            machines: Mutex::new(machines.into_iter().filter(sends).map(|machine| (machine, false)).collect()),
             max_machines: subscribe.max_machines,
             max_payload_bytes: subscribe.max_payload_bytes,
             itself: self.config.monitor.as_machine(),

@@ -215,6 +215,13 @@ impl Alarms {
         self.event(index, at, Actor::default(), Some(text))
     }
 
+    /// Takes over an open alarm of a lost monitor, as cleared; ends it if `cause` has an alarm already.
+    pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) -> AlarmEvent {
+        let state = if self.find(last.cause).is_some() { State::Normal } else { State::Cleared };
+        self.open.push(Alarm { state, last });
+        self.event(self.open.len() - 1, at, Actor::default(), Some(text))
+    }
+
     /// Adds an event with a text to an open alarm, without a change of its state.
     pub(super) fn remark(&mut self, cause: Cause, text: String, at: Timestamp) -> Option<AlarmEvent> {
         let index = self.find(cause)?;

@@ -304,6 +304,18 @@ impl MachineMonitor {
         self.operation.is_announced()
     }
 
+    /// Takes over an open alarm that no monitor has, as after the loss of a snapshot: an operator can acknowledge it.
+    pub fn adopt(&mut self, last: AlarmEvent, now: Timestamp) -> AlarmEvent {
+        let text = text::orphaned(&self.name);
+        self.alarms.adopt(last, text, to_micros(now))
+    }
+
+    /// Whether neither a throw nor a token of a logger was ever received, as for the name of a daemon.
+    #[must_use]
+    pub fn has_no_logger(&self) -> bool {
+        self.order == 0 && !self.is_announced()
+    }
+
     /// Applies a problem of the daemon with storing data, for the monitor of the daemon itself; the alarm ends after
     /// ten minutes without a problem. Call it with each [`Self::tick`].
     pub fn trouble(

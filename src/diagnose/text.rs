@@ -270,6 +270,13 @@ pub(super) fn logger_back(name: &str) -> String {
     format!("Machine {name}: its logger is connected again.")
 }
 
+pub(super) fn orphaned(name: &str) -> String {
+    format!(
+        "{name}: what the daemon knew about this alarm is lost, and it learns a new baseline. The fault may still exist: \
+         inspect the machine, then acknowledge this alarm."
+    )
+}
+
 pub(super) fn daemon_calm() -> String {
     "pointsd stores all data again.".to_owned()
 }

@@ -90,6 +90,11 @@ impl Checksums {
     }
 }
 
+/// A second checksum of a channel, for traces without the other channel: that of its samples in reverse.
+pub(super) fn reverse_checksum(values: &[f64]) -> u32 {
+    hasher(&values.iter().rev().copied().collect::<Vec<_>>()).finalize()
+}
+
 fn hasher(values: &[f64]) -> crc32fast::Hasher {
     let mut hasher = crc32fast::Hasher::new();
     let mut bytes = [[0; size_of::<f64>()]; 512];

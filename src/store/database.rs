@@ -193,7 +193,15 @@ impl Store {
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
     pub async fn record(&self, outcome: Outcome) -> Result<(), StoreError> {
-        self.writer.write(outcome).await
+        self.record_all(Arc::new([outcome])).await
+    }
+
+    /// Stores outcomes in order and in one transaction.
+    ///
+    /// # Errors
+    /// When they could not be stored; the same call may be repeated.
+    pub async fn record_all(&self, outcomes: Arc<[Outcome]>) -> Result<(), StoreError> {
+        self.writer.write(outcomes).await
     }
 
     /// Removes messages from the outbox that zenoh has accepted.

@@ -176,7 +176,8 @@ pub struct Window {
     pub why: Option<String>,
 }
 
-/// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself, which is ?4/?5. A silent
+/// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself, which is ?4/?5, and without
+/// the names of the alarms about all machines of a site. A silent
 /// machine is not monitored and has no other open alarm.
 macro_rules! matching {
     () => {
@@ -189,7 +190,7 @@ macro_rules! matching {
             AND (?2 IS NULL OR EXISTS (SELECT 1 FROM alarm
                  WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?2))
             AND (?3 IS NULL OR instr(lower(site || '/' || machine), lower(?3)) > 0)
-            AND NOT (site = ?4 AND machine = ?5))"
+            AND machine <> 'all-machines' AND NOT (site = ?4 AND machine = ?5))"
     };
 }
 
@@ -252,14 +253,13 @@ const COMMON: &str = "
 const WINDOWS: &str = "
     SELECT site, machine, at_us, command, command.payload ->> 'cause' AS cause, command.payload ->> 'until' AS until,
            by_whom, why
-    FROM command JOIN machine USING (machine_row)
-    WHERE command_row IN (SELECT max(command_row) FROM command WHERE command IN ('maintenance_start', 'shelve')
-                          GROUP BY machine_row, command, payload ->> 'cause')
-      AND CASE command WHEN 'shelve' THEN EXISTS (SELECT 1 FROM alarm WHERE alarm.machine_row = command.machine_row
-                            AND alarm.cause = command.payload ->> 'cause' AND alarm.state IN ('shelved', 'out_of_service'))
-          ELSE EXISTS (SELECT 1 FROM monitor WHERE monitor.machine_row = command.machine_row
-                            AND monitor.state = 'maintenance') END
-      AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2)
+    FROM (SELECT machine_row, 'maintenance_start' AS opened_by, NULL AS of_cause FROM monitor WHERE state = 'maintenance'
+          UNION ALL SELECT machine_row, 'shelve', cause FROM alarm INDEXED BY alarm_open
+          WHERE state <> 'normal' AND state IN ('shelved', 'out_of_service')) AS open
+    JOIN machine USING (machine_row)
+    JOIN command ON command_row = (SELECT max(command_row) FROM command AS own INDEXED BY command_of_machine
+        WHERE own.machine_row = open.machine_row AND own.command = opened_by AND own.payload ->> 'cause' IS of_cause)
+    WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2)
     ORDER BY site, machine";
 
 const COMMANDS: &str = "

@@ -22,6 +22,9 @@ use crate::{
 /// Number of operators' commands kept: a hundred a day for ten years, 100 MB. The daemon accepts at most 14,400 a day.
 pub const COMMANDS_KEPT: u32 = 500_000;
 
+/// Number of events kept of an alarm, the last ones.
+const EVENTS_KEPT: u32 = 1_000;
+
 /// The result of judging one throw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Judgement {
@@ -98,10 +101,8 @@ impl Write for Judgements {
                 continue;
             }
             for judgement in judgements {
-                written.push(
-                    self.write(connection, std::slice::from_ref(judgement)).await?
-                        || repeated && judgement.is_written(connection).await?,
-                );
+                let is_written = self.write(connection, std::slice::from_ref(judgement)).await?;
+                written.push(is_written || judgement.write_late(connection, repeated).await?);
             }
         }
         Ok(written)
@@ -161,11 +162,16 @@ impl Judgement {
         self.outcome.write_events(connection, machine_row).await
     }
 
-    /// Whether this judgement is in the database.
-    async fn is_written(&self, connection: &mut SqliteConnection) -> sqlx::Result<bool> {
-        let judged_at_us: Option<i64> =
-            sqlx::query_scalar(sql::JUDGED_AT).bind(self.row.0).fetch_optional(connection).await?.flatten();
-        Ok(judged_at_us == Some(self.outcome.at.as_microsecond()))
+    /// Writes the outcome of a throw that retention has deleted since it was read: its alarms are raised in the monitor,
+    /// and would never be stored. Of a throw that was judged before, returns whether this is that judgement.
+    async fn write_late(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<bool> {
+        let judged_at_us: Option<Option<i64>> =
+            sqlx::query_scalar(sql::JUDGED_AT).bind(self.row.0).fetch_optional(&mut *connection).await?;
+        let Some(judged_at_us) = judged_at_us else {
+            self.outcome.write(connection).await?;
+            return Ok(true);
+        };
+        Ok(repeated && judged_at_us == Some(self.outcome.at.as_microsecond()))
     }
 
     fn bind_estimate<'q>(&'q self, query: Statements<'q>) -> Statements<'q> {
@@ -214,17 +220,20 @@ impl Judgement {
     }
 }
 
-impl Write for Outcome {
+impl Write for Arc<[Outcome]> {
     type Output = ();
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
-        let (machine_row, _) = machine_row(connection, &self.machine).await?;
-        self.write(connection, machine_row).await
+        for outcome in &**self {
+            outcome.write(connection).await?;
+        }
+        Ok(())
     }
 }
 
 impl Outcome {
-    async fn write(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
+    async fn write(&self, connection: &mut SqliteConnection) -> sqlx::Result<()> {
+        let (machine_row, _) = machine_row(connection, &self.machine).await?;
         if let Some(monitor) = &self.monitor {
             let set = sqlx::query(sql::SET_MONITOR).bind(machine_row).bind(self.at.as_microsecond());
             monitor.bind(set).execute(&mut *connection).await?;
@@ -302,6 +311,10 @@ async fn add_alarm_event(
         .bind(at_us.max(alarm.event_at.as_microsecond()))
         .execute(&mut *connection)
         .await?;
+    if alarm.event_no > EVENTS_KEPT {
+        let trim = sqlx::query(sql::TRIM_ALARM_EVENTS).bind(&alarm.alarm_id).bind(alarm.event_no).bind(EVENTS_KEPT);
+        trim.execute(&mut *connection).await?;
+    }
     let set = sqlx::query(sql::SET_ALARM).bind(&alarm.alarm_id).bind(alarm.event_no).bind(alarm.state.as_str());
     set.execute(connection).await?;
     Ok(added.rows_affected() > 0)

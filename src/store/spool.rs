@@ -7,7 +7,7 @@ use sqlx::{Row as _, SqliteConnection};
 use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
-    codec::{self, Channel, Checksums},
+    codec::{self, Channel, Checksums, reverse_checksum},
     cursor::{self, Boot, Place},
     many,
     rows::{GapKind, RENUMBERED, ThrowRow},
@@ -54,6 +54,9 @@ impl Spool {
 
     pub(super) fn new(machine: &MachineId, throw: &Throw, received_at: Timestamp) -> Self {
         let checksums = Checksums::of(throw.trace.current_a(), throw.trace.position_mm());
+        // 64 bits, so that two throws of a machine are never taken for repetitions of each other by chance.
+        let has_position = throw.trace.has_position();
+        let second = if has_position { checksums.channels[1] } else { reverse_checksum(throw.trace.current_a()) };
         Self {
             machine: machine.clone(),
             id: throw.id.clone(),
@@ -71,7 +74,7 @@ impl Spool {
             current: codec::encode(throw.trace.current_a()),
             position: codec::encode(throw.trace.position_mm()),
             trace_crc32: checksums.both,
-            trace_hash: (i64::from(checksums.channels[0]) << 32) | i64::from(checksums.channels[1]),
+            trace_hash: (i64::from(checksums.channels[0]) << 32) | i64::from(second),
         }
     }
 

@@ -254,9 +254,8 @@ statements! {
         a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, iterations, start_s, end_s, \
         duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, release_s, running_current_a, \
         energy_j, quiet_current_a, start_position_mm, resistance_ohm, back_emf_v_s_per_rad, baseline_throws, \
-        baseline_needed, throws_since_baseline, state, drift, machine_row, rejected_start_us) \
-        SELECT new.*, throw.machine_row, iif(new.column4 IN ('good', 'rough', 'current_only'), NULL, throw.started_at_us) \
-        FROM new CROSS JOIN throw ON throw.throw_row = new.column1";
+        baseline_needed, throws_since_baseline, state, drift, machine_row) \
+        SELECT new.*, throw.machine_row FROM new CROSS JOIN throw ON throw.throw_row = new.column1";
     SET_MONITORS_OF = set_monitor!("SELECT throw.machine_row, column2, column3, column4, column5, column6 \
         FROM (VALUES (?, ?, ?, ?, ?, ?)) AS new CROSS JOIN throw ON throw.throw_row = column1 WHERE TRUE");
     ADD_BASELINE = "INSERT INTO baseline (machine_row, direction, taken_at_us, payload) VALUES (?1, ?2, ?3, ?4) \
@@ -271,6 +270,9 @@ statements! {
         VALUES (?1, ?2, ?3, ?4, ?5, ?6) ON CONFLICT (alarm_id) DO NOTHING";
     ADD_ALARM_EVENT = "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload, known_at_us) \
         SELECT alarm_row, ?2, ?3, ?4, ?5, ?6, ?7 FROM alarm WHERE alarm_id = ?1 ON CONFLICT DO NOTHING";
+    // Of an alarm that is raised and cleared for ever, the first event and the last ones stay.
+    TRIM_ALARM_EVENTS = "DELETE FROM alarm_event WHERE alarm_row = (SELECT alarm_row FROM alarm WHERE alarm_id = ?1) \
+        AND event_no BETWEEN 2 AND ?2 - ?3";
     SET_ALARM = "UPDATE alarm SET last_event_no = ?2, state = ?3 WHERE alarm_id = ?1 AND last_event_no <= ?2";
     // Without statistics SQLite reads all alarms in the order of time, to save the sort of the few open ones.
     OPEN_ALARMS = "SELECT payload \
@@ -312,7 +314,8 @@ statements! {
     HEALTH_SINCE = concat!("SELECT ", history!(), " \
         WHERE throw_row IN (SELECT throw_row FROM throw \
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE (?2 IS NULL OR site = ?2) AND (?3 IS NULL OR machine = ?3)) \
-        AND started_at_us >= ?4 ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
+        AND started_at_us >= ?4 AND throw_row NOT IN (SELECT throw_row FROM throw AS own INDEXED BY throw_pending WHERE judged_at_us IS NULL) \
+        ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
     LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.caveats"), "FROM machine JOIN latest USING (machine_row) \
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
@@ -395,8 +398,8 @@ statements! {
     OLDEST_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw JOIN trace USING (throw_row) \
         WHERE machine_row = ?2 AND throw_row >= (SELECT traces_from FROM machine WHERE machine_row = ?2) \
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
-    AGED_TRACES = "SELECT throw_row FROM trace JOIN throw USING (throw_row) \
-        WHERE judged_at_us IS NOT NULL AND received_at_us < ?2 ORDER BY throw_row LIMIT ?1";
+    AGED_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us, received_at_us FROM trace JOIN throw USING (throw_row) \
+        ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL AND received_at_us < ?2 LIMIT ?1";
     DROP_TRACE = "DELETE FROM trace WHERE throw_row = ?1";
     DROP_TRACES = concat!("DELETE FROM trace WHERE throw_row IN ", chosen!());
     TRACES_FROM = concat!("UPDATE machine SET traces_from = last + 1 FROM \
@@ -412,10 +415,10 @@ statements! {
     DROP_OLD_GAPS = concat!("DELETE FROM gap WHERE boot_row IN (SELECT boot_row FROM throw WHERE throw_row IN ", chosen!(), ") \
         AND last_no < (SELECT pruned_to_no FROM boot WHERE boot.boot_row = gap.boot_row)");
     DROP_THROWS = concat!("DELETE FROM throw WHERE throw_row IN ", chosen!());
-    DROP_EMPTY_BOOTS = "DELETE FROM boot WHERE boot_row IN (SELECT boot_row FROM boot AS old ORDER BY boot_row LIMIT 1000) \
-        AND NOT EXISTS (SELECT 1 FROM throw WHERE throw.boot_row = boot.boot_row) \
-        AND position < (SELECT max(position) FROM boot AS newer WHERE newer.machine_row = boot.machine_row) \
-        AND boot_row NOT IN (SELECT cursor_boot_row FROM backlog WHERE cursor_boot_row IS NOT NULL)";
+    DROP_EMPTY_BOOTS = "DELETE FROM boot WHERE boot_row IN (SELECT boot_row FROM boot AS old INDEXED BY boot_emptied \
+        WHERE pruned_to_no >= highest_no AND NOT EXISTS (SELECT 1 FROM throw WHERE throw.boot_row = old.boot_row) \
+        AND position < (SELECT max(position) FROM boot AS newer WHERE newer.machine_row = old.machine_row) \
+        AND NOT EXISTS (SELECT 1 FROM backlog WHERE cursor_boot_row = old.boot_row AND backlog.machine_row = old.machine_row) LIMIT 1000)";
     OLDEST_TRACE_TIME = "SELECT received_at_us FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL \
         ORDER BY throw_row LIMIT 1";
     DROP_MESSAGES = concat!("DELETE FROM outbox WHERE outbox_row IN ", chosen!());

@@ -1,10 +1,12 @@
 //! Judgements, alarms and messages are stored together, and once.
 
+use jiff::Timestamp;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, MachineState},
     store::{Found, Judgement, OutboxRow, Selector, StoredMonitor, ThrowRow},
     wire::{Alarm, alarm_id},
 };
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
 use crate::given::{alarm, at, event, judgement, machine, open, outcome, query, spooled};
 
@@ -156,4 +158,61 @@ async fn alarms_since_a_moment_include_those_that_a_wrong_clock_dates_before_it(
     for (since, found) in [(0, 1), (2, 0)] {
         assert_eq!(store.reader().alarm_history(&Selector::default(), at(since), 10).await.unwrap().len(), found);
     }
+}
+
+/// An alarm that nobody acknowledges is raised and cleared for ever.
+#[tokio::test]
+async fn the_events_of_an_alarm_are_bounded() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    for event_no in 1..=1_010 {
+        store.record(outcome("21B", vec![event(event_no, AlarmState::ActiveUnacknowledged)])).await.unwrap();
+    }
+    let events: Vec<(i64, i64, i64)> = query(
+        &store,
+        "SELECT count(*), min(event_no), (SELECT min(event_no) FROM alarm_event WHERE event_no > 1) FROM alarm_event",
+    )
+    .await;
+    assert_eq!(events, [(1_001, 1, 11)]);
+}
+
+/// Retention deletes a pending throw of a flood while it is judged: the alarm that it raised is stored and published.
+#[tokio::test]
+async fn the_alarm_of_a_throw_that_was_deleted_meanwhile_is_not_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let row = spooled(&store, "21B", "b1", 1).await;
+    let mut connection =
+        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(store.path())).await.unwrap();
+    sqlx::query("DELETE FROM throw").execute(&mut connection).await.unwrap();
+    let outcome = alarm(1, AlarmState::ActiveUnacknowledged);
+    assert!(store.judge(Judgement { outcome, ..judgement(row, "21B") }).await.unwrap());
+    assert_eq!(store.reader().open_alarms(&Selector::default()).await.unwrap().len(), 1);
+    assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap().len(), 1);
+    assert_eq!(store.reader().monitors(None, 10).await.unwrap().len(), 1);
+}
+
+/// Throws from a backlog arrive after later ones.
+#[tokio::test]
+async fn the_latest_throw_is_the_last_of_the_machine_and_not_the_last_that_arrived() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let live = [spooled(&store, "21B", "b1", 1).await, spooled(&store, "21B", "b1", 6).await];
+    let backlog = [spooled(&store, "21B", "b1", 4).await, spooled(&store, "21B", "b1", 5).await];
+    for row in [live[0], backlog[0], backlog[1], live[1]] {
+        store.judge(judgement(row, "21B")).await.unwrap();
+    }
+    assert_eq!(query::<(i64,)>(&store, "SELECT throw_no FROM machine_health").await, [(6,)]);
+}
+
+/// A throw that waits for an earlier one does not hide the judged ones.
+#[tokio::test]
+async fn pending_throws_take_no_place_in_a_limited_history() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    let row = spooled(&store, "21B", "b1", 1).await;
+    store.judge(judgement(row, "21B")).await.unwrap();
+    spooled(&store, "21B", "b1", 3).await;
+    let one = Selector { machine: Some("21B".parse().unwrap()), ..Selector::default() };
+    assert_eq!(store.reader().health_history(&one, Timestamp::UNIX_EPOCH, 1).await.unwrap().len(), 1);
 }

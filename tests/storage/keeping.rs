@@ -396,3 +396,30 @@ fn settings_are_checked_and_unknown_keys_refused() {
     let unknown = toml::from_str::<Settings>("max_sise_mib = 5").unwrap_err().to_string();
     assert!(unknown.contains("max_sise_mib"), "{unknown}");
 }
+
+/// A logger that restarts at each throw, in a fleet of many quiet machines: its empty boots do not stay for ever.
+#[tokio::test]
+async fn empty_boots_are_deleted_also_behind_those_of_many_quiet_machines() {
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Settings { max_throws: 1_000, max_traces: 1_000, ..settings(folder.path()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let mut connection =
+        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(store.path())).await.unwrap();
+    for statement in [
+        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 1500) \
+         INSERT INTO machine (site, machine) SELECT 'north', 'quiet-' || i FROM n",
+        "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no, position) \
+         SELECT machine_row, 'b1', 0, 1, 1000000 FROM machine",
+    ] {
+        sqlx::query(statement).execute(&mut connection).await.unwrap();
+    }
+    for boot in 0..1_100 {
+        let row = spooled(&store, "loud", &format!("b{boot}"), 1).await;
+        store.judge(judgement(row, "loud")).await.unwrap();
+    }
+    store.run_housekeeping(at(0), true).await.unwrap();
+    let loud = "SELECT count(*) FROM boot JOIN machine USING (machine_row) WHERE machine = 'loud'";
+    // The boots with throws, and the one at which the backlog of the logger starts.
+    assert_eq!(query::<(i64,)>(&store, loud).await, [(1_001,)]);
+    assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM boot").await, [(2_501,)]);
+}
