@@ -2,13 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 
 use super::status::Standing;
 use crate::{
     diagnose::{
-        AlarmEvent, AlarmState, Command, CommandError, Common, Irregularity, MachineMonitor, Observation, Settings,
-        Severity, Verdict,
+        AlarmEvent, AlarmState, Command, CommandError, Common, Irregularity, MachineMonitor, Observation, Parameters,
+        Settings, Severity, Verdict,
     },
     estimate::{Estimate, Identification, Rejection},
     store::{Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
@@ -110,26 +110,42 @@ impl Fleet {
         stored: &StoredThrow,
         identification: Option<Identification>,
         is_last: bool,
-        settings: &Settings,
+        (settings, parameters): (&Settings, Parameters),
         at: Timestamp,
     ) -> Judgement {
         // A repeated trace is not evidence, neither of health nor of a drift.
         let repeats = stored.repeats && identification.as_ref().is_some_and(|found| found.outcome.is_ok());
         let identification = identification.filter(|_| !repeats);
-        let common = self.common(&stored.machine.site, Some(&stored.machine), stored.started_at);
+        let mut observation = observation(stored, identification.as_ref());
+        let has_wrong_clock = !is_possible(stored.started_at, stored.received_at);
+        if has_wrong_clock {
+            observation.started_at = stored.received_at;
+        }
+        let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
         let monitor = self.monitor(&stored.machine);
-        let observation = observation(stored, identification.as_ref());
+        let (command, events) = monitor.configured(parameters, observation.started_at, settings).unzip();
+        if let Some(Command::Rebaseline { why, .. }) = &command {
+            tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
+        }
+        if let Some(found) = identification.as_ref().filter(|found| found.direction.is_some()) {
+            monitor.direction(found.direction_contradicted);
+        }
         let mut verdict = monitor.observe_beside(&observation, &common, settings);
-        let irregularities =
-            [(repeats, Irregularity::RepeatedTrace), (stored.renumbered, Irregularity::RepeatedNumber)];
+        let irregularities = [
+            (has_wrong_clock, Irregularity::WrongClock(stored.started_at)),
+            (repeats, Irregularity::RepeatedTrace),
+            (stored.renumbered, Irregularity::RepeatedNumber),
+        ];
         for (_, irregularity) in irregularities.into_iter().filter(|(is_so, _)| *is_so) {
-            let event = monitor.irregular(irregularity, &stored.id, stored.started_at, settings);
+            let event = monitor.irregular(irregularity, &stored.id, observation.started_at, settings);
             verdict.events.extend(event);
             verdict.state = monitor.state();
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
-        let events = std::mem::take(&mut verdict.events);
+        let mut events = events.unwrap_or_default();
+        events.append(&mut verdict.events);
         let outcome = outcome(&stored.machine, is_last.then_some(&*monitor), at, events);
+        let outcome = Outcome { command, ..outcome };
         if monitor.is_witness() && !self.witnesses.contains(&stored.machine) {
             self.witnesses.insert(stored.machine.clone());
         }
@@ -240,6 +256,19 @@ impl Fleet {
         Some(outcome(own_machine, Some(monitor), now, vec![event]))
     }
 
+    /// Reports `count` messages of a machine in a row that are no valid throws; `None` if it has no monitor, or no news.
+    pub(super) fn invalid(
+        &mut self,
+        machine: &MachineId,
+        (count, reason): (u32, &str),
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<Outcome> {
+        let monitor = self.monitors.get_mut(machine)?;
+        let event = monitor.invalid(count, reason, now, settings)?;
+        Some(outcome(machine, Some(monitor), now, vec![event]))
+    }
+
     /// Reports lost throws to the monitor of a machine.
     pub(super) fn gap(&mut self, machine: &MachineId, lost: u64, at: Timestamp, settings: &Settings) -> Outcome {
         let monitor = self.monitor(machine);
@@ -267,6 +296,13 @@ impl Fleet {
 /// The name of a machine in texts: maintainers read them away from any table.
 fn name_of(id: &MachineId) -> String {
     if id.machine.as_str() == ALL_MACHINES { format!("All machines of {}", id.site) } else { id.to_string() }
+}
+
+/// Whether a logger with a right clock can date a throw so. Throws of a backlog or a recording may be old.
+fn is_possible(started_at: Timestamp, received_at: Timestamp) -> bool {
+    /// A clock without a battery starts in 1970, 1980 or 2000.
+    const FIRST: Timestamp = Timestamp::constant(978_307_200, 0);
+    started_at >= FIRST && started_at.duration_since(received_at) <= SignedDuration::from_hours(24)
 }
 
 fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observation {

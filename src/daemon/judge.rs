@@ -6,7 +6,7 @@ use tokio::sync::watch;
 
 use super::{clock, config::Config, fleet::Fleet, identify::Pool};
 use crate::{
-    diagnose::AlarmEvent,
+    diagnose::{AlarmEvent, Parameters},
     store::{Judgement, Outcome, Selector, Store, StoreError, ThrowRow},
     throw::MachineId,
     wire::Health,
@@ -97,7 +97,8 @@ impl Judge {
         let judgements = throws.iter().map(|stored| {
             let identification = if stored.throw.is_ok() { found.next().flatten() } else { None };
             let is_last = last.get(&stored.machine) == Some(&stored.row);
-            self.fleet.judge(stored, identification, is_last, &config.diagnosis, clock::now())
+            let parameters = Parameters::of(config.machines.of(&stored.machine));
+            self.fleet.judge(stored, identification, is_last, (&config.diagnosis, parameters), clock::now())
         });
         Ok(judgements.collect())
     }

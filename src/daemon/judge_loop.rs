@@ -233,6 +233,11 @@ impl JudgeLoop {
             let outcome = self.judge.fleet.gap(&machine, lost, now, &config.diagnosis);
             self.record(Outcome { reported_gaps, ..outcome }).await?;
         }
+        for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
+            if let Some(outcome) = self.judge.fleet.invalid(&machine, (count, &reason), now, &config.diagnosis) {
+                self.record(outcome).await?;
+            }
+        }
         let away = self.links.peers.away();
         if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
             let outcome = self.judge.fleet.peers(&self.own_machine, &away, now, &config.diagnosis);

@@ -72,6 +72,13 @@ impl Intake {
                 Err(why) => refused.push(why),
             }
         }
+        for refused in refused.iter().filter(|_| live) {
+            if let Ok((machine, _)) = wire::parse_key(&refused.key)
+                && self.known().contains_key(&machine)
+            {
+                self.status.count_invalid(machine, &refused.reason);
+            }
+        }
         self.quarantine(refused).await;
         throws
     }
@@ -98,6 +105,9 @@ impl Intake {
             format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
         } else {
             *known.entry(machine.clone()).or_default() |= live;
+            if live {
+                self.status.count_valid(&machine);
+            }
             return Ok((machine, throw, received_at));
         };
         Err(Refused::throw(&machine, &throw, reason, received_at))

@@ -1,7 +1,7 @@
 //! Status of the daemon: counters, and a line of text.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, HashMap},
     sync::{
         Arc, Mutex, PoisonError,
         atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed},
@@ -15,7 +15,11 @@ use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{MachineState, Severity},
     store::{DiskLevel, Recent, Store, Window},
+    throw::MachineId,
 };
+
+/// Invalid messages of a machine in a row that are an alarm; a few may be accidents.
+const INVALID_IN_A_ROW: u32 = 5;
 
 /// Counters and states, shared by all loops.
 #[derive(Debug, Default)]
@@ -44,6 +48,8 @@ pub struct Status {
     standing: Mutex<Standing>,
     /// Throws without an estimate, by the code of the reason.
     refused: Mutex<BTreeMap<String, u64>>,
+    /// Of each known machine whose last messages were no valid throws, their number and the last reason.
+    invalid: Mutex<HashMap<MachineId, (u32, String)>>,
     /// Rejected throws of new machines beyond `max_machines`.
     pub(super) machines_refused: Recent,
     /// Alarm events.
@@ -156,6 +162,26 @@ impl Status {
     pub(super) fn refuse(&self, reason: &str) {
         self.not_evaluated.fetch_add(1, Relaxed);
         *self.refused.lock().unwrap_or_else(PoisonError::into_inner).entry(reason.to_owned()).or_default() += 1;
+    }
+
+    /// Counts a message of a known machine that is no valid throw.
+    pub(super) fn count_invalid(&self, machine: MachineId, reason: &str) {
+        let mut invalid = self.invalid.lock().unwrap_or_else(PoisonError::into_inner);
+        let (count, last) = invalid.entry(machine).or_default();
+        *count = count.saturating_add(1);
+        reason.clone_into(last);
+    }
+
+    /// Notes a valid throw of a machine.
+    pub(super) fn count_valid(&self, machine: &MachineId) {
+        self.invalid.lock().unwrap_or_else(PoisonError::into_inner).remove(machine);
+    }
+
+    /// Machines of which [`INVALID_IN_A_ROW`] messages or more were no valid throws since the last call or the last valid
+    /// one, with their number and the last reason.
+    pub(super) fn invalid_in_a_row(&self) -> Vec<(MachineId, (u32, String))> {
+        let mut invalid = self.invalid.lock().unwrap_or_else(PoisonError::into_inner);
+        invalid.extract_if(|_, (count, _)| *count >= INVALID_IN_A_ROW).collect()
     }
 
     pub(super) fn set_standing(&self, standing: Standing) {

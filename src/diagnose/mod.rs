@@ -41,7 +41,7 @@ pub use correlation::Correlation;
 pub use course::LimitForecast;
 pub use event::{AlarmEvent, AlarmState, Cause, RunnerUp, SensorChannel, Severity};
 pub use monitor::MachineMonitor;
-pub use observation::{Irregularity, Observation};
+pub use observation::{Irregularity, Observation, Parameters};
 pub use settings::{Settings, TemperatureCoefficients};
 pub use site::Common;
 pub use temperature::TemperatureSource;

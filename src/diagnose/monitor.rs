@@ -13,7 +13,7 @@ use super::{
     explain::percent,
     features::FeatureWatch,
     instruments::Instruments,
-    observation::{Evaluated, Irregularity, Observation},
+    observation::{Evaluated, Irregularity, Observation, Parameters},
     operational::{self, Context, Operation},
     settings::Settings,
     site::{self, Common, Trail},
@@ -60,6 +60,9 @@ pub struct MachineMonitor {
     #[serde(default)]
     blind: Option<Blindness>,
     maintenance: Option<Maintenance>,
+    /// Parameters of the last identified throw.
+    #[serde(default)]
+    parameters: Option<Parameters>,
 }
 
 impl MachineMonitor {
@@ -83,6 +86,7 @@ impl MachineMonitor {
             trail: Trail::default(),
             blind: None,
             maintenance: None,
+            parameters: None,
         }
     }
 
@@ -169,7 +173,10 @@ impl MachineMonitor {
         let watched = self.watch_features(observation, is_judged, at, settings, verdict);
         let blind = self.blind;
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
-        verdict.events.extend(operation.on_evaluation(evaluated.is_some() || watched, blind.as_ref(), alarms, context));
+        let evaluated_or_watched = evaluated.is_some() || watched;
+        let direction = observation.direction;
+        let event = operation.on_evaluation(evaluated_or_watched, direction, blind.as_ref(), alarms, context);
+        verdict.events.extend(event);
         if let (Some(direction), Some(duration_s), false) =
             (observation.direction, observation.features.duration_s, observation.incomplete)
             && let Some(normal_s) = self.tracks.duration_s(direction)
@@ -342,6 +349,35 @@ impl MachineMonitor {
         operation.on_gap(lost, alarms, context).into_iter().collect()
     }
 
+    /// Counts the throws whose movement contradicts the direction that the logger names.
+    pub fn direction(&mut self, contradicted: bool) {
+        self.operation.on_direction(contradicted);
+    }
+
+    /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
+    /// compared, so a change starts a new baseline; returns the command that does this, with its events.
+    pub fn configured(
+        &mut self,
+        parameters: Parameters,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> Option<(Command, Vec<AlarmEvent>)> {
+        let changed = self.parameters.replace(parameters)?.changed(&parameters)?;
+        let why = format!("the configuration of the machine changed: {changed}");
+        let command = Command::Rebaseline { by: "pointsd".to_owned(), why };
+        let events = self.command(&command, now, settings).ok()?;
+        Some((command, events))
+    }
+
+    /// Applies `count` messages of the logger in a row that are no valid throws, with the last reason.
+    pub fn invalid(&mut self, count: u32, reason: &str, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
+        if self.maintenance.is_some() {
+            return None;
+        }
+        let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
+        operation.on_invalid(count, reason, alarms, context)
+    }
+
     /// Applies an irregularity of the logger.
     pub fn irregular(
         &mut self,
@@ -433,6 +469,7 @@ impl MachineMonitor {
             .into_iter()
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(only_features.then(|| text::only_features(&self.name)))
+            .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
             .collect()
     }
 
@@ -442,11 +479,10 @@ impl MachineMonitor {
         if self.maintenance.is_some() {
             return MachineState::Maintenance;
         }
-        if self.alarms.is_active(Cause::NotMonitored) {
-            return MachineState::NotMonitored;
-        }
-        match self.alarms.active().map(|event| event.severity).max() {
+        let of_machine = |event: &&AlarmEvent| event.cause != Cause::NotMonitored;
+        match self.alarms.active().filter(of_machine).map(|event| event.severity).max() {
             Some(Severity::Critical) => MachineState::Critical,
+            _ if self.alarms.is_active(Cause::NotMonitored) => MachineState::NotMonitored,
             Some(Severity::Warning) => MachineState::Warning,
             None if self.tracks.any_baseline() || self.features.is_monitoring() => MachineState::Healthy,
             None => MachineState::Learning,
@@ -495,6 +531,7 @@ impl From<VersionOne> for MachineMonitor {
             trail: Trail::default(),
             blind: None,
             maintenance,
+            parameters: None,
         }
     }
 }

@@ -2,10 +2,11 @@
 
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
 use super::event::SensorChannel;
 use crate::{
-    estimate::{Features, Grade},
+    estimate::{self, Features, Grade, Motor},
     throw::{Direction, ThrowRef},
 };
 
@@ -39,10 +40,44 @@ pub struct Observation {
 /// An irregularity of a logger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Irregularity {
+    /// The clock of the logger stands at an impossible time.
+    WrongClock(Timestamp),
     /// The logger sent the same recording before.
     RepeatedTrace,
     /// The logger restarted its throw numbers with the same `boot_id`.
     RepeatedNumber,
+}
+
+/// The parameters of a machine that scale its coefficients.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Parameters {
+    /// Ball-screw lead \[mm per revolution\].
+    lead_mm: f64,
+    /// Toe position at which the rails are unstressed \[mm from normal\].
+    neutral_mm: f64,
+    /// Kind of motor.
+    motor: Motor,
+}
+
+impl Parameters {
+    /// The parameters in the settings of the estimator.
+    #[must_use]
+    pub fn of(settings: &estimate::Settings) -> Self {
+        Self { lead_mm: settings.lead_mm, neutral_mm: settings.neutral_mm, motor: settings.motor }
+    }
+
+    /// The first parameter that differs, with its values; `None` without a difference.
+    pub(super) fn changed(&self, to: &Self) -> Option<String> {
+        if self.motor != to.motor {
+            Some("motor".to_owned())
+        } else if self.lead_mm != to.lead_mm {
+            Some(format!("lead_mm from {} to {}", self.lead_mm, to.lead_mm))
+        } else if self.neutral_mm != to.neutral_mm {
+            Some(format!("neutral_mm from {} to {}", self.neutral_mm, to.neutral_mm))
+        } else {
+            None
+        }
+    }
 }
 
 /// A throw with a direction and a usable estimate, in logarithms.

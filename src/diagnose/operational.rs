@@ -29,6 +29,8 @@ const USUAL_TICK_S: f64 = 60.0;
 /// Time without problems of the daemon after which its alarm clears \[s\], so that a disk at its limit does not
 /// alternate it.
 const CALM_S: f64 = 600.0;
+/// Consecutive throws that contradict the logger's direction until this is stated; a label may be wrong for once.
+const CONTRADICTED_IN_A_ROW: u32 = 5;
 
 /// Liveliness of the logger.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -57,6 +59,12 @@ pub(super) struct Operation {
     very_slow: u32,
     fast_enough: u32,
     unevaluated: u32,
+    /// The same, of each direction.
+    #[serde(default)]
+    unevaluated_in: [u32; 2],
+    /// Throws whose movement contradicts the direction that the logger names.
+    #[serde(default)]
+    contradicted: u32,
     /// Throws at a temperature that hides faults at their warning limit.
     #[serde(default)]
     blind: u32,
@@ -168,25 +176,45 @@ impl Operation {
     pub(super) fn on_evaluation(
         &mut self,
         evaluated: bool,
+        direction: Option<Direction>,
         blind: Option<&Blindness>,
         alarms: &mut Alarms,
         context: Context,
     ) -> Option<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
+        let enough = settings.not_monitored_throws;
         streak(&mut self.unevaluated, !evaluated);
+        for own in Direction::BOTH.into_iter().filter(|own| direction == Some(*own)) {
+            streak(&mut self.unevaluated_in[own as usize], !evaluated);
+        }
         if evaluated {
             streak(&mut self.blind, blind.is_some());
         }
-        let blind = blind.filter(|_| self.blind >= settings.not_monitored_throws);
+        let blind = blind.filter(|_| self.blind >= enough);
+        // The throws of one direction may all be rejected, as with a wrong `neutral_mm`, while the other is healthy.
+        let unseen = Direction::BOTH.into_iter().find(|own| self.unevaluated_in[*own as usize] >= enough);
         if let Some(blind) = blind {
             alarms.raise(Cause::NotMonitored, context.warning(text::blind(name, blind)), at)
+        } else if self.unevaluated >= enough {
+            alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, None, self.unevaluated)), at)
+        } else if let Some(unseen) = unseen {
+            let in_a_row = self.unevaluated_in[unseen as usize];
+            alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, Some(unseen), in_a_row)), at)
         } else if evaluated {
             alarms.clear(Cause::NotMonitored, text::evaluated_again(name), at)
-        } else if self.unevaluated >= settings.not_monitored_throws {
-            alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, self.unevaluated)), at)
         } else {
             None
         }
+    }
+
+    /// Counts the throws in a row whose movement contradicts the logger's direction.
+    pub(super) fn on_direction(&mut self, contradicted: bool) {
+        streak(&mut self.contradicted, contradicted);
+    }
+
+    /// Whether the logger names the directions the other way round, or always the same.
+    pub(super) fn is_contradicted(&self) -> bool {
+        self.contradicted >= CONTRADICTED_IN_A_ROW
     }
 
     /// Applies the plausibility of temperature and supply voltage of a throw.
@@ -284,7 +312,10 @@ impl Operation {
             absent => absent,
         };
         let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });
-        let monitored = self.unevaluated < context.settings.not_monitored_throws && !self.is_silent(context.settings);
+        let enough = context.settings.not_monitored_throws;
+        let monitored = self.unevaluated < enough
+            && self.unevaluated_in.iter().all(|in_a_row| *in_a_row < enough)
+            && !self.is_silent(context.settings);
         if !(there && alarmed && monitored) {
             return None;
         }
@@ -342,8 +373,21 @@ impl Operation {
         let text = match irregularity {
             Irregularity::RepeatedTrace => text::repeated_trace(context.name),
             Irregularity::RepeatedNumber => text::repeated_number(context.name),
+            Irregularity::WrongClock(at) => text::wrong_clock(context.name, at),
         };
         alarms.raise(Cause::DataLoss, context.warning(text), context.at)
+    }
+
+    /// Applies messages of the logger that are no valid throws.
+    pub(super) fn on_invalid(
+        &mut self,
+        count: u32,
+        reason: &str,
+        alarms: &mut Alarms,
+        context: Context,
+    ) -> Option<AlarmEvent> {
+        self.since_gap = 0;
+        alarms.raise(Cause::DataLoss, context.warning(text::invalid(context.name, count, reason)), context.at)
     }
 
     /// Resets the counters after maintenance.

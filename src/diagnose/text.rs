@@ -160,10 +160,43 @@ pub(super) fn fast_again(name: &str) -> String {
     format!("Machine {name}: throws are as fast as the baseline's again.")
 }
 
-pub(super) fn unevaluated(name: &str, in_a_row: u32) -> String {
+/// Text for throws without an estimate, of one direction or of both.
+pub(super) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u32) -> String {
+    let (throws, what, check) = match direction {
+        None => (String::new(), "the machine is", "the machine and its sensors"),
+        Some(direction) => {
+            let check = "the zero of the position, neutral_mm, and the machine";
+            (format!(" {direction}"), "this direction is", check)
+        }
+    };
     format!(
-        "Machine {name}: the last {in_a_row} throws could not be evaluated, so the machine is not monitored. See the \
-         reasons in throws_not_evaluated, and check the machine and its sensors."
+        "Machine {name}: the last {in_a_row} throws{throws} could not be evaluated, so {what} not monitored. See the \
+         reasons in throws_not_evaluated, and check {check}."
+    )
+}
+
+/// Text for messages of a machine that are no valid throws.
+pub(super) fn invalid(name: &str, count: u32, reason: &str) -> String {
+    format!(
+        "Machine {name}: the last {count} messages of its logger are not valid throws, so the machine is not monitored: \
+         {reason}. Correct the logger; the messages are in quarantined_messages."
+    )
+}
+
+/// Text for a logger whose clock stands at an impossible time.
+pub(super) fn wrong_clock(name: &str, at: Timestamp) -> String {
+    format!(
+        "Machine {name}: the clock of the logger is wrong: it dates a throw {}. Set the clock; until then the times of \
+         alarms are those of reception.",
+        at.strftime("%Y-%m-%d %H:%M:%S UTC")
+    )
+}
+
+/// Text for a logger whose directions are not those of the movement.
+pub(super) fn contradicted(name: &str) -> String {
+    format!(
+        "Machine {name}: the logger names another direction than the position shows, which must rise from normal to \
+         reverse. pointsd uses the position: correct its sign, or the directions of the logger."
     )
 }
 

@@ -2,7 +2,14 @@
 
 use jiff::SignedDuration;
 use nalgebra::Vector3;
-use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Observation, Settings, Severity};
+use pointsd::{
+    diagnose::{
+        AlarmEvent, AlarmState, Cause, Command, Irregularity, MachineMonitor, MachineState, Observation, Parameters,
+        Settings, Severity,
+    },
+    estimate,
+    throw::Direction,
+};
 
 use crate::fleet::{Machine, Nature};
 
@@ -208,4 +215,70 @@ fn nonsense_in_an_estimate_neither_panics_nor_teaches() {
     for direction in pointsd::throw::Direction::BOTH {
         assert_eq!(monitor.baseline_progress(direction, &settings).0, 0);
     }
+}
+
+/// With a wrong zero of the position all throws of one direction may be rejected, while the other is healthy.
+#[test]
+fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
+    let (mut machine, mut monitor) = machine();
+    let back =
+        |o: &mut Observation| o.estimate = o.estimate.filter(|_| o.direction == Some(Direction::NormalToReverse));
+    let events = feed(&mut machine, &mut monitor, 60, back);
+    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    assert!(events[0].text.contains("reverse to normal"), "{}", events[0].text);
+    assert_eq!(monitor.state(), MachineState::NotMonitored);
+    let events = feed(&mut machine, &mut monitor, 2, |_| {});
+    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
+}
+
+/// Estimates with another `neutral_mm` cannot be compared with the baseline.
+#[test]
+fn another_configuration_of_the_machine_starts_a_new_baseline() {
+    let (mut machine, mut monitor) = machine();
+    let before = estimate::Settings::default();
+    let after = estimate::Settings { neutral_mm: 57.3, ..estimate::Settings::default() };
+    let at = machine.throw(Vector3::zeros()).started_at;
+    let mut configured =
+        |settings: &estimate::Settings| monitor.configured(Parameters::of(settings), at, &Settings::default());
+    assert_eq!(configured(&before), None);
+    assert_eq!(configured(&before), None);
+    let (command, _) = configured(&after).unwrap();
+    assert_eq!(command.why(), Some("the configuration of the machine changed: neutral_mm from 0 to 57.3"));
+    assert_eq!(configured(&after), None);
+    assert_eq!(monitor.state(), MachineState::Learning);
+}
+
+#[test]
+fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions_a_caveat() {
+    let (mut machine, mut monitor) = machine();
+    let last = machine.throw(Vector3::zeros());
+    let event = monitor.invalid(5, "direction \"N\" is unknown", last.started_at, &Settings::default()).unwrap();
+    assert_eq!((event.cause, event.severity), (Cause::DataLoss, Severity::Warning));
+    assert!(event.text.contains("the last 5 messages") && event.text.contains("\"N\""), "{}", event.text);
+
+    let mut monitor = machine.learned(&Settings::default());
+    let clock = Irregularity::WrongClock(jiff::Timestamp::UNIX_EPOCH);
+    let event = monitor.irregular(clock, &last.throw, last.started_at, &Settings::default()).unwrap();
+    assert!(event.cause == Cause::DataLoss && event.text.contains("1970-01-01"), "{}", event.text);
+
+    (0..4).for_each(|_| monitor.direction(true));
+    assert!(monitor.caveats().is_empty());
+    monitor.direction(true);
+    assert_eq!(monitor.caveats().len(), 1);
+    monitor.direction(false);
+    assert!(monitor.caveats().is_empty());
+}
+
+/// After the loss of a snapshot nothing else would end the alarm, and its fault may still exist.
+#[test]
+fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {
+    let (mut machine, mut monitor) = machine();
+    let lost = feed(&mut machine, &mut monitor, 1, |o| (o.incomplete, o.estimate) = (true, None)).remove(0);
+    let mut fresh = MachineMonitor::new("21");
+    let adopted = fresh.adopt(lost.clone(), lost.event_at);
+    assert_eq!((adopted.event_no, adopted.state), (lost.event_no + 1, AlarmState::ClearedUnacknowledged));
+    let ack = Command::Ack { cause: lost.cause, by: "mia".to_owned() };
+    let events = fresh.command(&ack, lost.event_at, &Settings::default()).unwrap();
+    assert_eq!((events[0].event_no, events[0].state), (lost.event_no + 2, AlarmState::Normal));
+    assert!(fresh.open_alarms().is_empty());
 }
