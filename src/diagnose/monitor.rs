@@ -9,7 +9,7 @@ use super::{
     baseline::BaselineRecord,
     command::{Command, CommandError},
     drift_alarms::{DRIFTS, DriftAlarms, Onset},
-    event::{AlarmEvent, Cause, Severity},
+    event::{AlarmEvent, Cause, SensorChannel, Severity},
     explain::percent,
     features::FeatureWatch,
     instruments::Instruments,
@@ -60,6 +60,9 @@ pub struct MachineMonitor {
     #[serde(default)]
     blind: Option<Blindness>,
     maintenance: Option<Maintenance>,
+    /// Whether an estimate with a toe position was observed since the last rebaseline.
+    #[serde(default)]
+    has_position: bool,
     /// Parameters of the last identified throw.
     #[serde(default)]
     parameters: Option<Parameters>,
@@ -86,6 +89,7 @@ impl MachineMonitor {
             trail: Trail::default(),
             blind: None,
             maintenance: None,
+            has_position: false,
             parameters: None,
         }
     }
@@ -125,8 +129,12 @@ impl MachineMonitor {
         self.order += 1;
         let at = to_micros(observation.started_at);
         let temperature = self.thermometer.read(observation.temperature_c, at);
-        let mut evaluated =
-            Evaluated::of(observation).map(|throw| Evaluated { temperature_c: temperature.celsius, ..throw });
+        // Without its toe sensor a machine is not what its baseline describes.
+        let without_position = self.has_position && observation.is_without_position();
+        self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
+        let mut evaluated = Evaluated::of(observation)
+            .filter(|_| !without_position)
+            .map(|throw| Evaluated { temperature_c: temperature.celsius, ..throw });
         let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
         if let (Some(throw), Some(residual)) = (&mut evaluated, &residual) {
             if let Some(of_one_throw) = self.tracks.of_one_throw(throw.direction) {
@@ -141,7 +149,8 @@ impl MachineMonitor {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
             let disbelief = temperature.disbelief.or(supply_v.map(Disbelief::Supply));
             verdict.events.extend(operation.on_sensors(disbelief, alarms, context));
-            verdict.events.extend(operation.on_channel(observation.faulty, alarms, context));
+            let faulty = observation.faulty.or(without_position.then_some(SensorChannel::Position));
+            verdict.events.extend(operation.on_channel(faulty, alarms, context));
             self.observe_in_service(observation, evaluated.as_ref(), at, settings, &mut verdict);
         }
         verdict.baseline =
@@ -162,7 +171,7 @@ impl MachineMonitor {
         verdict: &mut Verdict,
     ) {
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
-        verdict.events.extend(operation.on_throw(observation.incomplete, alarms, context));
+        verdict.events.extend(operation.on_throw(observation.incomplete, observation.direction, alarms, context));
         if let Some(throw) = evaluated {
             let suspicious = self.drift.is_suspicious(&self.alarms);
             let features = &observation.features;
@@ -209,7 +218,8 @@ impl MachineMonitor {
             gauges.push(direction, features, observation.temperature_c, self.drift.is_suspicious(&self.alarms));
         }
         verdict.events.extend(self.features.on_features(direction, features, gauges, &mut self.alarms, context));
-        self.features.is_alarmed() || observation.features_only && features.running_current_a.is_some()
+        let has_features = !self.has_position && observation.features_only && features.running_current_a.is_some();
+        self.features.is_alarmed() || has_features
     }
 
     fn observe_evaluated(
@@ -425,6 +435,9 @@ impl MachineMonitor {
     }
 
     fn rebaseline(&mut self, by: &str, why: &str, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
+        let mut events = self.end_rules(now);
+        self.operation.forget_channel();
+        self.has_position = false;
         self.tracks = Tracks::default();
         self.drift.reset();
         self.drift.now.clear();
@@ -435,17 +448,28 @@ impl MachineMonitor {
         let text = text::rebaselined(&self.name, by, why);
         let drifts: Vec<Cause> =
             self.alarms.events().filter(|event| is_drift(event)).map(|event| event.cause).collect();
-        drifts.into_iter().filter_map(|cause| self.alarms.close(cause, text.clone(), actor, now)).collect()
+        events.extend(drifts.into_iter().filter_map(|cause| self.alarms.close(cause, text.clone(), actor, now)));
+        events
+    }
+
+    /// Ends the alarms of rules that forget their last throws, and could not end them any more.
+    fn end_rules(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
+        let of_features = self.features.is_alarmed().then_some(Cause::Unattributed);
+        let causes = [Cause::Sensor, Cause::Supply].into_iter().chain(of_features);
+        causes.filter_map(|cause| self.alarms.clear(cause, text::checked_anew(&self.name), now)).collect()
     }
 
     fn end_maintenance(&mut self, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
         self.maintenance = None;
+        self.drift.now.clear();
+        let mut events = self.alarms.set_out_of_service(false, actor, now);
+        events.extend(self.end_rules(now));
         self.tracks.forget_recent();
         self.instruments.forget_recent();
         self.features.reset();
         self.drift.reset();
         self.operation.reset();
-        self.alarms.set_out_of_service(false, actor, now)
+        events
     }
 
     /// The latest event of every open alarm (any state but `normal`), oldest alarm first.
@@ -531,6 +555,7 @@ impl From<VersionOne> for MachineMonitor {
             trail: Trail::default(),
             blind: None,
             maintenance,
+            has_position: false,
             parameters: None,
         }
     }

@@ -37,6 +37,13 @@ pub struct Observation {
     pub temperature_c: Option<f64>,
 }
 
+impl Observation {
+    /// Whether the throw has no toe position.
+    pub(super) fn is_without_position(&self) -> bool {
+        self.features_only || self.estimate.is_some() && self.grade == Grade::CurrentOnly
+    }
+}
+
 /// An irregularity of a logger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Irregularity {
@@ -68,15 +75,10 @@ impl Parameters {
 
     /// The first parameter that differs, with its values; `None` without a difference.
     pub(super) fn changed(&self, to: &Self) -> Option<String> {
-        if self.motor != to.motor {
-            Some("motor".to_owned())
-        } else if self.lead_mm != to.lead_mm {
-            Some(format!("lead_mm from {} to {}", self.lead_mm, to.lead_mm))
-        } else if self.neutral_mm != to.neutral_mm {
-            Some(format!("neutral_mm from {} to {}", self.neutral_mm, to.neutral_mm))
-        } else {
-            None
-        }
+        let lengths = [("lead_mm", self.lead_mm, to.lead_mm), ("neutral_mm", self.neutral_mm, to.neutral_mm)];
+        let mut changed = lengths.into_iter().filter(|(_, from, to)| from.total_cmp(to).is_ne());
+        let length = changed.next().map(|(name, from, to)| format!("{name} from {from} to {to}"));
+        length.or_else(|| (self.motor != to.motor).then(|| "motor".to_owned()))
     }
 }
 

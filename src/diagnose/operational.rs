@@ -50,24 +50,32 @@ enum Logger {
     },
 }
 
-/// Counters of the operational alarms; those without a unit count consecutive throws.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub(super) struct Operation {
+/// Consecutive throws of one direction: points move to and fro, so a trouble of one direction never has consecutive
+/// throws of the machine.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+struct Streaks {
     incomplete: u32,
-    complete: u32,
     slow: u32,
     very_slow: u32,
+    unevaluated: u32,
+    /// Throws at a temperature that hides faults at their warning limit.
+    blind: u32,
+}
+
+/// Counters of the operational alarms; those without a unit count consecutive throws of the machine.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Operation {
+    #[serde(default)]
+    sides: [Streaks; 2],
+    incomplete: u32,
+    complete: u32,
     fast_enough: u32,
     unevaluated: u32,
-    /// The same, of each direction.
     #[serde(default)]
-    unevaluated_in: [u32; 2],
+    blind: u32,
     /// Throws whose movement contradicts the direction that the logger names.
     #[serde(default)]
     contradicted: u32,
-    /// Throws at a temperature that hides faults at their warning limit.
-    #[serde(default)]
-    blind: u32,
     /// Throws with a rejected, and with an accepted temperature.
     #[serde(default)]
     disbelieved: u32,
@@ -115,7 +123,13 @@ fn streak(count: &mut u32, holds: bool) {
 
 impl Operation {
     /// Applies a received throw, complete or not, which also shows that the logger is alive.
-    pub(super) fn on_throw(&mut self, incomplete: bool, alarms: &mut Alarms, context: Context) -> Vec<AlarmEvent> {
+    pub(super) fn on_throw(
+        &mut self,
+        incomplete: bool,
+        direction: Option<Direction>,
+        alarms: &mut Alarms,
+        context: Context,
+    ) -> Vec<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
         self.silence_s = 0.0;
         self.logger = match self.logger {
@@ -125,12 +139,18 @@ impl Operation {
             as_before => as_before,
         };
         streak(&mut self.incomplete, incomplete);
+        let mut in_a_row = self.incomplete;
+        if let Some(direction) = direction {
+            let own = &mut self.sides[direction.side()].incomplete;
+            streak(own, incomplete);
+            in_a_row = in_a_row.max(*own);
+        }
         streak(&mut self.complete, !incomplete);
         self.since_gap = self.since_gap.saturating_add(1);
         let mut events = Vec::new();
         if incomplete {
-            let text = text::incomplete(name, self.incomplete);
-            events.extend(if self.incomplete == 1 {
+            let text = text::incomplete(name, in_a_row);
+            events.extend(if in_a_row == 1 {
                 alarms.raise(Cause::IncompleteThrow, context.warning(text), at)
             } else {
                 alarms.escalate(Cause::IncompleteThrow, context.critical(text), at)
@@ -156,14 +176,16 @@ impl Operation {
         context: Context,
     ) -> Option<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
-        streak(&mut self.slow, longer_pct > settings.slow_throw_pct);
-        streak(&mut self.very_slow, longer_pct > settings.slow_throw_critical_pct);
+        let own = &mut self.sides[direction.side()];
+        streak(&mut own.slow, longer_pct > settings.slow_throw_pct);
+        streak(&mut own.very_slow, longer_pct > settings.slow_throw_critical_pct);
+        let (slow, very_slow) = (own.slow, own.very_slow);
         streak(&mut self.fast_enough, longer_pct < settings.slow_throw_pct * (1.0 - settings.deadband_pct / 100.0));
         let sized = |plain| Evidence { change_pct: Some(longer_pct), direction: Some(direction), ..plain };
         let text = || text::slow(name, direction, longer_pct);
-        if self.very_slow >= SLOW_IN_A_ROW {
+        if very_slow >= SLOW_IN_A_ROW {
             alarms.raise_or_escalate(Cause::SlowThrow, sized(context.critical(text())), at)
-        } else if self.slow >= SLOW_IN_A_ROW && !explained {
+        } else if slow >= SLOW_IN_A_ROW && !explained {
             alarms.raise(Cause::SlowThrow, sized(context.warning(text())), at)
         } else if self.fast_enough >= settings.off_delay_throws {
             alarms.clear(Cause::SlowThrow, text::fast_again(name), at)
@@ -184,23 +206,27 @@ impl Operation {
         let Context { name, at, settings, .. } = context;
         let enough = settings.not_monitored_throws;
         streak(&mut self.unevaluated, !evaluated);
-        for own in Direction::BOTH.into_iter().filter(|own| direction == Some(*own)) {
-            streak(&mut self.unevaluated_in[own as usize], !evaluated);
-        }
         if evaluated {
             streak(&mut self.blind, blind.is_some());
         }
-        let blind = blind.filter(|_| self.blind >= enough);
+        if let Some(direction) = direction {
+            let own = &mut self.sides[direction.side()];
+            streak(&mut own.unevaluated, !evaluated);
+            if evaluated {
+                streak(&mut own.blind, blind.is_some());
+            }
+        }
+        let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
         // The throws of one direction may all be rejected, as with a wrong `neutral_mm`, while the other is healthy.
-        let unseen = Direction::BOTH.into_iter().find(|own| self.unevaluated_in[*own as usize] >= enough);
-        if let Some(blind) = blind {
+        let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
+        if let Some(blind) = blind.filter(|_| is_blind) {
             alarms.raise(Cause::NotMonitored, context.warning(text::blind(name, blind)), at)
         } else if self.unevaluated >= enough {
             alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, None, self.unevaluated)), at)
         } else if let Some(unseen) = unseen {
-            let in_a_row = self.unevaluated_in[unseen as usize];
+            let in_a_row = self.sides[unseen.side()].unevaluated;
             alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, Some(unseen), in_a_row)), at)
-        } else if evaluated {
+        } else if evaluated && !is_blind {
             alarms.clear(Cause::NotMonitored, text::evaluated_again(name), at)
         } else {
             None
@@ -314,7 +340,7 @@ impl Operation {
         let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });
         let enough = context.settings.not_monitored_throws;
         let monitored = self.unevaluated < enough
-            && self.unevaluated_in.iter().all(|in_a_row| *in_a_row < enough)
+            && self.sides.iter().all(|side| side.unevaluated.max(side.blind) < enough)
             && !self.is_silent(context.settings);
         if !(there && alarmed && monitored) {
             return None;
@@ -388,6 +414,11 @@ impl Operation {
     ) -> Option<AlarmEvent> {
         self.since_gap = 0;
         alarms.raise(Cause::DataLoss, context.warning(text::invalid(context.name, count, reason)), context.at)
+    }
+
+    /// Forgets the sensor with unusable values.
+    pub(super) fn forget_channel(&mut self) {
+        (self.unusable, self.usable) = (None, 0);
     }
 
     /// Resets the counters after maintenance.

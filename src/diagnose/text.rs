@@ -175,6 +175,11 @@ pub(super) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
     )
 }
 
+/// Text for an alarm whose rule starts anew, after maintenance or with a new baseline.
+pub(super) fn checked_anew(name: &str) -> String {
+    format!("Machine {name}: this alarm ends, and is raised again by the next throws if its reason is still there.")
+}
+
 /// Text for messages of a machine that are no valid throws.
 pub(super) fn invalid(name: &str, count: u32, reason: &str) -> String {
     format!(

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use pointsd::{
     diagnose::{
         AlarmEvent, AlarmState, Cause, Command, Irregularity, MachineMonitor, MachineState, Observation, Parameters,
-        Settings, Severity,
+        SensorChannel, Settings, Severity,
     },
     estimate,
     throw::Direction,
@@ -281,4 +281,63 @@ fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {
     let events = fresh.command(&ack, lost.event_at, &Settings::default()).unwrap();
     assert_eq!((events[0].event_no, events[0].state), (lost.event_no + 2, AlarmState::Normal));
     assert!(fresh.open_alarms().is_empty());
+}
+
+/// Points move to and fro: what happens in one direction only has no consecutive throws.
+#[test]
+fn slow_and_incomplete_throws_of_one_direction_are_counted() {
+    let there = |o: &Observation| o.direction == Some(Direction::NormalToReverse);
+    let (mut first, mut monitor) = machine();
+    let slow = |o: &mut Observation| {
+        if there(o) {
+            o.features.duration_s = Some(4.3 * 1.68);
+        }
+    };
+    let events = feed(&mut first, &mut monitor, 10, slow);
+    assert_eq!(summary(&events), [(Cause::SlowThrow, Severity::Critical, AlarmState::ActiveUnacknowledged)]);
+
+    let (mut second, mut monitor) = machine();
+    let events = feed(&mut second, &mut monitor, 4, |o| {
+        if there(o) {
+            (o.incomplete, o.estimate) = (true, None);
+        }
+    });
+    let severities: Vec<_> = events.iter().map(|event| (event.cause, event.severity)).collect();
+    assert_eq!(severities, [(Cause::IncompleteThrow, Severity::Warning), (Cause::IncompleteThrow, Severity::Critical)]);
+}
+
+#[test]
+fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
+    let (mut machine, mut monitor) = machine();
+    let without =
+        |o: &mut Observation| (o.features_only, o.estimate, o.features.running_current_a) = (true, None, Some(2.0));
+    let events = feed(&mut machine, &mut monitor, 25, without);
+    assert_eq!(events[0].channel, Some(SensorChannel::Position));
+    assert_eq!(monitor.state(), MachineState::NotMonitored);
+    // The sensor was taken away for good.
+    let at = machine.throw(Vector3::zeros()).started_at;
+    let rebaseline = Command::Rebaseline { by: "mia".to_owned(), why: "no toe sensor any more".to_owned() };
+    monitor.command(&rebaseline, at, &Settings::default()).unwrap();
+    let events = feed(&mut machine, &mut monitor, 25, without);
+    assert!(events.iter().all(|event| event.cause != Cause::Sensor), "{events:?}");
+    assert_ne!(monitor.state(), MachineState::NotMonitored);
+}
+
+/// Rules forget their last throws at the end of a maintenance, and their alarms end with it.
+#[test]
+fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
+    let (mut machine, mut monitor) = machine();
+    feed(&mut machine, &mut monitor, 5, |o| (o.faulty, o.estimate) = (Some(SensorChannel::Position), None));
+    assert_eq!(monitor.state(), MachineState::Warning);
+    let at = machine.throw(Vector3::zeros()).started_at;
+    let start = Command::MaintenanceStart {
+        until: at + SignedDuration::from_hours(1),
+        by: "mia".to_owned(),
+        why: "new sensor".to_owned(),
+    };
+    for command in [start, Command::MaintenanceEnd { by: "mia".to_owned() }] {
+        monitor.command(&command, at, &Settings::default()).unwrap();
+    }
+    feed(&mut machine, &mut monitor, 40, |_| {});
+    assert_eq!(monitor.state(), MachineState::Healthy);
 }

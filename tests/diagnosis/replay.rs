@@ -38,7 +38,7 @@ async fn record(config: &Path) {
         let hours = SignedDuration::from_hours(i64::try_from(throw_no).unwrap());
         let throw = Throw {
             id: ThrowRef { boot_id: "a".to_owned(), throw_no },
-            started_at: Timestamp::UNIX_EPOCH + hours,
+            started_at: "2026-01-01T00:00:00Z".parse::<Timestamp>().unwrap() + hours,
             direction: Some(simulated.direction),
             trace: simulated.trace,
             temperature_c: None,
