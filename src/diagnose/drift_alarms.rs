@@ -241,7 +241,7 @@ impl DriftAlarms {
             || order - first < u64::from(LONGEST_WINDOW);
         let may_be_rain = is_new && -percent(fall.size + fall.size_sd) < RAIN_PCT;
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most 5,000 throws a day")]
-        let week = (DAYS_OF_WEEK * context.settings.throws_per_day) as u32;
+        let week = ((DAYS_OF_WEEK * context.settings.throws_per_day) as u32).max(2 * LONGEST_WINDOW);
         let was_there = || self.history.mean(week..u32::MAX).is_some_and(|level| level.y < SLOW_FROM * fall.size);
         let is_critical = relevance(Cause::Friction, fall.size, context.settings) > context.settings.critical_factor;
         let may_be_warmth = tracks.has_no_temperature() && !is_critical && was_there();

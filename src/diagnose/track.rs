@@ -274,7 +274,10 @@ impl Tracks {
 
     /// Whether no baseline has a temperature.
     pub(super) fn has_no_temperature(&self) -> bool {
-        self.sides.iter().flat_map(|track| &track.baseline).all(|baseline| baseline.temperature().reference_c().is_none())
+        self.sides
+            .iter()
+            .flat_map(|track| &track.baseline)
+            .all(|baseline| baseline.temperature().reference_c().is_none())
     }
 
     /// Adds a throw to an incomplete baseline; returns the record if the baseline became usable, better or complete.

@@ -121,7 +121,7 @@ fn rain_raises_no_alarm_and_a_lasting_fall_of_friction_does() {
         let lasting = alarms(44_100 + seed, 120, |_| shift(Cause::Friction, -22.5));
         assert!(matches!(lasting[..], [(60..90, Cause::Friction)]), "seed {seed}: {lasting:?}");
         let large = alarms(44_200 + seed, 20, |_| shift(Cause::Friction, -45.0));
-        assert!(matches!(large[..], [(0..6, Cause::Friction)]), "seed {seed}: {large:?}");
+        assert!(matches!(large[..], [(0..12, Cause::Friction)]), "seed {seed}: {large:?}");
     }
 }
 
