@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
+    event::Cause,
     observation::Evaluated,
     robust::{centre_and_sd, median},
     scatter::Scatter,
@@ -208,16 +209,18 @@ fn detrended(throws: &[BaselineThrow], slopes: Option<[f64; 3]>) -> impl Iterato
     throws.iter().map(move |throw| Vector3::from(throw.log) - slopes * (throw.order - first) as f64)
 }
 
-/// Slopes of the logarithms over the throws of both directions; `sensor` is the mean covariance of their estimates, `wanted`
-/// the number of throws of both baselines.
+/// Slopes of the logarithms over the throws of both directions, 0 without a trend that matters; `sensor` is the mean
+/// covariance of their estimates.
 pub(super) fn trend<'a>(
     sides: [impl Iterator<Item = &'a BaselineThrow>; 2],
     sensor: Matrix3<f64>,
-    wanted: usize,
+    settings: &Settings,
 ) -> [f64; 3] {
     /// The stricter bound applies to this many last throws of both baselines together: one direction may complete its
     /// baseline two throws before the other.
     const LAST: usize = 4;
+    /// Sign of wear: a weaker motor, more friction, more stiffness.
+    const WEAR_SIGN: [f64; 3] = [-1.0, 1.0, 1.0];
     let mut throws: Vec<TrendThrow> = Vec::new();
     let mut variance = [0.0; 3];
     for (side, series) in sides.into_iter().enumerate() {
@@ -236,8 +239,16 @@ pub(super) fn trend<'a>(
     }
     throws.sort_unstable_by_key(|throw| throw.order);
     let error_part = std::array::from_fn(|i| (sensor[(i, i)] / variance[i].max(f64::MIN_POSITIVE)).min(0.9));
-    let bound = if throws.len() + LAST > wanted { trend::AT_THE_END } else { trend::WHILE_FILLING };
-    trend::slopes(&throws, variance.map(f64::sqrt), error_part, bound)
+    let is_end = throws.len() + LAST > 2 * settings.baseline_throws;
+    let bound = if is_end { trend::AT_THE_END } else { trend::WHILE_FILLING };
+    let slopes = trend::slopes(&throws, variance.map(f64::sqrt), error_part, bound.evidence);
+    let limits = [Cause::Kt, Cause::Friction, Cause::Stiffness].map(|cause| settings.limit_pct(cause));
+    let matters = |i: usize| {
+        let change_pct = 100.0 * slopes[i] * throws.len() as f64;
+        limits[i].is_some_and(|limit| change_pct.abs() > bound.part_of_limit * limit)
+            && (is_end || change_pct * WEAR_SIGN[i] > 0.0)
+    };
+    std::array::from_fn(|i| if matters(i) { slopes[i] } else { 0.0 })
 }
 
 fn clip(residual: Vector3<f64>, robust: [(f64, f64); 3]) -> Vector3<f64> {

@@ -29,6 +29,15 @@ const KNOWN: f64 = 20.0;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 
+/// The known drifts of a machine.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Known {
+    /// The causes with an active alarm.
+    pub(super) causes: Vec<Cause>,
+    /// Changes of (ln b0, ln a1, ln a0) with these alarms, before the last throws; `None` if too short.
+    pub(super) level: Option<Vector3<f64>>,
+}
+
 /// The causes of a drift.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Naming {
@@ -78,10 +87,9 @@ struct Explanations {
 }
 
 impl Attribution {
-    /// Attributes the drift of `window`; `of_one_throw` is the scatter of the machine, `open` are the causes with an
-    /// active alarm.
-    pub(super) fn of(window: &Window, of_one_throw: &Matrix3<f64>, open: &[Cause], settings: &Settings) -> Self {
-        let all = Explanations::of(window, open, settings);
+    /// Attributes the drift of `window`; `of_one_throw` is the scatter of the machine.
+    pub(super) fn of(window: &Window, of_one_throw: &Matrix3<f64>, known: &Known, settings: &Settings) -> Self {
+        let all = Explanations::of(window, &known.causes, settings);
         let [best, next, ..] = &all.singles;
         let correlation = Correlation::of(of_one_throw, &window.mean);
         let attribution = Self {
@@ -98,7 +106,7 @@ impl Attribution {
             return attribution;
         }
         if let Some(both) = attribution.both(&all, settings) {
-            return both.beside_open(&all, open, settings);
+            return both.beside_known(&all, window, of_one_throw, known, settings);
         }
         let margin = next.score - best.score;
         let (main, second) = (all.freed_best(), next.parts[0]);
@@ -139,23 +147,43 @@ impl Attribution {
     }
 
     /// Names the other of two causes, if one has an alarm and no other explanation is nearly as good; of two with alarms
-    /// the larger.
-    fn beside_open(self, all: &Explanations, open: &[Cause], settings: &Settings) -> Self {
-        let is_open = |part: &Explanation| open.contains(&part.cause);
+    /// the larger. If other explanations are as good, the change since the level of the known drifts may have a single
+    /// cause: a leak of friction and another cause can look like friction without a leak and a third cause, but the level
+    /// shows the leak.
+    fn beside_known(
+        self,
+        all: &Explanations,
+        window: &Window,
+        of_one_throw: &Matrix3<f64>,
+        known: &Known,
+        settings: &Settings,
+    ) -> Self {
+        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
         let Some(own) = all.pairs.iter().find(|pair| pair.parts.iter().any(is_open)) else { return self };
         let [mut a, mut b] = own.parts;
         if a.relevance(settings) < b.relevance(settings) {
             (a, b) = (b, a);
         }
-        let (new, known) = if is_open(&a) && !is_open(&b) { (b, a) } else { (a, b) };
+        let (new, old) = if is_open(&a) && !is_open(&b) { (b, a) } else { (a, b) };
         let strangers = all.pairs.iter().filter(|pair| !pair.includes(new.cause));
-        let strangers = strangers.map(|pair| pair.score + if pair.includes(known.cause) { 0.0 } else { KNOWN });
+        let strangers = strangers.map(|pair| pair.score + if pair.includes(old.cause) { 0.0 } else { KNOWN });
         let alone = all.singles.iter().map(|single| single.score);
         let lead = strangers.chain(alone).map(|score| score - own.score).fold(f64::INFINITY, f64::min);
-        if lead < CLOSE && !is_open(&new) {
-            return self;
+        let another = |new: Explanation, lead: f64| {
+            let naming = Naming::Another { new, known: old };
+            Self { naming, rival: None, relevance: new.relevance(settings), lead, ..self }
+        };
+        if lead >= CLOSE || is_open(&new) {
+            return another(new, lead);
         }
-        Self { naming: Naming::Another { new, known }, rival: None, relevance: new.relevance(settings), lead, ..self }
+        let Some(level) = known.level else { return self };
+        // The level has less uncertainty than the window, whose baseline is the same.
+        let since = Window { mean: window.mean - level, covariance: 2.0 * window.covariance, ..*window };
+        let since = Self::of(&since, of_one_throw, &Known::default(), settings);
+        match since.naming {
+            Naming::One(new) if !is_open(&new) && since.relevance >= MATTERS => another(new, since.lead),
+            _ => self,
+        }
     }
 
     /// The lead that `best` needs over `next`. The rule distinguishes only inertia from the rest.

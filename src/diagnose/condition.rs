@@ -22,7 +22,7 @@ const REPAIR_SHOWS_WITHIN: u32 = 8;
 /// Least level for the detection of a repair, in multiples of the warning limit; below it a fall may be scatter.
 const REPAIRABLE_LEVEL: f64 = 1.5;
 /// Throws of the machine that fill a longest window.
-const LONGEST_WINDOW: u32 = 24;
+pub(super) const LONGEST_WINDOW: u32 = 24;
 const _: () = assert!(LONGEST_WINDOW as usize == WINDOWS[3], "the same length, in another type");
 
 /// Evidence of a throw for an alarm about a cause.
@@ -159,6 +159,11 @@ impl Condition {
         let since_raised = since_raised.unwrap_or_default();
         *self = Self::Raised { onset, since_raised, ending };
         transition
+    }
+
+    /// Throws since the raise of the active alarm; `None` without one.
+    pub(super) fn since_raised(&self) -> Option<u32> {
+        if let Self::Raised { since_raised, .. } = self { Some(*since_raised) } else { None }
     }
 
     /// Resets all counters after maintenance.

@@ -3,7 +3,7 @@
 use nalgebra::Matrix3;
 
 use super::{
-    cause::{Attribution, DECISIVE, Naming, Rival},
+    cause::{Attribution, DECISIVE, Known, Naming, Rival},
     condition::{Claim, Reading},
     event::Cause,
     explain::{direction_of, percent, relevance, single},
@@ -37,6 +37,20 @@ const ONE_SIDED_SD: f64 = 3.0;
 /// Throws with the drift, six of each direction, before its direction is decided.
 const ONE_SIDED_THROWS: u64 = 12;
 
+/// Largest change of another coefficient as part of a change of friction by weather.
+const BESIDE_WEATHER: f64 = 0.67;
+/// Part of a fall that the last few throws have while it lasts.
+const STILL_FALLEN: f64 = 0.5;
+
+/// A fall of friction, as negative changes of ln a1. Wear raises the friction; rain and warmth lower it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Fall {
+    pub(super) size: f64,
+    pub(super) size_sd: f64,
+    /// Whether the last few throws have it.
+    pub(super) lasts: bool,
+}
+
 /// The drift in the last throws.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Drift {
@@ -69,14 +83,14 @@ impl Drift {
         [levels, last_few]: [[Option<Window>; 2]; 2],
         latest: (usize, Option<Window>),
         hidden: Option<(Cause, f64)>,
-        open: &[Cause],
+        known: &Known,
         settings: &Settings,
     ) -> Self {
         let excess = strongest.map_or(0.0, |(window, _)| window.excess);
         let attribution = strongest
             .filter(|_| excess > 1.0)
-            .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), open, settings));
-        let is_alarmed = attribution.as_ref().is_some_and(|attribution| open.contains(&attribution.cause()));
+            .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), known, settings));
+        let is_alarmed = attribution.as_ref().is_some_and(|attribution| known.causes.contains(&attribution.cause()));
         let (strongest, testimony) = (strongest.map(|(window, _)| window), Testimony::default());
         Self { excess, provisional, attribution, strongest, testimony, is_alarmed, levels, last_few, latest, hidden }
     }
@@ -84,6 +98,14 @@ impl Drift {
     /// The windows that show the present drift; after a step the shorter ones show it better.
     pub(super) fn windows(&self) -> impl Iterator<Item = &Window> {
         self.levels.iter().chain(&self.last_few).chain([&self.strongest]).flatten()
+    }
+
+    /// A drift above its limit as a fall of friction, if it is mostly that.
+    pub(super) fn fall(&self) -> Option<Fall> {
+        let Window { mean, covariance, .. } = self.strongest.as_ref().filter(|_| self.matters())?;
+        let beside = mean.x.abs().max(mean.z.abs());
+        let lasts = self.latest.1.as_ref().is_none_or(|window| window.mean.y < STILL_FALLEN * mean.y);
+        (beside < -BESIDE_WEATHER * mean.y).then(|| Fall { size: mean.y, size_sd: covariance[(1, 1)].sqrt(), lasts })
     }
 
     /// Whether a drift is detected and above its limit, with any name.

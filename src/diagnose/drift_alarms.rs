@@ -1,16 +1,17 @@
 //! The drift alarms of a machine: their events, and the present drifts.
 
+use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
-    cause::{Attribution, Naming},
-    condition::{Condition, Transition},
+    cause::{Attribution, Known, Naming},
+    condition::{Claim, Condition, LONGEST_WINDOW, Transition},
     course::LimitForecast,
     drift::{Drift, alarm_causes},
     event::{AlarmEvent, Cause, RunnerUp, Severity},
-    explain::{Explanation, fit, percent, single},
+    explain::{Explanation, fit, percent, relevance, single},
     history::History,
     intermittent::Intermittent,
     operational::Context,
@@ -30,6 +31,15 @@ pub(super) const DRIFTS: [Cause; 5] =
 const SUSPECTED_FROM: f64 = 0.5;
 /// Part of the limit below which a suspicion ends.
 const FORGOTTEN_BELOW: f64 = 0.25;
+
+/// Longest time for which rain lowers the friction \[h\]: two wet days and a day of drying.
+const RAIN_HOURS: i64 = 72;
+/// Largest loss of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
+/// friction of a machine.
+const RAIN_PCT: f64 = 25.0;
+/// Part of a slow fall that existed a week ago: a season takes months.
+const SLOW_FROM: f64 = 1.0 / 3.0;
+const DAYS_OF_WEEK: f64 = 7.0;
 
 /// Least part of nominal that a loss leaves, as its logarithm is needed.
 const LEAST_LEFT: f64 = 0.01;
@@ -52,6 +62,9 @@ pub(super) struct DriftAlarms {
     pub(super) now: Vec<Drifting>,
     #[serde(default)]
     pub(super) intermittent: Intermittent,
+    /// Time and number of the first throw of a fall of friction that lasts.
+    #[serde(default)]
+    pub(super) fallen: Option<(Timestamp, u64)>,
 }
 
 impl DriftAlarms {
@@ -69,8 +82,12 @@ impl DriftAlarms {
         self.history.push(residual);
         self.follow_onset(drift, order, context);
         let mut events = Vec::new();
+        let weather = self.beside_weather(drift, order, tracks, context);
         for (index, cause) in DRIFTS.into_iter().enumerate() {
-            let reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
+            let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
+            if weather != Claim::Named && reading.claim != Claim::None {
+                reading.claim = weather;
+            }
             let transition = self.conditions[index].step(reading, alarms.severity(cause), settings);
             let evidence = |severity| self.evidence(cause, severity, drift, order, tracks, context);
             events.extend(match transition {
@@ -142,6 +159,14 @@ impl DriftAlarms {
         }
     }
 
+    /// The drifts with an active alarm. Their level is that of the throws between the raise of the latest alarm and the
+    /// last throws.
+    pub(super) fn known(&self, alarms: &Alarms) -> Known {
+        let raised = self.conditions.iter().filter_map(Condition::since_raised).min();
+        let level = raised.and_then(|throws| self.history.mean(LONGEST_WINDOW..throws));
+        Known { causes: alarms.active().map(|event| event.cause).collect(), level }
+    }
+
     /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
     pub(super) fn is_suspicious(&self, alarms: &Alarms) -> bool {
         self.onset.is_some() || alarms.active().any(|event| event.cause.is_drift())
@@ -151,6 +176,7 @@ impl DriftAlarms {
     pub(super) fn forget_history(&mut self) {
         self.history = History::default();
         self.onset = None;
+        self.fallen = None;
     }
 
     /// Resets the state after a change or maintenance, except the times since the last raises.
@@ -197,6 +223,29 @@ impl DriftAlarms {
         }
         now.sort_by(|(a, _), (b, _)| b.total_cmp(a));
         self.now = now.into_iter().map(|(_, drifting)| drifting).collect();
+    }
+
+    /// The largest claim that the drift allows beside weather. A fall of friction by rain is over in some days. Without a
+    /// temperature, a slow one below the critical limit may be warmth: then a part of it existed a week ago.
+    fn beside_weather(&mut self, drift: &Drift, order: u64, tracks: &Tracks, context: Context) -> Claim {
+        let Some(fall) = drift.fall() else {
+            self.fallen = None;
+            return Claim::Named;
+        };
+        if !fall.lasts {
+            self.fallen = None;
+            return Claim::None;
+        }
+        let (since, first) = *self.fallen.get_or_insert((context.at, order));
+        let is_new = context.at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
+            || order - first < u64::from(LONGEST_WINDOW);
+        let may_be_rain = is_new && -percent(fall.size + fall.size_sd) < RAIN_PCT;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most 5,000 throws a day")]
+        let week = ((DAYS_OF_WEEK * context.settings.throws_per_day) as u32).max(2 * LONGEST_WINDOW);
+        let was_there = || self.history.mean(week..u32::MAX).is_some_and(|level| level.y < SLOW_FROM * fall.size);
+        let is_critical = relevance(Cause::Friction, fall.size, context.settings) > context.settings.critical_factor;
+        let may_be_warmth = tracks.has_no_temperature() && !is_critical && was_there();
+        if may_be_rain || may_be_warmth { Claim::Counts } else { Claim::Named }
     }
 
     /// Throws since the drift was first suspected.

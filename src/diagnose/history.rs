@@ -1,5 +1,7 @@
 //! The history since the baseline in bounded memory, for the course of slow drifts.
 
+use std::ops::Range;
+
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +30,8 @@ impl History {
     const LATEST: usize = 23;
     /// Initial length of a block \[throws\]: enough to average the scatter, few enough for a fast ramp.
     const FIRST_LENGTH: u32 = 4;
+    /// Throws of a mean: a longest window.
+    const MEAN_OF: u32 = 24;
 
     #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
     pub(super) fn push(&mut self, residual: &Vector3<f64>) {
@@ -47,6 +51,23 @@ impl History {
             self.blocks = joined;
             self.length *= 2;
         }
+    }
+
+    /// Mean of the latest throws with these ages \[throws\], in whole blocks; `None` with fewer than [`Self::MEAN_OF`].
+    pub(super) fn mean(&self, ages: Range<u32>) -> Option<Vector3<f64>> {
+        let (mut sum, mut count, mut age) = (Vector3::zeros(), 0, self.filling);
+        for block in self.blocks.iter().rev() {
+            let is_inside = age >= ages.start;
+            age += self.length;
+            if age > ages.end || count >= Self::MEAN_OF {
+                break;
+            }
+            if is_inside {
+                sum += Vector3::from(block.map(f64::from)) * f64::from(self.length);
+                count += self.length;
+            }
+        }
+        (count >= Self::MEAN_OF).then(|| sum / f64::from(count))
     }
 
     /// The latest blocks along `weights`, oldest first, each with the age of its middle \[throws\] and its length.

@@ -235,9 +235,9 @@ impl MachineMonitor {
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
         let context = Context { name: &self.name, at, throw: Some(id), settings };
         let drift = residual.map(|residual| {
-            let open: Vec<Cause> = self.alarms.active().map(|event| event.cause).collect();
+            let known = self.drift.known(&self.alarms);
             let wild = self.drift.intermittent.is_wild();
-            let mut drift = self.tracks.drift(throw.direction, wild, &open, settings);
+            let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
             verdict.events.extend(events);

@@ -16,7 +16,7 @@ pub struct Settings {
     pub baseline_usable_throws: usize,
     /// Years with at most one false drift alarm per machine. 0.001 to 10,000 years, default 20.
     pub false_alarm_years: f64,
-    /// Throws of a machine per day, in both directions, to convert years into throws. 0.1 to 5,000, default 20.
+    /// Throws of a machine per day, in both directions, to convert years and weeks into throws. 0.1 to 5,000, default 20.
     pub throws_per_day: f64,
     /// Warning limit of the motor's torque constant. 0.001 to 100 %, default 5.
     pub kt_limit_pct: f64,

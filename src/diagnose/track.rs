@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     baseline::{Baseline, BaselineRecord, BaselineThrow, learn_mixed, trend},
+    cause::Known,
     course::{Course, Noise},
     drift::{Drift, visible_pct},
     event::Cause,
@@ -216,9 +217,8 @@ impl Tracks {
         }
     }
 
-    /// The drift in the last throws; the latest is of `direction`. `wild`: the scatter has heavy tails. `open` are the
-    /// causes with an active alarm.
-    pub(super) fn drift(&self, direction: Direction, wild: bool, open: &[Cause], settings: &Settings) -> Drift {
+    /// The drift in the last throws; the latest is of `direction`. `wild`: the scatter has heavy tails.
+    pub(super) fn drift(&self, direction: Direction, wild: bool, known: &Known, settings: &Settings) -> Drift {
         let [normal, reverse] = &self.sides;
         let baselines = [normal.baseline.as_ref(), reverse.baseline.as_ref()];
         let tails = [Stream::of(&normal.recent, 0), Stream::of(&reverse.recent, 1)];
@@ -247,7 +247,7 @@ impl Tracks {
         let latest = direction.side();
         let provisional = baselines.iter().flatten().any(|baseline| !baseline.is_complete());
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
-        Drift::new(best, provisional, [levels, last_few], (latest, level(latest, WINDOWS[0])), hidden, open, settings)
+        Drift::new(best, provisional, [levels, last_few], (latest, level(latest, WINDOWS[0])), hidden, known, settings)
     }
 
     /// The cause and size \[%\] hidden most by the uncertain effect of the temperature on this side, if it hides a
@@ -270,6 +270,14 @@ impl Tracks {
     /// The reference temperature of the baseline of a direction \[°C\].
     pub(super) fn reference_c(&self, direction: Direction) -> Option<f64> {
         self.sides[direction.side()].baseline.as_ref()?.temperature().reference_c()
+    }
+
+    /// Whether no baseline has a temperature.
+    pub(super) fn has_no_temperature(&self) -> bool {
+        self.sides
+            .iter()
+            .flat_map(|track| &track.baseline)
+            .all(|baseline| baseline.temperature().reference_c().is_none())
     }
 
     /// Adds a throw to an incomplete baseline; returns the record if the baseline became usable, better or complete.
@@ -325,19 +333,12 @@ impl Tracks {
         Some(record)
     }
 
-    /// Looks for a trend in the throws of the baselines, also those set aside. One that changes no coefficient by a
-    /// third of a warning limit does not count.
+    /// Looks for a trend in the throws of the baselines, also those set aside.
     fn follow_trend(&mut self, settings: &Settings) {
         let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
-        let count: usize = throws.each_ref().map(|throws| throws.clone().count()).iter().sum();
         let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
-        let limits = [Cause::Kt, Cause::Friction, Cause::Stiffness].map(|cause| settings.limit_pct(cause));
-        let slopes = trend(throws, 0.5 * (sensor[0] + sensor[1]), 2 * settings.baseline_throws);
-        let matters = |i: usize| {
-            let change_pct = 100.0 * (slopes[i] * count as f64).abs();
-            limits[i].is_some_and(|limit| change_pct > limit / 3.0)
-        };
-        self.slopes = (0..3).any(matters).then(|| std::array::from_fn(|i| if matters(i) { slopes[i] } else { 0.0 }));
+        let slopes = trend(throws, 0.5 * (sensor[0] + sensor[1]), settings);
+        self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
     /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without a

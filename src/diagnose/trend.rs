@@ -15,13 +15,20 @@ const LEAST_THROWS: usize = 24;
 const PHIS: u32 = 16;
 /// Prior standard deviation of the change over all throws, in standard deviations of one throw.
 const CHANGE_SD: f64 = 4.0;
-/// A baseline that still fills has a trend from this logarithm of the Bayes factor of slope against levels on. Of lives
-/// with a slope of 0.25 % a throw (standard deviation 3 %, phi 0.5), 96 % reach it before the change is 15 %; of
-/// healthy lives (phi 0 to 0.7) 2 to 10 % reach it, most of them for a few throws.
-pub(super) const WHILE_FILLING: f64 = 2.0;
-/// The same for the last throws of a baseline, which stays provisional with a trend. Of 4,000 series of 100 healthy throws
-/// with phi from 0 to 0.9 about 1 % or fewer reach it.
-pub(super) const AT_THE_END: f64 = 2.7;
+/// Bounds from which a baseline has a trend.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bound {
+    /// Logarithm of the Bayes factor of slope against levels.
+    pub(super) evidence: f64,
+    /// Change over the throws as part of the warning limit.
+    pub(super) part_of_limit: f64,
+}
+/// The bounds while a baseline fills. Throws that depend strongly on those before often look like a slope for some throws,
+/// so the change must also be that of a part near its limit (and the sign that of wear).
+pub(super) const WHILE_FILLING: Bound = Bound { evidence: 1.5, part_of_limit: 2.0 / 3.0 };
+/// The bounds for the last throws of a baseline, which stays provisional with a trend. Of 4,000 series of 100 healthy throws
+/// with phi from 0 to 0.9 about 1 % or fewer reach them.
+pub(super) const AT_THE_END: Bound = Bound { evidence: 2.7, part_of_limit: 1.0 / 3.0 };
 /// Number of parts of the series between which a step may be.
 const STEPS: usize = 12;
 /// Logarithm of the Bayes factor of slope against step from which the series has a slope and not a step, which is
@@ -43,8 +50,8 @@ pub(super) struct TrendThrow {
 }
 
 /// Slopes of ln b0, ln a1, ln a0 per throw of the machine; 0 without a trend. `error_part` is the part of the estimates'
-/// errors in the variance of each, `bound` one of the bounds above.
-pub(super) fn slopes(throws: &[TrendThrow], sd: [f64; 3], error_part: [f64; 3], bound: f64) -> [f64; 3] {
+/// errors in the variance of each, `evidence` that of a bound above.
+pub(super) fn slopes(throws: &[TrendThrow], sd: [f64; 3], error_part: [f64; 3], evidence: f64) -> [f64; 3] {
     if throws.len() < LEAST_THROWS {
         return [0.0; 3];
     }
@@ -60,15 +67,15 @@ pub(super) fn slopes(throws: &[TrendThrow], sd: [f64; 3], error_part: [f64; 3], 
     std::array::from_fn(|i| {
         let reach = CLIP_SD * sd[i];
         let values: Vec<f64> = throws.iter().map(|throw| throw.residual[i].clamp(-reach, reach)).collect();
-        slope(&values, &time, &levels, error_part[i], bound).map_or(0.0, |change| change / range)
+        slope(&values, &time, &levels, error_part[i], evidence).map_or(0.0, |change| change / range)
     })
 }
 
 /// The change over a series with a trend.
-fn slope(values: &[f64], time: &[f64], levels: &[Vec<f64>], error_part: f64, bound: f64) -> Option<f64> {
+fn slope(values: &[f64], time: &[f64], levels: &[Vec<f64>], error_part: f64, evidence: f64) -> Option<f64> {
     let series = Series::new(values, levels, error_part);
     let sloped = series.with(time);
-    if sloped.evidence - series.evidence() < bound {
+    if sloped.evidence - series.evidence() < evidence {
         return None;
     }
     let step = |at: usize| -> Vec<f64> { (0..values.len()).map(|t| if t < at { -0.5 } else { 0.5 }).collect() };

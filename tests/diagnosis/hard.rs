@@ -70,6 +70,26 @@ fn a_second_fault_is_named_beside_the_first() {
     assert!(10 * named >= 9 * lives && wrong == 0);
 }
 
+/// A leak of the first friction fault and the motor together look like friction without a leak and stiffness; the level
+/// before the second fault shows the leak.
+#[test]
+fn a_motor_fault_beside_friction_is_named_in_every_sign() {
+    let settings = Settings::default();
+    let mut named = 0;
+    for (seed, signs) in (0..40).zip([[1.0, 1.0], [-1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]].into_iter().cycle()) {
+        let mut machine = Machine::new(480 + seed, Nature::default());
+        let mut monitor = machine.learned(&settings);
+        let friction = shift(Cause::Friction, signs[0] * 30.0);
+        let before = run(&mut machine, &mut monitor, 60, friction);
+        assert!(before.iter().all(|event| event.cause == Cause::Friction), "seed {seed}");
+        let after = run(&mut machine, &mut monitor, 120, friction + shift(Cause::Kt, signs[1] * 10.0));
+        let mut raised = after.iter().filter(|event| event.event_no == 1).map(|event| event.cause);
+        named += usize::from(raised.next() == Some(Cause::Kt));
+    }
+    println!("named in {named} of 40");
+    assert!(named >= 39, "named in {named} of 40");
+}
+
 /// With a viscous model, a rise of dry friction increases all coefficients by up to 0.67 of it.
 #[test]
 fn dry_friction_that_leaks_is_friction_of_its_true_size() {

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use pointsd::diagnose::{AlarmEvent, Cause, MachineMonitor, MachineState, Settings, Severity, Verdict};
 
 use crate::{
-    field::{Climate, Machine, Scatter},
+    field::{Climate, Machine, PER_KELVIN, Scatter},
     fleet::shift,
 };
 
@@ -91,4 +91,51 @@ fn a_temperature_that_jumps_is_used_when_it_settled() {
         sensor.extend(verdict.events.into_iter().filter(|event| event.cause == Cause::Sensor).map(|event| event.state));
     }
     assert_eq!(sensor, [ActiveUnacknowledged, ClearedUnacknowledged]);
+}
+
+/// The first alarms about a machine without a temperature, by the throw after its baseline; `shift_at` gives the changes
+/// of the logarithms.
+fn alarms(seed: u64, throws: u64, shift_at: impl Fn(u64) -> Vector3<f64>) -> Vec<(u64, Cause)> {
+    let mut machine = Machine::new(seed, Scatter::USUAL);
+    let mut monitor = MachineMonitor::new("21B");
+    for _ in 0..130 {
+        assert_eq!(machine.feed(&mut monitor, Vector3::zeros(), None, &Settings::default()).events, []);
+    }
+    let mut raised = Vec::new();
+    for throw in 0..throws {
+        let events = machine.feed(&mut monitor, shift_at(throw), None, &Settings::default()).events;
+        raised.extend(events.into_iter().filter(|event| event.event_no == 1).map(|event| (throw, event.cause)));
+    }
+    raised
+}
+
+#[test]
+fn rain_raises_no_alarm_and_a_lasting_fall_of_friction_does() {
+    for seed in 0..20 {
+        // A day and a half of rain after each dry week, deeper each time.
+        let rain = |throw: u64| {
+            let pct = -16.0 - throw as f64 / 170.0;
+            if throw % 170 < 30 { shift(Cause::Friction, pct) } else { Vector3::zeros() }
+        };
+        assert_eq!(alarms(44_000 + seed, 850, rain), [], "seed {seed}");
+        let lasting = alarms(44_100 + seed, 120, |_| shift(Cause::Friction, -22.5));
+        assert!(matches!(lasting[..], [(60..90, Cause::Friction)]), "seed {seed}: {lasting:?}");
+        let large = alarms(44_200 + seed, 20, |_| shift(Cause::Friction, -45.0));
+        assert!(matches!(large[..], [(0..12, Cause::Friction)]), "seed {seed}: {large:?}");
+    }
+}
+
+#[test]
+fn a_warm_season_raises_no_alarm_and_a_fault_in_it_does() {
+    for seed in 0..20 {
+        // 30 K in 100 days.
+        let warmth = |throw: u64| Vector3::from(PER_KELVIN) * 30.0 * (throw as f64 / 2_000.0).min(1.0);
+        assert_eq!(alarms(45_000 + seed, 2_500, warmth), [], "seed {seed}");
+        let fault = |throw: u64| warmth(throw) + if throw < 1_000 { Vector3::zeros() } else { shift(Cause::Kt, -15.0) };
+        let found = alarms(45_100 + seed, 1_060, fault);
+        assert!(matches!(found[..], [(1_000.., Cause::Kt | Cause::Unattributed), ..]), "seed {seed}: {found:?}");
+        // Wear in spite of the warmth is faster than it.
+        let wear = alarms(45_200 + seed, 400, |throw| warmth(throw) + shift(Cause::Friction, 0.15 * throw as f64));
+        assert_eq!(wear.first().map(|(_, cause)| *cause), Some(Cause::Friction), "seed {seed}: {wear:?}");
+    }
 }
