@@ -7,10 +7,10 @@ use jiff::Timestamp;
 use super::status::Standing;
 use crate::{
     diagnose::{
-        AlarmEvent, AlarmState, Command, CommandError, Common, Irregularity, MachineMonitor, Observation, Settings,
-        Severity, Verdict,
+        AlarmEvent, AlarmState, Command, CommandError, Common, Doubt, Irregularity, MachineMonitor, Observation,
+        Settings, Severity, Verdict,
     },
-    estimate::{Estimate, Identification, Rejection},
+    estimate::{Estimate, Grade, Identification, Rejection},
     store::{Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
     throw::{MachineId, Name},
     wire::{Health, json},
@@ -99,11 +99,18 @@ impl Fleet {
     ) -> Judgement {
         // A repeated trace is not evidence, neither of health nor of a drift.
         let repeats = stored.repeats && identification.as_ref().is_some_and(|found| found.outcome.is_ok());
-        let identification = identification.filter(|_| !repeats);
+        let mut identification = identification.filter(|_| !repeats);
         let common = self.common(&stored.machine.site, Some(&stored.machine), stored.started_at);
         let monitor = self.monitor(&stored.machine);
         let observation = observation(stored, identification.as_ref());
         let mut verdict = monitor.observe_beside(&observation, &common, settings);
+        if let (Some(Doubt { reason, rejects }), Some(found)) = (&verdict.doubt, &mut identification) {
+            match &mut found.outcome {
+                outcome if *rejects => *outcome = Err(reason.clone()),
+                Ok(estimate) => estimate.grade = Grade::Rough,
+                Err(_) => {}
+            }
+        }
         let irregularities =
             [(repeats, Irregularity::RepeatedTrace), (stored.renumbered, Irregularity::RepeatedNumber)];
         for (_, irregularity) in irregularities.into_iter().filter(|(is_so, _)| *is_so) {
@@ -259,7 +266,10 @@ fn health(
     throws_since_baseline: u64,
 ) -> Health {
     let (quality, detail) = match (&stored.throw, found) {
-        (_, Some(found)) => (found.quality(), found.outcome.as_ref().err().map(ToString::to_string)),
+        (_, Some(found)) => {
+            let reason = found.outcome.as_ref().err().or(verdict.doubt.as_ref().map(|doubt| &doubt.reason));
+            (found.quality(), reason.map(ToString::to_string))
+        }
         (Ok(_), None) if stored.repeats => {
             let detail = "the machine sent the same trace before; two real throws are never identical";
             (REPEATED, Some(detail.to_owned()))
