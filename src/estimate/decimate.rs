@@ -43,11 +43,9 @@ impl Biquad {
     }
 }
 
-/// Filters `values` and keeps every `factor`-th, in place. The signal counts as `level` before the first value.
-pub(super) fn decimate(values: &mut Vec<f64>, factor: usize, level: f64) {
-    if factor < 2 {
-        return;
-    }
+/// Filters `values` and keeps every `factor`-th, in place. The signal counts as constant before the first value.
+pub(super) fn decimate(values: &mut Vec<f64>, factor: usize) {
+    let Some(level) = values.first().copied().filter(|_| factor > 1) else { return };
     let warped = (std::f64::consts::PI * CUT_OFF_SHARE / factor as f64).tan();
     // Qualities of the two pole pairs: 1 / (2 cos(π/8)) and 1 / (2 cos(3π/8)).
     let mut first = Biquad::low_pass(warped, 0.541_196_100_146_197, level);

@@ -11,6 +11,7 @@ mod features;
 mod field;
 mod filling;
 mod fleet;
+mod foreign;
 mod hard;
 mod instruments;
 mod intermittent;
