@@ -79,7 +79,7 @@ impl DriftAlarms {
         context: Context,
     ) -> Vec<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
-        self.history.push(residual);
+        self.history.push(residual, order);
         self.follow_onset(drift, order, context);
         let mut events = Vec::new();
         let weather = self.beside_weather(drift, order, tracks, context);

@@ -15,11 +15,14 @@ pub(super) struct History {
     blocks: Vec<[f32; 3]>,
     filling: u32,
     sum: [f64; 3],
+    /// Number of the machine's throw at the first push.
+    #[serde(default)]
+    since: Option<u64>,
 }
 
 impl Default for History {
     fn default() -> Self {
-        Self { length: Self::FIRST_LENGTH, blocks: Vec::new(), filling: 0, sum: [0.0; 3] }
+        Self { length: Self::FIRST_LENGTH, blocks: Vec::new(), filling: 0, sum: [0.0; 3], since: None }
     }
 }
 
@@ -34,7 +37,9 @@ impl History {
     const MEAN_OF: u32 = 24;
 
     #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
-    pub(super) fn push(&mut self, residual: &Vector3<f64>) {
+    /// Adds the residual of the machine's throw number `order`.
+    pub(super) fn push(&mut self, residual: &Vector3<f64>, order: u64) {
+        self.since.get_or_insert(order);
         for (sum, value) in self.sum.iter_mut().zip(residual.iter()) {
             *sum += value;
         }
@@ -70,15 +75,19 @@ impl History {
         (count >= Self::MEAN_OF).then(|| sum / f64::from(count))
     }
 
-    /// The latest blocks along `weights`, oldest first, each with the age of its middle \[throws\] and its length.
-    pub(super) fn along(&self, weights: &Vector3<f64>) -> impl Iterator<Item = Point> {
+    /// The latest blocks along `weights`, oldest first, each with its length and the age of its middle at the throw `now`
+    /// \[throws of the machine\]. Throws without a residual count as evenly distributed.
+    pub(super) fn along(&self, weights: &Vector3<f64>, now: u64) -> impl Iterator<Item = Point> {
         let throws = f64::from(self.length);
+        let pushed = throws * self.blocks.len() as f64 + f64::from(self.filling);
+        let passed = self.since.map_or(pushed, |since| now.saturating_sub(since) as f64 + 1.0);
+        let each = passed / pushed.max(1.0);
         let last = f64::from(self.filling) + 0.5 * (throws - 1.0);
         let from = self.blocks.len().saturating_sub(Self::LATEST);
         let blocks = self.blocks[from..].iter().rev().enumerate().rev();
         blocks.map(move |(at, block)| {
             let value = weights.dot(&Vector3::from(block.map(f64::from)));
-            Point { age: last + throws * at as f64, value, throws }
+            Point { age: each * (last + throws * at as f64), value, throws }
         })
     }
 }
@@ -90,13 +99,25 @@ mod tests {
     #[test]
     fn the_history_covers_a_whole_life_in_bounded_space() {
         let mut history = History::default();
-        for at in 0..10_000 {
-            history.push(&Vector3::repeat(f64::from(at)));
+        for at in 0..10_000_u32 {
+            history.push(&Vector3::repeat(f64::from(at)), u64::from(at));
         }
-        let points: Vec<Point> = history.along(&Vector3::new(1.0, 0.0, 0.0)).collect();
+        let points: Vec<Point> = history.along(&Vector3::new(1.0, 0.0, 0.0), 9_999).collect();
         assert!(history.blocks.len() < History::PLACES && points.len() == History::LATEST);
         for point in points {
             assert!((point.value + point.age - 9_999.0).abs() < 1.0, "{point:?}");
+        }
+    }
+
+    /// The ages join those of the last throws, which count all throws of the machine.
+    #[test]
+    fn ages_count_rejected_throws_too() {
+        let mut history = History::default();
+        for at in (0..400_u32).step_by(2) {
+            history.push(&Vector3::repeat(f64::from(at)), u64::from(at));
+        }
+        for point in history.along(&Vector3::new(1.0, 0.0, 0.0), 399) {
+            assert!((point.value + point.age - 399.0).abs() < 3.0, "{point:?}");
         }
     }
 }

@@ -190,7 +190,7 @@ impl Tracks {
         let recent = Stream::all([&normal.recent, &reverse.recent]).points(weights, baselines, now);
         // Blocks contain throws of both directions.
         let oldest = recent.first()?.age;
-        let before = history.along(weights).filter(|block| block.age - block.throws / 2.0 > oldest);
+        let before = history.along(weights, now).filter(|block| block.age - block.throws / 2.0 > oldest);
         let points: Vec<_> = before.chain(recent).collect();
         Course::of(
             &points,

@@ -103,7 +103,8 @@ impl Sriv<2, 1, 3> {
     /// Errors of (b0, a1, a0) from dry friction, for one standard deviation of its share.
     ///
     /// Dry friction counts as viscous friction with the same torque at running speed ω. A dry load F differs from it by
-    /// F (1 - y'/ω), which disturbs the output by n = -F (1 - y'/ω)/A and the estimate by M⁻¹ Σ z n.
+    /// F (1 - y'/ω), which disturbs the output by n = -F (1 - y'/ω)/A and the estimate by M⁻¹ Σ z n; with a prefilter
+    /// 1/C the division is by C.
     pub(super) fn load_error(
         problem: &Problem<1>,
         solution: &Solution<2, 1, 3>,
@@ -111,8 +112,8 @@ impl Sriv<2, 1, 3> {
         workspace: &Workspace<3>,
     ) -> [f64; 3] {
         let (z, stride, model) = (&workspace.instruments, workspace.stride, &workspace.model_output);
-        let [_, a1, a0] = solution.parameters;
-        let Some(filter) = Discrete::<2>::new(&[a1, a0], problem.interval_s) else { return [0.0; 3] };
+        let [_, a1, _] = solution.parameters;
+        let Some(filter) = Discrete::<2>::new(&solution.denominator, problem.interval_s) else { return [0.0; 3] };
         let row = filter.readout(Hold::Zero).state[0];
         let (middle, last) = (model.len() / 2, model.len() - 1);
         let per_sample = (model[last] - model[middle]) / (last - middle).max(1) as f64;

@@ -11,7 +11,7 @@ use super::{
     timeline::Timeline,
     trace::TraceMachine,
 };
-use crate::diagnose::{MachineMonitor, Observation, Settings};
+use crate::diagnose::{AlarmState, Command, MachineMonitor, Observation, Settings};
 
 /// Words in the monitor's sentence about a baseline with a trend.
 const TREND: &str = "the baseline has a trend";
@@ -90,6 +90,12 @@ pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> He
         }
         heard.coverage.add(at, &verdict, life, rules.settings);
         let events = verdict.events;
+        // The comparators count each of their calls, so an alarm that cleared must be a new one when it is raised again.
+        for event in events.iter().filter(|event| event.state == AlarmState::ClearedUnacknowledged) {
+            let command = Command::Ack { cause: event.cause, by: "evaluation".to_owned() };
+            // Fails only without this alarm, and it is open.
+            let _ = monitor.command(&command, observation.started_at, rules.settings);
+        }
         heard.raised += events.iter().filter(|event| event.event_no == 1).count();
         heard.monitor.extend(events.iter().filter_map(|event| Call::of(event, at)));
         paper.observe(at, &observation);
