@@ -8,7 +8,8 @@ use crate::diagnose::Command;
 
 /// Acknowledges an open alarm; the daemon stores the name and the time.
 ///
-/// Exit codes: 0 done; 1 the daemon refused; 69 no daemon answers.
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
+/// invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd ack north/21B friction --by 'A. Meyer'")]
 pub(super) struct Arguments {

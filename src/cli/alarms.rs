@@ -24,7 +24,8 @@ const GROUP_SIZE: usize = 5;
 /// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
 /// alarms.
 ///
-/// Exit codes: 0 shown; 1 with --check, if an alarm is open; 69 no reply, or unknown machine.
+/// Exit codes: 0 shown; 1 with --check, if an alarm is open; 64 an option is wrong; 69 no reply, or unknown machine; 78
+/// the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01 --json\n  \
                         pointsd alarms --severity critical --check || mail -s 'points' duty@example.org")]
@@ -42,8 +43,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "TIME")]
     since: Option<Moment>,
     /// Show only the newest N events.
-    #[arg(long, value_name = "N")]
-    limit: Option<usize>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(wire::MAX_HISTORY)))]
+    limit: Option<u32>,
     /// Print every alarm, without summaries of alarms with the same cause.
     #[arg(long)]
     all: bool,

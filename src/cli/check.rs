@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use super::{Exit, Outcome, ResultExt, database, output};
 use crate::{daemon::config::Config, store};
 
-/// Checks a configuration: every key, type, range and path, the zenoh section, and that the database belongs to
-/// pointsd.
+/// Checks a configuration: every key, type, range and path, the zenoh section, and that the file of the database is
+/// neither text nor the database of another program.
 ///
 /// Exit codes: 0 valid; 78 invalid, with file, line, key and reason in one line on stderr.
 #[derive(Debug, clap::Args)]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use clap::Args;
 
 use super::{Exit, Failure, ResultExt};
@@ -42,6 +42,9 @@ impl Location {
             }
         };
         match std::fs::metadata(&path) {
+            Ok(file) if file.is_file() && file.len() == 0 => {
+                Err(anyhow!("no database at {}: the file is empty", path.display())).or_exit(Exit::NoInput)
+            }
             Ok(_) => Ok(path),
             Err(error) => Err(anyhow::Error::new(error))
                 .with_context(|| {

@@ -1,7 +1,8 @@
 //! `pointsd export`: throws with their estimates as CSV, and their traces.
 
 use std::{
-    fs, io,
+    fs,
+    io::{self, Write as _},
     path::{Path, PathBuf},
 };
 
@@ -21,7 +22,8 @@ use crate::store::{Export, Exported, StoreError};
 ///
 /// Each throw is one line, also a rejected one and a pending one (`quality`); times are RFC 3339 in UTC, an unknown value is
 /// an empty cell. With --traces the samples of each throw are a file of their own, as `pointsd identify` and `pointsd
-/// import` read them; the last column `trace` has its name in DIR. It is empty if retention has deleted the trace.
+/// import` read them; the last column `trace` has its name in DIR. It is empty if retention has deleted the trace. If the
+/// lines are in `throws.csv` in DIR or beside it, `pointsd import` takes time, direction, boot and number from there.
 ///
 /// Exit codes: 0 exported; 1 no stored throw matches; 65 the database is of another version; 66 there is no database; 73 a
 /// file cannot be created.
@@ -100,9 +102,13 @@ async fn write_trace(export: &mut Export, throw: &Exported, folder: &Path) -> Re
     let name = format!("{}/{}/{start}-{}.csv", machine.site, machine.machine, stored.row.0);
     let Ok(measured) = stored.throw else { return Ok(String::new()) };
     let file = folder.join(&name);
-    let write = || {
+    let write = || -> io::Result<()> {
         file.parent().map_or(Ok(()), fs::create_dir_all)?;
-        fs::write(&file, measured.trace.to_csv())
+        let mut file = fs::File::create(&file)?;
+        file.write_all(measured.trace.to_csv().as_bytes())?;
+        // The time of the file is that of the throw, as `pointsd import` takes it; not every file system keeps times.
+        let _ = file.set_modified(stored.started_at.into());
+        Ok(())
     };
     write().with_context(|| format!("{} cannot be written", file.display())).or_exit(Exit::CannotCreate)?;
     Ok(name)

@@ -18,7 +18,8 @@ use crate::{
 /// Uneven samples are resampled to an even grid; a trace with a gap is rejected.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  pointsim throw --out throw.csv && pointsd identify throw.csv\n\n\
-    Exit codes: 0 accepted, 1 rejected (the reason is printed), 65 the file is not a recording, 66 it cannot be read.")]
+    Exit codes: 0 accepted, 1 rejected (the reason is printed), 64 an option is wrong, 65 the file is not a recording, 66 it \
+    cannot be read.")]
 pub(super) struct Arguments {
     /// The recorded trace.
     #[arg(value_name = "FILE.csv")]
@@ -66,6 +67,7 @@ enum MotorArgument {
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let settings = arguments.settings();
+    settings.check().or_exit(Exit::Usage)?;
     let recording = recording::read(&arguments.file)?;
     let throw = Throw {
         id: ThrowRef { boot_id: "recorded".to_owned(), throw_no: 0 },
@@ -174,10 +176,13 @@ fn text(found: &Identification, estimate: &Estimate) -> String {
         coefficients,
         row("a1/b0", ratios[0], ratios_sd[0], "A s/rad"),
         row("a0/b0", ratios[1], ratios_sd[1], "A/rad"),
-        format!(
-            "fit {:.4} % in {} iterations, from {:.3} s to {:.3} s\n",
-            estimate.fit_pct, estimate.iterations, estimate.start_s, estimate.end_s
-        ),
+        if estimate.iterations > 0 {
+            format!("fit {:.4} % in {} iterations, ", estimate.fit_pct, estimate.iterations)
+        } else {
+            // From the current alone, or without a fit of the full model.
+            String::new()
+        },
+        format!("from {:.3} s to {:.3} s\n", estimate.start_s, estimate.end_s),
         features_text(found),
     ]
     .concat()

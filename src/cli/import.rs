@@ -1,12 +1,15 @@
 //! `pointsd import`: runs recorded throws through the whole pipeline into the database.
 
 use std::{
+    collections::HashMap,
+    ffi::OsString,
     fs,
     path::{Path, PathBuf},
 };
 
 use anyhow::Context;
 use jiff::{SignedDuration, Timestamp};
+use serde::Deserialize;
 use serde_json::json;
 
 use super::{
@@ -23,11 +26,17 @@ use crate::{
     wire::{self, Encoding, Health},
 };
 
+/// Folders above an exported trace that are searched for its `throws.csv`: those of the machine and of the site, that of
+/// the traces, and the one beside it.
+const EXPORT_FOLDERS: usize = 4;
+
 /// Imports recorded throws of one machine: stores, identifies and diagnoses them in the order of the command line. The
 /// daemon of this database must not run.
 ///
 /// FILE is CSV with the columns of a recorded trace (one throw in a file), or JSON as on zenoh (one throw on each line,
-/// or one in a file). A throw that the database has already is skipped.
+/// or one in a file). A throw that the database has already is skipped. A trace of `pointsd export --traces` keeps time,
+/// direction, boot, number, temperature, supply and filter of its line in `throws.csv`, which is in the folder of the
+/// traces or in the folder above; without this line it has the time of the file.
 ///
 /// Exit codes: 0 imported; 65 the content of a file is invalid; 66 a file cannot be read; 69 the daemon is running; 74
 /// the database cannot be used; 78 the configuration is invalid. Files before an invalid one are imported.
@@ -43,7 +52,8 @@ pub(super) struct Arguments {
     /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Time of the throw in the first CSV file (RFC 3339), a minute more for each further file [default: file times].
+    /// Time of the throw in the first CSV file (RFC 3339), a minute more for each further file [default: from
+    /// `throws.csv`, else the times of the files].
     #[arg(long, value_name = "TIME")]
     started_at: Option<Timestamp>,
     /// Print one JSON object for each throw.
@@ -80,8 +90,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 }
 
 async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count) -> Outcome {
+    let mut exports = Exports::default();
     for (number, file) in arguments.files.iter().enumerate() {
-        for throw in read(arguments, number, file)? {
+        for throw in read(arguments, number, file, &mut exports)? {
             // The time of a CSV file changes when it is copied; the store would take it for another throw.
             if !is_json(file) && pipeline.has(&arguments.machine.0, &throw.id).await.or_exit(Exit::Io)? {
                 count.known += 1;
@@ -98,8 +109,8 @@ async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count
     Ok(Exit::Ok)
 }
 
-fn read(arguments: &Arguments, number: usize, file: &Path) -> Result<Vec<Throw>, Failure> {
-    if is_json(file) { read_json(file) } else { read_csv(arguments, number, file).map(|throw| vec![throw]) }
+fn read(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exports) -> Result<Vec<Throw>, Failure> {
+    if is_json(file) { read_json(file) } else { read_csv(arguments, number, file, exports).map(|throw| vec![throw]) }
 }
 
 fn is_json(file: &Path) -> bool {
@@ -131,8 +142,55 @@ fn is_one_object(bytes: &[u8]) -> bool {
     serde_json::from_slice::<serde_json::Map<String, serde_json::Value>>(bytes).is_ok()
 }
 
-fn read_csv(arguments: &Arguments, number: usize, file: &Path) -> Result<Throw, Failure> {
+/// A line of `throws.csv`, which `pointsd export --traces` wrote.
+#[derive(Debug, Deserialize)]
+struct Exported {
+    trace: PathBuf,
+    boot_id: String,
+    throw_no: u64,
+    started_at: Timestamp,
+    direction: String,
+    temperature_c: Option<f64>,
+    supply_v: Option<f64>,
+    anti_alias_hz: Option<f64>,
+}
+
+/// The lines of each folder's `throws.csv`, by the names of their traces.
+#[derive(Default)]
+struct Exports(HashMap<PathBuf, HashMap<OsString, Exported>>);
+
+impl Exports {
+    /// The line of a trace; `None` if there is none.
+    fn line(&mut self, trace: &Path) -> Option<&Exported> {
+        let trace = fs::canonicalize(trace).ok()?;
+        let folders = trace.ancestors().skip(1).take(EXPORT_FOLDERS);
+        let list = folders.map(|folder| folder.join("throws.csv")).find(|list| list.is_file())?;
+        self.0.entry(list).or_insert_with_key(|list| lines(list)).get(trace.file_name()?)
+    }
+}
+
+fn lines(list: &Path) -> HashMap<OsString, Exported> {
+    let Ok(reader) = csv::Reader::from_path(list) else { return HashMap::new() };
+    // A list of another program has other columns.
+    let lines = reader.into_deserialize::<Exported>().map_while(Result::ok);
+    let is_valid = |line: &Exported| wire::is_boot_id(&line.boot_id) && i64::try_from(line.throw_no).is_ok();
+    // A throw without a stored trace has no name there. Names are unique, as they have the number of the row.
+    lines.filter(is_valid).filter_map(|line| Some((line.trace.file_name()?.to_owned(), line))).collect()
+}
+
+fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exports) -> Result<Throw, Failure> {
     let recording = recording::read(file)?;
+    if let Some(line) = exports.line(file).filter(|_| arguments.started_at.is_none()) {
+        return Ok(Throw {
+            id: ThrowRef { boot_id: line.boot_id.clone(), throw_no: line.throw_no },
+            started_at: line.started_at,
+            direction: line.direction.parse().ok(),
+            trace: recording.trace,
+            temperature_c: line.temperature_c,
+            supply_v: line.supply_v,
+            anti_alias_hz: line.anti_alias_hz,
+        });
+    }
     let unreadable = || format!("cannot read {}", file.display());
     let content = fs::read(file).with_context(unreadable).or_exit(Exit::NoInput)?;
     let started_at = if let Some(first) = arguments.started_at {

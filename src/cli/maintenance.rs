@@ -14,7 +14,8 @@ const SHIFT: SignedDuration = SignedDuration::from_hours(8);
 /// Takes a machine out of service: its throws are stored, but not diagnosed and not added to a baseline. The window
 /// ends at the given time, by default after 8 hours.
 ///
-/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers.
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
+/// invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd maintenance north/21B --why 'new slide chairs' --for 3d\n  \
                         pointsd maintenance north/21B --end")]

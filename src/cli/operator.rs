@@ -51,7 +51,7 @@ impl Connection {
         let OperatorSession { zenoh: mut config, endpoints, monitor } =
             operator_session(document.as_ref(), self.connect.as_deref())
                 .context("no daemon can be reached with this configuration")
-                .or_exit(Exit::Config)?;
+                .or_exit(if document.is_some() { Exit::Config } else { Exit::Usage })?;
         let mut set = |key: &str, value: serde_json::Value| {
             let wrong = |error| Failure { exit: Exit::Usage, error: anyhow::anyhow!("{key} = {value}: {error}") };
             config.insert_json5(key, &value.to_string()).map_err(wrong)

@@ -9,7 +9,8 @@ use crate::diagnose::Command;
 /// Starts a new baseline of a machine from its next throws, for example after maintenance. The old baseline stays in
 /// the history; drift alarms are cleared.
 ///
-/// Exit codes: 0 done; 1 the daemon refused; 69 no daemon answers.
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
+/// invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd rebaseline north/21B --why 'motor replaced' --by 'A. Meyer'")]
 pub(super) struct Arguments {

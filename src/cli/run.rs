@@ -42,7 +42,9 @@ pub(super) fn load(file: Option<&Path>) -> Result<Config, Failure> {
 /// Exit code and text of a daemon that cannot start.
 pub(super) fn start_failure(error: StartError) -> Failure {
     let exit = match &error {
-        StartError::Store(StoreError::Foreign { .. }) | StartError::Webhook(_) => Exit::Config,
+        StartError::Store(StoreError::Foreign { .. } | StoreError::Text { .. }) | StartError::Webhook(_) => {
+            Exit::Config
+        }
         StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
         StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
         StartError::Thread(_) => Exit::Software,

@@ -8,7 +8,8 @@ use crate::diagnose::Command;
 
 /// Shelves an open alarm until a given time, with a reason; or ends the shelving.
 ///
-/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers.
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
+/// invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd shelve north/21B friction --for 8h --why 'greased tonight'\n  \
                         pointsd shelve north/21B friction --end")]

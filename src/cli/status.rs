@@ -2,10 +2,11 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    io::{self, IsTerminal as _},
     time::Duration,
 };
 
-use comfy_table::ContentArrangement;
+use comfy_table::{ColumnConstraint, ContentArrangement};
 use jiff::SignedDuration;
 use serde_json::{Value, json};
 
@@ -33,7 +34,8 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 /// healthy and learning machines are listed only with --all, --site or --state.
 ///
 /// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, lost messages), a machine has an alarm, is
-/// not monitored or in maintenance, or an alarm is shelved; 69 no daemon answers.
+/// not monitored or in maintenance, or an alarm is shelved; 64 an option is wrong; 69 no daemon answers, or no machine of
+/// --site is known; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd status\n  pointsd status --watch\n  \
                         pointsd status --connect tcp/cabinet-7:7447 --json")]
@@ -118,6 +120,14 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         let health: Vec<Health> = health.filter(|health| is_asked(&health.machine)).collect();
         let alarms = alarms.into_iter().map(|(_, alarm)| alarm);
         let alarms: Vec<Alarm> = alarms.filter(|alarm| is_asked(&alarm.machine)).collect();
+        if let Some(site) = &arguments.site
+            && health.is_empty()
+            && windows.is_empty()
+            && alarms.is_empty()
+        {
+            let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
+            return Err(Failure { exit: Exit::Unavailable, error });
+        }
         print_machines(&health, &windows, arguments)?;
         alarms::print_open(alarms, &health, &windows, false)?;
     }
@@ -157,7 +167,13 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
         machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !quiet.contains(&state(rows)))).collect();
     shown.sort_by_key(|(machine, rows)| (rank(state(rows)), **machine));
     let mut table = output::plain_table(["machine", "state", "to", "motor", "friction", "stiffness", "last throw"]);
-    table.set_content_arrangement(ContentArrangement::Dynamic).set_width(output::width());
+    if io::stdout().is_terminal() {
+        table.set_content_arrangement(ContentArrangement::Dynamic).set_width(output::width());
+    }
+    // Names are not wrapped, and in a pipe no cell is: programs search them.
+    if let Some(name) = table.column_mut(0) {
+        name.set_constraint(ColumnConstraint::ContentWidth);
+    }
     for (machine, rows) in &shown {
         for (at, row) in rows.iter().enumerate() {
             let first = |text: String| if at == 0 { text } else { String::new() };

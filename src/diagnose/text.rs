@@ -302,9 +302,11 @@ pub(super) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
 }
 
 pub(super) fn sensor_unusable(name: &str, channel: SensorChannel) -> String {
+    let unit = if channel == SensorChannel::Current { "A" } else { "mm" };
     format!(
         "Machine {name}: the {channel} reads impossible, stuck or very noisy values, so the throws cannot be evaluated. Check \
-         the sensor, its cable and its supply; throws_not_evaluated has the reason of each throw."
+         the sensor, its cable and its supply, and that the logger sends {unit}; throws_not_evaluated has the reason of each \
+         throw."
     )
 }
 

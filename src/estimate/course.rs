@@ -24,6 +24,11 @@ const DISPLACED_SIGMAS: f64 = 0.85;
 /// Least speed of a moving toe in a noisy position, as share of its mean speed, and least movement \[standard deviations\].
 const LEAST_SPEED_SHARE: f64 = 0.25;
 const MOVED_SIGMAS: f64 = 4.0;
+/// Strokes that a position in metres is compared with if none is configured \[mm\].
+const USUAL_STROKES_MM: (f64, f64) = (50.0, 500.0);
+/// Least ratio of travel to noise and step of the converter of a position in metres: a sensor with 0.2 mm of noise over
+/// 115 mm has 575. In millimetres this travel would need a sensor with less than 0.3 um.
+const METRES_RESOLUTION: f64 = 400.0;
 /// Least and largest travel of a complete throw, as share of the stroke.
 const COMPLETE_SHARE: f64 = 0.95;
 const TOO_LONG_SHARE: f64 = 1.15;
@@ -58,6 +63,9 @@ pub(super) fn course(
     let travel_mm = movement.travel_mm;
     let furthest = peak(position, position[0]);
     let noise_mm = whole_noise(movement, position, noise_mm, scratch);
+    if is_in_metres(movement, settings, noise_mm) {
+        return Err(Rejection::WrongUnit { travel_mm });
+    }
     let noisy = Rejection::Noisy {
         channel: Channel::Position,
         measured: noise_mm,
@@ -128,6 +136,13 @@ pub(super) fn late_start(movement: &Movement, current: &[f64]) -> Result<(), Rej
         return Err(Rejection::StartMissing { current_a });
     }
     Ok(())
+}
+
+/// Whether the travel is a thousandth of a stroke. A locked toe that moves as far is not resolved as finely.
+fn is_in_metres(movement: &Movement, settings: &Settings, noise_mm: f64) -> bool {
+    let (low, high) = settings.stroke_mm.map_or(USUAL_STROKES_MM, |stroke_mm| (0.9 * stroke_mm, 1.1 * stroke_mm));
+    (low..=high).contains(&(1000.0 * movement.travel_mm))
+        && movement.travel_mm > METRES_RESOLUTION * noise_mm.max(movement.position.quantum)
 }
 
 /// The noise of the position, also if it is hum or other noise that is not white: then the values at rest scatter more

@@ -111,10 +111,12 @@ impl Identifier {
             .and_then(|()| self.estimate(throw, settings, &movement, (interval_s, factor, noise_mm), released));
         let moved = direction_moved(&movement, &outcome);
         let mut features = movement.features(&self.current, &self.position, interval_s);
-        if let Err(Rejection::Noisy { channel, .. } | Rejection::Stuck { channel: channel @ Channel::Position, .. }) =
-            outcome
-        {
-            features = features.without(channel);
+        match outcome {
+            Err(Rejection::Noisy { channel, .. } | Rejection::Stuck { channel: channel @ Channel::Position, .. }) => {
+                features = features.without(channel);
+            }
+            Err(Rejection::WrongUnit { .. }) => features = features.without(Channel::Position),
+            _ => {}
         }
         if outcome.as_ref().is_err_and(Rejection::is_part) {
             features = features.of_part();
@@ -217,6 +219,9 @@ impl Identifier {
         }
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
         let mut window = self.window(settings, movement, interval_s, filter_hz, released)?;
+        if settings.stroke_mm.is_none() && movement.ends_moving(&self.position) && movement.ends_driven(&self.current) {
+            return Err(Rejection::EndMissing { travel_mm: movement.travel_mm });
+        }
         let doubt = doubt.or(window.doubt.take());
         let (scale, fitted) = self.fit(settings, movement, &window);
         if fitted.is_err() || doubt.is_some() {

@@ -158,6 +158,12 @@ impl Movement {
         speed(last - stretch, last) > 0.5 * running
     }
 
+    /// Whether the motor still drives at the last sample, with at least half of the mean current.
+    pub(super) fn ends_driven(&self, current: &[f64]) -> bool {
+        let last = &current[current.len().saturating_sub(MIN_QUIET)..];
+        mean(last.iter().map(|i| (i - self.current.mean).abs())) > 0.5 * self.mean_a
+    }
+
     /// Last sample before the motor's start, or the first of the trace.
     pub(super) fn start(&self) -> usize {
         self.quiet.saturating_sub(1)

@@ -14,6 +14,16 @@ pub enum Channel {
     Position,
 }
 
+impl Channel {
+    /// The field of the message with its unit.
+    fn field(self) -> &'static str {
+        match self {
+            Self::Current => "current_a is in A",
+            Self::Position => "position_mm is in mm",
+        }
+    }
+}
+
 impl fmt::Display for Channel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
@@ -53,7 +63,10 @@ pub enum Rejection {
     #[strum(serialize = "current_only")]
     NoPosition,
     /// A value that a point machine cannot have.
-    #[error("the {channel} at {at_s:.3} s is {value}, which is not possible for a point machine: a corrupt value")]
+    #[error(
+        "the {channel} at {at_s:.3} s is {value}, which is not possible for a point machine: a corrupt value, or a wrong \
+         unit ({field})", field = .channel.field()
+    )]
     #[serde(rename = "implausible_value")]
     #[strum(serialize = "implausible_value")]
     Implausible {
@@ -63,6 +76,15 @@ pub enum Rejection {
         at_s: f64,
         /// The value \[A or mm\].
         value: f64,
+    },
+    /// The position is in metres.
+    #[error(
+        "the toe moved {travel_mm:.3}, resolved as finely as a whole stroke: the position seems to be in metres, and must be in \
+         millimetres (position_mm)"
+    )]
+    WrongUnit {
+        /// Distance moved, in the unit of the message.
+        travel_mm: f64,
     },
     /// The toe did not move.
     #[error("the toe did not move")]
@@ -298,7 +320,10 @@ pub enum Rejection {
         running_a: f64,
     },
     /// The recording ends in the middle of the movement.
-    #[error("the recording ends after {travel_mm:.1} mm while the toe is still moving: too early for the coefficients")]
+    #[error(
+        "the recording ends after {travel_mm:.1} mm while the toe is still moving: record until the motor is off, or set \
+         stroke_mm if this is the whole stroke"
+    )]
     EndMissing {
         /// Distance moved by then \[mm\].
         travel_mm: f64,
@@ -392,6 +417,7 @@ impl Rejection {
             | Self::Clipped { channel, .. }
             | Self::Stuck { channel, .. }
             | Self::Noisy { channel, .. } => Some(*channel),
+            Self::WrongUnit { .. } => Some(Channel::Position),
             Self::NoCurrent { .. } => Some(Channel::Current),
             _ => None,
         }

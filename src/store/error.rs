@@ -21,6 +21,12 @@ pub enum StoreError {
         /// One of its tables.
         table: String,
     },
+    /// The file is text, and so not a damaged database.
+    #[error("{} is a text file, not a database: name another file in store.path", path.display())]
+    Text {
+        /// The file.
+        path: PathBuf,
+    },
     /// The schema cannot be migrated.
     #[error("cannot migrate the schema of {}: {source}", path.display())]
     Migrate {

@@ -4,6 +4,8 @@
 //! daemon raises an alarm from the report.
 
 use std::{
+    fs::File,
+    io::Read,
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -36,6 +38,10 @@ const LOG_KEPT: u64 = 16 * MIB;
 const CHECK_LIMIT: Duration = Duration::from_secs(3);
 /// Instructions of SQLite's virtual machine between two checks of the clock.
 const CHECK_STEPS: i32 = 10_000;
+/// Bytes at the start of a file that tell text from a database: sixteen pages, as single ones may be damaged.
+const TEXT_BYTES: u64 = 64 * 1024;
+/// Start of the header of SQLite's files.
+const HEADER: &str = "SQLite format 3";
 /// Time limit for the write lock of another program.
 const BUSY: Duration = Duration::from_secs(5);
 
@@ -113,8 +119,8 @@ pub(super) async fn open(
     place: &Place,
     now: Timestamp,
 ) -> Result<(SqliteConnection, Report), StoreError> {
-    place.clear_leftovers()?;
     refuse_foreign(&settings.path).await?;
+    place.clear_leftovers()?;
     if place.is_fresh() && place.log_bytes() > 0 {
         // SQLite would delete the log with the last commits.
         let why = "the database is missing, but its write-ahead log exists".to_owned();
@@ -149,13 +155,17 @@ pub(super) async fn open(
     }
 }
 
-/// Refuses the database of another program. A file that cannot be read here is checked when it is opened for writing.
+/// Refuses a file that is not ours: a text file, or the database of another program. A file that cannot be read here is
+/// checked when it is opened for writing.
 ///
 /// # Errors
-/// When the file is the database of another program.
+/// When the file is text or the database of another program.
 pub async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     if Place::new(path).is_fresh() {
         return Ok(());
+    }
+    if is_text(path) {
+        return Err(StoreError::Text { path: path.to_owned() });
     }
     let Ok(mut connection) = SqliteConnection::connect_with(&reading(path)).await else { return Ok(()) };
     let table: sqlx::Result<Option<String>> =
@@ -166,6 +176,22 @@ pub async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
         Ok(Some(table)) => Err(StoreError::Foreign { path: path.to_owned(), table }),
         _ => Ok(()),
     }
+}
+
+/// Whether a file begins with printable text only. A database with damaged pages has zeros in the others.
+fn is_text(path: &Path) -> bool {
+    let mut start = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(TEXT_BYTES).read_to_end(&mut start));
+    let text = match std::str::from_utf8(&start) {
+        Ok(text) => text,
+        // The last character is cut.
+        Err(error) if error.error_len().is_none() => {
+            std::str::from_utf8(&start[..error.valid_up_to()]).unwrap_or_default()
+        }
+        Err(_) => return false,
+    };
+    let is_printable = |character: char| !character.is_control() || matches!(character, '\t' | '\n' | '\r');
+    read.is_ok() && !text.is_empty() && !text.starts_with(HEADER) && text.chars().all(is_printable)
 }
 
 enum Trouble {

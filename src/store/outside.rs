@@ -59,6 +59,11 @@ pub async fn ask<E: From<StoreError>>(
     mut row: impl FnMut(Vec<Value>) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut connection = connect(path).await?;
+    // VACUUM INTO writes another file also on a read-only connection, and with `query_only` still creates it.
+    if question.split([';', '\n']).flat_map(|part| part.split("*/")).any(is_vacuum) {
+        let problem = "VACUUM writes a file: use pointsd backup for a copy of the database";
+        return Err(StoreError::read(sqlx::Error::InvalidArgument(problem.to_owned())).into());
+    }
     let question = AssertSqlSafe(question.to_owned()).into_sql_str();
     let statement = connection.prepare(question.clone()).await.map_err(StoreError::read)?;
     let names = |columns: &[SqliteColumn]| columns.iter().map(|column| column.name().to_owned()).collect::<Vec<_>>();
@@ -76,6 +81,13 @@ pub async fn ask<E: From<StoreError>>(
         row((0..found.len()).map(|at| value(&found, at)).collect::<sqlx::Result<_>>().map_err(StoreError::read)?)?;
     }
     Ok(())
+}
+
+/// Whether a part of a query begins with VACUUM. A statement begins at the start, or after a semicolon or a comment.
+fn is_vacuum(part: &str) -> bool {
+    let is_space = |c: char| c.is_whitespace() || c == '\u{feff}';
+    let word = part.trim_start_matches(is_space).split(|c: char| !c.is_alphanumeric() && c != '_').next();
+    word.is_some_and(|word| word.eq_ignore_ascii_case("vacuum"))
 }
 
 pub(super) fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {

@@ -48,6 +48,7 @@ struct Page {
     trouble: Vec<String>,
     /// Each state with its number of machines and the address of their list.
     tally: Vec<(Badge, String, String)>,
+    /// "12 machines".
     machines: String,
     common: Vec<Common>,
     alarms: Vec<AlarmLine>,
@@ -178,7 +179,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     Ok(page::html(&Page {
         trouble: trouble::all(&web.view, &overview),
         tally: tally_links(&tally, &filters),
-        machines: page::count(tally.total()),
+        machines: format!("{} machine{}", page::count(tally.total()), if tally.total() == 1 { "" } else { "s" }),
         common: common(&overview),
         alarms: overview.faults.iter().map(|fault| fault_line(fault, &windows)).collect(),
         more_alarms: if more_alarms > 0 { page::count(more_alarms) } else { String::new() },

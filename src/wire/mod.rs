@@ -22,4 +22,4 @@ pub use key::{
 };
 pub use query::{HistoryQuery, InvalidQuery, MAX_HISTORY};
 pub use text::json;
-pub use throw::{Encoding, InvalidThrow, MAX_BOOT_ID_BYTES, decode_throw, encode_throw};
+pub use throw::{Encoding, InvalidThrow, MAX_BOOT_ID_BYTES, decode_throw, encode_throw, is_boot_id};

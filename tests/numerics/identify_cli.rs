@@ -68,6 +68,7 @@ fn what_is_no_recording_is_refused_with_its_place() {
         (plain.replace("current_a", "amps"), 65, vec!["line 1", "current_a is missing"]),
         (plain.replace(',', ";"), 65, vec!["line 1", "semicolons"]),
         (lines[..4].join("\n"), 1, vec!["throw.csv"]),
+        (lines[..3000].join("\n"), 1, vec!["still moving", "stroke_mm"]),
         (lines[..2].join("\n"), 65, vec!["too few"]),
         (gap, 65, vec!["line 1001", "gap"]),
         (String::new(), 65, vec!["line 1"]),
@@ -82,4 +83,7 @@ fn what_is_no_recording_is_refused_with_its_place() {
     }
     let absent = Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["identify", "/nowhere.csv"]).output().unwrap();
     assert_eq!(absent.status.code(), Some(66));
+    let wrong =
+        Command::new(env!("CARGO_BIN_EXE_pointsd")).args(["identify", "/nowhere.csv", "--lead-mm", "0"]).output();
+    assert_eq!(wrong.unwrap().status.code(), Some(64));
 }

@@ -31,19 +31,23 @@ fn a_wrong_configuration_is_named_with_file_line_and_key() {
 
 /// The daemon does not change the file, and systemd does not restart it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_database_of_another_program_is_a_wrong_configuration() {
+async fn a_file_that_is_not_ours_is_a_wrong_configuration() {
     let rig = Rig::new();
     fs::write(rig.database(), []).unwrap();
     rig.change("CREATE TABLE users (name TEXT)").await;
-    for command in ["check", "run"] {
-        let output = pointsd(&[command, "--config"]).arg(rig.config()).output().unwrap();
-        let error = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(78), "{command}: {error}");
-        assert!(
-            error.contains("the database of another program") && error.contains("store.path"),
-            "{command}: {error}"
-        );
-    }
+    let refused = |reason: &str| {
+        for command in ["check", "run"] {
+            let output = pointsd(&[command, "--config"]).arg(rig.config()).output().unwrap();
+            let error = String::from_utf8_lossy(&output.stderr);
+            assert_eq!(output.status.code(), Some(78), "{command}: {error}");
+            assert!(error.contains(reason) && error.contains("store.path"), "{command}: {error}");
+        }
+    };
+    refused("the database of another program");
+    let text = "site,machine\nnorth,21B\n";
+    fs::write(rig.database(), text).unwrap();
+    refused("is a text file");
+    assert_eq!(fs::read_to_string(rig.database()).unwrap(), text);
 }
 
 #[test]

@@ -71,6 +71,50 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
     assert!(said.starts_with("1 throws imported (0 not evaluated)"), "{said}");
 }
 
+/// The list of the throws beside the folder of the traces has what a trace does not have.
+#[test]
+fn exported_traces_come_back_as_the_throws_that_they_were() {
+    let rig = Rig::new();
+    let file = rig.folder().join("many.jsonl");
+    let lines: Vec<_> = throws("recorded", 3).iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
+    fs::write(&file, lines.join(&b'\n')).unwrap();
+    assert_eq!(import(&rig, &[&file], &[]).0, Some(0));
+    let traces = rig.folder().join("traces");
+    let output = pointsd(&["export", "--database"]).arg(rig.database()).arg("--traces").arg(&traces).output().unwrap();
+    let list = rig.folder().join("throws.csv");
+    fs::write(&list, output.stdout).unwrap();
+    let mut files: Vec<_> = fs::read_dir(traces.join("north/21B")).unwrap().map(|file| file.unwrap().path()).collect();
+    files.sort();
+    let files: Vec<&Path> = files.iter().map(AsRef::as_ref).collect();
+    assert_eq!(files.len(), 3);
+    let history = |rig: &Rig| rig.sql("SELECT * FROM health_history ORDER BY started_at");
+    let (_, said, _) = import(&rig, &files, &[]);
+    assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 3 known before, 0 alarm events");
+
+    let other = Rig::new();
+    let (code, _, error) = import(&other, &files, &[]);
+    assert_eq!(code, Some(0), "{error}");
+    assert_eq!(history(&other).len(), 3);
+    let columns = ["started_at", "direction", "throw_no", "quality", "temperature_c"];
+    for (row, original) in history(&other).iter().zip(history(&rig)) {
+        for column in columns {
+            assert_eq!(row[column], original[column], "{column}");
+        }
+        let [b0, original] = [row, &original].map(|row| row["b0"].as_f64().unwrap());
+        assert!((b0 / original - 1.0).abs() < 1e-6, "{b0} {original}");
+    }
+    let boots = other.sql("SELECT DISTINCT boot_id FROM boot");
+    assert_eq!(boots, [serde_json::json!({"boot_id": "recorded"})]);
+
+    // Without the list the files still have the times of their throws.
+    fs::remove_file(list).unwrap();
+    let third = Rig::new();
+    assert_eq!(import(&third, &files, &[]).0, Some(0));
+    for (row, original) in history(&third).iter().zip(history(&rig)) {
+        assert_eq!(row["started_at"], original["started_at"]);
+    }
+}
+
 #[test]
 fn a_wrong_line_is_named_and_what_came_before_its_file_is_kept() {
     let rig = Rig::new();

@@ -94,6 +94,9 @@ fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
     };
     assert_eq!(states("machine-2"), ["maintenance", "maintenance"]);
     assert_eq!(states("machine-1"), ["learning", "learning"]);
+    // A name is not wrapped in a pipe.
+    let (_, text) = daemon.operate(&["status"]);
+    assert!(text.lines().any(|line| line.contains("north/machine-2") && line.contains(" reverse ")), "{text}");
     let rows = rig.sql("SELECT DISTINCT state FROM machine_health WHERE machine = 'machine-2'");
     assert_eq!(rows[0]["state"], "maintenance");
     let commands = rig.sql("SELECT until FROM operator_commands WHERE command = 'maintenance_start'");
@@ -198,6 +201,12 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
     let daemon = rig.start();
     assert_eq!(daemon.operate(&["status"]).0, Some(0));
     assert_eq!(daemon.operate(&["alarms", "--check"]).0, Some(0));
+    let (code, said) = daemon.operate(&["alarms", "--limit", "0"]);
+    assert!(code == Some(64) && !said.contains("no alarms"), "{said}");
+    let (code, said) = daemon.operate(&["status", "--site", "nosite"]);
+    assert!(code == Some(69) && said.contains("no machine of site nosite") && !said.contains("no alarms"), "{said}");
+    let bogus = pointsd(&["status", "--connect", "bogus"]).output().unwrap();
+    assert_eq!(bogus.status.code(), Some(64), "{}", String::from_utf8_lossy(&bogus.stderr));
     let session = daemon.client().await;
     let other = session.declare_queryable("points/v1/east/monitor/other/status").await.unwrap();
     let broken = session.declare_queryable("points/v1/east/m1/alarm").await.unwrap();

@@ -41,14 +41,23 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     let (_, empty, _) = pointsd(&["sql", "--json", "SELECT * FROM active_alarms"], store.path());
     assert_eq!(serde_json::from_str::<serde_json::Value>(&empty).unwrap(), serde_json::json!([]));
 
-    for refused in ["DELETE FROM throw", "SELECT wrong FROM nothing", "not SQL"] {
+    let copy = folder.path().join("copy.db");
+    let [vacuum, second, hidden] =
+        ["VACUUM", "SELECT 1; vacuum", "/**/VACUUM/**/"].map(|start| format!("{start} INTO '{}'", copy.display()));
+    for refused in ["DELETE FROM throw", "SELECT wrong FROM nothing", "not SQL", &vacuum, &second, &hidden] {
         let (code, _, error) = pointsd(&["sql", refused], store.path());
         assert_eq!(code, Some(65), "{refused}: {error}");
+        assert!(!copy.exists(), "{refused}");
     }
+    assert_eq!(pointsd(&["sql", "SELECT 'vacuum' AS vacuum"], store.path()).0, Some(0));
     assert_eq!(store.statistics().await.unwrap().throws, 2);
     let (code, _, error) = pointsd(&["sql", "SELECT 1"], &folder.path().join("nowhere.db"));
     assert_eq!(code, Some(66));
     assert!(error.contains("nowhere.db"), "{error}");
+    let empty = folder.path().join("empty.db");
+    std::fs::write(&empty, "").unwrap();
+    let (code, _, error) = pointsd(&["sql", "SELECT 1"], &empty);
+    assert!(code == Some(66) && error.contains("is empty"), "{error}");
 }
 
 #[tokio::test]

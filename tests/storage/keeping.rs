@@ -156,25 +156,20 @@ async fn age_counts_only_while_the_clock_is_trusted() {
 
 #[tokio::test]
 async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
-    for damage in ["no database at all, but a long text about something else entirely", ""] {
+    for pages in [8..40, 0..1] {
         let folder = tempfile::tempdir().unwrap();
         let opened = open(folder.path()).await;
         judged(&opened.store, 1, 100).await;
         opened.store.close().await.unwrap();
         let path = folder.path().join("points.db");
-        let bytes = if damage.is_empty() {
-            // Overwrites pages in the middle and clears the mark of the clean stop.
-            let outside = SqliteConnectOptions::new().filename(&path);
-            let mut outsider = SqliteConnection::connect_with(&outside).await.unwrap();
-            sqlx::query("UPDATE shutdown SET clean = 0").execute(&mut outsider).await.unwrap();
-            sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut outsider).await.unwrap();
-            outsider.close().await.unwrap();
-            let mut bytes = fs::read(&path).unwrap();
-            bytes[8 * 4096..40 * 4096].fill(0x5a);
-            bytes
-        } else {
-            damage.as_bytes().repeat(200)
-        };
+        // Overwrites pages in the middle or the first one, and clears the mark of the clean stop.
+        let outside = SqliteConnectOptions::new().filename(&path);
+        let mut outsider = SqliteConnection::connect_with(&outside).await.unwrap();
+        sqlx::query("UPDATE shutdown SET clean = 0").execute(&mut outsider).await.unwrap();
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut outsider).await.unwrap();
+        outsider.close().await.unwrap();
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[pages.start * 4096..pages.end * 4096].fill(0x5a);
         fs::write(&path, &bytes).unwrap();
 
         let opened = open(folder.path()).await;
@@ -219,6 +214,21 @@ async fn the_database_of_another_program_is_left_alone() {
     assert!(matches!(&refused, StoreError::Foreign { table, .. } if table == "users"), "{refused}");
     assert_eq!(fs::read(&path).unwrap(), before);
     assert!(!folder.path().join("points.db-wal").exists());
+}
+
+#[tokio::test]
+async fn a_text_file_at_the_path_of_the_database_and_its_neighbours_are_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = [("points.db", "time_s,current_a\n0,0.01\n".repeat(9)), ("points.db-1", "x".to_owned())];
+    for (name, text) in &files {
+        fs::write(folder.path().join(name), text).unwrap();
+    }
+    let refused = Store::open(&settings(folder.path()), at(0)).await.err().unwrap();
+    assert!(matches!(refused, StoreError::Text { .. }), "{refused}");
+    for (name, text) in &files {
+        assert_eq!(&fs::read_to_string(folder.path().join(name)).unwrap(), text);
+    }
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
 }
 
 /// A database with 1,500 throws after a clean stop.

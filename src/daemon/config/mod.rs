@@ -17,6 +17,7 @@ use std::{
 
 use rustix::fs::Access;
 use serde::{Deserialize, Serialize};
+use tracing_subscriber::filter::{LevelFilter, Targets};
 
 pub use document::{ConfigError, Document};
 pub use machines::{MachineEntry, Machines};
@@ -315,8 +316,17 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
 /// # Errors
 /// When the level is invalid.
 pub fn check_log(log: &Log, document: &Document) -> Result<(), ConfigError> {
+    // The filter takes any other word for a module, of which everything is logged, and of all others nothing.
+    let is_wrong =
+        |part: &&str| part.contains(char::is_whitespace) || !part.contains('=') && part.parse::<LevelFilter>().is_err();
+    if let Some(part) = log.level.split(',').find(is_wrong) {
+        let problem = format!(
+            "{part:?} is not a level: write error, warn, info, debug or trace, for a module zenoh=debug, and no spaces"
+        );
+        return Err(document.complain("log.level", problem));
+    }
     log.level
-        .parse::<tracing_subscriber::filter::Targets>()
+        .parse::<Targets>()
         .map(drop)
         .map_err(|error| document.complain("log.level", format!("{:?}: {error}", log.level)))
 }

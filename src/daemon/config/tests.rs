@@ -121,6 +121,8 @@ fn what_is_wrong_is_named_with_line_and_key() {
             "pointsd.toml:6: machine[1].machine: a/1 is described a second time",
         ),
         ("[log]\nlevel = \"loud=very\"", "pointsd.toml:2: log.level: "),
+        ("[log]\nlevel = \"inof\"", "pointsd.toml:2: log.level: \"inof\" is not a level"),
+        ("[log]\nlevel = \"zenoh=warn, info\"", "pointsd.toml:2: log.level: \" info\" is not a level"),
         ("[web]\nlisten = \"localhost:7480\"", "pointsd.toml:2: web.listen: invalid socket address syntax"),
         ("[web]\nlisten = \"127.0.0.1\"", "pointsd.toml:2: web.listen: invalid socket address syntax"),
         ("[web]\ntoken = \"short\"", "pointsd.toml:2: web.token: must have 16 to 256 characters"),

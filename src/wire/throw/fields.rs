@@ -95,8 +95,14 @@ fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, InvalidThrow> {
     Ok(sum / weight)
 }
 
+/// Whether a text can be a `boot_id`.
+#[must_use]
+pub fn is_boot_id(text: &str) -> bool {
+    (1..=MAX_BOOT_ID_BYTES).contains(&text.len()) && !text.chars().any(char::is_control)
+}
+
 fn boot_id(text: String) -> Result<String, InvalidThrow> {
-    if text.is_empty() || text.len() > MAX_BOOT_ID_BYTES || text.chars().any(char::is_control) {
+    if !is_boot_id(&text) {
         let problem = format!("{}, must be 1 to {MAX_BOOT_ID_BYTES} bytes without control characters", quote(&text));
         return Err(wrong("boot_id", problem));
     }

@@ -10,7 +10,7 @@ mod fields;
 mod json;
 
 pub use error::InvalidThrow;
-pub use fields::MAX_BOOT_ID_BYTES;
+pub use fields::{MAX_BOOT_ID_BYTES, is_boot_id};
 
 use crate::throw::Throw;
 
