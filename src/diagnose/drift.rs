@@ -152,8 +152,9 @@ impl Drift {
                 (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
                 (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
             }),
-            plain_health: bound < HEALTHY_BELOW,
-            below: self.attribution.is_none() || size < deadband,
+            // What the temperature hides is no health.
+            plain_health: bound < HEALTHY_BELOW && self.hidden.is_none(),
+            below: (self.attribution.is_none() || size < deadband) && self.hidden.is_none(),
             other_name: other,
             latest,
         }

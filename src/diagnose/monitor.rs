@@ -479,6 +479,7 @@ impl MachineMonitor {
     fn rebaseline(&mut self, by: &str, why: &str, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
         let mut events = self.end_rules(now);
         self.operation.forget_channel();
+        self.thermometer = Thermometer::default();
         self.has_position = false;
         self.tracks = Tracks::default();
         self.drift.reset();

@@ -256,7 +256,7 @@ impl Operation {
         if let Some(disbelief) = disbelief.filter(|_| self.disbelieved >= DISBELIEVED_IN_A_ROW) {
             let channel = match disbelief {
                 Disbelief::Supply(_) => SensorChannel::Supply,
-                Disbelief::Impossible(_) | Disbelief::Jump(..) => SensorChannel::Temperature,
+                Disbelief::Impossible(_) | Disbelief::Jump(..) | Disbelief::Missing(_) => SensorChannel::Temperature,
             };
             let evidence = context.warning(text::sensor_implausible(name, disbelief));
             alarms.raise(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, at)

@@ -292,6 +292,10 @@ pub(super) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
         Disbelief::Jump(from, to) => format!(
             "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather. The last good temperature is used"
         ),
+        Disbelief::Missing(since) => format!(
+            "temperature is missing since {}. The last one is used, so weather can look like a fault",
+            since.strftime("%Y-%m-%d %H:%M:%S UTC")
+        ),
         Disbelief::Supply(volts) => {
             format!(
                 "sensor of the supply voltage reads {volts:.4} V, which is impossible. Checks with the voltage are omitted"

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 const POSSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=90.0;
 /// Fastest change by weather, sun and a warm motor: at once \[K\], and per hour \[K/h\].
 const JUMP_K: (f64, f64) = (20.0, 2.0);
-/// Longest time for which the last temperature is used for throws without one. A sensor that stops must not compensate
-/// the throws of summer with the temperature of winter.
+/// Time after which a missing temperature is a fault of the sensor. The last one is used all the same: without it the
+/// whole effect of the temperature would appear at once, as a fault of the machine.
 const HOLDS: SignedDuration = SignedDuration::from_hours(24);
 /// Consecutive similar readings after which a jump is accepted, as the sensor was moved.
 const SETTLED_READINGS: u32 = 6;
@@ -20,6 +20,8 @@ pub(super) enum Disbelief {
     Impossible(f64),
     /// A jump from the first to the second value \[°C\].
     Jump(f64, f64),
+    /// No temperature since this time, after earlier ones.
+    Missing(Timestamp),
     /// A supply voltage out of the possible range \[V\].
     Supply(f64),
 }
@@ -27,7 +29,7 @@ pub(super) enum Disbelief {
 /// The temperature of a throw after the check.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reading {
-    /// The temperature to use \[°C\]: that of the throw, or the last accepted one of the last day; `None` without.
+    /// The temperature to use \[°C\]: that of the throw, or the last accepted one; `None` without.
     pub(super) celsius: Option<f64>,
     /// Reason for the rejection of the throw's temperature.
     pub(super) disbelief: Option<Disbelief>,
@@ -46,8 +48,8 @@ impl Thermometer {
     pub(super) fn read(&mut self, celsius: Option<f64>, at: Timestamp) -> Reading {
         let before = self.believed.map(|(celsius, _)| celsius);
         let Some(celsius) = celsius else {
-            let recent = self.believed.filter(|(_, then)| at.duration_since(*then).abs() <= HOLDS);
-            return Reading { celsius: recent.map(|(celsius, _)| celsius), disbelief: None };
+            let missing = self.believed.filter(|(_, then)| at.duration_since(*then).abs() > HOLDS);
+            return Reading { celsius: before, disbelief: missing.map(|(_, then)| Disbelief::Missing(then)) };
         };
         if !POSSIBLE_C.contains(&celsius) {
             self.doubted = None;
@@ -76,14 +78,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_temperature_holds_for_a_day() {
+    fn a_missing_temperature_is_the_last_one_and_a_fault_after_a_day() {
         let mut thermometer = Thermometer::default();
         let start = Timestamp::UNIX_EPOCH;
         let later = |hours| start + SignedDuration::from_hours(hours);
-        assert_eq!(thermometer.read(None, start).celsius, None);
+        assert_eq!(thermometer.read(None, start), Reading { celsius: None, disbelief: None });
         assert_eq!(thermometer.read(Some(-10.0), start).celsius, Some(-10.0));
-        assert_eq!(thermometer.read(None, later(20)).celsius, Some(-10.0));
-        assert_eq!(thermometer.read(None, later(25)).celsius, None);
+        assert_eq!(thermometer.read(None, later(20)), Reading { celsius: Some(-10.0), disbelief: None });
+        let missing = Reading { celsius: Some(-10.0), disbelief: Some(Disbelief::Missing(start)) };
+        assert_eq!(thermometer.read(None, later(25)), missing);
         assert_eq!(thermometer.read(Some(-8.0), later(26)).celsius, Some(-8.0));
     }
 }
