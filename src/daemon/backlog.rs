@@ -37,9 +37,12 @@ const PAGE_BYTES: u64 = 1 << 20;
 const SAMPLE_BYTES: u64 = 8;
 /// Pages of one logger before the next logger has its turn.
 const TURN: usize = 8;
-/// Pages without new throws after which the query of a logger ends. A few are normal: a logger that does not know the
-/// last boot starts again with its oldest throw.
+/// Pages without a new throw after which the turn ends. A logger that does not know the last boot starts with its oldest
+/// throw, so some pages repeat; after an import of recordings this can hide the newest throws until the next live one.
 const REPEATED_PAGES: usize = 4;
+/// Factor from a page without a usable throw to the next one, which begins at the same throw: from one throw to
+/// [`wire::MAX_PAGE`] within a turn.
+const WIDER: usize = 4;
 /// If a connected logger has replied for this long without the awaited throws, it no longer has them: they are written
 /// off as a gap.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -296,10 +299,16 @@ impl Asker {
             return Ok(Ended::Broken);
         }
         let mut cursor = self.store.reader().cursor(machine).await?;
-        let mut repeated = 0;
+        let (mut repeated, mut least) = (0, 1);
         for _ in 0..TURN {
-            let (page, ending) = self.page(machine, &cursor, *size).await;
+            let limit = page_limit(&cursor, *size).max(least);
+            let (page, ending, is_empty) = self.page(machine, &cursor, limit).await;
             let Some(page) = page else {
+                // The good throws may be behind messages that are no throws, or that zenoh drops because of their size.
+                if ending == Ending::Complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
+                    least = (WIDER * limit).min(wire::MAX_PAGE);
+                    continue;
+                }
                 return Ok(match ending {
                     Ending::Broken => {
                         *size = (*size / 2).max(1);
@@ -315,6 +324,7 @@ impl Asker {
             self.spooled.notify_one();
             cursor = stored.cursor;
             repeated = if stored.new == 0 { repeated + 1 } else { 0 };
+            least = 1;
             if ending == Ending::Broken {
                 *size = (*size / 2).max(1);
                 return Ok(Ended::Broken);
@@ -327,17 +337,15 @@ impl Asker {
         Ok(Ended::More)
     }
 
-    /// Queries a page of throws after the cursor, oldest first; `None` if it is empty.
+    /// Queries a page of throws after the cursor, oldest first; `None` without a usable throw. Also returns whether the
+    /// logger sent no message at all.
     async fn page(
         &self,
         machine: &MachineId,
         cursor: &Cursor,
-        size: usize,
-    ) -> (Option<Vec<crate::throw::Throw>>, Ending) {
-        let bytes = cursor.samples.unwrap_or(0).saturating_mul(SAMPLE_BYTES).max(1);
-        let fits = usize::try_from(PAGE_BYTES / bytes).unwrap_or(usize::MAX);
-        let missing = cursor.missing.and_then(|missing| usize::try_from(missing).ok()).unwrap_or(usize::MAX);
-        let query = BacklogQuery { after: cursor.after.clone(), limit: size.min(fits).min(missing).max(1) };
+        limit: usize,
+    ) -> (Option<Vec<crate::throw::Throw>>, Ending, bool) {
+        let query = BacklogQuery { after: cursor.after.clone(), limit };
         let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
         let came = answer.messages.len() as u64;
         self.status.backlog_received.fetch_add(came, Relaxed);
@@ -351,8 +359,16 @@ impl Asker {
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }
-        ((!throws.is_empty()).then_some(throws), answer.ending)
+        ((!throws.is_empty()).then_some(throws), answer.ending, came == 0)
     }
+}
+
+/// Throws in the next page: at most `size`, as many as fit, and as many as are missing.
+fn page_limit(cursor: &Cursor, size: usize) -> usize {
+    let bytes = cursor.samples.unwrap_or(0).saturating_mul(SAMPLE_BYTES).max(1);
+    let fits = usize::try_from(PAGE_BYTES / bytes).unwrap_or(usize::MAX);
+    let missing = cursor.missing.and_then(|missing| usize::try_from(missing).ok()).unwrap_or(usize::MAX);
+    size.min(fits).min(missing).max(1)
 }
 
 /// Removes throws that are not after the previous throw of their boot.
