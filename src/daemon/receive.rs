@@ -231,17 +231,18 @@ impl Receiver {
         self.status.lost.fetch_add(throws.len() as u64, Relaxed);
     }
 
-    /// Quarantines throws that the database rejects although it accepts other writes, so that they do not block the
-    /// others.
+    /// Stores each throw alone. A throw whose statement SQLite refuses (constraint, type) goes to quarantine; after any
+    /// other error it is retried.
     async fn without_the_unstorable(&self, throws: Vec<Received>, error: &StoreError) -> Vec<Received> {
-        if !matches!(error, StoreError::Write(_)) {
+        if !matches!(error, StoreError::Refused(_)) {
             return throws;
         }
         let mut storable = Vec::with_capacity(throws.len());
         for received in throws {
+            self.status.heartbeats.beat(TaskName::Receive);
             match self.store.spool(&received.0, &received.1, received.2).await {
                 Ok(spooled) => self.count(spooled),
-                Err(error @ StoreError::Write(_)) => {
+                Err(error @ StoreError::Refused(_)) => {
                     let reason = format!("the database rejects it: {error}");
                     let refused = Refused::throw(&received.0, &received.1, reason, received.2);
                     match self.store.quarantine(vec![refused]).await {
