@@ -93,13 +93,8 @@ pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges
     }
 }
 
-/// Limits the database query to a site or machine in the key; other keys are filtered afterwards.
+/// The machines of the question. A key expression that cannot be a pattern of SQLite selects all machines, and their
+/// messages are filtered afterwards.
 fn selector(question: &Question) -> Selector {
-    let mut chunks = question.key().split('/').skip(2);
-    let mut name = || chunks.next().and_then(|chunk| chunk.parse().ok());
-    // After `**` the position of a chunk is unknown.
-    if question.key().contains("**") {
-        return Selector::default();
-    }
-    Selector { site: name(), machine: name() }
+    wire::machine_patterns(question.key()).map_or_else(Selector::default, |[site, machine]| Selector { site, machine })
 }

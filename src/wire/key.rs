@@ -83,6 +83,25 @@ pub fn parse_key(key: &str) -> Result<(MachineId, Kind), InvalidKey> {
     Ok((MachineId::new(site, machine)?, kind))
 }
 
+/// The sites and machines whose keys a key expression includes, as `GLOB` patterns of SQLite; `None` if the expression has
+/// `**` twice, so that the position of a name is unknown.
+#[must_use]
+pub fn machine_patterns(key_expression: &str) -> Option<[String; 2]> {
+    /// Chunks of the key of a machine.
+    const CHUNKS: usize = 5;
+    let chunks: Vec<&str> = key_expression.split('/').collect();
+    if chunks.iter().filter(|chunk| **chunk == "**").count() > 1 {
+        return None;
+    }
+    let mut all = Vec::with_capacity(CHUNKS);
+    for chunk in &chunks {
+        let count = if *chunk == "**" { (CHUNKS + 1).checked_sub(chunks.len())? } else { 1 };
+        all.extend(std::iter::repeat_n(*chunk, count));
+    }
+    let [_, _, site, machine, _] = all[..] else { return None };
+    Some([site, machine].map(|chunk| chunk.replace("$*", "*")))
+}
+
 /// The part of the fleet that one daemon serves: `points/v1/**`, `points/v1/{site}/**` or
 /// `points/v1/{site}/{machine}/**`, where a name may be `*` or contain `$*`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -179,6 +198,26 @@ mod tests {
             "points/v1/north/monitor/cabinet-7/alive",
         ] {
             assert!(parse_key(key).is_err(), "{key:?} was taken");
+        }
+    }
+
+    #[test]
+    fn key_expressions_become_patterns_of_names() {
+        let patterns = |key: &str| machine_patterns(key).map(|[site, machine]| format!("{site} {machine}"));
+        for (key, expected) in [
+            ("points/v1/north/21B/health", Some("north 21B")),
+            ("points/v1/*/21B/health", Some("* 21B")),
+            ("points/v1/n$*h/2$*/health", Some("n*h 2*")),
+            ("points/v1/north/**", Some("north *")),
+            ("points/v1/**/health", Some("* *")),
+            ("points/v1/**/21B/health", Some("* 21B")),
+            ("points/v1/north/21B/**/health", Some("north 21B")),
+            ("**", Some("* *")),
+            ("points/v1/north/21B", None),
+            ("points/v1/north/21B/health/more/**", None),
+            ("points/**/21B/**", None),
+        ] {
+            assert_eq!(patterns(key).as_deref(), expected, "{key}");
         }
     }
 
