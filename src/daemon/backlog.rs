@@ -59,14 +59,14 @@ const WITH_TOKEN: usize = 200_000;
 const MISSING: u32 = 10_000;
 
 /// End of the query of one logger.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 enum Ended {
     /// No throw is missing.
     Complete,
     /// The turn of the logger is over; it has more throws.
     More,
-    /// Throws are missing that the logger did not send.
-    Without,
+    /// Throws are missing that the logger did not send at a query with this cursor.
+    Without(Cursor),
     /// The logger did not reply in time, or its replies could not be stored.
     Broken,
 }
@@ -170,7 +170,7 @@ impl Backlog {
         }
     }
 
-    /// Whether a logger is connected: it has a token or, if it never had one, has sent a live throw.
+    /// Whether a logger is connected: it has a token or, if it never had one, has just sent a live throw.
     fn is_there(&self, machine: &MachineId) -> bool {
         self.seen.contains(machine) || (!self.with_token.contains(machine) && self.asker.intake.is_live(machine))
     }
@@ -184,24 +184,26 @@ impl Backlog {
         let pause = match ended {
             Ended::Complete => return schedule.done(machine),
             Ended::More => Duration::ZERO,
-            Ended::Without if is_there => {
+            Ended::Without(cursor) if is_there => {
                 let since = *turn.without_since.get_or_insert_with(Instant::now);
                 if since.elapsed() >= PATIENCE {
-                    match self.asker.store.write_off(machine, clock::now()).await {
+                    match self.asker.store.write_off(machine, &cursor, clock::now()).await {
                         Ok(()) => return schedule.done(machine),
                         Err(error) => seldom!(warn, %error, "storing a gap failed; retrying"),
                     }
                 }
-                PAUSE
+                turn.tries = 0;
+                return schedule.rest(machine, PAUSE);
             }
             // Queried again when its token or a throw of it appears.
-            Ended::Without => LONGEST_PAUSE,
-            Ended::Broken => (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE),
+            Ended::Without(_) => LONGEST_PAUSE,
+            Ended::Broken => {
+                let pause = (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE);
+                (turn.without_since, turn.tries) = (None, (turn.tries + 1).min(16));
+                return schedule.rest(machine, pause);
+            }
         };
-        if ended != Ended::Without {
-            turn.without_since = None;
-        }
-        turn.tries = if ended == Ended::Broken { (turn.tries + 1).min(16) } else { 0 };
+        (turn.without_since, turn.tries) = (None, 0);
         schedule.rest(machine, pause);
     }
 }
@@ -314,7 +316,7 @@ impl Asker {
                         *size = (*size / 2).max(1);
                         Ended::Broken
                     }
-                    Ending::Complete if cursor.awaits => Ended::Without,
+                    Ending::Complete if cursor.awaits => Ended::Without(cursor),
                     Ending::Complete => Ended::Complete,
                 });
             };
@@ -330,7 +332,7 @@ impl Asker {
                 return Ok(Ended::Broken);
             }
             if repeated >= REPEATED_PAGES {
-                return Ok(Ended::Without);
+                return Ok(Ended::Without(cursor));
             }
             *size = (*size * 2).min(LARGEST_PAGE);
         }

@@ -33,6 +33,10 @@ const FIRST_PAUSE: Duration = Duration::from_millis(50);
 /// Longest pause, within which freed disk space is noticed.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
+/// Time after a live throw for which a logger without a liveliness token counts as connected: longer than a gap is
+/// awaited, shorter than most cuts of a link.
+const LIVE: Duration = Duration::from_mins(1);
+
 /// A decoded throw with its machine and the time of reception.
 pub(super) type Received = (MachineId, Throw, Timestamp);
 
@@ -40,8 +44,8 @@ pub(super) type Received = (MachineId, Throw, Timestamp);
 pub(super) struct Intake {
     pub(super) store: Store,
     pub(super) status: Arc<Status>,
-    /// Known machines, at most `max_machines`; true if a live throw was received since the start.
-    pub(super) machines: Mutex<HashMap<MachineId, bool>>,
+    /// Known machines, at most `max_machines`, with the time of the last live throw since the start.
+    pub(super) machines: Mutex<HashMap<MachineId, Option<time::Instant>>>,
     pub(super) max_machines: usize,
     pub(super) max_payload_bytes: usize,
     /// Name of the daemon as a machine; no real machine may have it.
@@ -76,12 +80,12 @@ impl Intake {
         throws
     }
 
-    /// Whether a live throw of a machine was received since the start.
+    /// Whether a live throw of a machine was received in the last minute.
     pub(super) fn is_live(&self, machine: &MachineId) -> bool {
-        self.known().get(machine) == Some(&true)
+        self.known().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
     }
 
-    fn known(&self) -> MutexGuard<'_, HashMap<MachineId, bool>> {
+    fn known(&self) -> MutexGuard<'_, HashMap<MachineId, Option<time::Instant>>> {
         self.machines.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -97,7 +101,8 @@ impl Intake {
             self.status.machines_refused.add(1);
             format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
         } else {
-            *known.entry(machine.clone()).or_default() |= live;
+            let last = known.entry(machine.clone()).or_default();
+            *last = live.then(time::Instant::now).or(*last);
             return Ok((machine, throw, received_at));
         };
         Err(Refused::throw(&machine, &throw, reason, received_at))

@@ -284,7 +284,7 @@ impl Starting {
         let intake = Arc::new(Intake {
             store: self.store.clone(),
             status: Arc::clone(&self.status),
-            machines: Mutex::new(machines.into_iter().map(|machine| (machine, false)).collect()),
+            machines: Mutex::new(machines.into_iter().map(|machine| (machine, None)).collect()),
             max_machines: subscribe.max_machines,
             max_payload_bytes: subscribe.max_payload_bytes,
             itself: self.config.monitor.as_machine(),

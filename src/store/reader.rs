@@ -222,7 +222,10 @@ impl Reader {
     }
 
     /// The cursor of a machine.
-    pub(crate) async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
         let read = async {
             let mut connection = self.pool().acquire().await?;
             page::current(&mut connection, machine).await

@@ -1,12 +1,20 @@
 //! Backlogs of loggers with messages that are no throws.
 
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
+    },
+    time::Duration,
+};
+
 use pointsd::{
     throw::{ThrowRef, Trace},
     wire::{BacklogQuery, Encoding, encode_throw},
 };
 use zenoh::{Session, Wait, bytes::Encoding as ContentType};
 
-use crate::rig::{Rig, matched, put, stub};
+use crate::rig::{PATIENCE, Rig, matched, put, stub};
 
 /// A logger whose backlog has these messages with their throw numbers, oldest first.
 async fn keep(session: &Session, key: &'static str, kept: Vec<(u64, Vec<u8>)>) {
@@ -53,5 +61,53 @@ async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
     let stored =
         rig.sql("SELECT machine, count(*) AS throws FROM throw JOIN machine USING (machine_row) GROUP BY machine");
     assert!(stored.len() == 2 && stored.iter().all(|machine| machine["throws"] == 8), "{stored:?}");
+    assert!(daemon.terminate().success());
+}
+
+/// The logger declares its token before its backlog is ready, as after each cut of its link.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_outage_is_no_time_in_which_the_logger_replied_without_the_throws() {
+    const KEY: &str = "points/v1/north/21B/throw";
+    const TOKEN: &str = "points/v1/north/21B/alive";
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let (queries, is_ready) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
+    let (count, ready) = (Arc::clone(&queries), Arc::clone(&is_ready));
+    let on_query = move |query: zenoh::query::Query| {
+        count.fetch_add(1, Relaxed);
+        for throw_no in [2, 3].into_iter().filter(|_| ready.load(Relaxed)) {
+            let message = encode_throw(Encoding::Cbor, &stub("boot", throw_no));
+            query.reply(KEY, message).encoding(ContentType::APPLICATION_CBOR).wait().unwrap();
+        }
+    };
+    session.declare_queryable(KEY).callback(on_query).background().await.unwrap();
+    let token = session.liveliness().declare_token(TOKEN).await.unwrap();
+    daemon.until_status("the token", |status| status["loggers"] == 1).await;
+    let more_queries = async |more: u64| {
+        let before = queries.load(Relaxed);
+        let asked = async {
+            while queries.load(Relaxed) < before + more {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, asked).await.unwrap();
+    };
+    drop(matched(&session, KEY).await);
+    for throw_no in [1, 4] {
+        put(&session, KEY, ContentType::APPLICATION_CBOR, encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await;
+    }
+    rig.until_sql("SELECT 1 FROM throw WHERE throw_no = 4").await;
+    // The six queries of a turn that finds nothing, and the first one of the next turn.
+    more_queries(7).await;
+    token.undeclare().await.unwrap();
+    daemon.until_status("no token", |status| status["loggers"] == 0).await;
+    // Longer than a connected logger may reply without the throws.
+    tokio::time::sleep(Duration::from_secs(6)).await;
+    let _token = session.liveliness().declare_token(TOKEN).await.unwrap();
+    more_queries(7).await;
+    is_ready.store(true, Relaxed);
+    rig.judged(4).await;
+    assert!(rig.sql("SELECT * FROM data_gaps").is_empty());
     assert!(daemon.terminate().success());
 }
