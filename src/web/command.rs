@@ -4,13 +4,14 @@ use std::{collections::HashMap, sync::Arc};
 
 use axum::{
     body::Bytes,
-    extract::{Path, State, rejection::PathRejection},
+    extract::{ConnectInfo, Path, State, rejection::PathRejection},
     http::{HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
 use jiff::{SignedDuration, Timestamp};
 
 use super::{
+    connection::Arrived,
     overview::Web,
     page::{Failure, known_name},
 };
@@ -21,9 +22,11 @@ const LONGEST_HOURS: i64 = 24 * 3660;
 
 pub(super) async fn post(
     State(web): State<Arc<Web>>,
+    ConnectInfo(arrived): ConnectInfo<Arrived>,
     names: Result<Path<(String, String)>, PathRejection>,
     body: Bytes,
 ) -> Result<Response, Failure> {
+    arrived.set();
     let Path((site, machine)) = names?;
     let machine = known_name(&site, &machine)?;
     let fields: HashMap<String, String> = form_urlencoded::parse(&body).into_owned().collect();
