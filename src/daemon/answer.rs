@@ -3,7 +3,7 @@
 use super::{orders::Orders, status::Gauges};
 use crate::{
     bus::{self, Question, Questions},
-    store::{Reader, Selector, StoreError},
+    store::{Reader, Selector, StoreError, seldom},
     wire::{self, Alarm, Commander, Health, HistoryQuery, Kind},
 };
 
@@ -87,7 +87,7 @@ pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges
         match gauges.store.reader().windows(None).await {
             Ok(windows) => report.windows = windows,
             // The rest of the status is most important when the database does not answer.
-            Err(error) => tracing::warn!(%error, "the database does not answer: status without maintenance windows"),
+            Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
         }
         bus::answer(question, Ok(vec![(key.clone(), wire::json(&report).into_bytes())])).await;
     }

@@ -15,7 +15,7 @@ use super::{
     overview::Web,
     page::{Failure, known_name},
 };
-use crate::{daemon::clock, diagnose::Command};
+use crate::{daemon::clock, diagnose::Command, store::seldom};
 
 /// Longest window in the form \[h\], about ten years; the settings may allow less.
 const LONGEST_HOURS: i64 = 24 * 3660;
@@ -33,7 +33,7 @@ pub(super) async fn post(
     let config = web.view.config();
     let token = fields.get("token").map(String::as_str).unwrap_or_default();
     if !config.web.token.as_ref().is_some_and(|secret| secret.is(token)) {
-        tracing::warn!(%machine, "command refused: wrong token");
+        seldom!(warn, %machine, "command refused: wrong token");
         return Err(Failure::new(
             StatusCode::FORBIDDEN,
             "Nothing was done: the token is wrong. It must be web.token of the configuration.",
