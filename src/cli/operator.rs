@@ -202,9 +202,11 @@ impl End {
     }
 }
 
-/// The options of commands that change something: name of the operator, connection, format of the answer.
+/// The arguments of commands that change something: the machine, name of the operator, connection, format of the answer.
 #[derive(Debug, clap::Args)]
 pub(super) struct Sender {
+    #[arg(value_name = "SITE/MACHINE")]
+    machine: MachineArgument,
     /// Your name, stored with the alarm [default: your login name].
     #[arg(long, value_name = "NAME")]
     by: Option<String>,
@@ -221,8 +223,9 @@ impl Sender {
         named.ok_or_else(|| Failure { exit: Exit::Usage, error: anyhow::anyhow!("no name given: use --by NAME") })
     }
 
-    /// Sends a command to the daemon of a machine and prints the reply.
-    pub(super) fn send(&self, machine: &MachineId, command: &Command) -> Outcome {
+    /// Sends a command to the daemon of the machine and prints the reply.
+    pub(super) fn send(&self, command: &Command) -> Outcome {
+        let MachineArgument(machine) = &self.machine;
         runtime::block_on(async {
             let payload = serde_json::to_vec(command).or_exit(Exit::Software)?;
             let Client { session, monitor } = self.connection.open().await?;
