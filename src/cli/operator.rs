@@ -17,7 +17,7 @@ use crate::{
     },
     diagnose::{Cause, Command},
     throw::MachineId,
-    wire::Reply,
+    wire::{Reply, parse_monitor_key},
 };
 
 /// Time until a query fails; longer than a daemon needs for a batch of throws.
@@ -98,9 +98,9 @@ pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)
     (values, problems)
 }
 
-/// Name of a daemon, `{site}/{id}`, from the key of its status.
+/// Name of a daemon, `{site}/{id}`, from the key of its status; the key itself if it is none.
 pub(super) fn monitor_name(key: &str) -> String {
-    key.trim_start_matches("points/v1/").trim_end_matches("/status").replace("/monitor/", "/")
+    parse_monitor_key(key).map_or_else(|| key.to_owned(), |monitor| monitor.to_string())
 }
 
 /// Closes a session. After an error the end of the process closes the link.

@@ -55,11 +55,11 @@ pub fn monitor_alive_key(site: &Name, id: &Name) -> String {
 /// Key expression of the liveliness tokens of all monitors.
 pub const EVERY_MONITOR_ALIVE: &str = "points/v1/*/monitor/*/alive";
 
-/// The name of the monitor of a liveliness token, as a machine; `None` for another key.
+/// The name of the monitor of a liveliness token or of a status, as a machine; `None` for another key.
 #[must_use]
-pub fn parse_monitor_alive_key(key: &str) -> Option<MachineId> {
+pub fn parse_monitor_key(key: &str) -> Option<MachineId> {
     let chunks: Vec<&str> = key.strip_prefix(PREFIX)?.split('/').collect();
-    let [site, "monitor", id, "alive"] = chunks[..] else { return None };
+    let [site, "monitor", id, "alive" | "status"] = chunks[..] else { return None };
     MachineId::new(site, id).ok()
 }
 
@@ -180,9 +180,10 @@ mod tests {
         }
         let (site, id) = ("north".parse().unwrap(), "cabinet-7".parse().unwrap());
         assert_eq!(monitor_alive_key(&site, &id), "points/v1/north/monitor/cabinet-7/alive");
-        let monitor = parse_monitor_alive_key(&monitor_alive_key(&site, &id)).unwrap();
+        let monitor = parse_monitor_key(&monitor_alive_key(&site, &id)).unwrap();
         assert_eq!(monitor.to_string(), "north/cabinet-7");
-        assert_eq!(parse_monitor_alive_key("points/v1/north/cabinet-7/alive"), None);
+        assert_eq!(parse_monitor_key(&monitor_status_key(&site, &id)).unwrap(), monitor);
+        assert_eq!(parse_monitor_key("points/v1/north/cabinet-7/alive"), None);
     }
 
     #[test]
