@@ -19,7 +19,7 @@ use super::message::{Limits, Message};
 use crate::wire::BacklogQuery;
 
 /// Largest page \[bytes\]. The first reply is kept at any size; replies beyond the limit are dropped and asked for
-/// again.
+/// again. Of a reply above the largest payload only its kept bytes count.
 const PAGE_BYTES: usize = 4 << 20;
 /// Time until a query for a page fails. Longer than the 10 s of silence after which zenoh closes a link.
 const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
@@ -66,7 +66,7 @@ pub async fn page(session: &Session, key: &str, query: &BacklogQuery, limits: Li
         let is_wanted = sample.kind() == SampleKind::Put && sample.key_expr().as_str() == asked_key;
         if !is_wanted || page.messages.len() >= limit {
             page.ignored += 1;
-        } else if page.messages.is_empty() || *bytes + sample.payload().len() <= PAGE_BYTES {
+        } else if page.messages.is_empty() || *bytes + limits.kept(sample.payload().len()) <= PAGE_BYTES {
             let message = Message::of(&sample, limits);
             *bytes += message.memory();
             page.messages.push(message);

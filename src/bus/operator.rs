@@ -11,7 +11,7 @@ use zenoh::{
 use super::error::BusError;
 use crate::{
     throw::MachineId,
-    wire::{Commander, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_alive_key},
+    wire::{Commander, EVERY_MONITOR_ALIVE, Kind, machine_key, monitor_alive_key, parse_monitor_key},
 };
 
 /// A query or command without a usable answer.
@@ -177,7 +177,7 @@ pub async fn command(
 /// When zenoh refuses the query.
 pub async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
     let keys = alive(session, EVERY_MONITOR_ALIVE).await?;
-    Ok(keys.iter().filter_map(|key| parse_monitor_alive_key(key)).map(|name| name.to_string()).collect())
+    Ok(keys.iter().filter_map(|key| parse_monitor_key(key)).map(|name| name.to_string()).collect())
 }
 
 /// Checks that the daemon `expected` runs behind this session.

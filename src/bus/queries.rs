@@ -8,6 +8,7 @@ use zenoh::{
 };
 
 use super::{error::BusError, session::intersect};
+use crate::store::seldom;
 
 /// Capacity of the queue: a dashboard sends a few queries a second. A query to a full queue gets no reply; its sender
 /// retries.
@@ -75,7 +76,7 @@ impl Questions {
             .declare_queryable(key_expression.to_owned())
             .callback(move |query| {
                 if sender.try_send(Question { query }).is_err() {
-                    tracing::warn!("queue of queries full: query not answered");
+                    seldom!(warn, "queue of queries full: query not answered");
                 }
             })
             .await

@@ -15,7 +15,7 @@ use crate::{
     diagnose::{Cause, Severity},
     store::Window,
     web,
-    wire::{self, Alarm, Health, Kind},
+    wire::{self, Alarm, Health, Kind, MAX_HISTORY},
 };
 
 /// Number of open alarms of one system-wide cause (not monitored, lost data) from which they are printed as one entry.
@@ -24,8 +24,8 @@ const GROUP_SIZE: usize = 5;
 /// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
 /// alarms.
 ///
-/// Exit codes: 0 shown; 1 with --check, if an alarm is open; 64 an option is wrong; 69 no reply, or unknown machine; 78
-/// the file of --config is invalid.
+/// Exit codes: 0 shown; 1 the answer of a daemon is missing or unreadable, or with --check an alarm is open; 64 an option is
+/// wrong; 69 no usable reply, or unknown machine; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01 --json\n  \
                         pointsd alarms --severity critical --check || mail -s 'points' duty@example.org")]
@@ -42,8 +42,8 @@ pub(super) struct Arguments {
     /// Show events from this time on: a date, or a time as 2026-05-04T06:00:00Z.
     #[arg(long, value_name = "TIME")]
     since: Option<Moment>,
-    /// Show only the newest N events.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(wire::MAX_HISTORY)))]
+    /// Show only the newest N events; without it, the newest 10,000 of each daemon.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_HISTORY)))]
     limit: Option<u32>,
     /// Print every alarm, without summaries of alarms with the same cause.
     #[arg(long)]
@@ -68,7 +68,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let Client { session, .. } = arguments.connection.open().await?;
         let answer = bus::ask(&session, &selector(arguments), None, ANSWER_TIMEOUT).await;
         let daemons = bus::ask(&session, "points/v1/*/monitor/*/status", None, ANSWER_TIMEOUT).await;
-        let shows_open = !arguments.json && arguments.since.is_none() && arguments.limit.is_none();
+        let is_history = arguments.since.is_some() || arguments.limit.is_some();
+        let shows_open = !arguments.json && !is_history;
         let health = match &arguments.machine {
             _ if !shows_open => Ok(bus::Answers::default()),
             Some(MachineArgument(machine)) => {
@@ -88,8 +89,21 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         watched.map_err(operator::failure)?;
         let (daemons, health) = (daemons.map_err(operator::failure)?, health.map_err(operator::failure)?);
         let (found, problems) = operator::read::<Alarm>(&answers);
-        let found: Vec<_> = found.into_iter().filter(|(_, alarm)| is_requested(alarm, arguments)).collect();
-        let is_open = !found.is_empty() || problems > 0;
+        if is_history && found.len() >= MAX_HISTORY as usize {
+            eprintln!("a daemon sends its newest {MAX_HISTORY} events: older ones may be missing; ask for one machine");
+        }
+        let mut found: Vec<_> = found.into_iter().filter(|(_, alarm)| is_requested(alarm, arguments)).collect();
+        if is_history {
+            found.sort_by_key(|(_, alarm)| alarm.event_at);
+            let newest = arguments.limit.map_or(usize::MAX, |limit| limit as usize);
+            found.drain(..found.len().saturating_sub(newest));
+        }
+        if found.is_empty() && problems > 0 {
+            let exit = if arguments.check { Exit::Negative } else { Exit::Unavailable };
+            let error = anyhow::anyhow!("no daemon gave a usable answer, which is not the same as no alarms");
+            return Err(Failure { exit, error });
+        }
+        let is_negative = problems > 0 || (arguments.check && !found.is_empty());
         if arguments.json {
             for ((_, payload), _) in &found {
                 output::line(String::from_utf8_lossy(payload))?;
@@ -108,7 +122,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             let names = daemons.messages.iter().map(|(key, _)| operator::monitor_name(key));
             output::line(format_args!("answered by {}", names.collect::<Vec<_>>().join(", ")))?;
         }
-        Ok(if arguments.check && is_open { Exit::Negative } else { Exit::Ok })
+        Ok(if is_negative { Exit::Negative } else { Exit::Ok })
     })
 }
 
@@ -123,9 +137,14 @@ fn selector(arguments: &Arguments) -> String {
         None => "points/v1/*/*/alarm".to_owned(),
     };
     let since = arguments.since.map(|Moment(since)| format!("since={since}"));
-    let limit = arguments.limit.map(|limit| format!("limit={limit}"));
-    let parameters: Vec<String> = since.into_iter().chain(limit).collect();
-    if parameters.is_empty() { key } else { format!("{key}?{}", parameters.join(";")) }
+    // The daemon does not know cause and severity: it sends all events, and they are cut here.
+    let selects = arguments.cause.is_some() || arguments.severity.is_some();
+    let limit = arguments.limit.filter(|_| !selects).unwrap_or(MAX_HISTORY);
+    match (since, arguments.limit) {
+        (None, None) => key,
+        (Some(since), _) => format!("{key}?{since};limit={limit}"),
+        (None, Some(_)) => format!("{key}?limit={limit}"),
+    }
 }
 
 /// Prints the open alarms: first faults of machines with their present size, then machines not monitored and lost data.

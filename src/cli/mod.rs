@@ -1,10 +1,10 @@
 //! The commands of `pointsd` and `pointsim`. Each command has a file; `pointsd.rs` and `pointsim.rs` have the command
 //! lines.
 
-mod ack;
 mod alarms;
 mod backup;
 mod check;
+mod commands;
 mod completions;
 mod database;
 mod demo;
@@ -15,19 +15,16 @@ mod identify;
 mod import;
 mod limits;
 mod load;
-mod maintenance;
 mod man;
 mod operator;
 mod output;
 mod pointsd;
 mod pointsim;
-mod rebaseline;
 mod recording;
 mod replay;
 mod report;
 mod run;
 mod runtime;
-mod shelve;
 mod simulate_run;
 mod sql;
 mod status;

@@ -17,7 +17,7 @@ use crate::{
     },
     diagnose::{Cause, Command},
     throw::MachineId,
-    wire::Reply,
+    wire::{Reply, parse_monitor_key},
 };
 
 /// Time until a query fails; longer than a daemon needs for a batch of throws.
@@ -98,9 +98,9 @@ pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)
     (values, problems)
 }
 
-/// Name of a daemon, `{site}/{id}`, from the key of its status.
+/// Name of a daemon, `{site}/{id}`, from the key of its status; the key itself if it is none.
 pub(super) fn monitor_name(key: &str) -> String {
-    key.trim_start_matches("points/v1/").trim_end_matches("/status").replace("/monitor/", "/")
+    parse_monitor_key(key).map_or_else(|| key.to_owned(), |monitor| monitor.to_string())
 }
 
 /// Closes a session. After an error the end of the process closes the link.
@@ -202,9 +202,11 @@ impl End {
     }
 }
 
-/// The options of commands that change something: name of the operator, connection, format of the answer.
+/// The arguments of commands that change something: the machine, name of the operator, connection, format of the answer.
 #[derive(Debug, clap::Args)]
 pub(super) struct Sender {
+    #[arg(value_name = "SITE/MACHINE")]
+    machine: MachineArgument,
     /// Your name, stored with the alarm [default: your login name].
     #[arg(long, value_name = "NAME")]
     by: Option<String>,
@@ -221,8 +223,9 @@ impl Sender {
         named.ok_or_else(|| Failure { exit: Exit::Usage, error: anyhow::anyhow!("no name given: use --by NAME") })
     }
 
-    /// Sends a command to the daemon of a machine and prints the reply.
-    pub(super) fn send(&self, machine: &MachineId, command: &Command) -> Outcome {
+    /// Sends a command to the daemon of the machine and prints the reply.
+    pub(super) fn send(&self, command: &Command) -> Outcome {
+        let MachineArgument(machine) = &self.machine;
         runtime::block_on(async {
             let payload = serde_json::to_vec(command).or_exit(Exit::Software)?;
             let Client { session, monitor } = self.connection.open().await?;

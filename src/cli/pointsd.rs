@@ -3,8 +3,8 @@
 use clap::{CommandFactory as _, Parser, Subcommand};
 
 use super::{
-    Outcome, ack, alarms, backup, check, completions, demo, evaluate, exit, export, identify, import, maintenance, man,
-    rebaseline, replay, report, run, shelve, sql, status,
+    Outcome, alarms, backup, check, commands, completions, demo, evaluate, exit, export, identify, import, man, replay,
+    report, run, sql, status,
 };
 
 /// Condition monitoring of railway point machines: identifies every throw and names the part that is wearing out.
@@ -22,10 +22,10 @@ enum Command {
     Check(check::Arguments),
     Status(status::Arguments),
     Alarms(alarms::Arguments),
-    Ack(ack::Arguments),
-    Shelve(shelve::Arguments),
-    Rebaseline(rebaseline::Arguments),
-    Maintenance(maintenance::Arguments),
+    Ack(commands::Ack),
+    Shelve(commands::Shelve),
+    Rebaseline(commands::Rebaseline),
+    Maintenance(commands::Maintenance),
     Identify(identify::Arguments),
     Import(import::Arguments),
     Replay(replay::Arguments),
@@ -49,10 +49,10 @@ pub(super) fn main() -> Outcome {
         Command::Check(arguments) => check::main(&arguments),
         Command::Status(arguments) => status::main(&arguments),
         Command::Alarms(arguments) => alarms::main(&arguments),
-        Command::Ack(arguments) => ack::main(&arguments),
-        Command::Shelve(arguments) => shelve::main(&arguments),
-        Command::Rebaseline(arguments) => rebaseline::main(&arguments),
-        Command::Maintenance(arguments) => maintenance::main(&arguments),
+        Command::Ack(arguments) => commands::ack(&arguments),
+        Command::Shelve(arguments) => commands::shelve(&arguments),
+        Command::Rebaseline(arguments) => commands::rebaseline(&arguments),
+        Command::Maintenance(arguments) => commands::maintenance(&arguments),
         Command::Identify(arguments) => identify::run(&arguments),
         Command::Import(arguments) => import::main(&arguments),
         Command::Replay(arguments) => replay::main(&arguments),

@@ -9,9 +9,10 @@ use super::{
     database::{Location, block_on},
     operator::MachineArgument,
     output,
-    run::load,
 };
 use crate::{
+    daemon::config::{Document, diagnosis},
+    diagnose,
     store::Reader,
     web::{self, Span},
 };
@@ -41,12 +42,15 @@ pub(super) struct Arguments {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
-    let config = load(arguments.location.config())?;
+    let diagnosis = match arguments.location.config() {
+        Some(file) => Document::read(file).and_then(|document| diagnosis(&document)).or_exit(Exit::Config)?,
+        None => diagnose::Settings::default(),
+    };
     let MachineArgument(machine) = &arguments.machine;
     let span = Span::from_word(&arguments.span).unwrap_or(Span::All);
     let page = block_on(async {
         let reader = Reader::open_outside(&path).await.or_exit(Exit::NoInput)?;
-        web::report(&reader, machine, span, &config.diagnosis).await.or_exit(Exit::Data)
+        web::report(&reader, machine, span, &diagnosis).await.or_exit(Exit::Data)
     })?;
     let unknown = || anyhow!("{} has no throw of {machine}; `pointsd status` lists the machines", path.display());
     let page = page.ok_or_else(|| Failure { exit: Exit::NoInput, error: unknown() })?;

@@ -7,7 +7,7 @@ use super::{
     runtime::{self, Requested, Signals},
 };
 use crate::{
-    daemon::{Daemon, Ended, LockError, StartError, config::Config},
+    daemon::{DATABASE, Daemon, Ended, LockError, StartError, config::Config},
     store::StoreError,
     web::{self, Place},
 };
@@ -58,7 +58,14 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
         Some(address) => Some(Place::bind(address).await.or_exit(Exit::Unavailable)?),
         None => None,
     };
-    let mut daemon = Daemon::start(config).await.map_err(start_failure)?;
+    let mut daemon = tokio::select! {
+        started = Daemon::start(config) => started.map_err(start_failure)?,
+        // The check of a large database takes minutes. The next start repeats it.
+        () = signals.stop() => {
+            tracing::info!("stopped during the start");
+            return Ok(Exit::Ok);
+        }
+    };
     if let Some(place) = place {
         daemon.adopt("the dashboard", web::serve(place, daemon.view()));
     }
@@ -76,7 +83,8 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
     let stopped = daemon.stop().await;
     if let Some(task) = died {
         let error = anyhow::anyhow!("{task} ended unexpectedly; the daemon cannot run without it");
-        return Err(Failure { exit: Exit::Software, error });
+        let exit = if task == DATABASE { Exit::Io } else { Exit::Software };
+        return Err(Failure { exit, error });
     }
     stopped.or_exit(Exit::Io)?;
     tracing::info!("stopped");

@@ -3,7 +3,7 @@
 use super::{orders::Orders, status::Gauges};
 use crate::{
     bus::{self, Question, Questions},
-    store::{Reader, Selector, StoreError},
+    store::{Reader, Selector, StoreError, seldom},
     wire::{self, Alarm, Commander, Health, HistoryQuery, Kind},
 };
 
@@ -87,19 +87,14 @@ pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges
         match gauges.store.reader().windows(None).await {
             Ok(windows) => report.windows = windows,
             // The rest of the status is most important when the database does not answer.
-            Err(error) => tracing::warn!(%error, "the database does not answer: status without maintenance windows"),
+            Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
         }
         bus::answer(question, Ok(vec![(key.clone(), wire::json(&report).into_bytes())])).await;
     }
 }
 
-/// Limits the database query to a site or machine in the key; other keys are filtered afterwards.
+/// The machines of the question. A key expression that cannot be a pattern of SQLite selects all machines, and their
+/// messages are filtered afterwards.
 fn selector(question: &Question) -> Selector {
-    let mut chunks = question.key().split('/').skip(2);
-    let mut name = || chunks.next().and_then(|chunk| chunk.parse().ok());
-    // After `**` the position of a chunk is unknown.
-    if question.key().contains("**") {
-        return Selector::default();
-    }
-    Selector { site: name(), machine: name() }
+    wire::machine_patterns(question.key()).map_or_else(Selector::default, |[site, machine]| Selector { site, machine })
 }

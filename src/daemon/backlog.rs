@@ -37,9 +37,12 @@ const PAGE_BYTES: u64 = 1 << 20;
 const SAMPLE_BYTES: u64 = 8;
 /// Pages of one logger before the next logger has its turn.
 const TURN: usize = 8;
-/// Pages without new throws after which the query of a logger ends. A few are normal: a logger that does not know the
-/// last boot starts again with its oldest throw.
+/// Pages without a new throw after which the turn ends. A logger that does not know the last boot starts with its oldest
+/// throw, so some pages repeat; after an import of recordings this can hide the newest throws until the next live one.
 const REPEATED_PAGES: usize = 4;
+/// Factor from a page without a usable throw to the next one, which begins at the same throw: from one throw to
+/// [`wire::MAX_PAGE`] within a turn.
+const WIDER: usize = 4;
 /// If a connected logger has replied for this long without the awaited throws, it no longer has them: they are written
 /// off as a gap.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -56,14 +59,14 @@ const WITH_TOKEN: usize = 200_000;
 const MISSING: u32 = 10_000;
 
 /// End of the query of one logger.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 enum Ended {
     /// No throw is missing.
     Complete,
     /// The turn of the logger is over; it has more throws.
     More,
-    /// Throws are missing that the logger did not send.
-    Without,
+    /// Throws are missing that the logger did not send at a query with this cursor.
+    Without(Cursor),
     /// The logger did not reply in time, or its replies could not be stored.
     Broken,
 }
@@ -167,7 +170,7 @@ impl Backlog {
         }
     }
 
-    /// Whether a logger is connected: it has a token or, if it never had one, has sent a live throw.
+    /// Whether a logger is connected: it has a token or, if it never had one, has just sent a live throw.
     fn is_there(&self, machine: &MachineId) -> bool {
         self.seen.contains(machine) || (!self.with_token.contains(machine) && self.asker.intake.is_live(machine))
     }
@@ -181,24 +184,26 @@ impl Backlog {
         let pause = match ended {
             Ended::Complete => return schedule.done(machine),
             Ended::More => Duration::ZERO,
-            Ended::Without if is_there => {
+            Ended::Without(cursor) if is_there => {
                 let since = *turn.without_since.get_or_insert_with(Instant::now);
                 if since.elapsed() >= PATIENCE {
-                    match self.asker.store.write_off(machine, clock::now()).await {
+                    match self.asker.store.write_off(machine, &cursor, clock::now()).await {
                         Ok(()) => return schedule.done(machine),
                         Err(error) => seldom!(warn, %error, "storing a gap failed; retrying"),
                     }
                 }
-                PAUSE
+                turn.tries = 0;
+                return schedule.rest(machine, PAUSE);
             }
             // Queried again when its token or a throw of it appears.
-            Ended::Without => LONGEST_PAUSE,
-            Ended::Broken => (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE),
+            Ended::Without(_) => LONGEST_PAUSE,
+            Ended::Broken => {
+                let pause = (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE);
+                (turn.without_since, turn.tries) = (None, (turn.tries + 1).min(16));
+                return schedule.rest(machine, pause);
+            }
         };
-        if ended != Ended::Without {
-            turn.without_since = None;
-        }
-        turn.tries = if ended == Ended::Broken { (turn.tries + 1).min(16) } else { 0 };
+        (turn.without_since, turn.tries) = (None, 0);
         schedule.rest(machine, pause);
     }
 }
@@ -296,16 +301,22 @@ impl Asker {
             return Ok(Ended::Broken);
         }
         let mut cursor = self.store.reader().cursor(machine).await?;
-        let mut repeated = 0;
+        let (mut repeated, mut least) = (0, 1);
         for _ in 0..TURN {
-            let (page, ending) = self.page(machine, &cursor, *size).await;
+            let limit = page_limit(&cursor, *size).max(least);
+            let (page, ending, is_empty) = self.page(machine, &cursor, limit).await;
             let Some(page) = page else {
+                // The good throws may be behind messages that are no throws, or that zenoh drops because of their size.
+                if ending == Ending::Complete && (cursor.awaits || !is_empty) && limit < wire::MAX_PAGE {
+                    least = (WIDER * limit).min(wire::MAX_PAGE);
+                    continue;
+                }
                 return Ok(match ending {
                     Ending::Broken => {
                         *size = (*size / 2).max(1);
                         Ended::Broken
                     }
-                    Ending::Complete if cursor.awaits => Ended::Without,
+                    Ending::Complete if cursor.awaits => Ended::Without(cursor),
                     Ending::Complete => Ended::Complete,
                 });
             };
@@ -315,29 +326,28 @@ impl Asker {
             self.spooled.notify_one();
             cursor = stored.cursor;
             repeated = if stored.new == 0 { repeated + 1 } else { 0 };
+            least = 1;
             if ending == Ending::Broken {
                 *size = (*size / 2).max(1);
                 return Ok(Ended::Broken);
             }
             if repeated >= REPEATED_PAGES {
-                return Ok(Ended::Without);
+                return Ok(Ended::Without(cursor));
             }
             *size = (*size * 2).min(LARGEST_PAGE);
         }
         Ok(Ended::More)
     }
 
-    /// Queries a page of throws after the cursor, oldest first; `None` if it is empty.
+    /// Queries a page of throws after the cursor, oldest first; `None` without a usable throw. Also returns whether the
+    /// logger sent no message at all.
     async fn page(
         &self,
         machine: &MachineId,
         cursor: &Cursor,
-        size: usize,
-    ) -> (Option<Vec<crate::throw::Throw>>, Ending) {
-        let bytes = cursor.samples.unwrap_or(0).saturating_mul(SAMPLE_BYTES).max(1);
-        let fits = usize::try_from(PAGE_BYTES / bytes).unwrap_or(usize::MAX);
-        let missing = cursor.missing.and_then(|missing| usize::try_from(missing).ok()).unwrap_or(usize::MAX);
-        let query = BacklogQuery { after: cursor.after.clone(), limit: size.min(fits).min(missing).max(1) };
+        limit: usize,
+    ) -> (Option<Vec<crate::throw::Throw>>, Ending, bool) {
+        let query = BacklogQuery { after: cursor.after.clone(), limit };
         let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
         let came = answer.messages.len() as u64;
         self.status.backlog_received.fetch_add(came, Relaxed);
@@ -351,8 +361,16 @@ impl Asker {
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }
-        ((!throws.is_empty()).then_some(throws), answer.ending)
+        ((!throws.is_empty()).then_some(throws), answer.ending, came == 0)
     }
+}
+
+/// Throws in the next page: at most `size`, as many as fit, and as many as are missing.
+fn page_limit(cursor: &Cursor, size: usize) -> usize {
+    let bytes = cursor.samples.unwrap_or(0).saturating_mul(SAMPLE_BYTES).max(1);
+    let fits = usize::try_from(PAGE_BYTES / bytes).unwrap_or(usize::MAX);
+    let missing = cursor.missing.and_then(|missing| usize::try_from(missing).ok()).unwrap_or(usize::MAX);
+    size.min(fits).min(missing).max(1)
 }
 
 /// Removes throws that are not after the previous throw of their boot.

@@ -10,7 +10,7 @@ use strum::VariantArray;
 use super::clock;
 
 /// Age of a heartbeat from which a loop hangs. The longest waits are 5 s for a stalled link in zenoh, 10 s for a query,
-/// and the identification of 16 of the longest traces.
+/// and one batch of the judge: 256 throws or 2 million samples.
 const FRESH: Duration = Duration::from_secs(30);
 
 /// A loop with a heartbeat.

@@ -37,7 +37,7 @@ pub use heartbeat::{Heartbeats, TaskName};
 pub use judge::Judged;
 pub use lock::{DatabaseLock, LockError};
 pub use offline::{Offline, StartError};
-pub use running::Daemon;
+pub use running::{DATABASE, Daemon};
 pub use status::{Standing, Status, StatusReport};
 pub use tasks::Ended;
 pub use view::View;

@@ -13,7 +13,7 @@ use super::clock;
 use crate::{
     bus::{self, BusError},
     throw::MachineId,
-    wire::{EVERY_MONITOR_ALIVE, parse_monitor_alive_key},
+    wire::{EVERY_MONITOR_ALIVE, parse_monitor_key},
 };
 
 /// Absence after which there is an alarm: a restart takes seconds.
@@ -53,7 +53,7 @@ impl Peers {
     /// When zenoh refuses the subscription.
     pub(super) async fn follow(self: Arc<Self>, session: &Session) -> Result<(), BusError> {
         let on_change = move |key: &str, is_there: bool| {
-            if let Some(daemon) = parse_monitor_alive_key(key) {
+            if let Some(daemon) = parse_monitor_key(key) {
                 self.change(&daemon, is_there);
             }
         };

@@ -11,6 +11,7 @@ use zenoh::Session;
 use super::status::Status;
 use crate::{
     bus::{self, BusError},
+    store::seldom,
     throw::MachineId,
     wire::{self, Kind},
 };
@@ -33,10 +34,10 @@ pub(super) async fn watch(
         alive.send_modify(|alive| {
             if !is_alive {
                 if alive.remove(&machine) {
-                    tracing::warn!(%machine, "logger disconnected");
+                    seldom!(warn, %machine, "logger disconnected");
                 }
             } else if alive.len() < MOST && alive.insert(machine.clone()) {
-                tracing::info!(%machine, "logger connected");
+                seldom!(info, %machine, "logger connected");
             }
             status.loggers.store(alive.len(), Relaxed);
         });

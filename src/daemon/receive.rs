@@ -33,6 +33,10 @@ const FIRST_PAUSE: Duration = Duration::from_millis(50);
 /// Longest pause, within which freed disk space is noticed.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
+/// Time after a live throw for which a logger without a liveliness token counts as connected: longer than a gap is
+/// awaited, shorter than most cuts of a link.
+const LIVE: Duration = Duration::from_mins(1);
+
 /// A decoded throw with its machine and the time of reception.
 pub(super) type Received = (MachineId, Throw, Timestamp);
 
@@ -40,8 +44,8 @@ pub(super) type Received = (MachineId, Throw, Timestamp);
 pub(super) struct Intake {
     pub(super) store: Store,
     pub(super) status: Arc<Status>,
-    /// Known machines, at most `max_machines`; true if a live throw was received since the start.
-    pub(super) machines: Mutex<HashMap<MachineId, bool>>,
+    /// Known machines, at most `max_machines`, with the time of the last live throw since the start.
+    pub(super) machines: Mutex<HashMap<MachineId, Option<time::Instant>>>,
     pub(super) max_machines: usize,
     pub(super) max_payload_bytes: usize,
     /// Name of the daemon as a machine; no real machine may have it.
@@ -83,12 +87,12 @@ impl Intake {
         throws
     }
 
-    /// Whether a live throw of a machine was received since the start.
+    /// Whether a live throw of a machine was received in the last minute.
     pub(super) fn is_live(&self, machine: &MachineId) -> bool {
-        self.known().get(machine) == Some(&true)
+        self.known().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
     }
 
-    fn known(&self) -> MutexGuard<'_, HashMap<MachineId, bool>> {
+    fn known(&self) -> MutexGuard<'_, HashMap<MachineId, Option<time::Instant>>> {
         self.machines.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -104,7 +108,8 @@ impl Intake {
             self.status.machines_refused.add(1);
             format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
         } else {
-            *known.entry(machine.clone()).or_default() |= live;
+            let last = known.entry(machine.clone()).or_default();
+            *last = live.then(time::Instant::now).or(*last);
             if live {
                 self.status.count_valid(&machine);
             }
@@ -241,17 +246,18 @@ impl Receiver {
         self.status.lost.fetch_add(throws.len() as u64, Relaxed);
     }
 
-    /// Quarantines throws that the database rejects although it accepts other writes, so that they do not block the
-    /// others.
+    /// Stores each throw alone. A throw whose statement SQLite refuses (constraint, type) goes to quarantine; after any
+    /// other error it is retried.
     async fn without_the_unstorable(&self, throws: Vec<Received>, error: &StoreError) -> Vec<Received> {
-        if !matches!(error, StoreError::Write(_)) {
+        if !matches!(error, StoreError::Refused(_)) {
             return throws;
         }
         let mut storable = Vec::with_capacity(throws.len());
         for received in throws {
+            self.status.heartbeats.beat(TaskName::Receive);
             match self.store.spool(&received.0, &received.1, received.2).await {
                 Ok(spooled) => self.count(spooled),
-                Err(error @ StoreError::Write(_)) => {
+                Err(error @ StoreError::Refused(_)) => {
                     let reason = format!("the database rejects it: {error}");
                     let refused = Refused::throw(&received.0, &received.1, reason, received.2);
                     match self.store.quarantine(vec![refused]).await {

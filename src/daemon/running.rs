@@ -34,14 +34,16 @@ use super::{
 };
 use crate::{
     bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, OutletEnd, Questions},
-    store::{self, Found, Store},
+    store::{self, Found, Opened, Store},
     throw::MachineId,
     wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
 
-/// Capacity of the channel of judged throws; a slower observer misses some.
+/// Capacity of the channel of judged throws. A slower observer skips the oldest.
 const WATCHED: usize = 4_096;
 
+/// Name of the writer of the database among the tasks whose end is the end of the daemon.
+pub const DATABASE: &str = "the database";
 /// Names of the tasks for which a stop waits.
 pub(super) const RECEIVE: &str = "receive";
 pub(super) const JUDGE: &str = "judge";
@@ -95,10 +97,27 @@ impl Daemon {
     /// When the database or zenoh cannot be used.
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
+        // Before the database: without a session the start fails, and the database stays closed.
+        let session = bus::open(config.zenoh.clone()).await?;
         let opening = Store::open(&config.store, clock::now());
         let opened = watchdog::with_start_extension("opening the database", opening).await?;
         report_database(&opened.report, &config.store);
-        let session = bus::open(config.zenoh.clone()).await?;
+        let store = opened.store.clone();
+        let started = Self::start_loops(config, session, opened, lock).await;
+        if started.is_err()
+            && let Err(error) = store.close().await
+        {
+            tracing::warn!(%error, "closing the database after a failed start");
+        }
+        started
+    }
+
+    async fn start_loops(
+        config: Config,
+        session: Session,
+        opened: Opened,
+        lock: DatabaseLock,
+    ) -> Result<Self, StartError> {
         let mut start = Starting {
             config: Arc::new(config),
             session,
@@ -175,7 +194,7 @@ impl Daemon {
     pub async fn ended(&mut self) -> Ended {
         tokio::select! {
             ended = self.tasks.next_end() => ended,
-            () = self.store.stopped() => Ended("the database"),
+            () = self.store.stopped() => Ended(DATABASE),
         }
     }
 
@@ -287,7 +306,7 @@ impl Starting {
         let intake = Arc::new(Intake {
             store: self.store.clone(),
             status: Arc::clone(&self.status),
-            machines: Mutex::new(machines.into_iter().filter(sends).map(|machine| (machine, false)).collect()),
+            machines: Mutex::new(machines.into_iter().filter(sends).map(|machine| (machine, None)).collect()),
             max_machines: subscribe.max_machines,
             max_payload_bytes: subscribe.max_payload_bytes,
             itself: self.config.monitor.as_machine(),

@@ -102,8 +102,8 @@ pub struct StatusReport {
     pub uptime_s: u64,
     /// The database file.
     pub database: String,
-    /// `ok`, `low`, `full` or `failing`.
-    pub disk: String,
+    /// State of the disk of the database.
+    pub disk: DiskLevel,
     /// Size of the write-ahead log \[bytes\].
     pub wal_bytes: u64,
     /// Whether a link to others is up.
@@ -220,13 +220,7 @@ impl Gauges {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             uptime_s: status.heartbeats.uptime().as_secs(),
             database: self.store.path().display().to_string(),
-            disk: match self.store.disk_level() {
-                DiskLevel::Ample => "ok",
-                DiskLevel::Low => "low",
-                DiskLevel::Full => "full",
-                DiskLevel::Failing => "failing",
-            }
-            .to_owned(),
+            disk: self.store.disk_level(),
             wal_bytes: self.store.wal_bytes(),
             connected: status.connected.load(Relaxed),
             loggers: status.loggers.load(Relaxed),
@@ -257,7 +251,7 @@ impl StatusReport {
     /// Whether the daemon has no problem with disk, loops or lost messages.
     #[must_use]
     pub fn is_well(&self) -> bool {
-        self.disk == "ok" && self.silent.is_empty() && self.dropped + self.lost == 0
+        self.disk == DiskLevel::Ample && self.silent.is_empty() && self.dropped + self.lost == 0
     }
 
     /// One line of text, problems first.
@@ -270,11 +264,11 @@ impl StatusReport {
     #[must_use]
     pub fn parts(&self) -> Vec<String> {
         let mut parts = Vec::new();
-        match self.disk.as_str() {
-            "ok" => {}
-            "low" => parts.push("DISK LOW: old traces are dropped".to_owned()),
-            "full" => parts.push("DISK FULL: nothing can be stored, free some space".to_owned()),
-            _ => parts.push("DATABASE FAILING: writes do not succeed".to_owned()),
+        match self.disk {
+            DiskLevel::Ample => {}
+            DiskLevel::Low => parts.push("DISK LOW: old traces are dropped".to_owned()),
+            DiskLevel::Full => parts.push("DISK FULL: nothing can be stored, free some space".to_owned()),
+            DiskLevel::Failing => parts.push("DATABASE FAILING: writes do not succeed".to_owned()),
         }
         if !self.silent.is_empty() {
             parts.push(format!("HANGING: {}", self.silent.join(", ")));

@@ -6,7 +6,7 @@ use sd_notify::NotifyState;
 use tokio::time;
 
 use super::{heartbeat::TaskName, status::Gauges};
-use crate::store::StoreError;
+use crate::store::{DiskLevel, StoreError};
 
 /// Time between two checks of the heartbeats, without a watchdog of systemd.
 const LOOK: Duration = Duration::from_secs(5);
@@ -65,9 +65,9 @@ pub(super) async fn watch(gauges: Gauges) {
         } else {
             notify(&[NotifyState::Status(&line)]);
         }
-        let now = format!("{} {:?}", report.disk, report.silent);
+        let now = format!("{:?} {:?}", report.disk, report.silent);
         if now != trouble {
-            if report.disk != "ok" || !report.silent.is_empty() {
+            if report.disk != DiskLevel::Ample || !report.silent.is_empty() {
                 tracing::error!("{line}");
             } else if !trouble.is_empty() {
                 tracing::info!("{line}");

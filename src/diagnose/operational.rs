@@ -117,6 +117,11 @@ impl Context<'_> {
     }
 }
 
+/// The text without its numbers.
+fn words(text: &str) -> String {
+    text.replace(|character: char| character.is_ascii_digit(), "")
+}
+
 fn streak(count: &mut u32, holds: bool) {
     *count = if holds { count.saturating_add(1) } else { 0 };
 }
@@ -353,7 +358,8 @@ impl Operation {
         self.logger != Logger::Unannounced
     }
 
-    /// Applies a problem of the daemon with storing data; `None` without a problem.
+    /// Applies a problem of the daemon with storing data; `None` without a problem. Another text is a new event, unless
+    /// only its numbers differ or the last event is younger than ten minutes.
     pub(super) fn on_daemon_trouble(
         &mut self,
         trouble: Option<(Severity, &str)>,
@@ -362,8 +368,15 @@ impl Operation {
     ) -> Option<AlarmEvent> {
         if let Some((severity, text)) = trouble {
             self.calm_s = 0.0;
+            let before = alarms.active().find(|event| event.cause == Cause::DataLoss);
+            // A disk at its limit must not make an event of each change.
+            let is_new = before.is_some_and(|event| {
+                let quiet_s = context.at.duration_since(event.event_at).as_secs_f64().abs();
+                quiet_s >= CALM_S && words(&event.text) != words(text)
+            });
             let evidence = Evidence::plain(severity, None, text.to_owned());
-            alarms.raise_or_escalate(Cause::DataLoss, evidence, context.at)
+            let event = alarms.raise_or_escalate(Cause::DataLoss, evidence, context.at);
+            event.or_else(|| is_new.then(|| alarms.remark(Cause::DataLoss, text.to_owned(), context.at)).flatten())
         } else if self.calm_s >= CALM_S {
             alarms.clear(Cause::DataLoss, text::daemon_calm(), context.at)
         } else {

@@ -22,6 +22,12 @@ impl Place {
     pub(super) const BEGINNING: Self = Self { boot_row: None, position: i64::MIN, throw_no: -1 };
 }
 
+impl Default for Place {
+    fn default() -> Self {
+        Self::BEGINNING
+    }
+}
+
 #[derive(Debug, Clone, Copy, sqlx::FromRow)]
 #[expect(clippy::struct_field_names, reason = "the name of the column")]
 pub(super) struct Boot {

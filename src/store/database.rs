@@ -12,7 +12,7 @@ use super::{
     link::Link,
     many::ROWS,
     open::{self, Report},
-    page::{Page, PageStored, WriteOff},
+    page::{Cursor, Page, PageStored, WriteOff},
     place::Place,
     quarantine::{Quarantine, Refused, Sent, Statement},
     reader::Reader,
@@ -162,12 +162,12 @@ impl Store {
         self.writer.write(page).await
     }
 
-    /// Writes off the awaited throws of a machine, which are in no backlog.
+    /// Writes off the throws of a machine that were awaited at the query with `cursor`, and are in no backlog.
     ///
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
-    pub async fn write_off(&self, machine: &MachineId, at: Timestamp) -> Result<(), StoreError> {
-        self.writer.write(WriteOff { machine: machine.clone(), at }).await
+    pub async fn write_off(&self, machine: &MachineId, cursor: &Cursor, at: Timestamp) -> Result<(), StoreError> {
+        self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
     }
 
     /// Stores a judgement (estimate, monitor, baselines, alarms, messages) in one transaction. Returns false, without

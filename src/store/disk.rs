@@ -12,6 +12,7 @@ use std::{
     time::Duration,
 };
 
+use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
 use super::{error::StoreError, pace::Recent, settings::MIB};
@@ -19,10 +20,16 @@ use super::{error::StoreError, pace::Recent, settings::MIB};
 /// Duration of the alarm about an event that has passed: long enough for an operator to see it.
 const SHOWN: Duration = Duration::from_hours(1);
 
-/// State of the disk of the database.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+/// State of the disk of the database, in the status as `ok`, `low`, `full` or `failing`.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, strum::AsRefStr, strum::VariantArray,
+)]
+#[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum DiskLevel {
     /// Enough space.
+    #[serde(rename = "ok")]
+    #[strum(serialize = "ok")]
     Ample,
     /// Below the watermark: the traces of judged throws are dropped.
     Low,

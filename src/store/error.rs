@@ -42,6 +42,9 @@ pub enum StoreError {
     /// idempotent.
     #[error("writing to the database failed: {0}")]
     Write(String),
+    /// SQLite refused the statement (constraint, type): its repetition fails too. Nothing was stored.
+    #[error("writing to the database failed: {0}")]
+    Refused(String),
     /// A query failed.
     #[error("reading the database failed: {0}")]
     Read(#[source] Box<sqlx::Error>),
@@ -95,6 +98,7 @@ impl StoreError {
         match self {
             Self::Full => Self::Full,
             Self::Closed => Self::Closed,
+            Self::Refused(problem) => Self::Refused(problem.clone()),
             Self::Write(problem) => Self::Write(problem.clone()),
             other => Self::Write(other.to_string()),
         }

@@ -236,5 +236,11 @@ fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError
 
 /// Converts an error for the caller.
 fn store_error(error: &sqlx::Error) -> StoreError {
-    if is_full(error) { StoreError::Full } else { StoreError::Write(error.to_string()) }
+    if is_full(error) {
+        StoreError::Full
+    } else if is_refused(error) {
+        StoreError::Refused(error.to_string())
+    } else {
+        StoreError::Write(error.to_string())
+    }
 }

@@ -147,6 +147,8 @@ impl Backup {
         if self.partial.exists() {
             std::fs::remove_file(&self.partial).map_err(|source| file("remove", source))?;
         }
+        // SQLite does not say which of the two files it cannot open. It accepts an empty file as the copy.
+        std::fs::File::create_new(&self.partial).map_err(|source| file("create", source))?;
         let outcome = self.copy().await;
         if let Err(error) = outcome {
             // Ignored: the first error is reported.

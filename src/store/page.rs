@@ -22,6 +22,8 @@ pub struct Cursor {
     pub awaits: bool,
     /// Samples of the newest throw, to estimate the size of the next ones.
     pub samples: Option<u64>,
+    /// The last throw stored so far; a gap behind it was opened later.
+    pub(super) newest: Place,
 }
 
 /// Result of storing a page.
@@ -97,7 +99,8 @@ async fn write_off_boots(
 
 /// The cursor after a throw of a page; moves on over stored throws.
 async fn after(connection: &mut SqliteConnection, machine_row: i64, last: Place) -> sqlx::Result<Cursor> {
-    let Some(boot_row) = last.boot_row else { return Ok(Cursor::default()) };
+    let newest = newest(connection, machine_row).await?;
+    let Some(boot_row) = last.boot_row else { return Ok(Cursor { newest, ..Cursor::default() }) };
     let boot_id = sqlx::query_scalar(sql::BOOT_ID).bind(boot_row).fetch_one(&mut *connection).await?;
     let boot: Boot = sqlx::query_as(sql::BOOT_OF_ROW).bind(boot_row).fetch_one(&mut *connection).await?;
     let gap = cursor::awaited(connection, boot_row).await?;
@@ -110,12 +113,25 @@ async fn after(connection: &mut SqliteConnection, machine_row: i64, last: Place)
         missing: gap.map(|(first_no, last_no)| last_no.abs_diff(first_no).saturating_add(1)),
         awaits: gap.is_some() || has_later,
         samples: samples.map(i64::cast_unsigned),
+        newest,
     })
 }
 
-/// The awaited throws of a machine are in no backlog.
+/// The last throw of the last boot.
+async fn newest(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<Place> {
+    let boot: Option<Boot> = sqlx::query_as(sql::LAST_BOOT).bind(machine_row).fetch_optional(connection).await?;
+    Ok(boot.map_or(Place::BEGINNING, |boot| Place {
+        boot_row: Some(boot.boot_row),
+        position: boot.position,
+        throw_no: boot.highest_no,
+    }))
+}
+
+/// The throws awaited at a query are in no backlog.
 pub(super) struct WriteOff {
     pub(super) machine: MachineId,
+    /// The last throw stored before the query.
+    pub(super) newest: Place,
     pub(super) at: Timestamp,
 }
 
@@ -125,7 +141,9 @@ impl Write for WriteOff {
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
         let (machine_row, _) = machine_row(connection, &self.machine).await?;
         let at_us = self.at.as_microsecond();
-        write_off_boots(connection, machine_row, (i64::MIN, i64::MAX), at_us).await?;
+        write_off_boots(connection, machine_row, (i64::MIN, self.newest.position), at_us).await?;
+        let last = sqlx::query(sql::WRITE_OFF_BEFORE).bind(self.newest.boot_row).bind(self.newest.throw_no).bind(at_us);
+        last.execute(&mut *connection).await?;
         cursor::advance(connection, machine_row, at_us).await
     }
 }
@@ -141,14 +159,7 @@ pub(super) async fn current(connection: &mut SqliteConnection, machine: &Machine
         sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(&mut *connection).await?;
     let place = match open {
         Some((boot_row, position, throw_no)) => Place { boot_row, position, throw_no },
-        None => {
-            match sqlx::query_as::<_, Boot>(sql::LAST_BOOT).bind(machine_row).fetch_optional(&mut *connection).await? {
-                Some(Boot { boot_row, position, highest_no, .. }) => {
-                    Place { boot_row: Some(boot_row), position, throw_no: highest_no }
-                }
-                None => Place::BEGINNING,
-            }
-        }
+        None => newest(connection, machine_row).await?,
     };
     let cursor = Cursor { awaits: open.is_some(), ..after(connection, machine_row, place).await? };
     Ok(if is_read { cursor } else { Cursor { after: None, missing: None, ..cursor } })

@@ -222,7 +222,10 @@ impl Reader {
     }
 
     /// The cursor of a machine.
-    pub(crate) async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
         let read = async {
             let mut connection = self.pool().acquire().await?;
             page::current(&mut connection, machine).await
@@ -284,7 +287,7 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn latest_health(&self, which: &Selector) -> Result<Vec<Health>, StoreError> {
-        self.asked(sqlx::query_as(sql::LATEST_HEALTH).bind(which.site()).bind(which.machine())).await
+        self.asked(sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine)).await
     }
 
     /// The newest `limit` rows of the health history since `since`, oldest first. A time up to 1970 means no bound.
@@ -301,7 +304,7 @@ impl Reader {
         let query = if since_us == i64::MIN && *which == Selector::default() {
             sqlx::query_as(sql::NEWEST_HEALTH).bind(limit)
         } else {
-            sqlx::query_as(sql::HEALTH_SINCE).bind(limit).bind(which.site()).bind(which.machine()).bind(since_us)
+            sqlx::query_as(sql::HEALTH_SINCE).bind(limit).bind(&which.site).bind(&which.machine).bind(since_us)
         };
         let mut rows = self.asked(query).await?;
         rows.reverse();
@@ -313,7 +316,7 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<Alarm>, StoreError> {
-        let query = sqlx::query_as(sql::OPEN_ALARMS).bind(which.site()).bind(which.machine());
+        let query = sqlx::query_as(sql::OPEN_ALARMS).bind(&which.site).bind(&which.machine);
         Ok(self.asked_alarms(query).await?.0)
     }
 
@@ -327,9 +330,9 @@ impl Reader {
         since: Timestamp,
         limit: u32,
     ) -> Result<Vec<Alarm>, StoreError> {
-        let of_machine = which.machine().is_some();
+        let of_machine = !which.machine.contains('*');
         let statement = if of_machine { sql::ALARM_HISTORY_OF_MACHINE } else { sql::ALARM_HISTORY };
-        let query = sqlx::query_as(statement).bind(which.site()).bind(which.machine());
+        let query = sqlx::query_as(statement).bind(&which.site).bind(&which.machine);
         let (mut alarms, _) = self.asked_alarms(query.bind(since.as_microsecond()).bind(limit)).await?;
         alarms.reverse();
         Ok(alarms)

@@ -7,7 +7,7 @@ use sqlx::{FromRow, Row, sqlite::SqliteRow};
 use super::codec::{self, Channel, UnreadableTrace};
 use crate::{
     diagnose::MachineState,
-    throw::{Direction, MachineId, Name, Throw, ThrowRef, Trace},
+    throw::{Direction, MachineId, Throw, ThrowRef, Trace},
     wire::Health,
 };
 
@@ -34,22 +34,19 @@ pub enum GapKind {
     BeforeFirstContact,
 }
 
-/// Selects the machines of a query.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+/// Selects the machines of a query by `GLOB` patterns of SQLite: a name selects itself, and `*` stands for any characters.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Selector {
-    /// A site; `None` for all.
-    pub site: Option<Name>,
-    /// A machine name; `None` for all.
-    pub machine: Option<Name>,
+    /// Pattern of the site.
+    pub site: String,
+    /// Pattern of the machine name.
+    pub machine: String,
 }
 
-impl Selector {
-    pub(super) fn site(&self) -> Option<&str> {
-        self.site.as_ref().map(Name::as_str)
-    }
-
-    pub(super) fn machine(&self) -> Option<&str> {
-        self.machine.as_ref().map(Name::as_str)
+/// Selects all machines.
+impl Default for Selector {
+    fn default() -> Self {
+        Self { site: "*".to_owned(), machine: "*".to_owned() }
     }
 }
 

@@ -274,20 +274,21 @@ statements! {
     TRIM_ALARM_EVENTS = "DELETE FROM alarm_event WHERE alarm_row = (SELECT alarm_row FROM alarm WHERE alarm_id = ?1) \
         AND event_no BETWEEN 2 AND ?2 - ?3";
     SET_ALARM = "UPDATE alarm SET last_event_no = ?2, state = ?3 WHERE alarm_id = ?1 AND last_event_no <= ?2";
+    // `+site`: no index, as SQLite would prepare a statement again for each pattern.
     // Without statistics SQLite reads all alarms in the order of time, to save the sort of the few open ones.
     OPEN_ALARMS = "SELECT payload \
         FROM alarm INDEXED BY alarm_open JOIN machine USING (machine_row) \
         JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
-        WHERE alarm.state <> 'normal' AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) \
+        WHERE alarm.state <> 'normal' AND +site GLOB ?1 AND +machine GLOB ?2 \
         ORDER BY raised_at_us, alarm.alarm_row";
     ALARM_HISTORY = "SELECT payload \
         FROM alarm_event JOIN alarm USING (alarm_row) JOIN machine USING (machine_row) \
-        WHERE coalesce(known_at_us, event_at_us) >= ?3 AND (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) \
+        WHERE coalesce(known_at_us, event_at_us) >= ?3 AND +site GLOB ?1 AND +machine GLOB ?2 \
         ORDER BY coalesce(known_at_us, event_at_us) DESC, alarm_row DESC, event_no DESC LIMIT ?4";
     // CROSS JOIN: of one machine, its few alarms are searched instead of all events in the order of time.
     ALARM_HISTORY_OF_MACHINE = "SELECT payload FROM machine \
         CROSS JOIN alarm INDEXED BY alarm_of_machine USING (machine_row) CROSS JOIN alarm_event USING (alarm_row) \
-        WHERE (?1 IS NULL OR site = ?1) AND machine = ?2 AND coalesce(known_at_us, event_at_us) >= ?3 \
+        WHERE +site GLOB ?1 AND machine = ?2 AND coalesce(known_at_us, event_at_us) >= ?3 \
         ORDER BY coalesce(known_at_us, event_at_us) DESC, alarm_row DESC, event_no DESC LIMIT ?4";
 
     // The outbox.
@@ -313,13 +314,13 @@ statements! {
     // Rows of some machines, or since a time, are selected by an index before their wide rows are read.
     HEALTH_SINCE = concat!("SELECT ", history!(), " \
         WHERE throw_row IN (SELECT throw_row FROM throw \
-        WHERE machine_row IN (SELECT machine_row FROM machine WHERE (?2 IS NULL OR site = ?2) AND (?3 IS NULL OR machine = ?3)) \
+        WHERE machine_row IN (SELECT machine_row FROM machine WHERE +site GLOB ?2 AND +machine GLOB ?3) \
         AND started_at_us >= ?4 AND throw_row NOT IN (SELECT throw_row FROM throw AS own INDEXED BY throw_pending WHERE judged_at_us IS NULL) \
         ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
     LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.caveats"), "FROM machine JOIN latest USING (machine_row) \
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
-        WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2) ORDER BY site, machine, latest.direction");
+        WHERE +site GLOB ?1 AND +machine GLOB ?2 ORDER BY site, machine, latest.direction");
     GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
         WHERE filled_at_us IS NULL AND (written_off_at_us IS NOT NULL OR told_at_us IS NOT NULL) ORDER BY gap_row LIMIT ?1";

@@ -4,33 +4,36 @@ use std::{collections::HashMap, sync::Arc};
 
 use axum::{
     body::Bytes,
-    extract::{Path, State, rejection::PathRejection},
+    extract::{ConnectInfo, Path, State, rejection::PathRejection},
     http::{HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
 use jiff::{SignedDuration, Timestamp};
 
 use super::{
+    connection::Arrived,
     overview::Web,
     page::{Failure, known_name},
 };
-use crate::{daemon::clock, diagnose::Command};
+use crate::{daemon::clock, diagnose::Command, store::seldom};
 
 /// Longest window in the form \[h\], about ten years; the settings may allow less.
 const LONGEST_HOURS: i64 = 24 * 3660;
 
 pub(super) async fn post(
     State(web): State<Arc<Web>>,
+    ConnectInfo(arrived): ConnectInfo<Arrived>,
     names: Result<Path<(String, String)>, PathRejection>,
     body: Bytes,
 ) -> Result<Response, Failure> {
+    arrived.set();
     let Path((site, machine)) = names?;
     let machine = known_name(&site, &machine)?;
     let fields: HashMap<String, String> = form_urlencoded::parse(&body).into_owned().collect();
     let config = web.view.config();
     let token = fields.get("token").map(String::as_str).unwrap_or_default();
     if !config.web.token.as_ref().is_some_and(|secret| secret.is(token)) {
-        tracing::warn!(%machine, "command refused: wrong token");
+        seldom!(warn, %machine, "command refused: wrong token");
         return Err(Failure::new(
             StatusCode::FORBIDDEN,
             "Nothing was done: the token is wrong. It must be web.token of the configuration.",

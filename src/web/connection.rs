@@ -6,12 +6,18 @@ use std::{
     io,
     net::SocketAddr,
     pin::Pin,
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
     task::{Context, Poll},
     time::Duration,
 };
 
-use axum::serve::Listener;
+use axum::{
+    extract::connect_info::Connected,
+    serve::{IncomingStream, Listener},
+};
 use tokio::{
     io::{AsyncRead, AsyncWrite, ReadBuf},
     net::{TcpListener, TcpStream},
@@ -28,6 +34,8 @@ const READ_BYTES: usize = 16 << 10;
 const ASKING: Duration = Duration::from_secs(5);
 /// Time limit for the request while other connections wait: a browser sends its request at once.
 const GRACE: Duration = Duration::from_millis(250);
+/// Time limit from a complete request to the first byte of its response: longer than the 20 s of an operator's command.
+const WORKING: Duration = Duration::from_secs(25);
 /// Time limit of a response from its first byte: 200 kB at 20 kB/s.
 const ANSWERING: Duration = Duration::from_secs(10);
 /// Pause after a failed accept, for example without free descriptors.
@@ -76,8 +84,17 @@ impl Listener for Bounded {
                     self.asking.push_back((Instant::now(), asking));
                     let deadline = Box::pin(time::sleep(ASKING));
                     let evicted = Some(evicted);
+                    let arrived = Arrived::default();
                     return (
-                        Connection { stream, deadline, evicted, read_bytes: 0, answering: false, _place: place },
+                        Connection {
+                            stream,
+                            deadline,
+                            evicted,
+                            arrived,
+                            read_bytes: 0,
+                            answering: false,
+                            _place: place,
+                        },
                         from,
                     );
                 }
@@ -94,12 +111,29 @@ impl Listener for Bounded {
     }
 }
 
+/// Mark of a connection whose request is complete. Set by the handler, which alone knows the end of the request.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Arrived(Arc<AtomicBool>);
+
+impl Arrived {
+    pub(super) fn set(&self) {
+        self.0.store(true, Relaxed);
+    }
+}
+
+impl Connected<IncomingStream<'_, Bounded>> for Arrived {
+    fn connect_info(stream: IncomingStream<'_, Bounded>) -> Self {
+        stream.io().arrived.clone()
+    }
+}
+
 /// A connection that fails at its deadline, or after too many bytes from the client.
 pub(super) struct Connection {
     stream: TcpStream,
     deadline: Pin<Box<Sleep>>,
     /// Resolves when another connection needs the place; `None` after the request has arrived.
     evicted: Option<oneshot::Receiver<()>>,
+    arrived: Arrived,
     read_bytes: usize,
     answering: bool,
     _place: Option<OwnedSemaphorePermit>,
@@ -107,6 +141,11 @@ pub(super) struct Connection {
 
 impl Connection {
     fn in_time(&mut self, context: &mut Context<'_>) -> io::Result<()> {
+        // A complete request waits for its response and keeps its place.
+        if self.arrived.0.swap(false, Relaxed) {
+            self.evicted = None;
+            self.deadline.as_mut().reset(Instant::now() + WORKING);
+        }
         let is_evicted = self.evicted.as_mut().is_some_and(|evicted| Pin::new(evicted).poll(context).is_ready());
         if is_evicted || self.deadline.as_mut().poll(context).is_ready() {
             return Err(io::ErrorKind::TimedOut.into());
@@ -127,10 +166,6 @@ impl AsyncRead for Connection {
         self.read_bytes += buffer.filled().len() - before;
         if self.read_bytes > READ_BYTES {
             return Poll::Ready(Err(io::ErrorKind::InvalidData.into()));
-        }
-        // A complete request waits for its response and keeps its place.
-        if buffer.filled().ends_with(b"\r\n\r\n") {
-            self.evicted = None;
         }
         polled
     }

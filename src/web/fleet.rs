@@ -334,7 +334,7 @@ fn daemon(view: &View, overview: &Overview) -> Vec<(&'static str, String)> {
         ("version", report.version),
         ("loggers", page::count(report.loggers as u64)),
         ("link", if report.connected { "connected" } else { "not connected" }.to_owned()),
-        ("disk", format!("{}{space}", report.disk)),
+        ("disk", format!("{}{space}", report.disk.as_ref())),
         ("database", page::size(statistics.data_bytes)),
         ("throws kept", page::count(statistics.throws)),
         ("pending", page::count(statistics.pending)),

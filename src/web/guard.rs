@@ -4,7 +4,7 @@ use std::{io::Write as _, net::IpAddr, sync::Arc, time::Duration};
 
 use axum::{
     body::{Body, to_bytes},
-    extract::{Request, State},
+    extract::{ConnectInfo, Request, State},
     http::{HeaderMap, HeaderValue, Method, StatusCode, header},
     middleware::Next,
     response::{IntoResponse, Response},
@@ -12,9 +12,9 @@ use axum::{
 use flate2::{Compression, write::GzEncoder};
 use tokio::time;
 
-use super::{overview::Web, page::Failure, trouble};
+use super::{connection::Arrived, overview::Web, page::Failure, trouble};
 
-/// Time limit of a request, below the timeout of the page's script and the daemon's limit for one query.
+/// Time limit of a page, below the timeout of the page's script and the daemon's limit for one query.
 const LIMIT: Duration = Duration::from_secs(4);
 
 /// Content security policy: style, script, forms and connections of this daemon only; not in frames.
@@ -36,8 +36,17 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
         // A refused request may come from anybody, so the response has no data of the daemon.
         refusal.page(Vec::new())
     } else {
-        let answer = time::timeout(LIMIT, next.run(request)).await;
-        let mut response = answer.unwrap_or_else(|_| Failure::busy().into_response());
+        let is_post = *request.method() == Method::POST;
+        if let Some(ConnectInfo(arrived)) = request.extensions().get::<ConnectInfo<Arrived>>().filter(|_| !is_post) {
+            arrived.set();
+        }
+        let answer = next.run(request);
+        let mut response = if is_post {
+            // The queue of commands has its own limit: after an earlier answer the command may still be applied.
+            answer.await
+        } else {
+            time::timeout(LIMIT, answer).await.unwrap_or_else(|_| Failure::busy().into_response())
+        };
         match response.extensions_mut().remove::<Failure>() {
             Some(failure) => failure.page(trouble::of_daemon(&web.view)),
             None => response,

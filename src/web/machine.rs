@@ -217,7 +217,7 @@ async fn rows(
         Span::Newest(limit) => trend::thinned(reader.newest_of(machine, direction, limit).await?),
         Span::All => reader.spread_of(machine, direction, u32::try_from(trend::POINTS).unwrap_or(u32::MAX)).await?,
     };
-    // Throws from a backlog are judged after later ones.
+    // Rows are in the order of arrival; throws from a backlog arrive after later ones.
     rows.sort_by_key(|row| row.started_at);
     Ok(rows)
 }

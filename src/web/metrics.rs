@@ -36,14 +36,11 @@ use super::{
 use crate::{
     daemon::{StatusReport, TaskName, View},
     diagnose::{Cause, MachineState, Severity},
-    store::{FleetQuery, FleetRow, StoreError},
+    store::{DiskLevel, FleetQuery, FleetRow, StoreError},
 };
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 const TEXT: &str = "text/plain; version=0.0.4; charset=utf-8";
-
-/// States of the disk, as in the status.
-const DISK_STATES: [&str; 4] = ["ok", "low", "full", "failing"];
 
 type Labels<const N: usize> = [(&'static str, String); N];
 
@@ -217,8 +214,8 @@ fn daemon(registry: &mut Registry, report: &StatusReport) {
     let shelved = ConstGauge::new(report.standing.shelved_alarms.cast_signed());
     registry.register("alarms_shelved", "Open alarms that are shelved", shelved);
     let disk = Family::<Labels<1>, Gauge>::default();
-    for state in DISK_STATES {
-        disk.get_or_create(&[("state", state.to_owned())]).set(i64::from(report.disk == state));
+    for level in DiskLevel::VARIANTS {
+        disk.get_or_create(&[("state", level.as_ref().to_owned())]).set(i64::from(report.disk == *level));
     }
     registry.register("disk_state", "1 for the present state of the disk", disk);
     let beats = Family::<Labels<1>, Gauge>::default();

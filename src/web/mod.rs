@@ -43,7 +43,7 @@ use axum::{
 use tokio::net::TcpListener;
 
 use crate::daemon::View;
-use connection::Bounded;
+use connection::{Arrived, Bounded};
 use overview::Web;
 use page::{Failure, STYLE, asset, lasting_asset};
 
@@ -99,8 +99,8 @@ pub async fn serve(place: Place, view: View) {
         tracing::warn!(address = %place.address, "the dashboard is readable for every computer that reaches this address");
     }
     tracing::info!("the dashboard is at {}", place.url());
-    let web = Arc::new(Web::new(view));
-    if let Err(error) = axum::serve(Bounded::new(place.listener), router(web)).await {
+    let service = router(Arc::new(Web::new(view))).into_make_service_with_connect_info::<Arrived>();
+    if let Err(error) = axum::serve(Bounded::new(place.listener), service).await {
         tracing::error!(%error, "the dashboard ended");
     }
 }

@@ -97,5 +97,5 @@ impl Web {
 
 /// Selects one machine.
 pub(super) fn selector(machine: &MachineId) -> Selector {
-    Selector { site: Some(machine.site.clone()), machine: Some(machine.machine.clone()) }
+    Selector { site: machine.site.to_string(), machine: machine.machine.to_string() }
 }

@@ -8,7 +8,7 @@ use super::{
     overview::{Overview, Web},
     page,
 };
-use crate::{daemon::View, diagnose::AlarmState};
+use crate::{daemon::View, diagnose::AlarmState, store::DiskLevel};
 
 /// Number of pending throws from which pages show a warning: half a minute of work.
 const BACKLOG: u64 = 1_000;
@@ -38,14 +38,16 @@ pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
 pub(super) fn of_daemon(view: &View) -> Vec<String> {
     let report = view.report();
     let mut trouble = Vec::new();
-    match report.disk.as_str() {
-        "ok" => {}
-        "low" => {
+    match report.disk {
+        DiskLevel::Ample => {}
+        DiskLevel::Low => {
             trouble.push("The disk is nearly full: traces of judged throws are removed. Free some space.".to_owned());
         }
-        "full" => trouble
+        DiskLevel::Full => trouble
             .push("The disk is full: nothing can be stored, and this page is old. Free some space now.".to_owned()),
-        _ => trouble.push("Writing to the database fails: nothing can be stored, and this page is old.".to_owned()),
+        DiskLevel::Failing => {
+            trouble.push("Writing to the database fails: nothing can be stored, and this page is old.".to_owned())
+        }
     }
     if !report.silent.is_empty() {
         trouble.push(format!("Parts of the daemon hang ({}): this page may be old.", report.silent.join(", ")));

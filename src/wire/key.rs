@@ -55,11 +55,11 @@ pub fn monitor_alive_key(site: &Name, id: &Name) -> String {
 /// Key expression of the liveliness tokens of all monitors.
 pub const EVERY_MONITOR_ALIVE: &str = "points/v1/*/monitor/*/alive";
 
-/// The name of the monitor of a liveliness token, as a machine; `None` for another key.
+/// The name of the monitor of a liveliness token or of a status, as a machine; `None` for another key.
 #[must_use]
-pub fn parse_monitor_alive_key(key: &str) -> Option<MachineId> {
+pub fn parse_monitor_key(key: &str) -> Option<MachineId> {
     let chunks: Vec<&str> = key.strip_prefix(PREFIX)?.split('/').collect();
-    let [site, "monitor", id, "alive"] = chunks[..] else { return None };
+    let [site, "monitor", id, "alive" | "status"] = chunks[..] else { return None };
     MachineId::new(site, id).ok()
 }
 
@@ -81,6 +81,25 @@ pub fn parse_key(key: &str) -> Result<(MachineId, Kind), InvalidKey> {
     };
     let kind = kind.parse().map_err(|_| InvalidKey::Shape)?;
     Ok((MachineId::new(site, machine)?, kind))
+}
+
+/// The sites and machines whose keys a key expression includes, as `GLOB` patterns of SQLite; `None` if the expression has
+/// `**` twice, so that the position of a name is unknown.
+#[must_use]
+pub fn machine_patterns(key_expression: &str) -> Option<[String; 2]> {
+    /// Chunks of the key of a machine.
+    const CHUNKS: usize = 5;
+    let chunks: Vec<&str> = key_expression.split('/').collect();
+    if chunks.iter().filter(|chunk| **chunk == "**").count() > 1 {
+        return None;
+    }
+    let mut all = Vec::with_capacity(CHUNKS);
+    for chunk in &chunks {
+        let count = if *chunk == "**" { (CHUNKS + 1).checked_sub(chunks.len())? } else { 1 };
+        all.extend(std::iter::repeat_n(*chunk, count));
+    }
+    let [_, _, site, machine, _] = all[..] else { return None };
+    Some([site, machine].map(|chunk| chunk.replace("$*", "*")))
 }
 
 /// The part of the fleet that one daemon serves: `points/v1/**`, `points/v1/{site}/**` or
@@ -161,9 +180,10 @@ mod tests {
         }
         let (site, id) = ("north".parse().unwrap(), "cabinet-7".parse().unwrap());
         assert_eq!(monitor_alive_key(&site, &id), "points/v1/north/monitor/cabinet-7/alive");
-        let monitor = parse_monitor_alive_key(&monitor_alive_key(&site, &id)).unwrap();
+        let monitor = parse_monitor_key(&monitor_alive_key(&site, &id)).unwrap();
         assert_eq!(monitor.to_string(), "north/cabinet-7");
-        assert_eq!(parse_monitor_alive_key("points/v1/north/cabinet-7/alive"), None);
+        assert_eq!(parse_monitor_key(&monitor_status_key(&site, &id)).unwrap(), monitor);
+        assert_eq!(parse_monitor_key("points/v1/north/cabinet-7/alive"), None);
     }
 
     #[test]
@@ -179,6 +199,26 @@ mod tests {
             "points/v1/north/monitor/cabinet-7/alive",
         ] {
             assert!(parse_key(key).is_err(), "{key:?} was taken");
+        }
+    }
+
+    #[test]
+    fn key_expressions_become_patterns_of_names() {
+        let patterns = |key: &str| machine_patterns(key).map(|[site, machine]| format!("{site} {machine}"));
+        for (key, expected) in [
+            ("points/v1/north/21B/health", Some("north 21B")),
+            ("points/v1/*/21B/health", Some("* 21B")),
+            ("points/v1/n$*h/2$*/health", Some("n*h 2*")),
+            ("points/v1/north/**", Some("north *")),
+            ("points/v1/**/health", Some("* *")),
+            ("points/v1/**/21B/health", Some("* 21B")),
+            ("points/v1/north/21B/**/health", Some("north 21B")),
+            ("**", Some("* *")),
+            ("points/v1/north/21B", None),
+            ("points/v1/north/21B/health/more/**", None),
+            ("points/**/21B/**", None),
+        ] {
+            assert_eq!(patterns(key).as_deref(), expected, "{key}");
         }
     }
 

@@ -17,8 +17,8 @@ pub use backlog::{BacklogQuery, MAX_PAGE};
 pub use command::{Commander, InvalidCommand, Reply, decode_command};
 pub use health::Health;
 pub use key::{
-    EVERY_MONITOR_ALIVE, InvalidKey, InvalidScope, Kind, Scope, every_key, machine_key, monitor_alive_key,
-    monitor_status_key, parse_key, parse_monitor_alive_key,
+    EVERY_MONITOR_ALIVE, InvalidKey, InvalidScope, Kind, Scope, every_key, machine_key, machine_patterns,
+    monitor_alive_key, monitor_status_key, parse_key, parse_monitor_key,
 };
 pub use query::{HistoryQuery, InvalidQuery, MAX_HISTORY};
 pub use text::json;

@@ -161,6 +161,17 @@ fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
     // At its limit the alarm does not toggle.
     assert_eq!(pass(&mut monitor, &mut now, 9, well), []);
     assert_eq!(pass(&mut monitor, &mut now, 1, full), []);
+    // Another problem is a new event of the same alarm, also when it has the same severity. Other numbers are none.
+    let also = |throws: u32| {
+        move |monitor: &mut MachineMonitor, now| {
+            let text = format!("full; {throws} throws refused");
+            monitor.trouble(Some((Severity::Critical, &text)), now, &Settings::default())
+        }
+    };
+    let events = pass(&mut monitor, &mut now, 60, also(1));
+    assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Critical, AlarmState::ActiveUnacknowledged)]);
+    assert_eq!(events[0].text, "full; 1 throws refused");
+    assert_eq!(pass(&mut monitor, &mut now, 60, also(23)), []);
     let events = pass(&mut monitor, &mut now, 60 * 24 * 30, well);
     assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Critical, AlarmState::ClearedUnacknowledged)]);
 }

@@ -1,6 +1,8 @@
 //! A wrong configuration: exit 78, with file, line and key, without any change of files.
 
-use std::fs;
+use std::{fs, net::TcpListener, thread, time::Duration};
+
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
 use crate::rig::{Rig, pointsd, pointsim};
 
@@ -82,4 +84,41 @@ fn a_second_daemon_on_the_same_database_is_refused() {
     fs::write(&file, text).unwrap();
     let output = pointsd(&["run", "--config"]).arg(&file).output().unwrap();
     assert_eq!(output.status.code(), Some(69), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn a_start_that_fails_leaves_the_database_clean() {
+    let rig = Rig::new().same_port();
+    let daemon = rig.start();
+    let port = daemon.endpoint.trim_start_matches("tcp/").to_owned();
+    assert!(daemon.terminate().success());
+    let taken = TcpListener::bind(port).unwrap();
+    let failed = rig.try_start().err().unwrap();
+    assert_eq!(failed.status.code(), Some(69), "{failed:?}");
+    drop(taken);
+    let daemon = rig.start();
+    daemon.until_log("the database was closed cleanly");
+    assert!(daemon.terminate().success());
+}
+
+/// Another program locks the database, so that the start waits for it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_stop_during_the_start_is_obeyed() {
+    let rig = Rig::new();
+    assert!(rig.start().terminate().success());
+    let mut other =
+        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(rig.database())).await.unwrap();
+    sqlx::query("BEGIN EXCLUSIVE").execute(&mut other).await.unwrap();
+    let (daemon, _) = rig.launch();
+    let status = format!("/proc/{}/status", daemon.id());
+    let listens = || {
+        let status = fs::read_to_string(&status).unwrap();
+        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
+        u64::from_str_radix(caught.trim(), 16).unwrap() >> 14 & 1 == 1
+    };
+    while !listens() {
+        thread::sleep(Duration::from_millis(5));
+    }
+    assert_eq!(daemon.terminate().code(), Some(0));
+    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
 }

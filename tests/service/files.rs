@@ -134,6 +134,24 @@ async fn a_report_is_one_file_with_everything_that_it_shows() {
     for foreign in [" href=", " src=", "<script", "<form", "@import", "url("] {
         assert!(!page.contains(foreign), "{foreign}");
     }
+    // A reader of the database needs neither its folder nor the certificates of the daemon.
+    let config = fs::read_to_string(rig.config()).unwrap();
+    let certificate = "[zenoh.transport.link.tls]\nlisten_private_key = \"/no/such/file\"\n";
+    let other = rig.folder().join("other.toml");
+    fs::write(
+        &other,
+        format!("{config}{certificate}[monitor]\nsite = \"no name!\"\n").replace("[monitor]\nid", "[web]\nno"),
+    )
+    .unwrap();
+    let report =
+        pointsd(&["report", "north/machine-1", "--out"]).arg(&out).arg("--config").arg(&other).output().unwrap();
+    assert!(report.status.success(), "{}", String::from_utf8_lossy(&report.stderr));
+    fs::write(&other, config.replace("[store]", "[diagnosis]\nfriction_limit_pct = 0\n[store]")).unwrap();
+    let report =
+        pointsd(&["report", "north/machine-1", "--out"]).arg(&out).arg("--config").arg(&other).output().unwrap();
+    assert_eq!(report.status.code(), Some(78), "{}", String::from_utf8_lossy(&report.stderr));
+    let backup = pointsd(&["backup", "/no/such/folder/copy.db", "--config"]).arg(&other).output().unwrap();
+    assert_eq!(backup.status.code(), Some(73), "{}", String::from_utf8_lossy(&backup.stderr));
     assert!(daemon.terminate().success());
 }
 

@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, clippy::panic, clippy::disallowed_methods, reason = "helpers of tests outside #[test]")]
 
 mod alarms;
+mod backlogs;
 mod browser;
 #[path = "../endurance/cable.rs"]
 mod cable;

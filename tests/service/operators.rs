@@ -5,10 +5,11 @@ use std::{io::Read, process::Stdio};
 use pointsd::{
     bus,
     diagnose::{Cause, Command},
-    wire::Alarm,
+    wire::{Alarm, Encoding, HistoryQuery, encode_throw},
 };
+use zenoh::Wait;
 
-use crate::rig::{Daemon, PATIENCE, Rig, pointsd, pointsim};
+use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsd, pointsim, stub};
 
 pub(crate) fn logger(endpoint: &str, arguments: &[&str]) {
     let mut child = pointsim(&["run", "--connect", endpoint, "--time-scale", "100000"])
@@ -224,10 +225,90 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
     assert!(said.contains("fleet/pointsd: version"), "{said}");
     assert!(said.contains("unreadable reply of points/v1/east/monitor/other/status"), "{said}");
     assert!(said.contains("no answer of a daemon: the database does not answer"), "{said}");
-    let (code, said) = daemon.operate(&["alarms", "--check"]);
-    assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("the database does not answer"), "{said}");
+    // Without any alarm the answer is unknown, and is not "no alarms".
+    for (arguments, expected) in [(&["alarms", "--check"][..], 1), (&["alarms"], 69), (&["alarms", "--json"], 69)] {
+        let (code, said) = daemon.operate(arguments);
+        assert_eq!(code, Some(expected), "{said}");
+        assert!(
+            said.contains("the database does not answer") && !said.lines().any(|line| line == "no alarms"),
+            "{said}"
+        );
+    }
     answering.abort();
+    assert!(daemon.terminate().success());
+}
+
+/// Two daemons with three events at 10, 11 and 12 h, of which the first is critical.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_newest_events_of_several_daemons_are_in_order_and_selected_before_they_are_cut() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let event = |hour: u8, severity: &str| {
+        let at = format!("2026-05-04T{hour}:00:00Z");
+        serde_json::json!({
+            "schema": "points.alarm/1", "alarm_id": at, "event_no": 1, "site": "east", "machine": "m1", "cause": "kt",
+            "severity": severity, "state": "active_unacknowledged", "raised_at": at, "event_at": at, "change_pct": null,
+            "change_pct_sd": null, "direction": null, "runner_up": null, "correlation": null, "first_throw_no": null,
+            "last_throw_no": null, "text": "weak", "limit_in_throws": null,
+        })
+        .to_string()
+    };
+    for (key, events) in [
+        ("points/v1/east/m1/alarm", vec![event(10, "critical"), event(12, "warning")]),
+        ("points/v1/east/m2/alarm", vec![event(11, "warning")]),
+    ] {
+        let on_query = move |query: zenoh::query::Query| {
+            let Ok(HistoryQuery::History { limit, .. }) = HistoryQuery::parse(query.parameters().as_str()) else {
+                return;
+            };
+            for event in events.iter().rev().take(limit as usize).rev() {
+                query.reply(key, event.clone()).wait().unwrap();
+            }
+        };
+        session.declare_queryable(key).callback(on_query).background().await.unwrap();
+    }
+    for (arguments, hours) in [
+        (&["--since", "2026-05-04"][..], &["10", "11", "12"][..]),
+        (&["--limit", "2"], &["11", "12"]),
+        (&["--limit", "1", "--severity", "critical"], &["10"]),
+    ] {
+        let (code, text) = daemon.operate(&[&["alarms", "--json"], arguments].concat());
+        assert_eq!(code, Some(0), "{text}");
+        let shown: Vec<&str> = text.lines().map(|line| line.split("T1").nth(1).unwrap()).collect();
+        let expected: Vec<&str> = hours.iter().map(|hour| &hour[1..]).collect();
+        assert_eq!(shown.iter().map(|line| &line[..1]).collect::<Vec<_>>(), expected, "{arguments:?}: {text}");
+    }
+    assert_eq!(daemon.operate(&["alarms", "--limit", "20000"]).0, Some(64), "a daemon sends 10,000 events");
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_key_with_wildcards_selects_its_machines_before_the_limit() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    for (key, throws) in [("points/v1/north/21B/throw", 4), ("points/v1/south/21B/throw", 6)] {
+        let publisher = matched(&session, key).await;
+        for throw_no in 1..=throws {
+            publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
+        }
+        rig.until_sql(&format!(
+            "SELECT 1 FROM (SELECT count(*) AS n FROM health_history WHERE site = '{}') WHERE n = {throws}",
+            &key[10..15]
+        ))
+        .await;
+    }
+    for (key, found) in [
+        ("points/v1/north/*/health", 3),
+        ("points/v1/north/**/health", 3),
+        ("points/v1/n$*/2$*B/health", 3),
+        ("points/v1/**/21B/health", 3),
+        ("points/v1/**/22A/health", 0),
+    ] {
+        let answers = bus::ask(&session, &format!("{key}?limit=3"), None, PATIENCE).await.unwrap();
+        assert_eq!(answers.messages.len(), found, "{key}: {answers:?}");
+    }
     assert!(daemon.terminate().success());
 }
 

@@ -16,6 +16,7 @@ use pointsd::{
     throw::Throw,
     wire::{Encoding, encode_throw},
 };
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use zenoh::bytes::Encoding as ContentType;
 
 use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsim, put, stub, throws, throws_of};
@@ -149,6 +150,28 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
     let sizes =
         rig.sql("SELECT payload_bytes, length(payload_start) AS kept FROM quarantine WHERE reason LIKE '2000000%'");
     assert_eq!((&sizes[0]["payload_bytes"], &sizes[0]["kept"]), (&2_000_000.into(), &1024.into()));
+}
+
+/// Another program locks the database for longer than two attempts to store a throw, then releases it.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_locked_database_sends_no_valid_throw_to_quarantine() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let mut other =
+        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(rig.database())).await.unwrap();
+    sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
+    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
+    daemon.until_log("storing throws failed");
+    // Each write of the daemon takes two busy timeouts of 5 s. The lock outlasts the attempts to store the throw with others
+    // and alone, among writes of other loops.
+    tokio::time::sleep(Duration::from_secs(26)).await;
+    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+    daemon.until_log("the database accepts throws again");
+    assert_eq!(rig.sql("SELECT count(*) AS n FROM throw")[0]["n"], 1);
+    assert!(rig.sql("SELECT * FROM quarantine").is_empty());
+    assert!(daemon.terminate().success());
 }
 
 /// Far more throws than the daemon can handle, at the speed of one link.

@@ -327,6 +327,25 @@ async fn operators_act_from_the_page_with_the_token_and_from_nowhere_else() {
     assert!(daemon.terminate().success());
 }
 
+/// Another program locks the database for longer than a page may take.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_command_from_a_page_waits_until_it_is_applied() {
+    let (rig, daemon, address) = history_in(Rig::with(&format!("{WEB}token = \"correct horse battery\"\n"))).await;
+    let mut other =
+        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(rig.database())).await.unwrap();
+    sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
+    let origin = format!("Origin: http://{address}\r\n");
+    let form = "command=rebaseline&why=greased&by=A.+Meyer&token=correct+horse+battery";
+    let answer = thread::spawn(move || post(&address, &origin, form));
+    // A page may take 4 s, and a request 5 s.
+    tokio::time::sleep(Duration::from_secs(6)).await;
+    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+    let done = answer.join().unwrap();
+    assert_eq!(done.status, 303, "{done:?}");
+    assert_eq!(rig.sql("SELECT * FROM operator_commands").len(), 1);
+    assert!(daemon.terminate().success());
+}
+
 #[test]
 fn the_demo_names_its_dashboard() {
     let folder = tempfile::tempdir().unwrap();

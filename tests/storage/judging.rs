@@ -143,7 +143,7 @@ async fn a_restart_finds_snapshots_and_what_waits() {
         assert_eq!(history.len(), rows, "since {since}");
         assert!(history.iter().all(|row| row.quality == "good"));
     }
-    let elsewhere = Selector { machine: Some("22A".parse().unwrap()), ..Selector::default() };
+    let elsewhere = Selector { machine: "22A".to_owned(), ..Selector::default() };
     assert!(reader.health_history(&elsewhere, at(0), 5).await.unwrap().is_empty());
 }
 

@@ -65,6 +65,33 @@ async fn another_throw_under_a_taken_number_is_kept_once_under_a_free_one() {
     assert!(store.reader().open_gaps(10).await.unwrap().is_empty());
 }
 
+/// A query for the backlog of the machine found nothing.
+async fn write_off(store: &Store) {
+    let cursor = store.reader().cursor(&machine("21B")).await.unwrap();
+    store.write_off(&machine("21B"), &cursor, at(1)).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_gap_that_opens_after_the_query_is_not_written_off_with_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    for (boot_id, throw_no) in [("b1", 1), ("b1", 4)] {
+        spooled(&store, "21B", boot_id, throw_no).await;
+    }
+    let cursor = store.reader().cursor(&machine("21B")).await.unwrap();
+    for (boot_id, throw_no) in [("b1", 7), ("b2", 3)] {
+        spooled(&store, "21B", boot_id, throw_no).await;
+    }
+    store.write_off(&machine("21B"), &cursor, at(1)).await.unwrap();
+    let gaps = async || {
+        let gaps = store.reader().open_gaps(10).await.unwrap();
+        gaps.iter().map(|gap| (gap.boot_id.clone(), gap.first_no, gap.last_no)).collect::<Vec<_>>()
+    };
+    assert_eq!(gaps().await, [("b1".to_owned(), 2, 3)]);
+    write_off(&store).await;
+    assert_eq!(gaps().await.len(), 3);
+}
+
 #[tokio::test]
 async fn gaps_open_split_and_close() {
     let folder = tempfile::tempdir().unwrap();
@@ -73,7 +100,7 @@ async fn gaps_open_split_and_close() {
         spooled(&store, "21B", "b1", throw_no).await;
     }
     assert!(store.reader().open_gaps(10).await.unwrap().is_empty(), "they may be in the backlog");
-    store.write_off(&machine("21B"), at(1)).await.unwrap();
+    write_off(&store).await;
     let missing =
         |gaps: Vec<pointsd::store::Gap>| gaps.iter().map(|gap| (gap.first_no, gap.last_no)).collect::<Vec<_>>();
     assert_eq!(missing(store.reader().open_gaps(10).await.unwrap()), [(4, 4), (9, 11)]);
@@ -92,7 +119,7 @@ async fn throws_before_the_first_one_heard_are_a_gap_of_their_own_kind() {
     spooled(&store, "21B", "b1", 400).await;
     spooled(&store, "21B", "b2", 3).await;
     spooled(&store, "22A", "c1", 1).await;
-    store.write_off(&machine("21B"), at(1)).await.unwrap();
+    write_off(&store).await;
     let gaps = store.reader().open_gaps(10).await.unwrap();
     let found: Vec<_> = gaps.iter().map(|gap| (gap.boot_id.as_str(), gap.first_no, gap.last_no, gap.kind)).collect();
     assert_eq!(found, [("b1", 1, 399, GapKind::BeforeFirstContact), ("b2", 1, 2, GapKind::Missed)]);
@@ -158,7 +185,7 @@ async fn the_largest_numbers_and_oddest_times_are_taken() {
     assert_eq!(store.reader().pending(ThrowRow::START, 100).await.unwrap().len(), 9);
     assert!(store.statistics().await.unwrap().missing_throws > 1 << 60);
     // The sum of the gaps is within 64 bits in SQL too.
-    store.write_off(&machine("21B"), at(1)).await.unwrap();
+    write_off(&store).await;
     let missing = query::<(i64,)>(&store, "SELECT sum(missing_throws) FROM data_gaps").await;
     assert!(missing[0].0 > 1 << 40, "{missing:?}");
 }

@@ -112,6 +112,6 @@ async fn a_pending_throw_of_the_version_before_is_judged() {
     pipeline.close().await.unwrap();
     let reader = Reader::open(&folder.path().join("points.db")).await.unwrap();
     let latest =
-        reader.latest_health(&Selector { machine: Some(name(4).machine), ..Selector::default() }).await.unwrap();
+        reader.latest_health(&Selector { machine: name(4).machine.to_string(), ..Selector::default() }).await.unwrap();
     assert!(latest.iter().all(|health| health.state == Some(MachineState::Warning)), "{latest:?}");
 }

@@ -283,6 +283,22 @@ fn machines(file: &File, document: &Document) -> Result<Machines, ConfigError> {
     Ok(Machines::new(file.machines.clone(), own))
 }
 
+/// The `[diagnosis]` section alone, for a reader of the database, who may have no right to the daemon's files.
+///
+/// # Errors
+/// The first error of this section.
+pub fn diagnosis(document: &Document) -> Result<diagnose::Settings, ConfigError> {
+    #[derive(Deserialize)]
+    struct Section {
+        #[serde(default)]
+        diagnosis: diagnose::Settings,
+    }
+    let Section { diagnosis } = document.deserialize()?;
+    let checked = diagnosis.validate().map_err(|error| error.within("diagnosis"));
+    checked.map_err(|error| document.complain(&error.key, error.problem()))?;
+    Ok(diagnosis)
+}
+
 /// Longest host name.
 const HOST_LENGTH: usize = 253;
 

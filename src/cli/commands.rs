@@ -1,0 +1,113 @@
+//! The operators' commands that change something: `ack`, `shelve`, `maintenance` and `rebaseline`.
+
+use jiff::SignedDuration;
+
+use super::{
+    Outcome,
+    operator::{CauseArgument, End, Sender},
+};
+use crate::diagnose::Command;
+
+/// Default length of a maintenance window: one shift.
+const SHIFT: SignedDuration = SignedDuration::from_hours(8);
+
+/// Acknowledges an open alarm; the daemon stores the name and the time.
+///
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
+/// invalid.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  pointsd ack north/21B friction --by 'A. Meyer'")]
+pub(super) struct Ack {
+    #[command(flatten)]
+    sender: Sender,
+    /// Cause of the alarm, as `pointsd alarms` shows it.
+    cause: CauseArgument,
+}
+
+/// Shelves an open alarm until a given time, with a reason; or ends the shelving.
+///
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
+/// invalid.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  pointsd shelve north/21B friction --for 8h --why 'greased tonight'\n  \
+                        pointsd shelve north/21B friction --end")]
+pub(super) struct Shelve {
+    #[command(flatten)]
+    sender: Sender,
+    /// Cause of the alarm, as `pointsd alarms` shows it.
+    cause: CauseArgument,
+    #[command(flatten)]
+    end_at: End,
+    /// Reason for the shelving.
+    #[arg(long, value_name = "TEXT", required_unless_present = "end")]
+    why: Option<String>,
+    /// End the shelving now.
+    #[arg(long, conflicts_with_all = ["length", "until", "why"])]
+    end: bool,
+}
+
+/// Takes a machine out of service: its throws are stored, but not diagnosed and not added to a baseline. The window
+/// ends at the given time, by default after 8 hours.
+///
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
+/// invalid.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  pointsd maintenance north/21B --why 'new slide chairs' --for 3d\n  \
+                        pointsd maintenance north/21B --end")]
+pub(super) struct Maintenance {
+    #[command(flatten)]
+    sender: Sender,
+    /// Reason for the maintenance.
+    #[arg(long, value_name = "TEXT", required_unless_present = "end")]
+    why: Option<String>,
+    #[command(flatten)]
+    end_at: End,
+    /// End the maintenance now.
+    #[arg(long, conflicts_with_all = ["why", "length", "until"])]
+    end: bool,
+}
+
+/// Starts a new baseline of a machine from its next throws, for example after maintenance. The old baseline stays in
+/// the history; drift alarms are cleared.
+///
+/// Exit codes: 0 done; 1 the daemon refused; 64 an option is wrong; 69 no daemon answers; 78 the file of --config is
+/// invalid.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  pointsd rebaseline north/21B --why 'motor replaced' --by 'A. Meyer'")]
+pub(super) struct Rebaseline {
+    #[command(flatten)]
+    sender: Sender,
+    /// Reason for the new baseline.
+    #[arg(long, value_name = "TEXT")]
+    why: String,
+}
+
+pub(super) fn ack(arguments: &Ack) -> Outcome {
+    let Ack { sender, cause: CauseArgument(cause) } = arguments;
+    sender.send(&Command::Ack { cause: *cause, by: sender.name()? })
+}
+
+pub(super) fn shelve(arguments: &Shelve) -> Outcome {
+    let Shelve { sender, cause: CauseArgument(cause), end_at, why, end } = arguments;
+    let (cause, by) = (*cause, sender.name()?);
+    sender.send(&if *end {
+        Command::Unshelve { cause, by }
+    } else {
+        Command::Shelve { cause, until: end_at.at(None)?, by, why: why.clone().unwrap_or_default() }
+    })
+}
+
+pub(super) fn maintenance(arguments: &Maintenance) -> Outcome {
+    let Maintenance { sender, why, end_at, end } = arguments;
+    let by = sender.name()?;
+    sender.send(&if *end {
+        Command::MaintenanceEnd { by }
+    } else {
+        Command::MaintenanceStart { until: end_at.at(Some(SHIFT))?, by, why: why.clone().unwrap_or_default() }
+    })
+}
+
+pub(super) fn rebaseline(arguments: &Rebaseline) -> Outcome {
+    let Rebaseline { sender, why } = arguments;
+    sender.send(&Command::Rebaseline { by: sender.name()?, why: why.clone() })
+}

@@ -1,0 +1,113 @@
+//! Backlogs of loggers with messages that are no throws.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
+    },
+    time::Duration,
+};
+
+use pointsd::{
+    throw::{ThrowRef, Trace},
+    wire::{BacklogQuery, Encoding, encode_throw},
+};
+use zenoh::{Session, Wait, bytes::Encoding as ContentType};
+
+use crate::rig::{PATIENCE, Rig, matched, put, stub};
+
+/// A logger whose backlog has these messages with their throw numbers, oldest first.
+async fn keep(session: &Session, key: &'static str, kept: Vec<(u64, Vec<u8>)>) {
+    let ids: Vec<ThrowRef> =
+        kept.iter().map(|(throw_no, _)| ThrowRef { boot_id: "boot".to_owned(), throw_no: *throw_no }).collect();
+    let on_query = move |query: zenoh::query::Query| {
+        let wanted = BacklogQuery::parse(query.parameters().as_str());
+        for (_, message) in kept.iter().skip(wanted.start(ids.iter())).take(wanted.limit) {
+            query.reply(key, message.clone()).encoding(ContentType::APPLICATION_CBOR).wait().unwrap();
+        }
+    };
+    session.declare_queryable(key).callback(on_query).background().await.unwrap();
+}
+
+/// The pages of the second machine have one throw, because its throws are long.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
+    const MACHINES: [(&str, usize); 2] = [("points/v1/north/short/throw", 20), ("points/v1/north/long/throw", 140_000)];
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    for (key, samples) in MACHINES {
+        let message = |throw_no, samples| {
+            let mut throw = stub("boot", throw_no);
+            throw.trace = Trace::new(20_000.0, vec![0.0; samples], vec![0.0; samples]).unwrap();
+            encode_throw(Encoding::Cbor, &throw)
+        };
+        let mut kept: Vec<_> = (2..=5).map(|throw_no| (throw_no, b"no throw".to_vec())).collect();
+        kept[0].1 = vec![0; 3 << 20];
+        kept.extend((6..=11).map(|throw_no| (throw_no, message(throw_no, 20))));
+        keep(&session, key, kept).await;
+        drop(matched(&session, key).await);
+        for throw_no in [1, 12] {
+            put(&session, key, ContentType::APPLICATION_CBOR, message(throw_no, samples)).await;
+        }
+    }
+    rig.until_sql(
+        "SELECT 1 FROM (SELECT count(*) AS machines, min(missing_throws) AS least FROM data_gaps) WHERE machines = 2",
+    )
+    .await;
+    let gaps = rig.sql("SELECT machine, first_throw_no, last_throw_no FROM data_gaps ORDER BY machine");
+    let found: Vec<_> = gaps.iter().map(|gap| (&gap["first_throw_no"], &gap["last_throw_no"])).collect();
+    assert_eq!(found, [(&2.into(), &5.into()), (&2.into(), &5.into())], "{gaps:?}");
+    let stored =
+        rig.sql("SELECT machine, count(*) AS throws FROM throw JOIN machine USING (machine_row) GROUP BY machine");
+    assert!(stored.len() == 2 && stored.iter().all(|machine| machine["throws"] == 8), "{stored:?}");
+    assert!(daemon.terminate().success());
+}
+
+/// The logger declares its token before its backlog is ready, as after each cut of its link.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_outage_is_no_time_in_which_the_logger_replied_without_the_throws() {
+    const KEY: &str = "points/v1/north/21B/throw";
+    const TOKEN: &str = "points/v1/north/21B/alive";
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let (queries, is_ready) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
+    let (count, ready) = (Arc::clone(&queries), Arc::clone(&is_ready));
+    let on_query = move |query: zenoh::query::Query| {
+        count.fetch_add(1, Relaxed);
+        for throw_no in [2, 3].into_iter().filter(|_| ready.load(Relaxed)) {
+            let message = encode_throw(Encoding::Cbor, &stub("boot", throw_no));
+            query.reply(KEY, message).encoding(ContentType::APPLICATION_CBOR).wait().unwrap();
+        }
+    };
+    session.declare_queryable(KEY).callback(on_query).background().await.unwrap();
+    let token = session.liveliness().declare_token(TOKEN).await.unwrap();
+    daemon.until_status("the token", |status| status["loggers"] == 1).await;
+    let more_queries = async |more: u64| {
+        let before = queries.load(Relaxed);
+        let asked = async {
+            while queries.load(Relaxed) < before + more {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, asked).await.unwrap();
+    };
+    drop(matched(&session, KEY).await);
+    for throw_no in [1, 4] {
+        put(&session, KEY, ContentType::APPLICATION_CBOR, encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await;
+    }
+    rig.until_sql("SELECT 1 FROM throw WHERE throw_no = 4").await;
+    // The six queries of a turn that finds nothing, and the first one of the next turn.
+    more_queries(7).await;
+    token.undeclare().await.unwrap();
+    daemon.until_status("no token", |status| status["loggers"] == 0).await;
+    // Longer than a connected logger may reply without the throws.
+    tokio::time::sleep(Duration::from_secs(6)).await;
+    let _token = session.liveliness().declare_token(TOKEN).await.unwrap();
+    more_queries(7).await;
+    is_ready.store(true, Relaxed);
+    rig.judged(4).await;
+    assert!(rig.sql("SELECT * FROM data_gaps").is_empty());
+    assert!(daemon.terminate().success());
+}
