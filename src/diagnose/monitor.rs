@@ -421,6 +421,7 @@ impl MachineMonitor {
             .into_iter()
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(only_features.then(|| text::only_features(&self.name)))
+            .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name)))
             .collect()
     }
 
