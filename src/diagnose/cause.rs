@@ -253,7 +253,7 @@ impl Explanations {
     }
 }
 
-/// The explanations, the best first; `alarmed` ones get a bonus.
+/// The explanations, the best first; `alarmed` ones get a bonus. Causes that the window does not show explain nothing.
 fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,
@@ -263,6 +263,9 @@ fn ranked<const N: usize, const K: usize>(
     let mut fits = explanations.map(|causes| {
         let mut fit = fit(causes, &window.mean, &window.covariance, settings);
         fit.score -= if alarmed(causes) { STICKY } else { 0.0 };
+        if !causes.iter().all(|cause| window.shows(*cause)) {
+            fit.score = f64::INFINITY;
+        }
         fit
     });
     fits.sort_by(|a, b| a.score.total_cmp(&b.score));

@@ -126,11 +126,12 @@ impl Drift {
                     && !attribution.includes(cause)
                     && attribution.relevance > 1.0
             });
-        let levels = self.levels.iter().flatten();
+        let levels = self.levels.iter().flatten().filter(|window| window.shows(cause));
+        let is_shown = levels.clone().next().is_some();
         let (size, bound) = levels.map(|window| extent(cause, window, settings)).fold((0.0, 0.0), max_of_each);
         let (side, last_few) = &self.latest;
         let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
-        let latest = last_few.as_ref().filter(|_| concerned && alarmed.is_some());
+        let latest = last_few.as_ref().filter(|window| concerned && alarmed.is_some() && window.shows(cause));
         let latest = latest.map(|window| extent(cause, window, settings).0);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         let claim = match named {
@@ -141,7 +142,11 @@ impl Drift {
         };
         Reading {
             claim,
-            undoubted: undoubted.map_or(0.0, |attribution| attribution.relevance),
+            // The strongest window may be of the direction with the smaller drift.
+            undoubted: undoubted.map_or(0.0, |attribution| match attribution.naming {
+                Naming::One(_) => attribution.relevance.max(size),
+                _ => attribution.relevance,
+            }),
             patience: if matches!(self.testimony, Testimony::Either { waits: true, .. }) {
                 TOO_CLOSE_PATIENCE
             } else {
@@ -153,8 +158,8 @@ impl Drift {
                 (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
             }),
             // What the temperature hides is no health.
-            plain_health: bound < HEALTHY_BELOW && self.hidden.is_none(),
-            below: (self.attribution.is_none() || size < deadband) && self.hidden.is_none(),
+            plain_health: is_shown && self.hidden.is_none() && bound < HEALTHY_BELOW,
+            below: is_shown && self.hidden.is_none() && (self.attribution.is_none() || size < deadband),
             other_name: other,
             latest,
         }
@@ -164,9 +169,13 @@ impl Drift {
     /// throws.
     pub(super) fn direction(&self, cause: Cause, throws: u64, settings: &Settings) -> Option<Direction> {
         let of = |window: &Window| {
-            let parts = alarm_causes(cause).map(|part| single(part, &window.mean, &window.covariance, settings));
+            let parts = alarm_causes(cause).filter(|part| window.shows(*part));
+            let parts = parts.map(|part| single(part, &window.mean, &window.covariance, settings));
             parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)))
         };
+        if self.levels.iter().chain(&self.last_few).flatten().any(|window| !window.shows(cause)) {
+            return None;
+        }
         let side = self.leaning(cause, settings)?;
         let [Some(normal), Some(reverse)] = self.last_few.each_ref().map(|window| window.as_ref().and_then(of)) else {
             return Some(side);
@@ -206,7 +215,8 @@ fn extent(cause: Cause, window: &Window, settings: &Settings) -> (f64, f64) {
         (relevance(cause, e.size, settings), relevance(cause, bound, settings))
     };
     if cause == Cause::Unattributed {
-        Cause::PHYSICAL.into_iter().map(of).fold((0.0, 0.0), max_of_each)
+        let shown = Cause::PHYSICAL.into_iter().filter(|part| window.shows(*part));
+        shown.map(of).fold((0.0, 0.0), max_of_each)
     } else {
         of(cause)
     }

@@ -207,9 +207,17 @@ impl DriftAlarms {
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
                 part.unwrap_or_else(|| single(cause, mean, covariance, settings))
             };
-            let parts = drift.windows().flat_map(|window| alarm_causes(alarm.cause).map(|cause| size(cause, window)));
+            let parts = drift.windows().flat_map(|window| {
+                let shown = alarm_causes(alarm.cause).filter(|cause| window.shows(*cause));
+                shown.map(|cause| size(cause, window))
+            });
             let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)));
-            let Some(largest) = largest else { continue };
+            let Some(largest) = largest else {
+                // The last throws do not show this cause, so its last known size stays.
+                let known = self.now.iter().find(|drifting| drifting.cause == alarm.cause);
+                now.extend(known.map(|known| (0.0, *known)));
+                continue;
+            };
             let direction = drift.direction(alarm.cause, self.throws_since_onset(order), settings);
             let (size, forecast) = self.present(&largest, alarm.severity, drift, direction, order, tracks, settings);
             let drifting = Drifting {

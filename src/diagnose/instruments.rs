@@ -264,15 +264,17 @@ fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) 
         let magnets = [0.0, 1.0, 0.0, 1.0].map(|gauge| gauge * motor.unwrap_or_default());
         (cause, score + misfit(levels, &[0.0; 4]).min(misfit(levels, &magnets)))
     };
-    let parts = Cause::PHYSICAL;
-    let singles = parts.into_iter().map(|cause| {
+    let parts: Vec<Cause> = Cause::PHYSICAL.into_iter().filter(|cause| window.shows(*cause)).collect();
+    let (parts, count) = (&parts, parts.len());
+    let singles = parts.iter().map(|&cause| {
         let found = fit([cause], m, v, settings);
         scored(cause, (cause == Cause::Kt).then_some(found.parts[0].size), found.score)
     });
-    let pairs = (0..4).flat_map(|first| (first + 1..4).map(move |second| [parts[first], parts[second]])).map(|pair| {
-        let found = fit(pair, m, v, settings);
-        scored(pair[0], (pair[0] == Cause::Kt).then_some(found.parts[0].size), found.score)
-    });
+    let pairs =
+        (0..count).flat_map(|first| (first + 1..count).map(move |second| [parts[first], parts[second]])).map(|pair| {
+            let found = fit(pair, m, v, settings);
+            scored(pair[0], (pair[0] == Cause::Kt).then_some(found.parts[0].size), found.score)
+        });
     singles.chain(pairs).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((Cause::Unattributed, f64::INFINITY))
 }
 

@@ -110,6 +110,18 @@ impl Scatter {
         Matrix3::from(self.natural) + Matrix3::from(self.sensor)
     }
 
+    /// Standard deviation of one throw along `weights`.
+    pub(super) fn sd_along(&self, weights: &Vector3<f64>) -> f64 {
+        weights.dot(&(self.of_one_throw() * weights)).max(1e-12).sqrt()
+    }
+
+    /// Weights of the mean of the three logarithms that a throw shows best. This mean has no correlation with the
+    /// ratios of the coefficients; the weights sum to 1.
+    pub(super) fn of_scale(&self) -> Vector3<f64> {
+        let weights = self.of_one_throw().try_inverse().unwrap_or_else(Matrix3::identity) * Vector3::repeat(1.0);
+        weights / weights.sum()
+    }
+
     /// Mean covariance of the estimates in the baseline.
     pub(super) fn sensor(&self) -> Matrix3<f64> {
         self.sensor.into()

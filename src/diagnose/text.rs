@@ -258,6 +258,14 @@ pub(super) fn only_features(name: &str) -> String {
     )
 }
 
+pub(super) fn ratios_only(name: &str) -> String {
+    format!(
+        "Machine {name}: its last throws are all rough: they give the ratios of the coefficients, but not the coefficients, so a \
+         change of inertia is not monitored. Motor, friction and stiffness are. Look for the reason in the start of the throws: play, a \
+         brake that releases late, a position behind the current."
+    )
+}
+
 pub(super) fn evaluated_again(name: &str) -> String {
     format!("Machine {name}: a throw could be evaluated again.")
 }

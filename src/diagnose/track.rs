@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     baseline::{Baseline, BaselineRecord, BaselineThrow, learn_mixed, trend},
     cause::Known,
-    course::{Course, Noise},
+    course::{Course, Noise, Point},
     drift::{Drift, visible_pct},
     event::Cause,
     history::History,
@@ -89,7 +89,8 @@ impl Tracks {
     }
 
     /// Adds a throw to the last throws of its direction; without a suspected drift, the throw that leaves them updates
-    /// the temperature compensation. `None` without a baseline.
+    /// the temperature compensation. Returns the residual, of ratios with the common scale of the last throw that has
+    /// one; `None` without a baseline.
     pub(super) fn push(
         &mut self,
         throw: &Evaluated,
@@ -103,8 +104,8 @@ impl Tracks {
         let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
         let mut sensor = throw.sensor;
         if throw.ratios_only {
-            // The common scale is arbitrary. A single fault changes one of the three coefficients, so the scale is
-            // chosen such that the middle one stays; the others have the errors of their ratios to it.
+            // The common scale is arbitrary: the middle coefficient stays, as a single fault leaves two of the three, and
+            // the others have the errors of their ratios to it.
             let mut order = [0, 1, 2];
             order.sort_by(|a, b| raw[*a].total_cmp(&raw[*b]));
             let fixed = order[1];
@@ -113,11 +114,16 @@ impl Tracks {
             sensor = Matrix3::from_fn(|i, j| sensor[(i, j)] - errors[i] - errors[j] + errors[fixed]);
         }
         track.since_baseline += 1;
-        let oldest = track.recent.push(RecentThrow::new(order, raw, distance, sensor.into()));
-        if let Some(oldest) = oldest.filter(|_| !suspected) {
+        let residual = baseline.compensated((raw, distance));
+        let known = track.recent.iter().rev().find(|throw| throw.has_scale()).filter(|_| throw.ratios_only);
+        let of_scale = baseline.scatter().of_scale();
+        let scale = known.map_or(0.0, |known| of_scale.dot(&(baseline.compensated(known.raw()) - residual)));
+        let recent = RecentThrow::new(order, raw, distance, sensor.into(), throw.ratios_only);
+        let oldest = track.recent.push(recent);
+        if let Some(oldest) = oldest.filter(|oldest| !suspected && oldest.has_scale()) {
             baseline.learn_temperature(oldest.raw());
         }
-        Some(baseline.compensated((raw, distance)))
+        Some(residual.add_scalar(scale))
     }
 
     /// Side of a throw, its departure from the median of the previous throws of its direction, covariance of one throw,
@@ -129,8 +135,9 @@ impl Tracks {
         let residual = self.residual(throw)?;
         let at = throw.direction.side();
         let baseline = self.sides[at].baseline.as_ref()?;
+        let scaled = self.sides[at].recent.iter().rev().filter(|throw| throw.has_scale());
         let before: Vec<Vector3<f64>> =
-            self.sides[at].recent.iter().rev().take(*BEFORE.end()).map(|t| baseline.compensated(t.raw())).collect();
+            scaled.take(*BEFORE.end()).map(|throw| baseline.compensated(throw.raw())).collect();
         let middle = |i: usize| median(&mut before.iter().map(|residual| residual[i]).collect::<Vec<_>>());
         (before.len() >= *BEFORE.start()).then(|| {
             let departure = residual - Vector3::from_fn(|i, _| middle(i));
@@ -172,7 +179,8 @@ impl Tracks {
             Noise { sd, lag1, offset_sd: centre_sd.hypot(weights.dot(temperature_sd)) }
         };
         let one = |at: usize| {
-            let points = Stream::of(&self.sides[at].recent, at).points(weights, baselines, now);
+            let stream = Stream::of(&self.sides[at].recent, at);
+            let points = stream.points(weights, baselines, now - stream.since_counted(weights));
             Course::of(&points, noise(baselines[at]?.scatter(), baselines[at]?.centre_throws()))
         };
         if let Some(direction) = direction {
@@ -187,10 +195,14 @@ impl Tracks {
         let Some(mixed) = self.mixed.as_ref().filter(|_| agree) else {
             return Some(if a.abs() > b.abs() { first } else { second });
         };
-        let recent = Stream::all([&normal.recent, &reverse.recent]).points(weights, baselines, now);
+        let stream = Stream::all([&normal.recent, &reverse.recent]);
+        // The course ends with the last throw that shows the size.
+        let since = stream.since_counted(weights);
+        let recent = stream.points(weights, baselines, now - since);
         // Blocks contain throws of both directions.
         let oldest = recent.first()?.age;
-        let before = history.along(weights, now).filter(|block| block.age - block.throws / 2.0 > oldest);
+        let blocks = history.along(weights, now).map(|block| Point { age: block.age - since as f64, ..block });
+        let before = blocks.filter(|block| block.age - block.throws / 2.0 > oldest);
         let points: Vec<_> = before.chain(recent).collect();
         Course::of(
             &points,
@@ -358,6 +370,16 @@ impl Tracks {
         if done {
             self.sides.iter_mut().for_each(|track| track.learned = Vec::new());
         }
+    }
+
+    /// Whether the last throws of the machine show only the ratios of the coefficients, so that a change of the inertia
+    /// does not show.
+    pub(super) fn lacks_scale(&self) -> bool {
+        /// Throws of the machine that show it: rough throws of a machine with both kinds follow one another for less.
+        const LAST: usize = WINDOWS[2];
+        let [normal, reverse] = &self.sides;
+        let recent = Stream::all([&normal.recent, &reverse.recent]);
+        recent.len() >= LAST && recent.is_without_scale(LAST)
     }
 
     /// Discards the last throws, and keeps the baselines.

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     baseline::Baseline,
     course::Point,
+    event::Cause,
     robust::clipped_mean,
     scatter::Scatter,
     sym3::Sym3,
@@ -20,6 +21,14 @@ use super::{
 
 /// Number of stored throws of each direction: the longest window.
 const KEPT: usize = WINDOWS[3];
+/// Least number of throws with the common scale in a window that shows it: with fewer, a single outlier would count
+/// for all its throws of ratios.
+const LEAST_SCALED: usize = WINDOWS[0];
+/// Standard deviation of the logarithm of the common scale in a window that does not show it: far more than any fault.
+const UNKNOWN_SCALE_SD: f64 = 1.0;
+/// A size has no part in the common scale if its weights sum to less than this part of the largest of them. Weights
+/// from windows that do not show the scale sum to less than a fiftieth, others to some tenths or more.
+const NO_SCALE: f64 = 0.05;
 
 /// A throw after the baseline, as residual. Short names keep the snapshot small.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -34,13 +43,31 @@ pub(super) struct RecentThrow {
     /// Distance from the reference temperature \[K\].
     #[serde(rename = "k")]
     distance_k: f32,
+    /// Whether only the ratios are known: residual and covariance have an arbitrary common scale.
+    #[serde(rename = "s", default, skip_serializing_if = "std::ops::Not::not")]
+    ratios_only: bool,
 }
 
 impl RecentThrow {
     #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
-    pub(super) fn new(order: u64, residual: Vector3<f64>, distance_k: f64, sensor: Sym3) -> Self {
+    pub(super) fn new(order: u64, residual: Vector3<f64>, distance_k: f64, sensor: Sym3, ratios_only: bool) -> Self {
         let residual = [residual.x as f32, residual.y as f32, residual.z as f32];
-        Self { order, residual, sensor, distance_k: distance_k as f32 }
+        Self { order, residual, sensor, distance_k: distance_k as f32, ratios_only }
+    }
+
+    /// Whether the throw shows the common scale of the coefficients, and so the inertia.
+    pub(super) fn has_scale(&self) -> bool {
+        !self.ratios_only
+    }
+
+    /// Whether the throw has a value along `weights`.
+    fn counts_along(&self, weights: &Vector3<f64>) -> bool {
+        self.has_scale() || weights.sum().abs() <= NO_SCALE * weights.amax()
+    }
+
+    /// A residual of this throw: of ratios with the common scale `scale` along `k`, or 0 if it is unknown.
+    fn scaled(&self, residual: Vector3<f64>, k: &Vector3<f64>, scale: Option<f64>) -> Vector3<f64> {
+        if self.has_scale() { residual } else { residual.add_scalar(scale.unwrap_or(0.0) - k.dot(&residual)) }
     }
 
     /// The residual without temperature compensation, and the distance from the reference temperature \[K\].
@@ -52,7 +79,7 @@ impl RecentThrow {
     pub(super) fn add_temperature(&mut self, baseline: &Baseline) {
         let (residual, distance) = self.raw();
         let raw = residual + baseline.temperature().effect(distance);
-        *self = Self::new(self.order, raw, distance, self.sensor);
+        *self = Self::new(self.order, raw, distance, self.sensor, self.ratios_only);
     }
 }
 
@@ -96,6 +123,35 @@ pub(super) struct Window {
     pub(super) temperature_sd: Vector3<f64>,
     /// T relative to its limit; above 1 a drift is detected.
     pub(super) excess: f64,
+    /// Mean of the common scale over the throws that have it; `None` if too few have it, and a change of the inertia
+    /// does not show.
+    pub(super) scale: Option<f64>,
+}
+
+impl Window {
+    /// Whether the window shows `cause`. Ratios of the coefficients are the same at every inertia.
+    pub(super) fn shows(&self, cause: Cause) -> bool {
+        cause != Cause::Inertia || self.scale.is_some()
+    }
+}
+
+/// Number of throws whose mean is as uncertain as the centres of the directions of `throws` together, as these have
+/// independent errors.
+fn centre_throws(throws: &[(usize, &RecentThrow)], baselines: [Option<&Baseline>; 2]) -> Option<f64> {
+    let mut spread = 0.0;
+    for side in 0..2 {
+        let count = throws.iter().filter(|(at, _)| *at == side).count();
+        if count > 0 {
+            let part = count as f64 / throws.len() as f64;
+            spread += part * part / baselines[side]?.centre_throws();
+        }
+    }
+    Some(1.0 / spread)
+}
+
+/// Mean covariance of the estimates of `throws`.
+fn mean_sensor(throws: &[(usize, &RecentThrow)]) -> Matrix3<f64> {
+    throws.iter().map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / throws.len() as f64
 }
 
 /// The last throws of one direction, or of both, newest first.
@@ -134,10 +190,13 @@ impl<'a> Stream<'a> {
 
     /// The window of the last `throws`, without the test. `None` with fewer throws, or if a mixed stream has hardly any
     /// of one direction.
+    ///
+    /// Throws of ratios have no information about the common scale. Along `k`, the mean of the logarithms that has no
+    /// correlation with the ratios, the least-squares mean of the window is that of the other throws; the ratios have
+    /// the mean of all. So the throws of ratios get this mean as their scale, and the covariance along (1, 1, 1) is that
+    /// of the other throws only.
     pub(super) fn window(&self, throws: usize, scatter: &Scatter, baselines: [Option<&Baseline>; 2]) -> Option<Window> {
         let last = self.0.get(..throws)?;
-        let count = |side: usize| last.iter().filter(|(at, _)| *at == side).count();
-        let counts = [count(0), count(1)];
         let sensor = self.mean_sensor(throws);
         let mut distance = [0.0; 2];
         let mut residuals = [Vector3::zeros(); KEPT];
@@ -146,26 +205,46 @@ impl<'a> Stream<'a> {
             *residual = baselines[*side]?.compensated(throw.raw());
         }
         let n = throws as f64;
+        let k = scatter.of_scale();
+        let own = residuals.iter().zip(last).filter(|(_, (_, throw))| throw.has_scale());
+        let mut values: Vec<f64> = own.map(|(residual, _)| k.dot(residual)).collect();
+        let scaled = values.len();
+        let scale = (scaled >= LEAST_SCALED).then(|| clipped_mean(&mut values, scatter.sd_along(&k)));
+        for (residual, (_, throw)) in residuals.iter_mut().zip(last) {
+            *residual = throw.scaled(*residual, &k, scale);
+        }
         let sd = scatter.sd_of_one(&sensor);
         let mut values = [0.0; KEPT];
-        let mean = Vector3::from_fn(|i, _| {
+        let mut mean = Vector3::from_fn(|i, _| {
             for (value, residual) in values.iter_mut().zip(&residuals[..throws]) {
                 *value = residual[i];
             }
             clipped_mean(&mut values[..throws], sd[i])
         });
-        // The centres of the directions have independent errors, equivalent to one of this many throws.
-        let mut spread = 0.0;
         let mut temperature = Vector3::zeros();
         for side in 0..2 {
-            if counts[side] > 0 {
-                let part = counts[side] as f64 / n;
-                spread += part * part / baselines[side]?.centre_throws();
+            if last.iter().any(|(at, _)| *at == side) {
                 temperature += baselines[side]?.temperature().effect_sd(distance[side] / n);
             }
         }
-        let covariance = scatter.of_mean(throws, &sensor, 1.0 / spread) + doubt(temperature);
-        Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0 })
+        let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, baselines)?);
+        if scaled < throws {
+            let of_scale = if scale.is_some() {
+                let scaled: Vec<_> = last.iter().filter(|(_, throw)| throw.has_scale()).copied().collect();
+                let centre = centre_throws(&scaled, baselines)?;
+                k.dot(&(scatter.of_mean(scaled.len(), &mean_sensor(&scaled), centre) * k))
+            } else {
+                UNKNOWN_SCALE_SD * UNKNOWN_SCALE_SD
+            };
+            let ratios = Matrix3::identity() - Vector3::repeat(1.0) * k.transpose();
+            covariance = ratios * covariance * ratios.transpose() + Matrix3::repeat(of_scale);
+        }
+        if scale.is_none() {
+            // A single fault leaves two of the coefficients, so the scale is that which the middle one keeps.
+            mean.add_scalar_mut(-mean.sum() + mean.max() + mean.min());
+        }
+        covariance += doubt(temperature);
+        Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0, scale })
     }
 
     /// T of the last throws of `window`, from their mean innovation (converted to a level) instead of their mean; each
@@ -181,7 +260,11 @@ impl<'a> Stream<'a> {
         let n = window.throws as f64;
         let (rho, inverse) = self.innovation(window, scatter)?;
         let fresh = rho.map(|rho| (1.0 - rho * rho).sqrt());
-        let residual = |at: usize| self.0.get(at).map(|(side, throw)| Some(baselines[*side]?.compensated(throw.raw())));
+        let k = scatter.of_scale();
+        let residual = |at: usize| {
+            let (side, throw) = self.0.get(at)?;
+            Some(baselines[*side].map(|own| throw.scaled(own.compensated(throw.raw()), &k, window.scale)))
+        };
         let mut sum = Vector3::zeros();
         let mut throw = residual(0)??;
         for at in 1..=window.throws {
@@ -209,7 +292,7 @@ impl<'a> Stream<'a> {
 
     /// Mean covariance of the estimates of the last throws.
     fn mean_sensor(&self, throws: usize) -> Matrix3<f64> {
-        self.0[..throws].iter().map(|(_, throw)| Matrix3::from(throw.sensor)).sum::<Matrix3<f64>>() / throws as f64
+        mean_sensor(&self.0[..throws])
     }
 
     /// The window with the largest `excess`, also below the limit. Above a quarter of the limit, mean and mean
@@ -243,15 +326,29 @@ impl<'a> Stream<'a> {
     }
 
     /// The throws along `weights` with temperature compensation, oldest first; ages count the throws of the machine
-    /// from the latest.
+    /// from the latest. Throws of ratios are left out of a size in which the common scale has a part.
     pub(super) fn points(&self, weights: &Vector3<f64>, baselines: [Option<&Baseline>; 2], now: u64) -> Vec<Point> {
         let point = |(side, throw): &(usize, &RecentThrow)| {
+            if !throw.counts_along(weights) {
+                return None;
+            }
             let residual = baselines[*side]?.compensated(throw.raw());
             Some(Point { age: now.saturating_sub(throw.order) as f64, value: weights.dot(&residual), throws: 1.0 })
         };
         let mut points: Vec<Point> = self.0.iter().filter_map(point).collect();
         points.reverse();
         points
+    }
+
+    /// Throws of the machine since the newest that counts along `weights`, up to the newest of all.
+    pub(super) fn since_counted(&self, weights: &Vector3<f64>) -> u64 {
+        let counted = self.0.iter().find(|(_, throw)| throw.counts_along(weights));
+        counted.zip(self.0.first()).map_or(0, |((_, counted), (_, newest))| newest.order - counted.order)
+    }
+
+    /// Whether all of the last `throws` have only ratios.
+    pub(super) fn is_without_scale(&self, throws: usize) -> bool {
+        self.0.iter().take(throws).all(|(_, throw)| !throw.has_scale())
     }
 
     /// Whether the last few throws include both directions.

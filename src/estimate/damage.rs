@@ -23,7 +23,11 @@ const REPEATED_PART: usize = 13;
 /// at least this time \[s\] for the slow start of the toe.
 const REPEATED_STEPS: f64 = 10.0;
 const REPEATED_S: f64 = 0.02;
-/// The same for a current without noise, which may be constant, as share of the movement.
+/// A toe that waits for the machine to unlock stands within this many steps of its place at rest, and leaves it by no
+/// more than as many steps plus this many times the mean movement between samples. A stuck sensor jumps instead.
+const STANDING_STEPS: f64 = 1.5;
+const DEPARTURE_MEAN_STEPS: f64 = 2.0;
+/// Longest repetition of a current without noise, which may be constant, as share of the movement.
 const LEVEL_CURRENT_SHARE: f64 = 0.3;
 
 /// Rejects values that are not finite, or not plausible.
@@ -72,6 +76,9 @@ pub(super) fn clipping(current: &[f64], interval_s: f64) -> Result<(), Rejection
 }
 
 /// Rejects a channel that repeats a value during the movement for longer than the converter step explains.
+///
+/// A machine may unlock for some tenths of a second before its toe moves, and a converter whose step is larger than the
+/// noise repeats the place at rest for this time. Then the position goes on from there, step by step.
 pub(super) fn sticking(
     movement: &Movement,
     channel: Channel,
@@ -97,9 +104,16 @@ pub(super) fn sticking(
     if !values.chunks_exact(REPEATED_PART).any(is_equal) {
         return Ok(());
     }
+    let waits = |value: f64, next: Option<&f64>| {
+        let departure = STANDING_STEPS * step + DEPARTURE_MEAN_STEPS * mean_step;
+        channel == Channel::Position
+            && !noisy
+            && (value - movement.position.mean).abs() <= STANDING_STEPS * step
+            && next.is_some_and(|next| (next - value).abs() <= departure)
+    };
     let mut at = 0;
     for stretch in values.chunk_by(|a, b| a.to_bits() == b.to_bits()) {
-        if stretch.len() as f64 > longest {
+        if stretch.len() as f64 > longest && !waits(stretch[0], values.get(at + stretch.len())) {
             let (at_s, stuck_s) = ((from + at) as f64 * interval_s, stretch.len() as f64 * interval_s);
             return Err(Rejection::Stuck { channel, value: stretch[0], at_s, stuck_s });
         }

@@ -8,7 +8,7 @@ use super::{
     filter::Hold,
     hum,
     identification::{Estimate, Grade, Identification},
-    lateness,
+    lateness, missing,
     movement::{Level, MIN_QUIET, Movement, every, start_of_motor},
     noise::{self, second_difference_noise},
     ratios::{self, FullModel},
@@ -76,11 +76,13 @@ impl Identifier {
         let raw_interval_s = 1.0 / trace.sample_rate_hz();
         let factor = decimate::factor(trace.sample_rate_hz());
         let interval_s = raw_interval_s * factor as f64;
-        let raw_checks = damage::values(trace.current_a(), trace.position_mm(), raw_interval_s)
-            .and_then(|()| damage::clipping(trace.current_a(), raw_interval_s));
+        let raw_current = missing::bridged(trace.current_a(), raw_interval_s);
+        let raw_position = missing::bridged(trace.position_mm(), raw_interval_s);
+        let raw_checks = damage::values(&raw_current, &raw_position, raw_interval_s)
+            .and_then(|()| damage::clipping(&raw_current, raw_interval_s));
 
-        copy_finite(&mut self.current, trace.current_a());
-        copy_finite(&mut self.position, trace.position_mm());
+        copy_finite(&mut self.current, &raw_current);
+        copy_finite(&mut self.position, &raw_position);
         let linear = settings.motor == Motor::PermanentMagnet && throw.anti_alias_hz.is_none();
         let released = (factor > 1)
             .then(|| release::at_full_rate(&mut self.current, raw_interval_s, linear, &mut self.scratch))
@@ -106,8 +108,8 @@ impl Identifier {
                 let channels = (self.current.as_slice(), self.position.as_slice());
                 course::course(&movement, channels, interval_s, settings, noise_mm, &mut self.scratch)
             })
-            .and_then(|()| damage::sticking(&movement, Channel::Current, trace.current_a(), raw_interval_s, factor))
-            .and_then(|()| damage::sticking(&movement, Channel::Position, trace.position_mm(), raw_interval_s, factor))
+            .and_then(|()| damage::sticking(&movement, Channel::Current, &raw_current, raw_interval_s, factor))
+            .and_then(|()| damage::sticking(&movement, Channel::Position, &raw_position, raw_interval_s, factor))
             .and_then(|()| self.estimate(throw, settings, &movement, (interval_s, factor, noise_mm), released));
         let moved = direction_moved(&movement, &outcome);
         let mut features = movement.features(&self.current, &self.position, interval_s);
@@ -139,7 +141,8 @@ impl Identifier {
         let trace = &throw.trace;
         let factor = decimate::factor(trace.sample_rate_hz());
         let interval_s = factor as f64 / trace.sample_rate_hz();
-        copy_finite(&mut self.current, trace.current_a());
+        let raw_current = missing::bridged(trace.current_a(), 1.0 / trace.sample_rate_hz());
+        copy_finite(&mut self.current, &raw_current);
         decimate::decimate(&mut self.current, factor);
         self.position.clear();
         self.position.resize(self.current.len(), 0.0);
@@ -150,7 +153,9 @@ impl Identifier {
             throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
         let known =
             throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
-        let outcome = damage::values(trace.current_a(), &[], 1.0 / trace.sample_rate_hz())
+        let start_s = movement.start() as f64 * interval_s;
+        let outcome = damage::values(&raw_current, &[], 1.0 / trace.sample_rate_hz())
+            .and_then(|()| missing::within(trace, start_s - interval_s, start_s + damage::INRUSH_S).map_or(Ok(()), Err))
             .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
             .and_then(|()| current_only::whole(&movement, &self.current, &mut self.scratch))
@@ -201,6 +206,8 @@ impl Identifier {
         // A disturbance of the start falsifies the scale; a disturbance of the movement falsifies the ratios too.
         let start_s = movement.start() as f64 * interval_s;
         let released_s = movement.released(&self.position).unwrap_or(0) as f64 * interval_s;
+        let inrush = start_s - interval_s..(start_s + damage::INRUSH_S).max(released_s + START_S);
+        doubt = doubt.or_else(|| missing::within(&throw.trace, inrush.start, inrush.end));
         let mut or_doubt = |verdict: Result<(), Rejection>| match verdict {
             Err(reason) if reason.is_between(start_s, start_s.max(released_s) + START_S) => {
                 doubt.get_or_insert(reason);

@@ -46,7 +46,7 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
         DiskLevel::Full => trouble
             .push("The disk is full: nothing can be stored, and this page is old. Free some space now.".to_owned()),
         DiskLevel::Failing => {
-            trouble.push("Writing to the database fails: nothing can be stored, and this page is old.".to_owned())
+            trouble.push("Writing to the database fails: nothing can be stored, and this page is old.".to_owned());
         }
     }
     if !report.silent.is_empty() {

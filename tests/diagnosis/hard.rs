@@ -3,7 +3,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, Observation, Settings, Severity, TemperatureSource},
+    diagnose::{
+        AlarmEvent, AlarmState, Cause, MachineMonitor, Observation, Settings, Severity, TemperatureSource, Verdict,
+    },
     estimate::Grade,
     throw::Direction,
 };
@@ -219,6 +221,74 @@ fn the_rate_of_false_alarms_is_that_of_the_budget_within_a_factor_of_three() {
     }
 }
 
+/// The severity follows the direction with the larger drift, as the text does.
+#[test]
+fn a_drift_above_the_critical_limit_in_one_direction_is_critical() {
+    let settings = Settings::default();
+    for seed in 0..6 {
+        let mut machine = Machine::new(950 + seed, Nature::default());
+        let mut monitor = machine.learned(&settings);
+        let events: Vec<AlarmEvent> = (0..60)
+            .flat_map(|at| {
+                let fault = shift(Cause::Friction, if at % 2 == 0 { 60.0 } else { 22.0 });
+                machine.feed(&mut monitor, fault, &settings).events
+            })
+            .collect();
+        assert!(events.iter().all(|event| event.cause == Cause::Friction), "{seed}: {events:?}");
+        assert_eq!(events.last().map(|event| event.severity), Some(Severity::Critical), "{seed}: {events:?}");
+    }
+}
+
+/// The throw with its ratios only: any scale, noise of the ratios, and an error `shared` by all throws, which no mean of
+/// 24 throws reduces.
+fn rough(throw: Observation, shared: Matrix3<f64>) -> Observation {
+    let (estimate, _) = throw.estimate.unwrap();
+    let ratios = estimate.map(|value| value / estimate[0]);
+    let noise = Matrix3::from_diagonal(&Vector3::new(0.0, 0.005, 0.005).map(|sd| sd * sd));
+    let scale = Matrix3::from_diagonal(&Vector3::from(ratios));
+    let estimate = Some((ratios, scale * (Matrix3::repeat(0.2) + noise + shared) * scale));
+    Observation { estimate, grade: Grade::Rough, ratios_only: true, ..throw }
+}
+
+/// Rough throws do not show the inertia, so its size is that of the good ones; without these it is the last known size.
+#[test]
+fn the_inertia_of_a_machine_with_good_and_rough_throws_is_that_of_the_good_ones() {
+    let settings = Settings::default();
+    for (seed, of_ten) in [(1, 3), (2, 5), (3, 6), (4, 6), (5, 7)] {
+        let mut machine = Machine::new(900 + seed, Nature::default());
+        let mut monitor = machine.learned(&settings);
+        let mut life = |throws: u32, of_ten: u64, pct: f64| -> Vec<(Verdict, Vec<String>)> {
+            (0..throws)
+                .map(|_| {
+                    let throw = machine.throw(shift(Cause::Inertia, pct));
+                    let is_rough = machine.rng_u(10) < of_ten;
+                    let throw = if is_rough { rough(throw, Matrix3::zeros()) } else { throw };
+                    let verdict = monitor.observe(&throw, &settings);
+                    (verdict, monitor.caveats())
+                })
+                .collect()
+        };
+        assert!(life(100, of_ten, 0.0).iter().all(|(verdict, _)| verdict.events.is_empty()), "{of_ten}: healthy");
+        let faulty = life(120, of_ten, 25.0);
+        let events: Vec<&AlarmEvent> = faulty.iter().flat_map(|(verdict, _)| &verdict.events).collect();
+        assert!(events.iter().all(|event| event.cause == Cause::Inertia) && !events.is_empty(), "{of_ten}: {events:?}");
+        let (raised_pct, sd) = (events[0].change_pct.unwrap(), events[0].change_pct_sd.unwrap());
+        assert!((raised_pct - 25.0).abs() < 4.0 * sd && sd < 5.0, "{of_ten}: raised {raised_pct} ± {sd}");
+        for (verdict, _) in &faulty[60..] {
+            let now = &verdict.drifts[0];
+            assert!((now.change_pct - 25.0).abs() < 2.0 && now.change_pct_sd < 2.0, "{of_ten}: {now:?}");
+        }
+        let blind = life(300, 10, 25.0);
+        assert!(blind.iter().all(|(verdict, _)| verdict.events.is_empty()), "{of_ten}: rough throws are no repair");
+        let (last, caveats) = blind.last().unwrap();
+        assert!((last.drifts[0].change_pct - 25.0).abs() < 3.0, "{of_ten}: {:?}", last.drifts);
+        assert!(caveats.iter().any(|caveat| caveat.contains("inertia is not monitored")), "{of_ten}: {caveats:?}");
+        let repaired = life(60, of_ten, 0.0);
+        assert!(repaired.iter().flat_map(|(verdict, _)| &verdict.events).any(|event| event.cause == Cause::Inertia));
+        assert!(repaired.last().unwrap().1.is_empty());
+    }
+}
+
 /// Very dry slide chairs make every throw rough: only the ratios are known, and that of the stiffness errs by up to
 /// twice its stated standard deviation, in every throw alike.
 #[test]
@@ -232,16 +302,7 @@ fn friction_in_rough_throws_is_friction_although_the_other_ratio_errs() {
             let fault = shift(Cause::Friction, friction_pct) + 2.0 * part * shared;
             let events: Vec<AlarmEvent> = (0..20)
                 .flat_map(|_| {
-                    let throw = machine.throw(fault);
-                    let (estimate, _) = throw.estimate.unwrap();
-                    let ratios = estimate.map(|value| value / estimate[0]);
-                    // Any scale, noise of the ratios, and the shared error, which no mean of 24 throws reduces.
-                    let log = Matrix3::repeat(0.2)
-                        + Matrix3::from_diagonal(&Vector3::new(0.0, 0.005, 0.005).map(|sd| sd * sd))
-                        + 24.0 * shared * shared.transpose();
-                    let scale = Matrix3::from_diagonal(&Vector3::from(ratios));
-                    let estimate = Some((ratios, scale * log * scale));
-                    let rough = Observation { estimate, grade: Grade::Rough, ratios_only: true, ..throw };
+                    let rough = rough(machine.throw(fault), 24.0 * shared * shared.transpose());
                     monitor.observe(&rough, &Settings::default()).events
                 })
                 .collect();

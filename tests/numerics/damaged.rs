@@ -142,7 +142,12 @@ pub(crate) fn mutate(channels: &mut Channels, rng: &mut ChaCha8Rng) -> &'static 
 type Damage = (&'static str, &'static str, fn(&mut Channels));
 
 const TABLE: &[Damage] = &[
-    ("one NaN in the current", "not_finite", |c| c.current[900] = f64::NAN),
+    ("one NaN in the current", "good", |c| c.current[900] = f64::NAN),
+    ("one NaN before the motor's start", "good", |c| c.current[5] = f64::NAN),
+    ("three NaN in a row in the position", "good", |c| c.position[900..903].fill(f64::NAN)),
+    ("one NaN in the inrush", "rough", |c| c.current[203] = f64::NAN),
+    ("four NaN in a row", "not_finite", |c| c.current[900..904].fill(f64::NAN)),
+    ("every fiftieth current is NaN", "not_finite", |c| c.current.iter_mut().step_by(50).for_each(|i| *i = f64::NAN)),
     ("one infinity in the position", "not_finite", |c| c.position[900] = f64::INFINITY),
     ("a corrupt current of 188,776 A", "implausible_value", |c| c.current[1200] = 188_776.0),
     ("a corrupt position of 1e300 mm", "implausible_value", |c| c.position[1200] = 1e300),
@@ -267,6 +272,31 @@ fn every_damaged_trace_is_refused_with_its_reason() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_few_missing_samples_do_not_change_the_coefficients() {
+    let settings = settings_of(&Parameters::default());
+    for seed in 0..5 {
+        for direction in Direction::BOTH {
+            let mut channels = Channels::healthy(&Sensors::default(), direction, seed);
+            let identify = |channels: &Channels| channels.identify(&mut Identifier::default(), &settings);
+            let whole = identify(&channels).outcome.unwrap();
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            for _ in 0..12 {
+                let at = rng.random_range(450..channels.current.len());
+                channels.current[at] = f64::NAN;
+                channels.position[at / 2 + 225] = f64::NAN;
+            }
+            let found = identify(&channels);
+            assert_eq!(found.quality(), "good", "{:?}", found.outcome);
+            let found = found.outcome.unwrap();
+            for at in 0..3 {
+                let change = (found.coefficients()[at] - whole.coefficients()[at]) / whole.sd()[at];
+                assert!(change.abs() < 0.5, "{direction}: coefficient {at} changes by {change} standard deviations");
+            }
+        }
+    }
 }
 
 #[test]

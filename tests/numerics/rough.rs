@@ -49,6 +49,10 @@ struct Drive {
     hum_a: f64,
     /// Index after the motor's start of the first lost sample.
     lost_samples: Option<usize>,
+    /// Step of the position's converter \[mm\], 0 without one.
+    step_mm: f64,
+    /// Time from the motor's start until which the position stays at its value at rest \[s\].
+    stuck_s: f64,
 }
 
 impl Drive {
@@ -77,6 +81,17 @@ impl Drive {
             let hum = self.hum_a * (TAU * 50.03 * time_s).sin();
             amperes.push(at(&current, time_s) + hum + self.noise_a.hypot(0.02) * rng.sample::<f64, _>(StandardNormal));
             millimetres.push(at(&toe, time_s - self.skew_s) + 0.02 * rng.sample::<f64, _>(StandardNormal));
+        }
+        let rest_mm = millimetres[199];
+        for (k, mm) in millimetres[200..].iter_mut().enumerate() {
+            if (k as f64) * INTERVAL_S < self.stuck_s {
+                *mm = rest_mm;
+            }
+        }
+        if self.step_mm > 0.0 {
+            for mm in &mut millimetres {
+                *mm = (*mm / self.step_mm).round() * self.step_mm;
+            }
         }
         if let Some(from) = self.lost_samples {
             amperes.drain(200 + from..205 + from);
@@ -148,6 +163,25 @@ fn an_unusable_start_leaves_the_ratios() {
             let estimate = drive.identify(seed).outcome.unwrap_or_else(|reason| panic!("{what}: {reason}"));
             assert!(estimate.grade == Grade::Rough && estimate.ratios_only, "{what}: {estimate:?}");
             assert!(holds(&estimate), "{what}: {:?} ± {:?}", estimate.ratios(), estimate.ratios_sd());
+        }
+    }
+}
+
+/// A position of 12 bits over 300 mm, whose steps hide its noise, does not change until the machine has unlocked.
+#[test]
+fn a_toe_that_waits_for_the_unlocking_is_not_a_stuck_sensor() {
+    for unlocking_s in [0.0, 0.15, 0.2, 0.3] {
+        let drive =
+            Drive { brake_nm: f64::INFINITY, brake_s: unlocking_s, step_mm: 300.0 / 4096.0, ..Drive::default() };
+        for seed in 0..6 {
+            let estimate = drive.identify(seed).outcome.unwrap_or_else(|reason| panic!("{unlocking_s} s: {reason}"));
+            let [friction, stiffness] = estimate.ratios();
+            let errors = [friction * TORQUE / FRICTION - 1.0, stiffness * TORQUE / STIFFNESS - 1.0];
+            assert!(errors.iter().all(|error| error.abs() < 0.03), "{unlocking_s} s: {errors:?}");
+            for stuck_s in [0.04, 0.1, 0.5] {
+                let stuck = Drive { stuck_s: unlocking_s + stuck_s, ..drive }.identify(seed);
+                assert!(["stuck", "position_jump"].contains(&stuck.quality()), "{unlocking_s} s: {:?}", stuck.outcome);
+            }
         }
     }
 }
