@@ -7,10 +7,10 @@ use jiff::{SignedDuration, Timestamp};
 use super::status::Standing;
 use crate::{
     diagnose::{
-        AlarmEvent, AlarmState, Command, CommandError, Common, Doubt, Irregularity, MachineMonitor, Observation,
-        Parameters, Settings, Severity, Verdict,
+        AlarmEvent, AlarmState, Command, CommandError, Common, Irregularity, MachineMonitor, Observation, Parameters,
+        Settings, Severity, Verdict,
     },
-    estimate::{Estimate, Grade, Identification, Rejection},
+    estimate::{Estimate, Identification, Rejection},
     store::{Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
     throw::{MachineId, Name},
     wire::{Alarm, Health, json},
@@ -116,7 +116,7 @@ impl Fleet {
         // A repeated trace is not evidence, neither of health nor of a drift.
         let is_evidence = |found: &Identification| matches!(found.outcome, Ok(_) | Err(Rejection::NoPosition));
         let repeats = stored.repeats && identification.as_ref().is_some_and(is_evidence);
-        let mut identification = identification.filter(|_| !repeats);
+        let identification = identification.filter(|_| !repeats);
         let mut observation = observation(stored, identification.as_ref());
         let has_wrong_clock = !is_possible(stored.started_at, stored.received_at);
         if has_wrong_clock {
@@ -132,13 +132,6 @@ impl Fleet {
             monitor.direction(found.direction_contradicted);
         }
         let mut verdict = monitor.observe_beside(&observation, &common, settings);
-        if let (Some(Doubt { reason, rejects }), Some(found)) = (&verdict.doubt, &mut identification) {
-            match &mut found.outcome {
-                outcome if *rejects => *outcome = Err(reason.clone()),
-                Ok(estimate) => estimate.grade = Grade::Rough,
-                Err(_) => {}
-            }
-        }
         let irregularities = [
             (has_wrong_clock, Irregularity::WrongClock(stored.started_at)),
             (repeats, Irregularity::RepeatedTrace),
@@ -342,10 +335,7 @@ fn health(
     throws_since_baseline: u64,
 ) -> Health {
     let (quality, detail) = match (&stored.throw, found) {
-        (_, Some(found)) => {
-            let reason = found.outcome.as_ref().err().or(verdict.doubt.as_ref().map(|doubt| &doubt.reason));
-            (found.quality(), reason.map(ToString::to_string))
-        }
+        (_, Some(found)) => (found.quality(), found.outcome.as_ref().err().map(ToString::to_string)),
         (Ok(_), None) if stored.repeats => {
             let detail = "the machine sent the same trace before; two real throws are never identical";
             (REPEATED, Some(detail.to_owned()))

@@ -1,6 +1,6 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge). Each is used as the logarithm of its ratio to the normal value of the direction;
-//! the current at rest \[A\] and the stop \[s\], which may be 0 or negative, as the difference to it. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which distinguishes the
+//! inrush, running current, charge). Each is used as the logarithm of its ratio to the normal value of the direction.
+//! Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which distinguishes the
 //! two.
 
 use std::collections::VecDeque;
@@ -24,21 +24,17 @@ pub(super) enum Gauge {
     Running,
     /// The integral of the current; the energy of the motor over the supply voltage.
     Charge,
-    /// The current at rest \[A\].
-    Rest,
-    /// The time from the arrival of the toe to the end of the current \[s\].
-    Stop,
 }
 
 impl Gauge {
-    const COUNT: usize = 10;
+    const COUNT: usize = 8;
 
     /// Least standard deviation of a level: the effect of sampling, adjustment and temperature on a healthy machine.
     pub(super) fn floor(self) -> f64 {
         match self {
             Self::Travel => 0.003,
             Self::BackEmf => 0.005,
-            Self::Resistance | Self::Duration | Self::Volts | Self::Rest | Self::Stop => 0.01,
+            Self::Resistance | Self::Duration | Self::Volts => 0.01,
             Self::Inrush | Self::Running | Self::Charge => 0.02,
         }
     }
@@ -54,7 +50,7 @@ const COPPER: (f64, f64) = (0.0039, 20.0);
 /// correlation of 0.5.
 const CORRELATED: f64 = 1.7;
 
-/// The gauges of a throw; `None` for unknown ones.
+/// Logarithms of a throw; `None` for unknown ones.
 type Values = [Option<f32>; Gauge::COUNT];
 
 /// Mean departure of the last throws from normal, as a logarithm, with its standard deviation.
@@ -139,12 +135,6 @@ impl Gauges {
         })
     }
 
-    /// Normal value of a gauge in a direction, and the standard deviation of one throw; `None` if unknown.
-    pub(super) fn normal(&self, gauge: Gauge, direction: Direction) -> Option<(f64, f64)> {
-        let (centre, sd) = self.sides[direction.side()].of(gauge)?;
-        Some((centre.into(), sd.into()))
-    }
-
     /// Level of a gauge over the last `throws`; `None` if the gauge or its normal value is unknown.
     pub(super) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let departures: Vec<(f64, f64)> = self
@@ -203,24 +193,21 @@ impl Normal {
     }
 }
 
-/// The gauges of a throw.
+/// The logarithms of the gauges of a throw.
 fn values(features: &Features, celsius: Option<f64>) -> Values {
     let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
-    let ln = |value: Option<f64>| value.map(f64::ln);
     let shown = [
-        ln(features.travel_mm),
-        ln(features.back_emf_v_s_per_rad),
-        ln(features.resistance_ohm.map(|ohm| ohm / warm)),
-        ln(features.duration_s),
-        ln(features.supply_v),
-        ln(features.peak_current_a),
-        ln(features.running_current_a),
-        ln(features.charge_as),
-        features.quiet_current_a,
-        features.stop_s,
+        features.travel_mm,
+        features.back_emf_v_s_per_rad,
+        features.resistance_ohm.map(|ohm| ohm / warm),
+        features.duration_s,
+        features.supply_v,
+        features.peak_current_a,
+        features.running_current_a,
+        features.charge_as,
     ];
     // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
     #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
-    let rounded = |value: f64| ((1e4 * value).round() / 1e4) as f32;
-    shown.map(|value| value.map(rounded).filter(|value| value.is_finite()))
+    let rounded = |value: f64| ((1e4 * value.ln()).round() / 1e4) as f32;
+    shown.map(|value| value.map(rounded).filter(|ln| ln.is_finite()))
 }

@@ -33,7 +33,6 @@ use super::{
     threshold::WINDOWS,
     window::Window,
 };
-use crate::{estimate::Features, throw::Direction};
 
 /// Lead that decides between sensor and machine: odds of 150 to 1, as twice the logarithm.
 const DECIDES: f64 = 10.0;
@@ -52,12 +51,6 @@ const SUPPLY_LIMIT_PCT: f64 = 15.0;
 const LONGER: std::ops::Range<f64> = 0.6..1.7;
 /// Largest increase of friction, as share of the loss of supply voltage; a decrease is only scatter.
 const DRIER: f64 = 1.3;
-
-/// Relevant change of the current at rest, as share of the running current, and in standard deviations of one throw.
-const REST_SHARE: f64 = 0.15;
-const REST_SD: f64 = 6.0;
-/// Consecutive throws with it that raise the alarm: the brake may still be held in a single one.
-const REST_IN_A_ROW: u32 = 3;
 
 /// Throws for which a past sensor or supply fault can still explain a drift: a longest window of each direction.
 const LINGERS: u32 = 48;
@@ -78,16 +71,6 @@ pub(super) struct Instruments {
     channel: Option<SensorChannel>,
     sensor: Streaks,
     supply: Streaks,
-    #[serde(default)]
-    rest: Rest,
-}
-
-/// Consecutive throws with a changed and with a usual current at rest, and whether it has an alarm.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-struct Rest {
-    changed: u32,
-    usual: u32,
-    alarmed: bool,
 }
 
 /// A sensor fault: its effect on the coefficients and on travel, back-EMF, resistance and duration.
@@ -214,38 +197,10 @@ impl Instruments {
         events
     }
 
-    /// Updates the alarm about the current at rest. A constant one, of sensor or machine, is part of the normal values.
-    pub(super) fn judge_rest(
-        &mut self,
-        direction: Direction,
-        features: &Features,
-        alarms: &mut Alarms,
-        Context { name, at, throw, settings }: Context,
-    ) -> Option<AlarmEvent> {
-        let now_a = features.quiet_current_a?;
-        let (normal_a, sd) = self.gauges.normal(Gauge::Rest, direction)?;
-        let (running, _) = self.gauges.normal(Gauge::Running, direction)?;
-        let changed = (now_a - normal_a).abs() > (REST_SHARE * running.exp()).max(REST_SD * sd);
-        let count = |streak: u32, holds: bool| if holds { streak.saturating_add(1) } else { 0 };
-        let Rest { changed: before, usual, alarmed } = self.rest;
-        self.rest = Rest { changed: count(before, changed), usual: count(usual, !changed), alarmed };
-        if self.rest.changed >= REST_IN_A_ROW {
-            self.rest.alarmed = true;
-            let evidence = Evidence::plain(Severity::Warning, throw, text::rest(name, normal_a, now_a));
-            alarms.raise(Cause::Sensor, Evidence { channel: Some(SensorChannel::Current), ..evidence }, at)
-        } else if alarmed && self.rest.usual >= settings.off_delay_throws {
-            self.rest.alarmed = false;
-            alarms.clear(Cause::Sensor, text::rest_over(name), at)
-        } else {
-            None
-        }
-    }
-
     /// Deletes the last throws, but not the normal values, after maintenance.
     pub(super) fn forget_recent(&mut self) {
         self.gauges.forget_recent();
         (self.channel, self.sensor, self.supply) = (None, Streaks::default(), Streaks::default());
-        self.rest = Rest::default();
     }
 }
 

@@ -72,19 +72,6 @@ pub(super) struct Intermittent {
     pub(super) alarmed: Option<Cause>,
 }
 
-/// Distance of a throw from the previous ones \[standard deviations of one throw\], if it is large and beyond a warning
-/// limit.
-pub(super) fn large(departure: &Vector3<f64>, of_one_throw: &Matrix3<f64>, settings: &Settings) -> Option<f64> {
-    let square = (departure.transpose() * of_one_throw.try_inverse()? * departure).x;
-    (square > LARGE.far && is_relevant(departure, of_one_throw, settings)).then(|| square.sqrt())
-}
-
-/// Whether a cause explains a departure with a size beyond its warning limit.
-fn is_relevant(departure: &Vector3<f64>, of_one_throw: &Matrix3<f64>, settings: &Settings) -> bool {
-    let part = |cause| single(cause, departure, of_one_throw, settings).relevance(settings);
-    Cause::PHYSICAL.into_iter().any(|cause| part(cause) > 1.0)
-}
-
 /// The departures in the last throws.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Departures {
@@ -119,7 +106,10 @@ impl Intermittent {
                 self.tail.1 += 1.0;
             }
         }
-        let far = |d: Vector3<f64>| square(d) > ANY.far && is_relevant(&d, of_one_throw, settings);
+        let far = |d: Vector3<f64>| {
+            let part = |cause| single(cause, &d, of_one_throw, settings).relevance(settings);
+            square(d) > ANY.far && Cause::PHYSICAL.into_iter().any(|cause| part(cause) > 1.0)
+        };
         #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
         let ended = if far(departure) {
             let (first, throws) = self.begun[side].unwrap_or(([0, 1, 2].map(|i| departure[i] as f32), 0));

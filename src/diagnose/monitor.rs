@@ -12,9 +12,7 @@ use super::{
     event::{AlarmEvent, Cause, SensorChannel, Severity},
     explain::percent,
     features::FeatureWatch,
-    foreign::{self, Doubt, Foreign},
     instruments::Instruments,
-    intermittent,
     observation::{Evaluated, Irregularity, Observation, Parameters},
     operational::{self, Context, Operation},
     settings::Settings,
@@ -25,10 +23,7 @@ use super::{
     track::Tracks,
     verdict::{Blindness, Drifting, MachineState, Verdict},
 };
-use crate::{
-    estimate::{Features, Grade, Rejection},
-    throw::{Direction, POSSIBLE_SUPPLY_V, ThrowRef},
-};
+use crate::throw::{Direction, POSSIBLE_SUPPLY_V, ThrowRef};
 
 /// A maintenance window.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -58,8 +53,6 @@ pub struct MachineMonitor {
     instruments: Instruments,
     #[serde(default)]
     features: FeatureWatch,
-    #[serde(default)]
-    foreign: Foreign,
     /// The last departures, for the judgement of the other machines of the site.
     #[serde(default)]
     trail: Trail,
@@ -93,7 +86,6 @@ impl MachineMonitor {
             thermometer: Thermometer::default(),
             instruments: Instruments::default(),
             features: FeatureWatch::default(),
-            foreign: Foreign::default(),
             trail: Trail::default(),
             blind: None,
             maintenance: None,
@@ -136,13 +128,6 @@ impl MachineMonitor {
     pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
         let at = to_micros(observation.started_at);
-        let doubt = self.doubt(observation);
-        let rejected = doubt.as_ref().filter(|doubt| doubt.rejects).map(|_| Observation {
-            estimate: None,
-            features: Features::default(),
-            ..observation.clone()
-        });
-        let observation = rejected.as_ref().unwrap_or(observation);
         let temperature = self.thermometer.read(observation.temperature_c, at);
         // Without its toe sensor a machine is not what its baseline describes.
         let without_position = self.has_position && observation.is_without_position();
@@ -157,11 +142,8 @@ impl MachineMonitor {
             }
             throw.log = (Vector3::from(throw.log) - site::excused(residual, common)).into();
         }
-        if let (Some(throw), Some(_)) = (&mut evaluated, &doubt) {
-            throw.grade = Grade::Rough;
-        }
-        let change_pct = residual.map(|residual| residual.map(percent).into());
-        let mut verdict = Verdict { doubt, change_pct, ..Verdict::default() };
+        let mut verdict =
+            Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };
         if self.maintenance.is_none() {
             let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
@@ -180,17 +162,6 @@ impl MachineMonitor {
         verdict
     }
 
-    /// Doubt whether a throw is a whole one of this machine.
-    fn doubt(&mut self, observation: &Observation) -> Option<Doubt> {
-        let direction = observation.direction.filter(|_| self.maintenance.is_none())?;
-        let (features, gauges) = (&observation.features, &self.instruments.gauges);
-        match observation.estimate {
-            Some(_) => self.foreign.doubt(direction, features, gauges),
-            None if observation.features_only => foreign::start_missing(direction, features, gauges),
-            None => None,
-        }
-    }
-
     fn observe_in_service(
         &mut self,
         observation: &Observation,
@@ -201,12 +172,6 @@ impl MachineMonitor {
     ) {
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
         verdict.events.extend(operation.on_throw(observation.incomplete, observation.direction, alarms, context));
-        let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
-        verdict.events.extend(self.foreign.judge(&mut self.alarms, context));
-        if let Some(direction) = observation.direction {
-            let events = self.instruments.judge_rest(direction, &observation.features, &mut self.alarms, context);
-            verdict.events.extend(events);
-        }
         if let Some(throw) = evaluated {
             let suspicious = self.drift.is_suspicious(&self.alarms);
             let features = &observation.features;
@@ -267,13 +232,6 @@ impl MachineMonitor {
     ) {
         let suspicious = self.drift.is_suspicious(&self.alarms);
         let departure = self.tracks.departure(throw);
-        // A throw of an incomplete baseline stays in it, as its robust centre hardly follows a single one.
-        let large =
-            departure.as_ref().filter(|(.., is_complete)| *is_complete && !suspicious && verdict.doubt.is_none());
-        let large = large.and_then(|(_, departure, sd, _)| intermittent::large(departure, sd, settings));
-        if let Some(sigmas) = large {
-            verdict.doubt = Some(Doubt { reason: Rejection::Unusual { sigmas }, rejects: false });
-        }
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
         let context = Context { name: &self.name, at, throw: Some(id), settings };
         let drift = residual.map(|residual| {
@@ -486,7 +444,6 @@ impl MachineMonitor {
         self.drift.now.clear();
         self.instruments = Instruments::default();
         self.features.reset();
-        self.foreign = Foreign::default();
         self.trail = Trail::default();
         self.blind = None;
         let text = text::rebaselined(&self.name, by, why);
@@ -498,7 +455,6 @@ impl MachineMonitor {
 
     /// Ends the alarms of rules that forget their last throws, and could not end them any more.
     fn end_rules(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
-        self.foreign = Foreign::default();
         let of_features = self.features.is_alarmed().then_some(Cause::Unattributed);
         let causes = [Cause::Sensor, Cause::Supply].into_iter().chain(of_features);
         causes.filter_map(|cause| self.alarms.clear(cause, text::checked_anew(&self.name), now)).collect()
@@ -598,7 +554,6 @@ impl From<VersionOne> for MachineMonitor {
             thermometer: Thermometer::default(),
             instruments: Instruments::default(),
             features: FeatureWatch::default(),
-            foreign: Foreign::default(),
             trail: Trail::default(),
             blind: None,
             maintenance,

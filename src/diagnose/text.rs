@@ -91,32 +91,6 @@ pub(super) fn sensor(name: &str, fault: &Fault) -> String {
     )
 }
 
-/// Text about a changed current at rest, from and to \[A\].
-pub(super) fn rest(name: &str, from_a: f64, to_a: f64) -> String {
-    format!(
-        "Machine {name}: the current at rest changed from {from_a:.2} to {to_a:.2} A. Either the offset of the current sensor \
-         changed, or a load draws current at rest (a held brake, heating, electronics): the recordings cannot distinguish \
-         them. The coefficients do not contain it. Check the sensor, and the loads on its cable."
-    )
-}
-
-pub(super) fn rest_over(name: &str) -> String {
-    format!("Machine {name}: the current at rest is as in the baseline again.")
-}
-
-/// Text about throws whose current does not end as usual after the arrival of the toe.
-pub(super) fn foreign(name: &str, throws: u32) -> String {
-    format!(
-        "Machine {name}: in {throws} of the last 32 throws the current did not end at its usual time after the arrival of the \
-         toe. Either current or position came from another machine or throw, or the machine changed. Check the channels \
-         and keys of the logger, then lock, detection and limit switch."
-    )
-}
-
-pub(super) fn foreign_over(name: &str) -> String {
-    format!("Machine {name}: in the last 32 throws the current ended at its usual time after the arrival of the toe.")
-}
-
 /// Text about a changed supply voltage.
 pub(super) fn supply(name: &str, change_pct: f64) -> String {
     let way = if change_pct < 0.0 { "lower" } else { "higher" };

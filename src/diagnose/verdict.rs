@@ -6,7 +6,6 @@ use super::{
     baseline::BaselineRecord,
     course::LimitForecast,
     event::{AlarmEvent, Cause},
-    foreign::Doubt,
 };
 use crate::throw::Direction;
 
@@ -94,8 +93,6 @@ pub struct Verdict {
     pub blind: Option<Blindness>,
     /// Sentences about what the monitor cannot show at present: blindness, a baseline with a trend.
     pub caveats: Vec<String>,
-    /// Doubt whether the throw belongs to the machine. A throw that it rejects was not evaluated.
-    pub doubt: Option<Doubt>,
     /// Change of b0, a1, a0 from the baseline \[%\]; `None` without a baseline or an estimate.
     pub change_pct: Option<[f64; 3]>,
     /// Throws in the baseline of this direction, and throws that it needs.

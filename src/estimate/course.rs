@@ -126,14 +126,9 @@ pub(super) fn course(
     if duration_s > LONGEST_MOVEMENT_S {
         return Err(Rejection::TooSlow { duration_s, longest_s: LONGEST_MOVEMENT_S, rate_hz: 1.0 / interval_s });
     }
-    late_start(movement, current)
-}
-
-/// Rejects a recording that began while the motor was starting.
-pub(super) fn late_start(movement: &Movement, current: &[f64]) -> Result<(), Rejection> {
-    let current_a = current[0] - movement.current.mean;
-    if movement.quiet < MIN_QUIET && current_a.abs() > LATE_START_SHARE * movement.peak_a {
-        return Err(Rejection::StartMissing { current_a });
+    let first_a = current[0] - movement.current.mean;
+    if movement.quiet < MIN_QUIET && first_a.abs() > LATE_START_SHARE * movement.peak_a {
+        return Err(Rejection::StartMissing { current_a: first_a });
     }
     Ok(())
 }

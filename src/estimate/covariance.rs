@@ -94,10 +94,8 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     }
 }
 
-/// Dry share of the friction for one standard deviation: the half width of a 95 % interval is that of friction which is
-/// all dry, and leaves a third of it for noise beside it. (A share that is uniform between 0 and 1 has a root mean square
-/// of 0.58; but on dry slide chairs nearly all friction of every throw is dry.)
-pub(super) const DRY_SHARE: f64 = 0.67;
+/// Dry share of the friction: root mean square of a share that is uniform between 0 and 1.
+pub(super) const DRY_SHARE: f64 = 0.58;
 
 impl Sriv<2, 1, 3> {
     /// Errors of (b0, a1, a0) from dry friction, for one standard deviation of its share.

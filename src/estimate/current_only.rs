@@ -15,12 +15,10 @@
 use nalgebra::{Matrix3, Matrix5, Vector3, Vector5};
 
 use super::{
-    course,
     features::Features,
     identification::{Estimate, Grade},
-    movement::{Movement, averaged, mean, median_of_magnitudes},
+    movement::Movement,
     ratios,
-    rejection::Rejection,
     settings::Settings,
 };
 use crate::throw::Direction;
@@ -36,48 +34,16 @@ const ROUNDS: usize = 6;
 const SCALE_SD: f64 = 0.005;
 const RATIO_SD: f64 = 0.003;
 
-/// Current of the last sample above which the motor is still on, as share of the running current. (Circuits of the
-/// detection draw up to 0.3 of it after the movement.)
-const ON_AT_END_SHARE: f64 = 0.4;
-/// Current at rest above which it may be a running current, as share of the largest departure from it.
-const LARGEST_REST_SHARE: f64 = 0.5;
-
 pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) -> Features {
     let with_zeros = movement.features(current, &vec![0.0; current.len()], interval_s);
     Features {
         duration_s: movement.motor_off.map(|off| off.saturating_sub(movement.start()) as f64 * interval_s),
-        stop_s: None,
         release_s: None,
         travel_mm: None,
         start_position_mm: None,
         end_position_mm: None,
         ..with_zeros
     }
-}
-
-/// Rejects a recording that began after the start of the motor, or ended before its end.
-pub(super) fn whole(movement: &Movement, current: &[f64], scratch: &mut Vec<f64>) -> Result<(), Rejection> {
-    let Some(off) = movement.motor_off else { return Ok(()) };
-    let rest = movement.current.mean;
-    scratch.clear();
-    scratch.extend(current[movement.start().min(off)..=off].iter().map(|i| (i - rest).abs()));
-    let on_a = ON_AT_END_SHARE * median_of_magnitudes(scratch);
-    let width = averaged(5.0 * movement.current.sd, on_a).min(current.len());
-    let first_a = mean(current[..width].iter().copied());
-    let last_a = mean(current[current.len() - width..].iter().copied());
-    // Equal currents at both ends are a load at rest, also where a few samples do not give its level.
-    let differ = (first_a - last_a).abs() > on_a;
-    let still_on = differ && (last_a - rest).abs() > on_a;
-    // A recording that begins with the running current seems to be at rest there, and to differ from rest at its end.
-    let began_running = rest.abs() > movement.peak_a
-        || still_on && rest.abs() > LARGEST_REST_SHARE * movement.peak_a && last_a.abs() < rest.abs();
-    if differ {
-        course::late_start(movement, current)?;
-    }
-    if began_running {
-        return Err(Rejection::StartMissing { current_a: first_a });
-    }
-    if still_on { Err(Rejection::StopMissing { current_a: last_a - rest }) } else { Ok(()) }
 }
 
 /// The coefficients from current, supply voltage and stroke; `None` if these do not determine them. Adds resistance and
@@ -145,7 +111,7 @@ pub(super) fn estimate(
             Some(Direction::NormalToReverse) | None => settings.neutral_mm,
         };
         let equilibrium = from_start_mm * std::f64::consts::TAU / settings.lead_mm;
-        let offset = movement.current.mean_sd.powi(2);
+        let offset = movement.current.sd.powi(2) / movement.current.samples.max(1) as f64;
         let end = output.iter().position(|y| *y > 0.95 * angle).unwrap_or(last);
         let ratios = ratios::of(&amperes[..end], &output[..end], equilibrium, offset, interval_s)?;
         let [r1, r0] = ratios.values;

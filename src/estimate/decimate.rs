@@ -43,9 +43,11 @@ impl Biquad {
     }
 }
 
-/// Filters `values` and keeps every `factor`-th, in place. The signal counts as constant before the first value.
-pub(super) fn decimate(values: &mut Vec<f64>, factor: usize) {
-    let Some(level) = values.first().copied().filter(|_| factor > 1) else { return };
+/// Filters `values` and keeps every `factor`-th, in place. The signal counts as `level` before the first value.
+pub(super) fn decimate(values: &mut Vec<f64>, factor: usize, level: f64) {
+    if factor < 2 {
+        return;
+    }
     let warped = (std::f64::consts::PI * CUT_OFF_SHARE / factor as f64).tan();
     // Qualities of the two pole pairs: 1 / (2 cos(π/8)) and 1 / (2 cos(3π/8)).
     let mut first = Biquad::low_pass(warped, 0.541_196_100_146_197, level);
@@ -67,12 +69,12 @@ mod tests {
     #[test]
     fn a_constant_stays_and_the_cut_off_is_at_half_power() {
         let mut constant = vec![3.5; 1000];
-        decimate(&mut constant, 10);
+        decimate(&mut constant, 10, 3.5);
         assert!(constant.iter().all(|v| (v - 3.5).abs() < 1e-12) && constant.len() == 100);
 
         // 10 kHz to 1 kHz: half the power of a 400 Hz tone is left.
         let mut tone: Vec<f64> = (0..20_000).map(|k| (std::f64::consts::TAU * 0.04 * f64::from(k)).sin()).collect();
-        decimate(&mut tone, 10);
+        decimate(&mut tone, 10, 0.0);
         let power = tone[1000..].iter().map(|v| v * v).sum::<f64>() / 1000.0;
         assert!((power - 0.25).abs() < 1e-3, "{power}");
     }

@@ -10,9 +10,6 @@ use super::rejection::Channel;
 pub struct Features {
     /// Time from the start of the motor to the end of the movement \[s\]; without a position, to the end of the motor.
     pub duration_s: Option<f64>,
-    /// Time from the arrival of the toe to the end of the current \[s\], negative if the current ends before. The arrival
-    /// is that at the speed of the last part of the movement. A machine that locks after the arrival has its own value.
-    pub stop_s: Option<f64>,
     /// Time from the motor's start until the toe has moved 0.5 % of its travel \[s\].
     pub release_s: Option<f64>,
     /// Largest magnitude of the current \[A\]. Below 1 kHz it depends on the sampling instants and scatters by 13 %.
@@ -25,7 +22,7 @@ pub struct Features {
     pub charge_as: Option<f64>,
     /// Energy of the motor \[J\]: charge times supply voltage; needs `supply_v`.
     pub energy_j: Option<f64>,
-    /// Mean current at rest \[A\]: the offset of the current sensor, and what the machine draws at rest.
+    /// Mean current at rest \[A\]: the offset of the current sensor.
     pub quiet_current_a: Option<f64>,
     /// Distance moved \[mm\].
     pub travel_mm: Option<f64>,
@@ -42,28 +39,11 @@ pub struct Features {
 }
 
 impl Features {
-    /// The features without those of the whole throw, for a recording that does not contain its start or end.
-    pub(super) fn of_part(self) -> Self {
-        Self {
-            duration_s: None,
-            stop_s: None,
-            release_s: None,
-            peak_current_a: None,
-            running_current_a: None,
-            mean_current_a: None,
-            charge_as: None,
-            energy_j: None,
-            quiet_current_a: None,
-            ..self
-        }
-    }
-
     /// The features without those that follow from a channel.
     pub(super) fn without(self, channel: Channel) -> Self {
         match channel {
             Channel::Position => Self {
                 duration_s: None,
-                stop_s: None,
                 release_s: None,
                 travel_mm: None,
                 start_position_mm: None,

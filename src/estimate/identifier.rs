@@ -9,7 +9,7 @@ use super::{
     hum,
     identification::{Estimate, Grade, Identification},
     lateness, missing,
-    movement::{Level, MIN_QUIET, Movement, every, start_of_motor},
+    movement::{Level, MIN_QUIET, Movement, every, peak, start_of_motor},
     noise::{self, second_difference_noise},
     ratios::{self, FullModel},
     rejection::{Channel, Rejection},
@@ -83,12 +83,14 @@ impl Identifier {
 
         copy_finite(&mut self.current, &raw_current);
         copy_finite(&mut self.position, &raw_position);
+        let at_rest = if factor > 1 { level_before(&self.current) } else { 0.0 };
         let linear = settings.motor == Motor::PermanentMagnet && throw.anti_alias_hz.is_none();
         let released = (factor > 1)
             .then(|| release::at_full_rate(&mut self.current, raw_interval_s, linear, &mut self.scratch))
             .flatten();
-        decimate::decimate(&mut self.current, factor);
-        decimate::decimate(&mut self.position, factor);
+        decimate::decimate(&mut self.current, factor, at_rest);
+        let first = self.position[0];
+        decimate::decimate(&mut self.position, factor, first);
 
         if let Some(foot) = start_of_motor(&self.current, &mut self.scratch) {
             let noise = second_difference_noise(&self.current[..=foot], &mut self.scratch);
@@ -96,10 +98,7 @@ impl Identifier {
                 hum::remove(&mut self.current, foot + 1, interval_s);
             }
         }
-        let mut movement = Movement::of(&self.current, &self.position, &mut self.scratch);
-        if noise::resolved(&movement).and_then(|()| noise::plausible(&movement, settings)).is_err() {
-            noise::without_load_at_rest(&mut movement, &mut self.current, interval_s, &mut self.scratch);
-        }
+        let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
         let noise_mm = second_difference_noise(&self.position, &mut self.scratch);
         let outcome = raw_checks
             .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
@@ -119,9 +118,6 @@ impl Identifier {
             }
             Err(Rejection::WrongUnit { .. }) => features = features.without(Channel::Position),
             _ => {}
-        }
-        if outcome.as_ref().is_err_and(Rejection::is_part) {
-            features = features.of_part();
         }
         features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
         if let Some(supply_v) = features.supply_v.and(throw.possible_supply_v()) {
@@ -143,7 +139,8 @@ impl Identifier {
         let interval_s = factor as f64 / trace.sample_rate_hz();
         let raw_current = missing::bridged(trace.current_a(), 1.0 / trace.sample_rate_hz());
         copy_finite(&mut self.current, &raw_current);
-        decimate::decimate(&mut self.current, factor);
+        let at_rest = if factor > 1 { level_before(&self.current) } else { 0.0 };
+        decimate::decimate(&mut self.current, factor, at_rest);
         self.position.clear();
         self.position.resize(self.current.len(), 0.0);
         let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
@@ -158,7 +155,6 @@ impl Identifier {
             .and_then(|()| missing::within(trace, start_s - interval_s, start_s + damage::INRUSH_S).map_or(Ok(()), Err))
             .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
-            .and_then(|()| current_only::whole(&movement, &self.current, &mut self.scratch))
             .and_then(|()| {
                 let estimate = |known| {
                     current_only::estimate(
@@ -173,9 +169,6 @@ impl Identifier {
                 };
                 known.and_then(estimate).ok_or(Rejection::NoPosition)
             });
-        if outcome.as_ref().is_err_and(Rejection::is_part) {
-            features = features.of_part();
-        }
         Identification { direction: throw.direction, direction_contradicted: false, features, outcome }
     }
 
@@ -458,4 +451,10 @@ fn copy_finite(to: &mut Vec<f64>, from: &[f64]) {
         }
         last
     }));
+}
+
+/// The current before the trace, for the initial state of the filter: the first value if it is small, else 0.
+fn level_before(current: &[f64]) -> f64 {
+    let peak = peak(current, 0.0);
+    if current[0].abs() < 0.05 * peak { current[0] } else { 0.0 }
 }

@@ -6,23 +6,9 @@ use super::{features::Features, rejection::Channel};
 /// Share of the peak current at which the search for the start of the motor begins: above sensor noise, below the first
 /// crest.
 const START_SHARE: f64 = 0.05;
-/// The same if the first samples are noisy.
-const NOISY_START_SHARE: f64 = 0.2;
 /// The motor counts as on above this share of the peak current. The share is small because a throw in which the spring
 /// helps needs very little current.
 const ON_SHARE: f64 = 0.005;
-/// Largest threshold for this, as share of the peak current: if noise is above it, means of several samples are
-/// compared, of at most the second number.
-const NOISY_SHARE: f64 = 0.03;
-const MOST_AVERAGED: f64 = 50.0;
-/// Another level after the movement than before it is a load at rest that was switched (a brake, electronics), if it is
-/// this steady \[share of the peak, and standard deviations of the noise\], and the current fell to it within this many
-/// samples. The running current of a recording that ends too early changes slowly.
-const STEADY_SHARE: f64 = 0.005;
-const STEADY_SIGMAS: f64 = 3.0;
-const FALL: usize = 6;
-/// Part of the travel from which the movement up to 95 % gives the speed before the arrival.
-const LAST_PART: f64 = 0.75;
 /// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm is above the noise of position sensors,
 /// and reached within the first 50 ms.
 const RELEASE_SHARE: f64 = 0.005;
@@ -35,8 +21,6 @@ pub(super) struct Level {
     pub(super) mean: f64,
     pub(super) sd: f64,
     pub(super) samples: usize,
-    /// Standard deviation of `mean`.
-    pub(super) mean_sd: f64,
     /// Step of the converter, from the whole trace; 0 if unknown.
     pub(super) quantum: f64,
 }
@@ -51,9 +35,6 @@ pub(super) struct Movement {
     pub(super) motor_off: Option<usize>,
     /// Current at rest, before the start or after the end of the motor.
     pub(super) current: Level,
-    /// The current at rest before or after the movement that is nearer to 0 \[A\]: without a load at rest that is
-    /// switched.
-    pub(super) idle_a: f64,
     /// Position before the start.
     pub(super) position: Level,
     /// Sign of the toe's movement; 0 without movement.
@@ -80,25 +61,23 @@ impl Movement {
         let quiet = start.map_or(len, |start| start + 1);
         let before = if start == Some(0) { 0 } else { quiet };
         let mut level = Level::of(&current[..before]);
+        let threshold = |level: &Level, peak: f64| {
+            // A pulse of a contact among a few samples looks like noise as large as the running current.
+            let largest = if level.samples < MIN_QUIET { START_SHARE * peak } else { f64::INFINITY };
+            (ON_SHARE * peak).max((5.0 * level.sd).min(largest))
+        };
         let mut peak_a = peak(current, level.mean);
-        let mut idle_a = level.mean;
-        let mut motor_off = start.and_then(|_| last_on(current, level, peak_a).0);
+        let mut motor_off = start.and_then(|_| last_beyond(current, level.mean, threshold(&level, peak_a)));
         if let Some(off) = motor_off.filter(|_| level.samples < MIN_QUIET) {
             // The current decays for a moment after the cut-off.
             let tail = (off + 1 + len / 100 + 2).min(len);
             if len - tail >= MIN_QUIET {
                 level = Level::of(&current[tail..]);
                 peak_a = peak(current, level.mean);
-                motor_off = last_on(current, level, peak_a).0;
+                motor_off = last_beyond(current, level.mean, threshold(&level, peak_a));
             } else {
                 level = Level::default();
             }
-            idle_a = level.mean;
-        } else if let Some(start) = start
-            && let Some((after, off)) = switched_load(&current[start..], level, peak_a)
-        {
-            motor_off = Some(start + off);
-            idle_a = if after.mean.abs() < idle_a.abs() { after.mean } else { idle_a };
         }
         let mut position_level = Level::of(&position[..before]);
         if before == 0 {
@@ -118,12 +97,11 @@ impl Movement {
         let slack = (4.0 * position_level.sd).max(0.002 * travel_mm);
         let arrived = (near_end..len).find(|&k| progress(k) >= travel_mm - slack).unwrap_or(len - 1);
         let on = quiet.min(len - 1)..motor_off.map_or(0, |off| off + 1).max(quiet.min(len - 1));
-        let mean_a = mean(current[on].iter().map(|i| (i - idle_a).abs()));
+        let mean_a = mean(current[on].iter().map(|i| (i - level.mean).abs()));
         Self {
             quiet,
             motor_off,
             current: level,
-            idle_a,
             position: position_level,
             sign,
             travel_mm,
@@ -184,35 +162,15 @@ impl Movement {
         if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
     }
 
-    /// Number of samples from the arrival of the toe to the end of the motor. The first position at the end depends on
-    /// the noise, so the arrival is that of a straight line through the last part of the movement.
-    fn stop(&self, position: &[f64]) -> Option<f64> {
-        let way = |k: usize| self.sign * (position[k] - self.position.mean);
-        let to = self.near_end;
-        let from = (self.start()..to).find(|&k| way(k) >= LAST_PART * self.travel_mm)?;
-        let centre = 0.5 * (from + to) as f64;
-        let (mut sum, mut cross, mut squares) = (0.0, 0.0, 0.0);
-        for k in from..=to {
-            let at = k as f64 - centre;
-            sum += way(k);
-            cross += at * way(k);
-            squares += at * at;
-        }
-        let (mean, speed) = (sum / (to - from + 1) as f64, cross / squares);
-        let arrival = centre + (self.travel_mm - mean) / speed;
-        self.motor_off.map(|off| off as f64 - arrival).filter(|samples| speed > 0.0 && samples.is_finite())
-    }
-
     /// The features of the two channels, with the sampling interval \[s\].
     pub(super) fn features(&self, current: &[f64], position: &[f64], interval_s: f64) -> Features {
         let start = self.start();
         let since_start_s = |k: usize| k.saturating_sub(start) as f64 * interval_s;
         let on_s = self.motor_off.map(since_start_s);
-        let magnitude = |i: &f64| (i - self.idle_a).abs();
-        let running = self.motor_off.map(|off| start.midpoint(off)..off - off.saturating_sub(start) / 10);
+        let magnitude = |i: &f64| (i - self.current.mean).abs();
+        let running = self.motor_off.map(|off| start.midpoint(off)..off - (off - start) / 10);
         Features {
             duration_s: self.motor_off.map(|_| since_start_s(self.arrived)),
-            stop_s: self.stop(position).map(|samples| samples * interval_s),
             release_s: self.motor_off.and_then(|_| self.released(position)).map(since_start_s),
             peak_current_a: Some(self.peak_a),
             running_current_a: running
@@ -237,7 +195,7 @@ impl Level {
         let mean = mean(values.iter().copied());
         let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
         let sd = if values.len() > 1 { (squares / (values.len() - 1) as f64).sqrt() } else { 0.0 };
-        Self { mean, sd, samples: values.len(), mean_sd: sd / (values.len() as f64).sqrt(), quantum: 0.0 }
+        Self { mean, sd, samples: values.len(), quantum: 0.0 }
     }
 }
 
@@ -249,17 +207,7 @@ pub(super) fn start_of_motor(current: &[f64], scratch: &mut Vec<f64>) -> Option<
         let beyond = |k: usize| current.get(k).is_none_or(|i| (i - lead).abs() > threshold);
         (0..current.len()).find(|&k| beyond(k) && beyond(k + 1))
     };
-    let mut first = crossing(START_SHARE * peak)?;
-    // The noise of a load at rest may look like a start among the first samples; after a start the current stays.
-    let stays = |from: usize, threshold: f64, scratch: &mut Vec<f64>| {
-        scratch.clear();
-        scratch.extend(current[from..].iter().take(2 * MIN_QUIET).map(|i| (i - lead).abs()));
-        median_of_magnitudes(scratch) > threshold
-    };
-    if first < 2 * MIN_QUIET && !stays(first, START_SHARE * peak, scratch) {
-        let higher = NOISY_START_SHARE * peak;
-        first = crossing(higher).filter(|later| stays(*later, START_SHARE * peak, scratch)).unwrap_or(first);
-    }
+    let first = crossing(START_SHARE * peak)?;
     let noise = Level::of(&current[..first.saturating_sub(2)]);
     let first = if noise.samples >= MIN_QUIET { crossing((START_SHARE * peak).max(6.0 * noise.sd))? } else { first };
     if peak == 0.0 || first == 0 {
@@ -296,39 +244,8 @@ pub(super) fn every(tests: impl ExactSizeIterator<Item = bool>) -> bool {
     tests.map(u64::from).sum::<u64>() == count
 }
 
-/// Last sample with the motor on, for this level at rest, and the threshold for it.
-fn last_on(current: &[f64], level: Level, peak: f64) -> (Option<usize>, f64) {
-    let noise = 5.0 * level.sd;
-    // A pulse of a contact among a few samples looks like noise as large as the running current.
-    let largest = if level.samples < MIN_QUIET { START_SHARE } else { NOISY_SHARE } * peak;
-    let threshold = (ON_SHARE * peak).max(noise.min(largest));
-    let width = averaged(noise, threshold).min(if level.samples < MIN_QUIET { 1 } else { usize::MAX });
-    let beyond = |values: &[f64]| (mean(values.iter().copied()) - level.mean).abs() > threshold;
-    (current.windows(width).rposition(beyond).map(|from| from + width / 2), threshold)
-}
-
-/// Number of samples whose mean has at most the noise `least` instead of `noise`; at least 1, bounded.
-pub(super) fn averaged(noise: f64, least: f64) -> usize {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded and positive")]
-    let samples = (noise / least).powi(2).clamp(1.0, MOST_AVERAGED) as usize;
-    samples
-}
-
-/// Level after the motor and last sample with the motor on, if the current fell to a steady level that is not the `level`
-/// before the motor. `current` begins with the start of the motor.
-fn switched_load(current: &[f64], level: Level, peak: f64) -> Option<(Level, usize)> {
-    let tail = current.len().checked_sub((current.len() / 50).clamp(MIN_QUIET, 50))?;
-    let after = Level::of(&current[tail..]);
-    let change = (after.mean - level.mean).abs();
-    let noise = after.sd.max(level.sd);
-    if after.sd > (STEADY_SHARE * peak).max(STEADY_SIGMAS * level.sd) || change < STEADY_SIGMAS * noise {
-        return None;
-    }
-    let (off, threshold) = last_on(current, after, peak);
-    let off = off.filter(|off| *off >= 2 * FALL)?;
-    let on = mean(current[off - FALL..=off - FALL / 2].iter().copied());
-    let is_nearer = change < (on - level.mean).abs() || after.mean.abs() < on.abs();
-    (is_nearer && (on - after.mean).abs() > 2.0 * threshold).then_some((after, off))
+fn last_beyond(values: &[f64], level: f64, threshold: f64) -> Option<usize> {
+    values.iter().rposition(|v| (v - level).abs() > threshold)
 }
 
 pub(super) fn mean(values: impl Iterator<Item = f64>) -> f64 {

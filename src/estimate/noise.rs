@@ -2,7 +2,7 @@
 
 use super::{
     damage::INRUSH_S,
-    movement::{MIN_QUIET, Movement, mean, median_of_magnitudes},
+    movement::{MIN_QUIET, Movement, median_of_magnitudes},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -40,41 +40,6 @@ pub(super) fn plausible(movement: &Movement, settings: &Settings) -> Result<(), 
         }
     }
     Ok(())
-}
-
-/// Replaces the samples at rest by their means if a load at rest makes them noisy, as this noise is none of the movement.
-pub(super) fn without_load_at_rest(
-    movement: &mut Movement,
-    current: &mut [f64],
-    interval_s: f64,
-    scratch: &mut Vec<f64>,
-) {
-    let Some(in_motion) = beside_load_at_rest(movement, current, interval_s, scratch) else { return };
-    movement.current.sd = in_motion;
-    let start = movement.start();
-    current[..start].fill(movement.current.mean);
-    if let Some(after) = movement.motor_off.and_then(|off| current.get_mut(off + 1..)) {
-        after.fill(mean(after.iter().copied()));
-    }
-}
-
-/// Noise of the current in motion \[A\], if a load at rest (electronics, a held brake) makes the current noisier before
-/// and after the movement.
-pub(super) fn beside_load_at_rest(
-    movement: &Movement,
-    current: &[f64],
-    interval_s: f64,
-    scratch: &mut Vec<f64>,
-) -> Option<f64> {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let settled = movement.start() + (INRUSH_S / interval_s) as usize;
-    let off = movement.motor_off?;
-    let parts = [0..movement.quiet, settled..off, off + current.len() / 100 + 2..current.len()];
-    if parts.iter().any(|part| part.len() < NOISE_SAMPLES) {
-        return None;
-    }
-    let [before, moving, after] = parts.map(|part| second_difference_noise(&current[part], scratch));
-    (before.min(after) > REST_NOISE.end * moving).then_some(moving)
 }
 
 /// Shortest stretch for a noise comparison \[samples\].

@@ -328,41 +328,6 @@ pub enum Rejection {
         /// Distance moved by then \[mm\].
         travel_mm: f64,
     },
-    /// The recording ends before the motor.
-    #[error("the end of the motor is not in the recording: the current is {current_a:.2} A at its last sample")]
-    StopMissing {
-        /// Current at the last sample \[A\].
-        current_a: f64,
-    },
-    /// Current and position do not end together as in the other throws of the machine.
-    #[error(
-        "the current ends {late_ms:+.0} ms later after the arrival of the toe than in this machine's throws: current or position is \
-         of another machine or throw, or lock, detection or limit switch changed"
-    )]
-    OtherMachine {
-        /// Difference to the usual time; negative if the current ends earlier \[ms\].
-        late_ms: f64,
-    },
-    /// The inrush is much smaller than in the other throws of the machine, and the throw is shorter.
-    #[error(
-        "the inrush is not in the recording: the current is {peak_a:.2} A at most, usually {usual_a:.2} A: it began after the start \
-         of the motor"
-    )]
-    InrushMissing {
-        /// Largest current \[A\].
-        peak_a: f64,
-        /// Usual largest current of the machine \[A\].
-        usual_a: f64,
-    },
-    /// The coefficients are far from those of the last throws of the machine.
-    #[error(
-        "the coefficients are {sigmas:.0} standard deviations away from the last throws of this machine: it changed, or this is \
-         a throw of another machine"
-    )]
-    Unusual {
-        /// Distance \[standard deviations of one throw\].
-        sigmas: f64,
-    },
     /// A coefficient is too uncertain because of noise.
     #[error(
         "the noise leaves {name} uncertain by {sd_pct:.0} % (one standard deviation), at most {limit_pct:.0} % are of use"
@@ -421,17 +386,6 @@ impl Rejection {
             Self::NoCurrent { .. } => Some(Channel::Current),
             _ => None,
         }
-    }
-
-    /// Whether the recording does not contain the start or the end of the throw.
-    pub(super) fn is_part(&self) -> bool {
-        matches!(
-            self,
-            Self::StartMissing { .. }
-                | Self::MovedBeforeCurrent { .. }
-                | Self::EndMissing { .. }
-                | Self::StopMissing { .. }
-        )
     }
 
     /// Whether the points did not complete their movement: a fault of the machine, not of the sensors.

@@ -27,5 +27,5 @@ pub(super) struct Window {
 /// Variance of a mean over quiet samples; with noise below half a step of the converter averaging does not help.
 pub(super) fn offset_variance(level: Level) -> f64 {
     let rounding = if level.sd < 0.5 * level.quantum { level.quantum * level.quantum / 12.0 } else { 0.0 };
-    if level.samples == 0 { 0.0 } else { level.mean_sd * level.mean_sd + rounding }
+    if level.samples == 0 { 0.0 } else { level.sd * level.sd / level.samples as f64 + rounding }
 }

@@ -37,13 +37,6 @@ pub(crate) struct State {
     pub(crate) position_noise_mm: f64,
     /// Release of the brake after the start of the motor \[s\].
     pub(crate) brake_s: f64,
-    /// Angle by which the motor turns the lock after the arrival of the toe \[rad of the screw\].
-    pub(crate) lock_rad: f64,
-    /// Current that flows always \[A\], and noise of a load at rest \[A\].
-    pub(crate) standing_a: f64,
-    pub(crate) rest_noise_a: f64,
-    /// Time that is missing at the begin of the recording, which usually has 0.2 s before the start of the motor \[s\].
-    pub(crate) late_s: f64,
 }
 
 impl State {
@@ -61,10 +54,6 @@ impl State {
         stroke: 1.0,
         position_noise_mm: 0.02,
         brake_s: 0.0,
-        lock_rad: 0.0,
-        standing_a: 0.0,
-        rest_noise_a: 0.0,
-        late_s: 0.0,
     };
 }
 
@@ -107,20 +96,12 @@ impl Drive {
     }
 
     pub(crate) fn observe(&mut self, state: State) -> Observation {
-        self.observe_with(state, None)
-    }
-
-    /// Observes a throw; with the current of `other` in the same direction, if given.
-    pub(crate) fn observe_with(&mut self, state: State, other: Option<&mut Self>) -> Observation {
+        for value in &mut self.wander {
+            *value = 0.5 * *value + 0.75_f64.sqrt() * normal(&mut self.rng);
+        }
         let direction = Direction::BOTH[usize::from(self.throws % 2 == 1)];
         self.throws += 1;
         let (mut trace, volts) = self.record(state, direction);
-        if let Some(other) = other {
-            let (current, _) = other.record(state, direction).0.into_channels();
-            let (_, position) = trace.into_channels();
-            let both = current.into_iter().zip(position).unzip();
-            trace = Trace::new(1000.0, both.0, both.1).unwrap();
-        }
         if !self.has_toe_sensor {
             let rate_hz = trace.sample_rate_hz();
             let (current, _) = trace.into_channels();
@@ -154,9 +135,6 @@ impl Drive {
 
     /// The trace and the supply voltage of a throw.
     fn record(&mut self, state: State, direction: Direction) -> (Trace, f64) {
-        for value in &mut self.wander {
-            *value = 0.5 * *value + 0.75_f64.sqrt() * normal(&mut self.rng);
-        }
         let [torque, back_emf, inertia, viscous, dry, spring] = self.built;
         let scattered = |at: usize, sd: f64| (sd * self.wander[at]).exp();
         let torque = torque * state.torque * scattered(0, 0.005);
@@ -173,7 +151,7 @@ impl Drive {
         let (mut current, mut toe) = (Vec::new(), Vec::new());
         while since_off < 0.2 {
             current.push(amperes);
-            toe.push(angle.min(travel));
+            toe.push(angle);
             let time = current.len() as f64 * STEP_S;
             if on {
                 amperes += STEP_S / 0.02 * (volts - ohms * amperes - back_emf * speed);
@@ -181,7 +159,7 @@ impl Drive {
                 amperes *= 1.0 - STEP_S / 1e-3;
                 since_off += STEP_S;
             }
-            let drive = torque * amperes - viscous * speed - spring * (angle.min(travel) - rest);
+            let drive = torque * amperes - viscous * speed - spring * (angle - rest);
             let held = time < state.brake_s || (speed == 0.0 && drive <= dry);
             if on && !held {
                 speed = (speed + STEP_S / inertia * (drive - dry)).max(0.0);
@@ -189,20 +167,17 @@ impl Drive {
             } else if !on {
                 speed = 0.0;
             }
-            on &= angle < travel + state.lock_rad;
+            on &= angle < travel;
         }
-        let moving = 0.0..current.len() as f64 * STEP_S - 0.19;
         let phase = self.rng.random::<f64>() * 1e-3;
         let (mut recorded_a, mut recorded_mm) = (Vec::new(), Vec::new());
-        let mut at = state.late_s - 0.2 + phase;
+        let mut at = -0.2 + phase;
         while at < current.len() as f64 * STEP_S {
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index within the throw")]
             let k = (at.max(0.0) / STEP_S) as usize;
             let (amperes, way) = (current[k], toe[k] * MM_PER_RADIAN);
             let mm = if rest == 0.0 { way } else { STROKE_MM * state.stroke - way };
-            let noise_a = if moving.contains(&at) { 0.02 } else { state.rest_noise_a.hypot(0.02) };
-            let amperes = state.standing_a + direction.sign() * amperes;
-            recorded_a.push(state.current_gain * amperes + noise_a * normal(&mut self.rng));
+            recorded_a.push(state.current_gain * direction.sign() * amperes + 0.02 * normal(&mut self.rng));
             recorded_mm.push(state.position_gain * mm + state.position_noise_mm * normal(&mut self.rng));
             at += 1e-3 / state.clock;
         }

@@ -11,7 +11,6 @@ mod features;
 mod field;
 mod filling;
 mod fleet;
-mod foreign;
 mod hard;
 mod instruments;
 mod intermittent;

@@ -3,9 +3,7 @@
 use pointsd::estimate::{Features, Grade, Identification, Identifier, Settings};
 use pointsd::simulate::{Condition, Conditions, Parameters, Part, Sensors};
 use pointsd::throw::{Direction, Throw, Trace};
-use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
-use rand_distr::StandardNormal;
 
 use super::identify::throw_with;
 
@@ -93,51 +91,5 @@ fn the_pulse_of_a_contact_before_the_inrush_is_no_noise() {
         assert!((duration_s.unwrap() - expected_s).abs() < 0.13, "{before:?}: {duration_s:?} for {expected_s} s");
         assert!((running_current_a.unwrap() - 2.1).abs() < 0.05, "{before:?}: {running_current_a:?}");
         assert_eq!(quiet_current_a, None, "{before:?}");
-    }
-}
-
-/// The current of a motor: rise, inrush and running current for 4.3 s, recorded from `from_s` to `to_s` beside a standing
-/// current. Not from the simulator.
-fn recorded(rate_hz: f64, from_s: f64, to_s: f64, standing_a: f64) -> Identification {
-    let current = |t: f64| {
-        if (0.0..4.3).contains(&t) {
-            (1.0 - (-t / 0.005).exp()) * (0.9 + 0.1 * (t - 2.0) / 4.3 + 12.0 * (-t / 0.06).exp())
-        } else {
-            0.0
-        }
-    };
-    let mut noise = ChaCha8Rng::seed_from_u64(7);
-    let mut at = from_s + 0.3 / rate_hz;
-    let mut amperes = Vec::new();
-    while at < to_s {
-        amperes.push(standing_a + current(at) + 0.02 * noise.sample::<f64, _>(StandardNormal));
-        at += 1.0 / rate_hz;
-    }
-    let nothing = vec![f64::NAN; amperes.len()];
-    Identifier::default()
-        .identify(&throw_with(Trace::new(rate_hz, amperes, nothing).unwrap(), None), &Settings::default())
-}
-
-#[test]
-fn a_recording_without_start_or_end_says_so_and_has_no_duration() {
-    for standing_a in [0.0, 0.3] {
-        for rate_hz in [1000.0, 100.0, 25.0] {
-            let whole = [(-0.2, 4.5), (-0.1, 4.4), (-0.2, 5.5)];
-            let no_start = [(0.05, 4.5), (0.1, 4.5), (0.3, 4.5), (1.0, 4.5), (2.0, 5.5), (0.3, 4.0)];
-            let no_end = [(-0.2, 4.2), (-0.2, 3.0), (-0.2, 1.0)];
-            let cases = whole.map(|part| (part, "current_only")).into_iter();
-            let cases = cases.chain(no_start.map(|part| (part, "start_missing")));
-            for ((from_s, to_s), expected) in cases.chain(no_end.map(|part| (part, "stop_missing"))) {
-                let found = recorded(rate_hz, from_s, to_s, standing_a);
-                let what = format!("{rate_hz} Hz, {from_s} to {to_s} s, {standing_a} A at rest");
-                assert_eq!(found.quality(), expected, "{what}");
-                let Features { duration_s, charge_as, energy_j, .. } = found.features;
-                if expected == "current_only" {
-                    assert!((duration_s.unwrap() - 4.3).abs() < 2.0 / rate_hz + 0.01, "{what}: {duration_s:?}");
-                } else {
-                    assert_eq!((duration_s, charge_as, energy_j), (None, None, None), "{what}");
-                }
-            }
-        }
     }
 }

@@ -22,8 +22,6 @@ const DRIVE_INERTIA: f64 = 0.0308;
 const TOE_INERTIA: f64 = 6e-4;
 const FRICTION: f64 = 0.185;
 const STIFFNESS: f64 = 0.049;
-/// Speed of the screw in the middle of a throw \[rad/s\].
-const RUNNING: f64 = 16.75;
 
 #[derive(Clone, Copy, Default)]
 struct Drive {
@@ -38,8 +36,6 @@ struct Drive {
     /// Jitter of the sampling times \[s\], and noise of the current in addition to 20 mA \[A\].
     jitter_s: f64,
     noise_a: f64,
-    /// Share of the friction that is dry, with the torque of the viscous one at running speed.
-    dry: f64,
     /// Set value of a current-controlled drive \[A\]; `None` for a constant voltage.
     controlled_a: Option<f64>,
     /// Low-pass of the position \[Hz\] and delay of the position behind the current \[s\].
@@ -122,8 +118,7 @@ impl Drive {
             let free = (0.0..gap).contains(&stretch);
             let pressed = if stretch > gap { stretch - gap } else { stretch };
             let contact = if free { 0.0 } else { 6000.0 * pressed + 3.0 * (drive_speed - toe_speed) };
-            let speed = (1.0 - self.dry) * drive_speed + self.dry * RUNNING * drive_speed.signum();
-            let load = 0.75 * FRICTION * (speed + self.wander * wander * 17.0) + contact;
+            let load = 0.75 * FRICTION * (drive_speed + self.wander * wander * 17.0) + contact;
             let brake = if position.len() as f64 * STEP_S > self.brake_s { 0.0 } else { self.brake_nm };
             drive_speed = (drive_speed + STEP_S / DRIVE_INERTIA * (TORQUE * amperes - load - brake))
                 .max(if brake > 0.0 { 0.0 } else { f64::NEG_INFINITY });
@@ -198,21 +193,6 @@ fn mains_hum_and_a_plain_drive_are_good() {
     }
 }
 
-#[test]
-fn intervals_hold_whatever_share_of_the_friction_is_dry() {
-    for dry in [0.0, 0.5, 1.0] {
-        let throws = 20;
-        let held = (0..throws)
-            .filter(|seed| {
-                let estimate = Drive { dry, ..Drive::default() }.identify(*seed).outcome.unwrap();
-                covers(&estimate) && holds(&estimate)
-            })
-            .count();
-        println!("dry share {dry}: {held} of {throws}");
-        assert!(held >= 18, "dry share {dry}: the intervals of {held} of {throws} hold");
-    }
-}
-
 /// Whether the estimate has no scale, or b0, a1 and a0 are within 1.96 standard deviations of the truth.
 fn covers(estimate: &Estimate) -> bool {
     let inertia = DRIVE_INERTIA + TOE_INERTIA;
@@ -269,8 +249,6 @@ fn table_of_conditions() {
         ("current noise 0.1 A", Drive { noise_a: 0.1, ..plain }),
         ("timing jitter 0.3 ms", Drive { jitter_s: 3e-4, ..plain }),
         ("five samples lost in the inrush", Drive { lost_samples: Some(3), ..plain }),
-        ("half of the friction is dry", Drive { dry: 0.5, ..plain }),
-        ("all friction is dry", Drive { dry: 1.0, ..plain }),
         ("current-controlled, 2 A", Drive { controlled_a: Some(2.0), ..plain }),
     ];
     println!("| condition | good | rough | rejected | correct 95 % intervals: of the coefficients | of the ratios |");
