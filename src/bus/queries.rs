@@ -1,5 +1,10 @@
 //! Queries on health, alarms and commands, through a bounded queue.
 
+use std::sync::{
+    Arc,
+    atomic::{AtomicU64, Ordering::Relaxed},
+};
+
 use tokio::{sync::mpsc, task};
 use zenoh::{
     Session, Wait,
@@ -8,7 +13,6 @@ use zenoh::{
 };
 
 use super::{error::BusError, session::intersect};
-use crate::store::seldom;
 
 /// Capacity of the queue: a dashboard sends a few queries a second. A query to a full queue gets no reply; its sender
 /// retries.
@@ -62,6 +66,7 @@ impl Question {
 /// A queryable with a bounded queue of queries.
 pub struct Questions {
     waiting: mpsc::Receiver<Question>,
+    dropped: Arc<AtomicU64>,
     _queryable: Queryable<()>,
 }
 
@@ -72,16 +77,23 @@ impl Questions {
     /// When zenoh refuses the key expression.
     pub async fn declare(session: &Session, key_expression: &str) -> Result<Self, BusError> {
         let (sender, waiting) = mpsc::channel(QUEUE);
+        let dropped = Arc::<AtomicU64>::default();
+        let counter = Arc::clone(&dropped);
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query| {
                 if sender.try_send(Question { query }).is_err() {
-                    seldom!(warn, "queue of queries full: query not answered");
+                    counter.fetch_add(1, Relaxed);
                 }
             })
             .await
             .map_err(BusError::new(format!("answer queries on {key_expression}")))?;
-        Ok(Self { waiting, _queryable: queryable })
+        Ok(Self { waiting, dropped, _queryable: queryable })
+    }
+
+    /// Number of queries without a reply since the last call, because the queue was full.
+    pub fn take_dropped(&self) -> u64 {
+        self.dropped.swap(0, Relaxed)
     }
 
     /// The next query; `None` when the session is closed.

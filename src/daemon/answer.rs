@@ -9,9 +9,19 @@ use crate::{
 
 type Replies = Result<Vec<(String, Vec<u8>)>, String>;
 
+/// The next query; `None` when the session is closed.
+async fn next(questions: &mut Questions) -> Option<Question> {
+    let question = questions.next().await;
+    let dropped = questions.take_dropped();
+    if dropped > 0 {
+        seldom!(warn, dropped, "queue of queries full: queries not answered");
+    }
+    question
+}
+
 /// Answers health queries.
 pub(super) async fn health(mut questions: Questions, reader: Reader) {
-    while let Some(question) = questions.next().await {
+    while let Some(question) = next(&mut questions).await {
         let replies = health_replies(&question, &reader).await;
         bus::answer(question, replies).await;
     }
@@ -28,7 +38,7 @@ async fn health_replies(question: &Question, reader: &Reader) -> Replies {
 
 /// Answers alarm queries, except those that the queryable `elsewhere` receives and answers too.
 pub(super) async fn alarms(mut questions: Questions, reader: Reader, elsewhere: Option<String>) {
-    while let Some(question) = questions.next().await {
+    while let Some(question) = next(&mut questions).await {
         if elsewhere.as_ref().is_some_and(|elsewhere| question.asks_about(elsewhere)) {
             continue;
         }
@@ -58,7 +68,7 @@ fn messages<T>(
 /// Receives operators' commands, and answers queries for the name of the daemon, `itself`. A command for another daemon
 /// gets no reply.
 pub(super) async fn commands(mut questions: Questions, orders: Orders, itself: Commander) {
-    while let Some(question) = questions.next().await {
+    while let Some(question) = next(&mut questions).await {
         let replies = match question.parameter("session") {
             Some(other) if other != itself.session => Ok(Vec::new()),
             _ => command_reply(&question, &orders, &itself).await,
@@ -82,7 +92,7 @@ async fn command_reply(question: &Question, orders: &Orders, itself: &Commander)
 
 /// Answers status queries.
 pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges) {
-    while let Some(question) = questions.next().await {
+    while let Some(question) = next(&mut questions).await {
         let mut report = gauges.report();
         match gauges.store.reader().windows(None).await {
             Ok(windows) => report.windows = windows,

@@ -51,11 +51,8 @@ async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
             put(&session, key, ContentType::APPLICATION_CBOR, message(throw_no, samples)).await;
         }
     }
-    rig.until_sql(
-        "SELECT 1 FROM (SELECT count(*) AS machines, min(missing_throws) AS least FROM data_gaps) WHERE machines = 2",
-    )
-    .await;
-    let gaps = rig.sql("SELECT machine, first_throw_no, last_throw_no FROM data_gaps ORDER BY machine");
+    rig.until_sql("SELECT 1 FROM (SELECT count(*) AS n FROM data_gaps WHERE missing_throws > 0) WHERE n = 2").await;
+    let gaps = rig.sql("SELECT first_throw_no, last_throw_no FROM data_gaps WHERE missing_throws > 0");
     let found: Vec<_> = gaps.iter().map(|gap| (&gap["first_throw_no"], &gap["last_throw_no"])).collect();
     assert_eq!(found, [(&2.into(), &5.into()), (&2.into(), &5.into())], "{gaps:?}");
     let stored =
@@ -108,6 +105,6 @@ async fn an_outage_is_no_time_in_which_the_logger_replied_without_the_throws() {
     more_queries(7).await;
     is_ready.store(true, Relaxed);
     rig.judged(4).await;
-    assert!(rig.sql("SELECT * FROM data_gaps").is_empty());
+    assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
     assert!(daemon.terminate().success());
 }
