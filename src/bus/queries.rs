@@ -92,6 +92,7 @@ impl Questions {
     }
 
     /// Number of queries without a reply since the last call, because the queue was full.
+    #[must_use]
     pub fn take_dropped(&self) -> u64 {
         self.dropped.swap(0, Relaxed)
     }

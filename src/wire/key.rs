@@ -95,8 +95,10 @@ pub fn machine_patterns(key_expression: &str) -> Option<[String; 2]> {
     }
     let mut all = Vec::with_capacity(CHUNKS);
     for chunk in &chunks {
-        let count = if *chunk == "**" { (CHUNKS + 1).checked_sub(chunks.len())? } else { 1 };
-        all.extend(std::iter::repeat_n(*chunk, count));
+        match *chunk {
+            "**" => all.extend(std::iter::repeat_n("*", (CHUNKS + 1).checked_sub(chunks.len())?)),
+            chunk => all.push(chunk),
+        }
     }
     let [_, _, site, machine, _] = all[..] else { return None };
     Some([site, machine].map(|chunk| chunk.replace("$*", "*")))

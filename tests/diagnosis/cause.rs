@@ -39,7 +39,9 @@ fn steps_and_ramps_at_twice_the_limit_are_named_right() {
             }
             delays.sort_unstable();
             let median = delays[delays.len() / 2];
-            assert!(ramp > 0 || median <= 3, "{cause}: median delay {median}");
+            // A fall of friction waits until it is larger than that by rain.
+            let most = if cause == Cause::Friction && sign < 0.0 { 4 } else { 3 };
+            assert!(ramp > 0 || median <= most, "{cause}: median delay {median}");
         }
     }
 }

@@ -40,7 +40,7 @@ impl Site {
 }
 
 fn wet(throw: u64) -> Vector3<f64> {
-    if throw % 60 >= 45 { shift(Cause::Friction, -20.0) } else { Vector3::zeros() }
+    if throw % 60 >= 45 { shift(Cause::Friction, -33.0) } else { Vector3::zeros() }
 }
 
 #[test]
