@@ -104,8 +104,14 @@ impl JudgeLoop {
     /// # Errors
     /// When the store is closed.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
-        let adopted = self.judge.adopt().await?;
-        self.record_all(adopted.into()).await?;
+        // Without this list the daemon does all the same what it is for.
+        let adopted = self.judge.adopt().await.unwrap_or_else(|error| {
+            tracing::warn!(%error, "the open alarms cannot be read; those without a monitor stay open");
+            Vec::new()
+        });
+        for adopted in adopted.chunks(CHANGES) {
+            self.record_all(adopted.into()).await?;
+        }
         let mut tick = time::interval(TICK);
         let mut beat = time::interval(Duration::from_secs(1));
         let mut may_be_pending = true;

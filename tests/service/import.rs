@@ -64,7 +64,7 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
     assert_eq!(rig.sql("SELECT throw_no FROM health_history").len(), 1);
     // An exported trace without positions can be imported.
     let text = fs::read_to_string(&file).unwrap();
-    let text = text.replace("current_a", "current_a,position_mm").replace(",0\n", ",0,\n").replace(",2\n", ",2,\n");
+    let text = text.replace("current_a", "current_a,position_mm").replace(",0\n", ",0,\n").replace(",2\n", ",3,\n");
     fs::write(&copy, text).unwrap();
     let (code, said, error) = import(&rig, &[&copy], &[]);
     assert_eq!(code, Some(0), "{error}");

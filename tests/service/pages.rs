@@ -171,6 +171,9 @@ async fn a_big_history_gives_bounded_pages() {
          SELECT 200000 + machine_row, machine_row, 'normal_to_reverse', 0, 'good', 1 FROM machine WHERE site = 'south'",
     )
     .await;
+    let daemon = rig.start();
+    let address = http::address(&daemon);
+    // After the start, as the daemon derives the state of machines with a loaded monitor, and ends alarms without one.
     rig.change(
         "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
          SELECT machine, machine_row, 'kt', machine_row, 1, 'active_unacknowledged'
@@ -191,9 +194,6 @@ async fn a_big_history_gives_bounded_pages() {
          FROM alarm JOIN machine USING (machine_row)",
     )
     .await;
-    let daemon = rig.start();
-    let address = http::address(&daemon);
-    // After the start, as the daemon derives the state of machines with a loaded monitor.
     rig.change(
         "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts)
          SELECT machine_row, (SELECT snapshot FROM monitor LIMIT 1), 0,
