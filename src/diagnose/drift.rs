@@ -46,7 +46,6 @@ const STILL_FALLEN: f64 = 0.5;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fall {
     pub(super) size: f64,
-    pub(super) size_sd: f64,
     /// Whether the last few throws have it.
     pub(super) lasts: bool,
 }
@@ -102,10 +101,10 @@ impl Drift {
 
     /// A drift above its limit as a fall of friction, if it is mostly that.
     pub(super) fn fall(&self) -> Option<Fall> {
-        let Window { mean, covariance, .. } = self.strongest.as_ref().filter(|_| self.matters())?;
+        let Window { mean, .. } = self.strongest.as_ref().filter(|_| self.matters())?;
         let beside = mean.x.abs().max(mean.z.abs());
         let lasts = self.latest.1.as_ref().is_none_or(|window| window.mean.y < STILL_FALLEN * mean.y);
-        (beside < -BESIDE_WEATHER * mean.y).then(|| Fall { size: mean.y, size_sd: covariance[(1, 1)].sqrt(), lasts })
+        (beside < -BESIDE_WEATHER * mean.y).then(|| Fall { size: mean.y, lasts })
     }
 
     /// Whether a drift is detected and above its limit, with any name.

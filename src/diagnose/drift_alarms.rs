@@ -1,5 +1,7 @@
 //! The drift alarms of a machine: their events, and the present drifts.
 
+use std::ops::Range;
+
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -34,9 +36,9 @@ const FORGOTTEN_BELOW: f64 = 0.25;
 
 /// Longest time for which rain lowers the friction \[h\]: two wet days and a day of drying.
 const RAIN_HOURS: i64 = 72;
-/// Largest loss of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
+/// Losses of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
 /// friction of a machine.
-const RAIN_PCT: f64 = 25.0;
+const RAIN_PCT: Range<f64> = 10.0..25.0;
 /// Part of a slow fall that existed a week ago: a season takes months.
 const SLOW_FROM: f64 = 1.0 / 3.0;
 const DAYS_OF_WEEK: f64 = 7.0;
@@ -247,7 +249,7 @@ impl DriftAlarms {
         let (since, first) = *self.fallen.get_or_insert((context.at, order));
         let is_new = context.at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
             || order - first < u64::from(LONGEST_WINDOW);
-        let may_be_rain = is_new && -percent(fall.size + fall.size_sd) < RAIN_PCT;
+        let may_be_rain = is_new && RAIN_PCT.contains(&-percent(fall.size));
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most 5,000 throws a day")]
         let week = ((DAYS_OF_WEEK * context.settings.throws_per_day) as u32).max(2 * LONGEST_WINDOW);
         let was_there = || self.history.mean(week..u32::MAX).is_some_and(|level| level.y < SLOW_FROM * fall.size);

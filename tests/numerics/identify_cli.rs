@@ -61,7 +61,6 @@ fn what_is_no_recording_is_refused_with_its_place() {
     let gap = [&lines[..1000], &lines[1100..]].concat().join("\n");
     for (text, exit, words) in [
         (still, 1, vec!["the toe did not move"]),
-        (with_line(57, "0.056,NaN,0"), 1, vec!["line 58", "current", "not a finite number"]),
         (with_line(57, "0.056,strong,0"), 65, vec!["line 58", "current_a", "strong"]),
         (with_line(57, "0.056,1.0"), 65, vec!["line 58", "position_mm", "no value"]),
         (with_line(57, "0.001,1.0,0"), 65, vec!["line 58", "time does not increase"]),
