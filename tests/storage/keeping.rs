@@ -176,7 +176,7 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
         let Found::SetAside { to, why, .. } = &opened.report.found else { panic!("{:?}", opened.report) };
         assert!(!why.is_empty());
         assert_eq!(fs::read(to).unwrap(), bytes, "the broken file is kept as it was");
-        spooled(&opened.store, "21B", "b1", 1).await;
+        spooled(&opened.store, "21B", "b1", 101).await;
         opened.store.close().await.unwrap();
         assert_eq!(open(folder.path()).await.report.found, Found::Clean);
     }
