@@ -61,7 +61,7 @@ async fn a_daemon_that_starts_behind_full_caches_takes_all_of_them() {
 async fn throws_behind_a_missing_one_are_stored_at_once_in_bounded_memory() {
     const THROWS: u64 = 4_000;
     const SAMPLES: usize = 2_500;
-    const MEMORY_MIB: f64 = 180.0;
+    const MEMORY_MIB: f64 = 200.0;
     let rig = Rig::with("[subscribe]\nbacklog_wait_s = 86400\n");
     let daemon = rig.start();
     let session = daemon.client().await;
