@@ -115,9 +115,9 @@ impl Tracks {
         }
         track.since_baseline += 1;
         let residual = baseline.compensated((raw, distance));
-        let known = track.recent.iter().rev().find(|throw| throw.has_scale()).filter(|_| throw.ratios_only);
-        let of_scale = baseline.scatter().of_scale();
-        let scale = known.map_or(0.0, |known| of_scale.dot(&(baseline.compensated(known.raw()) - residual)));
+        let known = track.recent.iter().rev().find(|recent| throw.ratios_only && recent.has_scale());
+        let scale = known
+            .map_or(0.0, |known| baseline.scatter().of_scale().dot(&(baseline.compensated(known.raw()) - residual)));
         let recent = RecentThrow::new(order, raw, distance, sensor.into(), throw.ratios_only);
         let oldest = track.recent.push(recent);
         if let Some(oldest) = oldest.filter(|oldest| !suspected && oldest.has_scale()) {

@@ -65,9 +65,15 @@ impl RecentThrow {
         self.has_scale() || weights.sum().abs() <= NO_SCALE * weights.amax()
     }
 
-    /// A residual of this throw: of ratios with the common scale `scale` along `k`, or 0 if it is unknown.
-    fn scaled(&self, residual: Vector3<f64>, k: &Vector3<f64>, scale: Option<f64>) -> Vector3<f64> {
-        if self.has_scale() { residual } else { residual.add_scalar(scale.unwrap_or(0.0) - k.dot(&residual)) }
+    /// A residual of this throw: of ratios with the common scale of the others, or 0 if it is unknown.
+    fn scaled(&self, residual: Vector3<f64>, scale: &CommonScale) -> Vector3<f64> {
+        let (k, mean) = match scale {
+            _ if self.has_scale() => return residual,
+            CommonScale::OfAll => return residual,
+            CommonScale::OfSome { k, mean } => (k, *mean),
+            CommonScale::Unknown { k } => (k, 0.0),
+        };
+        residual.add_scalar(mean - k.dot(&residual))
     }
 
     /// The residual without temperature compensation, and the distance from the reference temperature \[K\].
@@ -110,6 +116,17 @@ impl RecentThrows {
     }
 }
 
+/// The common scale of the throws of a window along the weights `k` of [`Scatter::of_scale`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum CommonScale {
+    /// All throws have it, as on most machines.
+    OfAll,
+    /// Its mean over the throws that have it.
+    OfSome { k: Vector3<f64>, mean: f64 },
+    /// Too few throws have it.
+    Unknown { k: Vector3<f64> },
+}
+
 /// The mean of a window with its covariance and test.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Window {
@@ -123,15 +140,13 @@ pub(super) struct Window {
     pub(super) temperature_sd: Vector3<f64>,
     /// T relative to its limit; above 1 a drift is detected.
     pub(super) excess: f64,
-    /// Mean of the common scale over the throws that have it; `None` if too few have it, and a change of the inertia
-    /// does not show.
-    pub(super) scale: Option<f64>,
+    pub(super) scale: CommonScale,
 }
 
 impl Window {
     /// Whether the window shows `cause`. Ratios of the coefficients are the same at every inertia.
     pub(super) fn shows(&self, cause: Cause) -> bool {
-        cause != Cause::Inertia || self.scale.is_some()
+        cause != Cause::Inertia || !matches!(self.scale, CommonScale::Unknown { .. })
     }
 }
 
@@ -205,13 +220,9 @@ impl<'a> Stream<'a> {
             *residual = baselines[*side]?.compensated(throw.raw());
         }
         let n = throws as f64;
-        let k = scatter.of_scale();
-        let own = residuals.iter().zip(last).filter(|(_, (_, throw))| throw.has_scale());
-        let mut values: Vec<f64> = own.map(|(residual, _)| k.dot(residual)).collect();
-        let scaled = values.len();
-        let scale = (scaled >= LEAST_SCALED).then(|| clipped_mean(&mut values, scatter.sd_along(&k)));
+        let scale = self.common_scale(&residuals[..throws], scatter);
         for (residual, (_, throw)) in residuals.iter_mut().zip(last) {
-            *residual = throw.scaled(*residual, &k, scale);
+            *residual = throw.scaled(*residual, &scale);
         }
         let sd = scatter.sd_of_one(&sensor);
         let mut values = [0.0; KEPT];
@@ -228,23 +239,42 @@ impl<'a> Stream<'a> {
             }
         }
         let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, baselines)?);
-        if scaled < throws {
-            let of_scale = if scale.is_some() {
+        let of_scale = match scale {
+            // The throw before the window may be the only one of ratios.
+            _ if last.iter().all(|(_, throw)| throw.has_scale()) => None,
+            CommonScale::OfAll => None,
+            CommonScale::OfSome { k, .. } => {
                 let scaled: Vec<_> = last.iter().filter(|(_, throw)| throw.has_scale()).copied().collect();
                 let centre = centre_throws(&scaled, baselines)?;
-                k.dot(&(scatter.of_mean(scaled.len(), &mean_sensor(&scaled), centre) * k))
-            } else {
-                UNKNOWN_SCALE_SD * UNKNOWN_SCALE_SD
-            };
+                Some((k, k.dot(&(scatter.of_mean(scaled.len(), &mean_sensor(&scaled), centre) * k))))
+            }
+            CommonScale::Unknown { k } => {
+                // A single fault leaves two of the coefficients, so the scale is that which the middle one keeps.
+                mean.add_scalar_mut(-mean.sum() + mean.max() + mean.min());
+                Some((k, UNKNOWN_SCALE_SD * UNKNOWN_SCALE_SD))
+            }
+        };
+        if let Some((k, of_scale)) = of_scale {
             let ratios = Matrix3::identity() - Vector3::repeat(1.0) * k.transpose();
             covariance = ratios * covariance * ratios.transpose() + Matrix3::repeat(of_scale);
         }
-        if scale.is_none() {
-            // A single fault leaves two of the coefficients, so the scale is that which the middle one keeps.
-            mean.add_scalar_mut(-mean.sum() + mean.max() + mean.min());
-        }
         covariance += doubt(temperature);
         Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0, scale })
+    }
+
+    /// The common scale of the last throws with these residuals.
+    fn common_scale(&self, residuals: &[Vector3<f64>], scatter: &Scatter) -> CommonScale {
+        // The score also needs the throw before the window.
+        if self.0.iter().take(residuals.len() + 1).all(|(_, throw)| throw.has_scale()) {
+            return CommonScale::OfAll;
+        }
+        let k = scatter.of_scale();
+        let own = residuals.iter().zip(&self.0).filter(|(_, (_, throw))| throw.has_scale());
+        let mut values: Vec<f64> = own.map(|(residual, _)| k.dot(residual)).collect();
+        if values.len() < LEAST_SCALED {
+            return CommonScale::Unknown { k };
+        }
+        CommonScale::OfSome { k, mean: clipped_mean(&mut values, scatter.sd_along(&k)) }
     }
 
     /// T of the last throws of `window`, from their mean innovation (converted to a level) instead of their mean; each
@@ -260,10 +290,9 @@ impl<'a> Stream<'a> {
         let n = window.throws as f64;
         let (rho, inverse) = self.innovation(window, scatter)?;
         let fresh = rho.map(|rho| (1.0 - rho * rho).sqrt());
-        let k = scatter.of_scale();
         let residual = |at: usize| {
             let (side, throw) = self.0.get(at)?;
-            Some(baselines[*side].map(|own| throw.scaled(own.compensated(throw.raw()), &k, window.scale)))
+            Some(baselines[*side].map(|own| throw.scaled(own.compensated(throw.raw()), &window.scale)))
         };
         let mut sum = Vector3::zeros();
         let mut throw = residual(0)??;
