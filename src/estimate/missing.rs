@@ -23,21 +23,21 @@ pub(super) fn bridged(values: &[f64], interval_s: f64) -> Cow<'_, [f64]> {
         return Cow::Borrowed(values);
     }
     let longest = (LONGEST_GAP_S / interval_s + 1e-9).floor().max(1.0);
-    let gaps = || values.chunk_by(|a, b| a.is_nan() == b.is_nan()).filter(|stretch| stretch[0].is_nan());
-    let missing: usize = gaps().map(<[f64]>::len).sum();
-    if missing as f64 > LARGEST_SHARE * values.len() as f64 || gaps().any(|gap| gap.len() as f64 > longest) {
-        return Cow::Borrowed(values);
-    }
     let mut whole = values.to_vec();
-    let mut from = 0;
+    let (mut from, mut missing) = (0, 0);
     for stretch in values.chunk_by(|a, b| a.is_nan() == b.is_nan()) {
         let to = from + stretch.len();
         if stretch[0].is_nan() {
-            let before = from.checked_sub(1).map(|at| values[at]);
-            let (before, after) = (before.or(values.get(to).copied()), values.get(to).copied().or(before));
-            let (before, after) = (before.unwrap_or(f64::NAN), after.unwrap_or(f64::NAN));
+            let (before, after) = (values[..from].last(), values.get(to));
+            let (Some(before), Some(after)) = (before.or(after), after.or(before)) else {
+                return Cow::Borrowed(values);
+            };
             for (at, value) in whole[from..to].iter_mut().enumerate() {
                 *value = before + (after - before) * (at + 1) as f64 / (stretch.len() + 1) as f64;
+            }
+            missing += stretch.len();
+            if stretch.len() as f64 > longest || missing as f64 > LARGEST_SHARE * values.len() as f64 {
+                return Cow::Borrowed(values);
             }
         }
         from = to;
