@@ -1,6 +1,9 @@
 //! The monitors of all machines; turns their changes into outcomes to store. Does no I/O.
 
-use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::{
+    collections::{BTreeMap, BTreeSet, HashSet},
+    time::Duration,
+};
 
 use jiff::{SignedDuration, Timestamp};
 
@@ -11,7 +14,7 @@ use crate::{
         Settings, Severity, Verdict,
     },
     estimate::{Estimate, Identification, Rejection},
-    store::{Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
+    store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
     throw::{MachineId, Name},
     wire::{Alarm, Health, json},
 };
@@ -23,11 +26,9 @@ const REPEATED: &str = "repeated_trace";
 /// `quality` of a throw that made the estimator panic.
 const ESTIMATOR_FAILED: &str = "estimator_failed";
 
-/// Machine name of the alarms about all machines of a site.
-pub(super) const ALL_MACHINES: &str = "all-machines";
-
-/// Ticks in an hour, one each five seconds.
-const TICKS_AN_HOUR: usize = 720;
+/// Time between two ticks of the monitors, which need at least one a minute.
+pub(super) const TICK: Duration = Duration::from_secs(5);
+const TICKS_AN_HOUR: u64 = 3600 / TICK.as_secs();
 
 /// The first name in the order of names.
 const SMALLEST_NAME: &str = "-";
@@ -44,7 +45,7 @@ pub(super) struct Fleet {
     /// Machines whose stored monitor may differ from that in memory; stored again at the next tick.
     to_store: HashSet<MachineId>,
     /// Ticks in this hour.
-    ticks: usize,
+    ticks: u64,
 }
 
 impl Fleet {
@@ -138,7 +139,7 @@ impl Fleet {
             (stored.renumbered, Irregularity::RepeatedNumber),
         ];
         for (_, irregularity) in irregularities.into_iter().filter(|(is_so, _)| *is_so) {
-            let event = monitor.irregular(irregularity, &stored.id, observation.started_at, settings);
+            let event = monitor.irregular(irregularity, Some(&stored.id), observation.started_at, settings);
             verdict.events.extend(event);
             verdict.state = monitor.state();
         }
@@ -176,7 +177,7 @@ impl Fleet {
             }
             // The existence of a token is stored at once, so that its loss is detected after a restart too.
             let changes = before != (monitor.is_announced(), monitor.state()) || !events.is_empty();
-            if index % TICKS_AN_HOUR == self.ticks || changes || self.to_store.contains(machine) {
+            if index as u64 % TICKS_AN_HOUR == self.ticks || changes || self.to_store.contains(machine) {
                 changed.push((machine.clone(), events));
             }
         }
@@ -257,16 +258,16 @@ impl Fleet {
         Some(outcome(own_machine, Some(monitor), now, vec![event]))
     }
 
-    /// Reports `count` messages of a machine in a row that are no valid throws; `None` if it has no monitor, or no news.
-    pub(super) fn invalid(
+    /// Reports an irregularity of a logger without a throw; `None` if its machine has no monitor, or without news.
+    pub(super) fn irregular(
         &mut self,
         machine: &MachineId,
-        (count, reason): (u32, &str),
+        irregularity: Irregularity,
         now: Timestamp,
         settings: &Settings,
     ) -> Option<Outcome> {
         let monitor = self.monitors.get_mut(machine)?;
-        let event = monitor.invalid(count, reason, now, settings)?;
+        let event = monitor.irregular(irregularity, None, now, settings)?;
         Some(outcome(machine, Some(monitor), now, vec![event]))
     }
 

@@ -19,6 +19,7 @@ use super::{
     budget::Budget,
     clock,
     config::Config,
+    fleet::TICK,
     heartbeat::TaskName,
     judge::{Judge, Judged},
     orders::Order,
@@ -27,14 +28,12 @@ use super::{
 };
 use crate::{
     bus::Outlet,
-    diagnose::Command,
+    diagnose::{Command, Irregularity},
     store::{GapRow, Judgement, Outcome, Store, StoreError, seldom},
     throw::MachineId,
     wire::{self, Alarm, Kind, Reply},
 };
 
-/// Time between two ticks of the monitors, which need at least one a minute.
-const TICK: Duration = Duration::from_secs(5);
 /// Changes of monitors in one transaction.
 const CHANGES: usize = 64;
 /// Gaps in one query; the gaps of a machine are reported together.
@@ -240,7 +239,8 @@ impl JudgeLoop {
             self.record(Outcome { reported_gaps, ..outcome }).await?;
         }
         for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
-            if let Some(outcome) = self.judge.fleet.invalid(&machine, (count, &reason), now, &config.diagnosis) {
+            let invalid = Irregularity::Invalid { count, reason: &reason };
+            if let Some(outcome) = self.judge.fleet.irregular(&machine, invalid, now, &config.diagnosis) {
                 self.record(outcome).await?;
             }
         }

@@ -11,10 +11,10 @@ use jiff::Timestamp;
 use tokio::{sync::Notify, task, time};
 use tokio_util::sync::CancellationToken;
 
-use super::{clock, fleet::ALL_MACHINES, heartbeat::TaskName, status::Status};
+use super::{clock, heartbeat::TaskName, status::Status};
 use crate::{
     bus::{Inbox, Message},
-    store::{QUARANTINED_BYTES, Refused, Spooled, Store, StoreError, seldom},
+    store::{ALL_MACHINES, QUARANTINED_BYTES, Refused, Spooled, Store, StoreError, seldom},
     throw::{MachineId, Throw},
     wire::{self, Encoding},
 };

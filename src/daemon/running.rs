@@ -15,7 +15,6 @@ use super::{
     backlog::{Asker, Backlog},
     clock,
     config::Config,
-    fleet::ALL_MACHINES,
     judge::{Judge, Judged},
     judge_loop::{JudgeLoop, Links},
     keep,
@@ -34,7 +33,7 @@ use super::{
 };
 use crate::{
     bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, OutletEnd, Questions},
-    store::{self, Found, Opened, Store},
+    store::{self, ALL_MACHINES, Found, Opened, Store},
     throw::MachineId,
     wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
@@ -309,7 +308,7 @@ impl Starting {
             machines: Mutex::new(machines.into_iter().filter(sends).map(|machine| (machine, None)).collect()),
             max_machines: subscribe.max_machines,
             max_payload_bytes: subscribe.max_payload_bytes,
-            itself: self.config.monitor.as_machine(),
+            itself: own_machine,
         });
         let missing = Arc::<Notify>::default();
         let asker = Asker {

@@ -379,27 +379,18 @@ impl MachineMonitor {
         Some((command, events))
     }
 
-    /// Applies `count` messages of the logger in a row that are no valid throws, with the last reason.
-    pub fn invalid(&mut self, count: u32, reason: &str, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
-        if self.maintenance.is_some() {
-            return None;
-        }
-        let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
-        operation.on_invalid(count, reason, alarms, context)
-    }
-
-    /// Applies an irregularity of the logger.
+    /// Applies an irregularity of the logger, in a throw if it is one of a throw.
     pub fn irregular(
         &mut self,
         irregularity: Irregularity,
-        throw: &ThrowRef,
+        throw: Option<&ThrowRef>,
         at: Timestamp,
         settings: &Settings,
     ) -> Option<AlarmEvent> {
         if self.maintenance.is_some() {
             return None;
         }
-        let (operation, alarms, context) = self.parts(to_micros(at), Some(throw), settings);
+        let (operation, alarms, context) = self.parts(to_micros(at), throw, settings);
         operation.on_irregularity(irregularity, alarms, context)
     }
 

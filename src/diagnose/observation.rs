@@ -46,7 +46,14 @@ impl Observation {
 
 /// An irregularity of a logger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Irregularity {
+pub enum Irregularity<'a> {
+    /// The last messages of the logger are not valid throws.
+    Invalid {
+        /// Number of these messages.
+        count: u32,
+        /// Reason of the last one.
+        reason: &'a str,
+    },
     /// The clock of the logger stands at an impossible time.
     WrongClock(Timestamp),
     /// The logger sent the same recording before.

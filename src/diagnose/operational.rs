@@ -412,21 +412,10 @@ impl Operation {
         let text = match irregularity {
             Irregularity::RepeatedTrace => text::repeated_trace(context.name),
             Irregularity::RepeatedNumber => text::repeated_number(context.name),
+            Irregularity::Invalid { count, reason } => text::invalid(context.name, count, reason),
             Irregularity::WrongClock(at) => text::wrong_clock(context.name, at),
         };
         alarms.raise(Cause::DataLoss, context.warning(text), context.at)
-    }
-
-    /// Applies messages of the logger that are no valid throws.
-    pub(super) fn on_invalid(
-        &mut self,
-        count: u32,
-        reason: &str,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
-        self.since_gap = 0;
-        alarms.raise(Cause::DataLoss, context.warning(text::invalid(context.name, count, reason)), context.at)
     }
 
     /// Forgets the sensor with unusable values.

@@ -176,12 +176,21 @@ pub struct Window {
     pub why: Option<String>,
 }
 
+macro_rules! all_machines {
+    () => {
+        "all-machines"
+    };
+}
+
+/// Machine name of the alarms about all machines of a site.
+pub(crate) const ALL_MACHINES: &str = all_machines!();
+
 /// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself, which is ?4/?5, and without
-/// the names of the alarms about all machines of a site. A silent
-/// machine is not monitored and has no other open alarm.
+/// [`ALL_MACHINES`]. A silent machine is not monitored and has no other open alarm.
 macro_rules! matching {
     () => {
-        "(SELECT machine.machine_row, site, machine, coalesce(monitor.state, 'learning') AS state, monitor.drifts,
+        concat!(
+            "(SELECT machine.machine_row, site, machine, coalesce(monitor.state, 'learning') AS state, monitor.drifts,
                  CASE WHEN monitor.state = 'not_monitored' THEN NOT EXISTS (SELECT 1 FROM alarm
                      WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'
                        AND alarm.cause NOT IN ('not_monitored', 'data_loss')) ELSE 0 END AS is_silent
@@ -190,7 +199,10 @@ macro_rules! matching {
             AND (?2 IS NULL OR EXISTS (SELECT 1 FROM alarm
                  WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?2))
             AND (?3 IS NULL OR instr(lower(site || '/' || machine), lower(?3)) > 0)
-            AND machine <> 'all-machines' AND NOT (site = ?4 AND machine = ?5))"
+            AND machine <> '",
+            all_machines!(),
+            "' AND NOT (site = ?4 AND machine = ?5))"
+        )
     };
 }
 

@@ -263,13 +263,14 @@ fn another_configuration_of_the_machine_starts_a_new_baseline() {
 fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions_a_caveat() {
     let (mut machine, mut monitor) = machine();
     let last = machine.throw(Vector3::zeros());
-    let event = monitor.invalid(5, "direction \"N\" is unknown", last.started_at, &Settings::default()).unwrap();
+    let invalid = Irregularity::Invalid { count: 5, reason: "direction \"N\" is unknown" };
+    let event = monitor.irregular(invalid, None, last.started_at, &Settings::default()).unwrap();
     assert_eq!((event.cause, event.severity), (Cause::DataLoss, Severity::Warning));
     assert!(event.text.contains("the last 5 messages") && event.text.contains("\"N\""), "{}", event.text);
 
     let mut monitor = machine.learned(&Settings::default());
     let clock = Irregularity::WrongClock(jiff::Timestamp::UNIX_EPOCH);
-    let event = monitor.irregular(clock, &last.throw, last.started_at, &Settings::default()).unwrap();
+    let event = monitor.irregular(clock, Some(&last.throw), last.started_at, &Settings::default()).unwrap();
     assert!(event.cause == Cause::DataLoss && event.text.contains("1970-01-01"), "{}", event.text);
 
     (0..4).for_each(|_| monitor.direction(true));
