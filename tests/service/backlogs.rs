@@ -3,7 +3,7 @@
 use std::{
     sync::{
         Arc,
-        atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
+        atomic::{AtomicBool, Ordering::Relaxed},
     },
     time::Duration,
 };
@@ -12,6 +12,7 @@ use pointsd::{
     throw::{ThrowRef, Trace},
     wire::{BacklogQuery, Encoding, encode_throw},
 };
+use tokio::sync::mpsc;
 use zenoh::{Session, Wait, bytes::Encoding as ContentType};
 
 use crate::rig::{PATIENCE, Rig, matched, put, stub};
@@ -69,10 +70,12 @@ async fn an_outage_is_no_time_in_which_the_logger_replied_without_the_throws() {
     let rig = Rig::new();
     let daemon = rig.start();
     let session = daemon.client().await;
-    let (queries, is_ready) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
-    let (count, ready) = (Arc::clone(&queries), Arc::clone(&is_ready));
+    let (asked, mut queries) = mpsc::unbounded_channel();
+    let is_ready = Arc::new(AtomicBool::new(false));
+    let ready = Arc::clone(&is_ready);
     let on_query = move |query: zenoh::query::Query| {
-        count.fetch_add(1, Relaxed);
+        // Fails after the end of the test.
+        let _ = asked.send(());
         for throw_no in [2, 3].into_iter().filter(|_| ready.load(Relaxed)) {
             let message = encode_throw(Encoding::Cbor, &stub("boot", throw_no));
             query.reply(KEY, message).encoding(ContentType::APPLICATION_CBOR).wait().unwrap();
@@ -81,14 +84,11 @@ async fn an_outage_is_no_time_in_which_the_logger_replied_without_the_throws() {
     session.declare_queryable(KEY).callback(on_query).background().await.unwrap();
     let token = session.liveliness().declare_token(TOKEN).await.unwrap();
     daemon.until_status("the token", |status| status["loggers"] == 1).await;
-    let more_queries = async |more: u64| {
-        let before = queries.load(Relaxed);
-        let asked = async {
-            while queries.load(Relaxed) < before + more {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, asked).await.unwrap();
+    let mut more_queries = async |more: u32| {
+        while queries.try_recv().is_ok() {}
+        for _ in 0..more {
+            tokio::time::timeout(PATIENCE, queries.recv()).await.unwrap().unwrap();
+        }
     };
     drop(matched(&session, KEY).await);
     for throw_no in [1, 4] {

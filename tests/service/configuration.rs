@@ -1,10 +1,13 @@
 //! A wrong configuration: exit 78, with file, line and key, without any change of files.
 
-use std::{fs, net::TcpListener, thread, time::Duration};
+use std::{
+    fs,
+    net::TcpListener,
+    thread,
+    time::{Duration, Instant},
+};
 
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
-
-use crate::rig::{Rig, pointsd, pointsim};
+use crate::rig::{PATIENCE, Rig, pointsd, pointsim};
 
 #[test]
 fn a_wrong_configuration_is_named_with_file_line_and_key() {
@@ -106,9 +109,7 @@ fn a_start_that_fails_leaves_the_database_clean() {
 async fn a_stop_during_the_start_is_obeyed() {
     let rig = Rig::new();
     assert!(rig.start().terminate().success());
-    let mut other =
-        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(rig.database())).await.unwrap();
-    sqlx::query("BEGIN EXCLUSIVE").execute(&mut other).await.unwrap();
+    let mut other = rig.locked("BEGIN EXCLUSIVE").await;
     let (daemon, _) = rig.launch();
     let status = format!("/proc/{}/status", daemon.id());
     let listens = || {
@@ -116,7 +117,9 @@ async fn a_stop_during_the_start_is_obeyed() {
         let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap();
         u64::from_str_radix(caught.trim(), 16).unwrap() >> 14 & 1 == 1
     };
+    let deadline = Instant::now() + PATIENCE;
     while !listens() {
+        assert!(Instant::now() < deadline, "{:?}", daemon.log());
         thread::sleep(Duration::from_millis(5));
     }
     assert_eq!(daemon.terminate().code(), Some(0));

@@ -213,6 +213,15 @@ impl Rig {
         }
     }
 
+    /// Locks the database for other programs with a statement such as `BEGIN IMMEDIATE`, until `ROLLBACK`.
+    pub(crate) async fn locked(&self, begin: &'static str) -> sqlx::SqliteConnection {
+        use sqlx::Connection;
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(self.database());
+        let mut connection = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+        sqlx::query(begin).execute(&mut connection).await.unwrap();
+        connection
+    }
+
     /// Changes the database while no daemon runs.
     pub(crate) async fn change(&self, statement: impl Into<String>) {
         use sqlx::Connection;

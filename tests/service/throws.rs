@@ -16,7 +16,6 @@ use pointsd::{
     throw::Throw,
     wire::{Encoding, encode_throw},
 };
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use zenoh::bytes::Encoding as ContentType;
 
 use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsim, put, stub, throws, throws_of};
@@ -159,9 +158,7 @@ async fn a_locked_database_sends_no_valid_throw_to_quarantine() {
     let daemon = rig.start();
     let session = daemon.client().await;
     let publisher = matched(&session, KEY).await;
-    let mut other =
-        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(rig.database())).await.unwrap();
-    sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
+    let mut other = rig.locked("BEGIN IMMEDIATE").await;
     publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
     daemon.until_log("storing throws failed");
     // Each write of the daemon takes two busy timeouts of 5 s. The lock outlasts the attempts to store the throw with others

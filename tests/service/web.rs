@@ -7,8 +7,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
-
 use crate::{
     faketime,
     http::{Answer, WEB, address, ask, check_nesting, exchange, get, history_in, small_history},
@@ -234,9 +232,7 @@ async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
         }
     };
     until(200, "every loop of the daemon beats\n", &mut |_| {});
-    let mut other =
-        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(rig.database())).await.unwrap();
-    sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
+    let mut other = rig.locked("BEGIN IMMEDIATE").await;
     // A running write may still succeed; then the next one waits for another minute.
     let mut seconds = 0;
     let mut a_minute_passes = |health: &Answer| {
@@ -331,9 +327,7 @@ async fn operators_act_from_the_page_with_the_token_and_from_nowhere_else() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_command_from_a_page_waits_until_it_is_applied() {
     let (rig, daemon, address) = history_in(Rig::with(&format!("{WEB}token = \"correct horse battery\"\n"))).await;
-    let mut other =
-        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(rig.database())).await.unwrap();
-    sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
+    let mut other = rig.locked("BEGIN IMMEDIATE").await;
     let origin = format!("Origin: http://{address}\r\n");
     let form = "command=rebaseline&why=greased&by=A.+Meyer&token=correct+horse+battery";
     let answer = thread::spawn(move || post(&address, &origin, form));
