@@ -20,6 +20,7 @@ use super::{
     settings::Settings,
     testimony::Testimony,
     text,
+    threshold::WINDOWS,
     track::{Suspicion, Tracks},
     verdict::Drifting,
     window::Window,
@@ -36,6 +37,8 @@ const FORGOTTEN_BELOW: f64 = 0.25;
 
 /// Longest time for which rain lowers the friction \[h\]: two wet days and a day of drying.
 const RAIN_HOURS: i64 = 72;
+/// Throws of the machine after which the last few of each direction show a fall completely.
+const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
 /// Losses of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
 /// friction of a machine.
 const RAIN_PCT: Range<f64> = 10.0..25.0;
@@ -242,11 +245,12 @@ impl DriftAlarms {
             self.fallen = None;
             return Claim::Named;
         };
-        if !fall.lasts {
+        let (since, first) = *self.fallen.get_or_insert((context.at, order));
+        // The last few throws of a direction show a new fall only in part.
+        if !fall.lasts && order - first >= SHOWN_AFTER {
             self.fallen = None;
             return Claim::None;
         }
-        let (since, first) = *self.fallen.get_or_insert((context.at, order));
         let is_new = context.at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
             || order - first < u64::from(LONGEST_WINDOW);
         let may_be_rain = is_new && RAIN_PCT.contains(&-percent(fall.size));

@@ -25,7 +25,7 @@ pub(super) struct Bound {
 }
 /// The bounds while a baseline fills. Throws that depend strongly on those before often look like a slope for some throws,
 /// so the change must also be that of a part near its limit (and the sign that of wear).
-pub(super) const WHILE_FILLING: Bound = Bound { evidence: 1.5, part_of_limit: 2.0 / 3.0 };
+pub(super) const WHILE_FILLING: Bound = Bound { evidence: 1.0, part_of_limit: 0.65 };
 /// The bounds for the last throws of a baseline, which stays provisional with a trend. Of 4,000 series of 100 healthy throws
 /// with phi from 0 to 0.9 about 1 % or fewer reach them.
 pub(super) const AT_THE_END: Bound = Bound { evidence: 2.7, part_of_limit: 1.0 / 3.0 };
