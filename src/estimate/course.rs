@@ -96,6 +96,10 @@ pub(super) fn course(
     if back_mm > WRONG_WAY_SHARE * travel_mm + WRONG_WAY_SIGMAS * noise_mm {
         return Err(Rejection::MovedBackwards { back_mm });
     }
+    if travel_mm < least {
+        // The toe returned to its start after the motor.
+        return Err(Rejection::MovedBackwards { back_mm: furthest - travel_mm });
+    }
     if let Some(stroke_mm) = settings.stroke_mm {
         if travel_mm + noise_mm < COMPLETE_SHARE * stroke_mm {
             return Err(Rejection::Incomplete { travel_mm, stroke_mm });

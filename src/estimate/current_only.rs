@@ -62,7 +62,7 @@ pub(super) fn estimate(
     }
     let (start, off) = (movement.start(), movement.motor_off?);
     let drive = movement.drive(current);
-    let amperes: Vec<f64> = current[start..=off].iter().map(|i| drive * (i - movement.current.mean)).collect();
+    let amperes: Vec<f64> = current.get(start..=off)?.iter().map(|i| drive * (i - movement.current.mean)).collect();
     let integral = |values: &[f64]| {
         let mut sum = 0.0;
         let mut sums = vec![0.0];

@@ -320,6 +320,7 @@ impl Identifier {
     ) -> Result<Window, Rejection> {
         let from = movement.start().saturating_sub(LEAD_IN);
         let to = movement.end(&self.position).max(from) + 1;
+        long_enough(to - from, interval_s)?;
         let radians_per_mm = std::f64::consts::TAU / settings.lead_mm;
         let offset = movement.current.mean;
         let drive = movement.drive(&self.current);
@@ -374,7 +375,7 @@ impl Identifier {
         let (current_sd, position_sd) = self.sensor_noise(settings, movement);
         // Filtered white noise has more power below the cut-off than its variance at this rate shows.
         let colour = filter_hz.map_or(1.0, |hz| (0.5 / (interval_s * NOISE_BANDWIDTH * hz)).max(1.0));
-        let window = Window {
+        Ok(Window {
             from,
             to,
             interval_s,
@@ -390,10 +391,7 @@ impl Identifier {
             running: movement.mean_a,
             rise,
             doubt,
-        };
-        let samples = to - from;
-        long_enough(samples, interval_s)?;
-        Ok(window)
+        })
     }
 
     /// Standard deviations of the noise of current \[A\] and position \[mm\]: measured at rest, or from the roughness

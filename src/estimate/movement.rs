@@ -168,7 +168,7 @@ impl Movement {
         let since_start_s = |k: usize| k.saturating_sub(start) as f64 * interval_s;
         let on_s = self.motor_off.map(since_start_s);
         let magnitude = |i: &f64| (i - self.current.mean).abs();
-        let running = self.motor_off.map(|off| start.midpoint(off)..off - (off - start) / 10);
+        let running = self.motor_off.map(|off| start.midpoint(off)..off - off.saturating_sub(start) / 10);
         Features {
             duration_s: self.motor_off.map(|_| since_start_s(self.arrived)),
             release_s: self.motor_off.and_then(|_| self.released(position)).map(since_start_s),

@@ -20,4 +20,5 @@ mod mutated;
 mod refined;
 mod rough;
 mod sriv;
+mod strange;
 mod table1;
