@@ -188,6 +188,12 @@ impl Movement {
 }
 
 impl Level {
+    /// Whether the noise hides this step of the converter, so that a constant value does not repeat its code for long. A
+    /// value between two codes flickers with a standard deviation of half a step, also with hardly any noise.
+    pub(super) fn hides(&self, step: f64) -> bool {
+        self.sd > 0.6 * step
+    }
+
     pub(super) fn of(values: &[f64]) -> Self {
         if values.is_empty() {
             return Self::default();
