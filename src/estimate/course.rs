@@ -3,7 +3,7 @@
 use super::{
     damage::LEAST_SLIP,
     movement::{Level, MIN_QUIET, Movement, every, mean, median_of_magnitudes, peak},
-    noise::{LARGEST_POSITION_SHARE, POSITION_NOISE_FACTOR, SD_PER_MEDIAN, first_difference_noise},
+    noise::{LARGEST_POSITION_SHARE, SD_PER_MEDIAN, first_difference_noise},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -71,11 +71,8 @@ pub(super) fn course(
     if is_in_metres(movement, settings, noise_mm) {
         return Err(Rejection::WrongUnit { travel_mm });
     }
-    let noisy = Rejection::Noisy {
-        channel: Channel::Position,
-        measured: noise_mm,
-        expected: POSITION_NOISE_FACTOR * settings.position_noise_mm,
-    };
+    let noisy =
+        Rejection::Noisy { channel: Channel::Position, measured: noise_mm, expected: settings.position_noise_mm };
     let least =
         LEAST_TRAVEL_MM.max(LEAST_TRAVEL_SHARE * settings.stroke_mm.unwrap_or(0.0)).max(LEAST_TRAVEL_SIGMAS * noise_mm);
     if travel_mm.max(furthest) < least {

@@ -18,6 +18,7 @@ mod machine;
 mod mains;
 mod mutated;
 mod refined;
+mod rest;
 mod rough;
 mod sriv;
 mod strange;
