@@ -336,7 +336,7 @@ fn health(
     throws_since_baseline: u64,
 ) -> Health {
     let (quality, detail) = match (&stored.throw, found) {
-        (_, Some(found)) => (found.quality(), found.outcome.as_ref().err().map(ToString::to_string)),
+        (_, Some(found)) => (found.quality(), found.detail()),
         (Ok(_), None) if stored.repeats => {
             let detail = "the machine sent the same trace before; two real throws are never identical";
             (REPEATED, Some(detail.to_owned()))

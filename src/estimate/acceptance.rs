@@ -109,11 +109,11 @@ pub(super) fn misfit(
 }
 
 /// The estimate with its covariance, from an accepted solution; rejects an uncertain one. `cut_after_mm`: travel of a
-/// trace that ends during the movement.
+/// trace that ends during the movement; `load` and `offset`: errors from dry friction and from the current at rest.
 pub(super) fn finish(
     solution: &Solution<2, 1, 3>,
     covariance: &[[f64; 3]; 3],
-    load: [f64; 3],
+    (load, offset): ([f64; 3], [f64; 3]),
     departure: Departure,
     window: &Window,
     cut_after_mm: Option<f64>,
@@ -148,6 +148,8 @@ pub(super) fn finish(
             let wander = if departure.noise_ratio > LEAST_WANDER { beyond_noise * covariance[i][j] } else { 0.0 };
             wander + load[i] * load[j] + scale * scale * solution.parameters[i] * solution.parameters[j]
         }),
+        offset,
+        reason: None,
         fit_pct: 100.0 * solution.fit,
         iterations: solution.iterations,
         start_s: window.from as f64 * window.interval_s,

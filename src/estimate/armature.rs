@@ -15,8 +15,8 @@ use super::{features::Features, movement::Movement};
 /// Lowest sampling rate that resolves the inrush: 60 samples in the 0.3 s of its decay \[Hz\].
 const LEAST_RATE_HZ: f64 = 200.0;
 
-/// Adds energy, resistance and back-EMF constant to the features of a throw.
-pub(super) fn add_supply(
+/// Adds resistance and back-EMF constant to the features of a throw.
+pub(super) fn add_constants(
     features: &mut Features,
     supply_v: f64,
     movement: &Movement,
@@ -24,7 +24,6 @@ pub(super) fn add_supply(
     interval_s: f64,
     lead_mm: f64,
 ) {
-    features.energy_j = features.charge_as.map(|charge_as| charge_as * supply_v);
     if interval_s * LEAST_RATE_HZ > 1.0 || movement.sign == 0.0 {
         return;
     }

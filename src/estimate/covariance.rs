@@ -109,16 +109,42 @@ impl Sriv<2, 1, 3> {
         foot: usize,
         workspace: &Workspace<3>,
     ) -> [f64; 3] {
-        let (z, stride, model) = (&workspace.instruments, workspace.stride, &workspace.model_output);
+        let model = &workspace.model_output;
         let [_, a1, _] = solution.parameters;
-        let Some(filter) = Discrete::<2>::new(&solution.denominator, problem.interval_s) else { return [0.0; 3] };
-        let row = filter.readout(Hold::Zero).state[0];
         let (middle, last) = (model.len() / 2, model.len() - 1);
         let per_sample = (model[last] - model[middle]) / (last - middle).max(1) as f64;
+        let load = DRY_SHARE * a1 * per_sample / problem.interval_s;
+        Self::disturbed(problem, solution, workspace, |k| {
+            if k >= foot { load * ((model[k + 1] - model[k]) / per_sample - 1.0) } else { 0.0 }
+        })
+    }
+
+    /// Errors of (b0, a1, a0) from an error `offset` of the current's offset, with the `scale` of [`Noise`].
+    pub(super) fn offset_error(
+        problem: &Problem<1>,
+        solution: &Solution<2, 1, 3>,
+        offset: f64,
+        scale: Option<&[f64]>,
+        workspace: &Workspace<3>,
+    ) -> [f64; 3] {
+        let load = solution.parameters[0] * offset;
+        Self::disturbed(problem, solution, workspace, |k| load * scale.map_or(1.0, |scale| scale[k]))
+    }
+
+    /// Errors of (b0, a1, a0) from a disturbance d of the acceleration: M⁻¹ Σ z n, with n = d/A.
+    fn disturbed(
+        problem: &Problem<1>,
+        solution: &Solution<2, 1, 3>,
+        workspace: &Workspace<3>,
+        disturbance: impl Fn(usize) -> f64,
+    ) -> [f64; 3] {
+        let (z, stride) = (&workspace.instruments, workspace.stride);
+        let Some(filter) = Discrete::<2>::new(&solution.denominator, problem.interval_s) else { return [0.0; 3] };
+        let row = filter.readout(Hold::Zero).state[0];
         let (mut state, mut sum) = ([0.0; 2], [0.0; 3]);
         let mut kept = z.iter();
         let mut until_kept = stride / 2;
-        for k in 0..last {
+        for k in 0..workspace.model_output.len() - 1 {
             if until_kept == 0 {
                 until_kept = stride;
                 if let Some(z) = kept.next() {
@@ -126,11 +152,9 @@ impl Sriv<2, 1, 3> {
                 }
             }
             until_kept -= 1;
-            let rest = if k >= foot { 1.0 - (model[k + 1] - model[k]) / per_sample } else { 0.0 };
-            filter.advance(&mut state, rest);
+            filter.advance(&mut state, disturbance(k));
         }
-        let load = DRY_SHARE * a1 * per_sample / problem.interval_s;
-        times(&solution.inverse, &sum).map(|v| -load * v)
+        times(&solution.inverse, &sum)
     }
 }
 

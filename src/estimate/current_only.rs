@@ -20,6 +20,7 @@ use super::{
     movement::Movement,
     ratios,
     settings::Settings,
+    window,
 };
 use crate::throw::Direction;
 
@@ -62,7 +63,7 @@ pub(super) fn estimate(
     }
     let (start, off) = (movement.start(), movement.motor_off?);
     let drive = movement.drive(current);
-    let amperes: Vec<f64> = current[start..=off].iter().map(|i| drive * (i - movement.current.mean)).collect();
+    let amperes: Vec<f64> = current.get(start..=off)?.iter().map(|i| drive * (i - movement.current.mean)).collect();
     let integral = |values: &[f64]| {
         let mut sum = 0.0;
         let mut sums = vec![0.0];
@@ -111,9 +112,10 @@ pub(super) fn estimate(
             Some(Direction::NormalToReverse) | None => settings.neutral_mm,
         };
         let equilibrium = from_start_mm * std::f64::consts::TAU / settings.lead_mm;
-        let offset = movement.current.sd.powi(2) / movement.current.samples.max(1) as f64;
+        let offset = window::current_offset_variance(movement);
         let end = output.iter().position(|y| *y > 0.95 * angle).unwrap_or(last);
-        let ratios = ratios::of(&amperes[..end], &output[..end], equilibrium, offset, interval_s)?;
+        let input = ratios::Input { values: &amperes[..end], scale: None, offset, rest_a: window::rest(movement) };
+        let ratios = ratios::of(input, &output[..end], equilibrium, interval_s)?;
         let [r1, r0] = ratios.values;
         let b0: f64 = solved[2] / (back_emf + r1 * resistance + r0 * inductance);
         (a1, a0) = (r1 * b0, r0 * b0);
@@ -124,7 +126,7 @@ pub(super) fn estimate(
         return None;
     }
     (features.resistance_ohm, features.back_emf_v_s_per_rad) = (Some(resistance), Some(back_emf));
-    let mut estimate = ratios.estimate(None, start, start + last, interval_s);
+    let mut estimate = ratios.estimate(None, None, start, start + last, interval_s);
     let coefficients = Vector3::new(b0, a1, a0);
     // An error of ln b0 is common to all three; the ratios have additional errors.
     let mut log = Matrix3::repeat(SCALE_SD * SCALE_SD);
@@ -135,6 +137,8 @@ pub(super) fn estimate(
         }
     }
     let scale = Matrix3::from_diagonal(&coefficients);
+    // The errors of the ratios were for b0 = 1.
+    estimate.offset = estimate.offset.map(|error| b0 * error);
     (estimate.b0, estimate.a1, estimate.a0) = (b0, a1, a0);
     estimate.grade = Grade::CurrentOnly;
     estimate.ratios_only = false;

@@ -89,7 +89,7 @@ pub(super) fn sticking(
     let to = (movement.near_end * factor).min(values.len());
     let start = (movement.start() * factor).min(to);
     let step = quantum(&values[start..to]);
-    let noisy = movement.level(channel).sd > 0.5 * step && step > 0.0;
+    let noisy = movement.level(channel).hides(step) && step > 0.0;
     let mean_step = movement.travel_mm / (to - start).max(1) as f64;
     // Without noise the values before the start are equal.
     let from = if noisy { 0 } else { start };

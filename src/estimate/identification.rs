@@ -54,6 +54,13 @@ pub struct Estimate {
     /// varying load, and a possible brake at the start. A comparison with a baseline does not contain them.
     #[serde(with = "rows", default)]
     pub systematic: Matrix3<f64>,
+    /// Errors of (b0, a1, a0) for one standard deviation of the part of the current at rest that the machine does not
+    /// draw in motion. They are equal in every throw of a machine, and in the ratios.
+    #[serde(default)]
+    pub offset: [f64; 3],
+    /// Why the estimate is rough: the check that the throw did not pass. `None` if it is not rough.
+    #[serde(default)]
+    pub reason: Option<Rejection>,
     /// `R²_T` \[%\].
     pub fit_pct: f64,
     /// Number of SRIV iterations.
@@ -74,11 +81,12 @@ impl Estimate {
     /// Covariance of the whole error of (b0, a1, a0), from noise and model.
     #[must_use]
     pub fn total_covariance(&self) -> Matrix3<f64> {
-        self.covariance + self.systematic
+        let offset = Vector3::from(self.offset);
+        self.covariance + self.systematic + offset * offset.transpose()
     }
 
     /// Covariance for a comparison with a baseline. Errors that are equal in every throw cancel in it, except for
-    /// ratios, whose baseline has complete estimates. Such errors do not average out over a window; the covariance of
+    /// the `systematic` ones of ratios, whose baseline has complete estimates. Such errors do not average out over a window; the covariance of
     /// ratios is one of them, as it comes from the misfit of the model, which repeats.
     #[must_use]
     pub fn drift_covariance(&self) -> Matrix3<f64> {
@@ -137,6 +145,13 @@ impl Identification {
     pub fn quality(&self) -> &'static str {
         self.outcome.as_ref().map_or_else(Rejection::code, |estimate| estimate.grade.as_str())
     }
+
+    /// Why the throw is rejected or rough, as a sentence.
+    #[must_use]
+    pub fn detail(&self) -> Option<String> {
+        let reason = self.outcome.as_ref().map_or_else(Some, |estimate| estimate.reason.as_ref());
+        reason.map(ToString::to_string)
+    }
 }
 
 /// JSON of a 3x3 matrix as three rows.
@@ -168,6 +183,8 @@ mod tests {
             ratios_only: false,
             covariance,
             systematic: Matrix3::zeros(),
+            offset: [0.1, 0.02, 0.01],
+            reason: Some(Rejection::BrakedStart),
             fit_pct: 99.9,
             iterations: 4,
             start_s: 0.2,

@@ -16,7 +16,7 @@ use super::{
     release,
     settings::{Motor, Settings},
     sriv::{Failure, Problem, Signal, Sriv, Workspace},
-    window::{Window, offset_variance},
+    window::{self, Window, offset_variance},
 };
 use crate::throw::{Direction, Throw};
 
@@ -111,6 +111,9 @@ impl Identifier {
             .and_then(|()| damage::sticking(&movement, Channel::Position, &raw_position, raw_interval_s, factor))
             .and_then(|()| self.estimate(throw, settings, &movement, (interval_s, factor, noise_mm), released));
         let moved = direction_moved(&movement, &outcome);
+        let undamaged = !outcome
+            .as_ref()
+            .is_err_and(|reason| reason.faulty_channel().is_some() || matches!(reason, Rejection::PositionJump { .. }));
         let mut features = movement.features(&self.current, &self.position, interval_s);
         match outcome {
             Err(Rejection::Noisy { channel, .. } | Rejection::Stuck { channel: channel @ Channel::Position, .. }) => {
@@ -121,8 +124,11 @@ impl Identifier {
         }
         features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
         if let Some(supply_v) = features.supply_v.and(throw.possible_supply_v()) {
+            features.energy_j = features.charge_as.map(|charge_as| charge_as * supply_v);
             let channels = (self.current.as_slice(), self.position.as_slice());
-            armature::add_supply(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
+            if undamaged {
+                armature::add_constants(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
+            }
         }
         Identification {
             direction: moved.or(throw.direction),
@@ -182,7 +188,7 @@ impl Identifier {
     ) -> Result<Estimate, Rejection> {
         let rate_hz = 1.0 / interval_s;
         let filter_hz = throw.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001);
-        noise::resolved(movement)?;
+        noise::resolved(movement, settings)?;
         let noisy = noise::plausible(movement, settings).err();
         let no_inrush = course::inrush(movement, &self.current, &mut self.scratch);
         let mut doubt = course::early(movement, &self.position).err();
@@ -231,7 +237,7 @@ impl Identifier {
         let reason = match (fitted, doubt) {
             (Ok(estimate), None) => {
                 let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
-                return Ok(Estimate { grade, ..estimate });
+                return Ok(Estimate { grade, reason: noisy, ..estimate });
             }
             (Err(Rejection::Misfit { peak_mm, at_s }), None) if peak_mm > ROUGH_SHARE * movement.travel_mm => {
                 return Err(Rejection::Misfit { peak_mm, at_s });
@@ -241,9 +247,14 @@ impl Identifier {
         };
         let reason = noisy.unwrap_or(reason);
         let equilibrium = self.equilibrium.last().copied().filter(|_| window.shifted).unwrap_or(0.0);
-        let ratios =
-            ratios::of(&self.input, &self.output, equilibrium, window.offsets[0], window.interval_s).ok_or(reason)?;
-        Ok(ratios.estimate(scale, window.from, window.to, window.interval_s))
+        let input = ratios::Input {
+            values: &self.input,
+            scale: Some(self.input_scale.as_slice()).filter(|_| window.series),
+            offset: window.offsets[0],
+            rest_a: window.rest_a,
+        };
+        let ratios = ratios::of(input, &self.output, equilibrium, window.interval_s).ok_or_else(|| reason.clone())?;
+        Ok(ratios.estimate(scale, Some(reason), window.from, window.to, window.interval_s))
     }
 
     /// Fits the full model to the window; returns fit and iterations if there is a solution, and its acceptance.
@@ -302,8 +313,9 @@ impl Identifier {
                 accept(&solution, settings)?;
                 let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
                 let load = Sriv::load_error(&problem, &solution, foot, &self.workspace);
+                let offset = Sriv::offset_error(&problem, &solution, window.rest_a, noise.scale, &self.workspace);
                 let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
-                finish(&solution, &covariance, load, departure, window, cut.then_some(movement.travel_mm))
+                finish(&solution, &covariance, (load, offset), departure, window, cut.then_some(movement.travel_mm))
             });
         (Some(found), verdict)
     }
@@ -320,6 +332,7 @@ impl Identifier {
     ) -> Result<Window, Rejection> {
         let from = movement.start().saturating_sub(LEAD_IN);
         let to = movement.end(&self.position).max(from) + 1;
+        long_enough(to - from, interval_s)?;
         let radians_per_mm = std::f64::consts::TAU / settings.lead_mm;
         let offset = movement.current.mean;
         let drive = movement.drive(&self.current);
@@ -374,7 +387,7 @@ impl Identifier {
         let (current_sd, position_sd) = self.sensor_noise(settings, movement);
         // Filtered white noise has more power below the cut-off than its variance at this rate shows.
         let colour = filter_hz.map_or(1.0, |hz| (0.5 / (interval_s * NOISE_BANDWIDTH * hz)).max(1.0));
-        let window = Window {
+        Ok(Window {
             from,
             to,
             interval_s,
@@ -383,17 +396,20 @@ impl Identifier {
             output_noise: (position_sd * radians_per_mm).powi(2) * colour,
             noise_samples: movement.position.samples,
             offsets: [
-                offset_variance(movement.current),
-                offset_variance(movement.position) * radians_per_mm * radians_per_mm,
+                window::current_offset_variance(movement),
+                // Without quiet samples the start is the first position.
+                offset_variance(movement.position).max(if movement.position.samples == 0 {
+                    position_sd.powi(2)
+                } else {
+                    0.0
+                }) * radians_per_mm.powi(2),
             ],
+            rest_a: window::rest(movement),
             series: settings.motor == Motor::Series,
             running: movement.mean_a,
             rise,
             doubt,
-        };
-        let samples = to - from;
-        long_enough(samples, interval_s)?;
-        Ok(window)
+        })
     }
 
     /// Standard deviations of the noise of current \[A\] and position \[mm\]: measured at rest, or from the roughness

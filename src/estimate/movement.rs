@@ -9,6 +9,9 @@ const START_SHARE: f64 = 0.05;
 /// The motor counts as on above this share of the peak current. The share is small because a throw in which the spring
 /// helps needs very little current.
 const ON_SHARE: f64 = 0.005;
+/// After the arrival of the toe the motor counts as on above this share of the current before it: a motor that drives a standing
+/// toe takes more than a running one, a detection circuit takes less.
+const DRIVING_SHARE: f64 = 0.5;
 /// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm is above the noise of position sensors,
 /// and reached within the first 50 ms.
 const RELEASE_SHARE: f64 = 0.005;
@@ -96,6 +99,16 @@ impl Movement {
         let near_end = (0..len).find(|&k| progress(k) >= 0.95 * travel_mm).unwrap_or(len - 1);
         let slack = (4.0 * position_level.sd).max(0.002 * travel_mm);
         let arrived = (near_end..len).find(|&k| progress(k) >= travel_mm - slack).unwrap_or(len - 1);
+        if let Some(off) = motor_off.filter(|off| *off > arrived && arrived > quiet) {
+            let since = arrived - (arrived - quiet) / 4;
+            scratch.clear();
+            scratch.extend(current[since..=arrived].iter().map(|i| (i - level.mean).abs()));
+            let driving = threshold(&level, peak_a).max(DRIVING_SHARE * median_of_magnitudes(scratch));
+            // The noise of a detection circuit is no motor: the mean of some samples counts.
+            let drives = |values: &[f64]| (mean(values.iter().copied()) - level.mean).abs() > driving;
+            let after = current[arrived..=off].windows(MIN_QUIET).rposition(drives);
+            motor_off = Some(arrived + after.map_or(0, |from| from + MIN_QUIET / 2));
+        }
         let on = quiet.min(len - 1)..motor_off.map_or(0, |off| off + 1).max(quiet.min(len - 1));
         let mean_a = mean(current[on].iter().map(|i| (i - level.mean).abs()));
         Self {
@@ -168,7 +181,7 @@ impl Movement {
         let since_start_s = |k: usize| k.saturating_sub(start) as f64 * interval_s;
         let on_s = self.motor_off.map(since_start_s);
         let magnitude = |i: &f64| (i - self.current.mean).abs();
-        let running = self.motor_off.map(|off| start.midpoint(off)..off - (off - start) / 10);
+        let running = self.motor_off.map(|off| start.midpoint(off)..off - off.saturating_sub(start) / 10);
         Features {
             duration_s: self.motor_off.map(|_| since_start_s(self.arrived)),
             release_s: self.motor_off.and_then(|_| self.released(position)).map(since_start_s),
@@ -188,6 +201,12 @@ impl Movement {
 }
 
 impl Level {
+    /// Whether the noise hides this step of the converter, so that a constant value does not repeat its code for long. A
+    /// value between two codes flickers with a standard deviation of half a step, also with hardly any noise.
+    pub(super) fn hides(&self, step: f64) -> bool {
+        self.sd > 0.6 * step
+    }
+
     pub(super) fn of(values: &[f64]) -> Self {
         if values.is_empty() {
             return Self::default();

@@ -10,19 +10,20 @@ use super::{
 /// Largest ratio of measured to configured noise; more is a fault of the sensor or its wiring. Noise of the current
 /// affects the coefficients ten times as much as noise of the position. The covariance uses the measured noise.
 const CURRENT_NOISE_FACTOR: f64 = 3.5;
-pub(super) const POSITION_NOISE_FACTOR: f64 = 25.0;
+const POSITION_NOISE_FACTOR: f64 = 25.0;
 
 /// Largest noise for the estimation, as share of the peak current and of the travel.
 const LARGEST_NOISE_SHARE: f64 = 0.025;
 pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
 
 /// Rejects noise that is too large compared with the signals.
-pub(super) fn resolved(movement: &Movement) -> Result<(), Rejection> {
-    for (channel, level, expected) in [
-        (Channel::Current, movement.current, LARGEST_NOISE_SHARE * movement.peak_a),
-        (Channel::Position, movement.position, LARGEST_POSITION_SHARE * movement.travel_mm),
+pub(super) fn resolved(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
+    let largest_mm = LARGEST_POSITION_SHARE * movement.travel_mm;
+    for (channel, level, expected, largest) in [
+        (Channel::Current, movement.current, settings.current_noise_a, LARGEST_NOISE_SHARE * movement.peak_a),
+        (Channel::Position, movement.position, settings.position_noise_mm, largest_mm),
     ] {
-        if level.samples >= MIN_QUIET && level.sd > expected {
+        if level.samples >= MIN_QUIET && level.sd > largest {
             return Err(Rejection::Noisy { channel, measured: level.sd, expected });
         }
     }

@@ -17,6 +17,7 @@ use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 use super::{
     covariance::DRY_SHARE,
     identification::{Estimate, Grade},
+    rejection::Rejection,
 };
 
 /// Standard deviation of the logarithm of the common scale without information from the start.
@@ -44,8 +45,22 @@ pub(super) struct Ratios {
     /// Covariances of the logarithms: of errors that differ in each throw, and of errors that are equal in every throw.
     pub(super) log_covariance: Matrix2<f64>,
     pub(super) log_systematic: Matrix2<f64>,
+    /// Errors of the logarithms for one standard deviation of the part of the current at rest that is none in motion.
+    log_offset: [f64; 2],
     /// First sample used.
     pub(super) from: usize,
+}
+
+/// The input of the model.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Input<'a> {
+    pub(super) values: &'a [f64],
+    /// Change of each value with the current; `None` for 1.
+    pub(super) scale: Option<&'a [f64]>,
+    /// Variance of the offset of the current \[A²\].
+    pub(super) offset: f64,
+    /// Standard deviation of the part of the current at rest that is none in motion \[A\].
+    pub(super) rest_a: f64,
 }
 
 /// The result of the full model, accepted or not.
@@ -57,7 +72,14 @@ pub(super) struct FullModel {
 
 impl Ratios {
     /// A rough estimate with these ratios, from the samples `from` to `to`, with the arbitrary b0 = 1.
-    pub(super) fn estimate(&self, full: Option<FullModel>, from: usize, to: usize, interval_s: f64) -> Estimate {
+    pub(super) fn estimate(
+        &self,
+        full: Option<FullModel>,
+        reason: Option<Rejection>,
+        from: usize,
+        to: usize,
+        interval_s: f64,
+    ) -> Estimate {
         let coefficients = Vector3::new(1.0, self.values[0], self.values[1]);
         let mut log = Matrix3::repeat(SCALE_SD * SCALE_SD);
         let mut systematic = Matrix3::zeros();
@@ -72,6 +94,8 @@ impl Ratios {
             ratios_only: true,
             covariance: scale * log * scale,
             systematic: scale * systematic * scale,
+            offset: [0.0, coefficients[1] * self.log_offset[0], coefficients[2] * self.log_offset[1]],
+            reason,
             fit_pct: full.map_or(0.0, |full| full.fit_pct),
             iterations: full.map_or(0, |full| full.iterations),
             start_s: (from + self.from) as f64 * interval_s,
@@ -81,9 +105,8 @@ impl Ratios {
 }
 
 /// Computes the ratios of a movement; `None` if the samples do not determine them or do not fit the equation.
-///
-/// `offset` is the variance of the offset of the input.
-pub(super) fn of(input: &[f64], output: &[f64], equilibrium: f64, offset: f64, interval_s: f64) -> Option<Ratios> {
+pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s: f64) -> Option<Ratios> {
+    let Input { values: input, scale: input_scale, offset, rest_a } = input;
     let travel = *output.last()?;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
     let reach = ((SPEED_S / interval_s) as usize).max(1);
@@ -118,9 +141,12 @@ pub(super) fn of(input: &[f64], output: &[f64], equilibrium: f64, offset: f64, i
     let (mut middle, mut squares, mut score, mut total) = (Matrix4::zeros(), 0.0, Vector4::zeros(), 0.0_f64);
     let running = (output[to - 1] - output[from.midpoint(to)]) / ((to - from.midpoint(to)) as f64 * interval_s);
     let (mut drift, mut dry) = (Vector4::zeros(), Vector4::zeros());
+    // Charge of an offset of the current of 1 A.
+    let mut extra = 0.0;
     for (at, (row, charge)) in rows().enumerate() {
         let time_s = at as f64 * interval_s;
-        drift += row * time_s;
+        extra += input_scale.map_or(1.0, |scale| scale[from + at]) * interval_s;
+        drift += row * extra;
         dry += row * (time_s - row[0] / running);
         let residual = charge - row.dot(&found);
         squares += residual * residual;
@@ -143,5 +169,6 @@ pub(super) fn of(input: &[f64], output: &[f64], equilibrium: f64, offset: f64, i
     let log = |i: usize, j: usize, value: f64| value / (values[i] * values[j]);
     let log_covariance = Matrix2::from_fn(|i, j| log(i, j, covariance[(i, j)]));
     let log_systematic = Matrix2::from_fn(|i, j| log(i, j, dry[i] * dry[j]));
-    Some(Ratios { values, log_covariance, log_systematic, from })
+    let log_offset = std::array::from_fn(|i| rest_a * drift[i] / values[i]);
+    Some(Ratios { values, log_covariance, log_systematic, log_offset, from })
 }

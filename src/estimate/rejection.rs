@@ -255,12 +255,12 @@ pub enum Rejection {
         /// Samples from the start to the first crest.
         rise_samples: usize,
     },
-    /// The noise of a channel is much larger than configured.
-    #[error("the {channel} is noisy: {measured:.3} standard deviation where the sensor should have {expected:.3}")]
+    /// The noise of a channel is much larger than configured, or too large for an estimate.
+    #[error("{}", noise(*.channel, *.measured, *.expected))]
     Noisy {
         /// Which channel.
         channel: Channel,
-        /// Measured in the quiet samples \[A or mm\].
+        /// Measured standard deviation \[A or mm\].
         measured: f64,
         /// From the configuration \[A or mm\].
         expected: f64,
@@ -348,6 +348,22 @@ pub enum Rejection {
         /// The setting, its value and its range.
         problem: String,
     },
+}
+
+/// The sentence about noise: the remedy may be a setting.
+fn noise(channel: Channel, measured: f64, configured: f64) -> String {
+    let (unit, key) = match channel {
+        Channel::Current => ("A", "current_noise_a"),
+        Channel::Position => ("mm", "position_noise_mm"),
+    };
+    if measured > configured {
+        format!(
+            "the noise of the {channel} is {measured:.3} {unit}, configured {configured:.3} {unit}: check the sensor, or set \
+             {key} if it is sound"
+        )
+    } else {
+        format!("the noise of the {channel} is {measured:.3} {unit}: too much for an estimate")
+    }
 }
 
 impl Rejection {

@@ -23,7 +23,8 @@ pub struct Settings {
     pub lead_mm: f64,
     /// Toe position at which the rails are unstressed \[mm from normal\], -1,000 to 1,000.
     pub neutral_mm: f64,
-    /// Nominal stroke \[mm\], 1 to 1,000; `None` if unknown: then an incomplete throw is detected from the trace alone.
+    /// Nominal stroke \[mm\], 1 to 1,000; `None` if unknown. A throw below 95 % of it is incomplete. A motor that drives a
+    /// standing toe for half a second is an obstruction, unless 98 % of a known stroke are done.
     pub stroke_mm: Option<f64>,
     /// Kind of motor.
     pub motor: Motor,

@@ -66,7 +66,7 @@ pub struct Health {
     /// Sentences about what the monitor cannot show at present; absent if there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub caveats: Vec<String>,
-    /// Reason for the rejection of the estimate, as a sentence. Not published.
+    /// Why the throw is rejected or rough, as a sentence. Not published.
     #[serde(skip)]
     pub detail: Option<String>,
     /// Throws in the baseline of this direction, and the throws that it needs. Not published.

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use pointsd::estimate::{Identifier, Motor, Settings};
-use pointsd::simulate::{Conditions, Parameters, Rails, STEP_S, Sensors, Waveform};
+use pointsd::simulate::{Channel, Conditions, Parameters, Rails, STEP_S, Sensors, Waveform};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
 
@@ -144,5 +144,53 @@ fn a_series_motor_slips_its_clutch_too() {
             Identifier::default().identify(&throw, &settings).outcome.unwrap_err()
         };
         assert!(refused.is_incomplete(), "{direction}: {refused}");
+    }
+}
+
+/// A throw against an obstacle, on a machine whose motor stays on until the toe is nearly at the end of the stroke.
+fn obstructed(sensors: &Sensors, direction: Direction, at_mm: f64, seed: u64) -> Throw {
+    let machine = Parameters { cut_off_mm: 0.05, ..Parameters::default() };
+    let conditions = Conditions { obstruction_mm: Some(at_mm), ..Conditions::default() };
+    let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
+    assert!(!motion.completed);
+    let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(seed)).unwrap().trace;
+    Throw { direction: Some(direction), ..throw_with(trace, None) }
+}
+
+#[test]
+fn an_obstruction_in_the_last_part_of_a_known_stroke_is_seen() {
+    let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
+    let identify = |sensors: &Sensors, at_mm: f64| {
+        let throw = obstructed(sensors, Direction::NormalToReverse, at_mm, 5);
+        Identifier::default().identify(&throw, &settings).outcome
+    };
+    for at_mm in [80.0, 105.0, 109.5, 110.0, 111.0, 112.0] {
+        let refused = identify(&Sensors::default(), at_mm).unwrap_err();
+        assert!(refused.is_incomplete(), "{at_mm} mm: {refused}");
+    }
+    // The motor of a machine may run on against its clutch at the end of the stroke, and the sensor's scale be wrong.
+    for gain_pct in [0.0, -1.5, 1.5] {
+        let position = Channel { gain_pct, ..Channel::default() };
+        let found = identify(&Sensors { position, ..Sensors::default() }, 114.3);
+        assert!(found.is_ok(), "gain {gain_pct} %: {found:?}");
+    }
+}
+
+/// The code of a converter whose step is larger than the noise flickers in one place and stands still in another.
+#[test]
+fn an_obstruction_before_a_quiet_converter_is_no_stuck_sensor() {
+    for noise in [0.002, 0.005, 0.01, 0.02, 0.03] {
+        // The offset puts the position at rest between two codes.
+        for (direction, offset, seed) in
+            [(Direction::NormalToReverse, 0.0366, 40), (Direction::ReverseToNormal, 0.0269, 41)]
+        {
+            let position = Channel { noise, offset, full_scale: Some(150.0), bits: Some(12), ..Channel::default() };
+            let sensors = Sensors { position, ..Sensors::default() };
+            for at_mm in [20.0, 35.0, 50.0, 60.0, 75.0, 90.0, 100.0] {
+                let throw = obstructed(&sensors, direction, at_mm, seed);
+                let refused = Identifier::default().identify(&throw, &Settings::default()).outcome.unwrap_err();
+                assert!(refused.is_incomplete(), "{noise} mm, {direction}, {at_mm} mm: {refused}");
+            }
+        }
     }
 }

@@ -18,6 +18,8 @@ mod machine;
 mod mains;
 mod mutated;
 mod refined;
+mod rest;
 mod rough;
 mod sriv;
+mod strange;
 mod table1;

@@ -55,6 +55,8 @@ pub(crate) fn estimate() -> Estimate {
         grade: Grade::Good,
         ratios_only: false,
         systematic: Matrix3::zeros(),
+        offset: [0.0; 3],
+        reason: None,
         b0: 203.0,
         a1: 5.9,
         a0: 1.56,

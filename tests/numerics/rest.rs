@@ -1,0 +1,161 @@
+//! The current at rest: of a detection circuit, of electronics, of the sensor, or not recorded.
+
+use pointsd::estimate::{Estimate, Grade, Identification, Identifier, Motor, Settings};
+use pointsd::simulate::{Channel, Conditions, Parameters, Sensors};
+use pointsd::throw::{Direction, Throw, Trace};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use super::identify::throw_with;
+
+/// A recorded throw; the first and the last sample with the motor on.
+struct Recorded {
+    current: Vec<f64>,
+    position: Vec<f64>,
+    on: usize,
+    off: usize,
+}
+
+impl Recorded {
+    fn new(machine: &Parameters, sensors: &Sensors, direction: Direction, obstruction_mm: Option<f64>) -> Self {
+        let conditions = Conditions { obstruction_mm, ..Conditions::default() };
+        let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(9);
+        let (current, position) = sensors.record(&motion, direction, &mut rng).unwrap().trace.into_channels();
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index of the trace")]
+        let sample = |time_s: f64| (1000.0 * time_s).round() as usize;
+        let on = sample(sensors.before_s);
+        Self { current, position, on, off: on + sample(motion.cut_off as f64 * motion.step_s) }
+    }
+
+    /// With this current before and after the movement.
+    fn at_rest(mut self, before_a: f64, after_a: f64) -> Self {
+        for (k, i) in self.current.iter_mut().enumerate() {
+            *i += if k <= self.on { before_a } else { 0.0 } + if k > self.off { after_a } else { 0.0 };
+        }
+        self
+    }
+
+    fn identify(&self, settings: &Settings) -> Identification {
+        let trace = Trace::new(1000.0, self.current.clone(), self.position.clone()).unwrap();
+        let throw = Throw { supply_v: Some(110.0), ..throw_with(trace, None) };
+        Identifier::default().identify(&throw, settings)
+    }
+}
+
+/// Asserts that the intervals of the ratios contain those of `whole`.
+fn covers(estimate: &Estimate, whole: &Estimate, what: &str) {
+    for at in 0..2 {
+        let (is, was, sd) = (estimate.ratios()[at], whole.ratios()[at], estimate.ratios_sd()[at]);
+        assert!((is - was).abs() < 1.96 * sd, "{what}: ratio {at} is {is} ± {sd}, was {was}");
+    }
+}
+
+#[test]
+fn a_detection_current_after_the_throw_is_no_motor_that_stalls() {
+    let sensors = Sensors { after_s: 1.2, ..Sensors::default() };
+    let settings = Settings::default();
+    for (direction, after_a) in
+        [(Direction::NormalToReverse, 0.1), (Direction::NormalToReverse, 0.25), (Direction::ReverseToNormal, 0.1)]
+    {
+        let plain = Recorded::new(&Parameters::default(), &sensors, direction, None).identify(&settings);
+        let found =
+            Recorded::new(&Parameters::default(), &sensors, direction, None).at_rest(0.0, after_a).identify(&settings);
+        assert_eq!(found.quality(), "good", "{direction}, {after_a} A: {:?}", found.outcome);
+        for (is, was) in [
+            (found.features.mean_current_a, plain.features.mean_current_a),
+            (found.features.running_current_a, plain.features.running_current_a),
+            (found.features.charge_as, plain.features.charge_as),
+        ] {
+            assert!((is.unwrap() / was.unwrap() - 1.0).abs() < 0.02, "{direction}, {after_a} A: {is:?}, {was:?}");
+        }
+        for obstruction_mm in [3.0, 4.0, 6.0, 10.0, 60.0, 110.0] {
+            let refused = Recorded::new(&Parameters::default(), &sensors, direction, Some(obstruction_mm))
+                .at_rest(0.0, after_a)
+                .identify(&settings)
+                .outcome
+                .unwrap_err();
+            assert!(refused.is_incomplete(), "{direction}, {obstruction_mm} mm: {refused}");
+        }
+    }
+}
+
+/// One throw cannot distinguish an offset of the sensor from a current that the machine draws at rest only.
+#[test]
+fn the_interval_covers_a_current_that_flows_at_rest_only() {
+    let series = Settings { motor: Motor::Series, ..Settings::default() };
+    for (machine, settings) in [(Parameters::default(), Settings::default()), (Parameters::series(), series)] {
+        for direction in Direction::BOTH {
+            for late in [0, 8] {
+                let recorded = || {
+                    let mut recorded = Recorded::new(&machine, &Sensors::default(), direction, None);
+                    let first = recorded.position[0];
+                    recorded.position.rotate_right(late);
+                    recorded.position[..late].fill(first);
+                    recorded
+                };
+                let plain = recorded().identify(&settings).outcome.unwrap();
+                for rest_a in [-0.1, 0.02, 0.1] {
+                    let what = format!("{:?}, {direction}, {late} ms, {rest_a} A", settings.motor);
+                    let found = recorded().at_rest(rest_a, rest_a).identify(&settings).outcome.unwrap();
+                    assert_eq!(found.ratios_only, late > 0, "{what}");
+                    covers(&found, &plain, &what);
+                    // Such a current is equal in every throw.
+                    let [is, was] = [&found, &plain].map(|e| e.drift_covariance()[(1, 1)].sqrt() / e.a1);
+                    assert!(is < 1.3 * was, "{what}: {is}, {was}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_interval_covers_an_offset_that_is_not_recorded() {
+    let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
+    for direction in Direction::BOTH {
+        let whole = Recorded::new(&Parameters::default(), &Sensors::default(), direction, None);
+        let whole = whole.identify(&Settings::default()).outcome.unwrap();
+        for offset in [-0.15, 0.0, 0.15] {
+            let current = Channel { offset, ..Channel::default() };
+            let sensors = Sensors { before_s: 0.0, after_s: 0.0, current, ..Sensors::default() };
+            let found = Recorded::new(&Parameters::default(), &sensors, direction, None).identify(&settings);
+            let estimate = found.outcome.unwrap();
+            assert_eq!(estimate.grade, Grade::Rough, "{direction}, {offset} A: {estimate:?}");
+            covers(&estimate, &whole, &format!("{direction}, {offset} A"));
+        }
+    }
+}
+
+#[test]
+fn a_noisy_current_names_its_setting() {
+    let current = Channel { noise: 0.1, ..Channel::default() };
+    let sensors = Sensors { current, ..Sensors::default() };
+    let recorded = Recorded::new(&Parameters::default(), &sensors, Direction::NormalToReverse, None);
+    let found = recorded.identify(&Settings::default());
+    let detail = found.detail().unwrap();
+    assert_eq!(found.quality(), "rough");
+    assert!(detail.starts_with("the noise of the current is 0.") && detail.contains("configured 0.020 A"), "{detail}");
+    assert!(detail.contains("set current_noise_a"), "{detail}");
+    let found = recorded.identify(&Settings { current_noise_a: 0.1, ..Settings::default() });
+    assert_eq!((found.quality(), found.detail()), ("good", None));
+}
+
+#[test]
+fn a_broken_position_gives_no_resistance_and_no_back_emf() {
+    let recorded = || Recorded::new(&Parameters::default(), &Sensors::default(), Direction::NormalToReverse, None);
+    let features = recorded().identify(&Settings::default()).features;
+    assert!(features.resistance_ohm.is_some() && features.back_emf_v_s_per_rad.is_some(), "{features:?}");
+    let damages: [(&str, fn(&mut [f64])); 3] = [
+        ("stuck", |position| position[2000..].fill(50.0)),
+        ("not_finite", |position| position[1000..1500].fill(f64::NAN)),
+        ("noisy", |position| position.iter_mut().enumerate().for_each(|(k, x)| *x += 4.0 * (k as f64 * 2.0).sin())),
+    ];
+    for (quality, damage) in damages {
+        let mut recorded = recorded();
+        damage(&mut recorded.position);
+        let found = recorded.identify(&Settings::default());
+        assert!([quality, "position_jump"].contains(&found.quality()), "{quality}: {:?}", found.outcome);
+        let features = found.features;
+        assert_eq!((features.resistance_ohm, features.back_emf_v_s_per_rad), (None, None), "{quality}");
+        assert!(features.energy_j.is_some(), "{quality}");
+    }
+}
