@@ -20,6 +20,10 @@ use super::{error::StoreError, pace::Recent, settings::MIB};
 /// Duration of the alarm about an event that has passed: long enough for an operator to see it.
 const SHOWN: Duration = Duration::from_hours(1);
 
+/// Time without a step after which a copy of the database hangs, as long as a loop may be without a heartbeat: a thousand
+/// rows, a step, are at most some seconds of reading from flash.
+const COPY_HANGS: Duration = Duration::from_secs(30);
+
 /// State of the disk of the database, in the status as `ok`, `low`, `full` or `failing`.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, strum::AsRefStr, strum::VariantArray,
@@ -53,6 +57,8 @@ pub(super) struct Disk {
     failures: AtomicU64,
     /// Time when the database file was last found deleted or replaced, and whether it could be written again.
     replaced: Mutex<Option<(Instant, bool)>>,
+    /// Time of the last step of a copy of the database, during which the writer writes nothing else.
+    copied: Mutex<Option<Instant>>,
     /// Throws deleted before their judgement.
     pub(super) dropped_pending: Recent,
 }
@@ -69,6 +75,7 @@ impl Disk {
             failing: AtomicBool::new(false),
             failures: AtomicU64::new(0),
             replaced: Mutex::new(None),
+            copied: Mutex::new(None),
             dropped_pending: Recent::default(),
         }
     }
@@ -112,6 +119,16 @@ impl Disk {
     pub(super) fn replaced(&self) -> Option<bool> {
         let replaced = *self.replaced.lock().unwrap_or_else(PoisonError::into_inner);
         replaced.filter(|(at, mended)| !mended || at.elapsed() < SHOWN).map(|(_, mended)| mended)
+    }
+
+    /// Records a step of a copy of the database.
+    pub(super) fn note_copying(&self) {
+        *self.copied.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+    }
+
+    /// Whether a copy of the database makes progress, or did in the last 30 s.
+    pub(super) fn is_copying(&self) -> bool {
+        self.copied.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|at| at.elapsed() < COPY_HANGS)
     }
 
     /// Failed write transactions since the start.

@@ -3,7 +3,7 @@
 //! After any failed transaction the connection is closed and a new one opened: SQLite may have rolled back by itself,
 //! and the result of a failed commit is unknown. Then the group is written once more, as every write is idempotent.
 
-use std::{sync::Arc, time::Duration};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use tokio::time::Instant;
@@ -21,6 +21,9 @@ use super::{
 /// Least time between two checks of the file names. The daemon writes at least every 5 s, so a deleted file is noticed
 /// within 6 s.
 const LOOK: Duration = Duration::from_secs(1);
+
+/// Instructions of SQLite's virtual machine in one step of a copy: some hundred rows.
+const COPY_STEPS: i32 = 1_000;
 
 /// A failed transaction.
 enum Failed {
@@ -199,9 +202,8 @@ impl Link {
 
     async fn move_database(&mut self, why: &str) -> Result<(), StoreError> {
         let copy = self.place.next()?;
-        let connection = self.connected().await.map_err(|error| store_error(&error))?;
-        let vacuum = sqlx::query("VACUUM INTO ?1").bind(copy.to_string_lossy());
-        vacuum.execute(connection).await.map_err(|error| store_error(&error))?;
+        tracing::warn!(to = %copy.display(), why, "copying the database to a new file: writes wait");
+        self.copy_to(&copy).await.map_err(|error| store_error(&error))?;
         self.place.switch(&copy)?;
         self.identity = None;
         self.disconnect().await;
@@ -209,6 +211,22 @@ impl Link {
         self.reader.reopen(self.place.path()).await.map_err(|error| store_error(&error))?;
         tracing::warn!(to = %copy.display(), why, "the database moved to a new file");
         Ok(())
+    }
+
+    /// Copies the database into a new file. This takes minutes for some GiB on flash, so each step is recorded: a copy that
+    /// makes progress is no hang.
+    async fn copy_to(&mut self, copy: &Path) -> sqlx::Result<()> {
+        let disk = Arc::clone(&self.disk);
+        let note_step = move || {
+            disk.note_copying();
+            true
+        };
+        let connection = self.connected().await?;
+        connection.lock_handle().await?.set_progress_handler(COPY_STEPS, note_step);
+        let vacuum = sqlx::query("VACUUM INTO ?1").bind(copy.to_string_lossy());
+        let copied = vacuum.execute(&mut *connection).await;
+        connection.lock_handle().await?.remove_progress_handler();
+        copied.map(drop)
     }
 
     /// Marks a clean stop and closes the files. A broken database is not marked, so that the next start checks it.

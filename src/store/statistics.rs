@@ -75,6 +75,12 @@ impl Store {
         self.disk.level()
     }
 
+    /// Whether the database is being copied to a new file, with progress in the last 30 s. Writes wait meanwhile.
+    #[must_use]
+    pub fn is_copying(&self) -> bool {
+        self.disk.is_copying()
+    }
+
     /// Size of the write-ahead log \[bytes\].
     #[must_use]
     pub fn wal_bytes(&self) -> u64 {

@@ -398,6 +398,27 @@ async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
     assert_eq!(databases.count(), 2, "the link and its file");
 }
 
+/// The copy of a large database takes minutes on flash; meanwhile the loops that wait for the writer do not hang.
+#[tokio::test]
+async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Settings { max_wal_mib: 1, ..settings(folder.path()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    judged(&store, 1, 5).await;
+    assert!(!store.is_copying());
+    let outside = SqliteConnectOptions::new().filename(store.path()).read_only(true);
+    let mut holder = SqliteConnection::connect_with(&outside).await.unwrap();
+    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
+    sqlx::query("SELECT count(*) FROM throw").execute(&mut holder).await.unwrap();
+    let throws: Vec<_> = (6..600).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
+    store.spool_all(&throws).await;
+    // The writer copies after its answer; the next write waits for it.
+    store.outbox_sent(&[]).await.unwrap();
+    assert!(store.is_copying(), "no progress was recorded");
+    holder.close().await.unwrap();
+    store.close().await.unwrap();
+}
+
 #[test]
 fn settings_are_checked_and_unknown_keys_refused() {
     assert_eq!(Settings::default().validate(), Ok(()));
