@@ -23,7 +23,7 @@ use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_interrupted},
     place::Place,
-    salvage::{Salvaged, salvage},
+    salvage::{PARTS, Salvaged, salvage},
     settings::{MIB, Settings, Synchronous},
     statements as sql,
 };
@@ -121,38 +121,75 @@ pub(super) async fn open(
 ) -> Result<(SqliteConnection, Report), StoreError> {
     refuse_foreign(&settings.path).await?;
     place.clear_leftovers()?;
-    if place.is_fresh() && place.log_bytes() > 0 {
-        // SQLite would delete the log with the last commits.
-        let why = "the database is missing, but its write-ahead log exists".to_owned();
-        let to = place.set_log_aside(now)?;
-        tracing::error!(to = %to.display(), %why, "log set aside; creating a new database");
-        let (connection, report) = prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
-        let found = Found::SetAside { to, why, salvaged: Salvaged::default() };
-        return Ok((connection, Report { found, ..report }));
+    // SQLite would delete a log without its database, with the last commits.
+    let log = (place.is_fresh() && place.log_bytes() > 0).then(|| place.set_log_aside(now)).transpose()?;
+    if let Some(broken) = place.unfinished() {
+        return recover(settings, disk, place, broken, "copying its rows was interrupted".to_owned()).await;
     }
     match prepare(settings, disk, place.is_fresh()).await {
-        Err(Trouble::Broken(why)) => {
-            let to = place.set_aside(now)?;
-            tracing::error!(to = %to.display(), %why, "the database is broken: set aside; creating a new one");
-            let (mut connection, report) =
-                prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
-            let size = std::fs::metadata(&to).map_or(0, |file| file.len());
-            let with_traces = disk.free_bytes().is_none_or(|free| free > size + size / 4);
-            let salvaged = match salvage(&mut connection, &to, with_traces).await {
-                Ok(salvaged) => salvaged,
-                Err(error) => {
-                    // The rows copied so far are correct; the connection may be unusable.
-                    tracing::error!(%error, "copying rows from the broken database ended early");
-                    connection = prepare(settings, disk, false).await.map_err(|trouble| trouble.told(settings))?.0;
-                    Salvaged::default()
-                }
-            };
-            tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
-            Place::describe_set_aside(&to, &salvaged.text())?;
-            Ok((connection, Report { found: Found::SetAside { to, why, salvaged }, ..report }))
+        Err(Trouble::Broken(why)) => recover(settings, disk, place, place.set_aside(now)?, why).await,
+        Ok((connection, report)) => {
+            let Some(to) = log else { return Ok((connection, report)) };
+            let why = "the database is missing, but its write-ahead log exists".to_owned();
+            tracing::error!(to = %to.display(), %why, "log set aside; a new database was created");
+            let found = Found::SetAside { to, why, salvaged: Salvaged::default() };
+            Ok((connection, Report { found, ..report }))
         }
-        outcome => outcome.map_err(|trouble| trouble.told(settings)),
+        Err(trouble) => Err(trouble.told(settings)),
     }
+}
+
+/// Copies the readable rows of a broken database into a new file, which gets the configured path when it is complete: an
+/// interrupted copy begins again at the next start. Without space for all rows the most valuable ones are copied.
+async fn recover(
+    settings: &Settings,
+    disk: &Disk,
+    place: &Place,
+    to: PathBuf,
+    why: String,
+) -> Result<(SqliteConnection, Report), StoreError> {
+    tracing::error!(to = %to.display(), %why, "the database is broken: set aside; creating a new one");
+    let size = std::fs::metadata(&to).map_or(0, |file| file.len());
+    let with_traces = disk.free_bytes().is_none_or(|free| free > size + size / 4);
+    let mut salvaged = Salvaged::default();
+    for tables in PARTS.into_iter().skip(usize::from(!with_traces)) {
+        let copy = Settings { path: place.salvage_path()?, ..settings.clone() };
+        match copy_readable(&copy, disk, &to, tables).await {
+            Ok(copied) => {
+                place.adopt(&copy.path)?;
+                salvaged = copied;
+                break;
+            }
+            Err(trouble) => {
+                let error = trouble.told(&copy);
+                tracing::error!(%error, tables, "copying rows from the broken database failed");
+                disk.note_failure(matches!(error, StoreError::Full));
+            }
+        }
+    }
+    place.salvage_path()?;
+    let (connection, report) =
+        prepare(settings, disk, place.is_fresh()).await.map_err(|trouble| trouble.told(settings))?;
+    tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
+    if let Err(error) = Place::describe_set_aside(&to, &salvaged.text()) {
+        tracing::warn!(%error, "the summary of the copied rows is in this log only");
+    }
+    Ok((connection, Report { found: Found::SetAside { to, why, salvaged }, ..report }))
+}
+
+/// Copies the readable rows into a new database, and closes it: then it is one file, without a log.
+async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usize) -> Result<Salvaged, Trouble> {
+    let (mut connection, _) = prepare(copy, disk, true).await?;
+    let copied = async {
+        let salvaged = salvage(&mut connection, broken, tables).await?;
+        sqlx::query(sql::SET_CLEAN).bind(true).execute(&mut connection).await?;
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await?;
+        Ok(salvaged)
+    };
+    let copied = copied.await;
+    // A checkpoint has reported a full disk already.
+    let _ = connection.close().await;
+    copied
 }
 
 /// Refuses a file that is not ours: a text file, or the database of another program. A file that cannot be read here is

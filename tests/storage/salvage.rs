@@ -142,6 +142,31 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
     assert_eq!(again, pointsd::store::Spooled::Duplicate);
 }
 
+/// A kill or a full disk during the copy: the file is renamed, and there is no new database yet.
+#[tokio::test]
+async fn an_interrupted_salvage_begins_again_at_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    database(folder.path()).await;
+    let path = folder.path().join("points.db");
+    break_pages(&path, 3, 7);
+    fs::rename(&path, folder.path().join("points.db-broken-20260301T060000Z")).unwrap();
+    fs::write(folder.path().join("points.db-salvage"), "the start of a copy").unwrap();
+    fs::write(folder.path().join("points.db-salvage-wal"), "and its log").unwrap();
+
+    let (store, salvaged) = salvaged(folder.path()).await;
+    assert!(salvaged.saved("monitor") >= 7 && salvaged.saved("throw") >= 900, "{salvaged:?}");
+    let (_, said) = store.trouble(None).unwrap();
+    assert!(said.contains("points.db-broken-20260301T060000Z") && said.contains("baselines"), "{said}");
+    store.close().await.unwrap();
+    let opened = open(folder.path()).await;
+    assert_eq!(opened.report.found, Found::Clean, "the copy is complete");
+    let monitors = opened.store.reader().monitors(None, 100).await.unwrap().len();
+    assert_eq!(monitors as u64, salvaged.saved("monitor"));
+    let names = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
+    let names: Vec<String> = names.filter(|name| name.contains("salvage")).collect();
+    assert!(names.is_empty(), "{names:?}");
+}
+
 /// The first page holds the beginning of the schema: without it SQLite reads no table.
 #[tokio::test]
 async fn without_its_schema_a_database_is_read_where_this_program_puts_its_tables() {
