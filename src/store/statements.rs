@@ -15,7 +15,7 @@ macro_rules! throw_rows {
     () => {
         "throw_row, site, machine, boot_id, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, samples, \
          temperature_c, supply_v, anti_alias_hz, current_codec, current_data, position_codec, position_data, crc32, \
-         repeats_row IS NOT NULL AS repeats FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+         repeats_row IS NOT NULL AS repeats, boot_position IS NOT position AS moved FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
          LEFT JOIN trace USING (throw_row)"
     };
 }
@@ -233,7 +233,8 @@ statements! {
         FROM ready JOIN throw AS own ON own.throw_row IN (SELECT throw_row FROM throw AS next INDEXED BY throw_pending \
         WHERE next.machine_row = ready.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no) \
         ORDER BY boot_position, throw_no LIMIT ?2 + 0)) \
-        SELECT json_group_array(json_array(throw_row, site, machine, boot_id, throw_no, received_at_us, repeats_row IS NOT NULL) \
+        SELECT json_group_array(json_array(throw_row, site, machine, boot_id, throw_no, received_at_us, repeats_row IS NOT NULL, \
+        boot_position IS NOT boot.position) \
         ORDER BY throw.machine_row, boot_position, throw_no) \
         FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
         WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2 + 0)";

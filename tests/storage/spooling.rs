@@ -62,6 +62,13 @@ async fn another_throw_under_a_taken_number_is_kept_once_under_a_free_one() {
     let again: Vec<_> = (1..=4).map(|throw_no| ("b1~again", throw_no)).collect();
     assert_eq!(ids, [&[("b1", 1), ("b1", 2), ("b1", 3)][..], &again, &[("b1", 4)]].concat());
     assert!(throws.iter().all(|throw| throw.renumbered == (throw.id.boot_id != "b1")));
+    // A logger may name its own boot like this.
+    spooled(&store, "22A", "mine~again", 1).await;
+    let (pending, _) = store.reader().to_judge(None, 100, at(9), Duration::ZERO).await.unwrap();
+    let renumbered: Vec<_> = pending.iter().filter(|throw| throw.renumbered).map(|throw| &throw.id.boot_id[..]).collect();
+    assert_eq!((pending.len(), renumbered), (9, vec!["b1~again"; 4]));
+    let all = store.reader().throws(ThrowRow::START, 100).await.unwrap();
+    assert!(!all.last().unwrap().renumbered);
     assert!(store.reader().open_gaps(10).await.unwrap().is_empty());
 }
 
