@@ -170,16 +170,8 @@ impl Store {
         self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
     }
 
-    /// Stores a judgement (estimate, monitor, baselines, alarms, messages) in one transaction. Returns false, without
-    /// writing, if the throw was judged before.
-    ///
-    /// # Errors
-    /// When it could not be stored; the same call may be repeated.
-    pub async fn judge(&self, judgement: Judgement) -> Result<bool, StoreError> {
-        Ok(self.judge_all(Arc::new([judgement])).await? == [true])
-    }
-
-    /// Stores judgements in order and in one transaction; returns whether each was written.
+    /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction; returns whether
+    /// each was written: false if its throw was judged before.
     ///
     /// # Errors
     /// When they could not be stored; the same call may be repeated.

@@ -1,6 +1,7 @@
 //! The disk of the database: free space, and the ballast file, which is removed when the disk is full.
 
 use std::{
+    collections::BTreeMap,
     ffi::OsString,
     fs::{File, OpenOptions},
     io,
@@ -17,8 +18,9 @@ use tokio::time::Instant;
 
 use super::{error::StoreError, pace::Recent, settings::MIB};
 
-/// Duration of the alarm about an event that has passed: long enough for an operator to see it.
-const SHOWN: Duration = Duration::from_hours(1);
+/// Counters of rows that were needed: throws before their judgement, alarm events before their publication and before the
+/// webhook accepted them.
+const LOSSES: [&str; 3] = ["dropped_pending_throws", "dropped_messages", "dropped_notifications"];
 
 /// Time without a step after which a copy of the database hangs, as long as a loop may be without a heartbeat: a thousand
 /// rows, a step, are at most some seconds of reading from flash.
@@ -55,12 +57,16 @@ pub(super) struct Disk {
     was_full: AtomicBool,
     failing: AtomicBool,
     failures: AtomicU64,
-    /// Time when the database file was last found deleted or replaced, and whether it could be written again.
-    replaced: Mutex<Option<(Instant, bool)>>,
+    /// Times that the database file was found deleted or replaced.
+    replaced: Recent,
+    /// Whether the file could not be written again.
+    replacement_fails: AtomicBool,
     /// Time of the last step of a copy of the database, during which the writer writes nothing else.
     copied: Mutex<Option<Instant>>,
-    /// Throws deleted before their judgement.
-    pub(super) dropped_pending: Recent,
+    /// The counters of the database at the last look.
+    counters: Mutex<Option<BTreeMap<String, u64>>>,
+    /// What was dropped although it was needed, by [`LOSSES`].
+    lost: [Recent; LOSSES.len()],
 }
 
 impl Disk {
@@ -74,9 +80,11 @@ impl Disk {
             was_full: AtomicBool::new(false),
             failing: AtomicBool::new(false),
             failures: AtomicU64::new(0),
-            replaced: Mutex::new(None),
+            replaced: Recent::default(),
+            replacement_fails: AtomicBool::new(false),
             copied: Mutex::new(None),
-            dropped_pending: Recent::default(),
+            counters: Mutex::default(),
+            lost: Default::default(),
         }
     }
 
@@ -112,13 +120,31 @@ impl Disk {
 
     /// Records that the database file was deleted or replaced.
     pub(super) fn note_replaced(&self, mended: bool) {
-        *self.replaced.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), mended));
+        self.replaced.add(1);
+        self.replacement_fails.store(!mended, Ordering::Relaxed);
     }
 
     /// Whether the file was written again, if it was deleted or replaced in the last hour.
     pub(super) fn replaced(&self) -> Option<bool> {
-        let replaced = *self.replaced.lock().unwrap_or_else(PoisonError::into_inner);
-        replaced.filter(|(at, mended)| !mended || at.elapsed() < SHOWN).map(|(_, mended)| mended)
+        let mended = !self.replacement_fails.load(Ordering::Relaxed);
+        (!mended || self.replaced.shown().is_some()).then_some(mended)
+    }
+
+    /// Records the counters of the database. Their values at the first look are from before the start.
+    pub(super) fn note_dropped(&self, now: &BTreeMap<String, u64>) {
+        let mut before = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = before.replace(now.clone()).unwrap_or_else(|| now.clone());
+        for (name, lost) in LOSSES.iter().zip(&self.lost) {
+            let of = |counters: &BTreeMap<String, u64>| counters.get(*name).copied().unwrap_or(0);
+            if of(now) > of(&before) {
+                lost.add(of(now) - of(&before));
+            }
+        }
+    }
+
+    /// The numbers of [`LOSSES`] since the start, of those that grew in the last hour.
+    pub(super) fn lost(&self) -> [Option<u64>; LOSSES.len()] {
+        self.lost.each_ref().map(Recent::shown)
     }
 
     /// Records a step of a copy of the database.

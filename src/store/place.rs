@@ -215,9 +215,8 @@ impl Place {
     fn set_aside_files(&self, without: &[&str]) -> Vec<PathBuf> {
         let mark = beside(&self.path, BROKEN);
         let mark = mark.file_name().unwrap_or_default().as_encoded_bytes();
-        let is_wanted = |name: &[u8]| {
-            name.starts_with(mark) && !without.iter().any(|suffix| name.ends_with(suffix.as_bytes()))
-        };
+        let is_wanted =
+            |name: &[u8]| name.starts_with(mark) && !without.iter().any(|suffix| name.ends_with(suffix.as_bytes()));
         let files = std::fs::read_dir(self.folder()).into_iter().flatten().filter_map(Result::ok);
         files.filter(|file| is_wanted(file.file_name().as_encoded_bytes())).map(|file| file.path()).collect()
     }

@@ -153,12 +153,6 @@ impl Reader {
         self.limited(answer).await
     }
 
-    /// Runs an external query for one number.
-    pub(super) async fn asked_figure(&self, query: &'static str) -> Result<u64, StoreError> {
-        let figures: Vec<(i64,)> = self.asked(sqlx::query_as(query)).await?;
-        figures.first().map(|(figure,)| figure.cast_unsigned()).ok_or(StoreError::read(sqlx::Error::RowNotFound))
-    }
-
     /// Runs an external query for alarms; also returns the number of alarms of a newer version that cannot be read.
     pub(super) async fn asked_alarms(
         &self,
@@ -243,14 +237,6 @@ impl Reader {
     pub(crate) async fn awaited(&self) -> Result<u64, StoreError> {
         let count: i64 = self.limited(sqlx::query_scalar(sql::AWAITED_COUNT).fetch_one(&self.pool())).await?;
         Ok(count.cast_unsigned())
-    }
-
-    /// Up to `limit` pending throws after `after`, in the order of arrival.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn pending(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
-        self.rows(sqlx::query_as(sql::PENDING).bind(after.0).bind(limit)).await
     }
 
     /// Up to `limit` throws after `after`, judged or pending, in the order of arrival.
@@ -349,14 +335,6 @@ impl Reader {
     /// Up to `limit` notifications for the webhook with their rows, in order.
     pub(crate) async fn notifications(&self, limit: u32) -> Result<Vec<(i64, String)>, StoreError> {
         self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(limit)).await
-    }
-
-    /// Up to `limit` open gaps, oldest first.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn open_gaps(&self, limit: u32) -> Result<Vec<Gap>, StoreError> {
-        self.rows(sqlx::query_as(sql::GAPS).bind(limit)).await
     }
 
     /// Up to `limit` gaps not reported to the monitors yet, oldest first: gaps that no backlog can fill, and gaps of

@@ -25,9 +25,9 @@ impl ThrowRow {
 pub struct GapRow(pub(super) i64);
 
 /// Reason why throws are missing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::AsRefStr, strum::EnumString)]
+#[derive(Clone, Copy, strum::AsRefStr)]
 #[strum(serialize_all = "snake_case")]
-pub enum GapKind {
+pub(super) enum GapKind {
     /// Missing, and in no backlog.
     Missed,
     /// Made before the first throw that this daemon received of the machine.
@@ -103,16 +103,10 @@ pub struct Gap {
     pub row: GapRow,
     /// Which machine.
     pub machine: MachineId,
-    /// Boot of the logger.
-    pub boot_id: String,
     /// First missing throw number.
     pub first_no: u64,
     /// Last missing throw number.
     pub last_no: u64,
-    /// Why.
-    pub kind: GapKind,
-    /// Time of detection.
-    pub detected_at: Timestamp,
 }
 
 /// A message in the outbox.
@@ -275,11 +269,8 @@ impl FromRow<'_, SqliteRow> for Gap {
         Ok(Self {
             row: GapRow(row.try_get("gap_row")?),
             machine: machine_id(row)?,
-            boot_id: row.try_get("boot_id")?,
             first_no: unsigned(row, "first_no")?,
             last_no: unsigned(row, "last_no")?,
-            kind: word(row, "kind")?.unwrap_or(GapKind::Missed),
-            detected_at: time(row, "detected_at_us")?,
         })
     }
 }

@@ -147,11 +147,7 @@ impl Salvaged {
 ///
 /// # Errors
 /// When the new database cannot be written.
-pub(super) async fn salvage(
-    connection: &mut SqliteConnection,
-    broken: &Path,
-    tables: usize,
-) -> sqlx::Result<Salvaged> {
+pub(super) async fn salvage(connection: &mut SqliteConnection, broken: &Path, tables: usize) -> sqlx::Result<Salvaged> {
     if attach(connection, broken).await {
         return copy_tables(connection, tables).await;
     }

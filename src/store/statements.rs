@@ -120,6 +120,17 @@ macro_rules! chosen {
     };
 }
 
+/// The columns of [`Figures`](super::statistics::Figures), fast enough for every second.
+macro_rules! figures {
+    () => {
+        "coalesce(sum(traces), 0) AS traces, coalesce(sum(throws), 0) AS throws, \
+         (SELECT count(*) FROM alarm WHERE state = 'normal') AS closed_alarms, (SELECT count(*) FROM outbox) AS outbox, \
+         (SELECT (page_count - freelist_count) * page_size FROM pragma_page_count, pragma_freelist_count, pragma_page_size) \
+         AS data_bytes, (SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size) AS free_bytes, \
+         (SELECT json_group_object(name, value) FROM counter) AS counters"
+    };
+}
+
 /// Adds or replaces the monitor of `$machine`, a row or a query of rows.
 macro_rules! set_monitor {
     ($machine:literal) => {
@@ -140,7 +151,6 @@ statements! {
     SET_CLEAN = "UPDATE shutdown SET clean = ?1 WHERE clean <> ?1";
     SCHEMA = "SELECT type, name, tbl_name, rootpage, sql FROM sqlite_schema WHERE rootpage > 0 ORDER BY rowid";
     COUNT = "INSERT INTO counter (name, value) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET value = value + ?2";
-    COUNTERS = "SELECT name, value FROM counter ORDER BY name";
 
     // Spooling.
     MACHINE = "SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2";
@@ -239,8 +249,6 @@ statements! {
         FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
         WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2 + 0)";
     STORED_THROW = concat!("SELECT ", throw_rows!(), " WHERE throw_row = ?1");
-    PENDING = concat!("SELECT ", throw_rows!(), " \
-        WHERE judged_at_us IS NULL AND throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     THROWS = concat!("SELECT ", throw_rows!(), " \
         WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     MACHINE_OF = "SELECT machine_row FROM throw WHERE throw_row = ?1";
@@ -322,12 +330,9 @@ statements! {
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
         WHERE +site GLOB ?1 AND +machine GLOB ?2 ORDER BY site, machine, latest.direction");
-    GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
-        FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
-        WHERE filled_at_us IS NULL AND (written_off_at_us IS NOT NULL OR told_at_us IS NOT NULL) ORDER BY gap_row LIMIT ?1";
     // A gap that a backlog may still fill is left out while its machine waits, that is while its backlog was opened or
     // last became smaller between ?2 and ?3.
-    UNREPORTED_GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
+    UNREPORTED_GAPS = "SELECT gap_row, site, machine, first_no, last_no \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) LEFT JOIN backlog USING (machine_row) \
         WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' \
         AND (written_off_at_us IS NOT NULL OR since_us IS NULL OR since_us NOT BETWEEN ?2 AND ?3) ORDER BY gap_row LIMIT ?1";
@@ -427,16 +432,12 @@ statements! {
     OLDEST_MESSAGES = "SELECT outbox_row FROM outbox ORDER BY outbox_row LIMIT ?1";
     DROP_ALARMS = concat!("DELETE FROM alarm WHERE alarm_row IN ", chosen!());
     OLDEST_ALARMS = "SELECT alarm_row FROM alarm WHERE state = 'normal' ORDER BY raised_at_us LIMIT ?1";
-    FIGURES = "SELECT coalesce(sum(traces), 0) AS traces, coalesce(sum(throws), 0) AS throws, \
-        (SELECT count(*) FROM alarm WHERE state = 'normal') AS closed_alarms, (SELECT count(*) FROM outbox) AS messages, \
-        (SELECT page_size FROM pragma_page_size) AS page_size, (SELECT page_count FROM pragma_page_count) AS pages, \
-        (SELECT freelist_count FROM pragma_freelist_count) AS free_pages FROM machine";
-    TRACE_COUNT = "SELECT coalesce(sum(traces), 0) FROM machine";
-    THROW_COUNT = "SELECT coalesce(sum(throws), 0) FROM machine";
-    PENDING_COUNT = "SELECT count(*) FROM throw WHERE judged_at_us IS NULL";
-    OUTBOX_COUNT = "SELECT count(*) FROM outbox";
-    NOTIFICATION_COUNT = "SELECT count(*) FROM notification";
-    QUARANTINE_COUNT = "SELECT count(*) FROM quarantine";
-    OPEN_GAP_COUNT = "SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE filled_at_us IS NULL AND kind <> 'before_first_contact'";
-    OPEN_ALARM_COUNT = "SELECT count(*) FROM alarm WHERE state <> 'normal'";
+    FIGURES = concat!("SELECT ", figures!(), " FROM machine");
+    STATISTICS = concat!("SELECT ", figures!(), ", \
+        (SELECT count(*) FROM throw WHERE judged_at_us IS NULL) AS pending, \
+        (SELECT count(*) FROM notification) AS notifications, \
+        (SELECT count(*) FROM quarantine) AS quarantined, \
+        (SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap \
+        WHERE filled_at_us IS NULL AND kind <> 'before_first_contact') AS missing_throws, \
+        (SELECT count(*) FROM alarm WHERE state <> 'normal') AS open_alarms FROM machine");
 }

@@ -39,33 +39,62 @@ pub struct Statistics {
     pub counters: BTreeMap<String, u64>,
 }
 
+/// Figures for the bounds of the retention and for the status.
+#[derive(sqlx::FromRow)]
+pub(super) struct Figures {
+    pub(super) traces: u64,
+    pub(super) throws: u64,
+    pub(super) closed_alarms: u64,
+    pub(super) outbox: u64,
+    pub(super) data_bytes: u64,
+    pub(super) free_bytes: u64,
+    /// Counters by name, as a JSON object.
+    counters: String,
+}
+
+impl Figures {
+    pub(super) fn counters(&self) -> BTreeMap<String, u64> {
+        serde_json::from_str(&self.counters).unwrap_or_default()
+    }
+}
+
+/// The figures that count rows.
+#[derive(sqlx::FromRow)]
+struct Counts {
+    #[sqlx(flatten)]
+    figures: Figures,
+    pending: u64,
+    notifications: u64,
+    open_alarms: u64,
+    missing_throws: u64,
+    quarantined: u64,
+}
+
 impl Store {
     /// Reads the figures, on the connections for external queries. Counts rows, so it is too slow for every second.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
-        let reader = &self.reader;
-        let counters: Vec<(String, i64)> = reader.asked(sqlx::query_as(sql::COUNTERS)).await?;
-        let page_size = reader.asked_figure("PRAGMA page_size").await?;
-        let pages = reader.asked_figure("PRAGMA page_count").await?;
-        let free_pages = reader.asked_figure("PRAGMA freelist_count").await?;
+        let counts: Vec<Counts> = self.reader.asked(sqlx::query_as(sql::STATISTICS)).await?;
+        let Counts { figures, pending, notifications, open_alarms, missing_throws, quarantined } =
+            counts.into_iter().next().ok_or_else(|| StoreError::read(sqlx::Error::RowNotFound))?;
         Ok(Statistics {
-            throws: reader.asked_figure(sql::THROW_COUNT).await?,
-            traces: reader.asked_figure(sql::TRACE_COUNT).await?,
-            pending: reader.asked_figure(sql::PENDING_COUNT).await?,
-            outbox: reader.asked_figure(sql::OUTBOX_COUNT).await?,
-            notifications: reader.asked_figure(sql::NOTIFICATION_COUNT).await?,
-            open_alarms: reader.asked_figure(sql::OPEN_ALARM_COUNT).await?,
-            missing_throws: reader.asked_figure(sql::OPEN_GAP_COUNT).await?,
-            quarantined: reader.asked_figure(sql::QUARANTINE_COUNT).await?,
-            data_bytes: pages.saturating_sub(free_pages) * page_size,
-            free_bytes: free_pages * page_size,
+            throws: figures.throws,
+            traces: figures.traces,
+            pending,
+            outbox: figures.outbox,
+            notifications,
+            open_alarms,
+            missing_throws,
+            quarantined,
+            data_bytes: figures.data_bytes,
+            free_bytes: figures.free_bytes,
             wal_bytes: self.wal_bytes(),
             free_disk_bytes: self.disk.free_bytes(),
             disk: self.disk.level(),
             failed_writes: self.disk.failures(),
-            counters: counters.into_iter().map(|(name, value)| (name, value.cast_unsigned())).collect(),
+            counters: figures.counters(),
         })
     }
 

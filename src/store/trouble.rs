@@ -44,13 +44,26 @@ impl Store {
             };
             (Severity::Critical, said)
         });
-        let dropped = self.disk.dropped_pending.shown().map(|throws| {
-            let said = format!(
+        let [throws, messages, notifications] = self.disk.lost();
+        let throws = throws.map(|throws| {
+            format!(
                 "{throws} throws were dropped before they were judged: pending throws fill store.max_size_mib, mostly \
                  of one machine. Check the logger that sends so many"
-            );
-            (Severity::Critical, said)
+            )
         });
+        let messages = messages.map(|events| {
+            format!(
+                "{events} alarm events were dropped before they were published, as too many were waiting. Check the link \
+                 of zenoh"
+            )
+        });
+        let notifications = notifications.map(|events| {
+            format!(
+                "{events} alarm events were dropped before the webhook accepted them, as too many were waiting. Check \
+                 its receiver (webhook.url)"
+            )
+        });
+        let dropped = [throws, messages, notifications].into_iter().flatten().map(|said| (Severity::Critical, said));
         let all: Vec<(Severity, String)> =
             disk.into_iter().chain(set_aside).chain(replaced).chain(dropped).chain(more).collect();
         let severity = all.iter().map(|(severity, _)| *severity).max()?;

@@ -2,10 +2,10 @@
 
 use std::{fs, process::Command};
 
-use pointsd::store::{DiskLevel, Settings, Spooled, Store, StoreError, ThrowRow};
+use pointsd::store::{DiskLevel, Dropped, Settings, Spooled, Store, StoreError, ThrowRow};
 
 use crate::{
-    given::{at, judgement, machine, settings, spooled, throw},
+    given::{at, judge, judgement, machine, settings, spooled, throw},
     small_disk::SmallDisk,
 };
 
@@ -77,9 +77,9 @@ async fn below_the_watermark_traces_go_and_estimates_stay() {
     let mut dropped = 0;
     for throw_no in 1..=1500 {
         let row = spooled(&store, "21B", "b1", throw_no).await;
-        store.judge(judgement(row, "21B")).await.unwrap();
+        judge(&store, judgement(row, "21B")).await.unwrap();
         if throw_no % 50 == 0 {
-            dropped += store.run_housekeeping(at(0), true).await.unwrap().traces;
+            dropped += store.run_housekeeping(at(0), true).await.unwrap().get(&Dropped::Traces).unwrap_or(&0);
         }
     }
     let statistics = store.statistics().await.unwrap();

@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
-use crate::given::{alarm, at, event, judgement, machine, open, outcome, settings, spooled};
+use crate::given::{alarm, at, event, judge, judgement, machine, open, outcome, settings, spooled};
 
 const PAGE: u64 = 4096;
 const MACHINES: [&str; 10] = ["21B", "22", "23", "24", "25", "26", "27", "28", "29", "30"];
@@ -26,7 +26,7 @@ async fn database(folder: &Path) {
             let monitor = MonitorRecord { snapshot, ..alarm(1, AlarmState::ActiveUnacknowledged).monitor.unwrap() };
             let events = if throw_no == 80 { vec![event(1, AlarmState::ActiveUnacknowledged)] } else { Vec::new() };
             let outcome = Outcome { monitor: Some(monitor), ..outcome(name, events) };
-            assert!(store.judge(Judgement { outcome, ..judgement(row, name) }).await.unwrap());
+            assert!(judge(&store, Judgement { outcome, ..judgement(row, name) }).await.unwrap());
         }
     }
     store.close().await.unwrap();
@@ -112,7 +112,7 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
     let store = open(folder.path()).await.store;
     for throw_no in 1..=200 {
         let row = spooled(&store, "21B", "b1", throw_no).await;
-        store.judge(judgement(row, "21B")).await.unwrap();
+        judge(&store, judgement(row, "21B")).await.unwrap();
     }
     store.record(alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
     let options = SqliteConnectOptions::new().filename(store.path()).read_only(true);
