@@ -202,22 +202,22 @@ impl Status {
     }
 
     /// Number of throws without an estimate, by the code of the reason.
-    pub(super) fn refused(&self) -> BTreeMap<String, u64> {
+    pub(crate) fn refused(&self) -> BTreeMap<String, u64> {
         self.refused.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
 /// The sources of a status report.
 #[derive(Clone)]
-pub(super) struct Gauges {
-    pub(super) status: Arc<Status>,
-    pub(super) inbox: Arc<InboxCounters>,
+pub(crate) struct Gauges {
+    pub(crate) status: Arc<Status>,
+    pub(crate) inbox: Arc<InboxCounters>,
     pub(super) outlet: Arc<OutletCounters>,
-    pub(super) store: Store,
+    pub(crate) store: Store,
 }
 
 impl Gauges {
-    pub(super) fn report(&self) -> StatusReport {
+    pub(crate) fn report(&self) -> StatusReport {
         let status = &self.status;
         let copying = self.store.is_copying();
         StatusReport {

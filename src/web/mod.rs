@@ -129,7 +129,7 @@ fn router(web: Arc<Web>) -> Router {
 }
 
 async fn healthz(State(web): State<Arc<Web>>) -> Response {
-    health(&web.view.report().silent)
+    health(&web.view.gauges.report().silent)
 }
 
 /// The response of `/healthz`; `silent` are the loops without a fresh heartbeat.
