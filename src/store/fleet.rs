@@ -176,6 +176,16 @@ pub struct Window {
     pub why: Option<String>,
 }
 
+/// The states from the worst to the best, as in lists.
+pub(crate) const WORST_FIRST: [MachineState; 6] = [
+    MachineState::Critical,
+    MachineState::NotMonitored,
+    MachineState::Warning,
+    MachineState::Maintenance,
+    MachineState::Learning,
+    MachineState::Healthy,
+];
+
 macro_rules! all_machines {
     () => {
         "all-machines"
@@ -206,7 +216,7 @@ macro_rules! matching {
     };
 }
 
-/// The matching machines of state ?6, without silent ones if ?7, the worst state first.
+/// The matching machines of state ?6, without silent ones if ?7, the worst state first, in the order of ?11.
 const FLEET: &str = concat!(
     "
     WITH chosen AS (
@@ -214,8 +224,7 @@ const FLEET: &str = concat!(
     matching!(),
     "
         WHERE (?6 IS NULL OR state = ?6) AND NOT (?7 AND is_silent)
-        ORDER BY CASE state WHEN 'critical' THEN 0 WHEN 'not_monitored' THEN 1
-                 WHEN 'warning' THEN 2 WHEN 'maintenance' THEN 3 WHEN 'learning' THEN 4 ELSE 5 END,
+        ORDER BY instr(?11, state),
                  coalesce(abs(drifts ->> '$[0].change_pct'), 0) DESC, site, machine
         LIMIT ?8 OFFSET ?9)
     SELECT chosen.site, chosen.machine, chosen.state, chosen.drifts, throw.started_at_us, estimate.quality,
@@ -401,7 +410,8 @@ impl Reader {
             .bind(query.without_silent)
             .bind(query.limit)
             .bind(query.offset)
-            .bind(query.spark);
+            .bind(query.spark)
+            .bind(WORST_FIRST.map(MachineState::as_str).join(" "));
         self.asked(statement).await
     }
 

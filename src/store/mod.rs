@@ -41,7 +41,9 @@ pub(crate) use disk::beside;
 pub use error::StoreError;
 pub use export::{Export, Exported};
 pub use fleet::Window;
-pub(crate) use fleet::{ALL_MACHINES, CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Present, Tally};
+pub(crate) use fleet::{
+    ALL_MACHINES, CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Present, Tally, WORST_FIRST,
+};
 pub use housekeeping::Dropped;
 pub use judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub use open::{Found, Report, refuse_foreign};
