@@ -28,12 +28,24 @@ const COPY_HANGS: Duration = Duration::from_secs(30);
 
 /// State of the disk of the database, in the status as `ok`, `low`, `full` or `failing`.
 #[derive(
-    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, strum::AsRefStr, strum::VariantArray,
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Default,
+    Serialize,
+    Deserialize,
+    strum::AsRefStr,
+    strum::VariantArray,
 )]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum DiskLevel {
     /// Enough space.
+    #[default]
     #[serde(rename = "ok")]
     #[strum(serialize = "ok")]
     Ample,

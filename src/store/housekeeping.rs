@@ -13,7 +13,7 @@ use sqlx::SqliteConnection;
 
 use super::{
     database::Store, disk::DiskLevel, error::StoreError, settings::MIB, spool::count, statements as sql,
-    statistics::Figures, write::Write,
+    statistics::Statistics, write::Write,
 };
 
 /// Rows dropped in one transaction: some tens of milliseconds of work.
@@ -242,7 +242,7 @@ impl Store {
         let mut due = Vec::new();
         let settings = &self.settings;
         let figures = sqlx::query_as(sql::FIGURES);
-        let figures: Figures = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
+        let figures: Statistics = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
         self.disk.note_dropped(&figures.counters());
         let room_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(figures.free_bytes);
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);

@@ -25,22 +25,6 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Instructions of SQLite's virtual machine in one step of a copy: some hundred rows.
 const COPY_STEPS: i32 = 1_000;
 
-/// A failed transaction.
-enum Failed {
-    /// The error came before or after the jobs.
-    Around(sqlx::Error),
-    /// The error came from a job.
-    Within(sqlx::Error),
-}
-
-impl Failed {
-    const fn error(&self) -> &sqlx::Error {
-        match self {
-            Self::Around(error) | Self::Within(error) => error,
-        }
-    }
-}
-
 /// The writing connection.
 pub(super) struct Link {
     pub(super) options: SqliteConnectOptions,
@@ -69,13 +53,13 @@ impl Link {
             self.notice_replaced_files().await;
             return self.bound_log().await;
         };
-        self.recover(first.error()).await;
+        self.recover(&first).await;
         match self.transaction(&mut jobs, true).await {
             Ok(()) => answer(jobs, || Ok(())),
-            Err(Failed::Within(error)) if is_refused(&error) && jobs.len() > 1 => self.commit_one_by_one(jobs).await,
-            Err(failed) => {
-                self.recover(failed.error()).await;
-                answer(jobs, || Err(store_error(failed.error())));
+            Err(error) if is_refused(&error) && jobs.len() > 1 => self.commit_one_by_one(jobs).await,
+            Err(error) => {
+                self.recover(&error).await;
+                answer(jobs, || Err(store_error(&error)));
             }
         }
     }
@@ -85,21 +69,21 @@ impl Link {
         for job in jobs {
             let mut alone = [job];
             let outcome = self.transaction(&mut alone, true).await;
-            if let Err(failed) = &outcome {
-                self.recover(failed.error()).await;
+            if let Err(error) = &outcome {
+                self.recover(error).await;
             }
             let [job] = alone;
-            job.answer(outcome.map_err(|failed| store_error(failed.error())));
+            job.answer(outcome.map_err(|error| store_error(&error)));
         }
     }
 
-    async fn transaction(&mut self, jobs: &mut [Box<dyn Job>], repeated: bool) -> Result<(), Failed> {
-        let connection = self.connected().await.map_err(Failed::Around)?;
-        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await.map_err(Failed::Around)?;
+    async fn transaction(&mut self, jobs: &mut [Box<dyn Job>], repeated: bool) -> sqlx::Result<()> {
+        let connection = self.connected().await?;
+        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
         for job in jobs {
-            job.run(connection, repeated).await.map_err(Failed::Within)?;
+            job.run(connection, repeated).await?;
         }
-        sqlx::query("COMMIT").execute(connection).await.map_err(Failed::Around)?;
+        sqlx::query("COMMIT").execute(connection).await?;
         self.disk.note_success();
         Ok(())
     }

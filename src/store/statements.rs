@@ -120,7 +120,7 @@ macro_rules! chosen {
     };
 }
 
-/// The columns of [`Figures`](super::statistics::Figures), fast enough for every second.
+/// The columns of [`Statistics`](super::Statistics) that are fast enough for every second.
 macro_rules! figures {
     () => {
         "coalesce(sum(traces), 0) AS traces, coalesce(sum(throws), 0) AS throws, \

@@ -4,17 +4,26 @@ use std::collections::BTreeMap;
 
 use super::{database::Store, disk::DiskLevel, error::StoreError, statements as sql};
 
-/// Figures of the database.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// Figures of the database. The retention reads only the first ones, which are fast enough for every second.
+#[derive(Debug, Clone, PartialEq, Eq, Default, sqlx::FromRow)]
+#[sqlx(default)]
 pub struct Statistics {
     /// Stored throws.
     pub throws: u64,
     /// Stored throws with a trace.
     pub traces: u64,
-    /// Pending throws: stored, not judged yet.
-    pub pending: u64,
+    /// Closed alarms.
+    pub closed_alarms: u64,
     /// Messages in the outbox.
     pub outbox: u64,
+    /// Size of the data \[bytes\].
+    pub data_bytes: u64,
+    /// Free pages in the file \[bytes\].
+    pub free_bytes: u64,
+    /// [`Self::counters`] as a JSON object.
+    counters: String,
+    /// Pending throws: stored, not judged yet.
+    pub pending: u64,
     /// Alarm events that the webhook has not accepted yet.
     pub notifications: u64,
     /// Open alarms.
@@ -23,51 +32,23 @@ pub struct Statistics {
     pub missing_throws: u64,
     /// Messages in quarantine.
     pub quarantined: u64,
-    /// Size of the data \[bytes\].
-    pub data_bytes: u64,
-    /// Free pages in the file \[bytes\].
-    pub free_bytes: u64,
     /// Size of the write-ahead log \[bytes\].
     pub wal_bytes: u64,
     /// Free space on the disk \[bytes\]; `None` if unknown.
     pub free_disk_bytes: Option<u64>,
     /// State of the disk below the database.
+    #[sqlx(skip)]
     pub disk: DiskLevel,
     /// Failed write transactions since the start.
     pub failed_writes: u64,
+}
+
+impl Statistics {
     /// Counters since the creation of the database, by name.
-    pub counters: BTreeMap<String, u64>,
-}
-
-/// Figures for the bounds of the retention and for the status.
-#[derive(sqlx::FromRow)]
-pub(super) struct Figures {
-    pub(super) traces: u64,
-    pub(super) throws: u64,
-    pub(super) closed_alarms: u64,
-    pub(super) outbox: u64,
-    pub(super) data_bytes: u64,
-    pub(super) free_bytes: u64,
-    /// Counters by name, as a JSON object.
-    counters: String,
-}
-
-impl Figures {
-    pub(super) fn counters(&self) -> BTreeMap<String, u64> {
+    #[must_use]
+    pub fn counters(&self) -> BTreeMap<String, u64> {
         serde_json::from_str(&self.counters).unwrap_or_default()
     }
-}
-
-/// The figures that count rows.
-#[derive(sqlx::FromRow)]
-struct Counts {
-    #[sqlx(flatten)]
-    figures: Figures,
-    pending: u64,
-    notifications: u64,
-    open_alarms: u64,
-    missing_throws: u64,
-    quarantined: u64,
 }
 
 impl Store {
@@ -76,25 +57,13 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
-        let counts: Vec<Counts> = self.reader.asked(sqlx::query_as(sql::STATISTICS)).await?;
-        let Counts { figures, pending, notifications, open_alarms, missing_throws, quarantined } =
-            counts.into_iter().next().ok_or_else(|| StoreError::read(sqlx::Error::RowNotFound))?;
+        let read: Vec<Statistics> = self.reader.asked(sqlx::query_as(sql::STATISTICS)).await?;
         Ok(Statistics {
-            throws: figures.throws,
-            traces: figures.traces,
-            pending,
-            outbox: figures.outbox,
-            notifications,
-            open_alarms,
-            missing_throws,
-            quarantined,
-            data_bytes: figures.data_bytes,
-            free_bytes: figures.free_bytes,
             wal_bytes: self.wal_bytes(),
             free_disk_bytes: self.disk.free_bytes(),
             disk: self.disk.level(),
             failed_writes: self.disk.failures(),
-            counters: figures.counters(),
+            ..read.into_iter().next().unwrap_or_default()
         })
     }
 

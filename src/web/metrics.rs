@@ -200,8 +200,9 @@ fn database(registry: &mut Registry, overview: &Overview) {
         gauge(registry, "disk_free", "Free space on the disk of the database", Unit::Bytes, free);
     }
     let dropped = Family::<Labels<1>, Counter>::default();
+    let counters = statistics.counters();
     for kind in Dropped::VARIANTS {
-        let rows = statistics.counters.get(&format!("dropped_{}", kind.as_ref())).copied().unwrap_or(0);
+        let rows = counters.get(&format!("dropped_{}", kind.as_ref())).copied().unwrap_or(0);
         dropped.get_or_create(&[("kind", kind.as_ref().to_owned())]).inc_by(rows);
     }
     registry.register("dropped", "Rows dropped to keep the database within its bounds, since its creation", dropped);

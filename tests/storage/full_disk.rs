@@ -83,7 +83,7 @@ async fn below_the_watermark_traces_go_and_estimates_stay() {
         }
     }
     let statistics = store.statistics().await.unwrap();
-    assert!(dropped > 0 || statistics.counters["dropped_traces"] > 0, "{statistics:?}");
+    assert!(dropped > 0 || statistics.counters()["dropped_traces"] > 0, "{statistics:?}");
     assert_eq!(statistics.failed_writes, 0, "the watermark acts before the disk is full");
     let estimates: Vec<(i64,)> = crate::given::query(&store, "SELECT count(*) FROM health_history").await;
     assert_eq!(estimates, [(1500,)]);

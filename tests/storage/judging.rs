@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, MachineState},
-    store::{Found, Judgement, OutboxRow, Selector, StoredMonitor, ThrowRow},
+    store::{Found, Judgement, OutboxRow, Selector, StoredMonitor},
     wire::{Alarm, alarm_id},
 };
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};

@@ -35,7 +35,7 @@ async fn traces_go_before_throws_and_what_waits_never_goes() {
     assert_eq!(statistics.pending, 1);
     let (pending, _) = store.reader().to_judge(None, 9, at(0), Duration::ZERO).await.unwrap();
     assert_eq!(pending[0].row, waits);
-    assert_eq!((statistics.counters["dropped_traces"], statistics.counters["dropped_throws"]), (101, 51));
+    assert_eq!((statistics.counters()["dropped_traces"], statistics.counters()["dropped_throws"]), (101, 51));
     // A deleted throw that arrives again is still a repetition, and not a gap.
     let again = store.spool(&machine("21B"), &throw("b1", 7), at(0)).await.unwrap();
     assert_eq!(again, Spooled::Duplicate);
@@ -70,7 +70,7 @@ async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_droppe
     store.run_housekeeping(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
-    let dropped = statistics.counters["dropped_pending_throws"];
+    let dropped = statistics.counters()["dropped_pending_throws"];
     assert_eq!((statistics.throws + dropped, statistics.pending), (1000, statistics.throws));
     let (severity, said) = store.trouble(None).unwrap();
     assert!(severity == pointsd::diagnose::Severity::Critical && said.contains("before they were judged"), "{said}");
@@ -111,7 +111,7 @@ async fn a_burst_of_pending_throws_costs_no_history() {
     store.spool_all(&burst).await;
     store.run_housekeeping(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
-    assert_eq!((statistics.pending, statistics.counters["dropped_pending_throws"]), (100, 150));
+    assert_eq!((statistics.pending, statistics.counters()["dropped_pending_throws"]), (100, 150));
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(150,)]);
 }
 

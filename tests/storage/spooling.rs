@@ -56,7 +56,7 @@ async fn another_throw_under_a_taken_number_is_kept_once_under_a_free_one() {
     }
     assert_eq!(store.spool(&machine("21B"), &throw("b1", 2), at(3)).await.unwrap(), Spooled::Duplicate);
     spooled(&store, "21B", "b1", 4).await;
-    assert_eq!(store.statistics().await.unwrap().counters["contradicted_throws"], 4);
+    assert_eq!(store.statistics().await.unwrap().counters()["contradicted_throws"], 4);
     let throws = store.reader().throws(ThrowRow::START, 100).await.unwrap();
     let ids: Vec<_> = throws.iter().map(|throw| (throw.id.boot_id.as_str(), throw.id.throw_no)).collect();
     let again: Vec<_> = (1..=4).map(|throw_no| ("b1~again", throw_no)).collect();
