@@ -14,7 +14,7 @@ use super::heartbeat::Heartbeats;
 use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{MachineState, Severity},
-    store::{DiskLevel, Recent, Store, Window},
+    store::{DiskLevel, RecentCount, Store, Window},
     throw::MachineId,
 };
 
@@ -51,7 +51,7 @@ pub struct Status {
     /// Of each known machine whose last messages were no valid throws, their number and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
     /// Rejected throws of new machines beyond `max_machines`.
-    pub(super) machines_refused: Recent,
+    pub(super) machines_refused: RecentCount,
     /// Alarm events.
     pub alarm_events: AtomicU64,
     /// Loggers that are connected now.

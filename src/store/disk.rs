@@ -16,7 +16,7 @@ use std::{
 use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
-use super::{error::StoreError, pace::Recent, settings::MIB};
+use super::{error::StoreError, pace::RecentCount, settings::MIB};
 
 /// Counters of rows that were needed: throws before their judgement, alarm events before their publication and before the
 /// webhook accepted them.
@@ -70,7 +70,7 @@ pub(super) struct Disk {
     failing: AtomicBool,
     failures: AtomicU64,
     /// Times that the database file was found deleted or replaced.
-    replaced: Recent,
+    replaced: RecentCount,
     /// Whether the file could not be written again.
     replacement_fails: AtomicBool,
     /// Time of the last step of a copy of the database, during which the writer writes nothing else.
@@ -78,7 +78,7 @@ pub(super) struct Disk {
     /// The counters of the database at the last look.
     counters: Mutex<Option<BTreeMap<String, u64>>>,
     /// What was dropped although it was needed, by [`LOSSES`].
-    lost: [Recent; LOSSES.len()],
+    lost: [RecentCount; LOSSES.len()],
 }
 
 impl Disk {
@@ -92,7 +92,7 @@ impl Disk {
             was_full: AtomicBool::new(false),
             failing: AtomicBool::new(false),
             failures: AtomicU64::new(0),
-            replaced: Recent::default(),
+            replaced: RecentCount::default(),
             replacement_fails: AtomicBool::new(false),
             copied: Mutex::new(None),
             counters: Mutex::default(),
@@ -156,7 +156,7 @@ impl Disk {
 
     /// The numbers of [`LOSSES`] since the start, of those that grew in the last hour.
     pub(super) fn lost(&self) -> [Option<u64>; LOSSES.len()] {
-        self.lost.each_ref().map(Recent::shown)
+        self.lost.each_ref().map(RecentCount::shown)
     }
 
     /// Records a step of a copy of the database.

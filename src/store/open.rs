@@ -22,7 +22,7 @@ use tokio::time::Instant;
 use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_interrupted},
-    place::Place,
+    files::DatabaseFiles,
     salvage::{PARTS, Salvaged, salvage},
     settings::{MIB, Settings, Synchronous},
     statements as sql,
@@ -116,18 +116,18 @@ pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
 pub(super) async fn open(
     settings: &Settings,
     disk: &Disk,
-    place: &Place,
+    files: &DatabaseFiles,
     now: Timestamp,
 ) -> Result<(SqliteConnection, Report), StoreError> {
     refuse_foreign(&settings.path).await?;
-    place.clear_leftovers()?;
+    files.clear_leftovers()?;
     // SQLite would delete a log without its database, with the last commits.
-    let log = (place.is_fresh() && place.log_bytes() > 0).then(|| place.set_log_aside(now)).transpose()?;
-    if let Some(broken) = place.unfinished() {
-        return recover(settings, disk, place, broken, "copying its rows was interrupted".to_owned()).await;
+    let log = (files.is_fresh() && files.log_bytes() > 0).then(|| files.set_log_aside(now)).transpose()?;
+    if let Some(broken) = files.unfinished() {
+        return recover(settings, disk, files, broken, "copying its rows was interrupted".to_owned()).await;
     }
-    match prepare(settings, disk, place.is_fresh()).await {
-        Err(Trouble::Broken(why)) => recover(settings, disk, place, place.set_aside(now)?, why).await,
+    match prepare(settings, disk, files.is_fresh()).await {
+        Err(Trouble::Broken(why)) => recover(settings, disk, files, files.set_aside(now)?, why).await,
         Ok((connection, report)) => {
             let Some(to) = log else { return Ok((connection, report)) };
             let why = "the database is missing, but its write-ahead log exists".to_owned();
@@ -144,7 +144,7 @@ pub(super) async fn open(
 async fn recover(
     settings: &Settings,
     disk: &Disk,
-    place: &Place,
+    files: &DatabaseFiles,
     to: PathBuf,
     why: String,
 ) -> Result<(SqliteConnection, Report), StoreError> {
@@ -153,10 +153,10 @@ async fn recover(
     let with_traces = disk.free_bytes().is_none_or(|free| free > size + size / 4);
     let mut salvaged = Salvaged::default();
     for tables in PARTS.into_iter().skip(usize::from(!with_traces)) {
-        let copy = Settings { path: place.salvage_path()?, ..settings.clone() };
+        let copy = Settings { path: files.salvage_path()?, ..settings.clone() };
         match copy_readable(&copy, disk, &to, tables).await {
             Ok(copied) => {
-                place.adopt(&copy.path)?;
+                files.adopt(&copy.path)?;
                 salvaged = copied;
                 break;
             }
@@ -167,11 +167,11 @@ async fn recover(
             }
         }
     }
-    place.salvage_path()?;
+    files.salvage_path()?;
     let (connection, report) =
-        prepare(settings, disk, place.is_fresh()).await.map_err(|trouble| trouble.told(settings))?;
+        prepare(settings, disk, files.is_fresh()).await.map_err(|trouble| trouble.told(settings))?;
     tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
-    if let Err(error) = Place::describe_set_aside(&to, &salvaged.text()) {
+    if let Err(error) = DatabaseFiles::describe_set_aside(&to, &salvaged.text()) {
         tracing::warn!(%error, "the summary of the copied rows is in this log only");
     }
     Ok((connection, Report { found: Found::SetAside { to, why, salvaged }, ..report }))
@@ -198,7 +198,7 @@ async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usiz
 /// # Errors
 /// When the file is text or the database of another program.
 pub async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
-    if Place::new(path).is_fresh() {
+    if DatabaseFiles::new(path).is_fresh() {
         return Ok(());
     }
     if is_text(path) {

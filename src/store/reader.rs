@@ -18,9 +18,10 @@ use tokio_util::sync::CancellationToken;
 
 use super::{
     error::{StoreError, is_corrupt},
-    open, outside,
+    open,
     page::{self, Cursor},
-    recent::Recent,
+    read_only,
+    recent::RecentThrows,
     rows::{Gap, OutboxRow, PendingRow, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp},
     statements as sql,
 };
@@ -46,7 +47,7 @@ pub struct Reader {
     /// Cancelled when a query finds the file broken.
     broken: CancellationToken,
     /// The throws stored last.
-    pub(super) recent: Recent,
+    pub(super) recent: RecentThrows,
 }
 
 /// Separate connections, so that many external queries cannot delay the pipeline.
@@ -73,14 +74,18 @@ impl Reader {
     /// # Errors
     /// When the database does not exist or cannot be read.
     pub async fn open_outside(path: &Path) -> Result<Self, StoreError> {
-        Self::with(path, outside::options(path).await?).await
+        Self::with(path, read_only::options(path).await?).await
     }
 
     async fn with(path: &Path, options: SqliteConnectOptions) -> Result<Self, StoreError> {
         let pools = Pools::connect(options)
             .await
             .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
-        Ok(Self { pools: Arc::new(RwLock::new(pools)), broken: CancellationToken::new(), recent: Recent::default() })
+        Ok(Self {
+            pools: Arc::new(RwLock::new(pools)),
+            broken: CancellationToken::new(),
+            recent: RecentThrows::default(),
+        })
     }
 
     pub(super) async fn close(&self) {

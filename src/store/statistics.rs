@@ -82,6 +82,6 @@ impl Store {
     /// Size of the write-ahead log \[bytes\].
     #[must_use]
     pub fn wal_bytes(&self) -> u64 {
-        self.place.log_bytes()
+        self.files.log_bytes()
     }
 }

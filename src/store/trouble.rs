@@ -1,6 +1,6 @@
 //! Problems of the store, as texts for an alarm.
 
-use super::{database::Store, disk::DiskLevel, place::Place};
+use super::{database::Store, disk::DiskLevel, files::DatabaseFiles};
 use crate::diagnose::Severity;
 
 impl Store {
@@ -22,8 +22,8 @@ impl Store {
             )),
         };
         let disk = disk.map(|(severity, said)| (severity, said.to_owned()));
-        let set_aside = self.place.set_aside_before().map(|file| {
-            let saved = Place::saved_from(&file);
+        let set_aside = self.files.set_aside_before().map(|file| {
+            let saved = DatabaseFiles::saved_from(&file);
             let saved = saved.unwrap_or_else(|| "its history is not available".to_owned());
             let said = format!(
                 "its database was broken and was set aside as {}; {saved}. Move this file elsewhere, and keep it for a \

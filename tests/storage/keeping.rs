@@ -29,7 +29,7 @@ async fn traces_go_before_throws_and_what_waits_never_goes() {
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
     // The bound includes the pending throw.
-    let done = store.run_housekeeping(at(0), true).await.unwrap();
+    let done = store.keep_bounds(at(0), true).await.unwrap();
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 101), (Dropped::Throws, 51)]));
     let statistics = store.statistics().await.unwrap();
     assert_eq!(statistics.pending, 1);
@@ -50,7 +50,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
     store.record(alarm(1, AlarmState::Normal)).await.unwrap();
     judged(&store, 1, 400).await;
     assert!(store.statistics().await.unwrap().data_bytes > 1 << 20, "the test writes too little");
-    let done = store.run_housekeeping(at(0), true).await.unwrap();
+    let done = store.keep_bounds(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
     assert!(done.len() == 1 && (1..400).contains(&done[&Dropped::Traces]), "{done:?}");
@@ -67,7 +67,7 @@ async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_droppe
     let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
     store.spool_all(&flood).await;
     assert!(store.statistics().await.unwrap().data_bytes > 2 << 20, "the test writes too little");
-    store.run_housekeeping(at(0), true).await.unwrap();
+    store.keep_bounds(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert!(statistics.data_bytes <= 1 << 20, "{} bytes", statistics.data_bytes);
     let dropped = statistics.counters()["dropped_pending_throws"];
@@ -90,10 +90,10 @@ async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
     let count = "INSERT INTO counter (name, value) VALUES ('dropped_notifications', 3), ('dropped_messages', 2) \
                  ON CONFLICT DO UPDATE SET value = value + excluded.value";
     sqlx::query(count).execute(&mut outsider).await.unwrap();
-    store.run_housekeeping(at(0), true).await.unwrap();
+    store.keep_bounds(at(0), true).await.unwrap();
     assert_eq!(store.trouble(None), None, "dropped before the start");
     sqlx::query(count).execute(&mut outsider).await.unwrap();
-    store.run_housekeeping(at(0), true).await.unwrap();
+    store.keep_bounds(at(0), true).await.unwrap();
     let (_, said) = store.trouble(None).unwrap();
     assert!(said.contains("3 alarm events were dropped before the webhook accepted them"), "{said}");
     assert!(said.contains("2 alarm events were dropped before they were published"), "{said}");
@@ -106,10 +106,10 @@ async fn a_burst_of_pending_throws_costs_no_history() {
     let bounds = Settings { max_traces: 100, ..settings(folder.path()) };
     let store = Store::open(&bounds, at(0)).await.unwrap().store;
     judged(&store, 1, 150).await;
-    store.run_housekeeping(at(0), true).await.unwrap();
+    store.keep_bounds(at(0), true).await.unwrap();
     let burst: Vec<_> = (151..=400).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
     store.spool_all(&burst).await;
-    store.run_housekeeping(at(0), true).await.unwrap();
+    store.keep_bounds(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert_eq!((statistics.pending, statistics.counters()["dropped_pending_throws"]), (100, 150));
     assert_eq!(query::<(i64,)>(&store, "SELECT count(*) FROM health_history").await, [(150,)]);
@@ -122,7 +122,7 @@ async fn a_disk_that_others_fill_does_not_end_the_retention() {
     let bounds = Settings { low_disk_mib: 1 << 20, max_throws: 150, ..settings(folder.path()) };
     let store = Store::open(&bounds, at(0)).await.unwrap().store;
     judged(&store, 1, 200).await;
-    store.run_housekeeping(at(0), true).await.unwrap();
+    store.keep_bounds(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
     assert_eq!((statistics.traces, statistics.throws), (0, 150));
 }
@@ -145,7 +145,7 @@ async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
             judge(&store, judgement(row, "loud")).await.unwrap();
         }
         for _ in 0..20 {
-            store.run_housekeeping(at(0), true).await.unwrap();
+            store.keep_bounds(at(0), true).await.unwrap();
         }
         let count = "SELECT count(*) FROM trace JOIN throw USING (throw_row) JOIN machine USING (machine_row) WHERE machine = '21B'";
         assert_eq!(query::<(i64,)>(&store, count).await, [(40,)], "{bounds:?}");
@@ -168,9 +168,9 @@ async fn age_counts_only_while_the_clock_is_trusted() {
     let store = open(folder.path()).await.store;
     judged(&store, 1, 20).await;
     let in_eleven_years: Timestamp = at(0) + SignedDuration::from_hours(24 * 365 * 11);
-    assert!(store.run_housekeeping(in_eleven_years, false).await.unwrap().is_empty());
-    assert!(store.run_housekeeping(at(0) - SignedDuration::from_hours(24), true).await.unwrap().is_empty());
-    let done = store.run_housekeeping(in_eleven_years, true).await.unwrap();
+    assert!(store.keep_bounds(in_eleven_years, false).await.unwrap().is_empty());
+    assert!(store.keep_bounds(at(0) - SignedDuration::from_hours(24), true).await.unwrap().is_empty());
+    let done = store.keep_bounds(in_eleven_years, true).await.unwrap();
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 20)]));
 }
 
@@ -468,7 +468,7 @@ async fn empty_boots_are_deleted_also_behind_those_of_many_quiet_machines() {
         let row = spooled(&store, "loud", &format!("b{boot}"), 1).await;
         judge(&store, judgement(row, "loud")).await.unwrap();
     }
-    store.run_housekeeping(at(0), true).await.unwrap();
+    store.keep_bounds(at(0), true).await.unwrap();
     let loud = "SELECT count(*) FROM boot JOIN machine USING (machine_row) WHERE machine = 'loud'";
     // The boots with throws, and the one at which the backlog of the logger starts.
     assert_eq!(query::<(i64,)>(&store, loud).await, [(1_001,)]);

@@ -11,8 +11,8 @@ use tokio::time::Instant;
 use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_refused},
+    files::{DatabaseFiles, Identity},
     pace::seldom,
-    place::{Identity, Place},
     reader::Reader,
     statements as sql,
     write::Job,
@@ -26,11 +26,11 @@ const LOOK: Duration = Duration::from_secs(1);
 const COPY_STEPS: i32 = 1_000;
 
 /// The writing connection.
-pub(super) struct Link {
+pub(super) struct WritingConnection {
     pub(super) options: SqliteConnectOptions,
     pub(super) connection: Option<SqliteConnection>,
     pub(super) disk: Arc<Disk>,
-    pub(super) place: Place,
+    pub(super) files: DatabaseFiles,
     pub(super) reader: Reader,
     /// Whether SQLite found the file broken; the next start sets it aside.
     pub(super) broken: bool,
@@ -42,7 +42,7 @@ pub(super) struct Link {
     pub(super) log_bound: u64,
 }
 
-impl Link {
+impl WritingConnection {
     /// Commits the jobs in one transaction and answers each.
     pub(super) async fn commit(&mut self, mut jobs: Vec<Box<dyn Job>>) {
         if jobs.is_empty() {
@@ -118,13 +118,13 @@ impl Link {
             return;
         }
         self.looked = Some(Instant::now());
-        let now = self.place.identity();
+        let now = self.files.identity();
         let known = *self.identity.get_or_insert(now);
         if now == known {
             return;
         }
         tracing::error!(?known, ?now, "the database was DELETED OR REPLACED: writing it again");
-        let outcome = match self.place.set_strangers_aside() {
+        let outcome = match self.files.set_strangers_aside() {
             Ok(()) => self.move_database("its files were deleted or replaced").await,
             Err(error) => Err(error),
         };
@@ -136,7 +136,7 @@ impl Link {
 
     /// Bounds the log, which grows while a reader holds an old state.
     async fn bound_log(&mut self) {
-        let log = self.place.log_bytes();
+        let log = self.files.log_bytes();
         if log < self.log_bound {
             return;
         }
@@ -145,7 +145,7 @@ impl Link {
             Ok(false) => {}
             Err(error) => return self.recover(&error).await,
         }
-        let (room, needed) = (self.disk.free_bytes().unwrap_or(u64::MAX), self.place.copy_bytes());
+        let (room, needed) = (self.disk.free_bytes().unwrap_or(u64::MAX), self.files.copy_bytes());
         if room < needed {
             tracing::error!(
                 log,
@@ -166,10 +166,10 @@ impl Link {
     /// After a failed move: opens the configured path again for writer and readers, and removes the unfinished copy.
     async fn reopen_path(&mut self) {
         self.disconnect().await;
-        if let Err(error) = self.reader.reopen(self.place.path()).await {
+        if let Err(error) = self.reader.reopen(self.files.path()).await {
             tracing::error!(%error, "reopening the readers failed: they keep their file");
         }
-        if let Err(error) = self.place.next() {
+        if let Err(error) = self.files.next() {
             tracing::warn!(%error, "removing an unfinished copy of the database failed");
         }
     }
@@ -185,14 +185,14 @@ impl Link {
     }
 
     async fn move_database(&mut self, why: &str) -> Result<(), StoreError> {
-        let copy = self.place.next()?;
+        let copy = self.files.next()?;
         tracing::warn!(to = %copy.display(), why, "copying the database to a new file: writes wait");
         self.copy_to(&copy).await.map_err(|error| store_error(&error))?;
-        self.place.switch(&copy)?;
+        self.files.switch(&copy)?;
         self.identity = None;
         self.disconnect().await;
         self.connected().await.map_err(|error| store_error(&error))?;
-        self.reader.reopen(self.place.path()).await.map_err(|error| store_error(&error))?;
+        self.reader.reopen(self.files.path()).await.map_err(|error| store_error(&error))?;
         tracing::warn!(to = %copy.display(), why, "the database moved to a new file");
         Ok(())
     }

@@ -211,11 +211,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database cannot be read or written.
-    pub async fn run_housekeeping(
-        &self,
-        now: Timestamp,
-        clock_trusted: bool,
-    ) -> Result<BTreeMap<Dropped, u64>, StoreError> {
+    pub async fn keep_bounds(&self, now: Timestamp, clock_trusted: bool) -> Result<BTreeMap<Dropped, u64>, StoreError> {
         let mut done = BTreeMap::new();
         for _ in 0..ROUNDS {
             let mut round = BTreeMap::new();

@@ -33,7 +33,7 @@ const SALVAGE: &str = "-salvage";
 
 /// The configured path of the database.
 #[derive(Debug, Clone)]
-pub(super) struct Place {
+pub(super) struct DatabaseFiles {
     path: PathBuf,
 }
 
@@ -44,7 +44,7 @@ pub(super) struct Identity {
     pub(super) log: Option<(u64, u64)>,
 }
 
-impl Place {
+impl DatabaseFiles {
     pub(super) fn new(path: &Path) -> Self {
         Self { path: path.to_owned() }
     }

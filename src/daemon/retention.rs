@@ -37,7 +37,7 @@ pub(super) async fn run(store: Store, last_heard: Option<Timestamp>) {
         let now = clock::now();
         let is_steady = clocks.are_steady(now, clock::monotonic());
         let clock_trusted = is_steady && (clocks.continue_time || Path::new(CLOCK_IS_SET).exists());
-        match store.run_housekeeping(now, clock_trusted).await {
+        match store.keep_bounds(now, clock_trusted).await {
             Ok(done) if done.is_empty() => {}
             Ok(done) => tracing::info!(?done, "dropped the oldest rows to stay within the bounds of [store]"),
             Err(StoreError::Closed) => return,
