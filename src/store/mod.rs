@@ -41,9 +41,7 @@ pub(crate) use disk::beside;
 pub use error::StoreError;
 pub use export::{Export, Exported};
 pub use fleet::Window;
-pub(crate) use fleet::{
-    ALL_MACHINES, CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Present, Tally, WORST_FIRST,
-};
+pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Present, Tally, WORST_FIRST};
 pub use judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub use open::{Found, Report, refuse_foreign};
 pub(crate) use pace::{RecentCount, Seldom, seldom};
@@ -56,4 +54,5 @@ pub use rows::{Gap, GapRow, OutboxRow, Selector, StoredMonitor, StoredThrow, Thr
 pub use salvage::Salvaged;
 pub use settings::{Settings, Synchronous};
 pub use spool::Spooled;
+pub(crate) use statements::ALL_MACHINES;
 pub use statistics::Statistics;
