@@ -5,7 +5,10 @@ use std::sync::{
     atomic::{AtomicU64, Ordering::Relaxed},
 };
 
-use tokio::{sync::mpsc, task};
+use tokio::{
+    sync::mpsc::{self, error::TrySendError},
+    task,
+};
 use zenoh::{
     Session, Wait,
     bytes::Encoding,
@@ -14,9 +17,10 @@ use zenoh::{
 
 use super::{error::BusError, session::intersect};
 
-/// Capacity of the queue: a dashboard sends a few queries a second. A query to a full queue gets no reply; its sender
-/// retries.
+/// Capacity of the queue: a dashboard sends a few queries a second.
 const QUEUE: usize = 64;
+/// Reply to a query that found the queue full, for its sender.
+const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
 /// Largest payload that is read \[bytes\]; commands have a few hundred.
 const MAX_PAYLOAD: usize = 64 << 10;
 
@@ -79,11 +83,20 @@ impl Questions {
         let (sender, waiting) = mpsc::channel(QUEUE);
         let dropped = Arc::<AtomicU64>::default();
         let counter = Arc::clone(&dropped);
+        // The callback must not reply, as a reply waits for a slow link. Beyond this queue queries get no reply.
+        let (refuse, mut refused) = mpsc::channel(QUEUE);
+        task::spawn(async move {
+            while let Some(question) = refused.recv().await {
+                answer(question, Err(BUSY.to_owned())).await;
+            }
+        });
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query| {
-                if sender.try_send(Question { query }).is_err() {
+                if let Err(TrySendError::Full(question)) = sender.try_send(Question { query }) {
                     counter.fetch_add(1, Relaxed);
+                    // Without a place in this queue too, the query ends without a reply.
+                    let _ = refuse.try_send(question);
                 }
             })
             .await
@@ -91,7 +104,7 @@ impl Questions {
         Ok(Self { waiting, dropped, _queryable: queryable })
     }
 
-    /// Number of queries without a reply since the last call, because the queue was full.
+    /// Number of queries refused since the last call, because the queue was full.
     #[must_use]
     pub fn take_dropped(&self) -> u64 {
         self.dropped.swap(0, Relaxed)

@@ -7,9 +7,9 @@ use super::{
     runtime::{self, Requested, Signals},
 };
 use crate::{
-    daemon::{DATABASE, Daemon, Ended, LockError, StartError, config::Config},
+    daemon::{DATABASE, Daemon, LockError, StartError, TaskEnded, config::Config},
     store::StoreError,
-    web::{self, Place},
+    web::{self, Listening},
 };
 
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP reloads the configuration.
@@ -54,8 +54,8 @@ pub(super) fn start_failure(error: StartError) -> Failure {
 
 async fn run(arguments: &Arguments, config: Config) -> Outcome {
     let mut signals = Signals::listen()?;
-    let place = match config.web.listen {
-        Some(address) => Some(Place::bind(address).await.or_exit(Exit::Unavailable)?),
+    let listening = match config.web.listen {
+        Some(address) => Some(Listening::bind(address).await.or_exit(Exit::Unavailable)?),
         None => None,
     };
     let mut daemon = tokio::select! {
@@ -66,8 +66,8 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
             return Ok(Exit::Ok);
         }
     };
-    if let Some(place) = place {
-        daemon.adopt("the dashboard", web::serve(place, daemon.view()));
+    if let Some(listening) = listening {
+        daemon.adopt("the dashboard", web::serve(listening, daemon.view()));
     }
     daemon.announce_ready();
     tracing::info!(database = %daemon.store().path().display(), listens_on = ?daemon.locators().await, "ready");
@@ -77,7 +77,7 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
                 Requested::Stop => break None,
                 Requested::Reload => reload(&daemon, arguments.config.as_deref()),
             },
-            Ended(task) = daemon.ended() => break Some(task),
+            TaskEnded(task) = daemon.ended() => break Some(task),
         }
     };
     let stopped = daemon.stop().await;

@@ -20,7 +20,7 @@ use crate::{
     bus::{self, OperatorError},
     daemon::{StatusReport, clock},
     diagnose::MachineState,
-    store::Window,
+    store::{WORST_FIRST, Window},
     throw::{Direction, MachineId, Name},
     wire::{Alarm, Health},
 };
@@ -150,12 +150,10 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
         machines.entry(&row.machine).or_default().push(row);
     }
     let state = |rows: &[&Health]| rows.iter().find_map(|row| row.state).unwrap_or_default();
-    let mut tally: BTreeMap<u8, (MachineState, usize)> = BTreeMap::new();
-    for rows in machines.values() {
-        tally.entry(rank(state(rows))).or_insert((state(rows), 0)).1 += 1;
-    }
+    let count = |of| machines.values().filter(|rows| state(rows) == of).count();
+    let tally = WORST_FIRST.map(|of| (count(of), of.as_str().replace('_', " ")));
     let tally: Vec<String> =
-        tally.values().map(|(state, count)| format!("{count} {}", state.as_str().replace('_', " "))).collect();
+        tally.iter().filter(|(count, _)| *count > 0).map(|(count, state)| format!("{count} {state}")).collect();
     let tally = if tally.is_empty() { String::new() } else { format!(": {}", tally.join(", ")) };
     let noun = if machines.len() == 1 { "machine" } else { "machines" };
     output::line(format_args!("{} {noun}{tally}", machines.len()))?;
@@ -204,16 +202,9 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     Ok(())
 }
 
-/// Sort order of the states, the most urgent first.
-fn rank(state: MachineState) -> u8 {
-    match state {
-        MachineState::Critical => 0,
-        MachineState::NotMonitored => 1,
-        MachineState::Warning => 2,
-        MachineState::Maintenance => 3,
-        MachineState::Learning => 4,
-        MachineState::Healthy => 5,
-    }
+/// Sort order of the states, the worst first.
+fn rank(state: MachineState) -> Option<usize> {
+    WORST_FIRST.iter().position(|other| *other == state)
 }
 
 fn target(direction: Option<Direction>) -> &'static str {

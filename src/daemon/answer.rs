@@ -14,7 +14,7 @@ async fn next(questions: &mut Questions) -> Option<Question> {
     let question = questions.next().await;
     let dropped = questions.take_dropped();
     if dropped > 0 {
-        seldom!(warn, dropped, "queue of queries full: queries not answered");
+        seldom!(warn, dropped, "queue of queries full: queries refused");
     }
     question
 }

@@ -60,7 +60,7 @@ const MISSING: u32 = 10_000;
 
 /// End of the query of one logger.
 #[derive(Debug, Clone, PartialEq, Eq)]
-enum Ended {
+enum QueryEnd {
     /// No throw is missing.
     Complete,
     /// The turn of the logger is over; it has more throws.
@@ -175,16 +175,16 @@ impl Backlog {
         self.seen.contains(machine) || (!self.with_token.contains(machine) && self.asker.intake.is_live(machine))
     }
 
-    async fn ended(&self, schedule: &mut Schedule, machine: &MachineId, ended: Ended, page: usize) {
+    async fn ended(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: usize) {
         let Some(turn) = schedule.turns.get_mut(machine) else { return };
         turn.page = page;
         self.missing.notify_one();
         let is_there = self.is_there(machine);
         turn.was_away = !is_there;
         let pause = match ended {
-            Ended::Complete => return schedule.done(machine),
-            Ended::More => Duration::ZERO,
-            Ended::Without(cursor) if is_there => {
+            QueryEnd::Complete => return schedule.done(machine),
+            QueryEnd::More => Duration::ZERO,
+            QueryEnd::Without(cursor) if is_there => {
                 let since = *turn.without_since.get_or_insert_with(Instant::now);
                 if since.elapsed() >= PATIENCE {
                     match self.asker.store.write_off(machine, &cursor, clock::now()).await {
@@ -196,8 +196,8 @@ impl Backlog {
                 return schedule.rest(machine, PAUSE);
             }
             // Queried again when its token or a throw of it appears.
-            Ended::Without(_) => LONGEST_PAUSE,
-            Ended::Broken => {
+            QueryEnd::Without(_) => LONGEST_PAUSE,
+            QueryEnd::Broken => {
                 let pause = (PAUSE * 2_u32.saturating_pow(turn.tries)).min(LONGEST_PAUSE);
                 (turn.without_since, turn.tries) = (None, (turn.tries + 1).min(16));
                 return schedule.rest(machine, pause);
@@ -287,18 +287,18 @@ pub(super) struct Asker {
 
 impl Asker {
     /// Queries a logger page by page. Returns the size of its next page.
-    async fn ask(&self, machine: &MachineId, mut page: usize) -> (Ended, usize) {
+    async fn ask(&self, machine: &MachineId, mut page: usize) -> (QueryEnd, usize) {
         let ended = self.pages(machine, &mut page).await.unwrap_or_else(|error| {
             seldom!(warn, %machine, %error, "storing a page of a backlog failed; retrying");
-            Ended::Broken
+            QueryEnd::Broken
         });
         (ended, page)
     }
 
-    async fn pages(&self, machine: &MachineId, size: &mut usize) -> Result<Ended, StoreError> {
+    async fn pages(&self, machine: &MachineId, size: &mut usize) -> Result<QueryEnd, StoreError> {
         // A client without its router gets the same empty page as from a logger without throws.
         if self.is_client && !bus::is_connected(&self.session).await {
-            return Ok(Ended::Broken);
+            return Ok(QueryEnd::Broken);
         }
         let mut cursor = self.store.reader().cursor(machine).await?;
         let (mut repeated, mut least) = (0, 1);
@@ -314,10 +314,10 @@ impl Asker {
                 return Ok(match ending {
                     Ending::Broken => {
                         *size = (*size / 2).max(1);
-                        Ended::Broken
+                        QueryEnd::Broken
                     }
-                    Ending::Complete if cursor.awaits => Ended::Without(cursor),
-                    Ending::Complete => Ended::Complete,
+                    Ending::Complete if cursor.awaits => QueryEnd::Without(cursor),
+                    Ending::Complete => QueryEnd::Complete,
                 });
             };
             let stored = self.store.spool_page(machine, cursor.after.as_ref(), &page, clock::now()).await?;
@@ -329,14 +329,14 @@ impl Asker {
             least = 1;
             if ending == Ending::Broken {
                 *size = (*size / 2).max(1);
-                return Ok(Ended::Broken);
+                return Ok(QueryEnd::Broken);
             }
             if repeated >= REPEATED_PAGES {
-                return Ok(Ended::Without(cursor));
+                return Ok(QueryEnd::Without(cursor));
             }
             *size = (*size * 2).min(LARGEST_PAGE);
         }
-        Ok(Ended::More)
+        Ok(QueryEnd::More)
     }
 
     /// Queries a page of throws after the cursor, oldest first; `None` without a usable throw. Also returns whether the

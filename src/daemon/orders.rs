@@ -23,7 +23,7 @@ pub(super) struct Order {
 
 /// Sender of commands to the judge loop. Cheap to clone.
 #[derive(Debug, Clone)]
-pub(super) struct Orders(mpsc::Sender<Order>);
+pub(crate) struct Orders(mpsc::Sender<Order>);
 
 impl Orders {
     pub(super) fn new() -> (Self, mpsc::Receiver<Order>) {
@@ -35,7 +35,7 @@ impl Orders {
     ///
     /// # Errors
     /// A sentence, if the loop does not answer in time. The command may still be applied later.
-    pub(super) async fn carry_out(&self, machine: MachineId, command: Command) -> Result<Reply, String> {
+    pub(crate) async fn carry_out(&self, machine: MachineId, command: Command) -> Result<Reply, String> {
         let (reply, answer) = oneshot::channel();
         let busy = || "the daemon is busy: check whether the command was applied before you repeat it".to_owned();
         let answer = time::timeout(LIMIT, async {

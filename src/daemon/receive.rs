@@ -134,7 +134,7 @@ impl Intake {
 }
 
 /// The receiving loop of live throws.
-pub(super) struct Receiver {
+pub(super) struct ReceiveLoop {
     pub(super) inbox: Inbox,
     pub(super) intake: Arc<Intake>,
     pub(super) store: Store,
@@ -147,7 +147,7 @@ pub(super) struct Receiver {
     pub(super) give_up: CancellationToken,
 }
 
-impl Receiver {
+impl ReceiveLoop {
     /// Runs until `stop`, then stores the rest of the queue.
     pub(super) async fn run(mut self, stop: CancellationToken) {
         let mut batch = Vec::with_capacity(BATCH);

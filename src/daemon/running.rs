@@ -17,16 +17,16 @@ use super::{
     config::Config,
     judge::{Judge, Judged},
     judge_loop::{JudgeLoop, Links},
-    keep,
     lock::DatabaseLock,
     offline::StartError,
     orders::{Order, Orders},
     peers::Peers,
     presence,
     publish::Publisher,
-    receive::{Intake, Receiver},
+    receive::{Intake, ReceiveLoop},
+    retention,
     status::{Gauges, Status, StatusReport},
-    tasks::{Ended, Tasks},
+    tasks::{TaskEnded, Tasks},
     view::View,
     watchdog,
     webhook::Notifier,
@@ -142,7 +142,9 @@ impl Daemon {
 
         presence::watch(&start.session, &start.scope(Kind::Alive), Arc::clone(&start.status), alive).await?;
         start.answer(&orders, &gauges).await?;
-        start.tasks.spawn("keep the bounds", keep::run(start.store.clone(), start.store.reader().last_heard().await?));
+        start
+            .tasks
+            .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_heard().await?));
         start.tasks.spawn("watchdog", watchdog::watch(gauges.clone()));
         let monitor = &start.config.monitor;
         let alive = bus::declare_alive(&start.session, &monitor_alive_key(&monitor.site, &monitor.id)).await?;
@@ -190,10 +192,10 @@ impl Daemon {
     }
 
     /// Waits until a task ends unexpectedly.
-    pub async fn ended(&mut self) -> Ended {
+    pub async fn ended(&mut self) -> TaskEnded {
         tokio::select! {
             ended = self.tasks.next_end() => ended,
-            () = self.store.stopped() => Ended(DATABASE),
+            () = self.store.stopped() => TaskEnded(DATABASE),
         }
     }
 
@@ -328,7 +330,7 @@ impl Starting {
             dropped,
             missing: Arc::clone(&missing),
         };
-        let receiver = Receiver {
+        let receiver = ReceiveLoop {
             inbox,
             intake,
             store: self.store.clone(),

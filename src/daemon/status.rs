@@ -14,7 +14,7 @@ use super::heartbeat::Heartbeats;
 use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{MachineState, Severity},
-    store::{DiskLevel, Recent, Store, Window},
+    store::{DiskLevel, RecentCount, Store, Window},
     throw::MachineId,
 };
 
@@ -51,7 +51,7 @@ pub struct Status {
     /// Of each known machine whose last messages were no valid throws, their number and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
     /// Rejected throws of new machines beyond `max_machines`.
-    pub(super) machines_refused: Recent,
+    pub(super) machines_refused: RecentCount,
     /// Alarm events.
     pub alarm_events: AtomicU64,
     /// Loggers that are connected now.
@@ -104,6 +104,9 @@ pub struct StatusReport {
     pub database: String,
     /// State of the disk of the database.
     pub disk: DiskLevel,
+    /// Whether the database is being copied to a new file, as a program keeps reading an old state. Writes wait meanwhile.
+    #[serde(default)]
+    pub copying: bool,
     /// Size of the write-ahead log \[bytes\].
     pub wal_bytes: u64,
     /// Whether a link to others is up.
@@ -199,28 +202,30 @@ impl Status {
     }
 
     /// Number of throws without an estimate, by the code of the reason.
-    pub(super) fn refused(&self) -> BTreeMap<String, u64> {
+    pub(crate) fn refused(&self) -> BTreeMap<String, u64> {
         self.refused.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
 /// The sources of a status report.
 #[derive(Clone)]
-pub(super) struct Gauges {
-    pub(super) status: Arc<Status>,
-    pub(super) inbox: Arc<InboxCounters>,
+pub(crate) struct Gauges {
+    pub(crate) status: Arc<Status>,
+    pub(crate) inbox: Arc<InboxCounters>,
     pub(super) outlet: Arc<OutletCounters>,
-    pub(super) store: Store,
+    pub(crate) store: Store,
 }
 
 impl Gauges {
-    pub(super) fn report(&self) -> StatusReport {
+    pub(crate) fn report(&self) -> StatusReport {
         let status = &self.status;
+        let copying = self.store.is_copying();
         StatusReport {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             uptime_s: status.heartbeats.uptime().as_secs(),
             database: self.store.path().display().to_string(),
             disk: self.store.disk_level(),
+            copying,
             wal_bytes: self.store.wal_bytes(),
             connected: status.connected.load(Relaxed),
             loggers: status.loggers.load(Relaxed),
@@ -240,7 +245,7 @@ impl Gauges {
             unpublished: self.outlet.dropped.load(Relaxed),
             webhook_fails: status.webhook_fails.load(Relaxed),
             webhook_refused: status.webhook_refused.load(Relaxed),
-            silent: status.heartbeats.silent().into_iter().map(|task| task.as_ref().to_owned()).collect(),
+            silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
             standing: status.standing.lock().unwrap_or_else(PoisonError::into_inner).clone(),
             windows: Vec::new(),
         }
@@ -269,6 +274,9 @@ impl StatusReport {
             DiskLevel::Low => parts.push("DISK LOW: old traces are dropped".to_owned()),
             DiskLevel::Full => parts.push("DISK FULL: nothing can be stored, free some space".to_owned()),
             DiskLevel::Failing => parts.push("DATABASE FAILING: writes do not succeed".to_owned()),
+        }
+        if self.copying {
+            parts.push("COPYING THE DATABASE: a program keeps reading an old state, and writes wait".to_owned());
         }
         if !self.silent.is_empty() {
             parts.push(format!("HANGING: {}", self.silent.join(", ")));

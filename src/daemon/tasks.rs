@@ -9,7 +9,7 @@ use tokio::{
 
 /// The name of a task that ended unexpectedly.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Ended(pub &'static str);
+pub struct TaskEnded(pub &'static str);
 
 /// Tasks with their names; running tasks are aborted when this is dropped.
 #[derive(Default)]
@@ -27,13 +27,13 @@ impl Tasks {
     }
 
     /// Waits until a task ends or panics.
-    pub(super) async fn next_end(&mut self) -> Ended {
+    pub(super) async fn next_end(&mut self) -> TaskEnded {
         let id = match self.running.join_next_with_id().await {
             Some(Ok((id, ()))) => id,
             Some(Err(error)) => error.id(),
-            None => return Ended("every task"),
+            None => return TaskEnded("every task"),
         };
-        Ended(self.names.remove(&id).unwrap_or("a task"))
+        TaskEnded(self.names.remove(&id).unwrap_or("a task"))
     }
 
     /// Waits at most `limit` until the task `name` has ended; returns whether it has.

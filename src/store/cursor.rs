@@ -9,7 +9,7 @@ use super::statements as sql;
 
 /// A position in the order of a machine's throws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct ThrowPosition {
     /// Boot of the logger; `None` before the first boot.
     pub(super) boot_row: Option<i64>,
     /// Position of the boot among the boots.
@@ -17,12 +17,12 @@ pub(super) struct Place {
     pub(super) throw_no: i64,
 }
 
-impl Place {
+impl ThrowPosition {
     /// The position before all throws.
     pub(super) const BEGINNING: Self = Self { boot_row: None, position: i64::MIN, throw_no: -1 };
 }
 
-impl Default for Place {
+impl Default for ThrowPosition {
     fn default() -> Self {
         Self::BEGINNING
     }
@@ -45,10 +45,10 @@ pub(super) struct Boot {
 pub(super) async fn open(
     connection: &mut SqliteConnection,
     machine_row: i64,
-    after: Place,
+    after: ThrowPosition,
     at_us: i64,
 ) -> sqlx::Result<()> {
-    let Place { boot_row, position, throw_no } = after;
+    let ThrowPosition { boot_row, position, throw_no } = after;
     let open =
         sqlx::query(sql::OPEN_BACKLOG).bind(machine_row).bind(boot_row).bind(position).bind(throw_no).bind(at_us);
     open.execute(connection).await.map(drop)
@@ -74,7 +74,7 @@ pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64,
     let row: Option<(Option<i64>, i64, i64)> =
         sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(&mut *connection).await?;
     let Some((boot_row, position, throw_no)) = row else { return Ok(()) };
-    let before = Place { boot_row, position, throw_no };
+    let before = ThrowPosition { boot_row, position, throw_no };
     let mut cursor = before;
     let mut boot: Option<Boot> = match boot_row {
         Some(row) => sqlx::query_as(sql::BOOT_OF_ROW).bind(row).fetch_optional(&mut *connection).await?,
@@ -98,7 +98,7 @@ pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64,
         if awaited(connection, next.boot_row).await?.is_some_and(|(first_no, _)| first_no <= 1) {
             break;
         }
-        cursor = Place { boot_row: Some(next.boot_row), position: next.position, throw_no: -1 };
+        cursor = ThrowPosition { boot_row: Some(next.boot_row), position: next.position, throw_no: -1 };
         boot = Some(next);
     }
     if cursor != before {

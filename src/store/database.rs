@@ -8,12 +8,11 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use super::{
     disk::{Disk, DiskLevel},
     error::StoreError,
+    files::DatabaseFiles,
     judgement::{Judgement, Judgements, Outcome},
-    link::Link,
     many::ROWS,
     open::{self, Report},
     page::{Cursor, Page, PageStored, WriteOff},
-    place::Place,
     quarantine::{Quarantine, Refused, Sent, Statement},
     reader::Reader,
     settings::{MIB, Settings},
@@ -21,6 +20,7 @@ use super::{
     statements as sql,
     write::Answer,
     writer::Writer,
+    writing::WritingConnection,
 };
 use crate::throw::{MachineId, Throw, ThrowRef};
 
@@ -31,7 +31,7 @@ pub struct Store {
     pub(super) reader: Reader,
     pub(super) disk: Arc<Disk>,
     pub(super) settings: Arc<Settings>,
-    pub(super) place: Place,
+    pub(super) files: DatabaseFiles,
     /// Bounds the memory of throws that wait for their commit.
     room: Arc<Semaphore>,
 }
@@ -56,15 +56,15 @@ impl Store {
     /// When the folder is missing or not writable, or the disk is full even without the ballast.
     pub async fn open(settings: &Settings, now: Timestamp) -> Result<Opened, StoreError> {
         let disk = Arc::new(Disk::new(&settings.path, settings.ballast_mib, settings.low_disk_mib));
-        let place = Place::new(&settings.path);
-        let (mut connection, report) = open::open(settings, &disk, &place, now).await?;
+        let files = DatabaseFiles::new(&settings.path);
+        let (mut connection, report) = open::open(settings, &disk, &files, now).await?;
         let options = open::continuing(settings, &mut connection).await?;
         let reader = Reader::open(&settings.path).await?;
-        let writer = Writer::start(Link {
+        let writer = Writer::start(WritingConnection {
             options,
             connection: Some(connection),
             disk: Arc::clone(&disk),
-            place: place.clone(),
+            files: files.clone(),
             reader: reader.clone(),
             broken: false,
             identity: None,
@@ -75,7 +75,7 @@ impl Store {
             tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
         }
         let room = Arc::new(Semaphore::new(ROOM_KIB as usize));
-        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), place, room };
+        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), files, room };
         Ok(Opened { store, report })
     }
 
@@ -170,16 +170,8 @@ impl Store {
         self.writer.write(WriteOff { machine: machine.clone(), newest: cursor.newest, at }).await
     }
 
-    /// Stores a judgement (estimate, monitor, baselines, alarms, messages) in one transaction. Returns false, without
-    /// writing, if the throw was judged before.
-    ///
-    /// # Errors
-    /// When it could not be stored; the same call may be repeated.
-    pub async fn judge(&self, judgement: Judgement) -> Result<bool, StoreError> {
-        Ok(self.judge_all(Arc::new([judgement])).await? == [true])
-    }
-
-    /// Stores judgements in order and in one transaction; returns whether each was written.
+    /// Stores judgements (estimate, monitor, baselines, alarms, messages) in order and in one transaction; returns whether
+    /// each was written: false if its throw was judged before.
     ///
     /// # Errors
     /// When they could not be stored; the same call may be repeated.

@@ -1,6 +1,7 @@
 //! The disk of the database: free space, and the ballast file, which is removed when the disk is full.
 
 use std::{
+    collections::BTreeMap,
     ffi::OsString,
     fs::{File, OpenOptions},
     io,
@@ -15,19 +16,36 @@ use std::{
 use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
-use super::{error::StoreError, pace::Recent, settings::MIB};
+use super::{error::StoreError, pace::RecentCount, settings::MIB};
 
-/// Duration of the alarm about an event that has passed: long enough for an operator to see it.
-const SHOWN: Duration = Duration::from_hours(1);
+/// Counters of rows that were needed: throws before their judgement, alarm events before their publication and before the
+/// webhook accepted them.
+const LOSSES: [&str; 3] = ["dropped_pending_throws", "dropped_messages", "dropped_notifications"];
+
+/// Time without a step after which a copy of the database hangs, as long as a loop may be without a heartbeat: a thousand
+/// rows, a step, are at most some seconds of reading from flash.
+const COPY_HANGS: Duration = Duration::from_secs(30);
 
 /// State of the disk of the database, in the status as `ok`, `low`, `full` or `failing`.
 #[derive(
-    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, strum::AsRefStr, strum::VariantArray,
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Default,
+    Serialize,
+    Deserialize,
+    strum::AsRefStr,
+    strum::VariantArray,
 )]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum DiskLevel {
     /// Enough space.
+    #[default]
     #[serde(rename = "ok")]
     #[strum(serialize = "ok")]
     Ample,
@@ -51,10 +69,16 @@ pub(super) struct Disk {
     was_full: AtomicBool,
     failing: AtomicBool,
     failures: AtomicU64,
-    /// Time when the database file was last found deleted or replaced, and whether it could be written again.
-    replaced: Mutex<Option<(Instant, bool)>>,
-    /// Throws deleted before their judgement.
-    pub(super) dropped_pending: Recent,
+    /// Times that the database file was found deleted or replaced.
+    replaced: RecentCount,
+    /// Whether the file could not be written again.
+    replacement_fails: AtomicBool,
+    /// Time of the last step of a copy of the database, during which the writer writes nothing else.
+    copied: Mutex<Option<Instant>>,
+    /// The counters of the database at the last look.
+    counters: Mutex<Option<BTreeMap<String, u64>>>,
+    /// What was dropped although it was needed, by [`LOSSES`].
+    lost: [RecentCount; LOSSES.len()],
 }
 
 impl Disk {
@@ -68,8 +92,11 @@ impl Disk {
             was_full: AtomicBool::new(false),
             failing: AtomicBool::new(false),
             failures: AtomicU64::new(0),
-            replaced: Mutex::new(None),
-            dropped_pending: Recent::default(),
+            replaced: RecentCount::default(),
+            replacement_fails: AtomicBool::new(false),
+            copied: Mutex::new(None),
+            counters: Mutex::default(),
+            lost: Default::default(),
         }
     }
 
@@ -105,13 +132,41 @@ impl Disk {
 
     /// Records that the database file was deleted or replaced.
     pub(super) fn note_replaced(&self, mended: bool) {
-        *self.replaced.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), mended));
+        self.replaced.add(1);
+        self.replacement_fails.store(!mended, Ordering::Relaxed);
     }
 
     /// Whether the file was written again, if it was deleted or replaced in the last hour.
     pub(super) fn replaced(&self) -> Option<bool> {
-        let replaced = *self.replaced.lock().unwrap_or_else(PoisonError::into_inner);
-        replaced.filter(|(at, mended)| !mended || at.elapsed() < SHOWN).map(|(_, mended)| mended)
+        let mended = !self.replacement_fails.load(Ordering::Relaxed);
+        (!mended || self.replaced.shown().is_some()).then_some(mended)
+    }
+
+    /// Records the counters of the database. Their values at the first look are from before the start.
+    pub(super) fn note_dropped(&self, now: &BTreeMap<String, u64>) {
+        let mut before = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = before.replace(now.clone()).unwrap_or_else(|| now.clone());
+        for (name, lost) in LOSSES.iter().zip(&self.lost) {
+            let of = |counters: &BTreeMap<String, u64>| counters.get(*name).copied().unwrap_or(0);
+            if of(now) > of(&before) {
+                lost.add(of(now) - of(&before));
+            }
+        }
+    }
+
+    /// The numbers of [`LOSSES`] since the start, of those that grew in the last hour.
+    pub(super) fn lost(&self) -> [Option<u64>; LOSSES.len()] {
+        self.lost.each_ref().map(RecentCount::shown)
+    }
+
+    /// Records a step of a copy of the database.
+    pub(super) fn note_copying(&self) {
+        *self.copied.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+    }
+
+    /// Whether a copy of the database makes progress, or did in the last 30 s.
+    pub(super) fn is_copying(&self) -> bool {
+        self.copied.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|at| at.elapsed() < COPY_HANGS)
     }
 
     /// Failed write transactions since the start.

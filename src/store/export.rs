@@ -7,7 +7,7 @@ use sqlx::{Column, Executor, FromRow, Row, SqlSafeStr, SqliteConnection, Stateme
 
 use super::{
     error::StoreError,
-    outside::{self, Value},
+    read_only::{self, Value},
     rows::StoredThrow,
     statements as sql,
 };
@@ -49,7 +49,7 @@ impl Export {
         since: Option<Timestamp>,
         until: Option<Timestamp>,
     ) -> Result<Self, StoreError> {
-        let connection = outside::connect(path).await?;
+        let connection = read_only::connect(path).await?;
         let microseconds = |bound: Option<Timestamp>, none| bound.map_or(none, Timestamp::as_microsecond);
         let after = (microseconds(since, i64::MIN), i64::MIN);
         Ok(Self { connection, machine, after, until_us: microseconds(until, i64::MAX) })
@@ -77,7 +77,7 @@ impl Export {
         let query = query.bind(after_us).bind(after_row).bind(self.until_us).bind(PAGE);
         let rows = query.fetch_all(&mut self.connection).await.map_err(StoreError::read)?;
         let exported = |row| {
-            let values = (OWN..Row::len(row)).map(|at| outside::value(row, at)).collect::<sqlx::Result<_>>()?;
+            let values = (OWN..Row::len(row)).map(|at| read_only::value(row, at)).collect::<sqlx::Result<_>>()?;
             Ok(Exported { throw_row: row.try_get("throw_row")?, values })
         };
         if let Some(last) = rows.last() {

@@ -176,122 +176,15 @@ pub struct Window {
     pub why: Option<String>,
 }
 
-macro_rules! all_machines {
-    () => {
-        "all-machines"
-    };
-}
-
-/// Machine name of the alarms about all machines of a site.
-pub(crate) const ALL_MACHINES: &str = all_machines!();
-
-/// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself, which is ?4/?5, and without
-/// [`ALL_MACHINES`]. A silent machine is not monitored and has no other open alarm.
-macro_rules! matching {
-    () => {
-        concat!(
-            "(SELECT machine.machine_row, site, machine, coalesce(monitor.state, 'learning') AS state, monitor.drifts,
-                 CASE WHEN monitor.state = 'not_monitored' THEN NOT EXISTS (SELECT 1 FROM alarm
-                     WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'
-                       AND alarm.cause NOT IN ('not_monitored', 'data_loss')) ELSE 0 END AS is_silent
-          FROM machine LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row
-          WHERE (?1 IS NULL OR site = ?1)
-            AND (?2 IS NULL OR EXISTS (SELECT 1 FROM alarm
-                 WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?2))
-            AND (?3 IS NULL OR instr(lower(site || '/' || machine), lower(?3)) > 0)
-            AND machine <> '",
-            all_machines!(),
-            "' AND NOT (site = ?4 AND machine = ?5))"
-        )
-    };
-}
-
-/// The matching machines of state ?6, without silent ones if ?7, the worst state first.
-const FLEET: &str = concat!(
-    "
-    WITH chosen AS (
-        SELECT machine_row, site, machine, state, drifts FROM ",
-    matching!(),
-    "
-        WHERE (?6 IS NULL OR state = ?6) AND NOT (?7 AND is_silent)
-        ORDER BY CASE state WHEN 'critical' THEN 0 WHEN 'not_monitored' THEN 1
-                 WHEN 'warning' THEN 2 WHEN 'maintenance' THEN 3 WHEN 'learning' THEN 4 ELSE 5 END,
-                 coalesce(abs(drifts ->> '$[0].change_pct'), 0) DESC, site, machine
-        LIMIT ?8 OFFSET ?9)
-    SELECT chosen.site, chosen.machine, chosen.state, chosen.drifts, throw.started_at_us, estimate.quality,
-           coalesce(estimate.baseline_throws, learned.baseline_throws) AS baseline_throws,
-           coalesce(estimate.baseline_needed, learned.baseline_needed) AS baseline_needed,
-           (SELECT group_concat(alarm.cause) FROM alarm
-             WHERE alarm.machine_row = chosen.machine_row AND alarm.state <> 'normal') AS causes,
-           (SELECT json_group_array(json_array(b0_pct, a1_pct, a0_pct)) FROM
-             (SELECT b0_pct, a1_pct, a0_pct FROM estimate AS near
-               WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
-               ORDER BY near.throw_row DESC LIMIT ?10)) AS spark
-    FROM chosen
-    LEFT JOIN throw ON throw.throw_row = (SELECT throw_row FROM latest WHERE latest.machine_row = chosen.machine_row
-                                           ORDER BY throw_row DESC LIMIT 1)
-    LEFT JOIN estimate ON estimate.throw_row = throw.throw_row
-    LEFT JOIN latest AS near ON near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
-    LEFT JOIN estimate AS learned ON learned.throw_row = near.throw_row"
-);
-
-/// Number of matching machines in each state, and of the silent ones among them.
-const TALLY: &str = concat!("SELECT state, count(*), sum(is_silent) FROM ", matching!(), " GROUP BY state");
-
-const SITES: &str = "SELECT site FROM machine GROUP BY site ORDER BY site LIMIT ?1";
-
-/// Open alarms about the condition of machines, the worst first.
-const FAULTS: &str = "
-    SELECT last.payload, first.payload ->> 'change_pct' AS raised_pct, first.payload ->> 'change_pct_sd' AS raised_pct_sd,
-           monitor.drifts
-    FROM alarm JOIN machine USING (machine_row)
-    JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no
-    LEFT JOIN alarm_event AS first ON first.alarm_row = alarm.alarm_row AND first.event_no = 1
-    LEFT JOIN monitor ON monitor.machine_row = alarm.machine_row
-    WHERE alarm.state <> 'normal' AND alarm.cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
-    ORDER BY last.severity = 'critical' DESC, raised_at_us DESC, alarm.alarm_row LIMIT ?3";
-
-const FAULT_COUNT: &str = "
-    SELECT count(*) FROM alarm JOIN machine USING (machine_row)
-    WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
-
-const COMMON: &str = "
-    SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us
-    FROM alarm JOIN machine USING (machine_row)
-    WHERE alarm.state <> 'normal' AND alarm.cause IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
-    GROUP BY alarm.cause, site ORDER BY count(*) DESC";
-
-/// The newest opening command of each machine in maintenance and of each shelved alarm.
-const WINDOWS: &str = "
-    SELECT site, machine, at_us, command, command.payload ->> 'cause' AS cause, command.payload ->> 'until' AS until,
-           by_whom, why
-    FROM (SELECT machine_row, 'maintenance_start' AS opened_by, NULL AS of_cause FROM monitor WHERE state = 'maintenance'
-          UNION ALL SELECT machine_row, 'shelve', cause FROM alarm INDEXED BY alarm_open
-          WHERE state <> 'normal' AND state IN ('shelved', 'out_of_service')) AS open
-    JOIN machine USING (machine_row)
-    JOIN command ON command_row = (SELECT max(command_row) FROM command AS own INDEXED BY command_of_machine
-        WHERE own.machine_row = open.machine_row AND own.command = opened_by AND own.payload ->> 'cause' IS of_cause)
-    WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2)
-    ORDER BY site, machine";
-
-const COMMANDS: &str = "
-    SELECT at_us, command, payload ->> 'cause' AS cause, payload ->> 'until' AS until, by_whom, why
-    FROM command JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2 ORDER BY command_row DESC LIMIT ?3";
-
-const BASELINES: &str = "
-    SELECT payload FROM baseline JOIN machine USING (machine_row)
-    WHERE site = ?1 AND machine = ?2 ORDER BY taken_at_us DESC LIMIT ?3";
-
-const STATE: &str = "
-    SELECT state, drifts, caveats FROM monitor JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2";
-
-/// The newest good throw of a direction with a trace, up to a time, among the 300 throws before it.
-const TYPICAL: &str = "
-    SELECT boot_id, throw_no FROM (
-        SELECT throw_row, boot_row, throw_no, started_at_us FROM throw JOIN machine USING (machine_row)
-        WHERE site = ?1 AND machine = ?2 AND started_at_us <= ?4 ORDER BY started_at_us DESC LIMIT 300)
-    JOIN estimate USING (throw_row) JOIN trace USING (throw_row) JOIN boot USING (boot_row)
-    WHERE estimate.direction = ?3 AND quality = 'good' ORDER BY started_at_us DESC LIMIT 1";
+/// The states from the worst to the best, as in lists.
+pub(crate) const WORST_FIRST: [MachineState; 6] = [
+    MachineState::Critical,
+    MachineState::NotMonitored,
+    MachineState::Warning,
+    MachineState::Maintenance,
+    MachineState::Learning,
+    MachineState::Healthy,
+];
 
 impl Window {
     /// The window of a shelved alarm, or of an alarm of a machine in maintenance.
@@ -396,18 +289,19 @@ impl Reader {
     /// A page of the fleet, without the daemon itself.
     pub(crate) async fn fleet(&self, query: &FleetQuery, itself: &MachineId) -> Result<Vec<FleetRow>, StoreError> {
         let statement = query
-            .matching(FLEET, itself)
+            .matching(sql::FLEET, itself)
             .bind(query.state.map(MachineState::as_str))
             .bind(query.without_silent)
             .bind(query.limit)
             .bind(query.offset)
-            .bind(query.spark);
+            .bind(query.spark)
+            .bind(WORST_FIRST.map(MachineState::as_str).join(" "));
         self.asked(statement).await
     }
 
     /// Number of machines in each state; the filter of the state is ignored.
     pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<Tally, StoreError> {
-        let rows: Vec<(String, i64, i64)> = self.asked(query.matching(TALLY, itself)).await?;
+        let rows: Vec<(String, i64, i64)> = self.asked(query.matching(sql::TALLY, itself)).await?;
         let silent = rows.iter().map(|(_, _, silent)| silent.cast_unsigned()).sum();
         let states =
             rows.into_iter().map(|(state, count, _)| (state.parse().unwrap_or_default(), count.cast_unsigned()));
@@ -416,14 +310,15 @@ impl Reader {
 
     /// The first `limit` sites by name.
     pub(crate) async fn sites(&self, limit: u32) -> Result<Vec<String>, StoreError> {
-        let rows: Vec<(String,)> = self.asked(sqlx::query_as(SITES).bind(limit)).await?;
+        let rows: Vec<(String,)> = self.asked(sqlx::query_as(sql::SITES).bind(limit)).await?;
         Ok(rows.into_iter().map(|(site,)| site).collect())
     }
 
     /// Up to `limit` open alarms about the condition of machines, the critical first; and the number of those that this
     /// version cannot read.
     pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
-        let statement = sqlx::query_as(FAULTS).bind(itself.site.as_str()).bind(itself.machine.as_str()).bind(limit);
+        let statement =
+            sqlx::query_as(sql::FAULTS).bind(itself.site.as_str()).bind(itself.machine.as_str()).bind(limit);
         let rows: Vec<FaultRow> = self.asked(statement).await?;
         let found = rows.len();
         let faults: Vec<Fault> = rows.into_iter().filter_map(|FaultRow(fault)| fault).collect();
@@ -433,19 +328,19 @@ impl Reader {
 
     /// Number of open alarms about the condition of machines.
     pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
-        let statement = sqlx::query_as(FAULT_COUNT).bind(itself.site.as_str()).bind(itself.machine.as_str());
+        let statement = sqlx::query_as(sql::FAULT_COUNT).bind(itself.site.as_str()).bind(itself.machine.as_str());
         let rows: Vec<(i64,)> = self.asked(statement).await?;
         Ok(rows.first().map_or(0, |(count,)| count.cast_unsigned()))
     }
 
     /// Numbers of open alarms of system-wide causes, by cause and site.
     pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
-        self.asked(sqlx::query_as(COMMON).bind(itself.site.as_str()).bind(itself.machine.as_str())).await
+        self.asked(sqlx::query_as(sql::COMMON).bind(itself.site.as_str()).bind(itself.machine.as_str())).await
     }
 
     /// The open windows of one machine or of all.
     pub(crate) async fn windows(&self, machine: Option<&MachineId>) -> Result<Vec<Window>, StoreError> {
-        let statement = sqlx::query_as(WINDOWS)
+        let statement = sqlx::query_as(sql::WINDOWS)
             .bind(machine.map(|machine| machine.site.as_str()))
             .bind(machine.map(|machine| machine.machine.as_str()));
         self.asked(statement).await
@@ -453,7 +348,7 @@ impl Reader {
 
     /// The newest `limit` commands for a machine, newest first.
     pub(crate) async fn commands_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<CommandRow>, StoreError> {
-        let statement = sqlx::query_as(COMMANDS).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let statement = sqlx::query_as(sql::COMMANDS).bind(machine.site.as_str()).bind(machine.machine.as_str());
         self.asked(statement.bind(limit)).await
     }
 
@@ -463,7 +358,7 @@ impl Reader {
         machine: &MachineId,
         limit: u32,
     ) -> Result<Vec<BaselineRecord>, StoreError> {
-        let statement = sqlx::query_as(BASELINES).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let statement = sqlx::query_as(sql::BASELINES).bind(machine.site.as_str()).bind(machine.machine.as_str());
         let rows: Vec<(String,)> = self.asked(statement.bind(limit)).await?;
         // Baselines of another version that cannot be read are left out.
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
@@ -471,7 +366,7 @@ impl Reader {
 
     /// The present state of a machine.
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
-        let statement = sqlx::query_as(STATE).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let statement = sqlx::query_as(sql::STATE).bind(machine.site.as_str()).bind(machine.machine.as_str());
         let rows: Vec<Present> = self.asked(statement).await?;
         Ok(rows.into_iter().next().unwrap_or_default())
     }
@@ -500,7 +395,7 @@ impl Reader {
         direction: Direction,
         at: Timestamp,
     ) -> Result<Option<ThrowRef>, StoreError> {
-        let statement = sqlx::query_as(TYPICAL).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let statement = sqlx::query_as(sql::TYPICAL).bind(machine.site.as_str()).bind(machine.machine.as_str());
         let rows: Vec<(String, i64)> = self.asked(statement.bind(direction.as_str()).bind(at.as_microsecond())).await?;
         let throw = |(boot_id, throw_no): (String, i64)| ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() };
         Ok(rows.into_iter().next().map(throw))

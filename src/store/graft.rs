@@ -18,6 +18,11 @@ use super::{disk::beside, statements as sql};
 /// Page size: the default of SQLite \[bytes\].
 const PAGE: usize = 4096;
 
+/// Suffix of the copy with a new schema.
+pub(super) const GRAFTED: &str = "-grafted";
+/// Suffix of the empty database with the layout of a moved one.
+pub(super) const LAYOUT: &str = "-layout";
+
 /// Adds a row to the schema; needs `PRAGMA writable_schema`.
 const ADD: &str = "INSERT INTO sqlite_schema (type, name, tbl_name, rootpage, sql) VALUES (?1, ?2, ?3, ?4, ?5)";
 
@@ -34,10 +39,10 @@ struct Entry {
 /// Copies the broken file and writes the schema table of a new or of a moved database into the copy, whichever makes
 /// more tables readable. `None` if at most half of the tables are readable with either: then a few fit by chance.
 pub(super) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::Result<Option<PathBuf>> {
-    let copy = beside(broken, "-grafted");
+    let copy = beside(broken, GRAFTED);
     let pages = fs::copy(broken, &copy)? / PAGE as u64;
     let mut best = (0, None);
-    for layout in [entries(fresh).await?, moved(fresh, &beside(broken, "-layout")).await?] {
+    for layout in [entries(fresh).await?, moved(fresh, &beside(broken, LAYOUT)).await?] {
         let sound = apply(&copy, pages, &layout).await?;
         if sound > best.0 {
             best = (sound, Some(layout));
@@ -68,6 +73,8 @@ async fn entries(connection: &mut SqliteConnection) -> sqlx::Result<Vec<Entry>> 
 
 /// The layout of a moved or restored database.
 async fn moved(fresh: &mut SqliteConnection, to: &Path) -> sqlx::Result<Vec<Entry>> {
+    // Left by an interrupted start; SQLite refuses a file with content.
+    let _ = fs::remove_file(to);
     sqlx::query("VACUUM INTO ?1").bind(to.to_string_lossy()).execute(fresh).await?;
     let mut connection = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(to)).await?;
     let entries = entries(&mut connection).await;

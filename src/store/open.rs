@@ -22,8 +22,8 @@ use tokio::time::Instant;
 use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_interrupted},
-    place::Place,
-    salvage::{Salvaged, salvage},
+    files::DatabaseFiles,
+    salvage::{PARTS, Salvaged, salvage},
     settings::{MIB, Settings, Synchronous},
     statements as sql,
 };
@@ -116,43 +116,80 @@ pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
 pub(super) async fn open(
     settings: &Settings,
     disk: &Disk,
-    place: &Place,
+    files: &DatabaseFiles,
     now: Timestamp,
 ) -> Result<(SqliteConnection, Report), StoreError> {
     refuse_foreign(&settings.path).await?;
-    place.clear_leftovers()?;
-    if place.is_fresh() && place.log_bytes() > 0 {
-        // SQLite would delete the log with the last commits.
-        let why = "the database is missing, but its write-ahead log exists".to_owned();
-        let to = place.set_log_aside(now)?;
-        tracing::error!(to = %to.display(), %why, "log set aside; creating a new database");
-        let (connection, report) = prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
-        let found = Found::SetAside { to, why, salvaged: Salvaged::default() };
-        return Ok((connection, Report { found, ..report }));
+    files.clear_leftovers()?;
+    // SQLite would delete a log without its database, with the last commits.
+    let log = (files.is_fresh() && files.log_bytes() > 0).then(|| files.set_log_aside(now)).transpose()?;
+    if let Some(broken) = files.unfinished() {
+        return recover(settings, disk, files, broken, "copying its rows was interrupted".to_owned()).await;
     }
-    match prepare(settings, disk, place.is_fresh()).await {
-        Err(Trouble::Broken(why)) => {
-            let to = place.set_aside(now)?;
-            tracing::error!(to = %to.display(), %why, "the database is broken: set aside; creating a new one");
-            let (mut connection, report) =
-                prepare(settings, disk, true).await.map_err(|trouble| trouble.told(settings))?;
-            let size = std::fs::metadata(&to).map_or(0, |file| file.len());
-            let with_traces = disk.free_bytes().is_none_or(|free| free > size + size / 4);
-            let salvaged = match salvage(&mut connection, &to, with_traces).await {
-                Ok(salvaged) => salvaged,
-                Err(error) => {
-                    // The rows copied so far are correct; the connection may be unusable.
-                    tracing::error!(%error, "copying rows from the broken database ended early");
-                    connection = prepare(settings, disk, false).await.map_err(|trouble| trouble.told(settings))?.0;
-                    Salvaged::default()
-                }
-            };
-            tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
-            Place::describe_set_aside(&to, &salvaged.text())?;
-            Ok((connection, Report { found: Found::SetAside { to, why, salvaged }, ..report }))
+    match prepare(settings, disk, files.is_fresh()).await {
+        Err(Trouble::Broken(why)) => recover(settings, disk, files, files.set_aside(now)?, why).await,
+        Ok((connection, report)) => {
+            let Some(to) = log else { return Ok((connection, report)) };
+            let why = "the database is missing, but its write-ahead log exists".to_owned();
+            tracing::error!(to = %to.display(), %why, "log set aside; a new database was created");
+            let found = Found::SetAside { to, why, salvaged: Salvaged::default() };
+            Ok((connection, Report { found, ..report }))
         }
-        outcome => outcome.map_err(|trouble| trouble.told(settings)),
+        Err(trouble) => Err(trouble.told(settings)),
     }
+}
+
+/// Copies the readable rows of a broken database into a new file, which gets the configured path when it is complete: an
+/// interrupted copy begins again at the next start. Without space for all rows the most valuable ones are copied.
+async fn recover(
+    settings: &Settings,
+    disk: &Disk,
+    files: &DatabaseFiles,
+    to: PathBuf,
+    why: String,
+) -> Result<(SqliteConnection, Report), StoreError> {
+    tracing::error!(to = %to.display(), %why, "the database is broken: set aside; creating a new one");
+    let size = std::fs::metadata(&to).map_or(0, |file| file.len());
+    let with_traces = disk.free_bytes().is_none_or(|free| free > size + size / 4);
+    let mut salvaged = Salvaged::default();
+    for tables in PARTS.into_iter().skip(usize::from(!with_traces)) {
+        let copy = Settings { path: files.salvage_path()?, ..settings.clone() };
+        match copy_readable(&copy, disk, &to, tables).await {
+            Ok(copied) => {
+                files.adopt(&copy.path)?;
+                salvaged = copied;
+                break;
+            }
+            Err(trouble) => {
+                let error = trouble.told(&copy);
+                tracing::error!(%error, tables, "copying rows from the broken database failed");
+                disk.note_failure(matches!(error, StoreError::Full));
+            }
+        }
+    }
+    files.salvage_path()?;
+    let (connection, report) =
+        prepare(settings, disk, files.is_fresh()).await.map_err(|trouble| trouble.told(settings))?;
+    tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
+    if let Err(error) = DatabaseFiles::describe_set_aside(&to, &salvaged.text()) {
+        tracing::warn!(%error, "the summary of the copied rows is in this log only");
+    }
+    Ok((connection, Report { found: Found::SetAside { to, why, salvaged }, ..report }))
+}
+
+/// Copies the readable rows into a new database, and closes it: then it is one file, without a log.
+async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usize) -> Result<Salvaged, Trouble> {
+    let (mut connection, _) = prepare(copy, disk, true).await?;
+    let copied = async {
+        let salvaged = salvage(&mut connection, broken, tables).await?;
+        sqlx::query(sql::SET_CLEAN).bind(true).execute(&mut connection).await?;
+        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await?;
+        Ok(salvaged)
+    };
+    let copied = copied.await;
+    // A checkpoint has reported a full disk already.
+    let _ = connection.close().await;
+    copied
 }
 
 /// Refuses a file that is not ours: a text file, or the database of another program. A file that cannot be read here is
@@ -161,7 +198,7 @@ pub(super) async fn open(
 /// # Errors
 /// When the file is text or the database of another program.
 pub async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
-    if Place::new(path).is_fresh() {
+    if DatabaseFiles::new(path).is_fresh() {
         return Ok(());
     }
     if is_text(path) {

@@ -46,9 +46,9 @@ pub(crate) use seldom;
 
 /// A counter with the time of its last increase.
 #[derive(Debug, Default)]
-pub(crate) struct Recent(Mutex<(u64, Option<Instant>)>);
+pub(crate) struct RecentCount(Mutex<(u64, Option<Instant>)>);
 
-impl Recent {
+impl RecentCount {
     pub(crate) fn add(&self, more: u64) {
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         *state = (state.0 + more, Some(Instant::now()));

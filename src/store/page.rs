@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use sqlx::SqliteConnection;
 
 use super::{
-    cursor::{self, Boot, Place},
+    cursor::{self, Boot, ThrowPosition},
     spool::{Follows, Spool, Spooled, boot, machine_row},
     statements as sql,
     write::Write,
@@ -23,7 +23,7 @@ pub struct Cursor {
     /// Samples of the newest throw, to estimate the size of the next ones.
     pub samples: Option<u64>,
     /// The last throw stored so far; a gap behind it was opened later.
-    pub(super) newest: Place,
+    pub(super) newest: ThrowPosition,
 }
 
 /// Result of storing a page.
@@ -52,12 +52,12 @@ impl Write for Page {
     async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<PageStored> {
         let (machine_row, _) = machine_row(connection, &self.machine).await?;
         let at_us = self.at.as_microsecond();
-        let mut last = Place::BEGINNING;
+        let mut last = ThrowPosition::BEGINNING;
         if let Some(after) = &self.after
             && let Some(boot) = boot(connection, machine_row, &after.boot_id).await?
         {
             let throw_no = i64::try_from(after.throw_no).unwrap_or(i64::MAX);
-            last = Place { boot_row: Some(boot.boot_row), position: boot.position, throw_no };
+            last = ThrowPosition { boot_row: Some(boot.boot_row), position: boot.position, throw_no };
         }
         let mut stored = PageStored { new: 0, duplicates: 0, cursor: Cursor::default() };
         for throw in &self.throws {
@@ -69,7 +69,7 @@ impl Write for Page {
             if last.boot_row != Some(boot.boot_row) {
                 write_off_boots(connection, machine_row, (last.position, boot.position), at_us).await?;
             }
-            last = Place { boot_row: Some(boot.boot_row), position: boot.position, throw_no: throw.throw_no() };
+            last = ThrowPosition { boot_row: Some(boot.boot_row), position: boot.position, throw_no: throw.throw_no() };
             let gone = sqlx::query(sql::WRITE_OFF_BEFORE).bind(boot.boot_row).bind(last.throw_no).bind(at_us);
             gone.execute(&mut *connection).await?;
         }
@@ -98,7 +98,7 @@ async fn write_off_boots(
 }
 
 /// The cursor after a throw of a page; moves on over stored throws.
-async fn after(connection: &mut SqliteConnection, machine_row: i64, last: Place) -> sqlx::Result<Cursor> {
+async fn after(connection: &mut SqliteConnection, machine_row: i64, last: ThrowPosition) -> sqlx::Result<Cursor> {
     let newest = newest(connection, machine_row).await?;
     let Some(boot_row) = last.boot_row else { return Ok(Cursor { newest, ..Cursor::default() }) };
     let boot_id = sqlx::query_scalar(sql::BOOT_ID).bind(boot_row).fetch_one(&mut *connection).await?;
@@ -118,9 +118,9 @@ async fn after(connection: &mut SqliteConnection, machine_row: i64, last: Place)
 }
 
 /// The last throw of the last boot.
-async fn newest(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<Place> {
+async fn newest(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<ThrowPosition> {
     let boot: Option<Boot> = sqlx::query_as(sql::LAST_BOOT).bind(machine_row).fetch_optional(connection).await?;
-    Ok(boot.map_or(Place::BEGINNING, |boot| Place {
+    Ok(boot.map_or(ThrowPosition::BEGINNING, |boot| ThrowPosition {
         boot_row: Some(boot.boot_row),
         position: boot.position,
         throw_no: boot.highest_no,
@@ -131,7 +131,7 @@ async fn newest(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Re
 pub(super) struct WriteOff {
     pub(super) machine: MachineId,
     /// The last throw stored before the query.
-    pub(super) newest: Place,
+    pub(super) newest: ThrowPosition,
     pub(super) at: Timestamp,
 }
 
@@ -158,7 +158,7 @@ pub(super) async fn current(connection: &mut SqliteConnection, machine: &Machine
     let open: Option<(Option<i64>, i64, i64)> =
         sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(&mut *connection).await?;
     let place = match open {
-        Some((boot_row, position, throw_no)) => Place { boot_row, position, throw_no },
+        Some((boot_row, position, throw_no)) => ThrowPosition { boot_row, position, throw_no },
         None => newest(connection, machine_row).await?,
     };
     let cursor = Cursor { awaits: open.is_some(), ..after(connection, machine_row, place).await? };

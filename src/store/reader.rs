@@ -18,9 +18,10 @@ use tokio_util::sync::CancellationToken;
 
 use super::{
     error::{StoreError, is_corrupt},
-    open, outside,
+    open,
     page::{self, Cursor},
-    recent::Recent,
+    read_only,
+    recent::RecentThrows,
     rows::{Gap, OutboxRow, PendingRow, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp},
     statements as sql,
 };
@@ -46,7 +47,7 @@ pub struct Reader {
     /// Cancelled when a query finds the file broken.
     broken: CancellationToken,
     /// The throws stored last.
-    pub(super) recent: Recent,
+    pub(super) recent: RecentThrows,
 }
 
 /// Separate connections, so that many external queries cannot delay the pipeline.
@@ -73,14 +74,18 @@ impl Reader {
     /// # Errors
     /// When the database does not exist or cannot be read.
     pub async fn open_outside(path: &Path) -> Result<Self, StoreError> {
-        Self::with(path, outside::options(path).await?).await
+        Self::with(path, read_only::options(path).await?).await
     }
 
     async fn with(path: &Path, options: SqliteConnectOptions) -> Result<Self, StoreError> {
         let pools = Pools::connect(options)
             .await
             .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
-        Ok(Self { pools: Arc::new(RwLock::new(pools)), broken: CancellationToken::new(), recent: Recent::default() })
+        Ok(Self {
+            pools: Arc::new(RwLock::new(pools)),
+            broken: CancellationToken::new(),
+            recent: RecentThrows::default(),
+        })
     }
 
     pub(super) async fn close(&self) {
@@ -151,12 +156,6 @@ impl Reader {
             query.fetch_all(&mut *connection).await
         };
         self.limited(answer).await
-    }
-
-    /// Runs an external query for one number.
-    pub(super) async fn asked_figure(&self, query: &'static str) -> Result<u64, StoreError> {
-        let figures: Vec<(i64,)> = self.asked(sqlx::query_as(query)).await?;
-        figures.first().map(|(figure,)| figure.cast_unsigned()).ok_or(StoreError::read(sqlx::Error::RowNotFound))
     }
 
     /// Runs an external query for alarms; also returns the number of alarms of a newer version that cannot be read.
@@ -243,14 +242,6 @@ impl Reader {
     pub(crate) async fn awaited(&self) -> Result<u64, StoreError> {
         let count: i64 = self.limited(sqlx::query_scalar(sql::AWAITED_COUNT).fetch_one(&self.pool())).await?;
         Ok(count.cast_unsigned())
-    }
-
-    /// Up to `limit` pending throws after `after`, in the order of arrival.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn pending(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
-        self.rows(sqlx::query_as(sql::PENDING).bind(after.0).bind(limit)).await
     }
 
     /// Up to `limit` throws after `after`, judged or pending, in the order of arrival.
@@ -349,14 +340,6 @@ impl Reader {
     /// Up to `limit` notifications for the webhook with their rows, in order.
     pub(crate) async fn notifications(&self, limit: u32) -> Result<Vec<(i64, String)>, StoreError> {
         self.rows(sqlx::query_as(sql::NOTIFICATIONS).bind(limit)).await
-    }
-
-    /// Up to `limit` open gaps, oldest first.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn open_gaps(&self, limit: u32) -> Result<Vec<Gap>, StoreError> {
-        self.rows(sqlx::query_as(sql::GAPS).bind(limit)).await
     }
 
     /// Up to `limit` gaps not reported to the monitors yet, oldest first: gaps that no backlog can fill, and gaps of

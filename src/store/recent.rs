@@ -18,7 +18,7 @@ const STALE: i64 = 10_000;
 
 /// Pending throws up to a total size.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Recent(Arc<Mutex<Kept>>);
+pub(super) struct RecentThrows(Arc<Mutex<Kept>>);
 
 #[derive(Debug, Default)]
 struct Kept {
@@ -26,7 +26,7 @@ struct Kept {
     samples: usize,
 }
 
-impl Recent {
+impl RecentThrows {
     /// Adds a stored throw if there is space. With a long queue the oldest throws are judged first, and the newest are
     /// read from the database later. A throw that retention deletes is never judged, so the oldest is dropped at a
     /// distance of [`STALE`].

@@ -25,9 +25,9 @@ impl ThrowRow {
 pub struct GapRow(pub(super) i64);
 
 /// Reason why throws are missing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::AsRefStr, strum::EnumString)]
+#[derive(Clone, Copy, strum::AsRefStr)]
 #[strum(serialize_all = "snake_case")]
-pub enum GapKind {
+pub(super) enum GapKind {
     /// Missing, and in no backlog.
     Missed,
     /// Made before the first throw that this daemon received of the machine.
@@ -71,12 +71,19 @@ pub struct StoredThrow {
     pub renumbered: bool,
 }
 
-/// A pending throw: row, site, machine, boot, number, time of reception \[µs\], whether its trace repeats another.
+/// A pending throw: row, site, machine, boot, number, time of reception \[µs\], whether its trace repeats another, whether
+/// it is judged at another position than that of its boot.
 #[derive(Debug, serde::Deserialize)]
-pub(super) struct PendingRow(pub(super) i64, String, String, String, i64, i64, i64);
+pub(super) struct PendingRow(pub(super) i64, String, String, String, i64, i64, i64, i64);
 
-/// Suffix of the separate `boot_id` for throws whose number was taken.
+/// Suffix of the separate `boot_id` for throws whose number was taken. A `boot_id` of a logger may end like this too.
 pub(super) const RENUMBERED: &str = "~again";
+
+/// Whether a throw was stored under another number than its own; `moved` if it is judged at another position than that of
+/// its boot, as throws in a separate boot are.
+fn is_renumbered(id: &ThrowRef, moved: bool) -> bool {
+    moved && id.boot_id.ends_with(RENUMBERED)
+}
 
 /// A stored monitor.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -96,16 +103,10 @@ pub struct Gap {
     pub row: GapRow,
     /// Which machine.
     pub machine: MachineId,
-    /// Boot of the logger.
-    pub boot_id: String,
     /// First missing throw number.
     pub first_no: u64,
     /// Last missing throw number.
     pub last_no: u64,
-    /// Why.
-    pub kind: GapKind,
-    /// Time of detection.
-    pub detected_at: Timestamp,
 }
 
 /// A message in the outbox.
@@ -182,12 +183,12 @@ fn trace(row: &SqliteRow) -> sqlx::Result<Result<Trace, UnreadableTrace>> {
 impl StoredThrow {
     /// A throw from memory, with the columns added by the insertion.
     pub(super) fn from_memory(row: PendingRow, throw: Throw) -> sqlx::Result<Self> {
-        let PendingRow(row, site, machine, boot_id, throw_no, received_at_us, repeats) = row;
+        let PendingRow(row, site, machine, boot_id, throw_no, received_at_us, repeats, moved) = row;
         let id = ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() };
         Ok(Self {
             row: ThrowRow(row),
             machine: MachineId::new(&site, &machine).map_err(decode_error)?,
-            renumbered: id.boot_id.ends_with(RENUMBERED),
+            renumbered: is_renumbered(&id, moved != 0),
             id: id.clone(),
             started_at: throw.started_at,
             received_at: timestamp(received_at_us),
@@ -215,7 +216,7 @@ impl FromRow<'_, SqliteRow> for StoredThrow {
         Ok(Self {
             row: ThrowRow(row.try_get("throw_row")?),
             machine: machine_id(row)?,
-            renumbered: id.boot_id.ends_with(RENUMBERED),
+            renumbered: is_renumbered(&id, row.try_get("moved")?),
             id,
             started_at,
             received_at: time(row, "received_at_us")?,
@@ -268,11 +269,8 @@ impl FromRow<'_, SqliteRow> for Gap {
         Ok(Self {
             row: GapRow(row.try_get("gap_row")?),
             machine: machine_id(row)?,
-            boot_id: row.try_get("boot_id")?,
             first_no: unsigned(row, "first_no")?,
             last_no: unsigned(row, "last_no")?,
-            kind: word(row, "kind")?.unwrap_or(GapKind::Missed),
-            detected_at: time(row, "detected_at_us")?,
         })
     }
 }

@@ -59,6 +59,10 @@ const TABLES: [Table; 15] = [
     ),
 ];
 
+/// The tables that are copied at the first try, and at the next ones if there is no space: all of [`TABLES`], those without
+/// the traces, those that the diagnosis needs.
+pub(super) const PARTS: [usize; 3] = [TABLES.len(), TABLES.len() - 1, 8];
+
 /// Machines and boots are also read from the index of their names: the loss of such a row loses all its throws.
 const FROM_INDEX: [&str; 2] = [
     "INSERT OR IGNORE INTO main.machine (machine_row, site, machine) \
@@ -139,25 +143,26 @@ impl Salvaged {
     }
 }
 
-/// Copies the readable rows of the database at `broken` into that of `connection`; the traces only `with_traces`.
+/// Copies the readable rows of the first `tables` tables of the database at `broken` into the new one of `connection`.
 ///
 /// # Errors
 /// When the new database cannot be written.
-pub(super) async fn salvage(
-    connection: &mut SqliteConnection,
-    broken: &Path,
-    with_traces: bool,
-) -> sqlx::Result<Salvaged> {
-    let mut salvaged = Salvaged::default();
-    let mut grafted = None;
-    if !attach(connection, broken).await {
-        grafted = with_new_schema(connection, broken, with_traces).await;
-        if grafted.is_none() {
-            return Ok(salvaged);
-        }
+pub(super) async fn salvage(connection: &mut SqliteConnection, broken: &Path, tables: usize) -> sqlx::Result<Salvaged> {
+    if attach(connection, broken).await {
+        return copy_tables(connection, tables).await;
     }
+    let has_room = tables == TABLES.len();
+    let Some(grafted) = with_new_schema(connection, broken, has_room).await else { return Ok(Salvaged::default()) };
+    let salvaged = copy_tables(connection, tables).await;
+    std::fs::remove_file(grafted)?;
+    salvaged
+}
+
+/// Copies the readable rows of the attached database.
+async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::Result<Salvaged> {
+    let mut salvaged = Salvaged::default();
     sqlx::query("PRAGMA foreign_keys = OFF").execute(&mut *connection).await?;
-    for Table(table, key, sound) in TABLES.into_iter().filter(|table| with_traces || table.0 != "trace") {
+    for &Table(table, key, sound) in &TABLES[..tables] {
         if let Some(columns) = columns(connection, table).await? {
             let lost = Copy { table, key, sound, columns }.all(connection).await?;
             salvaged.lost.push((table, lost));
@@ -175,9 +180,6 @@ pub(super) async fn salvage(
     }
     sqlx::query("PRAGMA foreign_keys = ON").execute(&mut *connection).await?;
     sqlx::query("DETACH broken").execute(&mut *connection).await?;
-    if let Some(copy) = grafted {
-        std::fs::remove_file(copy)?;
-    }
     for Table(table, ..) in TABLES {
         let count = AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
         let rows: i64 = sqlx::query_scalar(count).fetch_one(&mut *connection).await?;

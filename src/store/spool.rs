@@ -8,7 +8,7 @@ use tokio::sync::OwnedSemaphorePermit;
 
 use super::{
     codec::{self, Channel, Checksums, reverse_checksum},
-    cursor::{self, Boot, Place},
+    cursor::{self, Boot, ThrowPosition},
     many,
     rows::{GapKind, RENUMBERED, ThrowRow},
     statements as sql,
@@ -347,7 +347,7 @@ impl Spool {
             let missing = (boot.highest_no + 1, self.throw_no - 1);
             if add_gap(connection, boot.boot_row, missing, GapKind::Missed, self.received_at_us).await? {
                 let Boot { boot_row, position, highest_no, .. } = boot;
-                let after = Place { boot_row: Some(boot_row), position, throw_no: highest_no };
+                let after = ThrowPosition { boot_row: Some(boot_row), position, throw_no: highest_no };
                 cursor::open(connection, machine_row, after, self.received_at_us).await?;
             }
         } else if !fill_gap(connection, boot.boot_row, self.throw_no, self.received_at_us).await?
@@ -419,10 +419,10 @@ impl NewBoot<'_> {
         if let Some(Boot { boot_row, position, highest_no, .. }) = before {
             // The backlog may have more throws of the previous boot, and boots in between.
             sqlx::query(sql::OPEN_TAIL).bind(boot_row).execute(&mut *connection).await?;
-            let after = Place { boot_row: Some(boot_row), position, throw_no: highest_no };
+            let after = ThrowPosition { boot_row: Some(boot_row), position, throw_no: highest_no };
             cursor::open(connection, self.machine_row, after, self.at_us).await?;
         } else if begins_later || !is_last {
-            cursor::open(connection, self.machine_row, Place::BEGINNING, self.at_us).await?;
+            cursor::open(connection, self.machine_row, ThrowPosition::BEGINNING, self.at_us).await?;
         }
         Ok(boot)
     }

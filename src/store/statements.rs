@@ -1,5 +1,5 @@
-//! The statements of the store that are prepared by a test against the real schema. Those of the fleet page are in
-//! `fleet`, those of a recovery in `graft` and `salvage`.
+//! The statements of the store that are prepared by a test against the real schema. Those of a recovery are in `graft`
+//! and `salvage`.
 
 macro_rules! statements {
     ($($name:ident = $sql:expr;)*) => {
@@ -15,7 +15,7 @@ macro_rules! throw_rows {
     () => {
         "throw_row, site, machine, boot_id, throw_no, started_at_us, received_at_us, direction, sample_rate_hz, samples, \
          temperature_c, supply_v, anti_alias_hz, current_codec, current_data, position_codec, position_data, crc32, \
-         repeats_row IS NOT NULL AS repeats FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
+         repeats_row IS NOT NULL AS repeats, boot_position IS NOT position AS moved FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
          LEFT JOIN trace USING (throw_row)"
     };
 }
@@ -120,6 +120,17 @@ macro_rules! chosen {
     };
 }
 
+/// The columns of [`Statistics`](super::Statistics) that are fast enough for every second.
+macro_rules! figures {
+    () => {
+        "coalesce(sum(traces), 0) AS traces, coalesce(sum(throws), 0) AS throws, \
+         (SELECT count(*) FROM alarm WHERE state = 'normal') AS closed_alarms, (SELECT count(*) FROM outbox) AS outbox, \
+         (SELECT (page_count - freelist_count) * page_size FROM pragma_page_count, pragma_freelist_count, pragma_page_size) \
+         AS data_bytes, (SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size) AS free_bytes, \
+         (SELECT json_group_object(name, value) FROM counter) AS counters"
+    };
+}
+
 /// Adds or replaces the monitor of `$machine`, a row or a query of rows.
 macro_rules! set_monitor {
     ($machine:literal) => {
@@ -132,6 +143,36 @@ macro_rules! set_monitor {
     };
 }
 
+macro_rules! all_machines {
+    () => {
+        "all-machines"
+    };
+}
+
+/// Machine name of the alarms about all machines of a site.
+pub(crate) const ALL_MACHINES: &str = all_machines!();
+
+/// Machines that match the filters ?1 site, ?2 cause and ?3 text, without the daemon itself, which is ?4/?5, and without
+/// [`ALL_MACHINES`]. A silent machine is not monitored and has no other open alarm.
+macro_rules! matching {
+    () => {
+        concat!(
+            "(SELECT machine.machine_row, site, machine, coalesce(monitor.state, 'learning') AS state, monitor.drifts,
+                 CASE WHEN monitor.state = 'not_monitored' THEN NOT EXISTS (SELECT 1 FROM alarm
+                     WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal'
+                       AND alarm.cause NOT IN ('not_monitored', 'data_loss')) ELSE 0 END AS is_silent
+          FROM machine LEFT JOIN monitor INDEXED BY monitor_state ON monitor.machine_row = machine.machine_row
+          WHERE (?1 IS NULL OR site = ?1)
+            AND (?2 IS NULL OR EXISTS (SELECT 1 FROM alarm
+                 WHERE alarm.machine_row = machine.machine_row AND alarm.state <> 'normal' AND alarm.cause = ?2))
+            AND (?3 IS NULL OR instr(lower(site || '/' || machine), lower(?3)) > 0)
+            AND machine <> '",
+            all_machines!(),
+            "' AND NOT (site = ?4 AND machine = ?5))"
+        )
+    };
+}
+
 statements! {
     // Opening and closing.
     FOREIGN_TABLE = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite@_%' ESCAPE '@' \
@@ -140,7 +181,6 @@ statements! {
     SET_CLEAN = "UPDATE shutdown SET clean = ?1 WHERE clean <> ?1";
     SCHEMA = "SELECT type, name, tbl_name, rootpage, sql FROM sqlite_schema WHERE rootpage > 0 ORDER BY rowid";
     COUNT = "INSERT INTO counter (name, value) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET value = value + ?2";
-    COUNTERS = "SELECT name, value FROM counter ORDER BY name";
 
     // Spooling.
     MACHINE = "SELECT machine_row FROM machine WHERE site = ?1 AND machine = ?2";
@@ -233,13 +273,12 @@ statements! {
         FROM ready JOIN throw AS own ON own.throw_row IN (SELECT throw_row FROM throw AS next INDEXED BY throw_pending \
         WHERE next.machine_row = ready.machine_row AND judged_at_us IS NULL AND (boot_position, throw_no) <= (position, no) \
         ORDER BY boot_position, throw_no LIMIT ?2 + 0)) \
-        SELECT json_group_array(json_array(throw_row, site, machine, boot_id, throw_no, received_at_us, repeats_row IS NOT NULL) \
+        SELECT json_group_array(json_array(throw_row, site, machine, boot_id, throw_no, received_at_us, repeats_row IS NOT NULL, \
+        boot_position IS NOT boot.position) \
         ORDER BY throw.machine_row, boot_position, throw_no) \
         FROM throw JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
         WHERE throw_row IN (SELECT throw_row FROM chosen ORDER BY turn, machine_row LIMIT ?2 + 0)";
     STORED_THROW = concat!("SELECT ", throw_rows!(), " WHERE throw_row = ?1");
-    PENDING = concat!("SELECT ", throw_rows!(), " \
-        WHERE judged_at_us IS NULL AND throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     THROWS = concat!("SELECT ", throw_rows!(), " \
         WHERE throw_row > ?1 ORDER BY throw_row LIMIT ?2");
     MACHINE_OF = "SELECT machine_row FROM throw WHERE throw_row = ?1";
@@ -321,12 +360,9 @@ statements! {
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
         WHERE +site GLOB ?1 AND +machine GLOB ?2 ORDER BY site, machine, latest.direction");
-    GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
-        FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) \
-        WHERE filled_at_us IS NULL AND (written_off_at_us IS NOT NULL OR told_at_us IS NOT NULL) ORDER BY gap_row LIMIT ?1";
     // A gap that a backlog may still fill is left out while its machine waits, that is while its backlog was opened or
     // last became smaller between ?2 and ?3.
-    UNREPORTED_GAPS = "SELECT gap_row, site, machine, boot_id, first_no, last_no, kind, detected_at_us \
+    UNREPORTED_GAPS = "SELECT gap_row, site, machine, first_no, last_no \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) LEFT JOIN backlog USING (machine_row) \
         WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' \
         AND (written_off_at_us IS NOT NULL OR since_us IS NULL OR since_us NOT BETWEEN ?2 AND ?3) ORDER BY gap_row LIMIT ?1";
@@ -381,6 +417,93 @@ statements! {
     HEALTH_AT = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row = ?1");
 
+    // The fleet page.
+    // The matching machines of state ?6, without silent ones if ?7, the worst state first, in the order of ?11.
+    FLEET = concat!(
+    "
+    WITH chosen AS (
+        SELECT machine_row, site, machine, state, drifts FROM ",
+    matching!(),
+    "
+        WHERE (?6 IS NULL OR state = ?6) AND NOT (?7 AND is_silent)
+        ORDER BY instr(?11, state),
+                 coalesce(abs(drifts ->> '$[0].change_pct'), 0) DESC, site, machine
+        LIMIT ?8 OFFSET ?9)
+    SELECT chosen.site, chosen.machine, chosen.state, chosen.drifts, throw.started_at_us, estimate.quality,
+           coalesce(estimate.baseline_throws, learned.baseline_throws) AS baseline_throws,
+           coalesce(estimate.baseline_needed, learned.baseline_needed) AS baseline_needed,
+           (SELECT group_concat(alarm.cause) FROM alarm
+             WHERE alarm.machine_row = chosen.machine_row AND alarm.state <> 'normal') AS causes,
+           (SELECT json_group_array(json_array(b0_pct, a1_pct, a0_pct)) FROM
+             (SELECT b0_pct, a1_pct, a0_pct FROM estimate AS near
+               WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
+               ORDER BY near.throw_row DESC LIMIT ?10)) AS spark
+    FROM chosen
+    LEFT JOIN throw ON throw.throw_row = (SELECT throw_row FROM latest WHERE latest.machine_row = chosen.machine_row
+                                           ORDER BY throw_row DESC LIMIT 1)
+    LEFT JOIN estimate ON estimate.throw_row = throw.throw_row
+    LEFT JOIN latest AS near ON near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'
+    LEFT JOIN estimate AS learned ON learned.throw_row = near.throw_row"
+    );
+
+    // Number of matching machines in each state, and of the silent ones among them.
+    TALLY = concat!("SELECT state, count(*), sum(is_silent) FROM ", matching!(), " GROUP BY state");
+
+    SITES = "SELECT site FROM machine GROUP BY site ORDER BY site LIMIT ?1";
+
+    // Open alarms about the condition of machines, the worst first.
+    FAULTS = "
+    SELECT last.payload, first.payload ->> 'change_pct' AS raised_pct, first.payload ->> 'change_pct_sd' AS raised_pct_sd,
+           monitor.drifts
+    FROM alarm JOIN machine USING (machine_row)
+    JOIN alarm_event AS last ON last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no
+    LEFT JOIN alarm_event AS first ON first.alarm_row = alarm.alarm_row AND first.event_no = 1
+    LEFT JOIN monitor ON monitor.machine_row = alarm.machine_row
+    WHERE alarm.state <> 'normal' AND alarm.cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
+    ORDER BY last.severity = 'critical' DESC, raised_at_us DESC, alarm.alarm_row LIMIT ?3";
+
+    FAULT_COUNT = "
+    SELECT count(*) FROM alarm JOIN machine USING (machine_row)
+    WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
+
+    COMMON = "
+    SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us
+    FROM alarm JOIN machine USING (machine_row)
+    WHERE alarm.state <> 'normal' AND alarm.cause IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
+    GROUP BY alarm.cause, site ORDER BY count(*) DESC";
+
+    // The newest opening command of each machine in maintenance and of each shelved alarm.
+    WINDOWS = "
+    SELECT site, machine, at_us, command, command.payload ->> 'cause' AS cause, command.payload ->> 'until' AS until,
+           by_whom, why
+    FROM (SELECT machine_row, 'maintenance_start' AS opened_by, NULL AS of_cause FROM monitor WHERE state = 'maintenance'
+          UNION ALL SELECT machine_row, 'shelve', cause FROM alarm INDEXED BY alarm_open
+          WHERE state <> 'normal' AND state IN ('shelved', 'out_of_service')) AS open
+    JOIN machine USING (machine_row)
+    JOIN command ON command_row = (SELECT max(command_row) FROM command AS own INDEXED BY command_of_machine
+        WHERE own.machine_row = open.machine_row AND own.command = opened_by AND own.payload ->> 'cause' IS of_cause)
+    WHERE (?1 IS NULL OR site = ?1) AND (?2 IS NULL OR machine = ?2)
+    ORDER BY site, machine";
+
+    COMMANDS = "
+    SELECT at_us, command, payload ->> 'cause' AS cause, payload ->> 'until' AS until, by_whom, why
+    FROM command JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2 ORDER BY command_row DESC LIMIT ?3";
+
+    BASELINES = "
+    SELECT payload FROM baseline JOIN machine USING (machine_row)
+    WHERE site = ?1 AND machine = ?2 ORDER BY taken_at_us DESC LIMIT ?3";
+
+    STATE = "
+    SELECT state, drifts, caveats FROM monitor JOIN machine USING (machine_row) WHERE site = ?1 AND machine = ?2";
+
+    // The newest good throw of a direction with a trace, up to a time, among the 300 throws before it.
+    TYPICAL = "
+    SELECT boot_id, throw_no FROM (
+        SELECT throw_row, boot_row, throw_no, started_at_us FROM throw JOIN machine USING (machine_row)
+        WHERE site = ?1 AND machine = ?2 AND started_at_us <= ?4 ORDER BY started_at_us DESC LIMIT 300)
+    JOIN estimate USING (throw_row) JOIN trace USING (throw_row) JOIN boot USING (boot_row)
+    WHERE estimate.direction = ?3 AND quality = 'good' ORDER BY started_at_us DESC LIMIT 1";
+
     // Export.
     EXPORT = export!("TRUE");
     EXPORT_MACHINE = export!(concat!("throw.machine_row = ", one_machine!()));
@@ -426,16 +549,12 @@ statements! {
     OLDEST_MESSAGES = "SELECT outbox_row FROM outbox ORDER BY outbox_row LIMIT ?1";
     DROP_ALARMS = concat!("DELETE FROM alarm WHERE alarm_row IN ", chosen!());
     OLDEST_ALARMS = "SELECT alarm_row FROM alarm WHERE state = 'normal' ORDER BY raised_at_us LIMIT ?1";
-    FIGURES = "SELECT coalesce(sum(traces), 0) AS traces, coalesce(sum(throws), 0) AS throws, \
-        (SELECT count(*) FROM alarm WHERE state = 'normal') AS closed_alarms, (SELECT count(*) FROM outbox) AS messages, \
-        (SELECT page_size FROM pragma_page_size) AS page_size, (SELECT page_count FROM pragma_page_count) AS pages, \
-        (SELECT freelist_count FROM pragma_freelist_count) AS free_pages FROM machine";
-    TRACE_COUNT = "SELECT coalesce(sum(traces), 0) FROM machine";
-    THROW_COUNT = "SELECT coalesce(sum(throws), 0) FROM machine";
-    PENDING_COUNT = "SELECT count(*) FROM throw WHERE judged_at_us IS NULL";
-    OUTBOX_COUNT = "SELECT count(*) FROM outbox";
-    NOTIFICATION_COUNT = "SELECT count(*) FROM notification";
-    QUARANTINE_COUNT = "SELECT count(*) FROM quarantine";
-    OPEN_GAP_COUNT = "SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap WHERE filled_at_us IS NULL AND kind <> 'before_first_contact'";
-    OPEN_ALARM_COUNT = "SELECT count(*) FROM alarm WHERE state <> 'normal'";
+    FIGURES = concat!("SELECT ", figures!(), " FROM machine");
+    STATISTICS = concat!("SELECT ", figures!(), ", \
+        (SELECT count(*) FROM throw WHERE judged_at_us IS NULL) AS pending, \
+        (SELECT count(*) FROM notification) AS notifications, \
+        (SELECT count(*) FROM quarantine) AS quarantined, \
+        (SELECT CAST(total(last_no - first_no + 1) AS INTEGER) FROM gap \
+        WHERE filled_at_us IS NULL AND kind <> 'before_first_contact') AS missing_throws, \
+        (SELECT count(*) FROM alarm WHERE state <> 'normal') AS open_alarms FROM machine");
 }

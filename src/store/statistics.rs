@@ -4,17 +4,26 @@ use std::collections::BTreeMap;
 
 use super::{database::Store, disk::DiskLevel, error::StoreError, statements as sql};
 
-/// Figures of the database.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// Figures of the database. The retention reads only the first ones, which are fast enough for every second.
+#[derive(Debug, Clone, PartialEq, Eq, Default, sqlx::FromRow)]
+#[sqlx(default)]
 pub struct Statistics {
     /// Stored throws.
     pub throws: u64,
     /// Stored throws with a trace.
     pub traces: u64,
-    /// Pending throws: stored, not judged yet.
-    pub pending: u64,
+    /// Closed alarms.
+    pub closed_alarms: u64,
     /// Messages in the outbox.
     pub outbox: u64,
+    /// Size of the data \[bytes\].
+    pub data_bytes: u64,
+    /// Free pages in the file \[bytes\].
+    pub free_bytes: u64,
+    /// [`Self::counters`] as a JSON object.
+    counters: String,
+    /// Pending throws: stored, not judged yet.
+    pub pending: u64,
     /// Alarm events that the webhook has not accepted yet.
     pub notifications: u64,
     /// Open alarms.
@@ -23,20 +32,23 @@ pub struct Statistics {
     pub missing_throws: u64,
     /// Messages in quarantine.
     pub quarantined: u64,
-    /// Size of the data \[bytes\].
-    pub data_bytes: u64,
-    /// Free pages in the file \[bytes\].
-    pub free_bytes: u64,
     /// Size of the write-ahead log \[bytes\].
     pub wal_bytes: u64,
     /// Free space on the disk \[bytes\]; `None` if unknown.
     pub free_disk_bytes: Option<u64>,
     /// State of the disk below the database.
+    #[sqlx(skip)]
     pub disk: DiskLevel,
     /// Failed write transactions since the start.
     pub failed_writes: u64,
+}
+
+impl Statistics {
     /// Counters since the creation of the database, by name.
-    pub counters: BTreeMap<String, u64>,
+    #[must_use]
+    pub fn counters(&self) -> BTreeMap<String, u64> {
+        serde_json::from_str(&self.counters).unwrap_or_default()
+    }
 }
 
 impl Store {
@@ -45,27 +57,13 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
-        let reader = &self.reader;
-        let counters: Vec<(String, i64)> = reader.asked(sqlx::query_as(sql::COUNTERS)).await?;
-        let page_size = reader.asked_figure("PRAGMA page_size").await?;
-        let pages = reader.asked_figure("PRAGMA page_count").await?;
-        let free_pages = reader.asked_figure("PRAGMA freelist_count").await?;
+        let read: Vec<Statistics> = self.reader.asked(sqlx::query_as(sql::STATISTICS)).await?;
         Ok(Statistics {
-            throws: reader.asked_figure(sql::THROW_COUNT).await?,
-            traces: reader.asked_figure(sql::TRACE_COUNT).await?,
-            pending: reader.asked_figure(sql::PENDING_COUNT).await?,
-            outbox: reader.asked_figure(sql::OUTBOX_COUNT).await?,
-            notifications: reader.asked_figure(sql::NOTIFICATION_COUNT).await?,
-            open_alarms: reader.asked_figure(sql::OPEN_ALARM_COUNT).await?,
-            missing_throws: reader.asked_figure(sql::OPEN_GAP_COUNT).await?,
-            quarantined: reader.asked_figure(sql::QUARANTINE_COUNT).await?,
-            data_bytes: pages.saturating_sub(free_pages) * page_size,
-            free_bytes: free_pages * page_size,
             wal_bytes: self.wal_bytes(),
             free_disk_bytes: self.disk.free_bytes(),
             disk: self.disk.level(),
             failed_writes: self.disk.failures(),
-            counters: counters.into_iter().map(|(name, value)| (name, value.cast_unsigned())).collect(),
+            ..read.into_iter().next().unwrap_or_default()
         })
     }
 
@@ -75,9 +73,15 @@ impl Store {
         self.disk.level()
     }
 
+    /// Whether the database is being copied to a new file, with progress in the last 30 s. Writes wait meanwhile.
+    #[must_use]
+    pub fn is_copying(&self) -> bool {
+        self.disk.is_copying()
+    }
+
     /// Size of the write-ahead log \[bytes\].
     #[must_use]
     pub fn wal_bytes(&self) -> u64 {
-        self.place.log_bytes()
+        self.files.log_bytes()
     }
 }

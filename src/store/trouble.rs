@@ -1,6 +1,6 @@
 //! Problems of the store, as texts for an alarm.
 
-use super::{database::Store, disk::DiskLevel, place::Place};
+use super::{database::Store, disk::DiskLevel, files::DatabaseFiles};
 use crate::diagnose::Severity;
 
 impl Store {
@@ -22,8 +22,8 @@ impl Store {
             )),
         };
         let disk = disk.map(|(severity, said)| (severity, said.to_owned()));
-        let set_aside = self.place.set_aside_before().map(|file| {
-            let saved = Place::saved_from(&file);
+        let set_aside = self.files.set_aside_before().map(|file| {
+            let saved = DatabaseFiles::saved_from(&file);
             let saved = saved.unwrap_or_else(|| "its history is not available".to_owned());
             let said = format!(
                 "its database was broken and was set aside as {}; {saved}. Move this file elsewhere, and keep it for a \
@@ -44,13 +44,26 @@ impl Store {
             };
             (Severity::Critical, said)
         });
-        let dropped = self.disk.dropped_pending.shown().map(|throws| {
-            let said = format!(
+        let [throws, messages, notifications] = self.disk.lost();
+        let throws = throws.map(|throws| {
+            format!(
                 "{throws} throws were dropped before they were judged: pending throws fill store.max_size_mib, mostly \
                  of one machine. Check the logger that sends so many"
-            );
-            (Severity::Critical, said)
+            )
         });
+        let messages = messages.map(|events| {
+            format!(
+                "{events} alarm events were dropped before they were published, as too many were waiting. Check the link \
+                 of zenoh"
+            )
+        });
+        let notifications = notifications.map(|events| {
+            format!(
+                "{events} alarm events were dropped before the webhook accepted them, as too many were waiting. Check \
+                 its receiver (webhook.url)"
+            )
+        });
+        let dropped = [throws, messages, notifications].into_iter().flatten().map(|said| (Severity::Critical, said));
         let all: Vec<(Severity, String)> =
             disk.into_iter().chain(set_aside).chain(replaced).chain(dropped).chain(more).collect();
         let severity = all.iter().map(|(severity, _)| *severity).max()?;

@@ -6,8 +6,8 @@ use tokio::sync::{mpsc, oneshot};
 
 use super::{
     error::StoreError,
-    link::Link,
     write::{Answer, Job, Write, job},
+    writing::WritingConnection,
 };
 
 /// Largest number of writes in a commit. At the measured rates this takes 5 to 20 ms; larger groups are not faster.
@@ -28,9 +28,9 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    pub(super) fn start(link: Link) -> Self {
+    pub(super) fn start(writing: WritingConnection) -> Self {
         let (requests, inbox) = mpsc::channel(QUEUE);
-        tokio::spawn(serve(inbox, link));
+        tokio::spawn(serve(inbox, writing));
         Self { requests }
     }
 
@@ -58,7 +58,7 @@ impl Writer {
     }
 }
 
-async fn serve(mut inbox: mpsc::Receiver<Request>, mut link: Link) {
+async fn serve(mut inbox: mpsc::Receiver<Request>, mut connection: WritingConnection) {
     let mut requests = Vec::with_capacity(GROUP);
     while inbox.recv_many(&mut requests, GROUP).await > 0 {
         let mut group: Vec<Box<dyn Job>> = Vec::with_capacity(GROUP);
@@ -66,14 +66,14 @@ async fn serve(mut inbox: mpsc::Receiver<Request>, mut link: Link) {
             match request {
                 Request::Write(job) => group.push(job),
                 Request::Close(reply) => {
-                    link.commit(std::mem::take(&mut group)).await;
-                    let _ = reply.send(link.close().await);
+                    connection.commit(std::mem::take(&mut group)).await;
+                    let _ = reply.send(connection.close().await);
                     return;
                 }
             }
         }
-        link.commit(group).await;
-        if link.broken {
+        connection.commit(group).await;
+        if connection.broken {
             tracing::error!("the database is broken: the writer ends; the next start sets the file aside");
             return;
         }

@@ -37,14 +37,14 @@ fn answer(value: &Value) -> Response {
 }
 
 pub(super) async fn status(State(web): State<Arc<Web>>) -> Response {
-    answer(&json!(web.view.report()))
+    answer(&json!(web.view.gauges.report()))
 }
 
 pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
     let query = FleetQuery { spark: 0, ..Filters::from_query(query.as_deref())?.query()? };
     let itself = web.view.config().monitor.as_machine();
     let _turn = web.turn().await?;
-    let reader = web.view.reader();
+    let reader = web.view.gauges.store.reader();
     let tally = reader.tally(&query, &itself).await?;
     let tally: BTreeMap<&str, u64> = tally.states.into_iter().map(|(state, count)| (state.as_str(), count)).collect();
     Ok(answer(&json!({"tally": tally, "machines": reader.fleet(&query, &itself).await?})))
@@ -57,7 +57,7 @@ pub(super) async fn machine(
     let Path((site, machine)) = names?;
     let machine = known_name(&site, &machine)?;
     let _turn = web.turn().await?;
-    let reader = web.view.reader();
+    let reader = web.view.gauges.store.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;
     if throws.is_empty() {
         return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));

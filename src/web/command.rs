@@ -40,7 +40,7 @@ pub(super) async fn post(
         ));
     }
     let command = command(&fields, clock::now()).map_err(Failure::bad_request)?;
-    let reply = web.view.carry_out(machine.clone(), command).await;
+    let reply = web.view.orders.carry_out(machine.clone(), command).await;
     let reply = reply.map_err(|problem| Failure::new(StatusCode::SERVICE_UNAVAILABLE, sentence(&problem)))?;
     if !reply.done {
         return Err(Failure::new(StatusCode::CONFLICT, format!("Nothing was done: {}.", reply.text)));

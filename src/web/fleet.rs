@@ -23,7 +23,7 @@ use super::{
 use crate::{
     daemon::{View, clock},
     diagnose::{Cause, MachineState},
-    store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, Window},
+    store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, WORST_FIRST, Window},
     throw::MachineId,
 };
 
@@ -162,7 +162,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let overview = web.overview().await?;
     let itself = web.view.config().monitor.as_machine();
     let _turn = web.turn().await?;
-    let reader = web.view.reader();
+    let reader = web.view.gauges.store.reader();
     let is_filtered = query.site.is_some() || query.cause.is_some() || query.search.is_some();
     let tally = if is_filtered { reader.tally(&query, &itself).await? } else { overview.tally.clone() };
     let grouped = group_silent(&mut query, &tally);
@@ -185,7 +185,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         more_alarms: if more_alarms > 0 { page::count(more_alarms) } else { String::new() },
         sites: overview.sites.iter().map(|site| (site.clone(), *site == filters.site)).collect(),
         causes: Cause::VARIANTS.iter().map(|cause| choice(cause.as_str(), cause.to_string(), &filters.cause)).collect(),
-        states: state::ALL.iter().map(|it| choice(it.as_str(), Badge(*it).word(), &filters.state)).collect(),
+        states: WORST_FIRST.iter().map(|it| choice(it.as_str(), Badge(*it).word(), &filters.state)).collect(),
         rows: rows.iter().map(|row| shown(row, &windows, limits.friction_limit_pct)).collect(),
         shown: match rows.len() {
             0 if grouped > 0 => "No other machine.".to_owned(),
@@ -200,7 +200,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         volatile: format!(
             "As of {}; running for {}.",
             page::time(clock::now()),
-            page::duration(web.view.report().uptime_s)
+            page::duration(web.view.gauges.report().uptime_s)
         ),
         filters,
     }))
@@ -224,7 +224,7 @@ fn tally_links(tally: &Tally, filters: &Filters) -> Vec<(Badge, String, String)>
         _ => page::count(tally.of(state)),
     };
     let link = |state: MachineState| (Badge(state), number(state), filters.with_state(state.as_str()).address());
-    state::ALL.into_iter().filter(|state| tally.of(*state) > 0).map(link).collect()
+    WORST_FIRST.into_iter().filter(|state| tally.of(*state) > 0).map(link).collect()
 }
 
 fn fault_line(fault: &Fault, windows: &[Window]) -> AlarmLine {
@@ -328,7 +328,7 @@ fn spark(changes: impl Iterator<Item = f64> + Clone, limit_pct: f64) -> String {
 }
 
 fn daemon(view: &View, overview: &Overview) -> Vec<(&'static str, String)> {
-    let (report, statistics) = (view.report(), &overview.statistics);
+    let (report, statistics) = (view.gauges.report(), &overview.statistics);
     let space = statistics.free_disk_bytes.map(|free| format!(", {} free", page::size(free))).unwrap_or_default();
     vec![
         ("version", report.version),

@@ -32,9 +32,15 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
     let wants_gzip = accepts_gzip(request.headers());
     let known = request.headers().get(header::IF_NONE_MATCH).cloned();
     let config = web.view.config();
-    let mut response = if let Some(refusal) = refusal(&request, &config.web.hosts, config.web.token.is_some()) {
+    let commands = config.web.token.is_some();
+    let mut response = if let Some(refusal) = refusal(&request, &config.web.hosts, commands) {
         // A refused request may come from anybody, so the response has no data of the daemon.
-        refusal.page(Vec::new())
+        let mut response = refusal.page(Vec::new());
+        if response.status() == StatusCode::METHOD_NOT_ALLOWED {
+            let allowed = if commands { "GET, HEAD, POST" } else { "GET, HEAD" };
+            response.headers_mut().insert(header::ALLOW, HeaderValue::from_static(allowed));
+        }
+        response
     } else {
         let is_post = *request.method() == Method::POST;
         if let Some(ConnectInfo(arrived)) = request.extensions().get::<ConnectInfo<Arrived>>().filter(|_| !is_post) {

@@ -36,7 +36,7 @@ use super::{
 use crate::{
     daemon::{StatusReport, TaskName, View},
     diagnose::{Cause, MachineState, Severity},
-    store::{DiskLevel, FleetQuery, FleetRow, StoreError},
+    store::{DiskLevel, Dropped, FleetQuery, FleetRow, StoreError},
 };
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -50,7 +50,7 @@ const LIMIT: Duration = Duration::from_secs(2);
 pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Response {
     let mut registry = Registry::with_prefix("pointsd");
     throws(&mut registry, &web.view);
-    daemon(&mut registry, &web.view.report());
+    daemon(&mut registry, &web.view.gauges.report());
     if let Ok(Ok(overview)) = time::timeout(LIMIT, web.overview()).await {
         database(&mut registry, &overview);
         alarms(&mut registry, &overview);
@@ -113,7 +113,7 @@ fn older(open_metrics: &str) -> String {
 async fn machine_rows(web: &Web, limit: u32) -> Result<Vec<FleetRow>, StoreError> {
     let _turn = web.turn().await?;
     let query = FleetQuery { limit, ..FleetQuery::default() };
-    web.view.reader().fleet(&query, &web.view.config().monitor.as_machine()).await
+    web.view.gauges.store.reader().fleet(&query, &web.view.config().monitor.as_machine()).await
 }
 
 /// Series of each machine. Names of machines are valid labels: at most 64 of `A-Z a-z 0-9 _ -`.
@@ -147,7 +147,7 @@ fn machines(registry: &mut Registry, rows: &[FleetRow]) {
 }
 
 fn throws(registry: &mut Registry, view: &View) {
-    let report = view.report();
+    let report = view.gauges.report();
     for (name, help, value) in [
         ("throws_received", "Messages received on the keys of throws", report.received),
         ("throws_stored", "Throws stored", report.stored),
@@ -166,13 +166,19 @@ fn throws(registry: &mut Registry, view: &View) {
         registry.register(name, help, ConstCounter::new(value));
     }
     let refused = Family::<Labels<1>, Counter>::default();
-    for (reason, number) in view.refused() {
+    for (reason, number) in view.gauges.status.refused() {
         refused.get_or_create(&[("reason", reason)]).inc_by(number);
     }
     registry.register("throws_not_evaluated", "Judged throws without an estimate, by reason", refused);
     let backlog = ConstGauge::new(report.backlog.cast_signed());
     registry.register("throws_backlog", "Throws still in the backlogs of their loggers", backlog);
-    gauge(registry, "inbox", "Memory of received messages not stored yet", Unit::Bytes, view.queued_bytes() as u64);
+    gauge(
+        registry,
+        "inbox",
+        "Memory of received messages not stored yet",
+        Unit::Bytes,
+        view.gauges.inbox.queued_bytes() as u64,
+    );
 }
 
 fn database(registry: &mut Registry, overview: &Overview) {
@@ -193,6 +199,13 @@ fn database(registry: &mut Registry, overview: &Overview) {
     if let Some(free) = statistics.free_disk_bytes {
         gauge(registry, "disk_free", "Free space on the disk of the database", Unit::Bytes, free);
     }
+    let dropped = Family::<Labels<1>, Counter>::default();
+    let counters = statistics.counters();
+    for kind in Dropped::VARIANTS {
+        let rows = counters.get(&format!("dropped_{}", kind.as_ref())).copied().unwrap_or(0);
+        dropped.get_or_create(&[("kind", kind.as_ref().to_owned())]).inc_by(rows);
+    }
+    registry.register("dropped", "Rows dropped to keep the database within its bounds, since its creation", dropped);
     let failed = ConstCounter::new(statistics.failed_writes);
     registry.register("failed_writes", "Write transactions that failed", failed);
 }

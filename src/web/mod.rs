@@ -69,12 +69,12 @@ pub struct BindError {
 
 /// The listening socket of the dashboard.
 #[derive(Debug)]
-pub struct Place {
+pub struct Listening {
     listener: TcpListener,
     address: SocketAddr,
 }
 
-impl Place {
+impl Listening {
     /// Listens on an address.
     ///
     /// # Errors
@@ -94,13 +94,13 @@ impl Place {
 }
 
 /// Serves requests until the future is dropped.
-pub async fn serve(place: Place, view: View) {
-    if !place.address.ip().is_loopback() {
-        tracing::warn!(address = %place.address, "the dashboard is readable for every computer that reaches this address");
+pub async fn serve(listening: Listening, view: View) {
+    if !listening.address.ip().is_loopback() {
+        tracing::warn!(address = %listening.address, "the dashboard is readable for every computer that reaches this address");
     }
-    tracing::info!("the dashboard is at {}", place.url());
+    tracing::info!("the dashboard is at {}", listening.url());
     let service = router(Arc::new(Web::new(view))).into_make_service_with_connect_info::<Arrived>();
-    if let Err(error) = axum::serve(Bounded::new(place.listener), service).await {
+    if let Err(error) = axum::serve(Bounded::new(listening.listener), service).await {
         tracing::error!(%error, "the dashboard ended");
     }
 }
@@ -129,7 +129,7 @@ fn router(web: Arc<Web>) -> Router {
 }
 
 async fn healthz(State(web): State<Arc<Web>>) -> Response {
-    health(&web.view.report().silent)
+    health(&web.view.gauges.report().silent)
 }
 
 /// The response of `/healthz`; `silent` are the loops without a fresh heartbeat.

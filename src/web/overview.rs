@@ -70,7 +70,7 @@ impl Web {
             return Ok(Arc::clone(overview));
         }
         let _turn = self.turn().await?;
-        let reader = self.view.reader();
+        let reader = self.view.gauges.store.reader();
         let itself = self.view.config().monitor.as_machine();
         let tally = reader.tally(&FleetQuery::default(), &itself).await?;
         let (faults, unreadable) = reader.faults(FAULTS, &itself).await?;
@@ -83,7 +83,7 @@ impl Web {
             own_alarms: reader.open_alarms(&selector(&itself)).await?,
             unreadable,
             alarms_by_kind: reader.open_alarms_by_kind().await?,
-            statistics: self.view.statistics().await?,
+            statistics: self.view.gauges.store.statistics().await?,
         });
         *last = Some((clock::monotonic(), Arc::clone(&overview)));
         Ok(overview)

@@ -71,11 +71,7 @@ impl Failure {
     /// The page of the failure, with `trouble` as banner.
     pub(super) fn page(&self, trouble: Vec<String>) -> Response {
         let title = self.status.canonical_reason().unwrap_or("Failure");
-        let mut response = (self.status, html(&FailurePage { trouble, title, says: &self.says })).into_response();
-        if self.status == StatusCode::METHOD_NOT_ALLOWED {
-            response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET, HEAD"));
-        }
-        response
+        (self.status, html(&FailurePage { trouble, title, says: &self.says })).into_response()
     }
 }
 

@@ -5,16 +5,6 @@ use crate::{
     wire::Alarm,
 };
 
-/// The states from the worst to the best.
-pub(super) const ALL: [MachineState; 6] = [
-    MachineState::Critical,
-    MachineState::NotMonitored,
-    MachineState::Warning,
-    MachineState::Maintenance,
-    MachineState::Learning,
-    MachineState::Healthy,
-];
-
 /// A state with the way it is shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Badge(pub(super) MachineState);
@@ -77,11 +67,12 @@ pub(crate) fn forecast(drift: &Drifting) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::WORST_FIRST;
 
     #[test]
     fn every_state_differs_in_word_sign_and_class() {
-        for (at, one) in ALL.map(Badge).into_iter().enumerate() {
-            for other in &ALL.map(Badge)[at + 1..] {
+        for (at, one) in WORST_FIRST.map(Badge).into_iter().enumerate() {
+            for other in &WORST_FIRST.map(Badge)[at + 1..] {
                 assert!(one.word() != other.word() && one.sign() != other.sign() && one.class() != other.class());
             }
         }

@@ -63,7 +63,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     let (machine, throw) = named(names)?;
     let trouble = web.trouble().await;
     let _turn = web.turn().await?;
-    let reader = web.view.reader();
+    let reader = web.view.gauges.store.reader();
     let found = reader.throw_of(&machine, &throw).await?;
     let (stored, health) =
         found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw in this database.")))?;
@@ -109,7 +109,7 @@ async fn typical(
     health: Option<&Health>,
 ) -> Result<Option<StoredThrow>, Failure> {
     let Some(direction) = health.and_then(|health| health.direction) else { return Ok(None) };
-    let reader = web.view.reader();
+    let reader = web.view.gauges.store.reader();
     let baselines = reader.baselines_of(machine, BASELINES).await?;
     let Some(baseline) = baselines.iter().find(|baseline| baseline.direction == direction) else { return Ok(None) };
     let found = reader.typical_of(machine, direction, baseline.taken_at).await?;
@@ -121,7 +121,7 @@ async fn typical(
 pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Response, Failure> {
     let (machine, throw) = named(names)?;
     let _turn = web.turn().await?;
-    let found = web.view.reader().throw_of(&machine, &throw).await?;
+    let found = web.view.gauges.store.reader().throw_of(&machine, &throw).await?;
     let (stored, _) =
         found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw in this database.")))?;
     let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;

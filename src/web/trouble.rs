@@ -36,7 +36,7 @@ pub(super) fn all(view: &View, overview: &Overview) -> Vec<String> {
 
 /// Problems known without the database.
 pub(super) fn of_daemon(view: &View) -> Vec<String> {
-    let report = view.report();
+    let report = view.gauges.report();
     let mut trouble = Vec::new();
     match report.disk {
         DiskLevel::Ample => {}
@@ -48,6 +48,11 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
         DiskLevel::Failing => {
             trouble.push("Writing to the database fails: nothing can be stored, and this page is old.".to_owned());
         }
+    }
+    if report.copying {
+        trouble.push(
+            "The database is being copied, as a program keeps reading an old state of it: this page is old.".to_owned(),
+        );
     }
     if !report.silent.is_empty() {
         trouble.push(format!("Parts of the daemon hang ({}): this page may be old.", report.silent.join(", ")));

@@ -4,6 +4,7 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
+    ops::RangeInclusive,
     path::Path,
 };
 
@@ -14,7 +15,7 @@ use pointsd::{
     wire::{self, Alarm, Encoding},
 };
 
-use crate::logger;
+use crate::{logger, rig::Rig};
 
 /// Defects of the databases after cuts.
 #[derive(Debug, Default)]
@@ -103,6 +104,16 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
 pub(crate) async fn events(reader: &Reader) -> BTreeSet<(String, u32)> {
     let rows = reader.alarm_history(&Selector::default(), Timestamp::UNIX_EPOCH, 1_000_000).await.unwrap();
     rows.into_iter().map(|row| (row.alarm_id.clone(), row.event_no)).collect()
+}
+
+/// Machine, boot id and numbers of each open gap.
+pub(crate) fn open_gaps(rig: &Rig) -> Vec<(String, String, RangeInclusive<u64>)> {
+    let gaps = rig.sql(
+        "SELECT machine, boot_id, first_throw_no AS first, last_throw_no AS last FROM data_gaps WHERE filled_at IS NULL",
+    );
+    let text = |gap: &serde_json::Value, of| gap[of].as_str().unwrap().to_owned();
+    let numbers = |gap: &serde_json::Value| gap["first"].as_u64().unwrap()..=gap["last"].as_u64().unwrap();
+    gaps.iter().map(|gap| (text(gap, "machine"), text(gap, "boot_id"), numbers(gap))).collect()
 }
 
 fn message(row: &OutboxRow) -> (String, u32) {

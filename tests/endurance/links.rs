@@ -13,7 +13,7 @@ use pointsd::store::{Reader, ThrowRow};
 
 use crate::{
     cable::Cable,
-    database::events,
+    database::{events, open_gaps},
     logger::{Logger, Plan, QUICK_ALARMS},
     rig::{PATIENCE, Rig},
     size,
@@ -67,15 +67,14 @@ struct Known {
 }
 
 impl Known {
-    async fn of(reader: &Reader) -> Self {
+    async fn of(rig: &Rig, reader: &Reader) -> Self {
         let mut known = Self::default();
         for stored in reader.throws(ThrowRow::START, 1_000_000).await.unwrap() {
             let who = (stored.machine.machine.to_string(), stored.id.boot_id);
             known.stored.entry(who).or_default().push(stored.id.throw_no);
         }
-        for gap in reader.open_gaps(1_000_000).await.unwrap() {
-            let who = (gap.machine.machine.to_string(), gap.boot_id);
-            known.missing.entry(who).or_default().extend(gap.first_no..=gap.last_no);
+        for (machine, boot_id, numbers) in open_gaps(rig) {
+            known.missing.entry((machine, boot_id)).or_default().extend(numbers);
         }
         known
     }
@@ -97,9 +96,9 @@ async fn settle(rig: &Rig, witness: &Witness, published: &Published, what: &str)
     let reader = Reader::open(&rig.database()).await.unwrap();
     let deadline = Instant::now() + 3 * PATIENCE;
     let known = loop {
-        let known = Known::of(&reader).await;
+        let known = Known::of(rig, &reader).await;
         let behind: Vec<_> = published.iter().filter(|(who, last)| known.all(who).last() < Some(last)).collect();
-        let waiting = reader.pending(ThrowRow::START, 1).await.unwrap().len();
+        let waiting = rig.sql("SELECT 1 AS n FROM throw WHERE judged_at_us IS NULL LIMIT 1").len();
         let unpublished = reader.outbox_pending(0, 1).await.unwrap().len();
         if behind.is_empty() && waiting + unpublished == 0 {
             break known;

@@ -13,6 +13,7 @@ use std::{
 };
 
 use pointsd::{
+    bus::Questions,
     throw::ThrowRef,
     wire::{Encoding, encode_throw},
 };
@@ -27,6 +28,26 @@ fn resident_kib(process: u32) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
     line.split_whitespace().next().unwrap().parse().unwrap()
+}
+
+/// Silence would look like a daemon without data.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_query_that_finds_a_full_queue_gets_an_error() {
+    const KEY: &str = "points/v1/north/21B/health";
+    let mut config = zenoh::Config::default();
+    config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+    config.insert_json5("listen/endpoints", "[]").unwrap();
+    let session = zenoh::open(config).await.unwrap();
+    let questions = Questions::declare(&session, KEY).await.unwrap();
+    let mut queries = Vec::new();
+    for _ in 0..65 {
+        queries.push(session.get(KEY).await.unwrap());
+    }
+    let reply = tokio::time::timeout(Duration::from_secs(5), queries[64].recv_async()).await.unwrap().unwrap();
+    let error = reply.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
+    assert!(error.contains("ask again"), "{error}");
+    assert_eq!(questions.take_dropped(), 1);
+    assert!(queries[..64].iter().all(|query| query.is_empty()), "the others wait");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -58,6 +58,7 @@ async fn promtool_accepts_the_metrics_and_dashboards_and_rules_name_existing_one
         metrics.contains("\npointsd_machine_drift_percent{site=\"north\",machine=\"machine-1\",cause=\"kt\"} -"),
         "{metrics}"
     );
+    assert!(metrics.contains("\npointsd_dropped_total{kind=\"notifications\"} 0\n"), "{metrics}");
     for file in fs::read_dir(DEPLOY).unwrap() {
         let path = file.unwrap().path();
         let used = names(&fs::read_to_string(&path).unwrap());

@@ -282,6 +282,8 @@ fn post(address: &str, headers: &str, form: &str) -> Answer {
 async fn operators_act_from_the_page_with_the_token_and_from_nowhere_else() {
     let (rig, daemon, address) = history_in(Rig::with(&format!("{WEB}token = \"correct horse battery\"\n"))).await;
     assert!(get(&address, "/machines/north/21B").body.contains("<form class=\"act\" method=\"post\""));
+    let refused = ask(&address, "PUT", "/", &address);
+    assert_eq!((refused.status, refused.header("allow")), (405, Some("GET, HEAD, POST")));
     let form = |token: &str| format!("command=maintenance&hours=3&why=%3Cscript%3E&by=A.+Meyer&token={token}");
     let (good, origin) = (form("correct+horse+battery"), format!("Origin: http://{address}\r\n"));
     for (headers, form, status, says) in [

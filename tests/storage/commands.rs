@@ -4,7 +4,7 @@ use std::{path::Path, process::Command};
 
 use pointsd::store::Found;
 
-use crate::given::{judgement, open, spooled};
+use crate::given::{judge, judgement, open, spooled};
 
 fn pointsd(arguments: &[&str], database: &Path) -> (Option<i32>, String, String) {
     let output =
@@ -19,7 +19,7 @@ async fn sql_answers_in_three_forms_and_never_writes() {
     let store = open(folder.path()).await.store;
     for throw_no in 1..=2 {
         let row = spooled(&store, "21B", "b1", throw_no).await;
-        store.judge(judgement(row, "21B")).await.unwrap();
+        judge(&store, judgement(row, "21B")).await.unwrap();
     }
     let question = "SELECT throw_no, b0 + 0.25 AS b0, NULL AS none, quality, x'00ff' AS bytes FROM health_history";
     let (code, json, _) = pointsd(&["sql", "--json", question], store.path());

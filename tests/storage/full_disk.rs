@@ -2,10 +2,10 @@
 
 use std::{fs, process::Command};
 
-use pointsd::store::{DiskLevel, Settings, Spooled, Store, StoreError, ThrowRow};
+use pointsd::store::{DiskLevel, Dropped, Settings, Spooled, Store, StoreError, ThrowRow};
 
 use crate::{
-    given::{at, judgement, machine, settings, spooled, throw},
+    given::{at, judge, judgement, machine, settings, spooled, throw},
     small_disk::SmallDisk,
 };
 
@@ -62,7 +62,7 @@ async fn a_disk_filled_and_freed_loses_nothing_and_needs_no_restart() {
     disk.free();
     spooled(&store, "21B", "b1", last + 1).await;
     assert_eq!(store.disk_level(), DiskLevel::Ample);
-    store.run_housekeeping(at(0), true).await.unwrap();
+    store.keep_bounds(at(0), true).await.unwrap();
     assert!(disk.folder().join("points.db-ballast").exists(), "the ballast is back");
     assert_eq!(store.statistics().await.unwrap().missing_throws, 0);
     store.close().await.unwrap();
@@ -77,13 +77,13 @@ async fn below_the_watermark_traces_go_and_estimates_stay() {
     let mut dropped = 0;
     for throw_no in 1..=1500 {
         let row = spooled(&store, "21B", "b1", throw_no).await;
-        store.judge(judgement(row, "21B")).await.unwrap();
+        judge(&store, judgement(row, "21B")).await.unwrap();
         if throw_no % 50 == 0 {
-            dropped += store.run_housekeeping(at(0), true).await.unwrap().traces;
+            dropped += store.keep_bounds(at(0), true).await.unwrap().get(&Dropped::Traces).unwrap_or(&0);
         }
     }
     let statistics = store.statistics().await.unwrap();
-    assert!(dropped > 0 || statistics.counters["dropped_traces"] > 0, "{statistics:?}");
+    assert!(dropped > 0 || statistics.counters()["dropped_traces"] > 0, "{statistics:?}");
     assert_eq!(statistics.failed_writes, 0, "the watermark acts before the disk is full");
     let estimates: Vec<(i64,)> = crate::given::query(&store, "SELECT count(*) FROM health_history").await;
     assert_eq!(estimates, [(1500,)]);

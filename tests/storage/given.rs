@@ -7,7 +7,7 @@ use nalgebra::Matrix3;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Drifting, LimitForecast, MachineState, Severity},
     estimate::{Estimate, Features, Grade, Identification},
-    store::{Judgement, MonitorRecord, Opened, Outcome, Settings, Spooled, Store, ThrowRow},
+    store::{Judgement, MonitorRecord, Opened, Outcome, Settings, Spooled, Store, StoreError, ThrowRow},
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
     wire::Health,
 };
@@ -106,6 +106,21 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
         baselines: Vec::new(),
         outcome: outcome(name, Vec::new()),
     }
+}
+
+/// Stores a judgement; false if its throw was judged before.
+pub(crate) async fn judge(store: &Store, judgement: Judgement) -> Result<bool, StoreError> {
+    Ok(store.judge_all([judgement].into()).await? == [true])
+}
+
+/// Number of pending throws.
+pub(crate) async fn pending(store: &Store) -> u64 {
+    store.statistics().await.unwrap().pending
+}
+
+/// Boot, first and last number of the open gaps, oldest first.
+pub(crate) async fn gaps(store: &Store) -> Vec<(String, i64, i64)> {
+    query(store, "SELECT boot_id, first_throw_no, last_throw_no FROM data_gaps WHERE filled_at IS NULL").await
 }
 
 /// Outcome of a machine with these alarm events.

@@ -3,12 +3,12 @@
 use jiff::Timestamp;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, MachineState},
-    store::{Found, Judgement, OutboxRow, Selector, StoredMonitor, ThrowRow},
+    store::{Found, Judgement, OutboxRow, Selector, StoredMonitor},
     wire::{Alarm, alarm_id},
 };
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
-use crate::given::{alarm, at, event, judgement, machine, open, outcome, query, spooled};
+use crate::given::{alarm, at, event, judge, judgement, machine, open, outcome, pending, query, spooled};
 
 #[tokio::test]
 async fn a_judgement_is_written_once_and_the_views_show_it() {
@@ -16,9 +16,9 @@ async fn a_judgement_is_written_once_and_the_views_show_it() {
     let store = open(folder.path()).await.store;
     let row = spooled(&store, "21B", "b1", 1).await;
     let judged = Judgement { outcome: alarm(1, AlarmState::ActiveUnacknowledged), ..judgement(row, "21B") };
-    assert!(store.judge(judged.clone()).await.unwrap());
-    assert!(!store.judge(judged).await.unwrap(), "written twice");
-    assert!(store.reader().pending(ThrowRow::START, 10).await.unwrap().is_empty());
+    assert!(judge(&store, judged.clone()).await.unwrap());
+    assert!(!judge(&store, judged).await.unwrap(), "written twice");
+    assert_eq!(pending(&store).await, 0);
     assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap().len(), 1);
 
     let health: Vec<(String, String, f64, f64, f64, i64, f64)> = query(
@@ -79,7 +79,7 @@ async fn a_throw_that_was_not_evaluated_shows_with_its_reason() {
     "no_movement".clone_into(&mut refused.health.quality);
     refused.health.detail = Some("the toe did not move".to_owned());
     (refused.health.coefficients, refused.health.change_pct) = (None, None);
-    store.judge(refused).await.unwrap();
+    judge(&store, refused).await.unwrap();
     let seen: Vec<(String, String)> = query(&store, "SELECT quality, detail FROM throws_not_evaluated").await;
     assert_eq!(seen, [("no_movement".to_owned(), "the toe did not move".to_owned())]);
     let [health] = &store.reader().latest_health(&Selector::default()).await.unwrap()[..] else { panic!() };
@@ -126,7 +126,7 @@ async fn a_restart_finds_snapshots_and_what_waits() {
     let first = spooled(&opened.store, "21B", "b1", 1).await;
     let second = spooled(&opened.store, "21B", "b1", 2).await;
     let outcome = alarm(1, AlarmState::ActiveUnacknowledged);
-    opened.store.judge(Judgement { outcome, ..judgement(first, "21B") }).await.unwrap();
+    judge(&opened.store, Judgement { outcome, ..judgement(first, "21B") }).await.unwrap();
     opened.store.close().await.unwrap();
 
     let opened = open(folder.path()).await;
@@ -135,9 +135,8 @@ async fn a_restart_finds_snapshots_and_what_waits() {
     let snapshot = "{\"events\":1}".to_owned();
     let state = Some(MachineState::Warning);
     assert_eq!(reader.monitors(None, 10).await.unwrap(), [StoredMonitor { machine: machine("21B"), snapshot, state }]);
-    let pending = reader.pending(ThrowRow::START, 10).await.unwrap();
-    assert_eq!(pending.iter().map(|throw| throw.row).collect::<Vec<_>>(), [second]);
-    assert!(reader.pending(second, 10).await.unwrap().is_empty());
+    let (waiting, _) = reader.to_judge(None, 10, at(0), std::time::Duration::ZERO).await.unwrap();
+    assert_eq!(waiting.iter().map(|throw| throw.row).collect::<Vec<_>>(), [second]);
     for (since, rows) in [(at(0), 1), (at(61), 0), (jiff::Timestamp::UNIX_EPOCH, 1)] {
         let history = reader.health_history(&Selector::default(), since, 5).await.unwrap();
         assert_eq!(history.len(), rows, "since {since}");
@@ -186,7 +185,7 @@ async fn the_alarm_of_a_throw_that_was_deleted_meanwhile_is_not_lost() {
         SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(store.path())).await.unwrap();
     sqlx::query("DELETE FROM throw").execute(&mut connection).await.unwrap();
     let outcome = alarm(1, AlarmState::ActiveUnacknowledged);
-    assert!(store.judge(Judgement { outcome, ..judgement(row, "21B") }).await.unwrap());
+    assert!(judge(&store, Judgement { outcome, ..judgement(row, "21B") }).await.unwrap());
     assert_eq!(store.reader().open_alarms(&Selector::default()).await.unwrap().len(), 1);
     assert_eq!(store.reader().outbox_pending(0, 10).await.unwrap().len(), 1);
     assert_eq!(store.reader().monitors(None, 10).await.unwrap().len(), 1);
@@ -200,7 +199,7 @@ async fn the_latest_throw_is_the_last_of_the_machine_and_not_the_last_that_arriv
     let live = [spooled(&store, "21B", "b1", 1).await, spooled(&store, "21B", "b1", 6).await];
     let backlog = [spooled(&store, "21B", "b1", 4).await, spooled(&store, "21B", "b1", 5).await];
     for row in [live[0], backlog[0], backlog[1], live[1]] {
-        store.judge(judgement(row, "21B")).await.unwrap();
+        judge(&store, judgement(row, "21B")).await.unwrap();
     }
     assert_eq!(query::<(i64,)>(&store, "SELECT throw_no FROM machine_health").await, [(6,)]);
 }
@@ -211,7 +210,7 @@ async fn pending_throws_take_no_place_in_a_limited_history() {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path()).await.store;
     let row = spooled(&store, "21B", "b1", 1).await;
-    store.judge(judgement(row, "21B")).await.unwrap();
+    judge(&store, judgement(row, "21B")).await.unwrap();
     spooled(&store, "21B", "b1", 3).await;
     let one = Selector { machine: "21B".to_owned(), ..Selector::default() };
     assert_eq!(store.reader().health_history(&one, Timestamp::UNIX_EPOCH, 1).await.unwrap().len(), 1);

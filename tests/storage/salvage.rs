@@ -10,7 +10,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
-use crate::given::{alarm, at, event, judgement, machine, open, outcome, settings, spooled};
+use crate::given::{alarm, at, event, judge, judgement, machine, open, outcome, settings, spooled};
 
 const PAGE: u64 = 4096;
 const MACHINES: [&str; 10] = ["21B", "22", "23", "24", "25", "26", "27", "28", "29", "30"];
@@ -26,7 +26,7 @@ async fn database(folder: &Path) {
             let monitor = MonitorRecord { snapshot, ..alarm(1, AlarmState::ActiveUnacknowledged).monitor.unwrap() };
             let events = if throw_no == 80 { vec![event(1, AlarmState::ActiveUnacknowledged)] } else { Vec::new() };
             let outcome = Outcome { monitor: Some(monitor), ..outcome(name, events) };
-            assert!(store.judge(Judgement { outcome, ..judgement(row, name) }).await.unwrap());
+            assert!(judge(&store, Judgement { outcome, ..judgement(row, name) }).await.unwrap());
         }
     }
     store.close().await.unwrap();
@@ -112,7 +112,7 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
     let store = open(folder.path()).await.store;
     for throw_no in 1..=200 {
         let row = spooled(&store, "21B", "b1", throw_no).await;
-        store.judge(judgement(row, "21B")).await.unwrap();
+        judge(&store, judgement(row, "21B")).await.unwrap();
     }
     store.record(alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
     let options = SqliteConnectOptions::new().filename(store.path()).read_only(true);
@@ -140,6 +140,31 @@ async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
     // A stored throw is still a repetition.
     let again = store.spool(&machine("21B"), &crate::given::throw("b1", 7), at(0)).await.unwrap();
     assert_eq!(again, pointsd::store::Spooled::Duplicate);
+}
+
+/// A kill or a full disk during the copy: the file is renamed, and there is no new database yet.
+#[tokio::test]
+async fn an_interrupted_salvage_begins_again_at_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    database(folder.path()).await;
+    let path = folder.path().join("points.db");
+    break_pages(&path, 3, 7);
+    fs::rename(&path, folder.path().join("points.db-broken-20260301T060000Z")).unwrap();
+    fs::write(folder.path().join("points.db-salvage"), "the start of a copy").unwrap();
+    fs::write(folder.path().join("points.db-salvage-wal"), "and its log").unwrap();
+
+    let (store, salvaged) = salvaged(folder.path()).await;
+    assert!(salvaged.saved("monitor") >= 7 && salvaged.saved("throw") >= 900, "{salvaged:?}");
+    let (_, said) = store.trouble(None).unwrap();
+    assert!(said.contains("points.db-broken-20260301T060000Z") && said.contains("baselines"), "{said}");
+    store.close().await.unwrap();
+    let opened = open(folder.path()).await;
+    assert_eq!(opened.report.found, Found::Clean, "the copy is complete");
+    let monitors = opened.store.reader().monitors(None, 100).await.unwrap().len();
+    assert_eq!(monitors as u64, salvaged.saved("monitor"));
+    let names = fs::read_dir(folder.path()).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap());
+    let names: Vec<String> = names.filter(|name| name.contains("salvage")).collect();
+    assert!(names.is_empty(), "{names:?}");
 }
 
 /// The first page holds the beginning of the schema: without it SQLite reads no table.

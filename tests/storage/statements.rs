@@ -3,7 +3,7 @@
 use pointsd::store::{Selector, statements};
 use sqlx::{Column, Connection, Executor, Row, SqlSafeStr, SqliteConnection};
 
-use crate::given::{at, judgement, open, spooled};
+use crate::given::{at, judge, judgement, open, spooled};
 
 #[tokio::test]
 async fn every_statement_prepares_against_the_migrated_schema() {
@@ -28,7 +28,7 @@ async fn the_statements_of_every_throw_find_their_rows_by_index() {
     let store = open(folder.path()).await.store;
     for throw_no in 1..=50 {
         let row = spooled(&store, "21B", "b1", throw_no).await;
-        store.judge(judgement(row, "21B")).await.unwrap();
+        judge(&store, judgement(row, "21B")).await.unwrap();
     }
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path()).read_only(true);
     let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
@@ -81,7 +81,7 @@ async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
     for throw_no in 1..=6 {
         for name in ["21B", "22A"] {
             let row = spooled(&store, name, "b1", throw_no).await;
-            store.judge(judgement(row, name)).await.unwrap();
+            judge(&store, judgement(row, name)).await.unwrap();
         }
     }
     let numbers = async |which: &Selector, since, limit| {
@@ -109,7 +109,7 @@ async fn the_views_of_alarms_show_the_channel_of_a_sensor() {
     let folder = tempfile::tempdir().unwrap();
     let store = open(folder.path()).await.store;
     let row = spooled(&store, "21B", "b1", 1).await;
-    store.judge(judgement(row, "21B")).await.unwrap();
+    judge(&store, judgement(row, "21B")).await.unwrap();
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path());
     let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
     for statement in [

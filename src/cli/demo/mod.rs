@@ -19,12 +19,12 @@ use super::{
 use crate::{
     bus,
     daemon::{
-        Daemon, Ended, clock,
+        Daemon, TaskEnded, clock,
         config::{Config, Document, client_session},
     },
     logger::{Logger, LoggerSettings},
     simulate::{Fault, FleetFault, FleetSettings, Shape},
-    web::{self, Place},
+    web::{self, Listening},
 };
 use injected::{Injected, MACHINES};
 use screen::Screen;
@@ -66,10 +66,10 @@ async fn demo(arguments: &Arguments) -> Outcome {
     let mut signals = Signals::listen()?;
     let folder = Folder::make(arguments)?;
     let database = folder.database();
-    let place = Place::bind((Ipv4Addr::LOCALHOST, 0).into()).await.or_exit(Exit::Unavailable)?;
-    let url = place.url();
+    let listening = Listening::bind((Ipv4Addr::LOCALHOST, 0).into()).await.or_exit(Exit::Unavailable)?;
+    let url = listening.url();
     let mut daemon = Daemon::start(config(&database)?).await.map_err(start_failure)?;
-    daemon.adopt("the dashboard", web::serve(place, daemon.view()));
+    daemon.adopt("the dashboard", web::serve(listening, daemon.view()));
     let endpoint = daemon.locators().await.into_iter().next().unwrap_or_default();
     output::line(format_args!(
         "The daemon listens on {endpoint}; {} simulated point machines publish.\n\
@@ -129,7 +129,7 @@ async fn demo(arguments: &Arguments) -> Outcome {
     Ok(if right { Exit::Ok } else { Exit::Negative })
 }
 
-fn died(Ended(task): Ended) -> Failure {
+fn died(TaskEnded(task): TaskEnded) -> Failure {
     Failure { exit: Exit::Software, error: anyhow::anyhow!("{task} ended unexpectedly") }
 }
 

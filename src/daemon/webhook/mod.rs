@@ -25,7 +25,7 @@ use crate::{
     throw::MachineId,
     wire::{self, Alarm},
 };
-use post::{PostError, Receiver};
+use post::{PostError, WebhookServer};
 use summary::Summary;
 
 /// Pause after the first failed attempt; it doubles with each further one.
@@ -43,7 +43,7 @@ const ALL: u32 = 10_000;
 pub(super) struct Notifier {
     store: Store,
     settings: Webhook,
-    receiver: Receiver,
+    server: WebhookServer,
     monitor: MachineId,
     status: Arc<Status>,
     /// Notified when the outbox has a new message.
@@ -74,11 +74,11 @@ impl Notifier {
         status: Arc<Status>,
         outbox: Arc<Notify>,
     ) -> Result<Option<Self>, StartError> {
-        let receiver = Receiver::new(&config.webhook).map_err(StartError::Webhook)?;
-        store.set_webhook(receiver.is_some()).await?;
+        let server = WebhookServer::new(&config.webhook).map_err(StartError::Webhook)?;
+        store.set_webhook(server.is_some()).await?;
         let (settings, monitor) = (config.webhook.clone(), config.monitor.as_machine());
         let (period, sent) = (Duration::from_secs_f64(settings.period_s), (clock::monotonic(), 0));
-        Ok(receiver.map(|receiver| Self { store, settings, receiver, monitor, status, outbox, period, sent }))
+        Ok(server.map(|server| Self { store, settings, server, monitor, status, outbox, period, sent }))
     }
 
     /// Runs until the future is dropped.
@@ -153,7 +153,7 @@ impl Notifier {
         let mut pause = FIRST_PAUSE;
         loop {
             self.beat();
-            match self.receiver.post(message.body.clone()).await {
+            match self.server.post(message.body.clone()).await {
                 Ok(()) => break,
                 Err(error @ PostError::Refused(_)) => {
                     let body = String::from_utf8_lossy(&message.body);

@@ -45,7 +45,7 @@ const fn redirect_hint(status: StatusCode) -> &'static str {
 }
 
 /// The receiver.
-pub(super) struct Receiver {
+pub(super) struct WebhookServer {
     uri: Uri,
     host: String,
     port: u16,
@@ -54,7 +54,7 @@ pub(super) struct Receiver {
     tls: Option<(TlsConnector, ServerName<'static>)>,
 }
 
-impl Receiver {
+impl WebhookServer {
     /// The receiver of a checked configuration; `None` without an address.
     ///
     /// # Errors

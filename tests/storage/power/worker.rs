@@ -134,7 +134,7 @@ async fn spool(store: &Store, name: &str, throw_no: u64) -> Option<Option<ThrowR
 
 async fn judge(store: &Store, judged: &Judgement) -> bool {
     for _ in 0..TRIES {
-        if store.judge(judged.clone()).await.is_ok() {
+        if store.judge_all([judged.clone()].into()).await.is_ok() {
             return true;
         }
     }

@@ -3,7 +3,7 @@
 //! After any failed transaction the connection is closed and a new one opened: SQLite may have rolled back by itself,
 //! and the result of a failed commit is unknown. Then the group is written once more, as every write is idempotent.
 
-use std::{sync::Arc, time::Duration};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 use tokio::time::Instant;
@@ -11,8 +11,8 @@ use tokio::time::Instant;
 use super::{
     disk::Disk,
     error::{StoreError, is_corrupt, is_full, is_refused},
+    files::{DatabaseFiles, Identity},
     pace::seldom,
-    place::{Identity, Place},
     reader::Reader,
     statements as sql,
     write::Job,
@@ -22,28 +22,15 @@ use super::{
 /// within 6 s.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// A failed transaction.
-enum Failed {
-    /// The error came before or after the jobs.
-    Around(sqlx::Error),
-    /// The error came from a job.
-    Within(sqlx::Error),
-}
-
-impl Failed {
-    const fn error(&self) -> &sqlx::Error {
-        match self {
-            Self::Around(error) | Self::Within(error) => error,
-        }
-    }
-}
+/// Instructions of SQLite's virtual machine in one step of a copy: some hundred rows.
+const COPY_STEPS: i32 = 1_000;
 
 /// The writing connection.
-pub(super) struct Link {
+pub(super) struct WritingConnection {
     pub(super) options: SqliteConnectOptions,
     pub(super) connection: Option<SqliteConnection>,
     pub(super) disk: Arc<Disk>,
-    pub(super) place: Place,
+    pub(super) files: DatabaseFiles,
     pub(super) reader: Reader,
     /// Whether SQLite found the file broken; the next start sets it aside.
     pub(super) broken: bool,
@@ -55,7 +42,7 @@ pub(super) struct Link {
     pub(super) log_bound: u64,
 }
 
-impl Link {
+impl WritingConnection {
     /// Commits the jobs in one transaction and answers each.
     pub(super) async fn commit(&mut self, mut jobs: Vec<Box<dyn Job>>) {
         if jobs.is_empty() {
@@ -66,13 +53,13 @@ impl Link {
             self.notice_replaced_files().await;
             return self.bound_log().await;
         };
-        self.recover(first.error()).await;
+        self.recover(&first).await;
         match self.transaction(&mut jobs, true).await {
             Ok(()) => answer(jobs, || Ok(())),
-            Err(Failed::Within(error)) if is_refused(&error) && jobs.len() > 1 => self.commit_one_by_one(jobs).await,
-            Err(failed) => {
-                self.recover(failed.error()).await;
-                answer(jobs, || Err(store_error(failed.error())));
+            Err(error) if is_refused(&error) && jobs.len() > 1 => self.commit_one_by_one(jobs).await,
+            Err(error) => {
+                self.recover(&error).await;
+                answer(jobs, || Err(store_error(&error)));
             }
         }
     }
@@ -82,21 +69,21 @@ impl Link {
         for job in jobs {
             let mut alone = [job];
             let outcome = self.transaction(&mut alone, true).await;
-            if let Err(failed) = &outcome {
-                self.recover(failed.error()).await;
+            if let Err(error) = &outcome {
+                self.recover(error).await;
             }
             let [job] = alone;
-            job.answer(outcome.map_err(|failed| store_error(failed.error())));
+            job.answer(outcome.map_err(|error| store_error(&error)));
         }
     }
 
-    async fn transaction(&mut self, jobs: &mut [Box<dyn Job>], repeated: bool) -> Result<(), Failed> {
-        let connection = self.connected().await.map_err(Failed::Around)?;
-        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await.map_err(Failed::Around)?;
+    async fn transaction(&mut self, jobs: &mut [Box<dyn Job>], repeated: bool) -> sqlx::Result<()> {
+        let connection = self.connected().await?;
+        sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
         for job in jobs {
-            job.run(connection, repeated).await.map_err(Failed::Within)?;
+            job.run(connection, repeated).await?;
         }
-        sqlx::query("COMMIT").execute(connection).await.map_err(Failed::Around)?;
+        sqlx::query("COMMIT").execute(connection).await?;
         self.disk.note_success();
         Ok(())
     }
@@ -131,13 +118,13 @@ impl Link {
             return;
         }
         self.looked = Some(Instant::now());
-        let now = self.place.identity();
+        let now = self.files.identity();
         let known = *self.identity.get_or_insert(now);
         if now == known {
             return;
         }
         tracing::error!(?known, ?now, "the database was DELETED OR REPLACED: writing it again");
-        let outcome = match self.place.set_strangers_aside() {
+        let outcome = match self.files.set_strangers_aside() {
             Ok(()) => self.move_database("its files were deleted or replaced").await,
             Err(error) => Err(error),
         };
@@ -149,7 +136,7 @@ impl Link {
 
     /// Bounds the log, which grows while a reader holds an old state.
     async fn bound_log(&mut self) {
-        let log = self.place.log_bytes();
+        let log = self.files.log_bytes();
         if log < self.log_bound {
             return;
         }
@@ -158,7 +145,7 @@ impl Link {
             Ok(false) => {}
             Err(error) => return self.recover(&error).await,
         }
-        let (room, needed) = (self.disk.free_bytes().unwrap_or(u64::MAX), self.place.copy_bytes());
+        let (room, needed) = (self.disk.free_bytes().unwrap_or(u64::MAX), self.files.copy_bytes());
         if room < needed {
             tracing::error!(
                 log,
@@ -179,10 +166,10 @@ impl Link {
     /// After a failed move: opens the configured path again for writer and readers, and removes the unfinished copy.
     async fn reopen_path(&mut self) {
         self.disconnect().await;
-        if let Err(error) = self.reader.reopen(self.place.path()).await {
+        if let Err(error) = self.reader.reopen(self.files.path()).await {
             tracing::error!(%error, "reopening the readers failed: they keep their file");
         }
-        if let Err(error) = self.place.next() {
+        if let Err(error) = self.files.next() {
             tracing::warn!(%error, "removing an unfinished copy of the database failed");
         }
     }
@@ -198,17 +185,32 @@ impl Link {
     }
 
     async fn move_database(&mut self, why: &str) -> Result<(), StoreError> {
-        let copy = self.place.next()?;
-        let connection = self.connected().await.map_err(|error| store_error(&error))?;
-        let vacuum = sqlx::query("VACUUM INTO ?1").bind(copy.to_string_lossy());
-        vacuum.execute(connection).await.map_err(|error| store_error(&error))?;
-        self.place.switch(&copy)?;
+        let copy = self.files.next()?;
+        tracing::warn!(to = %copy.display(), why, "copying the database to a new file: writes wait");
+        self.copy_to(&copy).await.map_err(|error| store_error(&error))?;
+        self.files.switch(&copy)?;
         self.identity = None;
         self.disconnect().await;
         self.connected().await.map_err(|error| store_error(&error))?;
-        self.reader.reopen(self.place.path()).await.map_err(|error| store_error(&error))?;
+        self.reader.reopen(self.files.path()).await.map_err(|error| store_error(&error))?;
         tracing::warn!(to = %copy.display(), why, "the database moved to a new file");
         Ok(())
+    }
+
+    /// Copies the database into a new file. This takes minutes for some GiB on flash, so each step is recorded: a copy that
+    /// makes progress is no hang.
+    async fn copy_to(&mut self, copy: &Path) -> sqlx::Result<()> {
+        let disk = Arc::clone(&self.disk);
+        let note_step = move || {
+            disk.note_copying();
+            true
+        };
+        let connection = self.connected().await?;
+        connection.lock_handle().await?.set_progress_handler(COPY_STEPS, note_step);
+        let vacuum = sqlx::query("VACUUM INTO ?1").bind(copy.to_string_lossy());
+        let copied = vacuum.execute(&mut *connection).await;
+        connection.lock_handle().await?.remove_progress_handler();
+        copied.map(drop)
     }
 
     /// Marks a clean stop and closes the files. A broken database is not marked, so that the next start checks it.

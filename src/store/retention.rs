@@ -12,7 +12,8 @@ use jiff::{SignedDuration, Timestamp};
 use sqlx::SqliteConnection;
 
 use super::{
-    database::Store, disk::DiskLevel, error::StoreError, settings::MIB, spool::count, statements as sql, write::Write,
+    database::Store, disk::DiskLevel, error::StoreError, settings::MIB, spool::count, statements as sql,
+    statistics::Statistics, write::Write,
 };
 
 /// Rows dropped in one transaction: some tens of milliseconds of work.
@@ -21,27 +22,32 @@ const BATCH: u64 = 1024;
 const ROUNDS: usize = 256;
 /// Pages returned to the disk in one transaction.
 const PAGES: u64 = 512;
+/// Size of a page \[bytes\].
+const PAGE: u64 = 4096;
 /// Largest outbox \[messages\]: ten years of a cabinet's alarms.
 const OUTBOX: u64 = 100_000;
 
 /// Drops throws: boots remember up to which number, so that a repeat is not stored again.
 const THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROWS, sql::DROP_EMPTY_BOOTS];
 
-/// Rows dropped by a call of [`Store::run_housekeeping`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Housekeeping {
-    /// Dropped traces.
-    pub traces: u64,
-    /// Dropped throws with their estimates.
-    pub throws: u64,
-    /// Throws dropped before they were judged.
-    pub pending: u64,
-    /// Dropped closed alarms with their events.
-    pub alarms: u64,
-    /// Dropped messages of the outbox, the oldest.
-    pub messages: u64,
-    /// Pages returned to a disk with little space.
-    pub pages: u64,
+/// What is dropped to keep the database within its bounds. The word, after `dropped_`, names a counter in the database.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::AsRefStr, strum::VariantArray)]
+#[strum(serialize_all = "snake_case")]
+pub enum Dropped {
+    /// Traces.
+    Traces,
+    /// Judged throws with their estimates.
+    Throws,
+    /// Throws that were not judged yet.
+    PendingThrows,
+    /// Closed alarms with their events.
+    Alarms,
+    /// Messages of the outbox, the oldest: alarm events that were never published.
+    Messages,
+    /// Alarm events that the webhook had not accepted, by a trigger.
+    Notifications,
+    /// Free pages of the file, returned to a disk with little space.
+    Pages,
 }
 
 /// The bounded quantity, by which machines are compared.
@@ -95,30 +101,30 @@ impl Kind {
     }
 
     /// Drops up to this number of rows; returns how many there were.
-    async fn drop(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<u64> {
-        let (statements, counter): (&[&'static str], _) = match self {
-            Self::Traces(_) => (&[sql::DROP_TRACES, sql::TRACES_FROM], "dropped_traces"),
-            Self::TracesBefore(_) => (&[sql::DROP_TRACES], "dropped_traces"),
-            Self::Throws(_) => (THROWS, "dropped_throws"),
-            Self::Pending(_) => (THROWS, "dropped_pending_throws"),
-            Self::Alarms => (&[sql::DROP_ALARMS], "dropped_alarms"),
-            Self::Messages => (&[sql::DROP_MESSAGES], "dropped_messages"),
+    async fn drop(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<(Dropped, u64)> {
+        let (what, statements): (_, &[&'static str]) = match self {
+            Self::Traces(_) => (Dropped::Traces, &[sql::DROP_TRACES, sql::TRACES_FROM]),
+            Self::TracesBefore(_) => (Dropped::Traces, &[sql::DROP_TRACES]),
+            Self::Throws(_) => (Dropped::Throws, THROWS),
+            Self::Pending(_) => (Dropped::PendingThrows, THROWS),
+            Self::Alarms => (Dropped::Alarms, &[sql::DROP_ALARMS]),
+            Self::Messages => (Dropped::Messages, &[sql::DROP_MESSAGES]),
             Self::Pages => {
-                sqlx::query("PRAGMA incremental_vacuum(512)").execute(connection).await?;
-                return Ok(PAGES);
+                sqlx::query("PRAGMA incremental_vacuum(512)").execute(&mut *connection).await?;
+                count(connection, "dropped_pages", PAGES.cast_signed()).await?;
+                return Ok((Dropped::Pages, PAGES));
             }
         };
         let chosen = self.choose(connection, rows).await?;
-        if chosen.is_empty() {
-            return Ok(0);
-        }
-        let list = serde_json::Value::from(chosen.as_slice()).to_string();
-        for statement in statements {
-            sqlx::query(*statement).bind(&list).execute(&mut *connection).await?;
-        }
         let dropped = chosen.len() as u64;
-        count(connection, counter, dropped.cast_signed()).await?;
-        Ok(dropped)
+        if dropped > 0 {
+            let list = serde_json::Value::from(chosen.as_slice()).to_string();
+            for statement in statements {
+                sqlx::query(*statement).bind(&list).execute(&mut *connection).await?;
+            }
+            count(connection, &format!("dropped_{}", what.as_ref()), dropped.cast_signed()).await?;
+        }
+        Ok((what, dropped))
     }
 }
 
@@ -174,26 +180,21 @@ fn shares(holdings: Vec<Holding>, rows: u64) -> BTreeMap<i64, u64> {
 }
 
 /// A transaction that drops up to `rows` rows, of a later kind only as far as the earlier ones have too few.
-struct Drop {
+struct DropRows {
     kinds: Vec<Kind>,
     rows: u64,
 }
 
-impl Write for Drop {
-    type Output = Housekeeping;
+impl Write for DropRows {
+    type Output = BTreeMap<Dropped, u64>;
 
-    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<Housekeeping> {
-        let mut done = Housekeeping::default();
+    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<Self::Output> {
+        let mut done = BTreeMap::new();
         let mut rest = self.rows;
         for kind in &self.kinds {
-            let dropped = kind.drop(connection, rest).await?;
-            match kind {
-                Kind::Traces(_) | Kind::TracesBefore(_) => done.traces += dropped,
-                Kind::Throws(_) => done.throws += dropped,
-                Kind::Pending(_) => done.pending += dropped,
-                Kind::Alarms => done.alarms += dropped,
-                Kind::Messages => done.messages += dropped,
-                Kind::Pages => done.pages += dropped,
+            let (what, dropped) = kind.drop(connection, rest).await?;
+            if dropped > 0 {
+                *done.entry(what).or_default() += dropped;
             }
             rest = rest.saturating_sub(dropped);
             if rest == 0 {
@@ -204,91 +205,74 @@ impl Write for Drop {
     }
 }
 
-/// The figures that are compared with the bounds.
-#[derive(sqlx::FromRow)]
-struct Figures {
-    traces: i64,
-    throws: i64,
-    closed_alarms: i64,
-    messages: i64,
-    page_size: i64,
-    pages: i64,
-    free_pages: i64,
-}
-
 impl Store {
-    /// Brings the database within its bounds and restores the ballast. Called every few seconds; the work of a call is
-    /// bounded. `clock_trusted` tells whether `now` is correct.
+    /// Brings the database within its bounds and restores the ballast; returns the number of dropped rows. Called every
+    /// few seconds; the work of a call is bounded. `clock_trusted` tells whether `now` is correct.
     ///
     /// # Errors
     /// When the database cannot be read or written.
-    pub async fn run_housekeeping(&self, now: Timestamp, clock_trusted: bool) -> Result<Housekeeping, StoreError> {
-        let mut done = Housekeeping::default();
+    pub async fn keep_bounds(&self, now: Timestamp, clock_trusted: bool) -> Result<BTreeMap<Dropped, u64>, StoreError> {
+        let mut done = BTreeMap::new();
         for _ in 0..ROUNDS {
-            let mut round = Housekeeping::default();
+            let mut round = BTreeMap::new();
             // A bound that cannot be met must not keep the others from being met.
             for drop in self.excess(now, clock_trusted).await? {
                 round = self.writer.write(drop).await?;
-                if round != Housekeeping::default() {
+                if !round.is_empty() {
                     break;
                 }
             }
-            if round == Housekeeping::default() {
+            if round.is_empty() {
                 break;
             }
-            self.disk.dropped_pending.add(round.pending);
-            done.traces += round.traces;
-            done.throws += round.throws;
-            done.pending += round.pending;
-            done.alarms += round.alarms;
-            done.messages += round.messages;
-            done.pages += round.pages;
+            for (what, rows) in round {
+                *done.entry(what).or_default() += rows;
+            }
         }
         self.disk.restore_ballast()?;
         Ok(done)
     }
 
     /// What to drop next, the least valuable first; empty within all bounds.
-    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<Drop>, StoreError> {
+    async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<DropRows>, StoreError> {
         let mut due = Vec::new();
         let settings = &self.settings;
         let figures = sqlx::query_as(sql::FIGURES);
-        let figures: Figures = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
-        let free_bytes = figures.free_pages * figures.page_size;
-        let data_bytes = (figures.pages * figures.page_size).saturating_sub(free_bytes).cast_unsigned();
-        let room_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(free_bytes.cast_unsigned());
-        let excess = data_bytes.saturating_sub(settings.max_size_mib * MIB);
+        let figures: Statistics = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
+        self.disk.note_dropped(&figures.counters());
+        let room_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(figures.free_bytes);
+        let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
         let missing = (settings.low_disk_mib * MIB).saturating_sub(room_bytes);
         if excess > 0 || missing > 0 {
             // The number of rows follows from the mean size of a throw with its trace.
-            let each = (data_bytes / figures.traces.max(1).cast_unsigned()).max(1);
+            let each = (figures.data_bytes / figures.traces.max(1)).max(1);
             let rows = (excess.max(missing) / each + 1).min(BATCH);
             let mut kinds = vec![Kind::Traces(Bound::TraceBytes)];
             // A disk that others fill costs traces only.
             if excess > 0 {
                 kinds.extend([Kind::Throws(Bound::Bytes), Kind::Pending(Bound::Bytes), Kind::Alarms]);
             }
-            due.push(Drop { kinds, rows });
+            due.push(DropRows { kinds, rows });
         }
         let counts = [
             (figures.traces, settings.max_traces, vec![Kind::Traces(Bound::Traces), Kind::Pending(Bound::Traces)]),
             (figures.throws, settings.max_throws, vec![Kind::Throws(Bound::Throws), Kind::Pending(Bound::Throws)]),
             (figures.closed_alarms, settings.max_alarms, vec![Kind::Alarms]),
-            (figures.messages, OUTBOX, vec![Kind::Messages]),
+            (figures.outbox, OUTBOX, vec![Kind::Messages]),
         ];
         for (count, most, kinds) in counts {
-            let rows = count.cast_unsigned().saturating_sub(most).min(BATCH);
+            let rows = count.saturating_sub(most).min(BATCH);
             if rows > 0 {
-                due.push(Drop { kinds, rows });
+                due.push(DropRows { kinds, rows });
             }
         }
         let before_us = (now - SignedDuration::from_hours(24 * i64::from(settings.trace_days))).as_microsecond();
         if clock_trusted && self.oldest_trace_us().await?.is_some_and(|oldest| oldest < before_us) {
-            due.push(Drop { kinds: vec![Kind::TracesBefore(before_us)], rows: BATCH });
+            due.push(DropRows { kinds: vec![Kind::TracesBefore(before_us)], rows: BATCH });
         }
         let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
-        if disk_low && figures.free_pages.cast_unsigned() > PAGES {
-            due.push(Drop { kinds: vec![Kind::Pages], rows: PAGES });
+        if disk_low && figures.free_bytes > PAGES * PAGE {
+            due.push(DropRows { kinds: vec![Kind::Pages], rows: PAGES });
         }
         Ok(due)
     }

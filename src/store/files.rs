@@ -15,7 +15,11 @@ use std::{
 
 use jiff::Timestamp;
 
-use super::{disk::beside, error::StoreError};
+use super::{
+    disk::beside,
+    error::StoreError,
+    graft::{GRAFTED, LAYOUT},
+};
 
 /// Suffixes of the files of one database; the database itself is last.
 const SUFFIXES: [&str; 3] = ["-wal", "-shm", ""];
@@ -24,9 +28,12 @@ const BROKEN: &str = "-broken-";
 /// Suffix of the text file with the summary of the saved rows.
 const SAVED: &str = "-saved.txt";
 
+/// Suffix of the unfinished copy of the readable rows of a broken database.
+const SALVAGE: &str = "-salvage";
+
 /// The configured path of the database.
 #[derive(Debug, Clone)]
-pub(super) struct Place {
+pub(super) struct DatabaseFiles {
     path: PathBuf,
 }
 
@@ -37,7 +44,7 @@ pub(super) struct Identity {
     pub(super) log: Option<(u64, u64)>,
 }
 
-impl Place {
+impl DatabaseFiles {
     pub(super) fn new(path: &Path) -> Self {
         Self { path: path.to_owned() }
     }
@@ -131,6 +138,7 @@ impl Place {
         if !self.path.exists() {
             return Ok(());
         }
+        self.salvage_path()?;
         let current = self.current();
         (1..=2).filter(|&number| number != current).try_for_each(|number| remove(&self.number(number)))
     }
@@ -165,6 +173,19 @@ impl Place {
         Ok(to)
     }
 
+    /// Path of the copy of the readable rows of a broken database; removes a file there.
+    pub(super) fn salvage_path(&self) -> Result<PathBuf, StoreError> {
+        let copy = beside(&self.path, SALVAGE);
+        remove(&copy).map(|()| copy)
+    }
+
+    /// Gives a complete and closed copy the configured path.
+    pub(super) fn adopt(&self, copy: &Path) -> Result<(), StoreError> {
+        rename(copy, &self.path)?;
+        let path = self.path.clone();
+        self.sync_folder().map_err(|source| StoreError::File { action: "sync the folder of", path, source })
+    }
+
     /// Writes a summary of the saved rows next to a database that was set aside, for people and for the alarm.
     pub(super) fn describe_set_aside(file: &Path, text: &str) -> Result<(), StoreError> {
         let path = beside(file, SAVED);
@@ -176,21 +197,36 @@ impl Place {
         std::fs::read_to_string(beside(file, SAVED)).ok()
     }
 
-    /// A database that was set aside and still exists.
+    /// A database, or a log without its database, that was set aside and still exists.
     pub(super) fn set_aside_before(&self) -> Option<PathBuf> {
+        self.set_aside_files(&["-wal", "-shm", SAVED]).into_iter().min()
+    }
+
+    /// The newest database that was set aside and whose rows were not copied to the end: there is no new database.
+    pub(super) fn unfinished(&self) -> Option<PathBuf> {
+        if !self.is_fresh() {
+            return None;
+        }
+        let databases = self.set_aside_files(&["-wal", "-shm", SAVED, "-log", GRAFTED, LAYOUT]);
+        databases.into_iter().filter(|file| !beside(file, SAVED).exists()).max()
+    }
+
+    /// The files of databases that were set aside, except those with these suffixes.
+    fn set_aside_files(&self, without: &[&str]) -> Vec<PathBuf> {
         let mark = beside(&self.path, BROKEN);
-        let (folder, mark) = (mark.parent()?, mark.file_name()?.as_encoded_bytes());
-        let is_database = |name: &[u8]| {
-            name.starts_with(mark) && !["-wal", "-shm", SAVED].iter().any(|s| name.ends_with(s.as_bytes()))
-        };
-        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-        let files = std::fs::read_dir(folder).ok()?.filter_map(Result::ok);
-        files.filter(|file| is_database(file.file_name().as_encoded_bytes())).map(|file| file.path()).min()
+        let mark = mark.file_name().unwrap_or_default().as_encoded_bytes();
+        let is_wanted =
+            |name: &[u8]| name.starts_with(mark) && !without.iter().any(|suffix| name.ends_with(suffix.as_bytes()));
+        let files = std::fs::read_dir(self.folder()).into_iter().flatten().filter_map(Result::ok);
+        files.filter(|file| is_wanted(file.file_name().as_encoded_bytes())).map(|file| file.path()).collect()
+    }
+
+    fn folder(&self) -> &Path {
+        self.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
     }
 
     fn sync_folder(&self) -> io::Result<()> {
-        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        File::open(folder)?.sync_all()
+        File::open(self.folder())?.sync_all()
     }
 }
 

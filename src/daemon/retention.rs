@@ -9,7 +9,7 @@ use jiff::{SignedDuration, Timestamp};
 use tokio::time::{self, MissedTickBehavior};
 
 use super::clock;
-use crate::store::{Housekeeping, Store, StoreError, seldom};
+use crate::store::{Store, StoreError, seldom};
 
 /// Time between two rounds. In this time the fastest flood stores 40 MiB, by which the database may exceed its bound.
 const PACE: Duration = Duration::from_secs(1);
@@ -37,19 +37,9 @@ pub(super) async fn run(store: Store, last_heard: Option<Timestamp>) {
         let now = clock::now();
         let is_steady = clocks.are_steady(now, clock::monotonic());
         let clock_trusted = is_steady && (clocks.continue_time || Path::new(CLOCK_IS_SET).exists());
-        match store.run_housekeeping(now, clock_trusted).await {
-            Ok(done) if done == Housekeeping::default() => {}
-            Ok(Housekeeping { traces, throws, pending, alarms, messages, pages }) => {
-                tracing::info!(
-                    traces,
-                    throws,
-                    pending,
-                    alarms,
-                    messages,
-                    pages,
-                    "dropped the oldest rows to stay within the bounds of [store]"
-                );
-            }
+        match store.keep_bounds(now, clock_trusted).await {
+            Ok(done) if done.is_empty() => {}
+            Ok(done) => tracing::info!(?done, "dropped the oldest rows to stay within the bounds of [store]"),
             Err(StoreError::Closed) => return,
             Err(error) => seldom!(warn, %error, "keeping the database within its bounds failed"),
         }
