@@ -129,9 +129,9 @@ impl Baseline {
         raw - self.temperature.effect(distance)
     }
 
-    /// Updates the temperature coefficients with a throw without drift.
-    pub(super) fn learn_temperature(&mut self, (raw, distance): (Vector3<f64>, f64)) {
-        self.temperature.learn_on(raw, distance, &self.scatter);
+    /// Updates the temperature coefficients with a throw; `suspected`: its machine may have a drift.
+    pub(super) fn learn_temperature(&mut self, (raw, distance): (Vector3<f64>, f64), suspected: bool) {
+        self.temperature.learn_on(raw, distance, suspected, &self.scatter);
     }
 
     /// The temperature compensation.

@@ -88,8 +88,8 @@ impl Tracks {
         Some(baseline.compensated(baseline.residual(&throw.log, throw.temperature_c)))
     }
 
-    /// Adds a throw to the last throws of its direction; without a suspected drift, the throw that leaves them updates
-    /// the temperature compensation. Returns the residual, of ratios with the common scale of the last throw that has
+    /// Adds a throw to the last throws of its direction; the throw that leaves them updates the temperature compensation.
+    /// Returns the residual, of ratios with the common scale of the last throw that has
     /// one; `None` without a baseline.
     pub(super) fn push(
         &mut self,
@@ -120,8 +120,8 @@ impl Tracks {
             .map_or(0.0, |known| baseline.scatter().of_scale().dot(&(baseline.compensated(known.raw()) - residual)));
         let recent = RecentThrow::new(order, raw, distance, sensor.into(), throw.ratios_only);
         let oldest = track.recent.push(recent);
-        if let Some(oldest) = oldest.filter(|oldest| !suspected && oldest.has_scale()) {
-            baseline.learn_temperature(oldest.raw());
+        if let Some(oldest) = oldest.filter(RecentThrow::has_scale) {
+            baseline.learn_temperature(oldest.raw(), suspected);
         }
         Some(residual.add_scalar(scale))
     }
