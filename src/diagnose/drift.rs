@@ -65,6 +65,8 @@ pub(super) struct Drift {
     pub(super) testimony: Testimony,
     /// Whether its cause has an active alarm.
     is_alarmed: bool,
+    /// Whether a direction has a baseline, but too few throws for a level.
+    is_half_seen: bool,
     /// Present level of each direction.
     pub(super) levels: [Option<Window>; 2],
     /// Level of each direction's last six throws.
@@ -78,7 +80,7 @@ pub(super) struct Drift {
 impl Drift {
     pub(super) fn new(
         strongest: Option<(Window, &Scatter)>,
-        provisional: bool,
+        [provisional, is_half_seen]: [bool; 2],
         [levels, last_few]: [[Option<Window>; 2]; 2],
         latest: (usize, Option<Window>),
         hidden: Option<(Cause, f64)>,
@@ -91,7 +93,19 @@ impl Drift {
             .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), known, settings));
         let is_alarmed = attribution.as_ref().is_some_and(|attribution| known.causes.contains(&attribution.cause()));
         let (strongest, testimony) = (strongest.map(|(window, _)| window), Testimony::default());
-        Self { excess, provisional, attribution, strongest, testimony, is_alarmed, levels, last_few, latest, hidden }
+        Self {
+            excess,
+            provisional,
+            attribution,
+            strongest,
+            testimony,
+            is_alarmed,
+            is_half_seen,
+            levels,
+            last_few,
+            latest,
+            hidden,
+        }
     }
 
     /// The windows that show the present drift; after a step the shorter ones show it better.
@@ -126,7 +140,8 @@ impl Drift {
                     && attribution.relevance > 1.0
             });
         let levels = self.levels.iter().flatten().filter(|window| window.shows(cause));
-        let is_shown = levels.clone().next().is_some();
+        // What the temperature hides, or no throw shows, is no health.
+        let is_shown = levels.clone().next().is_some() && !self.is_half_seen && self.hidden.is_none();
         let (size, bound) = levels.map(|window| extent(cause, window, settings)).fold((0.0, 0.0), max_of_each);
         let (side, last_few) = &self.latest;
         let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
@@ -156,9 +171,8 @@ impl Drift {
                 (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
                 (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
             }),
-            // What the temperature hides is no health.
-            plain_health: is_shown && self.hidden.is_none() && bound < HEALTHY_BELOW,
-            below: is_shown && self.hidden.is_none() && (self.attribution.is_none() || size < deadband),
+            plain_health: is_shown && bound < HEALTHY_BELOW,
+            below: is_shown && (self.attribution.is_none() || size < deadband),
             other_name: other,
             latest,
         }

@@ -258,8 +258,10 @@ impl Tracks {
         let [levels, last_few] = [WINDOWS[2], WINDOWS[1]].map(|longest| [level(0, longest), level(1, longest)]);
         let latest = direction.side();
         let provisional = baselines.iter().flatten().any(|baseline| !baseline.is_complete());
+        let is_half_seen = baselines.iter().zip(&levels).any(|(baseline, level)| baseline.is_some() && level.is_none());
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
-        Drift::new(best, provisional, [levels, last_few], (latest, level(latest, WINDOWS[0])), hidden, known, settings)
+        let (flags, last) = ([provisional, is_half_seen], (latest, level(latest, WINDOWS[0])));
+        Drift::new(best, flags, [levels, last_few], last, hidden, known, settings)
     }
 
     /// The cause and size \[%\] hidden most by the uncertain effect of the temperature on this side, if it hides a
