@@ -69,6 +69,9 @@ pub(super) struct Instruments {
     pub(super) gauges: Gauges,
     /// The sensor that explains the drift of the last throw.
     channel: Option<SensorChannel>,
+    /// The sensor about which an alarm was raised last.
+    #[serde(default)]
+    alarmed: Option<SensorChannel>,
     sensor: Streaks,
     supply: Streaks,
 }
@@ -172,9 +175,11 @@ impl Instruments {
                 correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
                 ..Evidence::plain(Severity::Warning, throw, text::sensor(name, &fault))
             };
-            events.extend(alarms.raise(Cause::Sensor, evidence, at));
-        } else if self.sensor.over == settings.off_delay_throws
-            && alarms.active().any(|event| event.cause == Cause::Sensor && event.channel == self.channel)
+            let event = alarms.raise_sensor(evidence, self.sensor.named == settings.on_delay_throws, at);
+            self.alarmed = if event.is_some() { self.channel } else { self.alarmed };
+            events.extend(event);
+        } else if self.sensor.over >= settings.off_delay_throws
+            && self.alarmed.take_if(|alarmed| alarms.faulty_sensor() == Some(*alarmed)).is_some()
         {
             events.extend(alarms.clear(Cause::Sensor, text::cleared(name, Cause::Sensor, false), at));
         }
@@ -200,7 +205,7 @@ impl Instruments {
     /// Deletes the last throws, but not the normal values, after maintenance.
     pub(super) fn forget_recent(&mut self) {
         self.gauges.forget_recent();
-        (self.channel, self.sensor, self.supply) = (None, Streaks::default(), Streaks::default());
+        *self = Self { gauges: std::mem::take(&mut self.gauges), ..Self::default() };
     }
 }
 

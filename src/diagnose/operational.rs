@@ -264,12 +264,10 @@ impl Operation {
                 Disbelief::Impossible(_) | Disbelief::Jump(..) | Disbelief::Missing(_) => SensorChannel::Temperature,
             };
             let evidence = context.warning(text::sensor_implausible(name, disbelief));
-            alarms.raise(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, at)
+            let is_new = self.disbelieved == DISBELIEVED_IN_A_ROW;
+            alarms.raise_sensor(Evidence { channel: Some(channel), ..evidence }, is_new, at)
         } else if self.believed >= settings.off_delay_throws
-            && alarms
-                .active()
-                .filter(|event| event.cause == Cause::Sensor)
-                .all(|event| matches!(event.channel, None | Some(SensorChannel::Temperature | SensorChannel::Supply)))
+            && matches!(alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
         {
             alarms.clear(Cause::Sensor, text::sensor_plausible(name), at)
         } else {
@@ -286,6 +284,7 @@ impl Operation {
     ) -> Option<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
         streak(&mut self.usable, faulty.is_none());
+        let before = self.unusable;
         if let Some((channel, throws)) = &mut self.unusable {
             *throws = *throws << 1 | u8::from(faulty == Some(*channel));
         }
@@ -294,10 +293,11 @@ impl Operation {
             self.unusable = Some((channel, 1));
         }
         let (channel, throws) = self.unusable?;
-        let alarmed = alarms.active().any(|event| event.cause == Cause::Sensor && event.channel == Some(channel));
+        let alarmed = alarms.faulty_sensor() == Some(channel);
         if throws.count_ones() >= UNUSABLE_OF_EIGHT {
             let evidence = context.warning(text::sensor_unusable(name, channel));
-            alarms.raise(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, at)
+            let is_new = before.is_none_or(|(of, throws)| of != channel || throws.count_ones() < UNUSABLE_OF_EIGHT);
+            alarms.raise_sensor(Evidence { channel: Some(channel), ..evidence }, is_new, at)
         } else if self.usable >= settings.off_delay_throws.max(u8::BITS) {
             self.unusable = None;
             if alarmed { alarms.clear(Cause::Sensor, text::sensor_usable(name, channel), at) } else { None }

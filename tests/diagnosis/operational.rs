@@ -335,6 +335,35 @@ fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
     assert_ne!(monitor.state(), MachineState::NotMonitored);
 }
 
+/// There is one alarm about sensors, so a second faulty sensor is a new event of it.
+#[test]
+fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
+    let (mut machine, mut monitor) = machine();
+    let hot = |o: &mut Observation| o.temperature_c = Some(850.0);
+    let both = |o: &mut Observation| {
+        hot(o);
+        (o.faulty, o.estimate) = (Some(SensorChannel::Position), None);
+    };
+    let channels = |events: &[AlarmEvent]| -> Vec<_> {
+        let sensor = events.iter().filter(|event| event.cause == Cause::Sensor);
+        sensor.map(|event| (event.channel, event.state)).collect()
+    };
+    let (unseen, over) = (AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged);
+    let events = feed(&mut machine, &mut monitor, 20, hot);
+    assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), unseen)]);
+    let ack = Command::Ack { cause: Cause::Sensor, by: "mia".to_owned() };
+    monitor.command(&ack, events[0].event_at, &Settings::default()).unwrap();
+    // One event, although both sensors are faulty in each throw.
+    let events = feed(&mut machine, &mut monitor, 10, both);
+    assert_eq!(channels(&events), [(Some(SensorChannel::Position), unseen)]);
+    assert!(events[0].text.contains("position sensor"), "{}", events[0].text);
+    // The position sensor is mended, and the other is still faulty.
+    let events = feed(&mut machine, &mut monitor, 20, hot);
+    assert_eq!(channels(&events), [(Some(SensorChannel::Position), over), (Some(SensorChannel::Temperature), unseen)]);
+    let events = feed(&mut machine, &mut monitor, 20, |_| {});
+    assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), over)]);
+}
+
 /// Rules forget their last throws at the end of a maintenance, and their alarms end with it.
 #[test]
 fn no_alarm_of_a_sensor_outlives_a_maintenance_that_mends_it() {
