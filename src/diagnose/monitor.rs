@@ -177,6 +177,8 @@ impl MachineMonitor {
             let features = &observation.features;
             self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
             self.observe_evaluated(throw, &observation.throw, at, settings, verdict);
+        } else {
+            self.drift.on_unjudged();
         }
         let is_judged = evaluated.is_some_and(|throw| self.tracks.of_one_throw(throw.direction).is_some());
         let watched = self.watch_features(observation, is_judged, at, settings, verdict);

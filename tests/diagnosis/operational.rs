@@ -11,7 +11,7 @@ use pointsd::{
     throw::Direction,
 };
 
-use crate::fleet::{Machine, Nature};
+use crate::fleet::{Machine, Nature, shift};
 
 fn machine() -> (Machine, MachineMonitor) {
     let mut machine = Machine::new(21, Nature::default());
@@ -316,6 +316,24 @@ fn slow_and_incomplete_throws_of_one_direction_are_counted() {
     });
     let severities: Vec<_> = events.iter().map(|event| (event.cause, event.severity)).collect();
     assert_eq!(severities, [(Cause::IncompleteThrow, Severity::Warning), (Cause::IncompleteThrow, Severity::Critical)]);
+}
+
+/// The present size of a drift is not that of throws of long ago.
+#[test]
+fn without_evaluated_throws_the_present_size_is_unknown() {
+    let (mut machine, mut monitor) = machine();
+    let settings = Settings::default();
+    for _ in 0..30 {
+        machine.feed(&mut monitor, shift(Cause::Friction, 45.0), &settings);
+    }
+    assert_eq!(monitor.drifts().len(), 1);
+    feed(&mut machine, &mut monitor, 23, |o| o.estimate = None);
+    assert_eq!(monitor.drifts().len(), 1);
+    feed(&mut machine, &mut monitor, 1, |o| o.estimate = None);
+    assert_eq!(monitor.drifts(), []);
+    assert!(monitor.open_alarms().iter().any(|alarm| alarm.cause == Cause::Friction));
+    machine.feed(&mut monitor, shift(Cause::Friction, 45.0), &settings);
+    assert_eq!(monitor.drifts().len(), 1);
 }
 
 #[test]
