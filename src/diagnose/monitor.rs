@@ -66,6 +66,9 @@ pub struct MachineMonitor {
     /// Parameters of the last identified throw.
     #[serde(default)]
     parameters: Option<Parameters>,
+    /// The stored snapshot that this program could not read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    unread: Option<String>,
 }
 
 impl MachineMonitor {
@@ -91,7 +94,15 @@ impl MachineMonitor {
             maintenance: None,
             has_position: false,
             parameters: None,
+            unread: None,
         }
+    }
+
+    /// A monitor in the place of one whose snapshot cannot be read, as after a return to an earlier version of the
+    /// program. It keeps this text, for a version that can.
+    #[must_use]
+    pub fn instead_of(unread: String, name: &str) -> Self {
+        Self { unread: Some(unread), ..Self::new(name) }
     }
 
     /// Replaces the name of the machine in later texts.
@@ -100,7 +111,8 @@ impl MachineMonitor {
         Self { name, ..self }
     }
 
-    /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program.
+    /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program. Of a monitor in the place of
+    /// another, it is that other one, if it can be read now.
     ///
     /// # Errors
     /// When the text is not a snapshot, or has an unknown version.
@@ -111,7 +123,11 @@ impl MachineMonitor {
         }
         match serde_json::from_str(json)? {
             Stamp { version: None } => serde_json::from_str::<VersionOne>(json).map(Self::from),
-            Stamp { version: Some(Self::VERSION) } => serde_json::from_str(json),
+            Stamp { version: Some(Self::VERSION) } => {
+                let monitor: Self = serde_json::from_str(json)?;
+                let replaced = monitor.unread.as_ref().and_then(|unread| Self::from_snapshot(unread).ok());
+                Ok(replaced.unwrap_or(monitor))
+            }
             Stamp { version: Some(other) } => {
                 let problem = format!("snapshot version {other} is from a newer program");
                 Err(serde::de::Error::custom(problem))
@@ -439,6 +455,7 @@ impl MachineMonitor {
         self.features.reset();
         self.trail = Trail::default();
         self.blind = None;
+        self.unread = None;
         let text = text::rebaselined(&self.name, by, why);
         let drifts: Vec<Cause> =
             self.alarms.events().filter(|event| is_drift(event)).map(|event| event.cause).collect();
@@ -483,8 +500,10 @@ impl MachineMonitor {
     pub fn caveats(&self) -> Vec<String> {
         let blind = self.blind.as_ref().map(|blind| text::blind(&self.name, blind));
         let only_features = self.features.is_monitoring() && !self.tracks.any_baseline();
-        blind
+        let unread = self.unread.as_ref().map(|_| text::unread(&self.name));
+        unread
             .into_iter()
+            .chain(blind)
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(only_features.then(|| text::only_features(&self.name)))
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
@@ -552,6 +571,7 @@ impl From<VersionOne> for MachineMonitor {
             maintenance,
             has_position: false,
             parameters: None,
+            unread: None,
         }
     }
 }

@@ -329,6 +329,14 @@ pub(super) fn orphaned(name: &str) -> String {
     )
 }
 
+/// Text for a machine whose stored monitor cannot be read.
+pub(super) fn unread(name: &str) -> String {
+    format!(
+        "Machine {name}: this version of pointsd cannot read its stored baselines and alarms, so it learns a new baseline. They \
+         are kept: install the version that wrote them, or inspect the machine and take a new baseline (rebaseline)."
+    )
+}
+
 pub(super) fn daemon_calm() -> String {
     "pointsd stores all data again.".to_owned()
 }
