@@ -133,6 +133,7 @@ impl Fleet {
         if let Some(found) = identification.as_ref().filter(|found| found.direction.is_some()) {
             monitor.direction(found.direction_contradicted);
         }
+        monitor.received(stored.received_at);
         let mut verdict = monitor.observe_beside(&observation, &common, settings);
         let irregularities = [
             (has_wrong_clock, Irregularity::WrongClock(stored.started_at)),

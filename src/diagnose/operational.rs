@@ -47,6 +47,9 @@ enum Logger {
         for_s: f64,
         /// Whether this has raised an alarm.
         alarmed: bool,
+        /// Time of the loss.
+        #[serde(default)]
+        since: Option<Timestamp>,
     },
 }
 
@@ -91,6 +94,9 @@ pub(super) struct Operation {
     lost: u64,
     silence_s: f64,
     ticked_at: Option<Timestamp>,
+    /// Time when the next throw was received.
+    #[serde(skip)]
+    received_at: Option<Timestamp>,
     #[serde(default)]
     logger: Logger,
     /// Time without problems of the daemon \[s\].
@@ -127,7 +133,13 @@ fn streak(count: &mut u32, holds: bool) {
 }
 
 impl Operation {
-    /// Applies a received throw, complete or not, which also shows that the logger is alive.
+    /// Applies the time when the next throw was received.
+    pub(super) fn on_receipt(&mut self, at: Timestamp) {
+        self.received_at = Some(at);
+    }
+
+    /// Applies a throw, complete or not, which also shows that the logger is alive, unless it was received before the loss
+    /// of the logger.
     pub(super) fn on_throw(
         &mut self,
         incomplete: bool,
@@ -137,10 +149,12 @@ impl Operation {
     ) -> Vec<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
         self.silence_s = 0.0;
+        let received_at = self.received_at.take();
         self.logger = match self.logger {
+            gone @ Logger::Gone { since: Some(since), .. } if received_at.is_some_and(|at| at < since) => gone,
             // Throws without a token: from now on only silence shows that the logger is gone.
             Logger::Gone { alarmed: true, .. } => Logger::Unannounced,
-            Logger::Gone { .. } => Logger::Gone { for_s: 0.0, alarmed: false },
+            Logger::Gone { since, .. } => Logger::Gone { for_s: 0.0, alarmed: false, since },
             as_before => as_before,
         };
         streak(&mut self.incomplete, incomplete);
@@ -231,7 +245,7 @@ impl Operation {
         } else if let Some(unseen) = unseen {
             let in_a_row = self.sides[unseen.side()].unevaluated;
             alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, Some(unseen), in_a_row)), at)
-        } else if evaluated && !is_blind {
+        } else if evaluated && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
             alarms.clear(Cause::NotMonitored, text::evaluated_again(name), at)
         } else {
             None
@@ -315,7 +329,7 @@ impl Operation {
             return None;
         }
         self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
-        if let Logger::Gone { for_s, alarmed } = &mut self.logger {
+        if let Logger::Gone { for_s, alarmed, .. } = &mut self.logger {
             *for_s += passed.clamp(0.0, USUAL_TICK_S);
             if *for_s >= 60.0 * settings.logger_gone_minutes {
                 let evidence = context.warning(text::logger_gone(name, *for_s / 60.0));
@@ -339,7 +353,7 @@ impl Operation {
         let before = self.logger;
         self.logger = match before {
             _ if there => Logger::There,
-            Logger::There => Logger::Gone { for_s: 0.0, alarmed: false },
+            Logger::There => Logger::Gone { for_s: 0.0, alarmed: false, since: Some(context.at) },
             absent => absent,
         };
         let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });

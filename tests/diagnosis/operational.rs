@@ -144,6 +144,24 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
 }
 
 #[test]
+fn a_throw_received_before_the_loss_of_the_logger_is_no_sign_of_life() {
+    let settings = Settings::default();
+    let (mut machine, mut monitor) = machine();
+    let mut now = machine.throw(Vector3::zeros()).started_at;
+    let received = now;
+    pass(&mut monitor, &mut now, 1, |monitor, now| monitor.logger(true, now, &settings));
+    let gone = pass(&mut monitor, &mut now, 15, |monitor, now| monitor.logger(false, now, &settings));
+    assert_eq!(summary(&gone), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    for _ in 0..5 {
+        monitor.received(received);
+        assert_eq!(machine.feed(&mut monitor, Vector3::zeros(), &settings).events, []);
+    }
+    monitor.received(now);
+    let events = machine.feed(&mut monitor, Vector3::zeros(), &settings).events;
+    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
+}
+
+#[test]
 fn trouble_of_the_daemon_itself_gets_worse_and_ends_when_it_is_calm() {
     let settings = Settings::default();
     let mut monitor = MachineMonitor::new("pointsd");
