@@ -219,7 +219,7 @@ impl Fleet {
         settings: &Settings,
     ) -> Option<(MachineId, Vec<AlarmEvent>)> {
         let id = MachineId::new(site.as_str(), ALL_MACHINES).ok()?;
-        if *common == Common::default() && !self.monitors.contains_key(&id) {
+        if !common.is_change() && !self.monitors.contains_key(&id) {
             return None;
         }
         let events = self.monitor(&id).follow_site(common, now, settings);
