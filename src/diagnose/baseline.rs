@@ -153,6 +153,11 @@ impl Baseline {
         self.throws as f64 / if self.slopes.is_none() { 1.0 } else { 4.0 }
     }
 
+    /// Whether the throws had a trend.
+    pub(super) fn has_trend(&self) -> bool {
+        self.slopes.is_some()
+    }
+
     pub(super) fn is_complete(&self) -> bool {
         self.complete
     }

@@ -274,7 +274,7 @@ impl MachineMonitor {
         });
         let suspicion = self.drift.suspicion(drift.as_ref(), &self.alarms);
         let taken = self.tracks.learn(throw, self.order, at, suspicion, settings);
-        if taken.is_some() {
+        if !taken.is_empty() {
             self.drift.forget_history();
         }
         verdict.baselines_taken.extend(taken);
