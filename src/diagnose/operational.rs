@@ -21,6 +21,8 @@ const SLOW_IN_A_ROW: u32 = 3;
 const DISBELIEVED_IN_A_ROW: u32 = 3;
 /// Throws with an unusable channel among the last eight that raise the alarm: one or two are disturbances.
 const UNUSABLE_OF_EIGHT: u32 = 3;
+/// Evaluated throws among the last eight of a direction that end the alarm: a single accepted one monitors nothing.
+const EVALUATED_OF_EIGHT: u32 = 4;
 /// Longest time between two ticks that counts as silence \[s\]: more is a jump of the clock or a stopped daemon.
 const LONGEST_TICK_S: f64 = 3600.0;
 /// Longest time between two ticks that counts for delays of minutes \[s\]: after a start of the daemon loggers have the
@@ -63,6 +65,9 @@ struct Streaks {
     unevaluated: u32,
     /// Throws at a temperature that hides faults at their warning limit.
     blind: u32,
+    /// The last eight throws as bits: 1 if it was not evaluated.
+    #[serde(default)]
+    lost: u8,
 }
 
 /// Counters of the operational alarms; those without a unit count consecutive throws of the machine.
@@ -228,13 +233,17 @@ impl Operation {
         if evaluated {
             streak(&mut self.blind, blind.is_some());
         }
-        if let Some(direction) = direction {
-            let own = &mut self.sides[direction.side()];
-            streak(&mut own.unevaluated, !evaluated);
+        for own in Direction::BOTH.into_iter().filter(|own| direction.is_none_or(|direction| direction == *own)) {
+            let own = &mut self.sides[own.side()];
+            own.lost = own.lost << 1 | u8::from(!evaluated);
+            if direction.is_some() {
+                streak(&mut own.unevaluated, !evaluated);
+            }
             if evaluated {
                 streak(&mut own.blind, blind.is_some());
             }
         }
+        let is_seen = self.sides.iter().all(|side| side.lost.count_zeros() >= EVALUATED_OF_EIGHT);
         let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
         // The throws of one direction may all be rejected, as with a wrong `neutral_mm`, while the other is healthy.
         let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
@@ -245,7 +254,7 @@ impl Operation {
         } else if let Some(unseen) = unseen {
             let in_a_row = self.sides[unseen.side()].unevaluated;
             alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, Some(unseen), in_a_row)), at)
-        } else if evaluated && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
+        } else if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
             alarms.clear(Cause::NotMonitored, text::evaluated_again(name), at)
         } else {
             None

@@ -241,7 +241,7 @@ pub(super) fn ratios_only(name: &str) -> String {
 }
 
 pub(super) fn evaluated_again(name: &str) -> String {
-    format!("Machine {name}: a throw could be evaluated again.")
+    format!("Machine {name}: its throws can be evaluated again.")
 }
 
 /// Text for a machine whose faults at their warning limit are hidden at this temperature.
