@@ -63,6 +63,8 @@ pub(super) struct Drift {
     pub(super) strongest: Option<Window>,
     /// Verdict of the gauges on the drift.
     pub(super) testimony: Testimony,
+    /// Whether the alarm `unattributed` is from the features of throws that are not judged.
+    pub(super) is_of_features: bool,
     /// Whether its cause has an active alarm.
     is_alarmed: bool,
     /// Whether a direction has a baseline, but too few throws for a level.
@@ -99,6 +101,7 @@ impl Drift {
             attribution,
             strongest,
             testimony,
+            is_of_features: false,
             is_alarmed,
             is_half_seen,
             levels,

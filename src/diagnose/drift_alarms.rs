@@ -98,8 +98,13 @@ impl DriftAlarms {
             let evidence = |severity| self.evidence(cause, severity, drift, order, tracks, context);
             events.extend(match transition {
                 Transition::Stay => None,
-                // An alarm about an intermittent fault ends by its own rule.
-                Transition::Clear { .. } | Transition::Withdraw if self.intermittent.alarmed == Some(cause) => None,
+                // An alarm of another rule, about an intermittent fault or features, ends by this rule.
+                Transition::Clear { .. } | Transition::Withdraw
+                    if self.intermittent.alarmed == Some(cause)
+                        || cause == Cause::Unattributed && drift.is_of_features =>
+                {
+                    None
+                }
                 Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
                 Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
                 Transition::Clear { at_once } => alarms.clear(cause, text::cleared(name, cause, at_once), at),

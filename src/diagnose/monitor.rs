@@ -23,7 +23,10 @@ use super::{
     track::Tracks,
     verdict::{Blindness, Drifting, MachineState, Verdict},
 };
-use crate::throw::{Direction, POSSIBLE_SUPPLY_V, ThrowRef};
+use crate::{
+    estimate::Features,
+    throw::{Direction, POSSIBLE_SUPPLY_V, ThrowRef},
+};
 
 /// A maintenance window.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -195,6 +198,7 @@ impl MachineMonitor {
             self.observe_evaluated(throw, &observation.throw, at, settings, verdict);
         } else {
             self.drift.on_unjudged();
+            self.observe_features(observation, at, settings, verdict);
         }
         let is_judged = evaluated.is_some_and(|throw| self.tracks.of_one_throw(throw.direction).is_some());
         let watched = self.watch_features(observation, is_judged, at, settings, verdict);
@@ -215,6 +219,38 @@ impl MachineMonitor {
         }
     }
 
+    /// Adds a throw without an estimate to the gauges. A rejected one shows those that need no model. In a direction without
+    /// a baseline they are learned as well: what follows a row of rejections must not be learned as normal unseen.
+    fn observe_features(
+        &mut self,
+        observation: &Observation,
+        at: Timestamp,
+        settings: &Settings,
+        verdict: &mut Verdict,
+    ) {
+        let Observation { features: all, features_only, incomplete, faulty, .. } = observation;
+        let Some(direction) = observation.direction.filter(|_| !incomplete && faulty.is_none()) else { return };
+        let features = if *features_only {
+            all.clone()
+        } else {
+            Features {
+                duration_s: all.duration_s,
+                supply_v: all.supply_v,
+                peak_current_a: all.peak_current_a,
+                running_current_a: all.running_current_a,
+                charge_as: all.charge_as,
+                ..Features::default()
+            }
+        };
+        let has_baseline = self.tracks.of_one_throw(direction).is_some();
+        let unusual = self.drift.is_suspicious(&self.alarms) || !features_only && has_baseline;
+        self.instruments.gauges.push(direction, &features, observation.temperature_c, unusual);
+        if !features_only && features.supply_v.is_some() {
+            let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
+            verdict.events.extend(self.instruments.judge_supply(None, &mut self.alarms, context));
+        }
+    }
+
     /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
     /// on a machine whose every throw is rough. Returns whether the machine is monitored by them.
     fn watch_features(
@@ -227,14 +263,11 @@ impl MachineMonitor {
     ) -> bool {
         let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
         if is_judged {
-            verdict.events.extend(self.features.on_estimate(&mut self.alarms, context));
+            verdict.events.extend(self.features.on_estimate(observation.direction, &mut self.alarms, context));
             return true;
         }
         let Some(direction) = observation.direction.filter(|_| !observation.incomplete) else { return false };
-        let (features, gauges) = (&observation.features, &mut self.instruments.gauges);
-        if observation.features_only {
-            gauges.push(direction, features, observation.temperature_c, self.drift.is_suspicious(&self.alarms));
-        }
+        let (features, gauges) = (&observation.features, &self.instruments.gauges);
         verdict.events.extend(self.features.on_features(direction, features, gauges, &mut self.alarms, context));
         let has_features = !self.has_position && observation.features_only && features.running_current_a.is_some();
         self.features.is_alarmed() || has_features
@@ -257,6 +290,7 @@ impl MachineMonitor {
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
+            drift.is_of_features = self.features.is_alarmed();
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
             verdict.events.extend(events);
             let events = self.instruments.judge(&drift, drift.testimony, &mut self.alarms, context);
@@ -528,7 +562,8 @@ impl MachineMonitor {
             Some(Severity::Critical) => MachineState::Critical,
             _ if self.alarms.is_active(Cause::NotMonitored) => MachineState::NotMonitored,
             Some(Severity::Warning) => MachineState::Warning,
-            None if self.tracks.any_baseline() || self.features.is_monitoring() => MachineState::Healthy,
+            None if self.tracks.any_baseline() => MachineState::Healthy,
+            None if self.features.is_monitoring() && !self.operation.is_rejecting() => MachineState::Healthy,
             None => MachineState::Learning,
         }
     }

@@ -261,6 +261,11 @@ impl Operation {
         }
     }
 
+    /// Whether the last throw was not evaluated.
+    pub(super) fn is_rejecting(&self) -> bool {
+        self.unevaluated > 0
+    }
+
     /// Counts the throws in a row whose movement contradicts the logger's direction.
     pub(super) fn on_direction(&mut self, contradicted: bool) {
         streak(&mut self.contradicted, contradicted);
