@@ -177,6 +177,7 @@ impl MachineMonitor {
         verdict.state = self.state();
         verdict.drifts = self.drifts().to_vec();
         verdict.blind = self.blind;
+        verdict.has_trend = self.tracks.trend().is_some();
         verdict.caveats = self.caveats();
         verdict
     }

@@ -93,6 +93,8 @@ pub struct Verdict {
     pub blind: Option<Blindness>,
     /// Sentences about what the monitor cannot show at present: blindness, a baseline with a trend.
     pub caveats: Vec<String>,
+    /// Whether an incomplete baseline has a trend.
+    pub has_trend: bool,
     /// Change of b0, a1, a0 from the baseline \[%\]; `None` without a baseline or an estimate.
     pub change_pct: Option<[f64; 3]>,
     /// Throws in the baseline of this direction, and throws that it needs.
