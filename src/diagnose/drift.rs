@@ -9,7 +9,6 @@ use super::{
     explain::{direction_of, percent, relevance, single},
     scatter::Scatter,
     settings::Settings,
-    temperature::doubt,
     testimony::Testimony,
     window::Window,
 };
@@ -214,13 +213,10 @@ impl Drift {
     }
 }
 
-/// Least visible size of `cause` \[%\] in a window with this limit of T; and the same with a known effect of the
-/// temperature.
-pub(super) fn visible_pct(cause: Cause, window: &Window, limit: f64) -> Option<(f64, f64)> {
+/// Least visible size of `cause` \[%\] in a mean with this covariance and limit of T.
+pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) -> Option<f64> {
     let d = direction_of(cause)?;
-    let least =
-        |covariance: Matrix3<f64>| Some(percent((limit / (d.transpose() * covariance.try_inverse()? * d).x).sqrt()));
-    Some((least(window.covariance)?, least(window.covariance - doubt(window.temperature_sd))?))
+    Some(percent((limit / (d.transpose() * covariance.try_inverse()? * d).x).sqrt()))
 }
 
 /// Size of `cause` in a window relative to the warning limit; and the same plus two standard deviations.

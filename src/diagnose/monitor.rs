@@ -21,7 +21,7 @@ use super::{
     text,
     thermometer::{Disbelief, Thermometer},
     track::Tracks,
-    verdict::{Blindness, Drifting, MachineState, Verdict},
+    verdict::{Blindness, Drifting, HidingTemperature, MachineState, Verdict},
 };
 use crate::{
     estimate::Features,
@@ -303,9 +303,14 @@ impl MachineMonitor {
             verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
         }
         let hidden = drift.as_ref().and_then(|drift| drift.hidden);
-        self.blind = hidden.and_then(|(cause, below_pct)| {
+        let by_temperature = hidden.and_then(|(cause, below_pct)| {
             let baseline_c = self.tracks.reference_c(throw.direction)?;
-            Some(Blindness { cause, below_pct, temperature_c: throw.temperature_c?, baseline_c })
+            let temperature = HidingTemperature { temperature_c: throw.temperature_c?, baseline_c };
+            Some(Blindness { cause, below_pct, temperature: Some(temperature) })
+        });
+        self.blind = by_temperature.or_else(|| {
+            let (cause, below_pct) = self.tracks.hidden_by_scatter(settings)?;
+            Some(Blindness { cause, below_pct, temperature: None })
         });
         let suspicion = self.drift.suspicion(drift.as_ref(), &self.alarms);
         let taken = self.tracks.learn(throw, self.order, at, suspicion, settings);

@@ -11,7 +11,7 @@ use super::{
     intermittent::Departures,
     testimony::Fault,
     thermometer::Disbelief,
-    verdict::Blindness,
+    verdict::{Blindness, HidingTemperature},
 };
 use crate::throw::Direction;
 
@@ -244,9 +244,16 @@ pub(super) fn evaluated_again(name: &str) -> String {
     format!("Machine {name}: its throws can be evaluated again.")
 }
 
-/// Text for a machine whose faults at their warning limit are hidden at this temperature.
+/// Text for a machine whose faults are hidden, at this temperature or by the scatter of its throws.
 pub(super) fn blind(name: &str, blind: &Blindness) -> String {
-    let Blindness { cause, below_pct, temperature_c, baseline_c } = blind;
+    let Blindness { cause, below_pct, temperature } = blind;
+    let Some(HidingTemperature { temperature_c, baseline_c }) = temperature else {
+        return format!(
+            "Machine {name}: its throws scatter so much, or vary so slowly, that a change of {cause} below {below_pct:.0} % cannot be \
+             distinguished from that; so the machine is not monitored for changes up to this. Look for the reason (weather, supply, \
+             sensors), then take a new baseline (rebaseline)."
+        );
+    };
     format!(
         "Machine {name}: at {temperature_c:.0} °C a change of {cause} below {below_pct:.0} % cannot be distinguished from \
          the effect of the temperature, as the baseline is from {baseline_c:.0} °C; so the machine is not monitored. It learns this \

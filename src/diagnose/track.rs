@@ -16,6 +16,7 @@ use super::{
     scatter::Scatter,
     settings::Settings,
     sym3::Sym3,
+    temperature::doubt,
     threshold::{Thresholds, WINDOWS},
     window::{RecentThrow, RecentThrows, Stream, Window},
 };
@@ -291,11 +292,41 @@ impl Tracks {
         let limit = thresholds.of(WINDOWS.iter().position(|throws| *throws == window.throws)?);
         let over_limit = |cause: Cause| {
             let limit_pct = settings.limit_pct(cause)?;
-            let (visible, otherwise) = visible_pct(cause, window, limit)?;
+            let visible = visible_pct(cause, window.covariance, limit)?;
+            let otherwise = visible_pct(cause, window.covariance - doubt(window.temperature_sd), limit)?;
             (visible > limit_pct.max(HIDES_FROM * otherwise)).then_some((cause, visible, visible / limit_pct))
         };
         let worst = Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2));
         worst.map(|(cause, visible, _)| (cause, visible))
+    }
+
+    /// The cause and size \[%\] hidden most by the scatter of the throws of a direction, if no window shows a change at the
+    /// critical limit. Depends on the baselines only, so it does not change from throw to throw.
+    pub(super) fn hidden_by_scatter(&self, settings: &Settings) -> Option<(Cause, f64)> {
+        let hidden = self.sides.iter().filter_map(|track| self.hidden_by_scatter_of(track, settings));
+        hidden.max_by(|a, b| a.2.total_cmp(&b.2)).map(|(cause, visible, _)| (cause, visible))
+    }
+
+    /// The same for one direction, also relative to the critical limit.
+    fn hidden_by_scatter_of(&self, track: &Track, settings: &Settings) -> Option<(Cause, f64, f64)> {
+        let baseline = track.baseline.as_ref().filter(|baseline| baseline.is_final(settings))?;
+        let own = (baseline.scatter(), track.thresholds.as_ref()?, baseline.centre_throws());
+        let all: f64 = self.sides.iter().flat_map(|track| &track.baseline).map(Baseline::centre_throws).sum();
+        let mixed = self.mixed.as_ref().map(|mixed| (&mixed.scatter, &mixed.thresholds, all));
+        let visible = |cause: Cause| {
+            let streams = [Some(own), mixed].into_iter().flatten();
+            let windows = streams.flat_map(|(scatter, thresholds, centre_throws)| {
+                let of = move |throws| scatter.of_mean(throws, &scatter.sensor(), centre_throws);
+                WINDOWS.into_iter().enumerate().map(move |(at, throws)| (of(throws), thresholds.of(at)))
+            });
+            windows.filter_map(|(covariance, limit)| visible_pct(cause, covariance, limit)).reduce(f64::min)
+        };
+        let over_limit = |cause: Cause| {
+            let critical_pct = settings.critical_factor * settings.limit_pct(cause)?;
+            let visible = visible(cause).filter(|visible| *visible > critical_pct)?;
+            Some((cause, visible, visible / critical_pct))
+        };
+        Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))
     }
 
     /// The reference temperature of the baseline of a direction \[°C\].

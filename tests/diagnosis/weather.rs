@@ -95,7 +95,8 @@ fn what_an_unknown_effect_of_the_temperature_hides_is_said() {
         // Thirty throws after a jump to summer its effect is not learned yet.
         let (after, before) = summer(41_000 + seed, 0, 30, 2.0, shift(Cause::Friction, 30.0));
         let blind = after[0].blind.unwrap();
-        assert!(blind.below_pct > 5.0 && (blind.temperature_c - blind.baseline_c - 39.0).abs() < 6.0, "{blind:?}");
+        let at = blind.temperature.unwrap();
+        assert!(blind.below_pct > 5.0 && (at.temperature_c - at.baseline_c - 39.0).abs() < 6.0, "{blind:?}");
         assert_eq!(after[0].state, MachineState::NotMonitored);
         let said = before.iter().find(|event| event.cause == Cause::NotMonitored).unwrap();
         assert!(said.text.contains("cannot be distinguished from the effect of the temperature"), "{}", said.text);
