@@ -100,8 +100,7 @@ impl DriftAlarms {
                 Transition::Stay => None,
                 // An alarm of another rule, about an intermittent fault or features, ends by this rule.
                 Transition::Clear { .. } | Transition::Withdraw
-                    if self.intermittent.alarmed == Some(cause)
-                        || cause == Cause::Unattributed && drift.is_of_features =>
+                    if [self.intermittent.alarmed, drift.of_features].contains(&Some(cause)) =>
                 {
                     None
                 }

@@ -291,7 +291,7 @@ impl MachineMonitor {
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
-            drift.is_of_features = self.features.is_alarmed();
+            drift.of_features = self.features.is_alarmed().then_some(Cause::Unattributed);
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
             verdict.events.extend(events);
             let events = self.instruments.judge(&drift, drift.testimony, &mut self.alarms, context);
