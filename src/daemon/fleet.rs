@@ -49,26 +49,27 @@ pub(super) struct Fleet {
 }
 
 impl Fleet {
-    /// Restores monitors from the database. A snapshot that cannot be read is logged and left out: the machine learns a
-    /// new baseline.
+    /// Restores monitors from the database. In the place of one that cannot be read, as after a return to an earlier
+    /// version, a new one keeps its text and says so.
     pub(super) fn restore(&mut self, stored: Vec<StoredMonitor>) {
         for StoredMonitor { machine, snapshot, state } in stored {
-            match MachineMonitor::from_snapshot(&snapshot) {
-                Ok(monitor) => {
-                    // An earlier version stored the name without the site.
-                    let monitor = monitor.named(name_of(&machine));
-                    if state != Some(monitor.state()) {
-                        self.to_store.insert(machine.clone());
-                    }
-                    if monitor.is_witness() {
-                        self.witnesses.insert(machine.clone());
-                    }
-                    self.monitors.insert(machine, Box::new(monitor));
-                }
+            let name = name_of(&machine);
+            let monitor = match MachineMonitor::from_snapshot(&snapshot) {
+                // An earlier version stored the name without the site.
+                Ok(monitor) => monitor.named(name),
                 Err(error) => {
                     tracing::error!(%machine, %error, "the stored monitor cannot be read: learning a new baseline");
+                    self.to_store.insert(machine.clone());
+                    MachineMonitor::instead_of(snapshot, &name)
                 }
+            };
+            if state != Some(monitor.state()) {
+                self.to_store.insert(machine.clone());
             }
+            if monitor.is_witness() {
+                self.witnesses.insert(machine.clone());
+            }
+            self.monitors.insert(machine, Box::new(monitor));
         }
     }
 
@@ -132,6 +133,7 @@ impl Fleet {
         if let Some(found) = identification.as_ref().filter(|found| found.direction.is_some()) {
             monitor.direction(found.direction_contradicted);
         }
+        monitor.received(stored.received_at);
         let mut verdict = monitor.observe_beside(&observation, &common, settings);
         let irregularities = [
             (has_wrong_clock, Irregularity::WrongClock(stored.started_at)),
@@ -217,7 +219,7 @@ impl Fleet {
         settings: &Settings,
     ) -> Option<(MachineId, Vec<AlarmEvent>)> {
         let id = MachineId::new(site.as_str(), ALL_MACHINES).ok()?;
-        if *common == Common::default() && !self.monitors.contains_key(&id) {
+        if !common.is_change() && !self.monitors.contains_key(&id) {
             return None;
         }
         let events = self.monitor(&id).follow_site(common, now, settings);
@@ -386,4 +388,28 @@ fn outcome(machine: &MachineId, monitor: Option<&MachineMonitor>, at: Timestamp,
         caveats: monitor.caveats(),
     });
     Outcome { machine: machine.clone(), at, monitor: record, events, reported_gaps: Vec::new(), command: None }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_monitor_that_cannot_be_read_is_kept() {
+        let machine = MachineId::new("north", "21B").unwrap();
+        let written = json(&MachineMonitor::new("north/21B").named("21B".to_owned()));
+        let newer = written.replacen("\"version\":2", "\"version\":3", 1);
+        assert_ne!(newer, written);
+        let mut fleet = Fleet::default();
+        let stored = |snapshot| vec![StoredMonitor { machine: machine.clone(), snapshot, state: None }];
+        fleet.restore(stored(newer.clone()));
+        let record = fleet.outcome(&machine, Timestamp::UNIX_EPOCH, Vec::new()).monitor.unwrap();
+        assert!(record.caveats.iter().any(|caveat| caveat.contains("cannot read")), "{:?}", record.caveats);
+        // The newer version would read it; here it is this one.
+        let again =
+            MachineMonitor::from_snapshot(&record.snapshot.replace("\\\"version\\\":3", "\\\"version\\\":2")).unwrap();
+        assert_eq!(json(&again), written);
+        let again = MachineMonitor::from_snapshot(&record.snapshot).unwrap();
+        assert_eq!(json(&again), record.snapshot);
+    }
 }

@@ -196,6 +196,22 @@ impl Alarms {
         Some(self.activate(index, evidence, at))
     }
 
+    /// Raises the alarm about a sensor. If it is active about another sensor and this fault `is_new`, it is about this one
+    /// from now on, as one alarm must not hide the fault of another sensor.
+    pub(super) fn raise_sensor(&mut self, evidence: Evidence, is_new: bool, at: Timestamp) -> Option<AlarmEvent> {
+        let other = self.find_active(Cause::Sensor).is_some_and(|event| event.channel != evidence.channel);
+        let index = self.find(Cause::Sensor).filter(|_| other && is_new);
+        match index {
+            Some(index) => Some(self.activate(index, evidence, at)),
+            None => self.raise(Cause::Sensor, evidence, at),
+        }
+    }
+
+    /// The sensor of the active alarm about one.
+    pub(super) fn faulty_sensor(&self) -> Option<SensorChannel> {
+        self.find_active(Cause::Sensor)?.channel
+    }
+
     /// Escalates an active alarm to a higher severity; it needs a new acknowledgement.
     pub(super) fn escalate(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
         let worse = self.severity(cause).is_some_and(|severity| evidence.severity > severity);

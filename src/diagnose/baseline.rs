@@ -129,9 +129,9 @@ impl Baseline {
         raw - self.temperature.effect(distance)
     }
 
-    /// Updates the temperature coefficients with a throw without drift.
-    pub(super) fn learn_temperature(&mut self, (raw, distance): (Vector3<f64>, f64)) {
-        self.temperature.learn_on(raw, distance, &self.scatter);
+    /// Updates the temperature coefficients with a throw; `suspected`: its machine may have a drift.
+    pub(super) fn learn_temperature(&mut self, (raw, distance): (Vector3<f64>, f64), suspected: bool) {
+        self.temperature.learn_on(raw, distance, suspected, &self.scatter);
     }
 
     /// The temperature compensation.
@@ -151,6 +151,11 @@ impl Baseline {
     /// of its middle.
     pub(super) fn centre_throws(&self) -> f64 {
         self.throws as f64 / if self.slopes.is_none() { 1.0 } else { 4.0 }
+    }
+
+    /// Whether the throws had a trend.
+    pub(super) fn has_trend(&self) -> bool {
+        self.slopes.is_some()
     }
 
     pub(super) fn is_complete(&self) -> bool {

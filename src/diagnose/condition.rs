@@ -3,7 +3,7 @@
 //!
 //! An alarm is raised if the diagnosis names its cause, above the limit, for `on_delay_throws` consecutive throws;
 //! without a single name after a longer wait. It is cleared after one of these:
-//! - plain health for `off_delay_throws`: the size plus two standard deviations is below half of the limit;
+//! - plain health for `off_delay_throws`, at least a dozen: the size plus two standard deviations is below half of the limit;
 //! - hovering for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
 //! - another name for a longest window: another cause explains the drift.
 //!
@@ -21,6 +21,10 @@ const LEFT_LEVEL: f64 = 0.5;
 const REPAIR_SHOWS_WITHIN: u32 = 8;
 /// Least level for the detection of a repair, in multiples of the warning limit; below it a fall may be scatter.
 const REPAIRABLE_LEVEL: f64 = 1.5;
+/// Least throws of plain health before an alarm is cleared: the levels, of up to as many throws of a direction, follow a
+/// step with this delay, so they still look healthy just after the raise.
+const LEVELS_FOLLOW: u32 = 12;
+const _: () = assert!(LEVELS_FOLLOW as usize == WINDOWS[2], "the same length, in another type");
 /// Throws of the machine that fill a longest window.
 pub(super) const LONGEST_WINDOW: u32 = 24;
 const _: () = assert!(LONGEST_WINDOW as usize == WINDOWS[3], "the same length, in another type");
@@ -213,7 +217,8 @@ impl Ending {
 
     fn transition(&mut self, settings: &Settings) -> Transition {
         let at_least = |throws: u32| if self.restless { throws.max(settings.hold_throws) } else { throws };
-        if self.healthy >= at_least(settings.off_delay_throws) || self.below >= settings.hold_throws {
+        if self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW)) || self.below >= settings.hold_throws
+        {
             Transition::Clear { at_once: self.fell_at_once() }
         } else if self.other >= at_least(LONGEST_WINDOW) {
             Transition::Withdraw

@@ -9,7 +9,6 @@ use super::{
     explain::{direction_of, percent, relevance, single},
     scatter::Scatter,
     settings::Settings,
-    temperature::doubt,
     testimony::Testimony,
     window::Window,
 };
@@ -63,8 +62,12 @@ pub(super) struct Drift {
     pub(super) strongest: Option<Window>,
     /// Verdict of the gauges on the drift.
     pub(super) testimony: Testimony,
+    /// The cause whose alarm is from the features of throws that are not judged.
+    pub(super) of_features: Option<Cause>,
     /// Whether its cause has an active alarm.
     is_alarmed: bool,
+    /// Whether a direction has a baseline, but too few throws for a level.
+    is_half_seen: bool,
     /// Present level of each direction.
     pub(super) levels: [Option<Window>; 2],
     /// Level of each direction's last six throws.
@@ -78,7 +81,7 @@ pub(super) struct Drift {
 impl Drift {
     pub(super) fn new(
         strongest: Option<(Window, &Scatter)>,
-        provisional: bool,
+        [provisional, is_half_seen]: [bool; 2],
         [levels, last_few]: [[Option<Window>; 2]; 2],
         latest: (usize, Option<Window>),
         hidden: Option<(Cause, f64)>,
@@ -91,7 +94,20 @@ impl Drift {
             .map(|(window, scatter)| Attribution::of(&window, &scatter.of_one_throw(), known, settings));
         let is_alarmed = attribution.as_ref().is_some_and(|attribution| known.causes.contains(&attribution.cause()));
         let (strongest, testimony) = (strongest.map(|(window, _)| window), Testimony::default());
-        Self { excess, provisional, attribution, strongest, testimony, is_alarmed, levels, last_few, latest, hidden }
+        Self {
+            excess,
+            provisional,
+            attribution,
+            strongest,
+            testimony,
+            of_features: None,
+            is_alarmed,
+            is_half_seen,
+            levels,
+            last_few,
+            latest,
+            hidden,
+        }
     }
 
     /// The windows that show the present drift; after a step the shorter ones show it better.
@@ -126,7 +142,8 @@ impl Drift {
                     && attribution.relevance > 1.0
             });
         let levels = self.levels.iter().flatten().filter(|window| window.shows(cause));
-        let is_shown = levels.clone().next().is_some();
+        // What the temperature hides, or no throw shows, is no health.
+        let is_shown = levels.clone().next().is_some() && !self.is_half_seen && self.hidden.is_none();
         let (size, bound) = levels.map(|window| extent(cause, window, settings)).fold((0.0, 0.0), max_of_each);
         let (side, last_few) = &self.latest;
         let concerned = alarmed.flatten().is_none_or(|direction| Direction::BOTH[*side] == direction);
@@ -156,9 +173,8 @@ impl Drift {
                 (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
                 (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
             }),
-            // What the temperature hides is no health.
-            plain_health: is_shown && self.hidden.is_none() && bound < HEALTHY_BELOW,
-            below: is_shown && self.hidden.is_none() && (self.attribution.is_none() || size < deadband),
+            plain_health: is_shown && bound < HEALTHY_BELOW,
+            below: is_shown && (self.attribution.is_none() || size < deadband),
             other_name: other,
             latest,
         }
@@ -197,13 +213,10 @@ impl Drift {
     }
 }
 
-/// Least visible size of `cause` \[%\] in a window with this limit of T; and the same with a known effect of the
-/// temperature.
-pub(super) fn visible_pct(cause: Cause, window: &Window, limit: f64) -> Option<(f64, f64)> {
+/// Least visible size of `cause` \[%\] in a mean with this covariance and limit of T.
+pub(super) fn visible_pct(cause: Cause, covariance: Matrix3<f64>, limit: f64) -> Option<f64> {
     let d = direction_of(cause)?;
-    let least =
-        |covariance: Matrix3<f64>| Some(percent((limit / (d.transpose() * covariance.try_inverse()? * d).x).sqrt()));
-    Some((least(window.covariance)?, least(window.covariance - doubt(window.temperature_sd))?))
+    Some(percent((limit / (d.transpose() * covariance.try_inverse()? * d).x).sqrt()))
 }
 
 /// Size of `cause` in a window relative to the warning limit; and the same plus two standard deviations.

@@ -65,6 +65,9 @@ pub(super) struct DriftAlarms {
     pub(super) conditions: [Condition; 5],
     /// The drifts with an active alarm, with their present size.
     pub(super) now: Vec<Drifting>,
+    /// Throws since the last one that was judged.
+    #[serde(default)]
+    pub(super) unjudged: u32,
     #[serde(default)]
     pub(super) intermittent: Intermittent,
     /// Time and number of the first throw of a fall of friction that lasts.
@@ -84,6 +87,7 @@ impl DriftAlarms {
         context: Context,
     ) -> Vec<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
+        self.unjudged = 0;
         self.history.push(residual, order);
         self.follow_onset(drift, order, context);
         let mut events = Vec::new();
@@ -97,8 +101,12 @@ impl DriftAlarms {
             let evidence = |severity| self.evidence(cause, severity, drift, order, tracks, context);
             events.extend(match transition {
                 Transition::Stay => None,
-                // An alarm about an intermittent fault ends by its own rule.
-                Transition::Clear { .. } | Transition::Withdraw if self.intermittent.alarmed == Some(cause) => None,
+                // An alarm of another rule, about an intermittent fault or features, ends by this rule.
+                Transition::Clear { .. } | Transition::Withdraw
+                    if [self.intermittent.alarmed, drift.of_features].contains(&Some(cause)) =>
+                {
+                    None
+                }
                 Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
                 Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
                 Transition::Clear { at_once } => alarms.clear(cause, text::cleared(name, cause, at_once), at),
@@ -175,6 +183,14 @@ impl DriftAlarms {
     /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
     pub(super) fn is_suspicious(&self, alarms: &Alarms) -> bool {
         self.onset.is_some() || alarms.active().any(|event| event.cause.is_drift())
+    }
+
+    /// Counts a throw that cannot be judged. After a longest window of them the present sizes are unknown.
+    pub(super) fn on_unjudged(&mut self) {
+        self.unjudged = self.unjudged.saturating_add(1);
+        if self.unjudged >= LONGEST_WINDOW {
+            self.now.clear();
+        }
     }
 
     /// Discards the history after a new baseline, as its residuals are from the old one.

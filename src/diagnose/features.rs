@@ -68,10 +68,15 @@ impl FeatureWatch {
         alarms.raise(Cause::Unattributed, evidence, at)
     }
 
-    /// Applies a throw with an estimate: the drift rule judges again.
-    pub(super) fn on_estimate(&mut self, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
-        for recent in &mut self.sides {
-            recent.pop_front();
+    /// Applies a throw with an estimate: the drift rule judges its direction again.
+    pub(super) fn on_estimate(
+        &mut self,
+        direction: Option<Direction>,
+        alarms: &mut Alarms,
+        context: Context,
+    ) -> Option<AlarmEvent> {
+        if let Some(direction) = direction {
+            self.sides[direction.side()].pop_front();
         }
         let is_empty = self.sides.iter().all(VecDeque::is_empty);
         if self.alarmed && is_empty { self.end(alarms, context) } else { None }

@@ -135,17 +135,17 @@ impl Gauges {
         })
     }
 
-    /// Level of a gauge over the last `throws`; `None` if the gauge or its normal value is unknown.
+    /// Level of a gauge over the last `throws` that show it; `None` if hardly any do, or its normal value is unknown.
     pub(super) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let departures: Vec<(f64, f64)> = self
             .recent
             .iter()
             .rev()
-            .take(throws)
             .filter_map(|shown| {
                 let (centre, sd) = self.sides[shown.side()].of(gauge)?;
                 Some((f64::from(shown.value(gauge)? - centre), f64::from(sd)))
             })
+            .take(throws)
             .collect();
         let count = departures.len() as f64;
         let mean = |values: fn(&(f64, f64)) -> f64| departures.iter().map(values).sum::<f64>() / count;

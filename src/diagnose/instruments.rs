@@ -69,6 +69,9 @@ pub(super) struct Instruments {
     pub(super) gauges: Gauges,
     /// The sensor that explains the drift of the last throw.
     channel: Option<SensorChannel>,
+    /// The sensor about which an alarm was raised last.
+    #[serde(default)]
+    alarmed: Option<SensorChannel>,
     sensor: Streaks,
     supply: Streaks,
 }
@@ -172,17 +175,31 @@ impl Instruments {
                 correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
                 ..Evidence::plain(Severity::Warning, throw, text::sensor(name, &fault))
             };
-            events.extend(alarms.raise(Cause::Sensor, evidence, at));
-        } else if self.sensor.over == settings.off_delay_throws
-            && alarms.active().any(|event| event.cause == Cause::Sensor && event.channel == self.channel)
+            let event = alarms.raise_sensor(evidence, self.sensor.named == settings.on_delay_throws, at);
+            self.alarmed = if event.is_some() { self.channel } else { self.alarmed };
+            events.extend(event);
+        } else if self.sensor.over >= settings.off_delay_throws
+            && self.alarmed.take_if(|alarmed| alarms.faulty_sensor() == Some(*alarmed)).is_some()
         {
             events.extend(alarms.clear(Cause::Sensor, text::cleared(name, Cause::Sensor, false), at));
         }
+        let drift_matters = (testimony == Testimony::Supply).then(|| drift.matters());
+        events.extend(self.judge_supply(drift_matters, alarms, context));
+        events
+    }
+
+    /// Updates the alarm about the supply after a throw; `explained`: whether the drift that it explains matters.
+    pub(super) fn judge_supply(
+        &mut self,
+        explained: Option<bool>,
+        alarms: &mut Alarms,
+        context: Context,
+    ) -> Option<AlarmEvent> {
+        let Context { name, at, throw, settings } = context;
         let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
         let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
         let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
-        let explains = testimony == Testimony::Supply;
-        self.supply.follow(lost.is_some() || explains, matters || explains && drift.matters());
+        self.supply.follow(lost.is_some() || explained.is_some(), matters || explained == Some(true));
         if let Some(lost) = lost.filter(|_| self.supply.named >= settings.on_delay_throws) {
             let change_pct = percent(-lost.value);
             let evidence = Evidence {
@@ -190,17 +207,18 @@ impl Instruments {
                 change_pct_sd: Some(100.0 * lost.sd * (-lost.value).exp()),
                 ..Evidence::plain(Severity::Warning, throw, text::supply(name, change_pct))
             };
-            events.extend(alarms.raise(Cause::Supply, evidence, at));
+            alarms.raise(Cause::Supply, evidence, at)
         } else if self.supply.over >= settings.off_delay_throws {
-            events.extend(alarms.clear(Cause::Supply, text::cleared(name, Cause::Supply, false), at));
+            alarms.clear(Cause::Supply, text::cleared(name, Cause::Supply, false), at)
+        } else {
+            None
         }
-        events
     }
 
     /// Deletes the last throws, but not the normal values, after maintenance.
     pub(super) fn forget_recent(&mut self) {
         self.gauges.forget_recent();
-        (self.channel, self.sensor, self.supply) = (None, Streaks::default(), Streaks::default());
+        *self = Self { gauges: std::mem::take(&mut self.gauges), ..Self::default() };
     }
 }
 

@@ -21,9 +21,12 @@ use super::{
     text,
     thermometer::{Disbelief, Thermometer},
     track::Tracks,
-    verdict::{Blindness, Drifting, MachineState, Verdict},
+    verdict::{Blindness, Drifting, HidingTemperature, MachineState, Verdict},
 };
-use crate::throw::{Direction, POSSIBLE_SUPPLY_V, ThrowRef};
+use crate::{
+    estimate::Features,
+    throw::{Direction, POSSIBLE_SUPPLY_V, ThrowRef},
+};
 
 /// A maintenance window.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -66,6 +69,9 @@ pub struct MachineMonitor {
     /// Parameters of the last identified throw.
     #[serde(default)]
     parameters: Option<Parameters>,
+    /// The stored snapshot that this program could not read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    unread: Option<String>,
 }
 
 impl MachineMonitor {
@@ -91,7 +97,15 @@ impl MachineMonitor {
             maintenance: None,
             has_position: false,
             parameters: None,
+            unread: None,
         }
+    }
+
+    /// A monitor in the place of one whose snapshot cannot be read, as after a return to an earlier version of the
+    /// program. It keeps this text, for a version that can.
+    #[must_use]
+    pub fn instead_of(unread: String, name: &str) -> Self {
+        Self { unread: Some(unread), ..Self::new(name) }
     }
 
     /// Replaces the name of the machine in later texts.
@@ -100,7 +114,8 @@ impl MachineMonitor {
         Self { name, ..self }
     }
 
-    /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program.
+    /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program. Of a monitor in the place of
+    /// another, it is that other one, if it can be read now.
     ///
     /// # Errors
     /// When the text is not a snapshot, or has an unknown version.
@@ -111,7 +126,11 @@ impl MachineMonitor {
         }
         match serde_json::from_str(json)? {
             Stamp { version: None } => serde_json::from_str::<VersionOne>(json).map(Self::from),
-            Stamp { version: Some(Self::VERSION) } => serde_json::from_str(json),
+            Stamp { version: Some(Self::VERSION) } => {
+                let monitor: Self = serde_json::from_str(json)?;
+                let replaced = monitor.unread.as_ref().and_then(|unread| Self::from_snapshot(unread).ok());
+                Ok(replaced.unwrap_or(monitor))
+            }
             Stamp { version: Some(other) } => {
                 let problem = format!("snapshot version {other} is from a newer program");
                 Err(serde::de::Error::custom(problem))
@@ -158,6 +177,7 @@ impl MachineMonitor {
         verdict.state = self.state();
         verdict.drifts = self.drifts().to_vec();
         verdict.blind = self.blind;
+        verdict.has_trend = self.tracks.trend().is_some();
         verdict.caveats = self.caveats();
         verdict
     }
@@ -177,6 +197,9 @@ impl MachineMonitor {
             let features = &observation.features;
             self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
             self.observe_evaluated(throw, &observation.throw, at, settings, verdict);
+        } else {
+            self.drift.on_unjudged();
+            self.observe_features(observation, at, settings, verdict);
         }
         let is_judged = evaluated.is_some_and(|throw| self.tracks.of_one_throw(throw.direction).is_some());
         let watched = self.watch_features(observation, is_judged, at, settings, verdict);
@@ -197,6 +220,38 @@ impl MachineMonitor {
         }
     }
 
+    /// Adds a throw without an estimate to the gauges. A rejected one shows those that need no model. In a direction without
+    /// a baseline they are learned as well: what follows a row of rejections must not be learned as normal unseen.
+    fn observe_features(
+        &mut self,
+        observation: &Observation,
+        at: Timestamp,
+        settings: &Settings,
+        verdict: &mut Verdict,
+    ) {
+        let Observation { features: all, features_only, incomplete, faulty, .. } = observation;
+        let Some(direction) = observation.direction.filter(|_| !incomplete && faulty.is_none()) else { return };
+        let features = if *features_only {
+            all.clone()
+        } else {
+            Features {
+                duration_s: all.duration_s,
+                supply_v: all.supply_v,
+                peak_current_a: all.peak_current_a,
+                running_current_a: all.running_current_a,
+                charge_as: all.charge_as,
+                ..Features::default()
+            }
+        };
+        let has_baseline = self.tracks.of_one_throw(direction).is_some();
+        let unusual = self.drift.is_suspicious(&self.alarms) || !features_only && has_baseline;
+        self.instruments.gauges.push(direction, &features, observation.temperature_c, unusual);
+        if !features_only && features.supply_v.is_some() {
+            let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
+            verdict.events.extend(self.instruments.judge_supply(None, &mut self.alarms, context));
+        }
+    }
+
     /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
     /// on a machine whose every throw is rough. Returns whether the machine is monitored by them.
     fn watch_features(
@@ -209,14 +264,11 @@ impl MachineMonitor {
     ) -> bool {
         let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
         if is_judged {
-            verdict.events.extend(self.features.on_estimate(&mut self.alarms, context));
+            verdict.events.extend(self.features.on_estimate(observation.direction, &mut self.alarms, context));
             return true;
         }
         let Some(direction) = observation.direction.filter(|_| !observation.incomplete) else { return false };
-        let (features, gauges) = (&observation.features, &mut self.instruments.gauges);
-        if observation.features_only {
-            gauges.push(direction, features, observation.temperature_c, self.drift.is_suspicious(&self.alarms));
-        }
+        let (features, gauges) = (&observation.features, &self.instruments.gauges);
         verdict.events.extend(self.features.on_features(direction, features, gauges, &mut self.alarms, context));
         let has_features = !self.has_position && observation.features_only && features.running_current_a.is_some();
         self.features.is_alarmed() || has_features
@@ -239,6 +291,7 @@ impl MachineMonitor {
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
+            drift.of_features = self.features.is_alarmed().then_some(Cause::Unattributed);
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
             verdict.events.extend(events);
             let events = self.instruments.judge(&drift, drift.testimony, &mut self.alarms, context);
@@ -250,13 +303,18 @@ impl MachineMonitor {
             verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
         }
         let hidden = drift.as_ref().and_then(|drift| drift.hidden);
-        self.blind = hidden.and_then(|(cause, below_pct)| {
+        let by_temperature = hidden.and_then(|(cause, below_pct)| {
             let baseline_c = self.tracks.reference_c(throw.direction)?;
-            Some(Blindness { cause, below_pct, temperature_c: throw.temperature_c?, baseline_c })
+            let temperature = HidingTemperature { temperature_c: throw.temperature_c?, baseline_c };
+            Some(Blindness { cause, below_pct, temperature: Some(temperature) })
+        });
+        self.blind = by_temperature.or_else(|| {
+            let (cause, below_pct) = self.tracks.hidden_by_scatter(settings)?;
+            Some(Blindness { cause, below_pct, temperature: None })
         });
         let suspicion = self.drift.suspicion(drift.as_ref(), &self.alarms);
         let taken = self.tracks.learn(throw, self.order, at, suspicion, settings);
-        if taken.is_some() {
+        if !taken.is_empty() {
             self.drift.forget_history();
         }
         verdict.baselines_taken.extend(taken);
@@ -359,6 +417,12 @@ impl MachineMonitor {
         operation.on_gap(lost, alarms, context).into_iter().collect()
     }
 
+    /// Applies the time when the next throw was received: judged after the loss of its logger, an earlier one is no sign
+    /// of life.
+    pub fn received(&mut self, at: Timestamp) {
+        self.operation.on_receipt(to_micros(at));
+    }
+
     /// Counts the throws whose movement contradicts the direction that the logger names.
     pub fn direction(&mut self, contradicted: bool) {
         self.operation.on_direction(contradicted);
@@ -437,6 +501,7 @@ impl MachineMonitor {
         self.features.reset();
         self.trail = Trail::default();
         self.blind = None;
+        self.unread = None;
         let text = text::rebaselined(&self.name, by, why);
         let drifts: Vec<Cause> =
             self.alarms.events().filter(|event| is_drift(event)).map(|event| event.cause).collect();
@@ -481,8 +546,10 @@ impl MachineMonitor {
     pub fn caveats(&self) -> Vec<String> {
         let blind = self.blind.as_ref().map(|blind| text::blind(&self.name, blind));
         let only_features = self.features.is_monitoring() && !self.tracks.any_baseline();
-        blind
+        let unread = self.unread.as_ref().map(|_| text::unread(&self.name));
+        unread
             .into_iter()
+            .chain(blind)
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(only_features.then(|| text::only_features(&self.name)))
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
@@ -501,7 +568,8 @@ impl MachineMonitor {
             Some(Severity::Critical) => MachineState::Critical,
             _ if self.alarms.is_active(Cause::NotMonitored) => MachineState::NotMonitored,
             Some(Severity::Warning) => MachineState::Warning,
-            None if self.tracks.any_baseline() || self.features.is_monitoring() => MachineState::Healthy,
+            None if self.tracks.any_baseline() => MachineState::Healthy,
+            None if self.features.is_monitoring() && !self.operation.is_rejecting() => MachineState::Healthy,
             None => MachineState::Learning,
         }
     }
@@ -550,6 +618,7 @@ impl From<VersionOne> for MachineMonitor {
             maintenance,
             has_position: false,
             parameters: None,
+            unread: None,
         }
     }
 }

@@ -21,6 +21,8 @@ const SLOW_IN_A_ROW: u32 = 3;
 const DISBELIEVED_IN_A_ROW: u32 = 3;
 /// Throws with an unusable channel among the last eight that raise the alarm: one or two are disturbances.
 const UNUSABLE_OF_EIGHT: u32 = 3;
+/// Evaluated throws among the last eight of a direction that end the alarm: a single accepted one monitors nothing.
+const EVALUATED_OF_EIGHT: u32 = 4;
 /// Longest time between two ticks that counts as silence \[s\]: more is a jump of the clock or a stopped daemon.
 const LONGEST_TICK_S: f64 = 3600.0;
 /// Longest time between two ticks that counts for delays of minutes \[s\]: after a start of the daemon loggers have the
@@ -47,6 +49,9 @@ enum Logger {
         for_s: f64,
         /// Whether this has raised an alarm.
         alarmed: bool,
+        /// Time of the loss.
+        #[serde(default)]
+        since: Option<Timestamp>,
     },
 }
 
@@ -60,6 +65,9 @@ struct Streaks {
     unevaluated: u32,
     /// Throws at a temperature that hides faults at their warning limit.
     blind: u32,
+    /// The last eight throws as bits: 1 if it was not evaluated.
+    #[serde(default)]
+    lost: u8,
 }
 
 /// Counters of the operational alarms; those without a unit count consecutive throws of the machine.
@@ -91,6 +99,9 @@ pub(super) struct Operation {
     lost: u64,
     silence_s: f64,
     ticked_at: Option<Timestamp>,
+    /// Time when the next throw was received.
+    #[serde(skip)]
+    received_at: Option<Timestamp>,
     #[serde(default)]
     logger: Logger,
     /// Time without problems of the daemon \[s\].
@@ -127,7 +138,13 @@ fn streak(count: &mut u32, holds: bool) {
 }
 
 impl Operation {
-    /// Applies a received throw, complete or not, which also shows that the logger is alive.
+    /// Applies the time when the next throw was received.
+    pub(super) fn on_receipt(&mut self, at: Timestamp) {
+        self.received_at = Some(at);
+    }
+
+    /// Applies a throw, complete or not, which also shows that the logger is alive, unless it was received before the loss
+    /// of the logger.
     pub(super) fn on_throw(
         &mut self,
         incomplete: bool,
@@ -137,10 +154,12 @@ impl Operation {
     ) -> Vec<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
         self.silence_s = 0.0;
+        let received_at = self.received_at.take();
         self.logger = match self.logger {
+            gone @ Logger::Gone { since: Some(since), .. } if received_at.is_some_and(|at| at < since) => gone,
             // Throws without a token: from now on only silence shows that the logger is gone.
             Logger::Gone { alarmed: true, .. } => Logger::Unannounced,
-            Logger::Gone { .. } => Logger::Gone { for_s: 0.0, alarmed: false },
+            Logger::Gone { since, .. } => Logger::Gone { for_s: 0.0, alarmed: false, since },
             as_before => as_before,
         };
         streak(&mut self.incomplete, incomplete);
@@ -214,13 +233,17 @@ impl Operation {
         if evaluated {
             streak(&mut self.blind, blind.is_some());
         }
-        if let Some(direction) = direction {
-            let own = &mut self.sides[direction.side()];
-            streak(&mut own.unevaluated, !evaluated);
+        for own in Direction::BOTH.into_iter().filter(|own| direction.is_none_or(|direction| direction == *own)) {
+            let own = &mut self.sides[own.side()];
+            own.lost = own.lost << 1 | u8::from(!evaluated);
+            if direction.is_some() {
+                streak(&mut own.unevaluated, !evaluated);
+            }
             if evaluated {
                 streak(&mut own.blind, blind.is_some());
             }
         }
+        let is_seen = self.sides.iter().all(|side| side.lost.count_zeros() >= EVALUATED_OF_EIGHT);
         let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
         // The throws of one direction may all be rejected, as with a wrong `neutral_mm`, while the other is healthy.
         let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
@@ -231,11 +254,16 @@ impl Operation {
         } else if let Some(unseen) = unseen {
             let in_a_row = self.sides[unseen.side()].unevaluated;
             alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, Some(unseen), in_a_row)), at)
-        } else if evaluated && !is_blind {
+        } else if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
             alarms.clear(Cause::NotMonitored, text::evaluated_again(name), at)
         } else {
             None
         }
+    }
+
+    /// Whether the last throw was not evaluated.
+    pub(super) fn is_rejecting(&self) -> bool {
+        self.unevaluated > 0
     }
 
     /// Counts the throws in a row whose movement contradicts the logger's direction.
@@ -264,12 +292,10 @@ impl Operation {
                 Disbelief::Impossible(_) | Disbelief::Jump(..) | Disbelief::Missing(_) => SensorChannel::Temperature,
             };
             let evidence = context.warning(text::sensor_implausible(name, disbelief));
-            alarms.raise(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, at)
+            let is_new = self.disbelieved == DISBELIEVED_IN_A_ROW;
+            alarms.raise_sensor(Evidence { channel: Some(channel), ..evidence }, is_new, at)
         } else if self.believed >= settings.off_delay_throws
-            && alarms
-                .active()
-                .filter(|event| event.cause == Cause::Sensor)
-                .all(|event| matches!(event.channel, None | Some(SensorChannel::Temperature | SensorChannel::Supply)))
+            && matches!(alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
         {
             alarms.clear(Cause::Sensor, text::sensor_plausible(name), at)
         } else {
@@ -286,6 +312,7 @@ impl Operation {
     ) -> Option<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
         streak(&mut self.usable, faulty.is_none());
+        let before = self.unusable;
         if let Some((channel, throws)) = &mut self.unusable {
             *throws = *throws << 1 | u8::from(faulty == Some(*channel));
         }
@@ -294,10 +321,11 @@ impl Operation {
             self.unusable = Some((channel, 1));
         }
         let (channel, throws) = self.unusable?;
-        let alarmed = alarms.active().any(|event| event.cause == Cause::Sensor && event.channel == Some(channel));
+        let alarmed = alarms.faulty_sensor() == Some(channel);
         if throws.count_ones() >= UNUSABLE_OF_EIGHT {
             let evidence = context.warning(text::sensor_unusable(name, channel));
-            alarms.raise(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, at)
+            let is_new = before.is_none_or(|(of, throws)| of != channel || throws.count_ones() < UNUSABLE_OF_EIGHT);
+            alarms.raise_sensor(Evidence { channel: Some(channel), ..evidence }, is_new, at)
         } else if self.usable >= settings.off_delay_throws.max(u8::BITS) {
             self.unusable = None;
             if alarmed { alarms.clear(Cause::Sensor, text::sensor_usable(name, channel), at) } else { None }
@@ -315,7 +343,7 @@ impl Operation {
             return None;
         }
         self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
-        if let Logger::Gone { for_s, alarmed } = &mut self.logger {
+        if let Logger::Gone { for_s, alarmed, .. } = &mut self.logger {
             *for_s += passed.clamp(0.0, USUAL_TICK_S);
             if *for_s >= 60.0 * settings.logger_gone_minutes {
                 let evidence = context.warning(text::logger_gone(name, *for_s / 60.0));
@@ -339,7 +367,7 @@ impl Operation {
         let before = self.logger;
         self.logger = match before {
             _ if there => Logger::There,
-            Logger::There => Logger::Gone { for_s: 0.0, alarmed: false },
+            Logger::There => Logger::Gone { for_s: 0.0, alarmed: false, since: Some(context.at) },
             absent => absent,
         };
         let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });

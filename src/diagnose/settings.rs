@@ -39,7 +39,8 @@ pub struct Settings {
     pub temperature_span_k: f64,
     /// Consecutive throws with a drift before its alarm is raised. 1 to 100, default 2.
     pub on_delay_throws: u32,
-    /// Consecutive throws with plain health before an alarm is cleared. 1 to 10,000, default 12.
+    /// Consecutive throws with plain health before an alarm is cleared; drift alarms need at least 12. 1 to 10,000,
+    /// default 12.
     pub off_delay_throws: u32,
     /// Throws below the deadband after which an alarm just below its limit clears. 1 to 100,000, default 200.
     pub hold_throws: u32,

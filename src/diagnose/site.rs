@@ -37,9 +37,22 @@ const BEYOND_CHANCE: f64 = 4.0 * 1.25;
 /// Part of the warning limit below which a common change has ended.
 const OVER_BELOW: f64 = 0.5;
 
-/// Common change of machines of a site, as logarithms of b0, a1, a0; 0 if they do not agree.
+/// Common change of machines of a site.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Common(Vector3<f64>);
+pub struct Common {
+    /// Logarithms of b0, a1, a0; 0 if the machines do not agree.
+    change: Vector3<f64>,
+    /// Whether enough machines had throws in the last hours.
+    is_known: bool,
+}
+
+impl Common {
+    /// Whether there is a common change.
+    #[must_use]
+    pub fn is_change(&self) -> bool {
+        self.change != Vector3::zeros()
+    }
+}
 
 /// The last departures of a machine from its baseline.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -82,27 +95,29 @@ pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp)
     if latest.len() < WITNESSES {
         return Common::default();
     }
-    Common(Vector3::from_fn(|i, _| {
+    let change = Vector3::from_fn(|i, _| {
         let logs = || latest.iter().map(|(log, _)| f64::from(log[i]));
         let middle = median(&mut logs().collect::<Vec<_>>());
         let score = median(&mut latest.iter().map(|(log, sd)| f64::from(log[i] / sd[i])).collect::<Vec<_>>());
         let along = logs().filter(|log| log * middle.signum() >= 0.5 * middle.abs()).count() as f64;
         let holds = along >= AGREE * count && score.abs() * count.sqrt() > BEYOND_CHANCE;
         if holds { middle } else { 0.0 }
-    }))
+    });
+    Common { change, is_known: true }
 }
 
 /// The part of a departure that belongs to the common change.
 pub(super) fn excused(departure: &Vector3<f64>, common: &Common) -> Vector3<f64> {
     departure.zip_map(
-        &common.0,
+        &common.change,
         |own, common| {
             if own * common > 0.0 { own.signum() * own.abs().min(common.abs()) } else { 0.0 }
         },
     )
 }
 
-/// Raises and clears the alarm about all machines of a site with the change `common`.
+/// Raises and clears the alarm about all machines of a site with the change `common`. While it is unknown, as in a night
+/// without throws, the alarm stays.
 pub(super) fn judge(common: &Common, alarms: &mut Alarms, context: Context) -> Vec<AlarmEvent> {
     /// The causes that change one coefficient each.
     const CAUSES: [Cause; 3] = [Cause::Kt, Cause::Friction, Cause::Stiffness];
@@ -114,7 +129,9 @@ pub(super) fn judge(common: &Common, alarms: &mut Alarms, context: Context) -> V
             let evidence = Evidence { change_pct, ..Evidence::plain(Severity::Warning, None, text) };
             return alarms.raise(cause, evidence, context.at);
         }
-        (size < OVER_BELOW).then(|| alarms.clear(cause, text::site_over(context.name, cause), context.at)).flatten()
+        (common.is_known && size < OVER_BELOW)
+            .then(|| alarms.clear(cause, text::site_over(context.name, cause), context.at))
+            .flatten()
     };
-    CAUSES.into_iter().zip(&common.0).filter_map(of).collect()
+    CAUSES.into_iter().zip(&common.change).filter_map(of).collect()
 }

@@ -1,15 +1,19 @@
 //! The effect of temperature on the coefficients of a machine and direction, from the baseline and from later throws.
 //!
 //! In logarithms x = centre + k (T - reference). A baseline rarely spans a year, so it hardly determines k; throws that
-//! leave the longest window without a suspicion improve it. The centre does not change: at the reference temperature a
+//! leave the longest window improve it. The centre does not change: at the reference temperature a
 //! drift stays visible, and elsewhere k can hide at most [`MOST_PER_K`]. Old throws lose weight over [`MEMORY`], as the
 //! dependence is a curve and k its present slope. The uncertainty of k, times the distance from the reference, is part
 //! of the covariance of every window.
+//!
+//! A lasting change of a coefficient, as by a fault, is no effect of the temperature. So the level is a part of the model
+//! too, and the slope comes from the changes since an [`Anchor`]: the centre, or the first throws of a suspected drift.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
+    condition::LONGEST_WINDOW,
     robust::median,
     scatter::{Scatter, serial_inflation},
     settings::Settings,
@@ -38,6 +42,40 @@ const MEMORY: f64 = 250.0;
 /// Largest residual in standard deviations; larger ones are clipped, so that an outlier has little effect.
 const CLIP_SD: f64 = 3.5;
 
+/// Throws of a suspected drift that determine its anchor. As many stay out before them: they leave the longest window
+/// after the suspicion, and are from before it.
+const ANCHORED: u32 = LONGEST_WINDOW;
+/// Change of the level since the anchor, in standard deviations of the anchor, that is another lasting change.
+const LEVEL_SD: f64 = 4.0;
+/// Throws of the baseline in a snapshot without their number.
+const USUAL_THROWS: f64 = 50.0;
+
+/// A known point of the line, and sums over the throws since then.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Anchor {
+    /// Number of throws of the point; `None`: the centre of the baseline.
+    throws: Option<u32>,
+    /// Mean distance from the reference \[K\], and mean residual, of these throws.
+    distance: f64,
+    residual: [f64; 3],
+    /// Number of later throws, and sums of their differences from the point: distances \[K\] and residuals.
+    later: f64,
+    distances: f64,
+    residuals: [f64; 3],
+}
+
+impl Anchor {
+    /// The centre, before the first later throw.
+    const CENTRE: Self =
+        Self { throws: None, distance: 0.0, residual: [0.0; 3], later: 0.0, distances: 0.0, residuals: [0.0; 3] };
+}
+
+impl Default for Anchor {
+    fn default() -> Self {
+        Self::CENTRE
+    }
+}
+
 /// Compensation of temperature: x - `per_k` (T - reference).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Temperature {
@@ -50,6 +88,14 @@ pub(super) struct Temperature {
     information: f64,
     #[serde(default)]
     product: [f64; 3],
+    /// Throws of the centre.
+    #[serde(default = "usual_throws")]
+    throws: f64,
+    #[serde(default)]
+    anchor: Anchor,
+    /// Throws since the suspicion of a drift, and the anchor from the second half of them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    next: Option<(u32, Anchor)>,
 }
 
 impl Temperature {
@@ -60,6 +106,9 @@ impl Temperature {
         reference_c: None,
         information: 0.0,
         product: [0.0; 3],
+        throws: USUAL_THROWS,
+        anchor: Anchor::CENTRE,
+        next: None,
     };
 
     /// Computes the compensation from the throws of a baseline: logarithms, and temperatures \[°C\] if known.
@@ -69,7 +118,7 @@ impl Temperature {
             return Self::NONE;
         }
         let reference = median(&mut known);
-        let none = Self { reference_c: Some(reference), ..Self::NONE };
+        let none = Self { reference_c: Some(reference), throws: throws.len() as f64, ..Self::NONE };
         if let Some(t) = &settings.temperature {
             let per_k = [t.b0_pct_per_k, t.a1_pct_per_k, t.a0_pct_per_k].map(|pct| pct / 100.0);
             return Self { source: TemperatureSource::Configured, per_k, ..none };
@@ -99,8 +148,8 @@ impl Temperature {
     }
 
     /// Updates the compensation with a throw: residual `raw` without compensation, `distance` \[K\] from the reference,
-    /// scatter of the machine.
-    pub(super) fn learn_on(&mut self, raw: Vector3<f64>, distance: f64, scatter: &Scatter) {
+    /// whether a drift is suspected, scatter of the machine.
+    pub(super) fn learn_on(&mut self, raw: Vector3<f64>, distance: f64, suspected: bool, scatter: &Scatter) {
         if self.source == TemperatureSource::Configured || self.reference_c.is_none() {
             return;
         }
@@ -112,25 +161,91 @@ impl Temperature {
             self.information = noise[1] / self.per_k_variance[1].max(f64::MIN_POSITIVE);
             self.product = self.per_k.map(|k| k * self.information);
         }
-        let expected = Vector3::from(self.posterior(noise).0) * distance;
+        if !suspected {
+            self.next = None;
+            if self.anchor.throws.is_some() {
+                self.move_anchor(Anchor::CENTRE);
+            }
+        } else if self.is_moving(&raw, distance) {
+            return;
+        }
+        let (slope, _) = self.posterior(noise);
+        let origin = Vector3::from(self.anchor.residual) + self.change(slope);
+        let from_anchor = distance - self.anchor.distance;
+        let expected = origin + Vector3::from(slope) * from_anchor;
         let reach = variance.map(|v| CLIP_SD * v.sqrt())
             + Vector3::from(self.per_k_variance).map(|v| CLIP_SD * v.sqrt() * distance.abs());
         let rest = raw - expected;
         let clipped = expected + Vector3::from_fn(|i, _| rest[i].clamp(-reach[i], reach[i]));
         let keep = 1.0 - 1.0 / MEMORY;
-        self.information = keep * self.information + distance * distance;
+        let anchor = &mut self.anchor;
+        anchor.later = keep * anchor.later + 1.0;
+        anchor.distances = keep * anchor.distances + from_anchor;
+        self.information = keep * self.information + from_anchor * from_anchor;
         for i in 0..3 {
-            self.product[i] = keep * self.product[i] + distance * clipped[i];
+            let residual = clipped[i] - anchor.residual[i];
+            anchor.residuals[i] = keep * anchor.residuals[i] + residual;
+            self.product[i] = keep * self.product[i] + from_anchor * residual;
         }
         self.solve(noise, true);
+        let change = self.change(self.per_k);
+        if suspected && (0..3).any(|i| change[i].abs() > LEVEL_SD * (noise[i] / self.anchor_throws()).sqrt()) {
+            // Another fault, or the repair of a part.
+            self.next = Some((ANCHORED, Anchor::CENTRE));
+        }
+    }
+
+    /// Adds a throw of a suspected drift to the next anchor; returns whether it is used for this.
+    fn is_moving(&mut self, raw: &Vector3<f64>, distance: f64) -> bool {
+        if self.anchor.throws.is_none() && self.next.is_none() {
+            self.next = Some((0, Anchor::CENTRE));
+        }
+        let Some((throws, next)) = &mut self.next else { return false };
+        *throws += 1;
+        if *throws > ANCHORED {
+            let count = f64::from(*throws - ANCHORED);
+            next.distance += (distance - next.distance) / count;
+            next.residual = std::array::from_fn(|i| next.residual[i] + (raw[i] - next.residual[i]) / count);
+        }
+        if *throws == 2 * ANCHORED {
+            let next = Anchor { throws: Some(ANCHORED), ..next.clone() };
+            self.move_anchor(next);
+            self.next = None;
+        }
+        true
+    }
+
+    /// Replaces the anchor, and keeps what its throws show about the slopes.
+    fn move_anchor(&mut self, to: Anchor) {
+        (self.information, self.product) = self.sums();
+        self.anchor = to;
+    }
+
+    /// Number of throws of the anchor.
+    fn anchor_throws(&self) -> f64 {
+        self.anchor.throws.map_or(self.throws, f64::from)
+    }
+
+    /// Change of the level since the anchor, with these slopes.
+    fn change(&self, slope: [f64; 3]) -> Vector3<f64> {
+        let Anchor { later, distances, residuals, .. } = &self.anchor;
+        Vector3::from_fn(|i, _| (residuals[i] - slope[i] * distances) / (self.anchor_throws() + later))
+    }
+
+    /// Sum of squared distances \[K²\], and sums of distances times residuals \[K\], both about the present level.
+    fn sums(&self) -> (f64, [f64; 3]) {
+        let Anchor { later, distances, residuals, .. } = &self.anchor;
+        let mean = distances / (self.anchor_throws() + later);
+        (self.information - mean * distances, std::array::from_fn(|i| self.product[i] - mean * residuals[i]))
     }
 
     /// Slopes and their variances, with a prior around zero; `noise` is the variance of one throw, with serial
     /// correlation.
     fn posterior(&self, noise: Vector3<f64>) -> ([f64; 3], [f64; 3]) {
+        let (information, product) = self.sums();
         let prior = |i: usize| noise[i] / TYPICAL_PER_K[i].powi(2);
-        let slope = |i: usize| (self.product[i] / (self.information + prior(i))).clamp(-MOST_PER_K[i], MOST_PER_K[i]);
-        let variance = |i: usize| noise[i] / (self.information + prior(i)).max(f64::MIN_POSITIVE);
+        let slope = |i: usize| (product[i] / (information + prior(i))).clamp(-MOST_PER_K[i], MOST_PER_K[i]);
+        let variance = |i: usize| noise[i] / (information + prior(i)).max(f64::MIN_POSITIVE);
         (std::array::from_fn(slope), std::array::from_fn(variance))
     }
 
@@ -176,4 +291,8 @@ impl Temperature {
 /// Covariance of a mean, from the standard deviation of the temperature's effect.
 pub(super) fn doubt(sd: Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(&sd.component_mul(&sd))
+}
+
+fn usual_throws() -> f64 {
+    USUAL_THROWS
 }

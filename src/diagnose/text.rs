@@ -11,7 +11,7 @@ use super::{
     intermittent::Departures,
     testimony::Fault,
     thermometer::Disbelief,
-    verdict::Blindness,
+    verdict::{Blindness, HidingTemperature},
 };
 use crate::throw::Direction;
 
@@ -241,12 +241,19 @@ pub(super) fn ratios_only(name: &str) -> String {
 }
 
 pub(super) fn evaluated_again(name: &str) -> String {
-    format!("Machine {name}: a throw could be evaluated again.")
+    format!("Machine {name}: its throws can be evaluated again.")
 }
 
-/// Text for a machine whose faults at their warning limit are hidden at this temperature.
+/// Text for a machine whose faults are hidden, at this temperature or by the scatter of its throws.
 pub(super) fn blind(name: &str, blind: &Blindness) -> String {
-    let Blindness { cause, below_pct, temperature_c, baseline_c } = blind;
+    let Blindness { cause, below_pct, temperature } = blind;
+    let Some(HidingTemperature { temperature_c, baseline_c }) = temperature else {
+        return format!(
+            "Machine {name}: its throws scatter so much, or vary so slowly, that a change of {cause} below {below_pct:.0} % cannot be \
+             distinguished from that; so the machine is not monitored for changes up to this. Look for the reason (weather, supply, \
+             sensors), then take a new baseline (rebaseline)."
+        );
+    };
     format!(
         "Machine {name}: at {temperature_c:.0} °C a change of {cause} below {below_pct:.0} % cannot be distinguished from \
          the effect of the temperature, as the baseline is from {baseline_c:.0} °C; so the machine is not monitored. It learns this \
@@ -326,6 +333,14 @@ pub(super) fn orphaned(name: &str) -> String {
     format!(
         "{name}: what the daemon knew about this alarm is lost, and it learns a new baseline. The fault may still exist: \
          inspect the machine, then acknowledge this alarm."
+    )
+}
+
+/// Text for a machine whose stored monitor cannot be read.
+pub(super) fn unread(name: &str) -> String {
+    format!(
+        "Machine {name}: this version of pointsd cannot read its stored baselines and alarms, so it learns a new baseline. They \
+         are kept: install the version that wrote them, or inspect the machine and take a new baseline (rebaseline)."
     )
 }
 

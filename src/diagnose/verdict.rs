@@ -68,14 +68,22 @@ pub struct Drifting {
     pub limit_in_throws: Option<LimitForecast>,
 }
 
-/// A machine whose throws cannot show a fault at the present temperature, as the effect of the temperature is too
-/// uncertain.
+/// A machine whose throws cannot show a fault: at the present temperature, as its effect is too uncertain, or at all, as
+/// they scatter too much.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Blindness {
     /// The cause hidden most, relative to its warning limit.
     pub cause: Cause,
-    /// Size below which a change cannot be distinguished from the effect of the temperature \[%\].
+    /// Size below which a change cannot be distinguished from the effect of the temperature, or from scatter \[%\].
     pub below_pct: f64,
+    /// The temperature that hides it; `None` for scatter.
+    #[serde(flatten)]
+    pub temperature: Option<HidingTemperature>,
+}
+
+/// A temperature too far from that of the baseline.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct HidingTemperature {
     /// The present temperature \[°C\].
     pub temperature_c: f64,
     /// Reference temperature of the baseline \[°C\].
@@ -89,10 +97,12 @@ pub struct Verdict {
     pub state: MachineState,
     /// Present drifts with an active alarm, the largest relative to its warning limit first.
     pub drifts: Vec<Drifting>,
-    /// Blindness at this temperature, if a change at the warning limit is hidden.
+    /// Blindness, if the temperature hides a change at the warning limit, or scatter one at the critical limit.
     pub blind: Option<Blindness>,
     /// Sentences about what the monitor cannot show at present: blindness, a baseline with a trend.
     pub caveats: Vec<String>,
+    /// Whether an incomplete baseline has a trend.
+    pub has_trend: bool,
     /// Change of b0, a1, a0 from the baseline \[%\]; `None` without a baseline or an estimate.
     pub change_pct: Option<[f64; 3]>,
     /// Throws in the baseline of this direction, and throws that it needs.

@@ -13,9 +13,6 @@ use super::{
 };
 use crate::diagnose::{AlarmState, Command, MachineMonitor, Observation, Settings};
 
-/// Words in the monitor's sentence about a baseline with a trend.
-const TREND: &str = "the baseline has a trend";
-
 /// Source of the throws of a life.
 #[derive(Debug)]
 pub(super) enum Source {
@@ -85,7 +82,7 @@ pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> He
     for at in 0..life.throws {
         let observation = source.observe(at, life);
         let verdict = monitor.observe(&observation, rules.settings);
-        if heard.trend.is_none() && verdict.caveats.iter().any(|caveat| caveat.contains(TREND)) {
+        if heard.trend.is_none() && verdict.has_trend {
             heard.trend = Some(at);
         }
         heard.coverage.add(at, &verdict, life, rules.settings);

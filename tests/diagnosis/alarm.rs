@@ -2,7 +2,10 @@
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
-use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, Command, CommandError, MachineMonitor, Settings, Severity};
+use pointsd::{
+    diagnose::{AlarmEvent, AlarmState, Cause, Command, CommandError, MachineMonitor, Settings, Severity},
+    throw::Direction,
+};
 use proptest::prelude::*;
 
 use crate::fleet::{Machine, Nature, shift};
@@ -42,6 +45,44 @@ fn cleared_before_it_was_acknowledged_it_waits_and_goes_on() {
     let again = run(&mut machine, &mut monitor, 10, shift(Cause::Friction, 25.0));
     assert_eq!(states(&again), [AlarmState::ActiveUnacknowledged]);
     assert_eq!((again[0].raised_at, again[0].event_no), (raised.raised_at, 3));
+}
+
+/// The levels of the last throws look healthy just after a step, and say nothing about a direction without throws.
+#[test]
+fn a_constant_fault_is_not_cleared() {
+    let settings = Settings { off_delay_throws: 3, ..Settings::default() };
+    for seed in 0..10 {
+        let mut machine = Machine::new(70 + seed, Nature::default());
+        let mut monitor = machine.learned(&settings);
+        let fault = shift(Cause::Friction, 45.0);
+        let events: Vec<_> = (0..60).flat_map(|_| machine.feed(&mut monitor, fault, &settings).events).collect();
+        assert!(
+            states(&events).iter().all(|state| *state == AlarmState::ActiveUnacknowledged),
+            "seed {seed}: {events:?}"
+        );
+    }
+    let settings = Settings::default();
+    let mut machine = Machine::new(80, Nature::default());
+    let mut monitor = machine.learned(&settings);
+    let faulty = Direction::NormalToReverse;
+    let mut feed = |monitor: &mut MachineMonitor, only| {
+        machine.only = only;
+        let healthy = machine.throw(Vector3::zeros());
+        let mut observation = machine.throw(shift(Cause::Friction, 45.0));
+        if observation.direction != Some(faulty) {
+            observation = healthy;
+        }
+        monitor.observe(&observation, &settings).events
+    };
+    let raised: Vec<_> = (0..40).flat_map(|at| feed(&mut monitor, Some(Direction::BOTH[at % 2]))).collect();
+    assert!(raised.iter().any(|event| event.cause == Cause::Friction), "{raised:?}");
+    let until = now() + SignedDuration::from_hours(8);
+    let start = Command::MaintenanceStart { until, by: by(), why: "looked".to_owned() };
+    for command in [start, Command::MaintenanceEnd { by: by() }] {
+        monitor.command(&command, now(), &settings).unwrap();
+    }
+    let events: Vec<_> = (0..30).flat_map(|_| feed(&mut monitor, Some(Direction::ReverseToNormal))).collect();
+    assert_eq!(states(&events), [], "the other direction was not thrown");
 }
 
 #[test]

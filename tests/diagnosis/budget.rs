@@ -30,7 +30,10 @@ fn raised(scatter: Scatter, first_seed: u64, lives: u64, life: u64, settings: &S
             let mut monitor = MachineMonitor::new("21B");
             for _ in 0..2 * settings.baseline_throws as u64 + life {
                 let verdict = machine.feed(&mut monitor, Vector3::zeros(), None, settings);
-                alarms.fetch_add(verdict.events.iter().filter(|event| event.event_no == 1).count(), Relaxed);
+                alarms.fetch_add(
+                    verdict.events.iter().filter(|event| event.event_no == 1 && event.cause.is_drift()).count(),
+                    Relaxed,
+                );
             }
             throws.fetch_add(life, Relaxed);
         }

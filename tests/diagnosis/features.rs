@@ -77,6 +77,55 @@ fn throws_that_are_rejected_one_after_the_other_show_by_their_features_that_the_
     }
 }
 
+/// The throws of one direction are rejected, as with a wrong `neutral_mm`, until a fault makes them acceptable.
+#[test]
+fn what_follows_a_row_of_rejections_is_not_learned_unseen() {
+    let settings = Settings::default();
+    let mut machine = Machine::new(57_000, Scatter::USUAL);
+    let mut monitor = MachineMonitor::new("21B");
+    let mut events = Vec::new();
+    for at in 0..200 {
+        let mut throw = machine.throw(Vector3::zeros(), None);
+        let is_there = throw.direction == Some(Direction::NormalToReverse);
+        let fault = if at >= 90 && is_there { 1.7 } else { 1.0 };
+        if at < 90 && is_there {
+            throw.estimate = None;
+        }
+        throw.features.running_current_a = Some(0.335 * fault * (0.02 * normal(&mut machine.rng)).exp());
+        let verdict = monitor.observe(&throw, &settings);
+        events.extend(verdict.events.into_iter().map(|event| (event.cause, event.state)));
+    }
+    assert!(events.contains(&(Cause::Unattributed, AlarmState::ActiveUnacknowledged)), "{events:?}");
+    assert!(!events.contains(&(Cause::Unattributed, AlarmState::ClearedUnacknowledged)), "{events:?}");
+    assert_eq!(monitor.baseline(Direction::NormalToReverse), None, "the fault is the baseline");
+}
+
+/// A weak supply can make the throws unusable for the model, and is what should be named.
+#[test]
+fn a_weak_supply_of_rejected_throws_is_named() {
+    let settings = Settings::default();
+    let mut machine = Machine::new(57_100, Scatter::USUAL);
+    let mut monitor = MachineMonitor::new("21B");
+    let mut feed = |is_weak: bool| {
+        let mut throw = machine.throw(Vector3::zeros(), None);
+        let volts = if is_weak { 80.0 } else { 110.0 };
+        throw.features.supply_v = Some(volts * (0.01 * normal(&mut machine.rng)).exp());
+        if is_weak {
+            throw.estimate = None;
+            throw.features.duration_s = throw.features.duration_s.map(|duration_s| 1.3 * duration_s);
+        }
+        monitor.observe(&throw, &settings).events
+    };
+    for _ in 0..120 {
+        assert_eq!(feed(false), []);
+    }
+    let weak: Vec<_> = (0..12).flat_map(|_| feed(true)).collect();
+    assert!(weak.iter().any(|event| event.cause == Cause::Supply), "{weak:?}");
+    let mended: Vec<_> = (0..40).flat_map(|_| feed(false)).collect();
+    let ended = |event: &&pointsd::diagnose::AlarmEvent| event.state == AlarmState::ClearedUnacknowledged;
+    assert!(mended.iter().filter(ended).any(|event| event.cause == Cause::Supply), "{mended:?}");
+}
+
 #[test]
 fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_features() {
     let settings = Settings::default();

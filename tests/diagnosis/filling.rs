@@ -60,7 +60,12 @@ fn an_unlucky_first_dozen_does_not_end_the_learning() {
         let mut monitor = MachineMonitor::new("21B");
         for throw in 0..300 {
             let weather = if throw < 24 { shift(Cause::Friction, 13.0) } else { Vector3::zeros() };
-            assert_eq!(machine.feed(&mut monitor, weather, &settings).events, [], "seed {seed}, throw {throw}");
+            let events = machine.feed(&mut monitor, weather, &settings).events;
+            // So different throws may hide a change of the friction, which is stated.
+            assert!(
+                events.iter().all(|event| event.cause == Cause::NotMonitored),
+                "seed {seed}, throw {throw}: {events:?}"
+            );
         }
         assert!(is_complete(&monitor), "seed {seed}");
         let found: Vec<_> =

@@ -16,6 +16,41 @@ fn run(machine: &mut Machine, monitor: &mut MachineMonitor, throws: usize, fault
     (0..throws).flat_map(|_| machine.feed(monitor, fault, &Settings::default()).events).collect()
 }
 
+/// Natures of healthy machines, and how many of their lives are blind for a critical change.
+#[test]
+fn scatter_that_hides_critical_changes_is_stated_and_usual_scatter_is_not() {
+    let settings = Settings::default();
+    let times = |factor: f64, phi: f64| {
+        let usual = Nature::default();
+        Nature { scatter: usual.scatter.map(|sd| factor * sd), phi, ..usual }
+    };
+    let natures = [
+        (times(1.0, 0.0), 0..=0),
+        (times(1.0, 0.8), 0..=0),
+        (times(2.0, 0.6), 0..=0),
+        (times(3.0, 0.5), 0..=0),
+        (times(1.0, 0.9), 0..=4),
+        (times(3.0, 0.97), 6..=8),
+    ];
+    for (nature, expected) in natures {
+        let mut blind = 0;
+        for seed in 0..8 {
+            let mut machine = Machine::new(90_000 + seed, nature);
+            let mut monitor = machine.learned(&settings);
+            let mut said = 0;
+            for _ in 0..100 {
+                let verdict = machine.feed(&mut monitor, Vector3::zeros(), &settings);
+                said += verdict.events.iter().filter(|event| event.cause == Cause::NotMonitored).count();
+            }
+            let is_blind = monitor.caveats().iter().any(|caveat| caveat.contains("scatter so much"));
+            blind += u32::from(is_blind);
+            assert_eq!(said, usize::from(is_blind), "{nature:?}, seed {seed}: said once, or never");
+        }
+        println!("scatter {:?}, correlation {}: {blind} of 8 blind", nature.scatter, nature.phi);
+        assert!(expected.contains(&blind), "{nature:?}: {blind} of 8 blind");
+    }
+}
+
 #[test]
 fn two_causes_at_once_are_never_one_wrong_name_at_critical_severity() {
     let settings = Settings::default();

@@ -11,7 +11,7 @@ use pointsd::{
     throw::Direction,
 };
 
-use crate::fleet::{Machine, Nature};
+use crate::fleet::{Machine, Nature, shift};
 
 fn machine() -> (Machine, MachineMonitor) {
     let mut machine = Machine::new(21, Nature::default());
@@ -69,7 +69,12 @@ fn a_machine_whose_throws_cannot_be_evaluated_is_not_monitored() {
     let events = feed(&mut machine, &mut monitor, 25, |o| o.estimate = None);
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
     assert_eq!(monitor.state(), MachineState::NotMonitored);
-    let events = feed(&mut machine, &mut monitor, 1, |_| {});
+    // One accepted throw among many rejected ones monitors nothing.
+    for _ in 0..5 {
+        assert_eq!(feed(&mut machine, &mut monitor, 1, |_| {}), []);
+        assert_eq!(feed(&mut machine, &mut monitor, 12, |o| o.estimate = None), []);
+    }
+    let events = feed(&mut machine, &mut monitor, 8, |_| {});
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
     assert_eq!(monitor.state(), MachineState::Healthy);
 }
@@ -141,6 +146,24 @@ fn a_logger_that_goes_is_missed_after_the_delay_and_not_before() {
     let many = i64::from(settings.not_monitored_throws);
     assert_eq!(feed(&mut machine, &mut monitor, many.try_into().unwrap(), |o| o.estimate = None), []);
     assert_eq!(pass(&mut monitor, &mut now, 5, there), []);
+}
+
+#[test]
+fn a_throw_received_before_the_loss_of_the_logger_is_no_sign_of_life() {
+    let settings = Settings::default();
+    let (mut machine, mut monitor) = machine();
+    let mut now = machine.throw(Vector3::zeros()).started_at;
+    let received = now;
+    pass(&mut monitor, &mut now, 1, |monitor, now| monitor.logger(true, now, &settings));
+    let gone = pass(&mut monitor, &mut now, 15, |monitor, now| monitor.logger(false, now, &settings));
+    assert_eq!(summary(&gone), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
+    for _ in 0..5 {
+        monitor.received(received);
+        assert_eq!(machine.feed(&mut monitor, Vector3::zeros(), &settings).events, []);
+    }
+    monitor.received(now);
+    let events = machine.feed(&mut monitor, Vector3::zeros(), &settings).events;
+    assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
 }
 
 #[test]
@@ -238,7 +261,7 @@ fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
     assert!(events[0].text.contains("reverse to normal"), "{}", events[0].text);
     assert_eq!(monitor.state(), MachineState::NotMonitored);
-    let events = feed(&mut machine, &mut monitor, 2, |_| {});
+    let events = feed(&mut machine, &mut monitor, 8, |_| {});
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
 }
 
@@ -318,6 +341,24 @@ fn slow_and_incomplete_throws_of_one_direction_are_counted() {
     assert_eq!(severities, [(Cause::IncompleteThrow, Severity::Warning), (Cause::IncompleteThrow, Severity::Critical)]);
 }
 
+/// The present size of a drift is not that of throws of long ago.
+#[test]
+fn without_evaluated_throws_the_present_size_is_unknown() {
+    let (mut machine, mut monitor) = machine();
+    let settings = Settings::default();
+    for _ in 0..30 {
+        machine.feed(&mut monitor, shift(Cause::Friction, 45.0), &settings);
+    }
+    assert_eq!(monitor.drifts().len(), 1);
+    feed(&mut machine, &mut monitor, 23, |o| o.estimate = None);
+    assert_eq!(monitor.drifts().len(), 1);
+    feed(&mut machine, &mut monitor, 1, |o| o.estimate = None);
+    assert_eq!(monitor.drifts(), []);
+    assert!(monitor.open_alarms().iter().any(|alarm| alarm.cause == Cause::Friction));
+    machine.feed(&mut monitor, shift(Cause::Friction, 45.0), &settings);
+    assert_eq!(monitor.drifts().len(), 1);
+}
+
 #[test]
 fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
     let (mut machine, mut monitor) = machine();
@@ -333,6 +374,35 @@ fn a_toe_sensor_that_disappears_is_an_alarm_until_a_new_baseline() {
     let events = feed(&mut machine, &mut monitor, 25, without);
     assert!(events.iter().all(|event| event.cause != Cause::Sensor), "{events:?}");
     assert_ne!(monitor.state(), MachineState::NotMonitored);
+}
+
+/// There is one alarm about sensors, so a second faulty sensor is a new event of it.
+#[test]
+fn a_second_faulty_sensor_is_not_hidden_by_the_first() {
+    let (mut machine, mut monitor) = machine();
+    let hot = |o: &mut Observation| o.temperature_c = Some(850.0);
+    let both = |o: &mut Observation| {
+        hot(o);
+        (o.faulty, o.estimate) = (Some(SensorChannel::Position), None);
+    };
+    let channels = |events: &[AlarmEvent]| -> Vec<_> {
+        let sensor = events.iter().filter(|event| event.cause == Cause::Sensor);
+        sensor.map(|event| (event.channel, event.state)).collect()
+    };
+    let (unseen, over) = (AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged);
+    let events = feed(&mut machine, &mut monitor, 20, hot);
+    assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), unseen)]);
+    let ack = Command::Ack { cause: Cause::Sensor, by: "mia".to_owned() };
+    monitor.command(&ack, events[0].event_at, &Settings::default()).unwrap();
+    // One event, although both sensors are faulty in each throw.
+    let events = feed(&mut machine, &mut monitor, 10, both);
+    assert_eq!(channels(&events), [(Some(SensorChannel::Position), unseen)]);
+    assert!(events[0].text.contains("position sensor"), "{}", events[0].text);
+    // The position sensor is mended, and the other is still faulty.
+    let events = feed(&mut machine, &mut monitor, 20, hot);
+    assert_eq!(channels(&events), [(Some(SensorChannel::Position), over), (Some(SensorChannel::Temperature), unseen)]);
+    let events = feed(&mut machine, &mut monitor, 20, |_| {});
+    assert_eq!(channels(&events), [(Some(SensorChannel::Temperature), over)]);
 }
 
 /// Rules forget their last throws at the end of a maintenance, and their alarms end with it.

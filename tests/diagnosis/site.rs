@@ -1,6 +1,6 @@
 //! Weather that changes all machines of a site is not a fault of a machine, and a fault of one machine is still found.
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::diagnose::{AlarmEvent, Cause, Common, MachineMonitor, Settings};
 
@@ -91,17 +91,28 @@ fn the_alarm_of_the_whole_site_is_raised_once_and_ends() {
     let settings = Settings::default();
     let mut site = Site::new(72_000, 5);
     let mut whole = MachineMonitor::new("All machines of north");
-    let mut events = Vec::new();
+    let (mut events, mut wetted) = (Vec::new(), Vec::new());
     for throw in 0..200 {
         let weather = if (140..170).contains(&throw) { shift(Cause::Friction, -25.0) } else { Vector3::zeros() };
         site.throw(weather, |_| Vector3::zeros());
         let now = site.now;
         let common = MachineMonitor::common(site.machines.iter().map(|(_, monitor)| monitor), now);
-        events.extend(whole.follow_site(&common, now, &settings));
+        let news = whole.follow_site(&common, now, &settings);
+        if !news.is_empty() && events.is_empty() {
+            wetted = site.machines.iter().map(|(_, monitor)| monitor.clone()).collect();
+        }
+        events.extend(news);
     }
     assert!(site.events.is_empty(), "{:?}", site.events);
     let said: Vec<_> = events.iter().map(|event| (event.cause, event.state.as_str())).collect();
     assert_eq!(said, [(Cause::Friction, "active_unacknowledged"), (Cause::Friction, "cleared_unacknowledged")]);
     assert!(events[0].text.contains("All machines of north: friction down"), "{}", events[0].text);
+    // At night no machine throws, and the weather stays.
+    let raised = events[0].event_at;
+    let mut wet = MachineMonitor::new("All machines of north");
+    let monitors = || wetted.iter();
+    assert_eq!(wet.follow_site(&MachineMonitor::common(monitors(), raised), raised, &settings).len(), 1);
+    let night = raised + SignedDuration::from_hours(14);
+    assert_eq!(wet.follow_site(&MachineMonitor::common(monitors(), night), night, &settings), []);
     assert!(Common::default() == MachineMonitor::common(std::iter::empty(), events[0].event_at));
 }

@@ -1,7 +1,7 @@
 //! Temperature: its effect is learned permanently, and the alarm text says what it can hide.
 
 use nalgebra::Vector3;
-use pointsd::diagnose::{AlarmEvent, Cause, MachineMonitor, MachineState, Settings, Severity, Verdict};
+use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Settings, Severity, Verdict};
 
 use crate::{
     field::{Climate, Machine, PER_KELVIN, Scatter},
@@ -42,13 +42,66 @@ fn a_fault_in_summer_is_named_on_a_baseline_from_winter() {
     }
 }
 
+/// A baseline in winter, a lasting change of the friction, then summer. Returns the machine, its monitor, the causes of the
+/// drift alarms with the state of each event, and the last verdict.
+fn winter_to_summer(seed: u64, pct: f64) -> (Machine, MachineMonitor, Vec<(Cause, AlarmState)>, Verdict) {
+    let climate = Climate { season_c: (-10.0, 29.0), change: (150, 600), day_k: 2.0 };
+    let mut machine = Machine::new(seed, Scatter::USUAL);
+    let mut monitor = MachineMonitor::new("21B");
+    let (mut events, mut last) = (Vec::new(), Verdict::default());
+    for throw in 0..1_100 {
+        let (effect, celsius) = climate.effect(throw);
+        let fault = if throw < 100 { Vector3::zeros() } else { shift(Cause::Friction, pct) };
+        last = machine.feed(&mut monitor, effect + fault, Some(celsius), &Settings::default());
+        let drifts = last.events.iter().filter(|event| event.cause.is_drift());
+        events.extend(drifts.map(|event| (event.cause, event.state)));
+    }
+    (machine, monitor, events, last)
+}
+
+#[test]
+fn a_fault_of_winter_lasts_through_the_summer() {
+    for seed in 0..10 {
+        let (_, _, events, last) = winter_to_summer(46_000 + seed, 25.0);
+        assert_eq!(events, [(Cause::Friction, AlarmState::ActiveUnacknowledged)], "seed {seed}");
+        assert_eq!((last.state, last.blind), (MachineState::Warning, None), "seed {seed}");
+        let now = last.drifts[0].change_pct;
+        assert!((now - 25.0).abs() < 7.5, "seed {seed}: {now} %");
+    }
+}
+
+#[test]
+fn a_lasting_change_below_its_limit_does_not_end_the_learning_of_the_temperature() {
+    let (mut alarmed, mut blind) = (0, 0);
+    for seed in 0..7 {
+        let (mut machine, mut monitor, events, last) = winter_to_summer(47_000 + seed, 7.5);
+        if last.blind.is_some() {
+            assert_eq!(last.state, MachineState::NotMonitored, "seed {seed}");
+            blind += 1;
+            continue;
+        }
+        alarmed += u32::from(!events.is_empty());
+        assert_eq!(last.state, MachineState::Healthy, "seed {seed}");
+        let summer = Vector3::from(PER_KELVIN) * 19.0;
+        let fault = summer + shift(Cause::Friction, 40.0);
+        let named: Vec<Cause> = (0..24)
+            .flat_map(|_| machine.feed(&mut monitor, fault, Some(29.0), &Settings::default()).events)
+            .map(|event| event.cause)
+            .collect();
+        assert_eq!(named.first(), Some(&Cause::Friction), "seed {seed}: {named:?}");
+    }
+    // Half of the limit and much scatter can be above the limit for a while.
+    assert!(alarmed <= 1 && blind <= 1, "{alarmed} of 7 lives had an alarm, {blind} stay blind");
+}
+
 #[test]
 fn what_an_unknown_effect_of_the_temperature_hides_is_said() {
     for seed in 0..10 {
         // Thirty throws after a jump to summer its effect is not learned yet.
         let (after, before) = summer(41_000 + seed, 0, 30, 2.0, shift(Cause::Friction, 30.0));
         let blind = after[0].blind.unwrap();
-        assert!(blind.below_pct > 5.0 && (blind.temperature_c - blind.baseline_c - 39.0).abs() < 6.0, "{blind:?}");
+        let at = blind.temperature.unwrap();
+        assert!(blind.below_pct > 5.0 && (at.temperature_c - at.baseline_c - 39.0).abs() < 6.0, "{blind:?}");
         assert_eq!(after[0].state, MachineState::NotMonitored);
         let said = before.iter().find(|event| event.cause == Cause::NotMonitored).unwrap();
         assert!(said.text.contains("cannot be distinguished from the effect of the temperature"), "{}", said.text);
