@@ -139,12 +139,14 @@ fn a_noisy_current_names_its_setting() {
     assert_eq!((found.quality(), found.detail()), ("good", None));
 }
 
+type Damage = fn(&mut [f64]);
+
 #[test]
 fn a_broken_position_gives_no_resistance_and_no_back_emf() {
     let recorded = || Recorded::new(&Parameters::default(), &Sensors::default(), Direction::NormalToReverse, None);
     let features = recorded().identify(&Settings::default()).features;
     assert!(features.resistance_ohm.is_some() && features.back_emf_v_s_per_rad.is_some(), "{features:?}");
-    let damages: [(&str, fn(&mut [f64])); 3] = [
+    let damages: [(&str, Damage); 3] = [
         ("stuck", |position| position[2000..].fill(50.0)),
         ("not_finite", |position| position[1000..1500].fill(f64::NAN)),
         ("noisy", |position| position.iter_mut().enumerate().for_each(|(k, x)| *x += 4.0 * (k as f64 * 2.0).sin())),

@@ -279,8 +279,8 @@ fn table_of_conditions() {
         ("timing jitter 0.3 ms", Drive { jitter_s: 3e-4, ..plain }),
         ("five samples lost in the inrush", Drive { lost_samples: Some(3), ..plain }),
         ("current-controlled, 2 A", Drive { controlled_a: Some(2.0), ..plain }),
-        ("current-controlled, 1 A, slide chairs of 0.1", Drive { mu: 0.1, controlled_a: Some(1.0), ..plain }),
-        ("current-controlled, 2 A, slide chairs of 0.25", Drive { mu: 0.25, controlled_a: Some(2.0), ..plain }),
+        ("current-controlled, 1 A, slide chairs of 0.1", Drive { controlled_a: Some(1.0), mu: 0.1, ..plain }),
+        ("current-controlled, 2 A, slide chairs of 0.25", Drive { controlled_a: Some(2.0), mu: 0.25, ..plain }),
         ("slide chairs of 0.02", Drive { mu: 0.02, ..plain }),
         ("slide chairs of 0.05", Drive { mu: 0.05, ..plain }),
         ("slide chairs of 0.1", Drive { mu: 0.1, ..plain }),
@@ -326,7 +326,7 @@ fn the_intervals_cover_coulomb_friction() {
         (0.25, false, Some(4.0)),
     ];
     for (mu, soft, controlled_a) in cases {
-        let drive = Drive { mu, soft, controlled_a, ..Drive::default() };
+        let drive = Drive { controlled_a, mu, soft, ..Drive::default() };
         let truth = drive.truth();
         for seed in 0..3 {
             let estimate = drive.identify(seed).outcome.unwrap();

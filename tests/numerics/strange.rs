@@ -108,8 +108,8 @@ fn a_toe_that_returns_to_its_start_moved_backwards() {
         let position = (0..len)
             .map(|k| match k {
                 _ if k < quiet + 200 => 0.0,
-                _ if k < quiet + 700 => 0.04 * (k - quiet - 200) as f64,
-                _ => (20.0 - 0.1 * (k - quiet - 700) as f64).max(returned_mm),
+                _ if k < quiet + 700 => 0.04 * f64::from(k - quiet - 200),
+                _ => (20.0 - 0.1 * f64::from(k - quiet - 700)).max(returned_mm),
             })
             .collect();
         let throw = throw_with(Trace::new(1000.0, current, position).unwrap(), None);
