@@ -111,7 +111,7 @@ pub(crate) fn open_gaps(rig: &Rig) -> Vec<(String, String, RangeInclusive<u64>)>
     let gaps = rig.sql(
         "SELECT machine, boot_id, first_throw_no AS first, last_throw_no AS last FROM data_gaps WHERE filled_at IS NULL",
     );
-    let text = |gap: &serde_json::Value, of| gap[of].as_str().unwrap().to_owned();
+    let text = |gap: &serde_json::Value, of: &str| gap[of].as_str().unwrap().to_owned();
     let numbers = |gap: &serde_json::Value| gap["first"].as_u64().unwrap()..=gap["last"].as_u64().unwrap();
     gaps.iter().map(|gap| (text(gap, "machine"), text(gap, "boot_id"), numbers(gap))).collect()
 }
