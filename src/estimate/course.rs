@@ -2,8 +2,8 @@
 
 use super::{
     damage::LEAST_SLIP,
-    movement::{Level, MIN_QUIET, Movement, every, mean, median_of_magnitudes, peak},
-    noise::{LARGEST_POSITION_SHARE, SD_PER_MEDIAN, first_difference_noise},
+    movement::{LARGEST_POSITION_SHARE, Level, MIN_QUIET, Movement, every, mean, median_of_magnitudes, peak},
+    noise::{SD_PER_MEDIAN, first_difference_noise},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -99,8 +99,9 @@ pub(super) fn course(
         return Err(Rejection::MovedBackwards { back_mm });
     }
     if travel_mm < least {
-        // The toe returned to its start after the motor.
-        return Err(Rejection::MovedBackwards { back_mm: furthest - travel_mm });
+        // The toe returned to its start after the motor, if this is not noise.
+        let is_noise = travel_mm < LEAST_TRAVEL_SIGMAS * noise_mm && travel_mm > LEAST_TRAVEL_MM;
+        return Err(if is_noise { noisy } else { Rejection::MovedBackwards { back_mm: furthest - travel_mm } });
     }
     if let Some(stroke_mm) = settings.stroke_mm {
         if travel_mm + noise_mm < COMPLETE_SHARE * stroke_mm {

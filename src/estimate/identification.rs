@@ -85,19 +85,21 @@ impl Estimate {
         self.covariance + self.systematic + offset * offset.transpose()
     }
 
+    /// Factor of the covariance of ratios in [`Self::drift_covariance`]: the length of the longest window of the diagnosis
+    /// \[throws\].
+    pub const LONGEST_WINDOW: f64 = 24.0;
+
     /// Covariance for a comparison with a baseline. Errors that are equal in every throw cancel in it, except for
-    /// the `systematic` ones of ratios, whose baseline has complete estimates. Such errors do not average out over a window; the covariance of
-    /// ratios is one of them, as it comes from the misfit of the model, which repeats.
+    /// the `systematic` ones of ratios, if the baseline has complete estimates. Such errors do not average out over a
+    /// window; the covariance of ratios is one of them, as it comes from the misfit of the model, which repeats.
     #[must_use]
     pub fn drift_covariance(&self) -> Matrix3<f64> {
-        /// Length of the longest window of the diagnosis \[throws\].
-        const LONGEST_WINDOW: f64 = 24.0;
         if !self.ratios_only {
             return self.covariance;
         }
         let coefficients = Vector3::from(self.coefficients()) / self.b0;
         let of_scale = self.covariance[(0, 0)] * coefficients * coefficients.transpose();
-        of_scale + LONGEST_WINDOW * (self.covariance - of_scale + self.systematic)
+        of_scale + Self::LONGEST_WINDOW * (self.covariance - of_scale + self.systematic)
     }
 
     /// Standard deviations of the whole error of (b0, a1, a0).

@@ -12,6 +12,8 @@ const ON_SHARE: f64 = 0.005;
 /// After the arrival of the toe the motor counts as on above this share of the current before it: a motor that drives a standing
 /// toe takes more than a running one, a detection circuit takes less.
 const DRIVING_SHARE: f64 = 0.5;
+/// Largest noise of the position for the estimation and for the time of the arrival, as share of the travel.
+pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
 /// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm is above the noise of position sensors,
 /// and reached within the first 50 ms.
 const RELEASE_SHARE: f64 = 0.005;
@@ -99,7 +101,9 @@ impl Movement {
         let near_end = (0..len).find(|&k| progress(k) >= 0.95 * travel_mm).unwrap_or(len - 1);
         let slack = (4.0 * position_level.sd).max(0.002 * travel_mm);
         let arrived = (near_end..len).find(|&k| progress(k) >= travel_mm - slack).unwrap_or(len - 1);
-        if let Some(off) = motor_off.filter(|off| *off > arrived && arrived > quiet) {
+        // A noisy position does not show the arrival.
+        let is_clear = arrived > quiet && position_level.sd <= LARGEST_POSITION_SHARE * travel_mm;
+        if let Some(off) = motor_off.filter(|off| *off > arrived && is_clear) {
             let since = arrived - (arrived - quiet) / 4;
             scratch.clear();
             scratch.extend(current[since..=arrived].iter().map(|i| (i - level.mean).abs()));

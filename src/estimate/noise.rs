@@ -2,7 +2,7 @@
 
 use super::{
     damage::INRUSH_S,
-    movement::{MIN_QUIET, Movement, median_of_magnitudes},
+    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement, median_of_magnitudes},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -12,9 +12,8 @@ use super::{
 const CURRENT_NOISE_FACTOR: f64 = 3.5;
 const POSITION_NOISE_FACTOR: f64 = 25.0;
 
-/// Largest noise for the estimation, as share of the peak current and of the travel.
+/// Largest noise of the current for the estimation, as share of the peak.
 const LARGEST_NOISE_SHARE: f64 = 0.025;
-pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
 
 /// Rejects noise that is too large compared with the signals.
 pub(super) fn resolved(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
