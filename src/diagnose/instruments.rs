@@ -112,6 +112,9 @@ impl Instruments {
             let told = levels.iter().zip(gauges).any(|(level, effect)| level.is_some() && *effect != 0.0);
             let alone = fit_along(&Vector3::from(*effect), &window.mean, &window.covariance, settings);
             let (size, size_sd, own) = alone?;
+            if *channel == SensorChannel::Clock && !self.may_be_clock(size, window) {
+                return None;
+            }
             let lead = score - own - misfit(&levels, &gauges.map(|gauge| gauge * size));
             // Without a supply voltage the current sensor is always possible.
             let (size, size_sd) = weighed((size, size_sd), &levels, gauges);
@@ -128,6 +131,16 @@ impl Instruments {
             _ if self.sensor.lingers || self.supply.lingers && self.supply.over > 0 => Testimony::Lingers,
             _ => Testimony::Machine,
         }
+    }
+
+    /// Whether a clock that is wrong by `size` may explain a drift: the coefficients distinguish it from friction, which
+    /// their ratios do not, and a wrong clock does not change the running current, which friction changes.
+    fn may_be_clock(&self, size: f64, window: &Window) -> bool {
+        /// Least change of the running current beyond its standard deviation, as part of the size.
+        const PART: f64 = 0.5;
+        let running = self.gauges.level(Gauge::Running, window.throws);
+        let has_changed = running.is_some_and(|level| level.value.abs() - level.sd > PART * size.abs());
+        window.shows(Cause::Inertia) && !has_changed
     }
 
     /// Whether the supply explains a change of friction.
