@@ -47,7 +47,9 @@ async fn a_query_that_finds_a_full_queue_gets_an_error() {
     let error = reply.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
     assert!(error.contains("ask again"), "{error}");
     assert_eq!(questions.take_dropped(), 1);
-    assert!(queries[..64].iter().all(|query| query.is_empty()), "the others wait");
+    for waiting in &queries[..64] {
+        assert!(waiting.is_empty(), "the others wait");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
