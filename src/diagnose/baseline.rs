@@ -27,8 +27,11 @@ pub struct BaselineRecord {
     pub throws: usize,
     /// Whether it is complete; an incomplete one has wider limits. It is replaced, unless its throws have a trend.
     pub complete: bool,
-    /// Centre of b0, a1, a0, in their units.
+    /// Centre of b0, a1, a0, in their units; of a baseline of ratios 1, a1/b0, a0/b0.
     pub center: [f64; 3],
+    /// Whether the baseline has the ratios of the coefficients only.
+    #[serde(default)]
+    pub ratios_only: bool,
     /// Throw-to-throw covariance of (ln b0, ln a1, ln a0).
     pub log_covariance: [[f64; 3]; 3],
     /// Lag-1 correlation of the natural scatter of each coefficient.
@@ -171,14 +174,15 @@ impl Baseline {
         self.duration_s
     }
 
-    pub(super) fn record(&self, direction: Direction) -> BaselineRecord {
+    pub(super) fn record(&self, direction: Direction, ratios_only: bool) -> BaselineRecord {
         let s = self.scatter.of_one_throw();
         BaselineRecord {
             direction,
             taken_at: self.taken_at,
             throws: self.throws,
             complete: self.complete,
-            center: self.centre.map(f64::exp),
+            center: self.centre.map(|log| (log - if ratios_only { self.centre[0] } else { 0.0 }).exp()),
+            ratios_only,
             log_covariance: [0, 1, 2].map(|i| [0, 1, 2].map(|j| s[(i, j)])),
             lag1: self.scatter.lag1(),
             temperature_source: self.temperature.source(),

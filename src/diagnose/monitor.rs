@@ -153,6 +153,7 @@ impl MachineMonitor {
         self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
         let mut evaluated = Evaluated::of(observation)
             .filter(|_| !without_position)
+            .map(|throw| self.tracks.compared(throw))
             .map(|throw| Evaluated { temperature_c: temperature.celsius, ..throw });
         let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
         if let (Some(throw), Some(residual)) = (&mut evaluated, &residual) {
@@ -201,7 +202,8 @@ impl MachineMonitor {
             self.drift.on_unjudged();
             self.observe_features(observation, at, settings, verdict);
         }
-        let is_judged = evaluated.is_some_and(|throw| self.tracks.of_one_throw(throw.direction).is_some());
+        // Ratios show less than coefficients, so their machines keep the features.
+        let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         let watched = self.watch_features(observation, is_judged, at, settings, verdict);
         let blind = self.blind;
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);

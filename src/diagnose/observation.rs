@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::event::SensorChannel;
 use crate::{
-    estimate::{self, Features, Grade, Motor},
+    estimate::{self, Estimate, Features, Grade, Motor},
     throw::{Direction, ThrowRef},
 };
 
@@ -106,8 +106,10 @@ pub(super) struct Evaluated {
 impl Evaluated {
     /// `None` unless the direction is known and the estimate is positive with a finite, positive covariance.
     pub(super) fn of(observation: &Observation) -> Option<Self> {
-        /// Largest relative standard deviation of a usable estimate; above it the logarithm is not linear.
+        /// Largest relative standard deviation of a usable estimate, and of usable ratios; above it the logarithm is not
+        /// linear.
         const WORST_SD: f64 = 0.5;
+        const WORST_RATIO_SD: f64 = 0.25;
         let (estimate, covariance) = observation.estimate.as_ref()?;
         let direction = observation.direction?;
         if observation.incomplete || !estimate.iter().all(|v| v.is_finite() && *v > 0.0) {
@@ -117,9 +119,14 @@ impl Evaluated {
         let sensor = scale * covariance * scale;
         // Of ratios, the variance of the common scale is only a large number.
         let of_scale = |i: usize| if observation.ratios_only { sensor[(0, 0)] - 2.0 * sensor[(0, i)] } else { 0.0 };
+        let most = if observation.ratios_only {
+            Estimate::LONGEST_WINDOW * WORST_RATIO_SD * WORST_RATIO_SD
+        } else {
+            WORST_SD * WORST_SD
+        };
         let usable = sensor.iter().all(|v| v.is_finite())
             && sensor.diagonal().iter().all(|v| *v >= 0.0)
-            && (0..3).all(|i| sensor[(i, i)] + of_scale(i) < WORST_SD * WORST_SD);
+            && (0..3).all(|i| sensor[(i, i)] + of_scale(i) < most);
         usable.then(|| Self {
             direction,
             log: estimate.map(f64::ln),
@@ -129,5 +136,22 @@ impl Evaluated {
             temperature_c: observation.temperature_c.filter(|t| t.is_finite()),
             duration_s: observation.features.duration_s.filter(|d| d.is_finite() && *d > 0.0),
         })
+    }
+
+    /// The ratios of the throw, for a baseline of ratios: the logarithms without their mean. Errors that are equal in
+    /// every throw cancel in a comparison with such a baseline.
+    pub(super) fn ratios(self) -> Self {
+        /// Standard deviation of the common scale, which has no meaning: any of the size of the usual scatter, so that the
+        /// covariance can be inverted.
+        const SCALE_SD: f64 = 0.01;
+        let centred = Matrix3::identity() - Matrix3::repeat(1.0 / 3.0);
+        let repeats = if self.ratios_only { Estimate::LONGEST_WINDOW } else { 1.0 };
+        let sensor = centred * self.sensor * centred / repeats;
+        Self {
+            log: (centred * Vector3::from(self.log)).into(),
+            sensor: 0.5 * (sensor + sensor.transpose()) + Matrix3::repeat(SCALE_SD * SCALE_SD),
+            ratios_only: true,
+            ..self
+        }
     }
 }

@@ -63,6 +63,12 @@ struct Track {
     thresholds: Option<Thresholds>,
     recent: RecentThrows,
     since_baseline: u64,
+    /// Throws without a baseline since the last decision about `of_ratios`, and the rough ones of them.
+    #[serde(default)]
+    kinds: [usize; 2],
+    /// Whether the throws are compared by their ratios only, as hardly any has complete coefficients.
+    #[serde(default)]
+    of_ratios: bool,
 }
 
 impl Track {
@@ -75,10 +81,29 @@ impl Track {
         settings: &Settings,
     ) -> BaselineRecord {
         let baseline = Baseline::learn(&self.learned, self.sensor, slopes, at, settings);
-        let record = baseline.record(direction);
+        let record = baseline.record(direction, self.of_ratios);
         (self.baseline, self.thresholds, self.since_baseline) = (Some(baseline), None, 0);
         self.recent.clear();
         record
+    }
+
+    /// Counts a throw; changes to a baseline of ratios if hardly any of the last throws had complete coefficients: a
+    /// baseline of these would need many times as many throws. Returns whether it changed.
+    fn becomes_of_ratios(&mut self, grade: Grade, settings: &Settings) -> bool {
+        /// Least share of rough throws.
+        const ROUGH_SHARE: f64 = 0.75;
+        if self.baseline.is_some() {
+            return false;
+        }
+        self.kinds = [self.kinds[0] + 1, self.kinds[1] + usize::from(grade == Grade::Rough)];
+        let [throws, rough] = self.kinds;
+        if throws >= settings.baseline_usable_throws {
+            self.kinds = [0; 2];
+            if rough as f64 >= ROUGH_SHARE * throws as f64 {
+                *self = Self { of_ratios: true, ..Self::default() };
+            }
+        }
+        self.of_ratios
     }
 }
 
@@ -100,6 +125,11 @@ pub(super) struct Tracks {
 }
 
 impl Tracks {
+    /// The throw as its direction compares it: its coefficients, or the ratios only.
+    pub(super) fn compared(&self, throw: Evaluated) -> Evaluated {
+        if self.sides[throw.direction.side()].of_ratios { throw.ratios() } else { throw }
+    }
+
     /// Residual of a throw from the baseline of its direction, with temperature compensation.
     pub(super) fn residual(&self, throw: &Evaluated) -> Option<Vector3<f64>> {
         let baseline = self.sides[throw.direction.side()].baseline.as_ref().filter(|_| !throw.ratios_only)?;
@@ -121,7 +151,7 @@ impl Tracks {
         let baseline = track.baseline.as_mut()?;
         let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
         let mut sensor = throw.sensor;
-        if throw.ratios_only {
+        if throw.ratios_only && !track.of_ratios {
             // The common scale is arbitrary: the middle coefficient stays, as a single fault leaves two of the three, and
             // the others have the errors of their ratios to it.
             let mut order = [0, 1, 2];
@@ -138,8 +168,12 @@ impl Tracks {
             .map_or(0.0, |known| baseline.scatter().of_scale().dot(&(baseline.compensated(known.raw()) - residual)));
         let recent = RecentThrow::new(order, raw, distance, sensor.into(), throw.ratios_only);
         let oldest = track.recent.push(recent);
-        if let Some(oldest) = oldest.filter(RecentThrow::has_scale) {
+        if let Some(oldest) = oldest.filter(|throw| track.of_ratios || throw.has_scale()) {
             baseline.learn_temperature(oldest.raw(), suspected);
+        }
+        if track.of_ratios {
+            // A single fault leaves two of the three coefficients.
+            return Some(residual.add_scalar(residual.max() + residual.min()));
         }
         Some(residual.add_scalar(scale))
     }
@@ -161,6 +195,12 @@ impl Tracks {
             let departure = residual - Vector3::from_fn(|i, _| middle(i));
             (at, departure, baseline.scatter().of_one_throw(), baseline.is_complete())
         })
+    }
+
+    /// Whether a direction has a baseline of complete coefficients.
+    pub(super) fn has_coefficients(&self, direction: Direction) -> bool {
+        let track = &self.sides[direction.side()];
+        track.baseline.is_some() && !track.of_ratios
     }
 
     /// Covariance of a throw of a direction.
@@ -360,7 +400,9 @@ impl Tracks {
             return Vec::new();
         }
         let track = &mut self.sides[throw.direction.side()];
-        if throw.grade == Grade::Rough || track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings)) {
+        let is_other =
+            !track.of_ratios && (track.becomes_of_ratios(throw.grade, settings) || throw.grade == Grade::Rough);
+        if is_other || track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings)) {
             return Vec::new();
         }
         track.aside.push(BaselineThrow::new(order, throw));
@@ -402,7 +444,12 @@ impl Tracks {
     fn follow_trend(&mut self, settings: &Settings) {
         let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
         let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
-        let slopes = trend(throws, 0.5 * (sensor[0] + sensor[1]), settings);
+        // Wear changes all three logarithms without their mean, and none has the sign of wear alone.
+        let slopes = if self.sides.iter().any(|track| track.of_ratios) {
+            [0.0; 3]
+        } else {
+            trend(throws, 0.5 * (sensor[0] + sensor[1]), settings)
+        };
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
@@ -416,8 +463,14 @@ impl Tracks {
     fn learn_mixed(&mut self, settings: &Settings) {
         let [normal, reverse] = &self.sides;
         let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
-        let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second]);
         let done = first.is_final(settings) && second.is_final(settings);
+        if normal.of_ratios != reverse.of_ratios {
+            if done {
+                self.sides.iter_mut().for_each(|track| track.learned = Vec::new());
+            }
+            return;
+        }
+        let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second]);
         let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
         self.mixed = Some(Mixed { scatter, thresholds });
         if done {
@@ -457,7 +510,8 @@ impl Tracks {
     }
 
     pub(super) fn record(&self, direction: Direction) -> Option<BaselineRecord> {
-        self.sides[direction.side()].baseline.as_ref().map(|baseline| baseline.record(direction))
+        let track = &self.sides[direction.side()];
+        track.baseline.as_ref().map(|baseline| baseline.record(direction, track.of_ratios))
     }
 
     pub(super) fn since_baseline(&self, direction: Direction) -> u64 {

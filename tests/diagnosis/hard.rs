@@ -347,3 +347,35 @@ fn friction_in_rough_throws_is_friction_although_the_other_ratio_errs() {
         }
     }
 }
+
+/// A toe that waits for the unlocking makes every throw rough: such a machine has a baseline of ratios.
+#[test]
+fn a_machine_whose_every_throw_is_rough_is_compared_by_its_ratios() {
+    let settings = Settings::default();
+    let shared = 24.0 * Matrix3::from_diagonal(&Vector3::new(0.0, 1e-4, 4e-4));
+    for seed in 0..8 {
+        for (cause, pct) in [(Cause::Kt, -15.0), (Cause::Friction, 50.0), (Cause::Stiffness, 40.0)] {
+            let mut machine = Machine::new(9_700 + seed, Nature::default());
+            let mut monitor = MachineMonitor::new("21B");
+            let mut life = |throws: u32, of_ten: u64, fault: Vector3<f64>| -> Vec<AlarmEvent> {
+                let throws = (0..throws).flat_map(|_| {
+                    let throw = machine.throw(fault);
+                    let throw = if machine.rng_u(10) < of_ten { rough(throw, shared) } else { throw };
+                    monitor.observe(&throw, &settings).events
+                });
+                throws.collect()
+            };
+            // After the baseline one throw in ten has all coefficients.
+            assert_eq!(life(130, 10, Vector3::zeros()), [], "seed {seed}: healthy");
+            assert_eq!(life(200, 9, Vector3::zeros()), [], "seed {seed}: healthy");
+            let events = life(40, 9, shift(cause, pct));
+            assert_eq!(events.first().map(|event| event.cause), Some(cause), "seed {seed}: {events:?}");
+            for direction in Direction::BOTH {
+                let baseline = monitor.baseline(direction).unwrap();
+                assert!(baseline.complete && baseline.ratios_only, "{baseline:?}");
+            }
+            let caveats = monitor.caveats();
+            assert!(caveats.iter().any(|caveat| caveat.contains("inertia is not monitored")), "{caveats:?}");
+        }
+    }
+}
