@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     alarm::{Actor, Alarms},
     baseline::BaselineRecord,
+    cause::Known,
     command::{Command, CommandError},
     drift_alarms::{DRIFTS, DriftAlarms, Onset},
     event::{AlarmEvent, Cause, SensorChannel, Severity},
@@ -289,7 +290,8 @@ impl MachineMonitor {
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
         let context = Context { name: &self.name, at, throw: Some(id), settings };
         let drift = residual.map(|residual| {
-            let known = self.drift.known(&self.alarms);
+            // The alarm of the features has no cause, so no part of the drift is known by it.
+            let known = if self.features.is_alarmed() { Known::default() } else { self.drift.known(&self.alarms) };
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
