@@ -113,7 +113,7 @@ pub(super) fn misfit(
 pub(super) fn finish(
     solution: &Solution<2, 1, 3>,
     covariance: &[[f64; 3]; 3],
-    (load, offset): ([f64; 3], [f64; 3]),
+    [load, offset]: [[f64; 3]; 2],
     departure: Departure,
     window: &Window,
     cut_after_mm: Option<f64>,

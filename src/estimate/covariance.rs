@@ -98,63 +98,44 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
 pub(super) const DRY_SHARE: f64 = 0.58;
 
 impl Sriv<2, 1, 3> {
-    /// Errors of (b0, a1, a0) from dry friction, for one standard deviation of its share.
+    /// Errors of (b0, a1, a0) that are equal in every throw: from dry friction, for one standard deviation of its share, and
+    /// from an error of the current's offset, with the scale of [`Noise`].
     ///
-    /// Dry friction counts as viscous friction with the same torque at running speed ω. A dry load F differs from it by
-    /// F (1 - y'/ω), which disturbs the output by n = -F (1 - y'/ω)/A and the estimate by M⁻¹ Σ z n; with a prefilter
-    /// 1/C the division is by C.
-    pub(super) fn load_error(
+    /// A disturbance d of the acceleration disturbs the output by n = d/A and the estimate by M⁻¹ Σ z n; with a prefilter
+    /// 1/C the division is by C. Dry friction counts as viscous friction with the same torque at running speed ω. A dry
+    /// load F differs from it by d = -F (1 - y'/ω).
+    pub(super) fn systematic_errors(
         problem: &Problem<1>,
         solution: &Solution<2, 1, 3>,
         foot: usize,
+        (offset, scale): (f64, Option<&[f64]>),
         workspace: &Workspace<3>,
-    ) -> [f64; 3] {
-        let model = &workspace.model_output;
-        let [_, a1, _] = solution.parameters;
+    ) -> [[f64; 3]; 2] {
+        let (z, stride, model) = (&workspace.instruments, workspace.stride, &workspace.model_output);
+        let [b0, a1, _] = solution.parameters;
         let (middle, last) = (model.len() / 2, model.len() - 1);
         let per_sample = (model[last] - model[middle]) / (last - middle).max(1) as f64;
         let load = DRY_SHARE * a1 * per_sample / problem.interval_s;
-        Self::disturbed(problem, solution, workspace, |k| {
-            if k >= foot { load * ((model[k + 1] - model[k]) / per_sample - 1.0) } else { 0.0 }
-        })
-    }
-
-    /// Errors of (b0, a1, a0) from an error `offset` of the current's offset, with the `scale` of [`Noise`].
-    pub(super) fn offset_error(
-        problem: &Problem<1>,
-        solution: &Solution<2, 1, 3>,
-        offset: f64,
-        scale: Option<&[f64]>,
-        workspace: &Workspace<3>,
-    ) -> [f64; 3] {
-        let load = solution.parameters[0] * offset;
-        Self::disturbed(problem, solution, workspace, |k| load * scale.map_or(1.0, |scale| scale[k]))
-    }
-
-    /// Errors of (b0, a1, a0) from a disturbance d of the acceleration: M⁻¹ Σ z n, with n = d/A.
-    fn disturbed(
-        problem: &Problem<1>,
-        solution: &Solution<2, 1, 3>,
-        workspace: &Workspace<3>,
-        disturbance: impl Fn(usize) -> f64,
-    ) -> [f64; 3] {
-        let (z, stride) = (&workspace.instruments, workspace.stride);
-        let Some(filter) = Discrete::<2>::new(&solution.denominator, problem.interval_s) else { return [0.0; 3] };
+        let dry = |k: usize| if k >= foot { load * ((model[k + 1] - model[k]) / per_sample - 1.0) } else { 0.0 };
+        let Some(filter) = Discrete::<2>::new(&solution.denominator, problem.interval_s) else { return [[0.0; 3]; 2] };
         let row = filter.readout(Hold::Zero).state[0];
-        let (mut state, mut sum) = ([0.0; 2], [0.0; 3]);
+        let (mut states, mut sums) = ([[0.0; 2]; 2], [[0.0; 3]; 2]);
         let mut kept = z.iter();
         let mut until_kept = stride / 2;
-        for k in 0..workspace.model_output.len() - 1 {
+        for k in 0..last {
             if until_kept == 0 {
                 until_kept = stride;
                 if let Some(z) = kept.next() {
-                    add(&mut sum, z, stride as f64 * (row[0] * state[0] + row[1] * state[1]));
+                    for (sum, state) in sums.iter_mut().zip(&states) {
+                        add(sum, z, stride as f64 * (row[0] * state[0] + row[1] * state[1]));
+                    }
                 }
             }
             until_kept -= 1;
-            filter.advance(&mut state, disturbance(k));
+            filter.advance(&mut states[0], dry(k));
+            filter.advance(&mut states[1], b0 * offset * scale.map_or(1.0, |scale| scale[k]));
         }
-        times(&solution.inverse, &sum)
+        sums.map(|sum| times(&solution.inverse, &sum))
     }
 }
 

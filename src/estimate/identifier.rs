@@ -312,10 +312,10 @@ impl Identifier {
                 let solution = refined.map_or(solution, |refined| refined.solution);
                 accept(&solution, settings)?;
                 let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
-                let load = Sriv::load_error(&problem, &solution, foot, &self.workspace);
-                let offset = Sriv::offset_error(&problem, &solution, window.rest_a, noise.scale, &self.workspace);
+                let offset = (window.rest_a, noise.scale);
+                let errors = Sriv::systematic_errors(&problem, &solution, foot, offset, &self.workspace);
                 let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
-                finish(&solution, &covariance, (load, offset), departure, window, cut.then_some(movement.travel_mm))
+                finish(&solution, &covariance, errors, departure, window, cut.then_some(movement.travel_mm))
             });
         (Some(found), verdict)
     }
@@ -398,11 +398,7 @@ impl Identifier {
             offsets: [
                 window::current_offset_variance(movement),
                 // Without quiet samples the start is the first position.
-                offset_variance(movement.position).max(if movement.position.samples == 0 {
-                    position_sd.powi(2)
-                } else {
-                    0.0
-                }) * radians_per_mm.powi(2),
+                offset_variance(movement.position, position_sd.powi(2)) * radians_per_mm.powi(2),
             ],
             rest_a: window::rest(movement),
             series: settings.motor == Motor::Series,

@@ -39,11 +39,7 @@ pub(super) struct Window {
 
 /// Variance of the offset of the current \[A²\].
 pub(super) fn current_offset_variance(movement: &Movement) -> f64 {
-    if movement.current.samples == 0 {
-        (OFFSET_SHARE * movement.peak_a).powi(2)
-    } else {
-        offset_variance(movement.current)
-    }
+    offset_variance(movement.current, (OFFSET_SHARE * movement.peak_a).powi(2))
 }
 
 /// Standard deviation of the part of the current at rest that is none in motion \[A\].
@@ -51,9 +47,12 @@ pub(super) fn rest(movement: &Movement) -> f64 {
     REST_SHARE * movement.current.mean.abs()
 }
 
-/// Variance of a mean over quiet samples; with noise below half a step of the converter averaging does not help. 0 without
-/// samples.
-pub(super) fn offset_variance(level: Level) -> f64 {
+/// Variance of a mean over quiet samples; `unknown` without samples. With noise below half a step of the converter averaging
+/// does not help.
+pub(super) fn offset_variance(level: Level, unknown: f64) -> f64 {
+    if level.samples == 0 {
+        return unknown;
+    }
     let rounding = if level.sd < 0.5 * level.quantum { level.quantum * level.quantum / 12.0 } else { 0.0 };
-    if level.samples == 0 { 0.0 } else { level.sd * level.sd / level.samples as f64 + rounding }
+    level.sd * level.sd / level.samples as f64 + rounding
 }
