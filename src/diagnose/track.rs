@@ -18,7 +18,7 @@ use super::{
     sym3::Sym3,
     temperature::doubt,
     threshold::{Thresholds, WINDOWS},
-    window::{RecentThrow, RecentThrows, Stream, Window},
+    window::{RecentThrow, RecentThrows, Stream, Window, with_middle_kept},
 };
 use crate::{estimate::Grade, throw::Direction};
 
@@ -172,8 +172,7 @@ impl Tracks {
             baseline.learn_temperature(oldest.raw(), suspected);
         }
         if track.of_ratios {
-            // A single fault leaves two of the three coefficients.
-            return Some(residual.add_scalar(residual.max() + residual.min()));
+            return Some(with_middle_kept(residual));
         }
         Some(residual.add_scalar(scale))
     }
@@ -353,18 +352,19 @@ impl Tracks {
         let own = (baseline.scatter(), track.thresholds.as_ref()?, baseline.centre_throws());
         let all: f64 = self.sides.iter().flat_map(|track| &track.baseline).map(Baseline::centre_throws).sum();
         let mixed = self.mixed.as_ref().map(|mixed| (&mixed.scatter, &mixed.thresholds, all));
-        let visible = |cause: Cause| {
-            let streams = [Some(own), mixed].into_iter().flatten();
-            let windows = streams.flat_map(|(scatter, thresholds, centre_throws)| {
-                let of = move |throws| scatter.of_mean(throws, &scatter.sensor(), centre_throws);
-                WINDOWS.into_iter().enumerate().map(move |(at, throws)| (of(throws), thresholds.of(at)))
-            });
-            windows.filter_map(|(covariance, limit)| visible_pct(cause, covariance, limit)).reduce(f64::min)
-        };
         let over_limit = |cause: Cause| {
             let critical_pct = settings.critical_factor * settings.limit_pct(cause)?;
-            let visible = visible(cause).filter(|visible| *visible > critical_pct)?;
-            Some((cause, visible, visible / critical_pct))
+            let streams = [mixed, Some(own)].into_iter().flatten();
+            let mut visible = streams.flat_map(|(scatter, thresholds, centre_throws)| {
+                // The longest window shows most, so on most machines the first one ends the search.
+                WINDOWS.into_iter().enumerate().rev().filter_map(move |(at, throws)| {
+                    let covariance = scatter.of_mean(throws, &scatter.sensor(), centre_throws);
+                    visible_pct(cause, covariance, thresholds.of(at))
+                })
+            });
+            let hidden = |least: f64, visible: f64| (visible > critical_pct).then_some(least.min(visible));
+            let least = visible.try_fold(f64::INFINITY, hidden).filter(|least| least.is_finite())?;
+            Some((cause, least, least / critical_pct))
         };
         Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))
     }

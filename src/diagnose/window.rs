@@ -150,6 +150,11 @@ impl Window {
     }
 }
 
+/// A change of ratios with the common scale that keeps the middle coefficient: a single fault leaves two of the three.
+pub(super) fn with_middle_kept(change: Vector3<f64>) -> Vector3<f64> {
+    change.add_scalar(-change.sum() + change.max() + change.min())
+}
+
 /// Number of throws whose mean is as uncertain as the centres of the directions of `throws` together, as these have
 /// independent errors.
 fn centre_throws(throws: &[(usize, &RecentThrow)], baselines: [Option<&Baseline>; 2]) -> Option<f64> {
@@ -249,8 +254,7 @@ impl<'a> Stream<'a> {
                 Some((k, k.dot(&(scatter.of_mean(scaled.len(), &mean_sensor(&scaled), centre) * k))))
             }
             CommonScale::Unknown { k } => {
-                // A single fault leaves two of the coefficients, so the scale is that which the middle one keeps.
-                mean.add_scalar_mut(-mean.sum() + mean.max() + mean.min());
+                mean = with_middle_kept(mean);
                 Some((k, UNKNOWN_SCALE_SD * UNKNOWN_SCALE_SD))
             }
         };
