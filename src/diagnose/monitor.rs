@@ -291,11 +291,12 @@ impl MachineMonitor {
         let context = Context { name: &self.name, at, throw: Some(id), settings };
         let drift = residual.map(|residual| {
             // The alarm of the features has no cause, so no part of the drift is known by it.
-            let known = if self.features.is_alarmed() { Known::default() } else { self.drift.known(&self.alarms) };
+            let of_features = self.features.is_alarmed();
+            let known = if of_features { Known::default() } else { self.drift.known(&self.alarms) };
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
-            drift.of_features = self.features.is_alarmed().then_some(Cause::Unattributed);
+            drift.of_features = of_features.then_some(Cause::Unattributed);
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
             verdict.events.extend(events);
             let events = self.instruments.judge(&drift, drift.testimony, &mut self.alarms, context);
