@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     correlation::Correlation,
     event::{Cause, RunnerUp},
-    explain::{Explanation, Fit, direction_of, fit, single},
+    explain::{Explanation, Fit, direction_of, fit, friction_of_sound_motor, single},
     settings::Settings,
     window::Window,
 };
@@ -184,6 +184,15 @@ impl Attribution {
             Naming::One(new) if !is_open(&new) && since.relevance >= MATTERS => another(new, since.lead),
             _ => self,
         }
+    }
+
+    /// Names friction alone for a drift that without the gauges may be motor and friction together; `lead`: of a sound
+    /// motor in the gauges.
+    pub(super) fn of_sound_motor(self, window: &Window, lead: f64, settings: &Settings) -> Self {
+        let friction = friction_of_sound_motor(&window.mean, &window.covariance);
+        let runner_up = Some(RunnerUp { cause: Cause::Kt, margin: lead });
+        let relevance = friction.relevance(settings);
+        Self { naming: Naming::One(friction), rival: None, runner_up, relevance, lead, ..self }
     }
 
     /// The lead that `best` needs over `next`. The rule distinguishes only inertia from the rest.

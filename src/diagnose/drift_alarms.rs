@@ -13,7 +13,7 @@ use super::{
     course::LimitForecast,
     drift::{Drift, alarm_causes},
     event::{AlarmEvent, Cause, RunnerUp, Severity},
-    explain::{Explanation, fit, percent, relevance, single},
+    explain::{Explanation, fit, friction_of_sound_motor, percent, relevance, single},
     history::History,
     intermittent::Intermittent,
     operational::Context,
@@ -225,6 +225,9 @@ impl DriftAlarms {
             let size = |cause: Cause, Window { mean, covariance, .. }: &Window| {
                 let together =
                     pair.filter(|pair| pair.contains(&cause)).map(|pair| fit(pair, mean, covariance, settings));
+                if drift.has_sound_motor && cause == Cause::Friction {
+                    return friction_of_sound_motor(mean, covariance);
+                }
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
                 part.unwrap_or_else(|| single(cause, mean, covariance, settings))
             };

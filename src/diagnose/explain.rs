@@ -85,6 +85,14 @@ pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings:
     fit([cause], m, v, settings).parts[0]
 }
 
+/// The friction of a machine whose motor has not changed, and its change `m` with covariance `v`: Kf/KT = a1/b0. Dry
+/// friction takes its part of the torque also when the machine starts, as if b0 were smaller; the ratio has no such error.
+pub(super) fn friction_of_sound_motor(m: &Vector3<f64>, v: &Matrix3<f64>) -> Explanation {
+    let weights = Vector3::new(-1.0, 1.0, 0.0);
+    let variance = (weights.transpose() * v * weights).x;
+    Explanation { cause: Cause::Friction, size: weights.dot(m), size_sd: variance.max(0.0).sqrt(), weights }
+}
+
 impl Explanation {
     /// Size relative to the warning limit of the cause.
     pub(super) fn relevance(&self, settings: &Settings) -> f64 {

@@ -1,5 +1,5 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge). Each is used as the logarithm of its ratio to the normal value of the direction.
+//! inrush, running current, charge, no-load speed). Each is used as the logarithm of its ratio to the normal value of the direction.
 //! Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which distinguishes the
 //! two.
 
@@ -24,17 +24,19 @@ pub(super) enum Gauge {
     Running,
     /// The integral of the current; the energy of the motor over the supply voltage.
     Charge,
+    /// Supply voltage over back-EMF constant, known without the supply voltage.
+    NoLoadSpeed,
 }
 
 impl Gauge {
-    const COUNT: usize = 8;
+    const COUNT: usize = 9;
 
     /// Least standard deviation of a level: the effect of sampling, adjustment and temperature on a healthy machine.
     pub(super) fn floor(self) -> f64 {
         match self {
             Self::Travel => 0.003,
             Self::BackEmf => 0.005,
-            Self::Resistance | Self::Duration | Self::Volts => 0.01,
+            Self::Resistance | Self::Duration | Self::Volts | Self::NoLoadSpeed => 0.01,
             Self::Inrush | Self::Running | Self::Charge => 0.02,
         }
     }
@@ -205,6 +207,7 @@ fn values(features: &Features, celsius: Option<f64>) -> Values {
         features.peak_current_a,
         features.running_current_a,
         features.charge_as,
+        features.no_load_speed_rad_per_s,
     ];
     // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
     #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]

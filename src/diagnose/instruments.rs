@@ -12,6 +12,9 @@
 //! | position sensor | 1 | -1 | 0 | 0 |
 //! | clock | 0 | 1 | 0 | 1 |
 //!
+//! Dry friction lowers b0 too, as it takes its part of the torque when the machine starts; b0 and a1 alone show motor and
+//! friction together. The back-EMF, or without a supply voltage the no-load speed, tells whether the motor changed.
+//!
 //! Without a supply voltage, motor and current sensor look the same, and the alarm names both. A weak supply changes no
 //! coefficient of the model, except that the effect of dry friction, which is viscous in the model, increases at a
 //! lower speed, at most as much as the duration of the throw.
@@ -21,7 +24,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
-    cause::Attribution,
+    cause::{Attribution, Known},
     drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel, Severity},
     explain::{fit, fit_along, percent, single},
@@ -131,6 +134,18 @@ impl Instruments {
             _ if self.sensor.lingers || self.supply.lingers && self.supply.over > 0 => Testimony::Lingers,
             _ => Testimony::Machine,
         }
+    }
+
+    /// Lead of an unchanged motor over one that changed b0 by as much as in `window`, if it decides, or confirms the alarm
+    /// about friction: the magnets of a weaker motor lower its back-EMF as well, and raise its no-load speed.
+    pub(super) fn lead_of_sound_motor(&self, window: &Window, known: &Known) -> Option<f64> {
+        let level = |gauge| self.gauges.level(gauge, window.throws);
+        let of_speed = || level(Gauge::NoLoadSpeed).map(|Level { value, sd }| Level { value: -value, sd });
+        let back_emf = [None, level(Gauge::BackEmf).or_else(of_speed), None, None];
+        let changed = |motor: f64| misfit(&back_emf, &[0.0, motor, 0.0, 0.0]);
+        let lead = changed(window.mean.x) - changed(0.0);
+        let needed = if known.causes.contains(&Cause::Friction) { 0.0 } else { DECIDES };
+        (lead > needed).then_some(lead)
     }
 
     /// Whether a clock that is wrong by `size` may explain a drift: the coefficients distinguish it from friction, which

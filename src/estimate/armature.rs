@@ -1,4 +1,4 @@
-//! Resistance and back-EMF constant from a throw with a known supply voltage.
+//! No-load speed of a throw, and resistance and back-EMF constant if the supply voltage is known.
 //!
 //! The armature, equation (1), is V = R i + L i' + K ω. Integrated from the start of the motor it has no derivative,
 //!
@@ -6,7 +6,8 @@
 //! V t = R ∫i dt + L i + K θ
 //! ```
 //!
-//! and is linear in R, L and K. The inrush, when θ is still small, separates R from K.
+//! and is linear in R, L and K. The inrush, when θ is still small, separates R from K. If V is constant but unknown, the
+//! same equation over V gives R / V and K / V.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -15,10 +16,10 @@ use super::{features::Features, movement::Movement};
 /// Lowest sampling rate that resolves the inrush: 60 samples in the 0.3 s of its decay \[Hz\].
 const LEAST_RATE_HZ: f64 = 200.0;
 
-/// Adds resistance and back-EMF constant to the features of a throw.
+/// Adds no-load speed, and with a supply voltage resistance and back-EMF constant, to the features of a throw.
 pub(super) fn add_constants(
     features: &mut Features,
-    supply_v: f64,
+    supply_v: Option<f64>,
     movement: &Movement,
     (current, position): (&[f64], &[f64]),
     interval_s: f64,
@@ -51,11 +52,12 @@ pub(super) fn add_constants(
         }
     }
     let normal = Matrix3::from_fn(|i, j| sums[i.min(j)][i.max(j)]);
-    let right = Vector3::from_fn(|i, _| supply_v * interval_s * sums[i][3]);
+    let right = Vector3::from_fn(|i, _| interval_s * sums[i][3]);
     let solved = normal.try_inverse().map(|inverse: Matrix3<f64>| inverse * right);
     if let Some(solved) = solved.filter(|found| found[0] > 0.0 && found[2] > 0.0 && found.iter().all(|v| v.is_finite()))
     {
-        features.resistance_ohm = Some(solved[0]);
-        features.back_emf_v_s_per_rad = Some(solved[2]);
+        features.resistance_ohm = supply_v.map(|volts| volts * solved[0]);
+        features.back_emf_v_s_per_rad = supply_v.map(|volts| volts * solved[2]);
+        features.no_load_speed_rad_per_s = Some(solved[2].recip());
     }
 }

@@ -36,6 +36,9 @@ pub struct Features {
     pub resistance_ohm: Option<f64>,
     /// Back-EMF constant at the screw, (V - R i) / omega in steady state \[V s/rad\]; needs `supply_v` and the position.
     pub back_emf_v_s_per_rad: Option<f64>,
+    /// No-load speed of the motor at the screw, V / K \[rad/s\]: the supply voltage over the back-EMF constant, without
+    /// knowing either; needs the position, and a voltage that is constant during the throw.
+    pub no_load_speed_rad_per_s: Option<f64>,
 }
 
 impl Features {

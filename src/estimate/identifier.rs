@@ -123,12 +123,11 @@ impl Identifier {
             _ => {}
         }
         features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
-        if let Some(supply_v) = features.supply_v.and(throw.possible_supply_v()) {
-            features.energy_j = features.charge_as.map(|charge_as| charge_as * supply_v);
+        let supply_v = features.supply_v.and(throw.possible_supply_v());
+        features.energy_j = features.charge_as.zip(supply_v).map(|(charge_as, supply_v)| charge_as * supply_v);
+        if undamaged && settings.motor == Motor::PermanentMagnet {
             let channels = (self.current.as_slice(), self.position.as_slice());
-            if undamaged {
-                armature::add_constants(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
-            }
+            armature::add_constants(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
         }
         Identification {
             direction: moved.or(throw.direction),
