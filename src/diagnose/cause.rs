@@ -11,7 +11,8 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     correlation::Correlation,
     event::{Cause, RunnerUp},
-    explain::{Explanation, Fit, direction_of, fit, friction_of_sound_motor, single},
+    explain::{Explanation, Fit, direction_of, fit, fit_beside_gauges, relevance, single},
+    gauges::{Gauges, Level},
     settings::Settings,
     window::Window,
 };
@@ -26,16 +27,37 @@ const RULE_WEIGHT: f64 = 1.5;
 const STICKY: f64 = 4.0;
 /// Lead of two causes that leave out one with an alarm before the alarm is doubted.
 const KNOWN: f64 = 20.0;
+/// Change of b0 since the level of the known drifts from which it is a new fault, as part of the motor's warning limit.
+const NEW_MOTOR_FAULT: f64 = 0.5;
+/// Largest misfit of the back-EMF, so that a change of the supply does not decide alone.
+const MOST_OF_GAUGE: f64 = 40.0;
+/// Penalty of a motor that loses torque alone: odds of 1 to 5 against weak magnets.
+const TORQUE_ALONE: f64 = 3.0;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 
-/// The known drifts of a machine.
+/// The known drifts of a machine, and its gauges.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(super) struct Known {
+pub(super) struct Known<'a> {
     /// The causes with an active alarm.
     pub(super) causes: Vec<Cause>,
     /// Changes of (ln b0, ln a1, ln a0) with these alarms, before the last throws; `None` if too short.
     pub(super) level: Option<Vector3<f64>>,
+    /// The gauges, which tell dry friction from a weak motor.
+    pub(super) gauges: Option<&'a Gauges>,
+}
+
+impl Known<'_> {
+    /// Change of the back-EMF in `window`, if it shows whether the motor changed. A change since the level that is the
+    /// motor's alone is a new fault: its torque may change without its back-EMF.
+    fn back_emf(&self, window: &Window, settings: &Settings) -> Option<Level> {
+        let is_new = self.level.is_some_and(|level| {
+            let since = window.mean - level;
+            relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
+        });
+        let is_known = self.causes.contains(&Cause::Kt);
+        self.gauges.filter(|_| !is_new && !is_known)?.back_emf(window.throws)
+    }
 }
 
 /// The causes of a drift.
@@ -76,6 +98,8 @@ pub(super) struct Attribution {
     pub(super) relevance: f64,
     /// Lead of a single name over all explanations without it.
     pub(super) lead: f64,
+    /// Whether gauges show the back-EMF of the motor.
+    beside_gauges: bool,
 }
 
 /// The explanations of a drift, each kind with the best first.
@@ -89,7 +113,8 @@ struct Explanations {
 impl Attribution {
     /// Attributes the drift of `window`; `of_one_throw` is the scatter of the machine.
     pub(super) fn of(window: &Window, of_one_throw: &Matrix3<f64>, known: &Known, settings: &Settings) -> Self {
-        let all = Explanations::of(window, &known.causes, settings);
+        let back_emf = known.back_emf(window, settings);
+        let all = Explanations::of(window, &known.causes, back_emf, settings);
         let [best, next, ..] = &all.singles;
         let correlation = Correlation::of(of_one_throw, &window.mean);
         let attribution = Self {
@@ -101,6 +126,7 @@ impl Attribution {
             mean: window.mean,
             relevance: all.any.relevance(settings),
             lead: 0.0,
+            beside_gauges: back_emf.is_some(),
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
             return attribution;
@@ -186,15 +212,6 @@ impl Attribution {
         }
     }
 
-    /// Names friction alone for a drift that without the gauges may be motor and friction together; `lead`: of a sound
-    /// motor in the gauges.
-    pub(super) fn of_sound_motor(self, window: &Window, lead: f64, settings: &Settings) -> Self {
-        let friction = friction_of_sound_motor(&window.mean, &window.covariance);
-        let runner_up = Some(RunnerUp { cause: Cause::Kt, margin: lead });
-        let relevance = friction.relevance(settings);
-        Self { naming: Naming::One(friction), rival: None, runner_up, relevance, lead, ..self }
-    }
-
     /// The lead that `best` needs over `next`. The rule distinguishes only inertia from the rest.
     fn margin_needed(&self, best: Cause, next: Cause) -> f64 {
         match (self.rule, best == Cause::Inertia, next == Cause::Inertia) {
@@ -223,6 +240,11 @@ impl Attribution {
         }
     }
 
+    /// Whether the back-EMF shows that the motor is no part of the drift.
+    pub(super) fn has_sound_motor(&self) -> bool {
+        self.beside_gauges && !matches!(self.naming, Naming::Neither) && !self.includes(Cause::Kt)
+    }
+
     /// Whether the cross-correlation rule contradicts the name of its main part.
     pub(super) fn is_contradicted(&self) -> bool {
         let inertia = self.main().is_some_and(|main| main.cause == Cause::Inertia);
@@ -243,13 +265,19 @@ impl Attribution {
 }
 
 impl Explanations {
-    fn of(window: &Window, open: &[Cause], settings: &Settings) -> Self {
+    fn of(window: &Window, open: &[Cause], back_emf: Option<Level>, settings: &Settings) -> Self {
         let [a, b, c, d] = Cause::PHYSICAL;
         let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
         Self {
-            singles: ranked(Cause::PHYSICAL.map(|cause| [cause]), window, |[cause]| open.contains(&cause), settings),
-            pairs: ranked(pairs, window, |_| open.contains(&Cause::Unattributed), settings),
-            any: fit([a, b, c], &window.mean, &window.covariance, settings),
+            singles: ranked(
+                Cause::PHYSICAL.map(|cause| [cause]),
+                window,
+                |[cause]| open.contains(&cause),
+                back_emf,
+                settings,
+            ),
+            pairs: ranked(pairs, window, |_| open.contains(&Cause::Unattributed), back_emf, settings),
+            any: explained([a, b, c], window, back_emf, settings),
         }
     }
 
@@ -262,15 +290,34 @@ impl Explanations {
     }
 }
 
+/// Explains the drift of `window` by `causes`, and the change of the back-EMF by that of the motor. A motor that loses
+/// torque alone, as by its commutation, keeps its back-EMF; beside a rise of friction that is dry friction.
+fn explained<const K: usize>(
+    causes: [Cause; K],
+    window: &Window,
+    back_emf: Option<Level>,
+    settings: &Settings,
+) -> Fit<K> {
+    let with_leaks = if back_emf.is_some() { fit_beside_gauges } else { fit };
+    let mut fit = with_leaks(causes, &window.mean, &window.covariance, settings);
+    let Some(level) = back_emf else { return fit };
+    let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
+    let torque_alone = fit.includes(Cause::Kt) && (K != 2 || !fit.includes(Cause::Friction));
+    let alone = if torque_alone { misfit(0.0) + TORQUE_ALONE } else { f64::INFINITY };
+    fit.score += misfit(fit.size_of(Cause::Kt)).min(alone);
+    fit
+}
+
 /// The explanations, the best first; `alarmed` ones get a bonus. Causes that the window does not show explain nothing.
 fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,
     alarmed: impl Fn([Cause; K]) -> bool,
+    back_emf: Option<Level>,
     settings: &Settings,
 ) -> [Fit<K>; N] {
     let mut fits = explanations.map(|causes| {
-        let mut fit = fit(causes, &window.mean, &window.covariance, settings);
+        let mut fit = explained(causes, window, back_emf, settings);
         fit.score -= if alarmed(causes) { STICKY } else { 0.0 };
         if !causes.iter().all(|cause| window.shows(*cause)) {
             fit.score = f64::INFINITY;

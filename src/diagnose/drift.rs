@@ -1,6 +1,6 @@
 //! The drift in the last throws of a machine: detection, attribution, and evidence for each alarm.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 
 use super::{
     cause::{Attribution, DECISIVE, Known, Naming, Rival},
@@ -41,12 +41,6 @@ const BESIDE_WEATHER: f64 = 0.67;
 /// Part of a fall that the last few throws have while it lasts.
 const STILL_FALLEN: f64 = 0.5;
 
-/// Largest changes of b0 and of a0, as parts of that of a1, that dry friction explains without a change of the motor. On
-/// simulated machines it lowers b0 by a quarter to a half of the rise of a1.
-const DRY: [f64; 2] = [0.8, 0.5];
-/// Change of b0 since the level of the known drifts from which it is a new fault, as part of the motor's warning limit.
-const NEW_MOTOR_FAULT: f64 = 0.5;
-
 /// A fall of friction, as negative changes of ln a1. Wear raises the friction; rain and warmth lower it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fall {
@@ -68,8 +62,6 @@ pub(super) struct Drift {
     pub(super) strongest: Option<Window>,
     /// Verdict of the gauges on the drift.
     pub(super) testimony: Testimony,
-    /// Whether the gauges show that a change of b0 is not one of the motor.
-    pub(super) has_sound_motor: bool,
     /// The cause whose alarm is from the features of throws that are not judged.
     pub(super) of_features: Option<Cause>,
     /// Whether its cause has an active alarm.
@@ -108,7 +100,6 @@ impl Drift {
             attribution,
             strongest,
             testimony,
-            has_sound_motor: false,
             of_features: None,
             is_alarmed,
             is_half_seen,
@@ -122,26 +113,6 @@ impl Drift {
     /// The windows that show the present drift; after a step the shorter ones show it better.
     pub(super) fn windows(&self) -> impl Iterator<Item = &Window> {
         self.levels.iter().chain(&self.last_few).chain([&self.strongest]).flatten()
-    }
-
-    /// The window of a drift that is dry friction if its motor is sound: b0 and a1 change in opposite directions. A motor
-    /// that has an alarm, or changes after that of another part, is not in question.
-    pub(super) fn may_be_dry(&self, known: &Known, settings: &Settings) -> Option<&Window> {
-        let window = self.strongest.as_ref().filter(|_| self.attribution.is_some())?;
-        let changed = |m: &Vector3<f64>| m.x * m.y < 0.0 && m.x.abs() < DRY[0] * m.y.abs();
-        let is_new = known.level.is_some_and(|level| {
-            let since = window.mean - level;
-            relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && !changed(&since)
-        });
-        let is_dry = changed(&window.mean) && window.mean.z.abs() < DRY[1] * window.mean.y.abs();
-        (is_dry && !is_new && !known.causes.contains(&Cause::Kt)).then_some(window)
-    }
-
-    /// Attributes the drift to friction, as the gauges show a sound motor with this lead.
-    pub(super) fn acquit_motor(&mut self, lead: f64, settings: &Settings) {
-        self.has_sound_motor = true;
-        let found = self.attribution.zip(self.strongest);
-        self.attribution = found.map(|(attribution, window)| attribution.of_sound_motor(&window, lead, settings));
     }
 
     /// A drift above its limit as a fall of friction, if it is mostly that.

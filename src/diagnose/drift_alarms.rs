@@ -14,6 +14,7 @@ use super::{
     drift::{Drift, alarm_causes},
     event::{AlarmEvent, Cause, RunnerUp, Severity},
     explain::{Explanation, fit, friction_of_sound_motor, percent, relevance, single},
+    gauges::Gauges,
     history::History,
     intermittent::Intermittent,
     operational::Context,
@@ -174,10 +175,10 @@ impl DriftAlarms {
 
     /// The drifts with an active alarm. Their level is that of the throws between the raise of the latest alarm and the
     /// last throws.
-    pub(super) fn known(&self, alarms: &Alarms) -> Known {
+    pub(super) fn known<'a>(&self, alarms: &Alarms, gauges: &'a Gauges) -> Known<'a> {
         let raised = self.conditions.iter().filter_map(Condition::since_raised).min();
         let level = raised.and_then(|throws| self.history.mean(LONGEST_WINDOW..throws));
-        Known { causes: alarms.active().map(|event| event.cause).collect(), level }
+        Known { causes: alarms.active().map(|event| event.cause).collect(), level, gauges: Some(gauges) }
     }
 
     /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
@@ -219,13 +220,14 @@ impl DriftAlarms {
     /// Updates the present drifts after a throw.
     fn renew(&mut self, drift: &Drift, order: u64, tracks: &Tracks, alarms: &Alarms, settings: &Settings) {
         let mut now: Vec<(f64, Drifting)> = Vec::new();
+        let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.active().filter(|event| event.cause.is_drift()) {
             let size = |cause: Cause, Window { mean, covariance, .. }: &Window| {
                 let together =
                     pair.filter(|pair| pair.contains(&cause)).map(|pair| fit(pair, mean, covariance, settings));
-                if drift.has_sound_motor && cause == Cause::Friction {
+                if has_sound_motor && cause == Cause::Friction {
                     return friction_of_sound_motor(mean, covariance);
                 }
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
@@ -306,7 +308,11 @@ impl DriftAlarms {
         let throws = self.throws_since_onset(order);
         let direction = drift.direction(cause, throws, context.settings);
         let mut limit_in_throws = None;
+        let sound = drift.strongest.as_ref().filter(|_| attribution.has_sound_motor());
         if let Naming::One(main) | Naming::Another { new: main, .. } = &mut attribution.naming {
+            if let Some(Window { mean, covariance, .. }) = sound.filter(|_| main.cause == Cause::Friction) {
+                *main = friction_of_sound_motor(mean, covariance);
+            }
             let (now, forecast) = self.present(main, severity, drift, direction, order, tracks, context.settings);
             limit_in_throws = forecast;
             *main = now;

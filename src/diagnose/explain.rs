@@ -9,7 +9,9 @@
 //! From estimates of simulated throws: a change of motor, stiffness or inertia changes each other coefficient by less
 //! than a tenth of it. Dry friction leaks: in a viscous model a rise increases all three coefficients by a common factor
 //! too, so its direction is (g, 1 + g, g), with g from 0 (viscous) over 0.1 to 0.3 (stiff toe drive, more for larger
-//! rises) to 0.67 (soft toe drive); a fall hardly leaks. The g of a machine is unknown, so several g are averaged.
+//! rises) to 0.67 (soft toe drive); a fall hardly leaks. The g of a machine is unknown, so several g are averaged. On
+//! machines with little inertia, dry friction takes its part of the torque when the machine starts, as if b0 were
+//! smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4.
 //!
 //! # Score
 //! -2 ln of the probability of m under a wide prior on the sizes (Laplace), misfit + ln det U + ln det(D'U^-1 D) + k ln
@@ -23,9 +25,16 @@ use super::{event::Cause, settings::Settings};
 const SIZE_SCALE: f64 = 0.5;
 /// Penalty of each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
-/// Leaks of a rise of friction: viscous, stiff toe drive, soft toe drive; each is equally likely.
-const FRICTION_LEAKS: [Leak; 3] =
-    [Leak { part: 0.0, sd: 0.08 }, Leak { part: 0.25, sd: 0.12 }, Leak { part: 0.67, sd: 0.22 }];
+/// Leaks of a rise of friction: viscous, stiff toe drive, soft toe drive, and dry on a machine with little inertia; each is
+/// equally likely. The last one looks like a motor fault too, so it counts only beside the gauges of the motor.
+const FRICTION_LEAKS: [Leak; 4] = [
+    Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08] },
+    Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12] },
+    Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22] },
+    Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0] },
+];
+/// The leaks that no motor fault has.
+const UNLIKE_MOTOR: usize = 3;
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction besides its leak, as part of that of other causes.
@@ -51,12 +60,12 @@ pub(super) struct Fit<const K: usize> {
     pub(super) score: f64,
 }
 
-/// Common change of all coefficients by a rise of friction, as a part of it.
+/// Common change of the coefficients by a rise of friction, as parts of it.
 #[derive(Debug, Clone, Copy)]
 struct Leak {
-    part: f64,
-    /// Standard deviation, so that the leaks together cover their range evenly.
-    sd: f64,
+    parts: [f64; 3],
+    /// Standard deviations, of one error, so that the leaks together cover their range evenly.
+    sd: [f64; 3],
 }
 
 /// The direction of a cause.
@@ -106,6 +115,11 @@ impl<const K: usize> Fit<K> {
         self.parts.iter().any(|part| part.cause == cause)
     }
 
+    /// Size of `cause`; 0 if it is no part.
+    pub(super) fn size_of(&self, cause: Cause) -> f64 {
+        self.parts.iter().find(|part| part.cause == cause).map_or(0.0, |part| part.size)
+    }
+
     /// The largest size relative to its limit.
     pub(super) fn relevance(&self, settings: &Settings) -> f64 {
         self.parts.iter().map(|part| part.relevance(settings)).fold(0.0, f64::max)
@@ -119,18 +133,39 @@ pub(super) fn fit<const K: usize>(
     v: &Matrix3<f64>,
     settings: &Settings,
 ) -> Fit<K> {
-    let with_leak = |leak| fit_with_leak(leak, causes, m, v, settings);
+    fit_with_leaks(&FRICTION_LEAKS[..UNLIKE_MOTOR], causes, m, v, settings)
+}
+
+/// The same beside gauges of the motor, which tell dry friction from a motor fault.
+pub(super) fn fit_beside_gauges<const K: usize>(
+    causes: [Cause; K],
+    m: &Vector3<f64>,
+    v: &Matrix3<f64>,
+    settings: &Settings,
+) -> Fit<K> {
+    fit_with_leaks(&FRICTION_LEAKS, causes, m, v, settings)
+}
+
+/// The mean over the leaks of friction by their odds.
+fn fit_with_leaks<const K: usize>(
+    leaks: &[Leak],
+    causes: [Cause; K],
+    m: &Vector3<f64>,
+    v: &Matrix3<f64>,
+    settings: &Settings,
+) -> Fit<K> {
+    let with_leak = |leak: &Leak| fit_with_leak(*leak, causes, m, v, settings);
     if !causes.contains(&Cause::Friction) {
-        return with_leak(FRICTION_LEAKS[0]);
+        return with_leak(&leaks[0]);
     }
-    let fits = FRICTION_LEAKS.map(with_leak);
+    let fits: Vec<Fit<K>> = leaks.iter().map(with_leak).collect();
     let best = fits.iter().map(|fit| fit.score).fold(f64::INFINITY, f64::min);
-    let odds = fits.map(|fit| (0.5 * (best - fit.score)).exp());
+    let odds: Vec<f64> = fits.iter().map(|fit| (0.5 * (best - fit.score)).exp()).collect();
     let total: f64 = odds.iter().sum();
     let mut mean = Fit { score: best - 2.0 * (total / fits.len() as f64).ln(), ..fits[0] };
     for (at, part) in mean.parts.iter_mut().enumerate() {
         let average = |of: &dyn Fn(&Explanation) -> f64| -> f64 {
-            fits.iter().zip(odds).map(|(fit, odds)| odds / total * of(&fit.parts[at])).sum()
+            fits.iter().zip(&odds).map(|(fit, odds)| odds / total * of(&fit.parts[at])).sum()
         };
         let size = average(&|part| part.size);
         let variance = average(&|part| part.size_sd.powi(2) + (part.size - size).powi(2));
@@ -205,7 +240,7 @@ pub(super) fn fit_along(
 /// Effect of a cause on the coefficients per unit of its size, for a given leak of friction.
 fn effect(part: &Explanation, leak: Leak) -> Vector3<f64> {
     if part.cause == Cause::Friction && part.size > 0.0 {
-        return Vector3::y() + Vector3::repeat(leak.part);
+        return Vector3::y() + Vector3::from(leak.parts);
     }
     direction_of(part.cause).unwrap_or_else(Vector3::zeros)
 }
@@ -214,7 +249,7 @@ fn effect(part: &Explanation, leak: Leak) -> Vector3<f64> {
 fn model_error(part: &Explanation, leak: Leak, settings: &Settings) -> Matrix3<f64> {
     let sd = settings.model_error / MODEL_ERROR_SD * part.size;
     if part.cause == Cause::Friction {
-        let together = Vector3::repeat(leak.sd * part.size.max(0.0));
+        let together = Vector3::from(leak.sd) * part.size.max(0.0);
         let rest = Vector3::new(1.0, 0.0, 1.0) * (FRICTION_ERROR * sd).powi(2);
         return together * together.transpose() + Matrix3::from_diagonal(&rest);
     }

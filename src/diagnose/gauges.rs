@@ -46,6 +46,8 @@ impl Gauge {
 const LEARNED: (usize, usize) = (12, 24);
 /// Largest number of throws of both directions in a level.
 const RECENT: usize = WINDOWS[2];
+/// Relative error of an expected effect on a gauge.
+const EXPECTED_ERROR: f64 = 0.15;
 /// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
 const COPPER: (f64, f64) = (0.0039, 20.0);
 /// Factor on the standard deviation of a mean, as consecutive throws are correlated: √((1 + 0.5) / (1 - 0.5)) for a
@@ -60,6 +62,13 @@ type Values = [Option<f32>; Gauge::COUNT];
 pub(super) struct Level {
     pub(super) value: f64,
     pub(super) sd: f64,
+}
+
+impl Level {
+    /// Misfit to an expected value, at most `most`, so that a change for another reason does not decide alone.
+    pub(super) fn misfit(self, expected: f64, most: f64) -> f64 {
+        ((self.value - expected).powi(2) / (self.sd * self.sd + (EXPECTED_ERROR * expected).powi(2))).min(most)
+    }
 }
 
 /// A changed gauge.
@@ -153,6 +162,12 @@ impl Gauges {
         let mean = |values: fn(&(f64, f64)) -> f64| departures.iter().map(values).sum::<f64>() / count;
         (2 * departures.len() > throws.min(self.recent.len()))
             .then(|| Level { value: mean(|(value, _)| *value), sd: sd_of_mean(gauge, mean(|(_, sd)| *sd), count) })
+    }
+
+    /// Level of the back-EMF constant; without a supply voltage, from the no-load speed.
+    pub(super) fn back_emf(&self, throws: usize) -> Option<Level> {
+        let of_speed = || self.level(Gauge::NoLoadSpeed, throws).map(|Level { value, sd }| Level { value: -value, sd });
+        self.level(Gauge::BackEmf, throws).or_else(of_speed)
     }
 
     /// Deletes the last throws.

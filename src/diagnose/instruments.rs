@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
-    cause::{Attribution, Known},
+    cause::Attribution,
     drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel, Severity},
     explain::{fit, fit_along, percent, single},
@@ -41,8 +41,6 @@ use super::{
 const DECIDES: f64 = 10.0;
 /// Lead of the machine that excludes a sensor: odds of 20 to 1.
 const EXCLUDES: f64 = 6.0;
-/// Relative error of an effect on a gauge.
-const GAUGE_ERROR: f64 = 0.15;
 /// Bound of the score of one gauge, so that a gauge that changes for another reason cannot decide alone.
 const MOST: f64 = 40.0;
 /// Significance of a supply change \[standard deviations\], and the least relevant change, as a logarithm.
@@ -134,18 +132,6 @@ impl Instruments {
             _ if self.sensor.lingers || self.supply.lingers && self.supply.over > 0 => Testimony::Lingers,
             _ => Testimony::Machine,
         }
-    }
-
-    /// Lead of an unchanged motor over one that changed b0 by as much as in `window`, if it decides, or confirms the alarm
-    /// about friction: the magnets of a weaker motor lower its back-EMF as well, and raise its no-load speed.
-    pub(super) fn lead_of_sound_motor(&self, window: &Window, known: &Known) -> Option<f64> {
-        let level = |gauge| self.gauges.level(gauge, window.throws);
-        let of_speed = || level(Gauge::NoLoadSpeed).map(|Level { value, sd }| Level { value: -value, sd });
-        let back_emf = [None, level(Gauge::BackEmf).or_else(of_speed), None, None];
-        let changed = |motor: f64| misfit(&back_emf, &[0.0, motor, 0.0, 0.0]);
-        let lead = changed(window.mean.x) - changed(0.0);
-        let needed = if known.causes.contains(&Cause::Friction) { 0.0 } else { DECIDES };
-        (lead > needed).then_some(lead)
     }
 
     /// Whether a clock that is wrong by `size` may explain a drift: the coefficients distinguish it from friction, which
@@ -294,10 +280,6 @@ fn weighed((size, size_sd): (f64, f64), levels: &[Option<Level>; 4], effects: &[
 
 /// Misfit of the gauges to their expected values.
 fn misfit(levels: &[Option<Level>; 4], expected: &[f64; 4]) -> f64 {
-    let of = |(level, expected): (&Option<Level>, &f64)| {
-        level.map_or(0.0, |Level { value, sd }| {
-            ((value - expected).powi(2) / (sd * sd + (GAUGE_ERROR * expected).powi(2))).min(MOST)
-        })
-    };
+    let of = |(level, expected): (&Option<Level>, &f64)| level.map_or(0.0, |level| level.misfit(*expected, MOST));
     levels.iter().zip(expected).map(of).sum()
 }

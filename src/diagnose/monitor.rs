@@ -292,13 +292,10 @@ impl MachineMonitor {
         let drift = residual.map(|residual| {
             // The alarm of the features has no cause, so no part of the drift is known by it.
             let of_features = self.features.is_alarmed();
-            let known = if of_features { Known::default() } else { self.drift.known(&self.alarms) };
+            let known =
+                if of_features { Known::default() } else { self.drift.known(&self.alarms, &self.instruments.gauges) };
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
-            let dry = drift.may_be_dry(&known, settings);
-            if let Some(lead) = dry.and_then(|window| self.instruments.lead_of_sound_motor(window, &known)) {
-                drift.acquit_motor(lead, settings);
-            }
             drift.testimony = self.instruments.testimony(&drift, settings);
             drift.of_features = of_features.then_some(Cause::Unattributed);
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use pointsd::diagnose::{Cause, MachineMonitor, Settings, Severity};
 
-use crate::fleet::{Machine, Nature, shift};
+use crate::fleet::{Machine, Nature, normal, shift};
 
 /// First alarm within `throws` after the onset of a fault that grows over `ramp` throws: cause, and throws since the
 /// onset.
@@ -41,6 +41,51 @@ fn steps_and_ramps_at_twice_the_limit_are_named_right() {
             let median = delays[delays.len() / 2];
             assert!(ramp > 0 || median <= 3, "{cause}, sign {sign}: median delay {median}");
         }
+    }
+}
+
+/// Causes of the first alarm of 20 machines within 40 throws after `shift` and this change of the no-load speed, with the
+/// size in percent; `None` for machines that do not show that speed.
+fn named_beside_speed(shift: Vector3<f64>, speed: Option<f64>) -> Vec<(Cause, f64)> {
+    let settings = Settings::default();
+    let of_machine = |seed: u64| {
+        let mut machine = Machine::new(seed, Nature::default());
+        let mut monitor = MachineMonitor::new("21B");
+        let mut feed = |shift: Vector3<f64>, speed: Option<f64>| {
+            let mut throw = machine.throw(shift);
+            let scatter = 0.01 * normal(&mut machine.rng);
+            throw.features.no_load_speed_rad_per_s = speed.map(|change| 17.0 * (change + scatter).exp());
+            monitor.observe(&throw, &settings)
+        };
+        for _ in 0..2 * settings.baseline_throws {
+            feed(Vector3::zeros(), speed.map(|_| 0.0));
+        }
+        let event = (0..40).find_map(|_| feed(shift, speed).events.into_iter().next());
+        let event = event.unwrap_or_else(|| panic!("machine {seed} has no alarm"));
+        (event.cause, event.change_pct.unwrap_or_default())
+    };
+    (1_200..1_220).map(of_machine).collect()
+}
+
+#[test]
+fn dry_friction_that_lowers_b0_is_no_motor_fault_beside_an_unchanged_no_load_speed() {
+    // As estimated on machines with little inertia; a1/b0, the friction torque per ampere, rises by 65 %.
+    let dry = Vector3::new(-0.14, 0.36, 0.01);
+    for (cause, change_pct) in named_beside_speed(dry, Some(0.0)) {
+        assert_eq!(cause, Cause::Friction);
+        assert!((50.0..80.0).contains(&change_pct), "{change_pct}");
+    }
+    let unknown = named_beside_speed(dry, None);
+    assert!(unknown.iter().all(|(cause, _)| *cause == Cause::Unattributed), "{unknown:?}");
+    let weak_magnets = named_beside_speed(dry, Some(0.14));
+    assert!(weak_magnets.iter().all(|(cause, _)| *cause == Cause::Unattributed), "{weak_magnets:?}");
+}
+
+#[test]
+fn a_motor_is_named_whether_its_no_load_speed_changes_with_its_torque_or_not() {
+    for speed in [0.0, 0.16] {
+        let named = named_beside_speed(shift(Cause::Kt, -15.0), Some(speed));
+        assert!(named.iter().all(|(cause, pct)| *cause == Cause::Kt && (-18.0..-12.0).contains(pct)), "{named:?}");
     }
 }
 

@@ -139,6 +139,23 @@ fn a_noisy_current_names_its_setting() {
     assert_eq!((found.quality(), found.detail()), ("good", None));
 }
 
+#[test]
+fn the_no_load_speed_needs_no_supply_voltage_and_does_not_change_with_dry_friction() {
+    let machine = Parameters::default();
+    let expected = machine.supply_v / (machine.back_emf_constant * machine.gear_ratio);
+    let mut dry = machine.clone();
+    dry.rails.slide_friction = 0.1;
+    for machine in [machine, dry] {
+        let Recorded { current, position, .. } =
+            Recorded::new(&machine, &Sensors::default(), Direction::NormalToReverse, None);
+        let throw = throw_with(Trace::new(1000.0, current, position).unwrap(), None);
+        let features = Identifier::default().identify(&throw, &Settings::default()).features;
+        assert_eq!((features.supply_v, features.resistance_ohm), (None, None));
+        let speed = features.no_load_speed_rad_per_s.unwrap();
+        assert!((speed / expected - 1.0).abs() < 0.005, "{speed} rad/s, {expected} expected");
+    }
+}
+
 type Damage = fn(&mut [f64]);
 
 #[test]
