@@ -235,7 +235,7 @@ fn extent(cause: Cause, window: &Window, settings: &Settings) -> (f64, f64) {
 }
 
 /// The physical causes of an alarm: its cause, or all of them.
-pub(super) fn alarm_causes(cause: Cause) -> impl Iterator<Item = Cause> {
+fn alarm_causes(cause: Cause) -> impl Iterator<Item = Cause> {
     Cause::PHYSICAL.into_iter().filter(move |part| cause == Cause::Unattributed || *part == cause)
 }
 

@@ -11,7 +11,7 @@ use super::{
     cause::{Attribution, Known, Naming},
     condition::{Claim, Condition, LONGEST_WINDOW, Transition},
     course::LimitForecast,
-    drift::{Drift, alarm_causes},
+    drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, Severity},
     explain::{Explanation, fit, friction_of_sound_motor, percent, relevance, single},
     gauges::Gauges,
@@ -233,11 +233,19 @@ impl DriftAlarms {
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
                 part.unwrap_or_else(|| single(cause, mean, covariance, settings))
             };
-            let parts = drift.windows().flat_map(|window| {
-                let shown = alarm_causes(alarm.cause).filter(|cause| window.shows(*cause));
-                shown.map(|cause| size(cause, window))
+            // One cause that does not explain the drift would have any size, so a drift without a name has three.
+            let free = |Window { mean, covariance, .. }: &Window| {
+                fit([Cause::Kt, Cause::Friction, Cause::Stiffness], mean, covariance, settings).parts.to_vec()
+            };
+            let parts = drift.windows().flat_map(|window| match alarm.cause {
+                Cause::Unattributed => free(window),
+                cause if window.shows(cause) => vec![size(cause, window)],
+                _ => Vec::new(),
             });
-            let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)));
+            let named = drift.attribution.as_ref().filter(|_| alarm.cause == Cause::Unattributed);
+            let named = named.and_then(Attribution::main).copied();
+            let largest =
+                named.or_else(|| parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings))));
             let Some(largest) = largest else {
                 // The last throws do not show this cause, so its last known size stays.
                 let known = self.now.iter().find(|drifting| drifting.cause == alarm.cause);

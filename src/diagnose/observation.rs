@@ -106,10 +106,9 @@ pub(super) struct Evaluated {
 impl Evaluated {
     /// `None` unless the direction is known and the estimate is positive with a finite, positive covariance.
     pub(super) fn of(observation: &Observation) -> Option<Self> {
-        /// Largest relative standard deviation of a usable estimate, and of usable ratios; above it the logarithm is not
-        /// linear.
+        /// Largest relative standard deviation of a usable estimate, or ratio; above it the logarithm is not linear. A
+        /// change that doubles a1/b0 may double the error of a0/b0 too.
         const WORST_SD: f64 = 0.5;
-        const WORST_RATIO_SD: f64 = 0.25;
         let (estimate, covariance) = observation.estimate.as_ref()?;
         let direction = observation.direction?;
         if observation.incomplete || !estimate.iter().all(|v| v.is_finite() && *v > 0.0) {
@@ -119,11 +118,8 @@ impl Evaluated {
         let sensor = scale * covariance * scale;
         // Of ratios, the variance of the common scale is only a large number.
         let of_scale = |i: usize| if observation.ratios_only { sensor[(0, 0)] - 2.0 * sensor[(0, i)] } else { 0.0 };
-        let most = if observation.ratios_only {
-            Estimate::LONGEST_WINDOW * WORST_RATIO_SD * WORST_RATIO_SD
-        } else {
-            WORST_SD * WORST_SD
-        };
+        let repeats = if observation.ratios_only { Estimate::LONGEST_WINDOW } else { 1.0 };
+        let most = repeats * WORST_SD * WORST_SD;
         let usable = sensor.iter().all(|v| v.is_finite())
             && sensor.diagonal().iter().all(|v| *v >= 0.0)
             && (0..3).all(|i| sensor[(i, i)] + of_scale(i) < most);
