@@ -70,6 +70,8 @@ impl Question {
 /// A queryable with a bounded queue of queries.
 pub struct Questions {
     waiting: mpsc::Receiver<Question>,
+    /// Queries that found `waiting` full, for an error reply.
+    refused: mpsc::Receiver<Question>,
     dropped: Arc<AtomicU64>,
     _queryable: Queryable<()>,
 }
@@ -83,13 +85,8 @@ impl Questions {
         let (sender, waiting) = mpsc::channel(QUEUE);
         let dropped = Arc::<AtomicU64>::default();
         let counter = Arc::clone(&dropped);
-        // The callback must not reply, as a reply waits for a slow link. Beyond this queue queries get no reply.
-        let (refuse, mut refused) = mpsc::channel(QUEUE);
-        task::spawn(async move {
-            while let Some(question) = refused.recv().await {
-                answer(question, Err(BUSY.to_owned())).await;
-            }
-        });
+        // The callback must not reply, as a reply waits for a slow link: `next` replies.
+        let (refuse, refused) = mpsc::channel(QUEUE);
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query| {
@@ -101,7 +98,7 @@ impl Questions {
             })
             .await
             .map_err(BusError::new(format!("answer queries on {key_expression}")))?;
-        Ok(Self { waiting, dropped, _queryable: queryable })
+        Ok(Self { waiting, refused, dropped, _queryable: queryable })
     }
 
     /// Number of queries refused since the last call, because the queue was full.
@@ -110,14 +107,19 @@ impl Questions {
         self.dropped.swap(0, Relaxed)
     }
 
-    /// The next query; `None` when the session is closed.
+    /// The next query; `None` when the session is closed. First replies an error to the refused queries. They never wait
+    /// in vain: a query is refused only while others wait here, and the caller returns for these.
     pub async fn next(&mut self) -> Option<Question> {
+        // Only those present now: during a flood others follow without end.
+        for _ in 0..self.refused.len() {
+            answer(self.refused.recv().await?, Err(BUSY.to_owned())).await;
+        }
         self.waiting.recv().await
     }
 }
 
 /// Replies to a query with JSON messages, each on its key, or with one error text. Runs on a blocking thread, as a
-/// reply blocks on a slow link.
+/// reply blocks on a slow link, until zenoh closes the link after 5 s without progress.
 pub async fn answer(question: Question, replies: Result<Vec<(String, Vec<u8>)>, String>) {
     let sent = task::spawn_blocking(move || {
         let query = question.query;

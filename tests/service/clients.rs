@@ -17,6 +17,7 @@ use pointsd::{
     throw::ThrowRef,
     wire::{Encoding, encode_throw},
 };
+use tokio::runtime::Handle;
 
 use crate::{
     http::{KEY, exchange_bytes, get, small_history},
@@ -38,11 +39,16 @@ async fn a_query_that_finds_a_full_queue_gets_an_error() {
     config.insert_json5("scouting/multicast/enabled", "false").unwrap();
     config.insert_json5("listen/endpoints", "[]").unwrap();
     let session = zenoh::open(config).await.unwrap();
-    let questions = Questions::declare(&session, KEY).await.unwrap();
+    let tasks = || Handle::current().metrics().num_alive_tasks();
+    let before = tasks();
+    let mut questions = Questions::declare(&session, KEY).await.unwrap();
+    assert_eq!(tasks(), before, "nothing observes a task of the queue");
     let mut queries = Vec::new();
     for _ in 0..65 {
         queries.push(session.get(KEY).await.unwrap());
     }
+    let first = questions.next().await.unwrap();
+    assert_eq!(first.key(), KEY);
     let reply = tokio::time::timeout(Duration::from_secs(5), queries[64].recv_async()).await.unwrap().unwrap();
     let error = reply.result().unwrap_err().payload().try_to_string().unwrap().into_owned();
     assert!(error.contains("ask again"), "{error}");
