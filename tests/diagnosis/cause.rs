@@ -61,7 +61,8 @@ fn named_beside_speed(shift: Vector3<f64>, speed: Option<f64>) -> Vec<(Cause, f6
             feed(Vector3::zeros(), speed.map(|_| 0.0));
         }
         let event = (0..40).find_map(|_| feed(shift, speed).events.into_iter().next());
-        let event = event.unwrap_or_else(|| panic!("machine {seed} has no alarm"));
+        assert!(event.is_some(), "machine {seed} has no alarm");
+        let event = event.unwrap();
         (event.cause, event.change_pct.unwrap_or_default())
     };
     (1_200..1_220).map(of_machine).collect()
