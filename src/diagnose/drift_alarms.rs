@@ -225,15 +225,15 @@ impl DriftAlarms {
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.active().filter(|event| event.cause.is_drift()) {
             let size = |cause: Cause, Window { mean, covariance, .. }: &Window| {
-                let together =
-                    pair.filter(|pair| pair.contains(&cause)).map(|pair| fit(pair, mean, covariance, settings));
                 if has_sound_motor && cause == Cause::Friction {
                     return friction_of_sound_motor(mean, covariance);
                 }
+                let together =
+                    pair.filter(|pair| pair.contains(&cause)).map(|pair| fit(pair, mean, covariance, settings));
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
                 part.unwrap_or_else(|| single(cause, mean, covariance, settings))
             };
-            // One cause that does not explain the drift would have any size, so a drift without a name has three.
+            // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
             let free = |Window { mean, covariance, .. }: &Window| {
                 fit([Cause::Kt, Cause::Friction, Cause::Stiffness], mean, covariance, settings).parts.to_vec()
             };

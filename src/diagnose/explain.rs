@@ -33,7 +33,7 @@ const FRICTION_LEAKS: [Leak; 4] = [
     Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22] },
     Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0] },
 ];
-/// The leaks that no motor fault has.
+/// Number of the first leaks, which no motor fault resembles.
 const UNLIKE_MOTOR: usize = 3;
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;

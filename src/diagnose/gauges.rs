@@ -1,7 +1,7 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge, no-load speed). Each is used as the logarithm of its ratio to the normal value of the direction.
-//! Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which distinguishes the
-//! two.
+//! inrush, running current, charge, no-load speed). Each is used as the logarithm of its ratio to the normal value of the
+//! direction. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which
+//! distinguishes the two.
 
 use std::collections::VecDeque;
 
