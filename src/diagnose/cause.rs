@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     correlation::Correlation,
     event::{Cause, RunnerUp},
-    explain::{Explanation, Fit, direction_of, fit, fit_beside_gauges, relevance, single},
+    explain::{Explanation, Fit, direction_of, fit, relevance, single},
     gauges::{Gauges, Level},
     settings::Settings,
     window::Window,
@@ -35,6 +35,8 @@ const MOST_OF_GAUGE: f64 = 40.0;
 const TORQUE_ALONE: f64 = 3.0;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
+/// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
+const SHOWN_SD: f64 = 2.0;
 
 /// The known drifts of a machine, and its gauges.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -151,7 +153,14 @@ impl Attribution {
         let [best, ..] = &all.singles;
         let cause = best.parts[0].cause;
         let plausible = all.pairs.iter().filter(|pair| pair.score < all.pairs[0].score + CLOSE);
-        let matters = |pair: &&Fit<2>| pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS);
+        // If the gauges decide about the motor, a second cause that may be zero is not named beside a sufficient one.
+        let shown = |pair: &Fit<2>, part: &Explanation| {
+            let sufficient = self.beside_gauges && part.cause != cause && pair.score + CLOSE >= best.score;
+            !sufficient || part.size.abs() > SHOWN_SD * part.size_sd
+        };
+        let matters = |pair: &&Fit<2>| {
+            pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && shown(pair, part))
+        };
         let stranger = all.pairs.first().filter(|pair| !pair.includes(cause));
         let pair = plausible.clone().find(matters).or(stranger)?;
         let ahead = pair.score - best.score;
@@ -298,8 +307,7 @@ fn explained<const K: usize>(
     back_emf: Option<Level>,
     settings: &Settings,
 ) -> Fit<K> {
-    let with_leaks = if back_emf.is_some() { fit_beside_gauges } else { fit };
-    let mut fit = with_leaks(causes, &window.mean, &window.covariance, settings);
+    let mut fit = fit(causes, (&window.mean, &window.covariance), back_emf.is_some(), settings);
     let Some(level) = back_emf else { return fit };
     let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
     let torque_alone = fit.includes(Cause::Kt) && (K != 2 || !fit.includes(Cause::Friction));

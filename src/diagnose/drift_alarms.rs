@@ -229,13 +229,13 @@ impl DriftAlarms {
                     return friction_of_sound_motor(mean, covariance);
                 }
                 let together =
-                    pair.filter(|pair| pair.contains(&cause)).map(|pair| fit(pair, mean, covariance, settings));
+                    pair.filter(|pair| pair.contains(&cause)).map(|pair| fit(pair, (mean, covariance), false, settings));
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
                 part.unwrap_or_else(|| single(cause, mean, covariance, settings))
             };
             // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
             let free = |Window { mean, covariance, .. }: &Window| {
-                fit([Cause::Kt, Cause::Friction, Cause::Stiffness], mean, covariance, settings).parts.to_vec()
+                fit([Cause::Kt, Cause::Friction, Cause::Stiffness], (mean, covariance), false, settings).parts.to_vec()
             };
             let parts = drift.windows().flat_map(|window| match alarm.cause {
                 Cause::Unattributed => free(window),

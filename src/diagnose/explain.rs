@@ -11,7 +11,8 @@
 //! too, so its direction is (g, 1 + g, g), with g from 0 (viscous) over 0.1 to 0.3 (stiff toe drive, more for larger
 //! rises) to 0.67 (soft toe drive); a fall hardly leaks. The g of a machine is unknown, so several g are averaged. On
 //! machines with little inertia, dry friction takes its part of the torque when the machine starts, as if b0 were
-//! smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4.
+//! smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4. Friction at the far end of a rail that bends grows with the travel until
+//! that end slides, as if the stiffness were larger: (0, 1, s) with s from 0.1 to 0.4.
 //!
 //! # Score
 //! -2 ln of the probability of m under a wide prior on the sizes (Laplace), misfit + ln det U + ln det(D'U^-1 D) + k ln
@@ -25,16 +26,15 @@ use super::{event::Cause, settings::Settings};
 const SIZE_SCALE: f64 = 0.5;
 /// Penalty of each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
-/// Leaks of a rise of friction: viscous, stiff toe drive, soft toe drive, and dry on a machine with little inertia; each is
-/// equally likely. The last one looks like a motor fault too, so it counts only beside the gauges of the motor.
-const FRICTION_LEAKS: [Leak; 4] = [
+/// Leaks of a rise of friction: viscous, stiff toe drive, soft toe drive, a rail whose far end sticks, and dry on a machine
+/// with little inertia; each is equally likely.
+const FRICTION_LEAKS: [Leak; 5] = [
     Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08] },
     Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12] },
     Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22] },
+    Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12] },
     Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0] },
 ];
-/// Number of the first leaks, which no motor fault resembles.
-const UNLIKE_MOTOR: usize = 3;
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction besides its leak, as part of that of other causes.
@@ -91,7 +91,7 @@ pub(super) fn relevance(cause: Cause, size: f64, settings: &Settings) -> f64 {
 
 /// Explains the drift `m` with covariance `v` by one cause.
 pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> Explanation {
-    fit([cause], m, v, settings).parts[0]
+    fit([cause], (m, v), false, settings).parts[0]
 }
 
 /// The friction of a machine whose motor has not changed, and its change `m` with covariance `v`: Kf/KT = a1/b0. Dry
@@ -126,34 +126,15 @@ impl<const K: usize> Fit<K> {
     }
 }
 
-/// Explains the drift `m` with covariance `v` by `causes`, at most three.
+/// Explains the drift `m` with covariance `v` by `causes`, at most three: the mean over the leaks of friction by their odds.
+/// The last leak looks like a motor fault too, so it counts only if gauges show the motor (`beside_gauges`).
 pub(super) fn fit<const K: usize>(
     causes: [Cause; K],
-    m: &Vector3<f64>,
-    v: &Matrix3<f64>,
+    (m, v): (&Vector3<f64>, &Matrix3<f64>),
+    beside_gauges: bool,
     settings: &Settings,
 ) -> Fit<K> {
-    fit_with_leaks(&FRICTION_LEAKS[..UNLIKE_MOTOR], causes, m, v, settings)
-}
-
-/// The same beside gauges of the motor, which tell dry friction from a motor fault.
-pub(super) fn fit_beside_gauges<const K: usize>(
-    causes: [Cause; K],
-    m: &Vector3<f64>,
-    v: &Matrix3<f64>,
-    settings: &Settings,
-) -> Fit<K> {
-    fit_with_leaks(&FRICTION_LEAKS, causes, m, v, settings)
-}
-
-/// The mean over the leaks of friction by their odds.
-fn fit_with_leaks<const K: usize>(
-    leaks: &[Leak],
-    causes: [Cause; K],
-    m: &Vector3<f64>,
-    v: &Matrix3<f64>,
-    settings: &Settings,
-) -> Fit<K> {
+    let leaks = &FRICTION_LEAKS[..FRICTION_LEAKS.len() - usize::from(!beside_gauges)];
     let with_leak = |leak: &Leak| fit_with_leak(*leak, causes, m, v, settings);
     if !causes.contains(&Cause::Friction) {
         return with_leak(&leaks[0]);

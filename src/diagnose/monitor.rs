@@ -292,8 +292,12 @@ impl MachineMonitor {
         let drift = residual.map(|residual| {
             // The alarm of the features has no cause, so no part of the drift is known by it.
             let of_features = self.features.is_alarmed();
-            let known =
-                if of_features { Known::default() } else { self.drift.known(&self.alarms, &self.instruments.gauges) };
+            let gauges = &self.instruments.gauges;
+            let known = if of_features {
+                Known { gauges: Some(gauges), ..Known::default() }
+            } else {
+                self.drift.known(&self.alarms, gauges)
+            };
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);

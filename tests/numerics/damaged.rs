@@ -206,7 +206,7 @@ const TABLE: &[Damage] = &[
         c.current = c.current.iter().step_by(10).copied().collect();
         c.position = c.position.iter().step_by(10).copied().collect();
     }),
-    ("played backwards", "no_inrush", |c| {
+    ("played backwards", "not_positive", |c| {
         c.current.reverse();
         c.position.reverse();
     }),
