@@ -44,7 +44,9 @@ impl Rare {
 impl From<Vec<Option<[f32; 3]>>> for Rare {
     fn from(all: Vec<Option<[f32; 3]>>) -> Self {
         let mut rare = Self::default();
-        all.into_iter().for_each(|value| rare.push(value));
+        for value in all {
+            rare.push(value);
+        }
         rare
     }
 }
