@@ -46,13 +46,14 @@ pub struct BaselineRecord {
     pub duration_s: Option<f64>,
 }
 
-/// A throw of a baseline; `order` counts the throws of the machine. Short names keep the snapshot small.
+/// A throw of a baseline; `order` counts the throws of the machine. Short names keep the snapshot small, and single
+/// precision a fleet that learns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct BaselineThrow {
     #[serde(rename = "n")]
-    order: u64,
+    order: u32,
     #[serde(rename = "x")]
-    log: [f64; 3],
+    log: [f32; 3],
     #[serde(rename = "t", default, skip_serializing_if = "Option::is_none")]
     temperature_c: Option<f32>,
     #[serde(rename = "d", default, skip_serializing_if = "Option::is_none")]
@@ -75,12 +76,14 @@ pub(super) struct Baseline {
 }
 
 impl BaselineThrow {
-    #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a temperature or duration is far below any sensor")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "1e-7 of a logarithm, temperature or duration is far below any scatter, and no machine makes 4e9 throws"
+    )]
     pub(super) fn new(order: u64, throw: &Evaluated) -> Self {
         Self {
-            order,
-            // Rounded to keep the snapshot small; 1e-9 of a logarithm is far below any scatter.
-            log: throw.log.map(|log| (1e9 * log).round() / 1e9),
+            order: order as u32,
+            log: throw.log.map(|log| log as f32),
             temperature_c: throw.temperature_c.map(|t| t as f32),
             duration_s: throw.duration_s.map(|d| d as f32),
         }
@@ -195,7 +198,7 @@ impl Baseline {
 
 /// Scatter of the throws of both directions together, in their order.
 pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline; 2]) -> Scatter {
-    let mut residuals: Vec<(u64, Vector3<f64>)> = Vec::new();
+    let mut residuals: Vec<(u32, Vector3<f64>)> = Vec::new();
     let mut sensor = Matrix3::zeros();
     for (throws, baseline) in learned.into_iter().zip(baselines) {
         let sd = baseline.scatter.of_one_throw().diagonal().map(f64::sqrt);
@@ -215,7 +218,7 @@ pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline;
 fn detrended(throws: &[BaselineThrow], slopes: Option<[f64; 3]>) -> impl Iterator<Item = Vector3<f64>> {
     let first = throws.first().map_or(0, |throw| throw.order);
     let slopes = Vector3::from(slopes.unwrap_or_default());
-    throws.iter().map(move |throw| Vector3::from(throw.log) - slopes * (throw.order - first) as f64)
+    throws.iter().map(move |throw| Vector3::from(throw.log.map(f64::from)) - slopes * f64::from(throw.order - first))
 }
 
 /// Slopes of the logarithms over the throws of both directions, 0 without a trend that matters; `sensor` is the mean
@@ -237,12 +240,13 @@ pub(super) fn trend<'a>(
         if series.is_empty() {
             continue;
         }
-        let robust = [0, 1, 2].map(|i| centre_and_sd(&series.iter().map(|throw| throw.log[i]).collect::<Vec<_>>()));
+        let robust =
+            [0, 1, 2].map(|i| centre_and_sd(&series.iter().map(|throw| throw.log[i].into()).collect::<Vec<_>>()));
         variance = std::array::from_fn(|i| robust[i].1.powi(2).max(variance[i]));
         throws.extend(series.into_iter().map(|throw| TrendThrow {
-            order: throw.order,
+            order: throw.order.into(),
             side,
-            residual: Vector3::from_fn(|i, _| throw.log[i] - robust[i].0),
+            residual: Vector3::from_fn(|i, _| f64::from(throw.log[i]) - robust[i].0),
             temperature_c: throw.temperature_c.map(f64::from),
         }));
     }

@@ -83,7 +83,7 @@ pub(super) enum Transition {
 ///     ^                                                |
 ///     '--- healthy, below or otherwise explained ------'
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Condition {
     /// No alarm.
@@ -92,8 +92,8 @@ pub(super) enum Condition {
         /// Throws since the alarm was last raised; `None` before the first time.
         since_raised: Option<u32>,
     },
-    /// The alarm is active.
-    Raised { onset: Onset, since_raised: u32, ending: Ending },
+    /// The alarm is active. Boxed, as few alarms are.
+    Raised { onset: Onset, since_raised: u32, ending: Box<Ending> },
 }
 
 /// Numbers of consecutive throws for an alarm, and for a critical alarm.
@@ -146,13 +146,14 @@ impl Condition {
             if reading.claim == Claim::Named && onset.named >= delay {
                 // Counters from before the raise must not clear the alarm, as the levels follow a step with a delay.
                 let restless = since_raised.is_some_and(|throws| throws < settings.hold_throws);
-                *self = Self::Raised { onset, since_raised: 0, ending: Ending { restless, ..Ending::default() } };
+                let ending = Box::new(Ending { restless, ..Ending::default() });
+                *self = Self::Raised { onset, since_raised: 0, ending };
                 return Transition::Raise(if is_critical { Severity::Critical } else { Severity::Warning });
             }
             *self = Self::Quiet { onset, since_raised };
             return Transition::Stay;
         };
-        let before = if let Self::Raised { ending, .. } = *self { ending } else { Ending::default() };
+        let before = if let Self::Raised { ending, .. } = self { **ending } else { Ending::default() };
         let mut ending = before.after(reading);
         let transition = if severity == Severity::Warning && is_critical {
             Transition::Escalate
@@ -161,7 +162,7 @@ impl Condition {
             ending.transition(settings)
         };
         let since_raised = since_raised.unwrap_or_default();
-        *self = Self::Raised { onset, since_raised, ending };
+        *self = Self::Raised { onset, since_raised, ending: Box::new(ending) };
         transition
     }
 
@@ -175,8 +176,9 @@ impl Condition {
         let onset = Onset::default();
         *self = match *self {
             Self::Quiet { since_raised, .. } => Self::Quiet { onset, since_raised },
-            Self::Raised { since_raised, ending, .. } => {
-                Self::Raised { onset, since_raised, ending: Ending { restless: ending.restless, ..Ending::default() } }
+            Self::Raised { since_raised, ref ending, .. } => {
+                let ending = Box::new(Ending { restless: ending.restless, ..Ending::default() });
+                Self::Raised { onset, since_raised, ending }
             }
         };
     }

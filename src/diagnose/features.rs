@@ -2,14 +2,13 @@
 //! whose throws are rejected one after the other, and of machines whose throws are all rough, so that they have no
 //! baseline. A refusal is a verdict on the data: what the features still show is said.
 
-use std::collections::VecDeque;
-
 use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
     event::{AlarmEvent, Cause, Severity},
     gauges::{Change, Gauge, Gauges, sd_of_mean},
+    last::Last,
     operational::Context,
     robust::median,
     text,
@@ -33,7 +32,7 @@ type Departures = [Option<(f32, f32)>; WATCHED.len()];
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct FeatureWatch {
     /// The throws of each direction, the newest last.
-    sides: [VecDeque<Departures>; 2],
+    sides: [Last<Departures, LEVEL>; 2],
     calm: u32,
     /// Whether the alarm `unattributed` is from this rule.
     alarmed: bool,
@@ -51,10 +50,7 @@ impl FeatureWatch {
     ) -> Option<AlarmEvent> {
         let Context { name, at, throw, settings } = context;
         let recent = &mut self.sides[direction.side()];
-        recent.push_back(gauges.departures(WATCHED.map(|(gauge, _)| gauge), direction, features));
-        if recent.len() > LEVEL {
-            recent.pop_front();
-        }
+        recent.push(gauges.departures(WATCHED.map(|(gauge, _)| gauge), direction, features));
         let changes = self.changes();
         self.calm = if changes.is_empty() { self.calm.saturating_add(1) } else { 0 };
         if self.alarmed {
@@ -76,15 +72,15 @@ impl FeatureWatch {
         context: Context,
     ) -> Option<AlarmEvent> {
         if let Some(direction) = direction {
-            self.sides[direction.side()].pop_front();
+            self.sides[direction.side()].pop_oldest();
         }
-        let is_empty = self.sides.iter().all(VecDeque::is_empty);
+        let is_empty = self.sides.iter().all(|side| side.is_empty());
         if self.alarmed && is_empty { self.end(alarms, context) } else { None }
     }
 
     /// Whether features of the last throws were compared with normal values.
     pub(super) fn is_monitoring(&self) -> bool {
-        self.sides.iter().flatten().any(|departures| departures.iter().any(Option::is_some))
+        self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
     }
 
     /// Whether its alarm is active.

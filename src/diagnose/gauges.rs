@@ -3,11 +3,9 @@
 //! direction. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which
 //! distinguishes the two.
 
-use std::collections::VecDeque;
+use serde::{Deserialize, Deserializer, Serialize};
 
-use serde::{Deserialize, Serialize};
-
-use super::{robust::centre_and_sd, threshold::WINDOWS};
+use super::{last::Last, robust::centre_and_sd, threshold::WINDOWS};
 use crate::{estimate::Features, throw::Direction};
 
 /// A quantity of a throw.
@@ -80,33 +78,68 @@ pub(super) struct Change {
     pub(super) size_sd: f64,
 }
 
-/// Normal values of a direction: centre and standard deviation of each gauge. The lists are shorter in snapshots of a
-/// version with fewer gauges.
+/// Normal values of a direction: centre and standard deviation of each gauge.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Normal {
-    /// Values of each gauge for learning; empty afterwards.
+    /// Values of each gauge for learning; empty if there are none.
+    #[serde(deserialize_with = "unless_all_are_empty")]
     learned: Vec<Vec<f32>>,
-    known: Vec<Option<(f32, f32)>>,
+    #[serde(deserialize_with = "padded")]
+    known: [Option<(f32, f32)>; Gauge::COUNT],
 }
 
-/// Direction and known gauges of a throw, as bits, and the values of these gauges.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Shown(u16, Vec<f32>);
+/// Reads the values for learning. Earlier versions stored empty lists afterwards.
+fn unless_all_are_empty<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<f32>>, D::Error> {
+    let learned = Vec::<Vec<f32>>::deserialize(from)?;
+    Ok(if learned.iter().all(Vec::is_empty) { Vec::new() } else { learned })
+}
+
+/// Reads the normal values. The list is shorter in snapshots of a version with fewer gauges.
+fn padded<'de, D: Deserializer<'de>>(from: D) -> Result<[Option<(f32, f32)>; Gauge::COUNT], D::Error> {
+    let known = Vec::deserialize(from)?;
+    Ok(std::array::from_fn(|at| known.get(at).copied().flatten()))
+}
+
+/// Direction and gauges of a throw. Snapshots have the values of the known gauges only.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(from = "(u16, Vec<f32>)", into = "(u16, Vec<f32>)")]
+struct Shown {
+    /// The direction in bit 0, and whether gauge `at` is known in bit `at + 1`.
+    bits: u16,
+    /// Values of the gauges, 0 for unknown ones.
+    values: [f32; Gauge::COUNT],
+}
 
 impl Shown {
     fn new(side: usize, values: Values) -> Self {
         let bits = (0..Gauge::COUNT).filter(|at| values[*at].is_some()).fold(side, |bits, at| bits | (2 << at));
-        Self(u16::try_from(bits).unwrap_or_default(), values.into_iter().flatten().collect())
+        Self { bits: u16::try_from(bits).unwrap_or_default(), values: values.map(Option::unwrap_or_default) }
     }
 
-    fn side(&self) -> usize {
-        usize::from(self.0 & 1)
+    fn side(self) -> usize {
+        usize::from(self.bits & 1)
     }
 
-    fn value(&self, gauge: Gauge) -> Option<f32> {
-        let bit = 2 << gauge as u8;
-        let before = (self.0 & (bit - 1) & !1).count_ones();
-        if self.0 & bit == 0 { None } else { self.1.get(before as usize).copied() }
+    fn value(self, gauge: Gauge) -> Option<f32> {
+        is_known(self.bits, gauge as usize).then(|| self.values[gauge as usize])
+    }
+}
+
+fn is_known(bits: u16, at: usize) -> bool {
+    bits & (2 << at) != 0
+}
+
+impl From<(u16, Vec<f32>)> for Shown {
+    fn from((bits, known): (u16, Vec<f32>)) -> Self {
+        let mut known = known.into_iter();
+        let mut value = |at| if is_known(bits, at) { known.next() } else { None };
+        Self { bits, values: std::array::from_fn(|at| value(at).unwrap_or_default()) }
+    }
+}
+
+impl From<Shown> for (u16, Vec<f32>) {
+    fn from(Shown { bits, values }: Shown) -> Self {
+        (bits, (0..Gauge::COUNT).filter(|at| is_known(bits, *at)).map(|at| values[at]).collect())
     }
 }
 
@@ -115,7 +148,7 @@ impl Shown {
 pub(super) struct Gauges {
     sides: [Normal; 2],
     /// The last throws, the newest last.
-    recent: VecDeque<Shown>,
+    recent: Last<Shown, RECENT>,
 }
 
 impl Gauges {
@@ -125,10 +158,7 @@ impl Gauges {
         if !suspicious {
             self.sides[side].learn(values);
         }
-        self.recent.push_back(Shown::new(side, values));
-        if self.recent.len() > RECENT {
-            self.recent.pop_front();
-        }
+        self.recent.push(Shown::new(side, values));
     }
 
     /// Departures of some gauges of this throw from normal, as logarithms, with the standard deviation of one throw;
@@ -185,18 +215,16 @@ pub(super) fn sd_of_mean(gauge: Gauge, sd: f64, count: f64) -> f64 {
 impl Normal {
     /// Centre and standard deviation of a gauge.
     fn of(&self, gauge: Gauge) -> Option<(f32, f32)> {
-        self.known.get(gauge as usize).copied().flatten()
+        self.known[gauge as usize]
     }
 
     fn learn(&mut self, values: Values) {
-        self.learned.resize(Gauge::COUNT, Vec::new());
-        self.known.resize(Gauge::COUNT, None);
         for (at, value) in values.into_iter().enumerate() {
+            let is_final = self.known[at].is_some() && self.learned.get(at).is_none_or(Vec::is_empty);
+            let Some(value) = value.filter(|_| !is_final) else { continue };
+            self.learned.resize(Gauge::COUNT, Vec::new());
             let learned = &mut self.learned[at];
-            if learned.is_empty() && self.known[at].is_some() {
-                continue;
-            }
-            learned.extend(value);
+            learned.push(value);
             if learned.len() >= LEARNED.0 {
                 let (centre, sd) = centre_and_sd(&learned.iter().copied().map(f64::from).collect::<Vec<_>>());
                 #[expect(clippy::cast_possible_truncation, reason = "the values are rounded more")]
@@ -206,6 +234,9 @@ impl Normal {
             if learned.len() >= LEARNED.1 {
                 *learned = Vec::new();
             }
+        }
+        if self.learned.iter().all(Vec::is_empty) {
+            self.learned = Vec::new();
         }
     }
 }

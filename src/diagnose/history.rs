@@ -5,14 +5,14 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::course::Point;
+use super::{course::Point, last::Last};
 
 /// Means of consecutive blocks of throws since the baseline. When all places are full, neighbouring blocks are joined,
 /// and new blocks are twice as long: the history is complete, and gets coarser.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct History {
     length: u32,
-    blocks: Vec<[f32; 3]>,
+    blocks: Last<[f32; 3], { History::PLACES }>,
     filling: u32,
     sum: [f64; 3],
     /// Number of the machine's throw at the first push.
@@ -22,7 +22,7 @@ pub(super) struct History {
 
 impl Default for History {
     fn default() -> Self {
-        Self { length: Self::FIRST_LENGTH, blocks: Vec::new(), filling: 0, sum: [0.0; 3], since: None }
+        Self { length: Self::FIRST_LENGTH, blocks: Last::default(), filling: 0, sum: [0.0; 3], since: None }
     }
 }
 

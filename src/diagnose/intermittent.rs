@@ -6,8 +6,6 @@
 //! throws is compared with the earlier rate of the machine; with a gamma prior on the rate it has a negative binomial
 //! distribution.
 
-use std::collections::VecDeque;
-
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use statrs::function::gamma::ln_gamma;
@@ -15,11 +13,13 @@ use statrs::function::gamma::ln_gamma;
 use super::{
     event::Cause,
     explain::{Explanation, single},
+    last::Last,
+    rare::Rare,
     settings::Settings,
 };
 
 /// Lengths of the two windows of departures \[throws\].
-const COUNTED: [usize; 2] = [50, 100];
+const COUNTED: [u32; 2] = [50, 100];
 /// Departures of a least size.
 #[derive(Debug, Clone, Copy)]
 struct Size {
@@ -53,8 +53,8 @@ const OVERLAP: f64 = 10.0;
 /// Departures of a machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Intermittent {
-    /// For each of the last throws: the departure that it ended, if any; the newest last.
-    recent: VecDeque<Option<[f32; 3]>>,
+    /// The departures that each of the last throws ended.
+    recent: Rare,
     /// The open departure of each direction, and its number of throws.
     #[serde(default)]
     begun: [Option<([f32; 3], u32)>; 2],
@@ -67,7 +67,7 @@ pub(super) struct Intermittent {
     tail: (f64, f64),
     /// Whether each of the last throws was far out; newest last. They count later, so that a fault does not count as a
     /// heavy tail.
-    undecided: VecDeque<bool>,
+    undecided: Last<bool, DECIDED_AFTER>,
     /// Cause of the active alarm.
     pub(super) alarmed: Option<Cause>,
 }
@@ -98,13 +98,10 @@ impl Intermittent {
     ) {
         let inverse = of_one_throw.try_inverse();
         let square = |d: Vector3<f64>| inverse.map_or(0.0, |inverse| (d.transpose() * inverse * d).x);
-        self.undecided.push_back(square(departure) > FAR_OUT);
-        if self.undecided.len() > DECIDED_AFTER {
-            let far_out = self.undecided.pop_front().unwrap_or_default();
-            if !suspicious {
-                self.tail.0 += f64::from(u8::from(far_out));
-                self.tail.1 += 1.0;
-            }
+        let decided = self.undecided.push(square(departure) > FAR_OUT);
+        if let Some(far_out) = decided.filter(|_| !suspicious) {
+            self.tail.0 += f64::from(u8::from(far_out));
+            self.tail.1 += 1.0;
         }
         let far = |d: Vector3<f64>| {
             let part = |cause| single(cause, &d, of_one_throw, settings).relevance(settings);
@@ -119,10 +116,10 @@ impl Intermittent {
             let begun = self.begun[side].take().filter(|(_, throws)| *throws <= LONGEST_RUN);
             begun.map(|(first, _)| first).filter(|first| far(Vector3::from(first.map(f64::from)) - departure))
         };
-        self.recent.push_back(ended);
-        if !complete || self.recent.len() > COUNTED[1] {
+        self.recent.push(ended);
+        if !complete || self.recent.throws() > COUNTED[1] {
             let is_rising = self.is_rising();
-            let oldest = self.recent.pop_front().flatten().filter(|_| !is_rising);
+            let oldest = self.recent.pop_oldest().filter(|_| !is_rising);
             if self.alarmed.is_none() {
                 let is_large = oldest.is_some_and(|d| square(Vector3::from(d.map(f64::from))) > LARGE.far);
                 self.past.0 += f64::from(u8::from(oldest.is_some()));
@@ -140,11 +137,11 @@ impl Intermittent {
         let mut tests = [ANY, LARGE].into_iter().flat_map(|size| COUNTED.map(|throws| (size, throws)));
         let share = budget * OVERLAP / (2 * COUNTED.len()) as f64;
         let inverse = of_one_throw.try_inverse()?;
-        let shows = |(size, throws): (Size, usize)| {
-            let counted = self.recent.len().min(throws);
-            let last = self.recent.iter().rev().take(counted).flatten().map(|d| Vector3::from(d.map(f64::from)));
+        let shows = |(size, throws): (Size, u32)| {
+            let counted = f64::from(self.recent.throws().min(throws));
+            let last = self.recent.last(throws).map(|d| Vector3::from(d.map(f64::from)));
             let all: Vec<Vector3<f64>> = last.filter(|d| (d.transpose() * inverse * d).x > size.far).collect();
-            let enough = |count: usize| count >= 3 && self.chance(size, count, counted as f64) < share;
+            let enough = |count: usize| count >= 3 && self.chance(size, count, counted) < share;
             if !enough(all.len()) {
                 return None;
             }
@@ -159,7 +156,7 @@ impl Intermittent {
             let kinds = Cause::PHYSICAL.into_iter().flat_map(|cause| [(cause, 1.0), (cause, -1.0)]);
             let most = kinds.map(kind).max_by_key(Vec::len).filter(|most| enough(most.len()))?;
             let count = most.len() as f64;
-            Some((counted as f64 / count, most.iter().sum::<Vector3<f64>>() / count, count))
+            Some((counted / count, most.iter().sum::<Vector3<f64>>() / count, count))
         };
         let (one_in, mean, count) = tests.find_map(shows)?;
         let covariance = of_one_throw / count;
@@ -185,20 +182,21 @@ impl Intermittent {
     /// Ends the alarm and discards its departures.
     pub(super) fn end(&mut self) {
         self.alarmed = None;
-        self.recent.iter_mut().for_each(|departure| *departure = None);
+        self.recent.forget_values();
     }
 
     /// Whether departures are as rare as before.
     pub(super) fn is_over(&self) -> bool {
-        let count = self.recent.iter().rev().take(COUNTED[0]).flatten().count();
-        count == 0 || self.chance(ANY, count, COUNTED[0] as f64) > OVER_FROM
+        let count = self.recent.last(COUNTED[0]).count();
+        count == 0 || self.chance(ANY, count, COUNTED[0].into()) > OVER_FROM
     }
 
     /// Whether departures are so much more frequent than before that they may be a fault, which the rate of the machine
     /// must not learn.
     fn is_rising(&self) -> bool {
-        let count = self.recent.iter().flatten().count();
-        count >= 3 && self.chance(ANY, count, self.recent.len() as f64) < RISING_FROM
+        let throws = self.recent.throws();
+        let count = self.recent.last(throws).count();
+        count >= 3 && self.chance(ANY, count, throws.into()) < RISING_FROM
     }
 
     /// Discards the last throws after a change of the machine.

@@ -63,7 +63,7 @@ pub struct MachineMonitor {
     /// Blindness at the last evaluated throw.
     #[serde(default)]
     blind: Option<Blindness>,
-    maintenance: Option<Maintenance>,
+    maintenance: Option<Box<Maintenance>>,
     /// Whether an estimate with a toe position was observed since the last rebaseline.
     #[serde(default)]
     has_position: bool,
@@ -491,7 +491,7 @@ impl MachineMonitor {
             Command::MaintenanceStart { .. } if self.maintenance.is_some() => Err(CommandError::InMaintenance),
             Command::MaintenanceStart { until, by, why } => {
                 let until = Some(to_micros(*until));
-                self.maintenance = Some(Maintenance { until, by: by.clone(), why: why.clone() });
+                self.maintenance = Some(Box::new(Maintenance { until, by: by.clone(), why: why.clone() }));
                 Ok(self.alarms.set_out_of_service(true, actor, now))
             }
             Command::MaintenanceEnd { .. } if self.maintenance.is_none() => Err(CommandError::NotInMaintenance),
@@ -609,7 +609,7 @@ impl From<VersionOne> for MachineMonitor {
         let conditions = std::array::from_fn(|at| old.conditions[at].now(alarms.is_active(DRIFTS[at])));
         let onset = old.onset.map(|onset| Onset { first: onset.first, order: onset.order });
         let maintenance =
-            old.maintenance.map(|window| Maintenance { until: window.until, by: window.by, why: window.why });
+            old.maintenance.map(|window| Box::new(Maintenance { until: window.until, by: window.by, why: window.why }));
         let mut tracks = old.tracks;
         tracks.add_temperature();
         Self {

@@ -5,8 +5,6 @@
 //! subtraction can only reduce a departure: a machine without the common change is judged without it, and no departure
 //! increases or changes its sign.
 
-use std::collections::VecDeque;
-
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -15,6 +13,7 @@ use super::{
     alarm::{Alarms, Evidence},
     event::{AlarmEvent, Cause, Severity},
     explain::{percent, relevance},
+    last::Last,
     operational::Context,
     robust::median,
     text,
@@ -58,7 +57,7 @@ impl Common {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Trail {
     /// Times and logarithms, the oldest first.
-    last: VecDeque<(Timestamp, [f32; 3])>,
+    last: Last<(Timestamp, [f32; 3]), KEPT>,
     /// Standard deviations of a throw.
     sd: [f32; 3],
 }
@@ -70,10 +69,7 @@ impl Trail {
         #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
         let rounded = |values: &Vector3<f64>| [0, 1, 2].map(|i| ((1e4 * values[i]).round() / 1e4) as f32);
         self.sd = rounded(&of_one_throw.diagonal().map(|variance| variance.sqrt().max(1e-3)));
-        self.last.push_back((at, rounded(departure)));
-        if self.last.len() > KEPT {
-            self.last.pop_front();
-        }
+        self.last.push((at, rounded(departure)));
     }
 
     pub(super) fn is_empty(&self) -> bool {

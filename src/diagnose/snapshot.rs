@@ -117,6 +117,6 @@ impl ConditionOne {
         }
         let EndingOne { healthy, below, other, level, below_level, fell_within, proposed, restless } = self.ending;
         let ending = Ending { healthy, below, other, level, since_level: below_level, fell_within, proposed, restless };
-        Condition::Raised { onset, since_raised: self.since_raised.unwrap_or_default(), ending }
+        Condition::Raised { onset, since_raised: self.since_raised.unwrap_or_default(), ending: Box::new(ending) }
     }
 }

@@ -95,7 +95,7 @@ pub(super) struct Temperature {
     anchor: Anchor,
     /// Throws since the suspicion of a drift, and the anchor from the second half of them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    next: Option<(u32, Anchor)>,
+    next: Option<Box<(u32, Anchor)>>,
 }
 
 impl Temperature {
@@ -191,16 +191,16 @@ impl Temperature {
         let change = self.change(self.per_k);
         if suspected && (0..3).any(|i| change[i].abs() > LEVEL_SD * (noise[i] / self.anchor_throws()).sqrt()) {
             // Another fault, or the repair of a part.
-            self.next = Some((ANCHORED, Anchor::CENTRE));
+            self.next = Some(Box::new((ANCHORED, Anchor::CENTRE)));
         }
     }
 
     /// Adds a throw of a suspected drift to the next anchor; returns whether it is used for this.
     fn is_moving(&mut self, raw: &Vector3<f64>, distance: f64) -> bool {
         if self.anchor.throws.is_none() && self.next.is_none() {
-            self.next = Some((0, Anchor::CENTRE));
+            self.next = Some(Box::new((0, Anchor::CENTRE)));
         }
-        let Some((throws, next)) = &mut self.next else { return false };
+        let Some((throws, next)) = self.next.as_deref_mut() else { return false };
         *throws += 1;
         if *throws > ANCHORED {
             let count = f64::from(*throws - ANCHORED);

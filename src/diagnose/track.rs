@@ -464,17 +464,16 @@ impl Tracks {
         let [normal, reverse] = &self.sides;
         let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
         let done = first.is_final(settings) && second.is_final(settings);
-        if normal.of_ratios != reverse.of_ratios {
-            if done {
-                self.sides.iter_mut().for_each(|track| track.learned = Vec::new());
-            }
-            return;
+        if normal.of_ratios == reverse.of_ratios {
+            let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second]);
+            let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
+            self.mixed = Some(Mixed { scatter, thresholds });
         }
-        let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second]);
-        let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
-        self.mixed = Some(Mixed { scatter, thresholds });
         if done {
-            self.sides.iter_mut().for_each(|track| track.learned = Vec::new());
+            for track in &mut self.sides {
+                track.learned = Vec::new();
+                track.aside.shrink_to_fit();
+            }
         }
     }
 

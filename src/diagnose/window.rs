@@ -3,8 +3,6 @@
 //! There are three streams: each direction, and both in the order of the throws. The mixed stream shows a fault of the
 //! machine first, the stream of a direction shows a fault of this direction only.
 
-use std::collections::VecDeque;
-
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +10,7 @@ use super::{
     baseline::Baseline,
     course::Point,
     event::Cause,
+    last::Last,
     robust::clipped_mean,
     scatter::Scatter,
     sym3::Sym3,
@@ -33,9 +32,9 @@ const NO_SCALE: f64 = 0.05;
 /// A throw after the baseline, as residual. Short names keep the snapshot small.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct RecentThrow {
-    /// Number of the throw among those of the machine.
+    /// Number of the throw among those of the machine. 32 bits keep the memory of a fleet small.
     #[serde(rename = "n")]
-    order: u64,
+    order: u32,
     #[serde(rename = "r")]
     residual: [f32; 3],
     #[serde(rename = "c")]
@@ -49,10 +48,13 @@ pub(super) struct RecentThrow {
 }
 
 impl RecentThrow {
-    #[expect(clippy::cast_possible_truncation, reason = "1e-7 of a logarithm is far below any scatter")]
+    #[expect(
+        clippy::cast_possible_truncation,
+        reason = "1e-7 of a logarithm is far below any scatter, and no machine makes 4e9 throws"
+    )]
     pub(super) fn new(order: u64, residual: Vector3<f64>, distance_k: f64, sensor: Sym3, ratios_only: bool) -> Self {
         let residual = [residual.x as f32, residual.y as f32, residual.z as f32];
-        Self { order, residual, sensor, distance_k: distance_k as f32, ratios_only }
+        Self { order: order as u32, residual, sensor, distance_k: distance_k as f32, ratios_only }
     }
 
     /// Whether the throw shows the common scale of the coefficients, and so the inertia.
@@ -85,36 +87,12 @@ impl RecentThrow {
     pub(super) fn add_temperature(&mut self, baseline: &Baseline) {
         let (residual, distance) = self.raw();
         let raw = residual + baseline.temperature().effect(distance);
-        *self = Self::new(self.order, raw, distance, self.sensor, self.ratios_only);
+        *self = Self::new(self.order.into(), raw, distance, self.sensor, self.ratios_only);
     }
 }
 
 /// The last throws of one direction.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(transparent)]
-pub(super) struct RecentThrows(VecDeque<RecentThrow>);
-
-impl RecentThrows {
-    /// Adds a throw; returns the throw that leaves the longest window.
-    pub(super) fn push(&mut self, throw: RecentThrow) -> Option<RecentThrow> {
-        let oldest = if self.0.len() == KEPT { self.0.pop_front() } else { None };
-        self.0.push_back(throw);
-        oldest
-    }
-
-    pub(super) fn clear(&mut self) {
-        self.0.clear();
-    }
-
-    pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = &mut RecentThrow> {
-        self.0.iter_mut()
-    }
-
-    /// Oldest first.
-    pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = &RecentThrow> + ExactSizeIterator {
-        self.0.iter()
-    }
-}
+pub(super) type RecentThrows = Last<RecentThrow, KEPT>;
 
 /// The common scale of the throws of a window along the weights `k` of [`Scatter::of_scale`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -366,7 +344,11 @@ impl<'a> Stream<'a> {
                 return None;
             }
             let residual = baselines[*side]?.compensated(throw.raw());
-            Some(Point { age: now.saturating_sub(throw.order) as f64, value: weights.dot(&residual), throws: 1.0 })
+            Some(Point {
+                age: now.saturating_sub(throw.order.into()) as f64,
+                value: weights.dot(&residual),
+                throws: 1.0,
+            })
         };
         let mut points: Vec<Point> = self.0.iter().filter_map(point).collect();
         points.reverse();
@@ -376,7 +358,7 @@ impl<'a> Stream<'a> {
     /// Throws of the machine since the newest that counts along `weights`, up to the newest of all.
     pub(super) fn since_counted(&self, weights: &Vector3<f64>) -> u64 {
         let counted = self.0.iter().find(|(_, throw)| throw.counts_along(weights));
-        counted.zip(self.0.first()).map_or(0, |((_, counted), (_, newest))| newest.order - counted.order)
+        counted.zip(self.0.first()).map_or(0, |((_, counted), (_, newest))| u64::from(newest.order - counted.order))
     }
 
     /// Whether all of the last `throws` have only ratios.

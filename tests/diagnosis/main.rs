@@ -14,6 +14,7 @@ mod fleet;
 mod hard;
 mod instruments;
 mod intermittent;
+mod memory;
 mod operational;
 mod ramps;
 mod replay;

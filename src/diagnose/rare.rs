@@ -1,0 +1,85 @@
+//! A series of which few throws have a value, in memory for these values only.
+
+use serde::{Deserialize, Serialize};
+
+/// For each of the last throws its value, if it has one. Snapshots have a list with `null` for the others.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(from = "Vec<Option<[f32; 3]>>", into = "Vec<Option<[f32; 3]>>")]
+pub(super) struct Rare {
+    throws: u32,
+    /// The values, the oldest first, each with its age \[throws\].
+    values: Vec<(u32, [f32; 3])>,
+}
+
+impl Rare {
+    /// Number of throws, with and without a value.
+    pub(super) fn throws(&self) -> u32 {
+        self.throws
+    }
+
+    pub(super) fn push(&mut self, value: Option<[f32; 3]>) {
+        self.throws += 1;
+        self.values.iter_mut().for_each(|(age, _)| *age += 1);
+        self.values.extend(value.map(|value| (0, value)));
+    }
+
+    /// Removes the oldest throw; returns its value.
+    pub(super) fn pop_oldest(&mut self) -> Option<[f32; 3]> {
+        self.throws = self.throws.saturating_sub(1);
+        let is_oldest = self.values.first().is_some_and(|(age, _)| *age == self.throws);
+        is_oldest.then(|| self.values.remove(0).1)
+    }
+
+    /// The values of the last `throws`, the newest first.
+    pub(super) fn last(&self, throws: u32) -> impl Iterator<Item = &[f32; 3]> {
+        self.values.iter().rev().take_while(move |(age, _)| *age < throws).map(|(_, value)| value)
+    }
+
+    /// Removes the values, and keeps the number of throws.
+    pub(super) fn forget_values(&mut self) {
+        self.values = Vec::new();
+    }
+}
+
+impl From<Vec<Option<[f32; 3]>>> for Rare {
+    fn from(all: Vec<Option<[f32; 3]>>) -> Self {
+        let mut rare = Self::default();
+        for value in all {
+            rare.push(value);
+        }
+        rare
+    }
+}
+
+impl From<Rare> for Vec<Option<[f32; 3]>> {
+    fn from(rare: Rare) -> Self {
+        let mut all = vec![None; rare.throws as usize];
+        for (age, value) in rare.values {
+            all[(rare.throws - 1 - age) as usize] = Some(value);
+        }
+        all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_those_of_the_last_throws() {
+        let mut rare = Rare::default();
+        let mut all = Vec::new();
+        for throw in 0..40_u8 {
+            let value = throw.is_multiple_of(7).then(|| [f32::from(throw); 3]);
+            rare.push(value);
+            all.push(value);
+            if rare.throws() > 15 {
+                assert_eq!(rare.pop_oldest(), all.remove(0));
+            }
+            assert_eq!(Vec::from(rare.clone()), all);
+            assert_eq!(Rare::from(all.clone()), rare);
+            let last: Vec<_> = all.iter().rev().take(10).flatten().collect();
+            assert_eq!(rare.last(10).collect::<Vec<_>>(), last);
+        }
+    }
+}

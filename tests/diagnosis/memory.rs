@@ -1,0 +1,60 @@
+//! Memory of a monitor: it bounds the number of machines of a daemon.
+
+use allocation_counter::measure;
+use nalgebra::Vector3;
+use pointsd::{
+    diagnose::{MachineMonitor, Observation, Settings},
+    estimate::Features,
+};
+
+use crate::fleet::{Machine, Nature, normal};
+
+/// Largest memory of a monitor with full histories \[bytes\].
+const LIMIT: u64 = 6_300;
+/// Throws after which all histories are full: more than fill the blocks of the history since the baseline.
+const THROWS: u32 = 650;
+
+/// A throw with every feature and a temperature.
+fn throw(machine: &mut Machine) -> Observation {
+    let observation = machine.throw(Vector3::zeros());
+    let mut near = |centre: f64| Some(centre * (1.0 + 0.004 * normal(&mut machine.rng)));
+    let features = Features {
+        travel_mm: near(120.0),
+        back_emf_v_s_per_rad: near(0.8),
+        resistance_ohm: near(4.0),
+        duration_s: near(4.3),
+        supply_v: near(110.0),
+        peak_current_a: near(13.0),
+        running_current_a: near(1.2),
+        charge_as: near(3.1),
+        no_load_speed_rad_per_s: near(17.0),
+        ..observation.features
+    };
+    Observation { features, temperature_c: near(12.0), ..observation }
+}
+
+/// Memory of the monitor that `make` returns, with what it refers to \[bytes\].
+fn memory(make: impl FnOnce() -> MachineMonitor) -> u64 {
+    let mut monitor = None;
+    let counted = measure(|| monitor = Some(Box::new(make())));
+    assert!(monitor.is_some_and(|monitor| monitor.drifts().is_empty()), "an alarm needs more memory");
+    counted.bytes_current.unsigned_abs()
+}
+
+#[test]
+fn a_full_monitor_takes_little_memory_before_and_after_a_restart() {
+    let (settings, mut machine) = (Settings::default(), Machine::new(3, Nature::default()));
+    let throws: Vec<Observation> = (0..THROWS).map(|_| throw(&mut machine)).collect();
+    let fed = || {
+        let mut monitor = MachineMonitor::new("north/21B");
+        for throw in &throws {
+            monitor.observe(throw, &settings);
+        }
+        monitor
+    };
+    let snapshot = serde_json::to_string(&fed()).unwrap();
+    let restored = || MachineMonitor::from_snapshot(&snapshot).unwrap();
+    let taken = [memory(fed), memory(restored)];
+    println!("{taken:?} bytes, {} of them itself; snapshot {}", size_of::<MachineMonitor>(), snapshot.len());
+    assert!(taken.iter().all(|bytes| *bytes <= LIMIT), "{taken:?} bytes");
+}
