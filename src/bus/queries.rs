@@ -108,7 +108,7 @@ impl Questions {
     }
 
     /// The next query; `None` when the session is closed. First replies an error to the refused queries. They never wait
-    /// in vain: a query is refused only while others wait here, and the caller returns for these.
+    /// in vain: a query is refused only while others wait here, and the caller returns for these. Not cancel-safe.
     pub async fn next(&mut self) -> Option<Question> {
         // Only those present now: during a flood others follow without end.
         for _ in 0..self.refused.len() {

@@ -79,22 +79,20 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         anti_alias_hz: arguments.anti_alias_hz,
     };
     let found = Identifier::default().identify(&throw, &settings);
-    let reason = found.outcome.as_ref().err().map(|rejection| reason(rejection, &recording.lines));
+    let reason = reason(&found, &recording.lines);
     if arguments.json {
         output::json(&report(&found, reason.as_deref(), recording.resampled).or_exit(Exit::Software)?)?;
     } else {
         output::line(match &found.outcome {
-            Ok(estimate) => text(&found, estimate),
+            Ok(estimate) => text(&found, estimate, reason.as_deref()),
             Err(_) => features_text(&found),
         })?;
     }
-    match reason {
-        None => Ok(Exit::Ok),
-        Some(reason) => {
-            eprintln!("rejected: {}: {reason}", arguments.file.display());
-            Ok(Exit::Negative)
-        }
+    if found.outcome.is_ok() {
+        return Ok(Exit::Ok);
     }
+    eprintln!("rejected: {}: {}", arguments.file.display(), reason.unwrap_or_default());
+    Ok(Exit::Negative)
 }
 
 impl Arguments {
@@ -115,14 +113,14 @@ impl Arguments {
     }
 }
 
-/// The rejection as a sentence, with the line of the file if one sample is the reason.
-fn reason(rejection: &Rejection, lines: &[u64]) -> String {
-    match rejection {
-        Rejection::NotFinite { sample, .. } => {
-            lines.get(*sample).map_or_else(|| rejection.to_string(), |line| format!("line {line}: {rejection}"))
-        }
-        _ => rejection.to_string(),
-    }
+/// Why the throw is rejected or rough, with the line of the file if one sample is the reason.
+fn reason(found: &Identification, lines: &[u64]) -> Option<String> {
+    let detail = found.detail()?;
+    let line = match &found.outcome {
+        Err(Rejection::NotFinite { sample, .. }) => lines.get(*sample),
+        _ => None,
+    };
+    Some(line.map_or_else(|| detail.clone(), |line| format!("line {line}: {detail}")))
 }
 
 fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> serde_json::Result<Value> {
@@ -161,18 +159,19 @@ fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> serd
     Ok(report)
 }
 
-fn text(found: &Identification, estimate: &Estimate) -> String {
+fn text(found: &Identification, estimate: &Estimate, reason: Option<&str>) -> String {
     let row = |name: &str, value: f64, sd: f64, unit: &str| {
         format!("{name:<5}  {value:>10.5} ± {sd:.5} {unit}  ({:.2} %)\n", 100.0 * sd / value)
     };
     let ([b0, a1, a0], [b0_sd, a1_sd, a0_sd]) = (estimate.coefficients(), estimate.sd());
     let coefficients = if estimate.ratios_only {
-        "rough: the start of the throw is unusable, so only the ratios are given\n".to_owned()
+        "only the ratios are given\n".to_owned()
     } else {
         row("b0", b0, b0_sd, "rad/s²/A") + &row("a1", a1, a1_sd, "1/s") + &row("a0", a0, a0_sd, "1/s²")
     };
     let (ratios, ratios_sd) = (estimate.ratios(), estimate.ratios_sd());
     [
+        reason.map(|reason| format!("{}: {reason}\n", found.quality())).unwrap_or_default(),
         coefficients,
         row("a1/b0", ratios[0], ratios_sd[0], "A s/rad"),
         row("a0/b0", ratios[1], ratios_sd[1], "A/rad"),

@@ -31,8 +31,10 @@ const KNOWN: f64 = 20.0;
 const NEW_MOTOR_FAULT: f64 = 0.5;
 /// Largest misfit of the back-EMF, so that a change of the supply does not decide alone.
 const MOST_OF_GAUGE: f64 = 40.0;
-/// Penalty of a motor that loses torque alone: odds of 1 to 5 against weak magnets.
+/// Penalty of a motor that loses torque alone: odds of 1 to 5 against weak magnets. Commutation loses a part of the torque,
+/// not most of it: standard deviation of such a loss, as a logarithm.
 const TORQUE_ALONE: f64 = 3.0;
+const TORQUE_ALONE_SD: f64 = 0.3;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
@@ -158,9 +160,8 @@ impl Attribution {
             let sufficient = self.beside_gauges && part.cause != cause && pair.score + CLOSE >= best.score;
             !sufficient || part.size.abs() > SHOWN_SD * part.size_sd
         };
-        let matters = |pair: &&Fit<2>| {
-            pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && shown(pair, part))
-        };
+        let matters =
+            |pair: &&Fit<2>| pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && shown(pair, part));
         let stranger = all.pairs.first().filter(|pair| !pair.includes(cause));
         let pair = plausible.clone().find(matters).or(stranger)?;
         let ahead = pair.score - best.score;
@@ -311,8 +312,10 @@ fn explained<const K: usize>(
     let Some(level) = back_emf else { return fit };
     let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
     let torque_alone = fit.includes(Cause::Kt) && (K != 2 || !fit.includes(Cause::Friction));
-    let alone = if torque_alone { misfit(0.0) + TORQUE_ALONE } else { f64::INFINITY };
-    fit.score += misfit(fit.size_of(Cause::Kt)).min(alone);
+    let motor = fit.size_of(Cause::Kt);
+    let lost = TORQUE_ALONE + (motor / TORQUE_ALONE_SD).powi(2);
+    let alone = if torque_alone { misfit(0.0) + lost } else { f64::INFINITY };
+    fit.score += misfit(motor).min(alone);
     fit
 }
 

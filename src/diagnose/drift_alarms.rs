@@ -228,8 +228,9 @@ impl DriftAlarms {
                 if has_sound_motor && cause == Cause::Friction {
                     return friction_of_sound_motor(mean, covariance);
                 }
-                let together =
-                    pair.filter(|pair| pair.contains(&cause)).map(|pair| fit(pair, (mean, covariance), false, settings));
+                let together = pair
+                    .filter(|pair| pair.contains(&cause))
+                    .map(|pair| fit(pair, (mean, covariance), false, settings));
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
                 part.unwrap_or_else(|| single(cause, mean, covariance, settings))
             };

@@ -35,6 +35,8 @@ const FRICTION_LEAKS: [Leak; 5] = [
     Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12] },
     Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0] },
 ];
+/// Number of the first leaks, which resemble no other fault.
+const PLAIN_LEAKS: usize = 3;
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction besides its leak, as part of that of other causes.
@@ -127,14 +129,15 @@ impl<const K: usize> Fit<K> {
 }
 
 /// Explains the drift `m` with covariance `v` by `causes`, at most three: the mean over the leaks of friction by their odds.
-/// The last leak looks like a motor fault too, so it counts only if gauges show the motor (`beside_gauges`).
+/// The last leaks look like a motor fault, or like one of stiffness beside it, so they count only if gauges show the motor
+/// (`beside_gauges`).
 pub(super) fn fit<const K: usize>(
     causes: [Cause; K],
     (m, v): (&Vector3<f64>, &Matrix3<f64>),
     beside_gauges: bool,
     settings: &Settings,
 ) -> Fit<K> {
-    let leaks = &FRICTION_LEAKS[..FRICTION_LEAKS.len() - usize::from(!beside_gauges)];
+    let leaks = &FRICTION_LEAKS[..if beside_gauges { FRICTION_LEAKS.len() } else { PLAIN_LEAKS }];
     let with_leak = |leak: &Leak| fit_with_leak(*leak, causes, m, v, settings);
     if !causes.contains(&Cause::Friction) {
         return with_leak(&leaks[0]);

@@ -212,6 +212,7 @@ impl Judgement {
             .bind(features.start_position_mm)
             .bind(features.resistance_ohm)
             .bind(features.back_emf_v_s_per_rad)
+            .bind(features.no_load_speed_rad_per_s)
             .bind(health.baseline.map(|(so_far, _)| so_far.cast_signed()))
             .bind(health.baseline.map(|(_, needed)| needed.cast_signed()))
             .bind(health.throws_since_baseline.cast_signed())

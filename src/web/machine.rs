@@ -121,7 +121,6 @@ pub(super) struct Row {
     pub(super) mean: String,
     pub(super) peak: String,
     pub(super) quality: String,
-    pub(super) rejected: Option<String>,
 }
 
 pub(super) async fn page(
@@ -255,16 +254,21 @@ fn ways(both: &Ways, baselines: &[BaselineRecord]) -> Vec<Way> {
 /// Reason why a throw has no changes from the baseline.
 fn without(row: &Health) -> String {
     match row.quality.as_str() {
-        _ if row.is_rejected() => format!("rejected: {}", reason(row)),
-        "rough" => "rough: this throw has only the ratios of the coefficients, in the charts below".to_owned(),
-        "current_only" => "current only: there is no position".to_owned(),
-        _ => "no baseline yet".to_owned(),
+        _ if row.coefficients.is_some() => "no baseline yet".to_owned(),
+        "rough" => format!("{}; it has only the ratios of the coefficients, in the charts below", quality(row)),
+        _ => quality(row),
     }
 }
 
-/// Reason for the rejection of a throw: a sentence, or the code.
-pub(super) fn reason(row: &Health) -> String {
-    row.detail.clone().unwrap_or_else(|| row.quality.replace('_', " "))
+/// Quality of a throw, with the reason if the throw is rejected or rough.
+fn quality(row: &Health) -> String {
+    let word = row.quality.replace('_', " ");
+    match &row.detail {
+        Some(detail) if row.is_rejected() => format!("rejected: {detail}"),
+        Some(detail) => format!("{word}: {detail}"),
+        None if row.is_rejected() => format!("rejected: {word}"),
+        None => word,
+    }
 }
 
 /// "From … to …; 250 and 250 throws."
@@ -361,7 +365,6 @@ pub(super) fn row(health: &Health) -> Row {
         duration: with(health.duration_s, 2),
         mean: with(health.mean_current_a, 2),
         peak: with(health.peak_current_a, 1),
-        quality: health.quality.replace('_', " "),
-        rejected: health.is_rejected().then(|| reason(health)),
+        quality: quality(health),
     }
 }

@@ -45,6 +45,21 @@ fn a_healthy_recording_is_accepted_whatever_the_habits_of_its_writer() {
     }
 }
 
+/// A position that is late by 8 ms.
+#[test]
+fn a_rough_recording_has_its_reason() {
+    let trace = simulated(&Parameters::default(), &Sensors::default(), Direction::NormalToReverse, 1).trace;
+    let position = trace.position_mm();
+    let mut text = HEADER.to_owned();
+    for (k, current) in trace.current_a().iter().enumerate() {
+        writeln!(text, "{:.6},{current},{}", k as f64 * 1e-3, position[k.saturating_sub(8)]).unwrap();
+    }
+    let report: serde_json::Value = serde_json::from_slice(&identify(&text).stdout).unwrap();
+    assert_eq!((&report["accepted"], &report["quality"]), (&true.into(), &"rough".into()), "{report}");
+    let reason = report["reason"].as_str().unwrap();
+    assert!(reason.contains("the toe starts"), "{reason}");
+}
+
 #[test]
 fn what_is_no_recording_is_refused_with_its_place() {
     let plain = csv();

@@ -33,6 +33,10 @@ async fn a_judgement_is_written_once_and_the_views_show_it() {
     assert_eq!(*seconds, at(60).as_second());
     assert!((days - at(60).as_microsecond() as f64 * 1e-6).abs() < 1e-3);
 
+    let features: Vec<(String, f64, f64)> =
+        query(&store, "SELECT quality, charge_as, no_load_speed_rad_per_s FROM throw_features").await;
+    assert_eq!(features, [("good".to_owned(), 12.5, 17.0)]);
+
     let machines: Vec<(String, String, i64, f64, f64, f64)> = query(
         &store,
         "SELECT direction, state, throws_since_baseline, change_now_pct, change_now_pct_sd, limit_in_throws_now \
