@@ -57,7 +57,7 @@ fn a_rough_recording_has_its_reason() {
     let report: serde_json::Value = serde_json::from_slice(&identify(&text).stdout).unwrap();
     assert_eq!((&report["accepted"], &report["quality"]), (&true.into(), &"rough".into()), "{report}");
     let reason = report["reason"].as_str().unwrap();
-    assert!(reason.contains("the toe starts"), "{reason}");
+    assert!(reason.contains("departs from the model"), "{reason}");
 }
 
 #[test]
