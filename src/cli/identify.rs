@@ -88,11 +88,13 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             Err(_) => features_text(&found),
         })?;
     }
-    if found.outcome.is_ok() {
-        return Ok(Exit::Ok);
+    match reason.filter(|_| found.outcome.is_err()) {
+        None => Ok(Exit::Ok),
+        Some(reason) => {
+            eprintln!("rejected: {}: {reason}", arguments.file.display());
+            Ok(Exit::Negative)
+        }
     }
-    eprintln!("rejected: {}: {}", arguments.file.display(), reason.unwrap_or_default());
-    Ok(Exit::Negative)
 }
 
 impl Arguments {
@@ -120,7 +122,10 @@ fn reason(found: &Identification, lines: &[u64]) -> Option<String> {
         Err(Rejection::NotFinite { sample, .. }) => lines.get(*sample),
         _ => None,
     };
-    Some(line.map_or_else(|| detail.clone(), |line| format!("line {line}: {detail}")))
+    Some(match line {
+        Some(line) => format!("line {line}: {detail}"),
+        None => detail,
+    })
 }
 
 fn report(found: &Identification, reason: Option<&str>, resampled: bool) -> serde_json::Result<Value> {

@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     correlation::Correlation,
     event::{Cause, RunnerUp},
-    explain::{Explanation, Fit, direction_of, fit, relevance, single},
+    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, relevance, single},
     gauges::{Gauges, Level},
     settings::Settings,
     window::Window,
@@ -155,20 +155,19 @@ impl Attribution {
         let [best, ..] = &all.singles;
         let cause = best.parts[0].cause;
         let plausible = all.pairs.iter().filter(|pair| pair.score < all.pairs[0].score + CLOSE);
+        let is_sufficient_alone = |pair: &Fit<2>| pair.score > best.score - CLOSE;
         // If the gauges decide about the motor, a second cause that may be zero is not named beside a sufficient one.
-        let shown = |pair: &Fit<2>, part: &Explanation| {
-            let sufficient = self.beside_gauges && part.cause != cause && pair.score + CLOSE >= best.score;
-            !sufficient || part.size.abs() > SHOWN_SD * part.size_sd
+        let is_shown = |part: &Explanation| part.cause == cause || part.size.abs() > SHOWN_SD * part.size_sd;
+        let matters = |pair: &&Fit<2>| {
+            let only_shown = self.beside_gauges && is_sufficient_alone(pair);
+            pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && (!only_shown || is_shown(part)))
         };
-        let matters =
-            |pair: &&Fit<2>| pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && shown(pair, part));
         let stranger = all.pairs.first().filter(|pair| !pair.includes(cause));
         let pair = plausible.clone().find(matters).or(stranger)?;
-        let ahead = pair.score - best.score;
-        if ahead >= CLOSE {
+        if pair.score >= best.score + CLOSE {
             return None;
         }
-        let rival = if ahead > -CLOSE {
+        let rival = if is_sufficient_alone(pair) {
             Some(Rival::Alone(cause))
         } else {
             let other = all.pairs.iter().find(|other| *other != pair && other.score < pair.score + CLOSE);
@@ -308,7 +307,8 @@ fn explained<const K: usize>(
     back_emf: Option<Level>,
     settings: &Settings,
 ) -> Fit<K> {
-    let mut fit = fit(causes, (&window.mean, &window.covariance), back_emf.is_some(), settings);
+    let leaks = if back_emf.is_some() { LEAKS_BESIDE_GAUGES } else { PLAIN_LEAKS };
+    let mut fit = fit(leaks, causes, &window.mean, &window.covariance, settings);
     let Some(level) = back_emf else { return fit };
     let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
     let torque_alone = fit.includes(Cause::Kt) && (K != 2 || !fit.includes(Cause::Friction));

@@ -13,7 +13,7 @@ use super::{
     course::LimitForecast,
     drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, Severity},
-    explain::{Explanation, fit, friction_of_sound_motor, percent, relevance, single},
+    explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor, percent, relevance, single},
     gauges::Gauges,
     history::History,
     intermittent::Intermittent,
@@ -228,15 +228,15 @@ impl DriftAlarms {
                 if has_sound_motor && cause == Cause::Friction {
                     return friction_of_sound_motor(mean, covariance);
                 }
-                let together = pair
-                    .filter(|pair| pair.contains(&cause))
-                    .map(|pair| fit(pair, (mean, covariance), false, settings));
+                let pair = pair.filter(|pair| pair.contains(&cause));
+                let together = pair.map(|pair| fit(PLAIN_LEAKS, pair, mean, covariance, settings));
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
                 part.unwrap_or_else(|| single(cause, mean, covariance, settings))
             };
             // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
             let free = |Window { mean, covariance, .. }: &Window| {
-                fit([Cause::Kt, Cause::Friction, Cause::Stiffness], (mean, covariance), false, settings).parts.to_vec()
+                let causes = [Cause::Kt, Cause::Friction, Cause::Stiffness];
+                fit(PLAIN_LEAKS, causes, mean, covariance, settings).parts.to_vec()
             };
             let parts = drift.windows().flat_map(|window| match alarm.cause {
                 Cause::Unattributed => free(window),

@@ -27,16 +27,17 @@ const SIZE_SCALE: f64 = 0.5;
 /// Penalty of each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
 /// Leaks of a rise of friction: viscous, stiff toe drive, soft toe drive, a rail whose far end sticks, and dry on a machine
-/// with little inertia; each is equally likely.
-const FRICTION_LEAKS: [Leak; 5] = [
+/// with little inertia; each is equally likely. The last ones look like a motor fault, or like one of stiffness beside it,
+/// so they count only if gauges show the motor.
+pub(super) const LEAKS_BESIDE_GAUGES: &[Leak] = &[
     Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08] },
     Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12] },
     Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22] },
     Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12] },
     Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0] },
 ];
-/// Number of the first leaks, which resemble no other fault.
-const PLAIN_LEAKS: usize = 3;
+/// The leaks that resemble no other fault.
+pub(super) const PLAIN_LEAKS: &[Leak] = LEAKS_BESIDE_GAUGES.split_at(3).0;
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction besides its leak, as part of that of other causes.
@@ -64,7 +65,7 @@ pub(super) struct Fit<const K: usize> {
 
 /// Common change of the coefficients by a rise of friction, as parts of it.
 #[derive(Debug, Clone, Copy)]
-struct Leak {
+pub(super) struct Leak {
     parts: [f64; 3],
     /// Standard deviations, of one error, so that the leaks together cover their range evenly.
     sd: [f64; 3],
@@ -93,7 +94,7 @@ pub(super) fn relevance(cause: Cause, size: f64, settings: &Settings) -> f64 {
 
 /// Explains the drift `m` with covariance `v` by one cause.
 pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings: &Settings) -> Explanation {
-    fit([cause], (m, v), false, settings).parts[0]
+    fit(PLAIN_LEAKS, [cause], m, v, settings).parts[0]
 }
 
 /// The friction of a machine whose motor has not changed, and its change `m` with covariance `v`: Kf/KT = a1/b0. Dry
@@ -129,15 +130,13 @@ impl<const K: usize> Fit<K> {
 }
 
 /// Explains the drift `m` with covariance `v` by `causes`, at most three: the mean over the leaks of friction by their odds.
-/// The last leaks look like a motor fault, or like one of stiffness beside it, so they count only if gauges show the motor
-/// (`beside_gauges`).
 pub(super) fn fit<const K: usize>(
+    leaks: &[Leak],
     causes: [Cause; K],
-    (m, v): (&Vector3<f64>, &Matrix3<f64>),
-    beside_gauges: bool,
+    m: &Vector3<f64>,
+    v: &Matrix3<f64>,
     settings: &Settings,
 ) -> Fit<K> {
-    let leaks = &FRICTION_LEAKS[..if beside_gauges { FRICTION_LEAKS.len() } else { PLAIN_LEAKS }];
     let with_leak = |leak: &Leak| fit_with_leak(*leak, causes, m, v, settings);
     if !causes.contains(&Cause::Friction) {
         return with_leak(&leaks[0]);

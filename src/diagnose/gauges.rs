@@ -82,16 +82,9 @@ pub(super) struct Change {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Normal {
     /// Values of each gauge for learning; empty if there are none.
-    #[serde(deserialize_with = "unless_all_are_empty")]
     learned: Vec<Vec<f32>>,
     #[serde(deserialize_with = "padded")]
     known: [Option<(f32, f32)>; Gauge::COUNT],
-}
-
-/// Reads the values for learning. Earlier versions stored empty lists afterwards.
-fn unless_all_are_empty<'de, D: Deserializer<'de>>(from: D) -> Result<Vec<Vec<f32>>, D::Error> {
-    let learned = Vec::<Vec<f32>>::deserialize(from)?;
-    Ok(if learned.iter().all(Vec::is_empty) { Vec::new() } else { learned })
 }
 
 /// Reads the normal values. The list is shorter in snapshots of a version with fewer gauges.

@@ -27,7 +27,7 @@ use super::{
     cause::Attribution,
     drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel, Severity},
-    explain::{fit, fit_along, percent, single},
+    explain::{PLAIN_LEAKS, fit, fit_along, percent, single},
     gauges::{Gauge, Gauges, Level},
     operational::Context,
     settings::Settings,
@@ -254,12 +254,12 @@ fn best_part(window: &Window, levels: &[Option<Level>; 4], settings: &Settings) 
     let parts: Vec<Cause> = Cause::PHYSICAL.into_iter().filter(|cause| window.shows(*cause)).collect();
     let (parts, count) = (&parts, parts.len());
     let singles = parts.iter().map(|&cause| {
-        let found = fit([cause], (m, v), false, settings);
+        let found = fit(PLAIN_LEAKS, [cause], m, v, settings);
         scored(cause, (cause == Cause::Kt).then_some(found.parts[0].size), found.score)
     });
     let pairs =
         (0..count).flat_map(|first| (first + 1..count).map(move |second| [parts[first], parts[second]])).map(|pair| {
-            let found = fit(pair, (m, v), false, settings);
+            let found = fit(PLAIN_LEAKS, pair, m, v, settings);
             scored(pair[0], (pair[0] == Cause::Kt).then_some(found.parts[0].size), found.score)
         });
     singles.chain(pairs).min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((Cause::Unattributed, f64::INFINITY))

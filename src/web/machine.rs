@@ -256,6 +256,7 @@ fn without(row: &Health) -> String {
     match row.quality.as_str() {
         _ if row.coefficients.is_some() => "no baseline yet".to_owned(),
         "rough" => format!("{}; it has only the ratios of the coefficients, in the charts below", quality(row)),
+        "current_only" => "current only: there is no position".to_owned(),
         _ => quality(row),
     }
 }
@@ -264,9 +265,8 @@ fn without(row: &Health) -> String {
 fn quality(row: &Health) -> String {
     let word = row.quality.replace('_', " ");
     match &row.detail {
-        Some(detail) if row.is_rejected() => format!("rejected: {detail}"),
+        detail if row.is_rejected() => format!("rejected: {}", detail.as_ref().unwrap_or(&word)),
         Some(detail) => format!("{word}: {detail}"),
-        None if row.is_rejected() => format!("rejected: {word}"),
         None => word,
     }
 }

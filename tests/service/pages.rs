@@ -106,6 +106,7 @@ async fn times_of_pages_and_views() {
         ("active_alarms", "raised_at"),
         ("alarm_history", "raised_at"),
         ("alarm_events", "event_at"),
+        ("throw_features", "started_at"),
         ("throws_not_evaluated", "started_at"),
         ("operator_commands", "carried_out_at"),
         ("baselines", "taken_at"),

@@ -1,0 +1,217 @@
+//! The effects of a throw on the monitor of its machine: with an estimate on baseline and drift alarms, without one on
+//! gauges and features, always on the operational alarms.
+
+use jiff::Timestamp;
+use nalgebra::Vector3;
+
+use super::{
+    super::{
+        cause::Known,
+        event::{Cause, SensorChannel},
+        explain::percent,
+        observation::{Evaluated, Observation},
+        operational::Context,
+        settings::Settings,
+        site::{self, Common},
+        thermometer::Disbelief,
+        verdict::{Blindness, HidingTemperature, Verdict},
+    },
+    MachineMonitor, is_drift, to_micros,
+};
+use crate::{
+    estimate::Features,
+    throw::{POSSIBLE_SUPPLY_V, ThrowRef},
+};
+
+impl MachineMonitor {
+    /// Applies a throw, evaluated or not. Throws must come in the order in which the machine made them.
+    pub fn observe(&mut self, observation: &Observation, settings: &Settings) -> Verdict {
+        self.observe_beside(observation, &Common::default(), settings)
+    }
+
+    /// Observes a throw like [`Self::observe`], without the change `common` of the other machines of the site.
+    pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
+        self.order += 1;
+        let at = to_micros(observation.started_at);
+        let temperature = self.thermometer.read(observation.temperature_c, at);
+        // Without its toe sensor a machine is not what its baseline describes.
+        let without_position = self.has_position && observation.is_without_position();
+        self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
+        let mut evaluated = Evaluated::of(observation)
+            .filter(|_| !without_position)
+            .map(|throw| self.tracks.compared(throw))
+            .map(|throw| Evaluated { temperature_c: temperature.celsius, ..throw });
+        let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
+        if let (Some(throw), Some(residual)) = (&mut evaluated, &residual) {
+            if let Some(of_one_throw) = self.tracks.of_one_throw(throw.direction) {
+                self.trail.push(at, residual, &of_one_throw);
+            }
+            throw.log = (Vector3::from(throw.log) - site::excused(residual, common)).into();
+        }
+        let mut verdict =
+            Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };
+        if self.maintenance.is_none() {
+            let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
+            let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
+            let disbelief = temperature.disbelief.or(supply_v.map(Disbelief::Supply));
+            verdict.events.extend(operation.on_sensors(disbelief, alarms, context));
+            let faulty = observation.faulty.or(without_position.then_some(SensorChannel::Position));
+            verdict.events.extend(operation.on_channel(faulty, alarms, context));
+            self.observe_in_service(observation, evaluated.as_ref(), at, settings, &mut verdict);
+        }
+        verdict.baseline =
+            observation.direction.filter(|_| !observation.features_only).map(|d| self.baseline_progress(d, settings));
+        verdict.state = self.state();
+        verdict.drifts = self.drifts().to_vec();
+        verdict.blind = self.blind;
+        verdict.has_trend = self.tracks.trend().is_some();
+        verdict.caveats = self.caveats();
+        verdict
+    }
+
+    fn observe_in_service(
+        &mut self,
+        observation: &Observation,
+        evaluated: Option<&Evaluated>,
+        at: Timestamp,
+        settings: &Settings,
+        verdict: &mut Verdict,
+    ) {
+        let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
+        verdict.events.extend(operation.on_throw(observation.incomplete, observation.direction, alarms, context));
+        if let Some(throw) = evaluated {
+            let suspicious = self.drift.is_suspicious(&self.alarms);
+            let features = &observation.features;
+            self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
+            self.observe_evaluated(throw, &observation.throw, at, settings, verdict);
+        } else {
+            self.drift.on_unjudged();
+            self.observe_features(observation, at, settings, verdict);
+        }
+        // Ratios show less than coefficients, so their machines keep the features.
+        let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
+        let watched = self.watch_features(observation, is_judged, at, settings, verdict);
+        let blind = self.blind;
+        let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
+        let evaluated_or_watched = evaluated.is_some() || watched;
+        let direction = observation.direction;
+        let event = operation.on_evaluation(evaluated_or_watched, direction, blind.as_ref(), alarms, context);
+        verdict.events.extend(event);
+        if let (Some(direction), Some(duration_s), false) =
+            (observation.direction, observation.features.duration_s, observation.incomplete)
+            && let Some(normal_s) = self.tracks.duration_s(direction)
+        {
+            let longer_pct = 100.0 * (duration_s / normal_s - 1.0);
+            let explained = self.alarms.active().any(|event| is_drift(event) || event.cause == Cause::Supply);
+            let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
+            verdict.events.extend(operation.on_duration(longer_pct, direction, explained, alarms, context));
+        }
+    }
+
+    /// Adds a throw without an estimate to the gauges. A rejected one shows those that need no model. In a direction without
+    /// a baseline they are learned as well: what follows a row of rejections must not be learned as normal unseen.
+    fn observe_features(
+        &mut self,
+        observation: &Observation,
+        at: Timestamp,
+        settings: &Settings,
+        verdict: &mut Verdict,
+    ) {
+        let Observation { features: all, features_only, incomplete, faulty, .. } = observation;
+        let Some(direction) = observation.direction.filter(|_| !incomplete && faulty.is_none()) else { return };
+        let features = if *features_only {
+            all.clone()
+        } else {
+            Features {
+                duration_s: all.duration_s,
+                supply_v: all.supply_v,
+                peak_current_a: all.peak_current_a,
+                running_current_a: all.running_current_a,
+                charge_as: all.charge_as,
+                ..Features::default()
+            }
+        };
+        let has_baseline = self.tracks.of_one_throw(direction).is_some();
+        let unusual = self.drift.is_suspicious(&self.alarms) || !features_only && has_baseline;
+        self.instruments.gauges.push(direction, &features, observation.temperature_c, unusual);
+        if !features_only && features.supply_v.is_some() {
+            let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
+            verdict.events.extend(self.instruments.judge_supply(None, &mut self.alarms, context));
+        }
+    }
+
+    /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
+    /// on a machine whose every throw is rough. Returns whether the machine is monitored by them.
+    fn watch_features(
+        &mut self,
+        observation: &Observation,
+        is_judged: bool,
+        at: Timestamp,
+        settings: &Settings,
+        verdict: &mut Verdict,
+    ) -> bool {
+        let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
+        if is_judged {
+            verdict.events.extend(self.features.on_estimate(observation.direction, &mut self.alarms, context));
+            return true;
+        }
+        let Some(direction) = observation.direction.filter(|_| !observation.incomplete) else { return false };
+        let (features, gauges) = (&observation.features, &self.instruments.gauges);
+        verdict.events.extend(self.features.on_features(direction, features, gauges, &mut self.alarms, context));
+        let has_features = !self.has_position && observation.features_only && features.running_current_a.is_some();
+        self.features.is_alarmed() || has_features
+    }
+
+    fn observe_evaluated(
+        &mut self,
+        throw: &Evaluated,
+        id: &ThrowRef,
+        at: Timestamp,
+        settings: &Settings,
+        verdict: &mut Verdict,
+    ) {
+        let suspicious = self.drift.is_suspicious(&self.alarms);
+        let departure = self.tracks.departure(throw);
+        let residual = self.tracks.push(throw, self.order, suspicious, settings);
+        let context = Context { name: &self.name, at, throw: Some(id), settings };
+        let drift = residual.map(|residual| {
+            // The alarm of the features has no cause, so no part of the drift is known by it.
+            let of_features = self.features.is_alarmed();
+            let gauges = &self.instruments.gauges;
+            let known = if of_features {
+                Known { gauges: Some(gauges), ..Known::default() }
+            } else {
+                self.drift.known(&self.alarms, gauges)
+            };
+            let wild = self.drift.intermittent.is_wild();
+            let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
+            drift.testimony = self.instruments.testimony(&drift, settings);
+            drift.of_features = of_features.then_some(Cause::Unattributed);
+            let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
+            verdict.events.extend(events);
+            let events = self.instruments.judge(&drift, drift.testimony, &mut self.alarms, context);
+            verdict.events.extend(events);
+            drift
+        });
+        let excused = drift.as_ref().is_some_and(|drift| drift.testimony.excuses());
+        if let Some(departure) = departure {
+            verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
+        }
+        let hidden = drift.as_ref().and_then(|drift| drift.hidden);
+        let by_temperature = hidden.and_then(|(cause, below_pct)| {
+            let baseline_c = self.tracks.reference_c(throw.direction)?;
+            let temperature = HidingTemperature { temperature_c: throw.temperature_c?, baseline_c };
+            Some(Blindness { cause, below_pct, temperature: Some(temperature) })
+        });
+        self.blind = by_temperature.or_else(|| {
+            let (cause, below_pct) = self.tracks.hidden_by_scatter(settings)?;
+            Some(Blindness { cause, below_pct, temperature: None })
+        });
+        let suspicion = self.drift.suspicion(drift.as_ref(), &self.alarms);
+        let taken = self.tracks.learn(throw, self.order, at, suspicion, settings);
+        if !taken.is_empty() {
+            self.drift.forget_history();
+        }
+        verdict.baselines_taken.extend(taken);
+    }
+}
