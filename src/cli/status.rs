@@ -98,12 +98,19 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     if daemons.messages.is_empty() && daemons.errors.is_empty() {
         return Err(operator::failure(OperatorError::NoDaemon));
     }
-    let (reports, mut problems) = operator::read::<StatusReport>(&daemons);
+    let (reports, of_daemons) = operator::read::<StatusReport>(&daemons);
+    let (latest, of_health) = operator::read::<Health>(&health);
+    let (open, of_alarms) = operator::read::<Alarm>(&alarms);
+    let latest: Vec<Health> = latest.into_iter().map(|(_, health)| health).collect();
+    // A daemon counts its machines every few seconds only; the answers are newer.
+    let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
+    let are_well = of_daemons + of_health + of_alarms == 0
+        && reports.iter().all(|(_, report)| is_well(report))
+        && latest.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     if arguments.json {
         let [daemons, health, alarms] = [&daemons, &health, &alarms].map(|answers| {
-            let (values, others) = operator::read::<Value>(answers);
-            problems += others;
-            values.into_iter().map(|(_, value)| value).collect::<Vec<_>>()
+            let values = answers.messages.iter().map(|(_, payload)| serde_json::from_slice::<Value>(payload));
+            values.filter_map(Result::ok).collect::<Vec<_>>()
         });
         output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}))?;
     } else {
@@ -113,12 +120,8 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
         let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
         let windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
-        let (health, of_health) = operator::read::<Health>(&health);
-        let (alarms, of_alarms) = operator::read::<Alarm>(&alarms);
-        problems += of_health + of_alarms;
-        let health = health.into_iter().map(|(_, health)| health);
-        let health: Vec<Health> = health.filter(|health| is_asked(&health.machine)).collect();
-        let alarms = alarms.into_iter().map(|(_, alarm)| alarm);
+        let health: Vec<Health> = latest.into_iter().filter(|health| is_asked(&health.machine)).collect();
+        let alarms = open.into_iter().map(|(_, alarm)| alarm);
         let alarms: Vec<Alarm> = alarms.filter(|alarm| is_asked(&alarm.machine)).collect();
         if let Some(site) = &arguments.site
             && health.is_empty()
@@ -131,8 +134,6 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         print_machines(&health, &windows, arguments)?;
         alarms::print_open(alarms, &health, &windows, false)?;
     }
-    let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
-    let are_well = problems == 0 && reports.iter().all(|(_, report)| is_well(report));
     Ok(if are_well { Exit::Ok } else { Exit::Negative })
 }
 
@@ -160,9 +161,8 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     let is_asked = |rows: &[&Health]| arguments.state.is_none_or(|wanted| wanted == state(rows));
     let is_short =
         arguments.all || arguments.state.is_some() || arguments.site.is_some() || machines.len() <= MAX_LISTED;
-    let quiet = [MachineState::Healthy, MachineState::Learning];
     let mut shown: Vec<_> =
-        machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !quiet.contains(&state(rows)))).collect();
+        machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !state(rows).is_well())).collect();
     shown.sort_by_key(|(machine, rows)| (rank(state(rows)), **machine));
     let mut table = output::plain_table(["machine", "state", "to", "motor", "friction", "stiffness", "last throw"]);
     if io::stdout().is_terminal() {
