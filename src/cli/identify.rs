@@ -3,13 +3,12 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use jiff::Timestamp;
 use serde_json::{Value, json};
 
 use super::{Exit, Outcome, ResultExt, output, recording};
 use crate::{
     estimate::{Estimate, Identification, Identifier, Motor, Rejection, Settings},
-    throw::{Direction, Throw, ThrowRef},
+    throw::{Direction, Throw},
 };
 
 /// Identifies b0, a1 and a0 from one recorded throw.
@@ -70,13 +69,9 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     settings.check().or_exit(Exit::Usage)?;
     let recording = recording::read(&arguments.file)?;
     let throw = Throw {
-        id: ThrowRef { boot_id: "recorded".to_owned(), throw_no: 0 },
-        started_at: Timestamp::UNIX_EPOCH,
-        direction: None,
-        trace: recording.trace,
-        temperature_c: None,
         supply_v: arguments.supply_v,
         anti_alias_hz: arguments.anti_alias_hz,
+        ..Throw::recorded(recording.trace)
     };
     let found = Identifier::default().identify(&throw, &settings);
     let reason = reason(&found, &recording.lines);

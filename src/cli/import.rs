@@ -204,11 +204,7 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exp
         // The identity depends only on the content, so that repeated imports of a file are duplicates.
         id: ThrowRef { boot_id: format!("import-{:08x}-{}", crc32fast::hash(&content), content.len()), throw_no: 1 },
         started_at,
-        direction: None,
-        trace: recording.trace,
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz: None,
+        ..Throw::recorded(recording.trace)
     })
 }
 

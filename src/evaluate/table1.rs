@@ -14,7 +14,7 @@ use rand_chacha::ChaCha12Rng;
 
 use crate::estimate::{Estimate, Identifier, Rejection, Settings};
 use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
-use crate::throw::{Direction, OutOfRange, Throw, ThrowRef, Trace};
+use crate::throw::{Direction, OutOfRange, Throw, Trace};
 
 /// Correlation from which two inertia estimates agree, as in the study.
 pub const CORRELATION_LIMIT: f64 = 0.8;
@@ -272,15 +272,8 @@ fn identify(
     sensors: &Sensors,
 ) -> Result<Estimate, Rejection> {
     let settings = Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() };
-    let throw = Throw {
-        id: ThrowRef { boot_id: "table1".to_owned(), throw_no: 1 },
-        started_at: jiff::Timestamp::UNIX_EPOCH,
-        direction: Some(DIRECTION),
-        trace: trace.clone(),
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz: sensors.anti_alias_hz,
-    };
+    let throw =
+        Throw { direction: Some(DIRECTION), anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace.clone()) };
     // The table needs the coefficients, not only their ratios.
     identifier
         .identify(&throw, &settings)

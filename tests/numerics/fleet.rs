@@ -5,10 +5,8 @@ use pointsd::simulate::{
     Channel, Climate, Condition, Conditions, Fault, Fleet, FleetFault, FleetSettings, Incident, IncidentKind,
     Parameters, Part, RailModel, Rails, Scatter, Sensors, Shape, Stuck, Waveform, Which,
 };
-use pointsd::throw::{Direction, Trace};
+use pointsd::throw::{Direction, Throw, Trace};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
-
-use super::identify::throw_with;
 
 fn lumped() -> Parameters {
     let rails = Rails { model: RailModel::Lumped, ..Rails::default() };
@@ -21,7 +19,7 @@ fn record(machine: &Parameters, sensors: &Sensors, direction: Direction) -> Trac
 }
 
 fn identify(trace: Trace, anti_alias_hz: Option<f64>, settings: &Settings) -> [f64; 3] {
-    let throw = throw_with(trace, anti_alias_hz);
+    let throw = Throw { anti_alias_hz, ..Throw::recorded(trace) };
     let estimate = Identifier::default().identify(&throw, settings).outcome.unwrap();
     [estimate.b0, estimate.a1, estimate.a0]
 }

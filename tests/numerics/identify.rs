@@ -2,26 +2,14 @@
 
 use pointsd::estimate::{Identification, Identifier, Settings};
 use pointsd::simulate::{Conditions, Parameters, Rails, Sensors};
-use pointsd::throw::{Direction, Throw, ThrowRef, Trace};
+use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
-
-/// A throw with this trace and arbitrary identity.
-pub(crate) fn throw_with(trace: Trace, anti_alias_hz: Option<f64>) -> Throw {
-    Throw {
-        id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
-        started_at: jiff::Timestamp::UNIX_EPOCH,
-        direction: None,
-        trace,
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz,
-    }
-}
 
 pub(crate) fn simulated(machine: &Parameters, sensors: &Sensors, direction: Direction, seed: u64) -> Throw {
     let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    throw_with(sensors.record(&motion, direction, &mut rng).unwrap().trace, sensors.anti_alias_hz)
+    let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
+    Throw { anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace) }
 }
 
 pub(crate) fn settings_of(machine: &Parameters) -> Settings {

@@ -368,16 +368,8 @@ pub(crate) fn throws_of(fleet: &FleetSettings, boot_id: &str, count: u64) -> Vec
     let first: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
     (1..=count)
         .map(|throw_no| {
-            let simulated = machine.next_throw().unwrap();
-            Throw {
-                id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
-                started_at: first + jiff::SignedDuration::from_mins(10 * throw_no.cast_signed()),
-                direction: Some(simulated.direction),
-                trace: simulated.trace,
-                temperature_c: Some(simulated.temperature_c),
-                supply_v: None,
-                anti_alias_hz: simulated.anti_alias_hz,
-            }
+            let at = first + jiff::SignedDuration::from_mins(10 * throw_no.cast_signed());
+            Throw { supply_v: None, ..machine.next_throw().unwrap().into_throw(boot_id, at) }
         })
         .collect()
 }
@@ -387,11 +379,7 @@ pub(crate) fn stub(boot_id: &str, throw_no: u64) -> Throw {
     Throw {
         id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
         started_at: "2026-05-04T10:00:00Z".parse().unwrap(),
-        direction: None,
-        trace: Trace::new(100.0, vec![0.0; 20], vec![0.0; 20]).unwrap(),
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz: None,
+        ..Throw::recorded(Trace::new(100.0, vec![0.0; 20], vec![0.0; 20]).unwrap())
     }
 }
 

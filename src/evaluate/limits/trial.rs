@@ -6,7 +6,7 @@ use rand_chacha::ChaCha12Rng;
 use super::finding::Row;
 use crate::estimate::{Grade, Identifier, Settings};
 use crate::simulate::{Conditions, Parameters, Sensors};
-use crate::throw::{Direction, OutOfRange, Throw, ThrowRef};
+use crate::throw::{Direction, OutOfRange, Throw};
 
 /// The throws of one row.
 #[derive(Debug, Clone)]
@@ -71,15 +71,8 @@ impl Bench {
             let motion = trial.machine.simulate(*direction, &conditions, trial.sensors.step_s())?;
             for _ in 0..trial.repeats {
                 let trace = trial.sensors.record(&motion, *direction, &mut self.rng)?.trace;
-                let throw = Throw {
-                    id: ThrowRef { boot_id: "limits".to_owned(), throw_no: 1 },
-                    started_at: jiff::Timestamp::UNIX_EPOCH,
-                    direction: Some(*direction),
-                    trace,
-                    temperature_c: None,
-                    supply_v: None,
-                    anti_alias_hz: trial.declared_hz,
-                };
+                let throw =
+                    Throw { direction: Some(*direction), anti_alias_hz: trial.declared_hz, ..Throw::recorded(trace) };
                 row.throws += 1;
                 let found = self.identifier.identify(&throw, &trial.settings);
                 let quality = found.quality();
