@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::{Value, json};
 
-use super::{Exit, Outcome, ResultExt, output, recording};
+use super::{Exit, Outcome, ResultExt, argument, output, recording};
 use crate::{
     estimate::{Estimate, Identification, Identifier, Motor, Rejection, Settings},
     throw::{Direction, Throw},
@@ -39,8 +39,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "V")]
     supply_v: Option<f64>,
     /// Kind of motor.
-    #[arg(long, default_value = "permanent-magnet")]
-    motor: MotorArgument,
+    #[arg(long, default_value = "permanent-magnet", value_parser = argument::motor())]
+    motor: Motor,
     /// Cut-off of the anti-alias filter of both channels, in Hz.
     #[arg(long, value_name = "HZ")]
     anti_alias_hz: Option<f64>,
@@ -53,15 +53,6 @@ pub(super) struct Arguments {
     /// Refine the estimate with a prefilter for white sensor noise; halves the scatter.
     #[arg(long)]
     refined: bool,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum MotorArgument {
-    /// Torque proportional to the current.
-    #[value(alias = "permanent_magnet")]
-    PermanentMagnet,
-    /// Torque proportional to I |I|.
-    Series,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Outcome {
@@ -98,10 +89,7 @@ impl Arguments {
             lead_mm: self.lead_mm,
             neutral_mm: self.neutral_mm,
             stroke_mm: self.stroke_mm,
-            motor: match self.motor {
-                MotorArgument::PermanentMagnet => Motor::PermanentMagnet,
-                MotorArgument::Series => Motor::Series,
-            },
+            motor: self.motor,
             current_noise_a: self.current_noise_a,
             position_noise_mm: self.position_noise_mm,
             refined: self.refined,

@@ -11,7 +11,7 @@ use jiff::SignedDuration;
 use serde_json::{Value, json};
 
 use super::{
-    Exit, Failure, Outcome, alarms,
+    Exit, Failure, Outcome, alarms, argument,
     operator::{self, ANSWER_TIMEOUT, Client, Connection},
     output,
     runtime::{self, Signals},
@@ -46,7 +46,7 @@ pub(super) struct Arguments {
     #[arg(long)]
     site: Option<Name>,
     /// List only machines in this state: learning, healthy, warning, critical, `not_monitored` or maintenance.
-    #[arg(long, value_parser = machine_state)]
+    #[arg(long, value_parser = argument::machine_state)]
     state: Option<MachineState>,
     /// List every machine.
     #[arg(long)]
@@ -57,11 +57,6 @@ pub(super) struct Arguments {
     /// Print one JSON object with daemons, health and alarms.
     #[arg(long)]
     json: bool,
-}
-
-fn machine_state(word: &str) -> Result<MachineState, String> {
-    let wrong = |_| "must be learning, healthy, warning, critical, not_monitored or maintenance".to_owned();
-    word.replace([' ', '-'], "_").parse().map_err(wrong)
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
@@ -101,9 +96,9 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     let (reports, mut problems) = operator::read::<StatusReport>(&daemons);
     if arguments.json {
         let [daemons, health, alarms] = [&daemons, &health, &alarms].map(|answers| {
-            let (values, others) = operator::read::<Value>(answers);
+            let (values, others) = operator::values::<Value>(answers);
             problems += others;
-            values.into_iter().map(|(_, value)| value).collect::<Vec<_>>()
+            values
         });
         output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}))?;
     } else {
@@ -113,20 +108,18 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
         let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
         let windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
-        let (health, of_health) = operator::read::<Health>(&health);
-        let (alarms, of_alarms) = operator::read::<Alarm>(&alarms);
+        let (mut health, of_health) = operator::values::<Health>(&health);
+        let (mut alarms, of_alarms) = operator::values::<Alarm>(&alarms);
         problems += of_health + of_alarms;
-        let health = health.into_iter().map(|(_, health)| health);
-        let health: Vec<Health> = health.filter(|health| is_asked(&health.machine)).collect();
-        let alarms = alarms.into_iter().map(|(_, alarm)| alarm);
-        let alarms: Vec<Alarm> = alarms.filter(|alarm| is_asked(&alarm.machine)).collect();
+        health.retain(|health| is_asked(&health.machine));
+        alarms.retain(|alarm| is_asked(&alarm.machine));
         if let Some(site) = &arguments.site
             && health.is_empty()
             && windows.is_empty()
             && alarms.is_empty()
         {
             let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
-            return Err(Failure { exit: Exit::Unavailable, error });
+            return Err(Failure::new(Exit::Unavailable, error));
         }
         print_machines(&health, &windows, arguments)?;
         alarms::print_open(alarms, &health, &windows, false)?;
