@@ -1,7 +1,7 @@
 //! One simulated throw through the whole estimator, which must return the simulated coefficients.
 
 use pointsd::estimate::{Identification, Identifier, Settings};
-use pointsd::simulate::{Conditions, Parameters, Rails, Sensors};
+use pointsd::simulate::{Coefficients, Conditions, Parameters, Rails, Sensors};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
@@ -23,6 +23,14 @@ pub(crate) fn without_dry_friction() -> Parameters {
     Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, rails, ..machine }
 }
 
+/// Checks that each coefficient is within this relative error of the true one.
+#[track_caller]
+pub(crate) fn assert_near(found: [f64; 3], known: &Coefficients, limit: f64, what: &str) {
+    for (found, known) in found.into_iter().zip(known.values()) {
+        assert!((found / known - 1.0).abs() < limit, "{what}: {found} for {known}");
+    }
+}
+
 fn identify(throw: &Throw, settings: &Settings) -> Identification {
     Identifier::default().identify(throw, settings)
 }
@@ -36,10 +44,8 @@ fn a_noise_free_throw_gives_the_machines_physics_within_1_pct_in_both_directions
             let throw = simulated(&machine, &Sensors::perfect(1000.0), direction, 1);
             let found = identify(&throw, &settings_of(&machine));
             assert_eq!(found.direction, Some(direction));
-            let estimate = found.outcome.unwrap();
-            for (found, known) in [(estimate.b0, known.b0), (estimate.a1, known.a1), (estimate.a0, known.a0)] {
-                assert!((found / known - 1.0).abs() < 0.01, "{direction}, neutral {neutral_mm}: {found} for {known}");
-            }
+            let what = format!("{direction}, neutral {neutral_mm}");
+            assert_near(found.outcome.unwrap().coefficients(), &known, 0.01, &what);
         }
     }
 }
@@ -56,12 +62,8 @@ fn the_kink_of_the_current_at_switch_on_costs_nothing_wherever_it_lies_between_t
                 let sensors = Sensors { before_s: 0.2 + part / sample_rate_hz, ..Sensors::perfect(sample_rate_hz) };
                 let estimate =
                     identify(&simulated(&machine, &sensors, direction, 1), &settings_of(&machine)).outcome.unwrap();
-                for ratio in [estimate.b0 / known.b0, estimate.a1 / known.a1, estimate.a0 / known.a0] {
-                    assert!(
-                        (ratio - 1.0).abs() < 0.003,
-                        "{sample_rate_hz} Hz, {inductance_h} H, {part} of an interval, {direction}: {ratio}"
-                    );
-                }
+                let what = format!("{sample_rate_hz} Hz, {inductance_h} H, {part} of an interval, {direction}");
+                assert_near(estimate.coefficients(), &known, 0.003, &what);
             }
         }
     }
@@ -76,9 +78,7 @@ fn a_spring_that_drives_the_motor_is_told_from_a_current_of_the_other_polarity()
             let sensors = Sensors { signed_current, ..Sensors::perfect(1000.0) };
             let throw = simulated(&machine, &sensors, direction, 1);
             let estimate = identify(&throw, &settings_of(&machine)).outcome.unwrap();
-            for ratio in [estimate.b0 / known.b0, estimate.a1 / known.a1, estimate.a0 / known.a0] {
-                assert!((ratio - 1.0).abs() < 0.005, "{screw_stiffness_nm} N m/rad, {direction}: {ratio}");
-            }
+            assert_near(estimate.coefficients(), &known, 0.005, &format!("{screw_stiffness_nm} N m/rad, {direction}"));
         }
     }
 }
