@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use jiff::Timestamp;
 
 use super::{
-    Exit, Failure, Outcome,
-    operator::{self, ANSWER_TIMEOUT, CauseArgument, Client, Connection, MachineArgument, Moment},
+    Exit, Failure, Outcome, argument,
+    operator::{self, ANSWER_TIMEOUT, Client, Connection},
     output, runtime,
 };
 use crate::{
@@ -14,6 +14,7 @@ use crate::{
     daemon::StatusReport,
     diagnose::{Cause, Severity},
     store::Window,
+    throw::MachineId,
     web,
     wire::{self, Alarm, Health, Kind, MAX_HISTORY},
 };
@@ -31,17 +32,17 @@ const GROUP_SIZE: usize = 5;
                         pointsd alarms --severity critical --check || mail -s 'points' duty@example.org")]
 pub(super) struct Arguments {
     /// Show only this machine.
-    #[arg(value_name = "SITE/MACHINE")]
-    machine: Option<MachineArgument>,
+    #[arg(value_name = "SITE/MACHINE", value_parser = argument::machine)]
+    machine: Option<MachineId>,
     /// Show only alarms with this cause.
-    #[arg(long)]
-    cause: Option<CauseArgument>,
+    #[arg(long, value_parser = argument::cause)]
+    cause: Option<Cause>,
     /// Show only alarms of this severity: warning or critical.
-    #[arg(long, value_parser = severity)]
+    #[arg(long, value_parser = argument::severity)]
     severity: Option<Severity>,
     /// Show events from this time on: a date, or a time as 2026-05-04T06:00:00Z.
-    #[arg(long, value_name = "TIME")]
-    since: Option<Moment>,
+    #[arg(long, value_name = "TIME", value_parser = argument::moment)]
+    since: Option<Timestamp>,
     /// Show only the newest N events; without it, the newest 10,000 of each daemon.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_HISTORY)))]
     limit: Option<u32>,
@@ -58,11 +59,6 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-fn severity(word: &str) -> Result<Severity, String> {
-    let known = [Severity::Warning, Severity::Critical];
-    known.into_iter().find(|known| known.as_str() == word).ok_or_else(|| "must be warning or critical".to_owned())
-}
-
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     runtime::block_on(async {
         let Client { session, .. } = arguments.connection.open().await?;
@@ -72,15 +68,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         let shows_open = !arguments.json && !is_history;
         let health = match &arguments.machine {
             _ if !shows_open => Ok(bus::Answers::default()),
-            Some(MachineArgument(machine)) => {
-                bus::ask(&session, &wire::machine_key(machine, Kind::Health), None, ANSWER_TIMEOUT).await
-            }
-            None => bus::ask(&session, "points/v1/*/*/health", None, ANSWER_TIMEOUT).await,
+            machine => bus::ask(&session, &key(machine.as_ref(), Kind::Health), None, ANSWER_TIMEOUT).await,
         };
         let watched = match &answer {
             Ok(answers) if answers.messages.is_empty() && answers.errors.is_empty() => {
-                let machine = arguments.machine.as_ref().map(|MachineArgument(machine)| machine);
-                bus::require_monitored(&session, machine, ANSWER_TIMEOUT).await
+                bus::require_monitored(&session, arguments.machine.as_ref(), ANSWER_TIMEOUT).await
             }
             _ => Ok(()),
         };
@@ -101,7 +93,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         if found.is_empty() && problems > 0 {
             let exit = if arguments.check { Exit::Negative } else { Exit::Unavailable };
             let error = anyhow::anyhow!("no daemon gave a usable answer, which is not the same as no alarms");
-            return Err(Failure { exit, error });
+            return Err(Failure::new(exit, error));
         }
         let is_negative = problems > 0 || (arguments.check && !found.is_empty());
         if arguments.json {
@@ -111,10 +103,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         } else {
             let alarms: Vec<Alarm> = found.into_iter().map(|(_, alarm)| alarm).collect();
             if shows_open {
-                let reports = operator::read::<StatusReport>(&daemons).0;
-                let windows: Vec<Window> = reports.into_iter().flat_map(|(_, report)| report.windows).collect();
-                let health = operator::read::<Health>(&health).0.into_iter();
-                let health: Vec<Health> = health.map(|(_, health)| health).collect();
+                let (reports, _) = operator::values::<StatusReport>(&daemons);
+                let windows: Vec<Window> = reports.into_iter().flat_map(|report| report.windows).collect();
+                let (health, _) = operator::values(&health);
                 print_open(alarms, &health, &windows, arguments.all)?;
             } else {
                 print_events(&alarms)?;
@@ -127,16 +118,18 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 }
 
 fn is_requested(alarm: &Alarm, arguments: &Arguments) -> bool {
-    arguments.cause.is_none_or(|CauseArgument(cause)| cause == alarm.cause)
+    arguments.cause.is_none_or(|cause| cause == alarm.cause)
         && arguments.severity.is_none_or(|severity| severity == alarm.severity)
 }
 
+/// The key of a machine, or of all machines.
+fn key(machine: Option<&MachineId>, kind: Kind) -> String {
+    machine.map_or_else(|| wire::every_key(kind), |machine| wire::machine_key(machine, kind))
+}
+
 fn selector(arguments: &Arguments) -> String {
-    let key = match &arguments.machine {
-        Some(MachineArgument(machine)) => wire::machine_key(machine, Kind::Alarm),
-        None => "points/v1/*/*/alarm".to_owned(),
-    };
-    let since = arguments.since.map(|Moment(since)| format!("since={since}"));
+    let key = key(arguments.machine.as_ref(), Kind::Alarm);
+    let since = arguments.since.map(|since| format!("since={since}"));
     // The daemon does not know cause and severity: it sends all events, and they are cut here.
     let selects = arguments.cause.is_some() || arguments.severity.is_some();
     let limit = arguments.limit.filter(|_| !selects).unwrap_or(MAX_HISTORY);
@@ -178,7 +171,7 @@ fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(
     let machine = &alarm.machine;
     output::line(format_args!("{:8}  {machine}  {}", alarm.severity.as_str().to_uppercase(), alarm.cause))?;
     let window = Window::of(alarm, windows).map(|window| format!(" {}", window.sentence())).unwrap_or_default();
-    indented(&format!("raised {}, {}{window}", time(alarm.raised_at), alarm.state.words()))?;
+    indented(&format!("raised {}, {}{window}", web::time(alarm.raised_at), alarm.state.words()))?;
     let drifts = health.iter().filter(|health| health.machine == alarm.machine).filter_map(|health| health.drift);
     if let Some(drift) = drifts.into_iter().find(|drift| drift.cause == alarm.cause) {
         let limit = web::forecast(&drift).map(|limit| format!("; {limit}")).unwrap_or_default();
@@ -200,7 +193,7 @@ fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
     let worst = alarms.iter().map(|alarm| alarm.severity).max().unwrap_or(newest.severity);
     output::line(format_args!("{:8}  {} machines  {}", worst.as_str().to_uppercase(), alarms.len(), newest.cause))?;
     let (first, last) = (raised().min().unwrap_or(newest.raised_at), raised().max().unwrap_or(newest.raised_at));
-    indented(&format!("raised {} to {}; by site: {}", time(first), time(last), sites.join(", ")))?;
+    indented(&format!("raised {} to {}; by site: {}", web::time(first), web::time(last), sites.join(", ")))?;
     indented(&format!("for example: {}", newest.text))?;
     indented("pointsd alarms --all lists all of them")
 }
@@ -213,7 +206,7 @@ fn print_events(alarms: &[Alarm]) -> Result<(), Failure> {
     for alarm in alarms {
         output::line(format_args!(
             "{}  {}  {}, {}: {}",
-            time(alarm.event_at),
+            web::time(alarm.event_at),
             alarm.machine,
             alarm.cause,
             alarm.severity.as_str(),
@@ -222,11 +215,6 @@ fn print_events(alarms: &[Alarm]) -> Result<(), Failure> {
         indented(&alarm.text)?;
     }
     Ok(())
-}
-
-/// "2026-05-04 06:00:00 UTC".
-pub(super) fn time(at: Timestamp) -> impl std::fmt::Display {
-    at.strftime("%Y-%m-%d %H:%M:%S UTC")
 }
 
 /// Prints an indented text, wrapped to the width of the terminal.

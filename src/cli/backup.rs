@@ -3,13 +3,8 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 
-use super::{
-    Exit, Failure, Outcome,
-    database::{Location, block_on},
-    output,
-};
+use super::{Exit, Failure, Outcome, database::Location, output, runtime::block_on};
 use crate::store::{Backup, StoreError};
 
 /// Time between two updates of the progress bar.
@@ -40,11 +35,11 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
             StoreError::Open { .. } => Exit::NoInput,
             _ => Exit::Io,
         };
-        Failure { exit, error: error.into() }
+        Failure::new(exit, error)
     };
     let backup = Backup::new(&from, &arguments.to).map_err(failure)?;
-    // The bar is hidden if standard error is not a terminal.
-    let bar = ProgressBar::new(backup.total_bytes()).with_style(style());
+    let template = "copying {wide_bar} {bytes} of about {total_bytes}, {eta} left";
+    let bar = output::progress(backup.total_bytes(), template);
     let bytes = block_on(async {
         let copy = backup.run();
         tokio::pin!(copy);
@@ -59,9 +54,4 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     bar.finish_and_clear();
     output::line(format_args!("{} copied to {}: {bytes} bytes, checked", from.display(), arguments.to.display()))?;
     Ok(Exit::Ok)
-}
-
-fn style() -> ProgressStyle {
-    ProgressStyle::with_template("copying {wide_bar} {bytes} of about {total_bytes}, {eta} left")
-        .unwrap_or_else(|_| ProgressStyle::default_bar())
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{Exit, Outcome, ResultExt, database, output};
+use super::{Exit, Outcome, ResultExt, output, runtime};
 use crate::{daemon::config::Config, store};
 
 /// Checks a configuration: every key, type, range and path, the zenoh section, and that the file of the database is
@@ -19,7 +19,7 @@ pub(super) struct Arguments {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let config = Config::load(&arguments.config).or_exit(Exit::Config)?;
-    database::block_on(async { store::refuse_foreign(&config.store.path).await.or_exit(Exit::Config) })?;
+    runtime::block_on(async { store::refuse_foreign(&config.store.path).await.or_exit(Exit::Config) })?;
     output::line(format_args!("{}: valid", arguments.config.display()))?;
     Ok(Exit::Ok)
 }

@@ -4,9 +4,10 @@ use jiff::SignedDuration;
 
 use super::{
     Outcome,
-    operator::{CauseArgument, End, Sender},
+    argument::{self, Window},
+    operator::Sender,
 };
-use crate::diagnose::Command;
+use crate::diagnose::{Cause, Command};
 
 /// Default length of a maintenance window: one shift.
 const SHIFT: SignedDuration = SignedDuration::from_hours(8);
@@ -21,7 +22,8 @@ pub(super) struct Ack {
     #[command(flatten)]
     sender: Sender,
     /// Cause of the alarm, as `pointsd alarms` shows it.
-    cause: CauseArgument,
+    #[arg(value_parser = argument::cause)]
+    cause: Cause,
 }
 
 /// Shelves an open alarm until a given time, with a reason; or ends the shelving.
@@ -35,15 +37,10 @@ pub(super) struct Shelve {
     #[command(flatten)]
     sender: Sender,
     /// Cause of the alarm, as `pointsd alarms` shows it.
-    cause: CauseArgument,
+    #[arg(value_parser = argument::cause)]
+    cause: Cause,
     #[command(flatten)]
-    end_at: End,
-    /// Reason for the shelving.
-    #[arg(long, value_name = "TEXT", required_unless_present = "end")]
-    why: Option<String>,
-    /// End the shelving now.
-    #[arg(long, conflicts_with_all = ["length", "until", "why"])]
-    end: bool,
+    window: Window,
 }
 
 /// Takes a machine out of service: its throws are stored, but not diagnosed and not added to a baseline. The window
@@ -57,14 +54,8 @@ pub(super) struct Shelve {
 pub(super) struct Maintenance {
     #[command(flatten)]
     sender: Sender,
-    /// Reason for the maintenance.
-    #[arg(long, value_name = "TEXT", required_unless_present = "end")]
-    why: Option<String>,
     #[command(flatten)]
-    end_at: End,
-    /// End the maintenance now.
-    #[arg(long, conflicts_with_all = ["why", "length", "until"])]
-    end: bool,
+    window: Window,
 }
 
 /// Starts a new baseline of a machine from its next throws, for example after maintenance. The old baseline stays in
@@ -83,27 +74,25 @@ pub(super) struct Rebaseline {
 }
 
 pub(super) fn ack(arguments: &Ack) -> Outcome {
-    let Ack { sender, cause: CauseArgument(cause) } = arguments;
+    let Ack { sender, cause } = arguments;
     sender.send(&Command::Ack { cause: *cause, by: sender.name()? })
 }
 
 pub(super) fn shelve(arguments: &Shelve) -> Outcome {
-    let Shelve { sender, cause: CauseArgument(cause), end_at, why, end } = arguments;
+    let Shelve { sender, cause, window } = arguments;
     let (cause, by) = (*cause, sender.name()?);
-    sender.send(&if *end {
-        Command::Unshelve { cause, by }
-    } else {
-        Command::Shelve { cause, until: end_at.at(None)?, by, why: why.clone().unwrap_or_default() }
+    sender.send(&match window.bounds(None)? {
+        Some((why, until)) => Command::Shelve { cause, until, by, why },
+        None => Command::Unshelve { cause, by },
     })
 }
 
 pub(super) fn maintenance(arguments: &Maintenance) -> Outcome {
-    let Maintenance { sender, why, end_at, end } = arguments;
+    let Maintenance { sender, window } = arguments;
     let by = sender.name()?;
-    sender.send(&if *end {
-        Command::MaintenanceEnd { by }
-    } else {
-        Command::MaintenanceStart { until: end_at.at(Some(SHIFT))?, by, why: why.clone().unwrap_or_default() }
+    sender.send(&match window.bounds(Some(SHIFT))? {
+        Some((why, until)) => Command::MaintenanceStart { until, by, why },
+        None => Command::MaintenanceEnd { by },
     })
 }
 

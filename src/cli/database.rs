@@ -32,14 +32,10 @@ impl Location {
 
     /// The path of an existing database: from --database, from --config, in this folder, or of the installed service.
     pub(super) fn find(&self) -> Result<PathBuf, Failure> {
-        let path = match (&self.database, &self.config) {
+        let path = match (&self.database, self.config()) {
             (Some(path), _) => path.clone(),
             (None, Some(config)) => configured(config)?,
-            (None, None) => {
-                let here = store::Settings::default().path;
-                let service = Path::new(SERVICE);
-                if !here.exists() && service.exists() { configured(service)? } else { here }
-            }
+            (None, None) => store::Settings::default().path,
         };
         match std::fs::metadata(&path) {
             Ok(file) if file.is_file() && file.len() == 0 => {
@@ -64,14 +60,4 @@ fn configured(config: &Path) -> Result<PathBuf, Failure> {
         toml::from_str(&text).with_context(|| config.display().to_string()).or_exit(Exit::Config)?;
     let path = table.get("store").and_then(|section| section.get("path")).and_then(toml::Value::as_str);
     Ok(path.map_or_else(|| store::Settings::default().path, PathBuf::from))
-}
-
-/// Runs the database work of a command on a runtime of one thread.
-pub(super) fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the runtime")
-        .or_exit(Exit::Software)?;
-    runtime.block_on(work)
 }

@@ -1,19 +1,16 @@
 //! `pointsd evaluate`: scores the diagnosis on simulated fleets.
 
 use std::{
-    fs,
     num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::atomic::{AtomicUsize, Ordering},
     thread,
 };
 
-use anyhow::Context as _;
 use clap::Args;
-use comfy_table::{Cell, CellAlignment, Table};
-use indicatif::{ProgressBar, ProgressStyle};
+use comfy_table::{Cell, Table};
 
-use super::{Exit, Outcome, ResultExt as _, output};
+use super::{Exit, Outcome, output};
 use crate::{
     diagnose::Settings,
     evaluate::{self, Amount, Depth, Plan, Report, Row, Tally},
@@ -36,24 +33,6 @@ pub(super) struct Arguments {
     /// Run a tenth of all lives.
     #[arg(long)]
     quick: bool,
-    /// Lives in each row, with simulated coefficients.
-    #[arg(long, value_name = "N")]
-    trials: Option<usize>,
-    /// Lives in each row, with completely simulated throws.
-    #[arg(long, value_name = "N")]
-    trace_trials: Option<usize>,
-    /// Healthy throws, with simulated coefficients.
-    #[arg(long, value_name = "N")]
-    healthy_throws: Option<usize>,
-    /// Healthy throws, completely simulated.
-    #[arg(long, value_name = "N")]
-    trace_healthy_throws: Option<usize>,
-    /// Throws of each healthy fleet with other scatter or weather, with simulated coefficients.
-    #[arg(long, value_name = "N")]
-    fleet_throws: Option<usize>,
-    /// Lives for each serial correlation in the section of the false-alarm budget.
-    #[arg(long, value_name = "N")]
-    budget_lives: Option<usize>,
     /// Number of threads [default: number of cores].
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
@@ -65,26 +44,13 @@ pub(super) struct Arguments {
     out: Option<PathBuf>,
 }
 
-impl Arguments {
-    fn amount(&self) -> Amount {
-        let base = if self.quick { Amount::QUICK } else { Amount::FULL };
-        Amount {
-            trials: self.trials.unwrap_or(base.trials),
-            trace_trials: self.trace_trials.unwrap_or(base.trace_trials),
-            healthy_throws: self.healthy_throws.unwrap_or(base.healthy_throws),
-            trace_healthy_throws: self.trace_healthy_throws.unwrap_or(base.trace_healthy_throws),
-            fleet_throws: self.fleet_throws.unwrap_or(base.fleet_throws),
-            budget_lives: self.budget_lives.unwrap_or(base.budget_lives),
-        }
-    }
-}
-
 pub(super) fn run(arguments: &Arguments) -> Outcome {
-    let plan = Plan::new(arguments.seed, arguments.amount(), Settings::default());
+    let amount = if arguments.quick { Amount::QUICK } else { Amount::FULL };
+    let plan = Plan::new(arguments.seed, amount, Settings::default());
     let threads = arguments.threads.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
     let report = plan.report(&live_all(&plan, threads));
     if let Some(path) = &arguments.out {
-        write_picture(path, &report).or_exit(Exit::CannotCreate)?;
+        output::file(path, picture(path, &report))?;
     }
     if arguments.json {
         output::json(&report)?;
@@ -100,7 +66,7 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
 
 /// Simulates all lives on `threads` threads; returns the outcomes in the order of the lives.
 fn live_all(plan: &Plan, threads: usize) -> Vec<evaluate::Outcome> {
-    let progress = progress(plan.lives() as u64);
+    let progress = output::progress(plan.lives() as u64, "{wide_bar} {human_pos} of {human_len} lives, {eta} left");
     let next = AtomicUsize::new(0);
     let work = || {
         let mut lived = Vec::new();
@@ -125,25 +91,16 @@ fn live_all(plan: &Plan, threads: usize) -> Vec<evaluate::Outcome> {
     outcomes.into_iter().map(|(_, outcome)| outcome).collect()
 }
 
-/// A progress bar, hidden if standard error is not a terminal.
-fn progress(lives: u64) -> ProgressBar {
-    let style = ProgressStyle::with_template("{wide_bar} {human_pos} of {human_len} lives, {eta} left");
-    ProgressBar::new(lives).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-}
-
-fn write_picture(path: &Path, report: &Report) -> anyhow::Result<()> {
+/// The charts as SVG, or with the tables as HTML, by the extension of the file.
+fn picture(path: &Path, report: &Report) -> String {
     let svg = evaluate::picture(report);
-    let html = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("html"));
-    let text = if html {
-        let tables = tables(report).replace('&', "&amp;").replace('<', "&lt;");
-        format!(
-            "<!doctype html>\n<meta charset=\"utf-8\">\n<title>pointsd evaluate, seed {}</title>\n{svg}\n<pre>{tables}</pre>\n",
-            report.seed
-        )
-    } else {
-        svg
-    };
-    fs::write(path, text).with_context(|| format!("cannot write the picture {}", path.display()))
+    if !path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("html")) {
+        return svg;
+    }
+    let (seed, tables) = (report.seed, tables(report).replace('&', "&amp;").replace('<', "&lt;"));
+    format!(
+        "<!doctype html>\n<meta charset=\"utf-8\">\n<title>pointsd evaluate, seed {seed}</title>\n{svg}\n<pre>{tables}</pre>\n"
+    )
 }
 
 fn tables(report: &Report) -> String {
@@ -154,7 +111,7 @@ fn tables(report: &Report) -> String {
     for depth in [Depth::Parameter, Depth::Trace] {
         let table = rows_table(report, depth);
         if !table.is_empty() {
-            let depth = depth.as_str();
+            let depth = depth.as_ref();
             sections.push(format!("Faults at {depth} depth: lives named right, throws from onset to name\n{table}"));
         }
     }
@@ -164,23 +121,14 @@ fn tables(report: &Report) -> String {
     sections.join("\n\n")
 }
 
-/// A table with `texts` columns of text, followed by columns of numbers.
-fn table<const N: usize>(header: [&str; N], texts: usize) -> Table {
-    let mut table = output::plain_table(header);
-    for (at, column) in table.column_iter_mut().enumerate() {
-        column.set_cell_alignment(if at < texts { CellAlignment::Left } else { CellAlignment::Right });
-    }
-    table
-}
-
 fn healthy_table(report: &Report) -> Table {
-    let mut table = table(["depth", "fleet", "throws", "false alarms", "paper", "CUSUM"], 2);
+    let mut table = output::plain_table(["depth", "fleet", "throws", "false alarms", "paper", "CUSUM"]);
     for healthy in &report.healthy {
         let counts = [healthy.throws, healthy.false_alarms, healthy.paper_false_alarms, healthy.cusum_false_alarms];
-        let texts = [healthy.depth.as_str(), healthy.fleet.unwrap_or("usual")].map(str::to_owned);
+        let texts = [healthy.depth.as_ref(), healthy.fleet.unwrap_or("usual")].map(str::to_owned);
         table.add_row([texts.to_vec(), counts.map(|n| n.to_string()).to_vec()].concat());
     }
-    table
+    output::numbers(table, 2)
 }
 
 fn rows_table(report: &Report, depth: Depth) -> Table {
@@ -205,18 +153,18 @@ fn rows_table(report: &Report, depth: Depth) -> Table {
         "CUSUM %",
         "wrong",
     ];
-    let mut table = table(header, 4);
+    let mut table = output::plain_table(header);
     for row in report.rows.iter().filter(|row| row.depth == depth) {
         table.add_row(row_cells(row));
     }
-    table
+    output::numbers(table, 4)
 }
 
 fn row_cells(row: &Row) -> Vec<Cell> {
     let share = |tally: &Tally| format!("{:.1}", 100.0 * tally.right as f64 / row.trials as f64);
     let delay = |delay: Option<f64>| delay.map_or_else(|| "-".to_owned(), |throws| format!("{throws:.0}"));
     let monitor = &row.monitor;
-    let texts = [row.case, &row.cause, row.shape.as_str(), row.noise.as_str()];
+    let texts = [row.case, &row.cause, row.shape.as_ref(), row.noise.as_ref()];
     let mut cells: Vec<Cell> = texts.into_iter().map(Cell::new).collect();
     cells.push(Cell::new(row.size_pct));
     cells.push(Cell::new(row.trials));
@@ -233,7 +181,7 @@ fn row_cells(row: &Row) -> Vec<Cell> {
 }
 
 fn budget_table(report: &Report) -> Table {
-    let mut table = table(["phi", "throws", "alarms", "expected", "measured / configured"], 0);
+    let mut table = output::plain_table(["phi", "throws", "alarms", "expected", "measured / configured"]);
     for budget in &report.budget {
         let expected = budget.throws as f64 / budget.throws_per_false_alarm;
         table.add_row([
@@ -244,5 +192,5 @@ fn budget_table(report: &Report) -> Table {
             format!("{:.2}", budget.ratio),
         ]);
     }
-    table
+    output::numbers(table, 0)
 }

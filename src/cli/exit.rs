@@ -36,6 +36,13 @@ pub struct Failure {
     pub error: anyhow::Error,
 }
 
+impl Failure {
+    /// A failure with its exit code.
+    pub(super) fn new(exit: Exit, error: impl Into<anyhow::Error>) -> Self {
+        Self { exit, error: error.into() }
+    }
+}
+
 /// Result of a command.
 pub type Outcome = Result<Exit, Failure>;
 
@@ -50,7 +57,7 @@ pub trait ResultExt<T> {
 
 impl<T, E: Into<anyhow::Error>> ResultExt<T> for Result<T, E> {
     fn or_exit(self, exit: Exit) -> Result<T, Failure> {
-        self.map_err(|error| Failure { exit, error: error.into() })
+        self.map_err(|error| Failure::new(exit, error))
     }
 }
 

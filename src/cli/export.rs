@@ -8,15 +8,13 @@ use std::{
 
 use anyhow::{Context, anyhow};
 use indicatif::ProgressBar;
+use jiff::Timestamp;
 
-use super::{
-    Exit, Failure, Outcome, ResultExt,
-    database::{Location, block_on},
-    operator::{MachineArgument, Moment},
-    output,
-    sql::text,
+use super::{Exit, Failure, Outcome, ResultExt, argument, database::Location, output, runtime::block_on, sql::text};
+use crate::{
+    store::{Export, Exported, StoreError},
+    throw::MachineId,
 };
-use crate::store::{Export, Exported, StoreError};
 
 /// Exports throws with their estimates as CSV to standard output, oldest first, also while the daemon runs.
 ///
@@ -32,14 +30,14 @@ use crate::store::{Export, Exported, StoreError};
     pointsd export north/21B --since 2026-05-01 --until 2026-06-01 --traces traces > throws.csv")]
 pub(super) struct Arguments {
     /// Export only this machine.
-    #[arg(value_name = "SITE/MACHINE")]
-    machine: Option<MachineArgument>,
+    #[arg(value_name = "SITE/MACHINE", value_parser = argument::machine)]
+    machine: Option<MachineId>,
     /// Export throws that started at this time or later: a date, or a time as 2026-05-04T06:00:00Z.
-    #[arg(long, value_name = "TIME")]
-    since: Option<Moment>,
+    #[arg(long, value_name = "TIME", value_parser = argument::moment)]
+    since: Option<Timestamp>,
     /// Export throws that started before this time.
-    #[arg(long, value_name = "TIME")]
-    until: Option<Moment>,
+    #[arg(long, value_name = "TIME", value_parser = argument::moment)]
+    until: Option<Timestamp>,
     /// Write the trace of each throw to DIR/SITE/MACHINE/START-NUMBER.csv.
     #[arg(long, value_name = "DIR")]
     traces: Option<PathBuf>,
@@ -50,10 +48,8 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
     block_on(async {
-        let machine = arguments.machine.as_ref().map(|MachineArgument(machine)| machine.clone());
-        let moment = |bound: Option<Moment>| bound.map(|Moment(at)| at);
-        let (since, until) = (moment(arguments.since), moment(arguments.until));
-        let mut export = Export::open(&path, machine, since, until).await.or_exit(Exit::NoInput)?;
+        let Arguments { machine, since, until, .. } = arguments;
+        let mut export = Export::open(&path, machine.clone(), *since, *until).await.or_exit(Exit::NoInput)?;
         let mut out = csv::Writer::from_writer(io::stdout().lock());
         let mut columns = export.columns().await.map_err(unreadable)?;
         if arguments.traces.is_some() {
@@ -79,14 +75,14 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         count.finish_and_clear();
         output::written(out.flush())?;
         if count.position() == 0 {
-            return Err(Failure { exit: Exit::Negative, error: anyhow!("no stored throw matches") });
+            return Err(Failure::new(Exit::Negative, anyhow!("no stored throw matches")));
         }
         Ok(Exit::Ok)
     })
 }
 
 fn unreadable(error: StoreError) -> Failure {
-    Failure { exit: Exit::Data, error: error.into() }
+    Failure::new(Exit::Data, error)
 }
 
 fn written(result: csv::Result<()>) -> Result<(), Failure> {

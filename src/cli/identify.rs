@@ -2,14 +2,13 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
-use jiff::Timestamp;
+use clap::Args;
 use serde_json::{Value, json};
 
-use super::{Exit, Outcome, ResultExt, output, recording};
+use super::{Exit, Outcome, ResultExt, argument, output, recording};
 use crate::{
     estimate::{Estimate, Identification, Identifier, Motor, Rejection, Settings},
-    throw::{Direction, Throw, ThrowRef},
+    throw::{Direction, Throw},
 };
 
 /// Identifies b0, a1 and a0 from one recorded throw.
@@ -40,8 +39,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "V")]
     supply_v: Option<f64>,
     /// Kind of motor.
-    #[arg(long, default_value = "permanent-magnet")]
-    motor: MotorArgument,
+    #[arg(long, default_value = "permanent-magnet", value_parser = argument::motor())]
+    motor: Motor,
     /// Cut-off of the anti-alias filter of both channels, in Hz.
     #[arg(long, value_name = "HZ")]
     anti_alias_hz: Option<f64>,
@@ -56,27 +55,14 @@ pub(super) struct Arguments {
     refined: bool,
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum MotorArgument {
-    /// Torque proportional to the current.
-    #[value(alias = "permanent_magnet")]
-    PermanentMagnet,
-    /// Torque proportional to I |I|.
-    Series,
-}
-
 pub(super) fn run(arguments: &Arguments) -> Outcome {
     let settings = arguments.settings();
     settings.check().or_exit(Exit::Usage)?;
     let recording = recording::read(&arguments.file)?;
     let throw = Throw {
-        id: ThrowRef { boot_id: "recorded".to_owned(), throw_no: 0 },
-        started_at: Timestamp::UNIX_EPOCH,
-        direction: None,
-        trace: recording.trace,
-        temperature_c: None,
         supply_v: arguments.supply_v,
         anti_alias_hz: arguments.anti_alias_hz,
+        ..Throw::recorded(recording.trace)
     };
     let found = Identifier::default().identify(&throw, &settings);
     let reason = reason(&found, &recording.lines);
@@ -103,10 +89,7 @@ impl Arguments {
             lead_mm: self.lead_mm,
             neutral_mm: self.neutral_mm,
             stroke_mm: self.stroke_mm,
-            motor: match self.motor {
-                MotorArgument::PermanentMagnet => Motor::PermanentMagnet,
-                MotorArgument::Series => Motor::Series,
-            },
+            motor: self.motor,
             current_noise_a: self.current_noise_a,
             position_noise_mm: self.position_noise_mm,
             refined: self.refined,

@@ -13,16 +13,14 @@ use serde::Deserialize;
 use serde_json::json;
 
 use super::{
-    Exit, Failure, Outcome, ResultExt,
-    operator::MachineArgument,
-    output, recording,
+    Exit, Failure, Outcome, ResultExt, argument, output, recording,
     run::{load, start_failure},
     runtime,
 };
 use crate::{
     daemon::{Judged, Offline},
     store::Spooled,
-    throw::{Throw, ThrowRef},
+    throw::{MachineId, Throw, ThrowRef},
     wire::{self, Encoding, Health},
 };
 
@@ -47,8 +45,8 @@ pub(super) struct Arguments {
     #[arg(value_name = "FILE", required = true)]
     files: Vec<PathBuf>,
     /// The machine that made the throws.
-    #[arg(long, value_name = "SITE/MACHINE")]
-    machine: MachineArgument,
+    #[arg(long, value_name = "SITE/MACHINE", value_parser = argument::machine)]
+    machine: MachineId,
     /// Configuration file [default: built-in values].
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -94,11 +92,11 @@ async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count
     for (number, file) in arguments.files.iter().enumerate() {
         for throw in read(arguments, number, file, &mut exports)? {
             // The time of a CSV file changes when it is copied; the store would take it for another throw.
-            if !is_json(file) && pipeline.has(&arguments.machine.0, &throw.id).await.or_exit(Exit::Io)? {
+            if !is_json(file) && pipeline.has(&arguments.machine, &throw.id).await.or_exit(Exit::Io)? {
                 count.known += 1;
                 continue;
             }
-            let (spooled, judged) = pipeline.take(&arguments.machine.0, &throw).await.or_exit(Exit::Io)?;
+            let (spooled, judged) = pipeline.take(&arguments.machine, &throw).await.or_exit(Exit::Io)?;
             match spooled {
                 Spooled::New(_) => count.new += 1,
                 Spooled::Duplicate => count.known += 1,
@@ -204,11 +202,7 @@ fn read_csv(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exp
         // The identity depends only on the content, so that repeated imports of a file are duplicates.
         id: ThrowRef { boot_id: format!("import-{:08x}-{}", crc32fast::hash(&content), content.len()), throw_no: 1 },
         started_at,
-        direction: None,
-        trace: recording.trace,
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz: None,
+        ..Throw::recorded(recording.trace)
     })
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use comfy_table::{CellAlignment, Table, presets};
+use comfy_table::{Table, presets};
 
 use super::{Exit, Outcome, ResultExt, output};
 use crate::evaluate::limits::{Finding, NAMES, Row, Runs, run};
@@ -57,10 +57,7 @@ fn text(finding: &Finding) -> String {
         cells.push(rejected(row));
         table.add_row(cells);
     }
-    for column in table.column_iter_mut() {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    format!("### {}\n\n{}\n\n{table}\n", finding.title, finding.about)
+    format!("### {}\n\n{}\n\n{}\n", finding.title, finding.about, output::numbers(table, 0))
 }
 
 fn cell(row: &Row, at: usize) -> String {

@@ -2,6 +2,7 @@
 //! lines.
 
 mod alarms;
+mod argument;
 mod backup;
 mod check;
 mod commands;

@@ -1,21 +1,16 @@
 //! Common parts of the operators' commands: the connection to a daemon, shared arguments, and sending a command.
 
-use std::{path::PathBuf, str::FromStr, time::Duration};
+use std::{path::PathBuf, time::Duration};
 
-use anyhow::Context;
-use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, civil::Date, tz::TimeZone};
+use anyhow::{Context, anyhow};
 use serde::de::DeserializeOwned;
-use strum::VariantArray as _;
 use zenoh::Session;
 
-use super::{Exit, Failure, Outcome, ResultExt, output, runtime};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output, runtime};
 use crate::{
     bus::{self, Answers, OperatorError},
-    daemon::{
-        clock,
-        config::{Document, OperatorSession, operator_session},
-    },
-    diagnose::{Cause, Command},
+    daemon::config::{Document, OperatorSession, operator_session},
+    diagnose::Command,
     throw::MachineId,
     wire::{Reply, parse_monitor_key},
 };
@@ -53,7 +48,7 @@ impl Connection {
                 .context("no daemon can be reached with this configuration")
                 .or_exit(if document.is_some() { Exit::Config } else { Exit::Usage })?;
         let mut set = |key: &str, value: serde_json::Value| {
-            let wrong = |error| Failure { exit: Exit::Usage, error: anyhow::anyhow!("{key} = {value}: {error}") };
+            let wrong = |error| Failure::new(Exit::Usage, anyhow!("{key} = {value}: {error}"));
             config.insert_json5(key, &value.to_string()).map_err(wrong)
         };
         // The file may be that of a daemon; an operator's command is always a client with a short timeout.
@@ -63,10 +58,8 @@ impl Connection {
         set("connect/exit_on_failure", true.into())?;
         let session = bus::open(config).await.map_err(|error| {
             let places = endpoints.join(" or ");
-            let error = anyhow::anyhow!(
-                "no answer from {places}. Is pointsd running? Name its endpoint with --connect tcp/HOST:7447 ({error})"
-            );
-            Failure { exit: Exit::Unavailable, error }
+            let says = "Is pointsd running? Name its endpoint with --connect tcp/HOST:7447";
+            Failure::new(Exit::Unavailable, anyhow!("no answer from {places}. {says} ({error})"))
         })?;
         if let Some(monitor) = &monitor
             && let Err(error) = bus::require_running(&session, monitor).await
@@ -98,6 +91,12 @@ pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)
     (values, problems)
 }
 
+/// The values of the messages, without their messages.
+pub(super) fn values<T: DeserializeOwned>(answers: &Answers) -> (Vec<T>, usize) {
+    let (values, problems) = read(answers);
+    (values.into_iter().map(|(_, value)| value).collect(), problems)
+}
+
 /// Name of a daemon, `{site}/{id}`, from the key of its status; the key itself if it is none.
 pub(super) fn monitor_name(key: &str) -> String {
     parse_monitor_key(key).map_or_else(|| key.to_owned(), |monitor| monitor.to_string())
@@ -116,97 +115,14 @@ pub(super) fn failure(error: OperatorError) -> Failure {
         OperatorError::Refused(_) => Exit::Negative,
         _ => Exit::Unavailable,
     };
-    Failure { exit, error: error.into() }
-}
-
-/// A machine on the command line.
-#[derive(Debug, Clone)]
-pub(super) struct MachineArgument(pub(super) MachineId);
-
-impl FromStr for MachineArgument {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let (site, machine) = text.split_once('/').ok_or("write SITE/MACHINE, as north/21B")?;
-        MachineId::new(site, machine).map(Self).map_err(|error| error.to_string())
-    }
-}
-
-/// The cause of an alarm on the command line.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct CauseArgument(pub(super) Cause);
-
-impl FromStr for CauseArgument {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let known = || Cause::VARIANTS.iter().map(|cause| cause.as_str()).collect::<Vec<_>>().join(", ");
-        let is_named = |cause: &&Cause| cause.to_string().replace(' ', "_") == text.replace([' ', '-'], "_");
-        let named = text.parse().ok().or_else(|| Cause::VARIANTS.iter().find(is_named).copied());
-        named.map(Self).ok_or_else(|| format!("must be motor or one of {}", known()))
-    }
-}
-
-/// A moment on the command line: a date (0:00 UTC) or a time with its zone.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Moment(pub(super) Timestamp);
-
-impl FromStr for Moment {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let date = || text.parse::<Date>().ok()?.to_zoned(TimeZone::UTC).ok().map(|day| day.timestamp());
-        // `Date` would accept a date and time without a zone, and ignore the time.
-        let date = if text.contains(['T', ' ', ':']) { None } else { date() };
-        let wrong = || format!("{text:?} is neither a date, as 2026-05-04, nor a time, as 2026-05-04T06:00:00Z");
-        date.or_else(|| text.parse().ok()).map(Self).ok_or_else(wrong)
-    }
-}
-
-/// A length of time on the command line, as 90m, 8h, 3d or 2w. A day has 24 hours.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Length(pub(super) SignedDuration);
-
-impl FromStr for Length {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let days = SpanRelativeTo::days_are_24_hours();
-        let length = text.parse::<Span>().and_then(|span| span.to_duration(days));
-        let length = length.ok().filter(SignedDuration::is_positive).map(Self);
-        length.ok_or_else(|| format!("{text:?} is not a length of time, as 90m, 8h or 3d"))
-    }
-}
-
-/// The options for the end of a shelving or a maintenance.
-#[derive(Debug, clap::Args)]
-pub(super) struct End {
-    /// Length, as 90m, 8h, 3d or 2w.
-    #[arg(long = "for", value_name = "LENGTH", conflicts_with = "until")]
-    length: Option<Length>,
-    /// End: a date, or a time as 2026-05-04T06:00:00Z.
-    #[arg(long, value_name = "TIME")]
-    until: Option<Moment>,
-}
-
-impl End {
-    /// The time of the end; `default` from now if the command line gives none.
-    pub(super) fn at(&self, default: Option<SignedDuration>) -> Result<Timestamp, Failure> {
-        let usage = |problem: &str| Failure { exit: Exit::Usage, error: anyhow::anyhow!(problem.to_owned()) };
-        if let Some(Moment(until)) = self.until {
-            return Ok(until);
-        }
-        let length = self.length.map(|Length(length)| length).or(default);
-        let length = length.ok_or_else(|| usage("no end given: use --for 8h or --until 2026-05-04T06:00:00Z"))?;
-        clock::now().checked_add(length).map_err(|_| usage("--for is too long"))
-    }
+    Failure::new(exit, error)
 }
 
 /// The arguments of commands that change something: the machine, name of the operator, connection, format of the answer.
 #[derive(Debug, clap::Args)]
 pub(super) struct Sender {
-    #[arg(value_name = "SITE/MACHINE")]
-    machine: MachineArgument,
+    #[arg(value_name = "SITE/MACHINE", value_parser = argument::machine)]
+    machine: MachineId,
     /// Your name, stored with the alarm [default: your login name].
     #[arg(long, value_name = "NAME")]
     by: Option<String>,
@@ -220,16 +136,15 @@ pub(super) struct Sender {
 impl Sender {
     pub(super) fn name(&self) -> Result<String, Failure> {
         let named = self.by.clone().or_else(|| std::env::var("USER").ok()).filter(|name| !name.trim().is_empty());
-        named.ok_or_else(|| Failure { exit: Exit::Usage, error: anyhow::anyhow!("no name given: use --by NAME") })
+        named.ok_or_else(|| Failure::new(Exit::Usage, anyhow!("no name given: use --by NAME")))
     }
 
     /// Sends a command to the daemon of the machine and prints the reply.
     pub(super) fn send(&self, command: &Command) -> Outcome {
-        let MachineArgument(machine) = &self.machine;
         runtime::block_on(async {
             let payload = serde_json::to_vec(command).or_exit(Exit::Software)?;
             let Client { session, monitor } = self.connection.open().await?;
-            let answer = bus::command(&session, machine, monitor.as_ref(), payload, ANSWER_TIMEOUT).await;
+            let answer = bus::command(&session, &self.machine, monitor.as_ref(), payload, ANSWER_TIMEOUT).await;
             close(session).await;
             let answer = answer.map_err(failure)?;
             let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;

@@ -8,7 +8,8 @@ use std::{
 };
 
 use anyhow::Context;
-use comfy_table::{ContentArrangement, Table, presets};
+use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
+use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::{Exit, Failure, ResultExt};
@@ -52,7 +53,7 @@ pub(super) fn json(value: &impl Serialize) -> Result<(), Failure> {
 pub(super) fn written<T>(result: io::Result<T>) -> Result<T, Failure> {
     result.map_err(|error| {
         let exit = if error.kind() == io::ErrorKind::BrokenPipe { Exit::Ok } else { Exit::Io };
-        Failure { exit, error: anyhow::Error::new(error).context("cannot write to standard output") }
+        Failure::new(exit, anyhow::Error::new(error).context("cannot write to standard output"))
     })
 }
 
@@ -84,6 +85,18 @@ pub(super) fn table<const N: usize>(header: [&str; N]) -> Table {
     table
 }
 
+/// The table with its columns from `first` on aligned to the right, as numbers are.
+pub(super) fn numbers(mut table: Table, first: usize) -> Table {
+    table.column_iter_mut().skip(first).for_each(|column| column.set_cell_alignment(CellAlignment::Right));
+    table
+}
+
+/// A progress bar with this template, hidden if standard error is not a terminal.
+pub(super) fn progress(length: u64, template: &str) -> ProgressBar {
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(length).with_style(style)
+}
+
 /// Width of the terminal, or of `COLUMNS`, or 80 \[columns\].
 pub(super) fn width() -> u16 {
     let asked = || std::env::var("COLUMNS").ok()?.parse().ok().filter(|columns| *columns >= 20);
@@ -91,15 +104,18 @@ pub(super) fn width() -> u16 {
     terminal.or_else(asked).unwrap_or(WIDTH)
 }
 
+/// Writes a file.
+pub(super) fn file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure> {
+    fs::write(path, content)
+        .with_context(|| format!("{} cannot be written", path.display()))
+        .or_exit(Exit::CannotCreate)
+}
+
 /// Writes figures as SVG files into a folder, which is created if needed.
 pub(super) fn figures(folder: &Path, figures: impl IntoIterator<Item = (String, Sheet)>) -> Result<(), Failure> {
-    let cannot = |path: &Path| format!("{} cannot be written", path.display());
-    fs::create_dir_all(folder).with_context(|| cannot(folder)).or_exit(Exit::CannotCreate)?;
-    for (name, sheet) in figures {
-        let path = folder.join(format!("{name}.svg"));
-        fs::write(&path, sheet.to_svg()).with_context(|| cannot(&path)).or_exit(Exit::CannotCreate)?;
-    }
-    Ok(())
+    let cannot = || format!("{} cannot be written", folder.display());
+    fs::create_dir_all(folder).with_context(cannot).or_exit(Exit::CannotCreate)?;
+    figures.into_iter().try_for_each(|(name, sheet)| file(&folder.join(format!("{name}.svg")), sheet.to_svg()))
 }
 
 #[cfg(test)]

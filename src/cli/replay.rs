@@ -17,6 +17,7 @@ use crate::{
     diagnose::{Cause, Severity},
     store::{Reader, Selector, StoreError, ThrowRow, beside},
     throw::MachineId,
+    wire::Alarm,
 };
 
 /// Throws in one read. The longest traces take 16 MB, so a read takes at most 256 MB.
@@ -61,8 +62,8 @@ struct Occurrence {
 /// The n-th occurrence of an alarm in both databases.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Comparison {
-    site: String,
-    machine: String,
+    #[serde(flatten)]
+    machine: MachineId,
     cause: Cause,
     before: Option<Occurrence>,
     after: Option<Occurrence>,
@@ -106,7 +107,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 }
 
 fn require(right: bool, exit: Exit, problem: impl FnOnce() -> String) -> Result<(), Failure> {
-    if right { Ok(()) } else { Err(Failure { exit, error: anyhow!(problem()) }) }
+    if right { Ok(()) } else { Err(Failure::new(exit, anyhow!(problem()))) }
 }
 
 struct Replayed {
@@ -145,63 +146,47 @@ async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError>
 
 async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) -> Result<Report, Failure> {
     let Some(since) = replayed.since else {
-        let problem =
-            format!("the traces of all {} stored throws were removed: nothing to run", replayed.without_trace);
-        return Err(Failure { exit: Exit::Data, error: anyhow!(problem) });
+        let count = replayed.without_trace;
+        let error = anyhow!("the traces of all {count} stored throws were removed: nothing to run");
+        return Err(Failure::new(Exit::Data, error));
     };
-    let before = occurrences(old, since).await?;
-    let mut after = occurrences(new, since).await?;
-    let mut alarms = Vec::new();
-    for (alarm, before) in before {
-        pair(&mut alarms, &alarm, before, after.remove(&alarm).unwrap_or_default());
+    let mut lists: BTreeMap<_, [Vec<Occurrence>; 2]> = BTreeMap::new();
+    for (at, database) in [old, new].into_iter().enumerate() {
+        for (alarm, occurrence) in occurrences(database, since).await? {
+            let list = &mut lists.entry(alarm).or_default()[at];
+            match list.iter_mut().find(|known| known.raised_at == occurrence.raised_at) {
+                Some(known) => known.severity = known.severity.max(occurrence.severity),
+                None => list.push(occurrence),
+            }
+        }
     }
-    for (alarm, after) in after {
-        pair(&mut alarms, &alarm, Vec::new(), after);
-    }
-    alarms.sort_by_key(|alarm| (alarm.site.clone(), alarm.machine.clone(), alarm.cause));
+    let alarms = lists.into_iter().flat_map(pairs).collect();
     let Replayed { throws, without_trace, .. } = replayed;
     Ok(Report { throws, without_trace, database: into, alarms })
 }
 
-/// The occurrences of each alarm since `since`, in order.
-async fn occurrences(
-    database: &Reader,
-    since: Timestamp,
-) -> Result<BTreeMap<(MachineId, Cause), Vec<Occurrence>>, Failure> {
-    let rows = database.alarm_history(&Selector::default(), since, u32::MAX).await.or_exit(Exit::Io)?;
-    let mut alarms: BTreeMap<_, Vec<Occurrence>> = BTreeMap::new();
-    for alarm in rows {
-        if alarm.raised_at < since || matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss) {
-            continue;
-        }
-        let occurrences = alarms.entry((alarm.machine.clone(), alarm.cause)).or_default();
-        match occurrences.iter_mut().find(|occurrence| occurrence.raised_at == alarm.raised_at) {
-            Some(known) => known.severity = known.severity.max(alarm.severity),
-            None => occurrences.push(Occurrence {
-                raised_at: alarm.raised_at,
-                throw_no: alarm.last_throw.as_ref().map(|throw| throw.throw_no),
-                severity: alarm.severity,
-            }),
-        }
-    }
-    Ok(alarms)
+/// The occurrences of alarms since `since`, in order; an alarm whose severity changed has several.
+async fn occurrences(database: &Reader, since: Timestamp) -> Result<Vec<((MachineId, Cause), Occurrence)>, Failure> {
+    let mut rows = database.alarm_history(&Selector::default(), since, u32::MAX).await.or_exit(Exit::Io)?;
+    rows.retain(|alarm| alarm.raised_at >= since && !matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss));
+    let occurrence = |alarm: Alarm| {
+        let throw_no = alarm.last_throw.as_ref().map(|throw| throw.throw_no);
+        let occurrence = Occurrence { raised_at: alarm.raised_at, throw_no, severity: alarm.severity };
+        ((alarm.machine.clone(), alarm.cause), occurrence)
+    };
+    Ok(rows.into_iter().map(occurrence).collect())
 }
 
 /// Compares the n-th occurrences of one alarm for each n.
-fn pair(
-    comparisons: &mut Vec<Comparison>,
-    (machine, cause): &(MachineId, Cause),
-    before: Vec<Occurrence>,
-    after: Vec<Occurrence>,
-) {
+fn pairs(((machine, cause), [before, after]): ((MachineId, Cause), [Vec<Occurrence>; 2])) -> Vec<Comparison> {
     let count = before.len().max(after.len());
     let (mut before, mut after) = (before.into_iter(), after.into_iter());
-    for _ in 0..count {
+    let pair = |_| {
         let (before, after) = (before.next(), after.next());
         let difference = difference(before.as_ref(), after.as_ref());
-        let (site, machine) = (machine.site.to_string(), machine.machine.to_string());
-        comparisons.push(Comparison { site, machine, cause: *cause, before, after, difference });
-    }
+        Comparison { machine: machine.clone(), cause, before, after, difference }
+    };
+    (0..count).map(pair).collect()
 }
 
 fn difference(before: Option<&Occurrence>, after: Option<&Occurrence>) -> &'static str {
@@ -229,7 +214,7 @@ fn sentences(report: &Report) -> String {
     let mut table = output::plain_table(["machine", "cause", "before", "now", "difference"]);
     for alarm in &report.alarms {
         table.add_row([
-            format!("{}/{}", alarm.site, alarm.machine),
+            alarm.machine.to_string(),
             alarm.cause.to_string(),
             words(alarm.before.as_ref()),
             words(alarm.after.as_ref()),

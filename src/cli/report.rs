@@ -1,19 +1,15 @@
 //! `pointsd report`: the page of a machine as one HTML file.
 
-use std::{fs, path::PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 
-use super::{
-    Exit, Failure, Outcome, ResultExt,
-    database::{Location, block_on},
-    operator::MachineArgument,
-    output,
-};
+use super::{Exit, Failure, Outcome, ResultExt, argument, database::Location, output, runtime::block_on};
 use crate::{
     daemon::config::{Document, diagnosis},
     diagnose,
     store::Reader,
+    throw::MachineId,
     web::{self, Span},
 };
 
@@ -28,8 +24,8 @@ use crate::{
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd report north/21B --out 21B.html --config /etc/pointsd/pointsd.toml")]
 pub(super) struct Arguments {
-    #[arg(value_name = "SITE/MACHINE")]
-    machine: MachineArgument,
+    #[arg(value_name = "SITE/MACHINE", value_parser = argument::machine)]
+    machine: MachineId,
     /// The HTML file.
     #[arg(long, value_name = "FILE.html")]
     out: PathBuf,
@@ -46,17 +42,15 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         Some(file) => Document::read(file).and_then(|document| diagnosis(&document)).or_exit(Exit::Config)?,
         None => diagnose::Settings::default(),
     };
-    let MachineArgument(machine) = &arguments.machine;
+    let machine = &arguments.machine;
     let span = Span::from_word(&arguments.span).unwrap_or(Span::All);
     let page = block_on(async {
         let reader = Reader::open_outside(&path).await.or_exit(Exit::NoInput)?;
         web::report(&reader, machine, span, &diagnosis).await.or_exit(Exit::Data)
     })?;
     let unknown = || anyhow!("{} has no throw of {machine}; `pointsd status` lists the machines", path.display());
-    let page = page.ok_or_else(|| Failure { exit: Exit::NoInput, error: unknown() })?;
-    fs::write(&arguments.out, &page)
-        .with_context(|| format!("{} cannot be written", arguments.out.display()))
-        .or_exit(Exit::CannotCreate)?;
+    let page = page.ok_or_else(|| Failure::new(Exit::NoInput, unknown()))?;
+    output::file(&arguments.out, page)?;
     output::line(format_args!("{machine} written to {}", arguments.out.display()))?;
     Ok(Exit::Ok)
 }

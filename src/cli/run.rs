@@ -49,7 +49,7 @@ pub(super) fn start_failure(error: StartError) -> Failure {
         StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
         StartError::Thread(_) => Exit::Software,
     };
-    Failure { exit, error: error.into() }
+    Failure::new(exit, error)
 }
 
 async fn run(arguments: &Arguments, config: Config) -> Outcome {
@@ -84,7 +84,7 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
     if let Some(task) = died {
         let error = anyhow::anyhow!("{task} ended unexpectedly; the daemon cannot run without it");
         let exit = if task == DATABASE { Exit::Io } else { Exit::Software };
-        return Err(Failure { exit, error });
+        return Err(Failure::new(exit, error));
     }
     stopped.or_exit(Exit::Io)?;
     tracing::info!("stopped");

@@ -10,16 +10,16 @@ use tracing_subscriber::{
     util::SubscriberInitExt,
 };
 
-use super::{Exit, Failure, Outcome, ResultExt};
+use super::{Exit, Failure, ResultExt};
 use crate::daemon::config::{Log, LogFormat};
 
 /// In this module zenoh warns of each reply to a client that has left: up to 10,000 lines for one history query.
 const QUERY_DISPATCHER: &str = "zenoh::net::routing::dispatcher::queries";
 
-/// Runs a command on a runtime with several threads, as zenoh needs.
-pub(super) fn block_on(command: impl Future<Output = Outcome>) -> Outcome {
+/// Runs the work of a command on a runtime with several threads, as zenoh needs.
+pub(super) fn block_on<T>(work: impl Future<Output = Result<T, Failure>>) -> Result<T, Failure> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().or_exit(Exit::Software)?;
-    let outcome = runtime.block_on(command);
+    let outcome = runtime.block_on(work);
     // A thread that blocks in a put must not delay the exit.
     runtime.shutdown_timeout(std::time::Duration::from_millis(500));
     outcome

@@ -1,11 +1,12 @@
 //! `pointsim run`: publishes the throws of a simulated fleet.
 
-use std::{path::PathBuf, str::FromStr};
+use std::path::PathBuf;
 
+use anyhow::anyhow;
 use serde::Deserialize;
 
 use super::{
-    Exit, Failure, Outcome, ResultExt,
+    Exit, Failure, Outcome, ResultExt, argument,
     runtime::{self, Signals},
 };
 use crate::{
@@ -15,7 +16,7 @@ use crate::{
         config::{ConfigError, Document, Log, check_log, client_session},
     },
     logger::{Logger, LoggerError, LoggerSettings},
-    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    simulate::{Fault, FleetFault, FleetSettings, Shape},
 };
 
 /// Publishes the throws of a simulated fleet, in real or accelerated time, until it is stopped or done.
@@ -43,55 +44,35 @@ pub(super) struct Arguments {
     time_scale: Option<f64>,
     /// A fault: machine (from 1), part (`kt`, `friction`, `stiffness`, `inertia`), size in %, first throw (from 0), and
     /// for a ramp the throws until full size. Repeatable.
-    #[arg(long, value_name = "MACHINE:PART:SIZE:FROM[:RAMP]")]
-    fault: Vec<FaultArgument>,
+    #[arg(long, value_name = "MACHINE:PART:SIZE:FROM[:RAMP]", value_parser = fault)]
+    fault: Vec<FleetFault>,
     /// Zenoh endpoint, instead of the configured ones.
     #[arg(long, value_name = "ENDPOINT")]
     connect: Option<String>,
 }
 
-#[derive(Debug, Clone)]
-struct FaultArgument(FleetFault);
-
-impl FromStr for FaultArgument {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parts: Vec<&str> = text.split(':').collect();
-        let (machine, part, size, from, ramp) = match parts.as_slice() {
-            [machine, part, size, from] => (machine, part, size, from, None),
-            [machine, part, size, from, ramp] => (machine, part, size, from, Some(ramp)),
-            _ => return Err("write MACHINE:PART:SIZE:FROM or MACHINE:PART:SIZE:FROM:RAMP".to_owned()),
-        };
-        let number =
-            |name: &str, text: &str| text.parse::<u64>().map_err(|_| format!("{name}: {text:?} is not a number"));
-        let machine = usize::try_from(number("machine", machine)?)
-            .ok()
-            .and_then(|machine| machine.checked_sub(1))
-            .ok_or("machines are counted from 1")?;
-        let known = "kt, friction, stiffness, rail_stiffness or inertia";
-        let part: Part =
-            serde_json::from_value(serde_json::Value::from(*part)).map_err(|_| format!("{part:?} is not {known}"))?;
-        let size_pct = size.parse().map_err(|_| format!("size: {size:?} is not a number"))?;
-        let from_throw = number("first throw", from)?;
-        let shape = match ramp {
-            Some(ramp) => Shape::Ramp { throws: number("ramp", ramp)? },
-            None => Shape::Step,
-        };
-        Ok(Self(FleetFault { machine, fault: Fault { part, shape, size_pct, from_throw } }))
-    }
+/// A fault as MACHINE:PART:SIZE:FROM[:RAMP].
+fn fault(text: &str) -> Result<FleetFault, String> {
+    let parts: Vec<&str> = text.split(':').collect();
+    let ([machine, part, size, from] | [machine, part, size, from, _]) = parts[..] else {
+        return Err("write MACHINE:PART:SIZE:FROM or MACHINE:PART:SIZE:FROM:RAMP".to_owned());
+    };
+    let number = |name: &str, text: &str| text.parse::<u64>().map_err(|_| format!("{name}: {text:?} is not a number"));
+    let machine = usize::try_from(number("machine", machine)?).ok().and_then(|machine| machine.checked_sub(1));
+    let machine = machine.ok_or("machines are counted from 1")?;
+    let part = argument::part(part)?;
+    let size_pct = size.parse().map_err(|_| format!("size: {size:?} is not a number"))?;
+    let from_throw = number("first throw", from)?;
+    let shape = match parts.get(4) {
+        Some(ramp) => Shape::Ramp { throws: number("ramp", ramp)? },
+        None => Shape::Step,
+    };
+    Ok(FleetFault { machine, fault: Fault { part, shape, size_pct, from_throw } })
 }
 
+/// The configuration of `pointsim run`.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct File {
-    logger: LoggerSettings,
-    fleet: FleetSettings,
-    log: Log,
-    #[serde(rename = "zenoh")]
-    _zenoh: Option<zenoh::Config>,
-}
-
 struct Plan {
     logger: LoggerSettings,
     fleet: FleetSettings,
@@ -112,21 +93,21 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 }
 
 fn read(document: &Document) -> Result<Plan, ConfigError> {
-    let file: File = document.deserialize()?;
-    file.logger.validate().map_err(|error| document.complain(&format!("logger.{}", error.key), error.problem()))?;
-    file.fleet.check().map_err(|error| document.complain(&format!("fleet.{}", error.key), error.problem()))?;
-    check_log(&file.log, document)?;
-    Ok(Plan { logger: file.logger, fleet: file.fleet, log: file.log, zenoh: client_session(document)? })
+    let plan: Plan = document.deserialize()?;
+    plan.logger.validate().map_err(|error| document.complain(&format!("logger.{}", error.key), error.problem()))?;
+    plan.fleet.check().map_err(|error| document.complain(&format!("fleet.{}", error.key), error.problem()))?;
+    check_log(&plan.log, document)?;
+    Ok(Plan { zenoh: client_session(document)?, ..plan })
 }
 
 /// Applies the options of the command line to the configuration.
 fn apply(arguments: &Arguments, plan: &mut Plan) -> Result<(), Failure> {
-    let usage = |problem: String| Failure { exit: Exit::Usage, error: anyhow::anyhow!(problem) };
+    let usage = |problem: String| Failure::new(Exit::Usage, anyhow!(problem));
     plan.logger.throws = arguments.throws.or(plan.logger.throws);
     plan.logger.seed = arguments.seed.unwrap_or(plan.logger.seed);
     plan.logger.time_scale = arguments.time_scale.unwrap_or(plan.logger.time_scale);
     plan.fleet.machines = arguments.machines.unwrap_or(plan.fleet.machines);
-    plan.fleet.faults.extend(arguments.fault.iter().map(|fault| fault.0));
+    plan.fleet.faults.extend(&arguments.fault);
     if let Some(endpoint) = &arguments.connect {
         let endpoints = serde_json::json!([endpoint]).to_string();
         plan.zenoh
@@ -150,7 +131,7 @@ async fn run(plan: Plan) -> Outcome {
         outcome = complete(&mut logger) => outcome?,
     };
     drop(logger);
-    session.close().await.map_err(|error| Failure { exit: Exit::Unavailable, error: anyhow::anyhow!(error) })?;
+    session.close().await.map_err(|error| Failure::new(Exit::Unavailable, anyhow!(error)))?;
     Ok(outcome)
 }
 
@@ -172,7 +153,7 @@ pub(super) fn failure(error: LoggerError) -> Failure {
         LoggerError::Bus(_) | LoggerError::Zenoh(_) => Exit::Unavailable,
         LoggerError::Spawn(_) | LoggerError::Thread => Exit::Software,
     };
-    Failure { exit, error: error.into() }
+    Failure::new(exit, error)
 }
 
 /// A new boot identifier: start time and process number.
@@ -309,7 +290,7 @@ mod tests {
             ("1:kt:-20:-5", "first throw: \"-5\" is not a number"),
             ("1:kt:-20:5:slow", "ramp: \"slow\" is not a number"),
         ] {
-            let error = text.parse::<FaultArgument>().unwrap_err();
+            let error = fault(text).unwrap_err();
             assert!(error.contains(complaint), "{text}: {error}");
         }
     }

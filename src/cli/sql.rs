@@ -7,11 +7,7 @@ use clap::Args;
 use comfy_table::{ContentArrangement, Table, presets};
 use serde_json::json;
 
-use super::{
-    Exit, Failure, Outcome, ResultExt,
-    database::{Location, block_on},
-    output,
-};
+use super::{Exit, Outcome, ResultExt, database::Location, output, runtime::block_on};
 use crate::store::{StoreError, Value, ask};
 
 /// Queries the database in SQL, read-only, also while the daemon runs. Without a query it lists the views and their
@@ -59,8 +55,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
         Err(Trouble::Output(error)) if error.kind() == io::ErrorKind::BrokenPipe => Ok(Exit::Ok),
         Err(Trouble::Output(error)) if error.kind() == io::ErrorKind::InvalidInput => Err(error).or_exit(Exit::Usage),
         Err(Trouble::Output(error)) => Err(error).context("cannot write the answer").or_exit(Exit::Io),
-        Err(Trouble::Store(error @ StoreError::Read(_))) => Err(Failure { exit: Exit::Data, error: error.into() }),
-        Err(Trouble::Store(error)) => Err(Failure { exit: Exit::NoInput, error: error.into() }),
+        Err(Trouble::Store(error @ StoreError::Read(_))) => Err(error).or_exit(Exit::Data),
+        Err(Trouble::Store(error)) => Err(error).or_exit(Exit::NoInput),
     }
 }
 

@@ -11,7 +11,7 @@ use jiff::SignedDuration;
 use serde_json::{Value, json};
 
 use super::{
-    Exit, Failure, Outcome, alarms,
+    Exit, Failure, Outcome, alarms, argument,
     operator::{self, ANSWER_TIMEOUT, Client, Connection},
     output,
     runtime::{self, Signals},
@@ -46,7 +46,7 @@ pub(super) struct Arguments {
     #[arg(long)]
     site: Option<Name>,
     /// List only machines in this state: learning, healthy, warning, critical, `not_monitored` or maintenance.
-    #[arg(long, value_parser = machine_state)]
+    #[arg(long, value_parser = argument::machine_state)]
     state: Option<MachineState>,
     /// List every machine.
     #[arg(long)]
@@ -57,11 +57,6 @@ pub(super) struct Arguments {
     /// Print one JSON object with daemons, health and alarms.
     #[arg(long)]
     json: bool,
-}
-
-fn machine_state(word: &str) -> Result<MachineState, String> {
-    let wrong = |_| "must be learning, healthy, warning, critical, not_monitored or maintenance".to_owned();
-    word.replace([' ', '-'], "_").parse().map_err(wrong)
 }
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
@@ -93,22 +88,21 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     let ask = |selector| bus::ask(session, selector, None, ANSWER_TIMEOUT);
     let daemons = ask("points/v1/*/monitor/*/status").await.map_err(operator::failure)?;
-    let health = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
-    let alarms = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
+    let of_machines = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
+    let events = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
     if daemons.messages.is_empty() && daemons.errors.is_empty() {
         return Err(operator::failure(OperatorError::NoDaemon));
     }
     let (reports, of_daemons) = operator::read::<StatusReport>(&daemons);
-    let (latest, of_health) = operator::read::<Health>(&health);
-    let (open, of_alarms) = operator::read::<Alarm>(&alarms);
-    let latest: Vec<Health> = latest.into_iter().map(|(_, health)| health).collect();
+    let (mut health, of_health) = operator::values::<Health>(&of_machines);
+    let (mut alarms, of_alarms) = operator::values::<Alarm>(&events);
     // A daemon counts its machines every few seconds only; the answers are newer.
     let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
     let are_well = of_daemons + of_health + of_alarms == 0
         && reports.iter().all(|(_, report)| is_well(report))
-        && latest.iter().all(|health| health.state.is_none_or(MachineState::is_well));
+        && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     if arguments.json {
-        let [daemons, health, alarms] = [&daemons, &health, &alarms].map(|answers| {
+        let [daemons, health, alarms] = [&daemons, &of_machines, &events].map(|answers| {
             let values = answers.messages.iter().map(|(_, payload)| serde_json::from_slice::<Value>(payload));
             values.filter_map(Result::ok).collect::<Vec<_>>()
         });
@@ -120,16 +114,15 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
         let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
         let windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
-        let health: Vec<Health> = latest.into_iter().filter(|health| is_asked(&health.machine)).collect();
-        let alarms = open.into_iter().map(|(_, alarm)| alarm);
-        let alarms: Vec<Alarm> = alarms.filter(|alarm| is_asked(&alarm.machine)).collect();
+        health.retain(|health| is_asked(&health.machine));
+        alarms.retain(|alarm| is_asked(&alarm.machine));
         if let Some(site) = &arguments.site
             && health.is_empty()
             && windows.is_empty()
             && alarms.is_empty()
         {
             let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
-            return Err(Failure { exit: Exit::Unavailable, error });
+            return Err(Failure::new(Exit::Unavailable, error));
         }
         print_machines(&health, &windows, arguments)?;
         alarms::print_open(alarms, &health, &windows, false)?;

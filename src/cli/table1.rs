@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use comfy_table::CellAlignment;
 use serde_json::json;
 
 use super::{Exit, Outcome, ResultExt, output};
@@ -77,9 +76,7 @@ fn tables(results: &[CaseResult], study: &Study) -> String {
             row.extend((0..3).map(|coefficient| cell(test, coefficient)));
             table.add_row(row);
         }
-        for column in table.column_iter_mut() {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
+        let table = output::numbers(table, 0);
         let line = |[b0_a1, b0_a0, a1_a0]: [f64; 3]| format!("b0, a1 {b0_a1:.2}; b0, a0 {b0_a0:.2}; a1, a0 {a1_a0:.2}");
         let verdict = format!("verdict: {} (changed: {})", result.verdict(), result.case.cause);
         let [scatter, beyond] = [result.correlation, result.correlation_beyond_scatter].map(line);

@@ -3,14 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
-use clap::ValueEnum;
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
-use super::{Exit, Outcome, ResultExt, output};
+use super::{Exit, Failure, Outcome, ResultExt, argument, output};
 use crate::daemon::config::overlay;
-use crate::simulate::{Coefficients, Condition, Conditions, Motion, Parameters, Part, Recording, Sensors};
+use crate::simulate::{Coefficients, Condition, Conditions, Motion, Parameters, Recording, Sensors};
 use crate::throw::Direction;
 
 /// The command line of `pointsim throw`.
@@ -28,8 +27,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE.csv")]
     out: PathBuf,
     /// Direction of the throw.
-    #[arg(long, value_enum, default_value_t = Way::NormalToReverse)]
-    direction: Way,
+    #[arg(long, default_value = "normal-to-reverse", value_parser = argument::direction())]
+    direction: Direction,
     /// Seed of the sensors' noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -54,21 +53,6 @@ pub(super) struct Arguments {
     /// Print the true coefficients as JSON.
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Way {
-    NormalToReverse,
-    ReverseToNormal,
-}
-
-impl From<Way> for Direction {
-    fn from(way: Way) -> Self {
-        match way {
-            Way::NormalToReverse => Self::NormalToReverse,
-            Way::ReverseToNormal => Self::ReverseToNormal,
-        }
-    }
 }
 
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -100,7 +84,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let condition = condition(&arguments.faults).or_exit(Exit::Usage)?;
     machine.check().map_err(|error| error.within("machine")).or_exit(Exit::Config)?;
     let worn = machine.in_condition(&condition).context("the worn machine").or_exit(Exit::Config)?;
-    let direction = Direction::from(arguments.direction);
+    let direction = arguments.direction;
     let conditions = Conditions {
         temperature_c: arguments.temperature_c,
         obstruction_mm: arguments.obstruction_mm,
@@ -110,7 +94,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let motion = worn.simulate(direction, &conditions, sensors.step_s()).map_err(|error| {
         let from_command_line = ["obstruction_mm", "temperature_c"].contains(&error.key.as_str());
         let exit = if from_command_line { Exit::Usage } else { Exit::Config };
-        super::Failure { exit, error: error.into() }
+        Failure::new(exit, error)
     })?;
     let mut rng = ChaCha12Rng::seed_from_u64(arguments.seed);
     let recording = sensors.record(&motion, direction, &mut rng).or_exit(Exit::Config)?;
@@ -157,7 +141,7 @@ fn text(truth: &Truth, file: &Path) -> String {
     )
 }
 
-fn settings(arguments: &Arguments) -> Result<Settings, super::Failure> {
+fn settings(arguments: &Arguments) -> Result<Settings, Failure> {
     let machine = if arguments.series { Parameters::series() } else { Parameters::default() };
     let start = Settings { machine, sensors: Sensors::default() };
     let mut table = toml::Table::try_from(start).or_exit(Exit::Software)?;
@@ -198,8 +182,7 @@ fn condition(faults: &[String]) -> anyhow::Result<Condition> {
     let mut condition = Condition::default();
     for fault in faults {
         let (part, size) = fault.split_once('=').ok_or_else(|| anyhow!("--fault {fault}: write it as PART=PCT"))?;
-        let name = serde::de::value::StrDeserializer::<serde::de::value::Error>::new(part);
-        let part = Part::deserialize(name).map_err(|error| anyhow!("--fault {fault}: {error}"))?;
+        let part = argument::part(part).map_err(|error| anyhow!("--fault {fault}: {error}"))?;
         let size_pct: f64 = size.parse().with_context(|| format!("--fault {fault}: {size} is not a number"))?;
         if !(-90.0..=2000.0).contains(&size_pct) {
             bail!("--fault {fault}: the size must be -90 to 2000 %");

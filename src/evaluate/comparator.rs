@@ -1,22 +1,22 @@
-//! Common parts of both comparators: the baseline, from the same throws as that of the monitor, and the calls.
+//! Common parts of both comparators: the baselines, from the same throws as those of the monitor, and the calls.
 
 use nalgebra::Vector3;
 
 use super::judge::Call;
-use crate::{
-    diagnose::{Cause, Observation},
-    throw::Direction,
-};
+use crate::diagnose::{Cause, Observation};
 
 /// Least standard deviation of a coefficient; prevents a division by zero.
 const LEAST_SD: f64 = 1e-4;
 
-/// Mean and standard deviation of (ln b0, ln a1, ln a0) over the first throws of a direction.
+/// Mean and standard deviation of (ln b0, ln a1, ln a0).
+pub(super) type Normal = (Vector3<f64>, Vector3<f64>);
+
+/// The first throws of a direction, as (ln b0, ln a1, ln a0).
 #[derive(Debug, Clone)]
 pub(super) struct Baseline {
     wanted: usize,
     throws: Vec<Vector3<f64>>,
-    normal: Option<(Vector3<f64>, Vector3<f64>)>,
+    normal: Option<Normal>,
 }
 
 impl Baseline {
@@ -26,7 +26,7 @@ impl Baseline {
     }
 
     /// Adds a throw while the baseline is incomplete and returns `None`; then returns mean and standard deviation.
-    pub(super) fn take(&mut self, log_theta: Vector3<f64>) -> Option<(Vector3<f64>, Vector3<f64>)> {
+    pub(super) fn take(&mut self, log_theta: Vector3<f64>) -> Option<Normal> {
         if self.normal.is_none() {
             self.throws.push(log_theta);
             if self.throws.len() == self.wanted {
@@ -46,32 +46,50 @@ impl Baseline {
     }
 }
 
-/// Index of the direction and logarithms of the coefficients; `None` if the throw lacks one of them.
-pub(super) fn log_theta(observation: &Observation) -> Option<(usize, Vector3<f64>)> {
-    let (theta, _) = observation.estimate?;
-    let direction = match observation.direction? {
-        Direction::NormalToReverse => 0,
-        Direction::ReverseToNormal => 1,
-    };
-    theta.iter().all(|coefficient| *coefficient > 0.0).then(|| (direction, Vector3::from(theta).map(f64::ln)))
+/// A rule for the throws of one direction.
+pub(super) trait Rule {
+    /// The verdict after a throw (ln b0, ln a1, ln a0), with the baseline and the `last` verdict.
+    fn judge(
+        &mut self,
+        log_theta: Vector3<f64>,
+        baseline: &Baseline,
+        normal: Normal,
+        last: Option<Cause>,
+    ) -> Option<Cause>;
 }
 
-/// Turns the verdicts of a rule into calls: a call for each new cause, as long as no direction has it already.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Caller {
-    thinks: [Option<Cause>; 2],
-    /// The calls so far.
+/// A rule on one machine.
+#[derive(Debug, Clone)]
+pub(super) struct Comparator<R> {
+    rules: [R; 2],
+    baselines: [Baseline; 2],
+    /// Present verdict of each direction.
+    verdicts: [Option<Cause>; 2],
+    /// The calls so far: one for each new cause, as long as no direction has it already.
     pub(super) calls: Vec<Call>,
 }
 
-impl Caller {
-    /// Records the verdict of the rule on `direction` after throw `at`.
-    pub(super) fn note(&mut self, direction: usize, at: usize, thinks: Option<Cause>) {
-        if let Some(cause) = thinks
-            && !self.thinks.contains(&thinks)
+impl<R: Rule + Clone> Comparator<R> {
+    /// The rule with a baseline of `baseline` throws in each direction.
+    pub(super) fn new(rule: R, baseline: usize) -> Self {
+        let (rules, baselines) = ([rule.clone(), rule], [Baseline::new(baseline), Baseline::new(baseline)]);
+        Self { rules, baselines, verdicts: [None; 2], calls: Vec::new() }
+    }
+
+    /// Applies the rule to throw `at` of the machine; a throw without direction or coefficients is left out.
+    pub(super) fn observe(&mut self, at: usize, observation: &Observation) {
+        let (Some((theta, _)), Some(direction)) = (observation.estimate, observation.direction) else { return };
+        if theta.iter().any(|coefficient| *coefficient <= 0.0 || coefficient.is_nan()) {
+            return;
+        }
+        let (side, log_theta) = (direction.side(), Vector3::from(theta).map(f64::ln));
+        let Some(normal) = self.baselines[side].take(log_theta) else { return };
+        let verdict = self.rules[side].judge(log_theta, &self.baselines[side], normal, self.verdicts[side]);
+        if let Some(cause) = verdict
+            && !self.verdicts.contains(&verdict)
         {
             self.calls.push(Call { at, cause, critical: false, or_sensor: false });
         }
-        self.thinks[direction] = thinks;
+        self.verdicts[side] = verdict;
     }
 }

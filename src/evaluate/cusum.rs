@@ -11,14 +11,13 @@
 use nalgebra::Vector3;
 
 use super::{
-    comparator::{Baseline, Caller, log_theta},
-    judge::Call,
+    comparator::{Baseline, Normal, Rule},
     parameter::ParameterMachine,
     random::stream,
     scatter::Scatter,
     scenario::{Limits, Noise},
 };
-use crate::diagnose::{Cause, Observation};
+use crate::diagnose::Cause;
 
 /// Throws of a direction from the first sum beyond its limit to the verdict.
 const CONFIRM_THROWS: usize = 3;
@@ -75,36 +74,30 @@ fn name(passed: [i8; 3]) -> Cause {
     }
 }
 
-/// The comparator on one machine.
+/// The rule on one direction of a machine.
 #[derive(Debug, Clone)]
 pub(super) struct Cusum {
     design: Design,
-    baselines: [Baseline; 2],
-    sums: [Sums; 2],
-    caller: Caller,
+    sums: Sums,
 }
 
 impl Cusum {
-    /// A comparator with a baseline of `baseline` throws in each direction.
-    pub(super) fn new(design: Design, baseline: usize) -> Self {
-        let baselines = [(); 2].map(|()| Baseline::new(baseline));
-        Self { design, baselines, sums: [Sums::default(), Sums::default()], caller: Caller::default() }
+    pub(super) fn new(design: Design) -> Self {
+        Self { design, sums: Sums::default() }
     }
+}
 
-    /// Applies the rule to throw `at` of the machine.
-    pub(super) fn observe(&mut self, at: usize, observation: &Observation) {
-        let Some((direction, log_theta)) = log_theta(observation) else { return };
-        let Some((mean, sd)) = self.baselines[direction].take(log_theta) else { return };
-        if let Some(cause) = self.sums[direction].add(log_theta - mean, sd, &self.design) {
-            self.caller.note(direction, at, Some(cause));
-        } else if self.sums[direction].passed.is_none() {
-            self.caller.note(direction, at, None);
-        }
-    }
-
-    /// The calls of the whole life.
-    pub(super) fn into_calls(self) -> Vec<Call> {
-        self.caller.calls
+impl Rule for Cusum {
+    fn judge(
+        &mut self,
+        log_theta: Vector3<f64>,
+        _: &Baseline,
+        (mean, sd): Normal,
+        last: Option<Cause>,
+    ) -> Option<Cause> {
+        let verdict = self.sums.add(log_theta - mean, sd, &self.design);
+        // While the rule waits for more throws, its last verdict stays.
+        verdict.or(last.filter(|_| self.sums.passed.is_some()))
     }
 }
 

@@ -1,6 +1,7 @@
 //! One life, observed by the monitor and both comparators.
 
 use super::{
+    comparator::Comparator,
     coverage::Coverage,
     cusum::{Cusum, Design},
     judge::Call,
@@ -45,8 +46,8 @@ pub(super) struct Rules<'a> {
 }
 
 /// The calls of the three rules over one life.
-#[derive(Debug)]
-pub(super) struct Heard {
+#[derive(Debug, Default)]
+pub(super) struct Calls {
     /// Drift calls of the monitor.
     pub(super) monitor: Vec<Call>,
     /// Number of all alarms of the monitor.
@@ -59,7 +60,7 @@ pub(super) struct Heard {
     pub(super) cusum: Vec<Call>,
 }
 
-impl Heard {
+impl Calls {
     /// Number of alarms of the three rules.
     pub(super) fn alarms(&self) -> [usize; 3] {
         [self.raised, self.paper.len(), self.cusum.len()]
@@ -67,25 +68,18 @@ impl Heard {
 }
 
 /// Simulates a life and applies the three rules.
-pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> Heard {
+pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> Calls {
     let mut monitor = MachineMonitor::new("evaluated");
-    let mut paper = PaperRule::new(rules.limits, rules.baseline);
-    let mut cusum = Cusum::new(rules.cusum, rules.baseline);
-    let mut heard = Heard {
-        monitor: Vec::new(),
-        raised: 0,
-        trend: None,
-        coverage: Coverage::default(),
-        paper: Vec::new(),
-        cusum: Vec::new(),
-    };
+    let mut paper = Comparator::new(PaperRule { limits: rules.limits, recent: Vec::new() }, rules.baseline);
+    let mut cusum = Comparator::new(Cusum::new(rules.cusum), rules.baseline);
+    let mut calls = Calls::default();
     for at in 0..life.throws {
         let observation = source.observe(at, life);
         let verdict = monitor.observe(&observation, rules.settings);
-        if heard.trend.is_none() && verdict.has_trend {
-            heard.trend = Some(at);
+        if calls.trend.is_none() && verdict.has_trend {
+            calls.trend = Some(at);
         }
-        heard.coverage.add(at, &verdict, life, rules.settings);
+        calls.coverage.add(at, &verdict, life, rules.settings);
         let events = verdict.events;
         // The comparators count each of their calls, so an alarm that cleared must be a new one when it is raised again.
         for event in events.iter().filter(|event| event.state == AlarmState::ClearedUnacknowledged) {
@@ -93,12 +87,10 @@ pub(super) fn live(source: &mut Source, life: &Timeline, rules: Rules<'_>) -> He
             // Fails only without this alarm, and it is open.
             let _ = monitor.command(&command, observation.started_at, rules.settings);
         }
-        heard.raised += events.iter().filter(|event| event.event_no == 1).count();
-        heard.monitor.extend(events.iter().filter_map(|event| Call::of(event, at)));
+        calls.raised += events.iter().filter(|event| event.event_no == 1).count();
+        calls.monitor.extend(events.iter().filter_map(|event| Call::of(event, at)));
         paper.observe(at, &observation);
         cusum.observe(at, &observation);
     }
-    heard.paper = paper.into_calls();
-    heard.cusum = cusum.into_calls();
-    heard
+    Calls { paper: paper.calls, cusum: cusum.calls, ..calls }
 }

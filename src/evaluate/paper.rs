@@ -11,53 +11,40 @@
 use nalgebra::Vector3;
 
 use super::{
-    comparator::{Baseline, Caller, log_theta},
-    judge::Call,
+    comparator::{Baseline, Normal, Rule},
     scenario::Limits,
 };
-use crate::diagnose::{Cause, Observation};
+use crate::diagnose::Cause;
 
 /// Number of tests in the paper's rule.
 const TESTS: usize = 6;
 /// Least pairwise correlation of the three inertia estimates for the cause inertia.
 const CORRELATED: f64 = 0.8;
 
-/// The rule on one machine.
+/// The rule on one direction of a machine.
 #[derive(Debug, Clone)]
 pub(super) struct PaperRule {
-    limits: Limits,
-    baselines: [Baseline; 2],
-    recent: [Vec<Vector3<f64>>; 2],
-    caller: Caller,
+    pub(super) limits: Limits,
+    pub(super) recent: Vec<Vector3<f64>>,
 }
 
-impl PaperRule {
-    /// A rule with a baseline of `baseline` throws in each direction.
-    pub(super) fn new(limits: Limits, baseline: usize) -> Self {
-        let baselines = [(); 2].map(|()| Baseline::new(baseline));
-        Self { limits, baselines, recent: [Vec::new(), Vec::new()], caller: Caller::default() }
-    }
-
-    /// Applies the rule to throw `at` of the machine.
-    pub(super) fn observe(&mut self, at: usize, observation: &Observation) {
-        let Some((direction, log_theta)) = log_theta(observation) else { return };
-        let Some((mean, _)) = self.baselines[direction].take(log_theta) else { return };
-        let recent = &mut self.recent[direction];
-        recent.push(log_theta);
-        if recent.len() > TESTS {
-            recent.remove(0);
+impl Rule for PaperRule {
+    fn judge(
+        &mut self,
+        log_theta: Vector3<f64>,
+        baseline: &Baseline,
+        (mean, _): Normal,
+        _: Option<Cause>,
+    ) -> Option<Cause> {
+        self.recent.push(log_theta);
+        if self.recent.len() > TESTS {
+            self.recent.remove(0);
         }
-        if recent.len() == TESTS {
-            let before = self.baselines[direction].throws();
-            let tests: Vec<_> = before[before.len().saturating_sub(TESTS)..].iter().chain(&*recent).copied().collect();
-            let change = recent.iter().sum::<Vector3<f64>>() / TESTS as f64 - mean;
-            self.caller.note(direction, at, verdict(change, &tests, self.limits));
-        }
-    }
-
-    /// The calls of the whole life.
-    pub(super) fn into_calls(self) -> Vec<Call> {
-        self.caller.calls
+        let before = baseline.throws();
+        let before = before[before.len().saturating_sub(TESTS)..].iter();
+        let tests: Vec<_> = before.chain(&self.recent).copied().collect();
+        let change = self.recent.iter().sum::<Vector3<f64>>() / TESTS as f64 - mean;
+        verdict(change, &tests, self.limits).filter(|_| self.recent.len() == TESTS)
     }
 }
 

@@ -34,7 +34,7 @@ pub fn picture(report: &Report) -> String {
         for (quantity, curves) in [("throws to the name", DELAYS.as_slice()), ("named right [%]", RIGHT.as_slice())] {
             for part in Cause::PHYSICAL {
                 let rows: Vec<&Row> = report.rows.iter().filter(|row| shown(row, part.as_str(), shape)).collect();
-                let panel = Panel::curves(format!("{part}, {}", shape.as_str()), "size [% of nominal]", quantity);
+                let panel = Panel::curves(format!("{part}, {}", shape.as_ref()), "size [% of nominal]", quantity);
                 sheet = sheet.panel(curves.iter().fold(panel, |panel, (name, value)| {
                     let points = rows.iter().map(|row| (row.size_pct, value(row).unwrap_or(f64::NAN)));
                     panel.dotted_line(*name, points)

@@ -207,10 +207,10 @@ impl Plan {
         let life = Timeline::of(scenario, trial, 2 * self.baseline, &mut random);
         let random = stream(self.seed, domain::ROW, row, trial);
         let mut source = source(scenario.depth, scenario.situation, scenario.noise, random, &life);
-        let heard = live(&mut source, &life, self.rules(scenario.situation, scenario.noise));
-        let rules = [(&heard.monitor, heard.trend), (&heard.paper, None), (&heard.cusum, None)];
+        let calls = live(&mut source, &life, self.rules(scenario.situation, scenario.noise));
+        let rules = [(&calls.monitor, calls.trend), (&calls.paper, None), (&calls.cusum, None)];
         let judgements = rules.map(|(calls, trend)| judge(calls, trend, &life));
-        Kind::Row(judgements, names_wrongly(&heard.monitor, &life), heard.coverage)
+        Kind::Row(judgements, names_wrongly(&calls.monitor, &life), calls.coverage)
     }
 
     /// A healthy life up to the first alarm, with limits so small that only the budget of the drift rule prevents

@@ -249,10 +249,10 @@ impl Report {
             let name = format!(
                 "{} {} {} % ({}, {} noise)",
                 row.cause,
-                row.shape.as_str(),
+                row.shape.as_ref(),
                 row.size_pct,
                 row.case,
-                row.noise.as_str()
+                row.noise.as_ref()
             );
             row.shortfalls().into_iter().map(move |shortfall| format!("{name}: {shortfall}"))
         });

@@ -6,7 +6,7 @@ use serde::Serialize;
 use crate::diagnose::Cause;
 
 /// Depth of the simulation of a life.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::IntoStaticStr)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::AsRefStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Depth {
@@ -17,7 +17,7 @@ pub enum Depth {
 }
 
 /// Development of a fault from its first throw.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::IntoStaticStr)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::AsRefStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Shape {
@@ -35,21 +35,7 @@ pub enum Shape {
     EveryTenth,
 }
 
-impl Depth {
-    /// The word in tables and JSON.
-    #[must_use]
-    pub fn as_str(self) -> &'static str {
-        self.into()
-    }
-}
-
 impl Shape {
-    /// The word in tables and JSON.
-    #[must_use]
-    pub fn as_str(self) -> &'static str {
-        self.into()
-    }
-
     /// Throws of a machine, in both directions, until a fault is complete. An intermittent fault is followed for this
     /// number of throws, so that every tenth throw is a usable sample.
     pub(super) fn throws(self) -> usize {
@@ -76,7 +62,7 @@ impl Shape {
 }
 
 /// Noise of the current sensor; the position sensor always has 20 µm.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::IntoStaticStr)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, strum::AsRefStr)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Noise {
@@ -86,14 +72,6 @@ pub enum Noise {
     Default,
     /// 0.05 A.
     High,
-}
-
-impl Noise {
-    /// The word in tables and JSON.
-    #[must_use]
-    pub fn as_str(self) -> &'static str {
-        self.into()
-    }
 }
 
 /// The conditions of a row.

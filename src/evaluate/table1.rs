@@ -14,7 +14,7 @@ use rand_chacha::ChaCha12Rng;
 
 use crate::estimate::{Estimate, Identifier, Rejection, Settings};
 use crate::simulate::{Conditions, Parameters, RailModel, Sensors};
-use crate::throw::{Direction, OutOfRange, Throw, ThrowRef, Trace};
+use crate::throw::{Direction, OutOfRange, Throw, Trace};
 
 /// Correlation from which two inertia estimates agree, as in the study.
 pub const CORRELATION_LIMIT: f64 = 0.8;
@@ -201,7 +201,7 @@ fn run_case(
     rng: &mut ChaCha12Rng,
     identifier: &mut Identifier,
 ) -> Result<CaseResult, Failure> {
-    let truth = |machine: &Parameters| machine.coefficients().map(|is| [is.b0, is.a1, is.a0]);
+    let truth = |machine: &Parameters| machine.coefficients().map(|is| is.values());
     let reference = truth(nominal)?;
     let mut tests: Vec<Test> = Vec::with_capacity(6);
     let mut singles: Vec<Vec<[f64; 3]>> = Vec::with_capacity(6);
@@ -226,7 +226,7 @@ fn run_case(
             traces.push(trace);
         }
         let (coefficients, sd) = mean(&estimates);
-        singles.push(estimates.iter().map(|estimate| [estimate.b0, estimate.a1, estimate.a0]).collect());
+        singles.push(estimates.iter().map(Estimate::coefficients).collect());
         let first = tests.first().map_or(coefficients, |first| first.coefficients);
         tests.push(Test {
             value,
@@ -260,7 +260,7 @@ fn correlations(tests: &[[f64; 3]], scatter: f64) -> [f64; 3] {
 /// Mean of b0, a1, a0 and the standard deviation of that mean.
 fn mean(estimates: &[Estimate]) -> ([f64; 3], [f64; 3]) {
     let count = estimates.len() as f64;
-    let values = |at: usize| estimates.iter().map(move |e| [e.b0, e.a1, e.a0][at]).sum::<f64>() / count;
+    let values = |at: usize| estimates.iter().map(move |e| e.coefficients()[at]).sum::<f64>() / count;
     let sd = |at: usize| estimates.iter().map(|e| e.covariance[(at, at)]).sum::<f64>().sqrt() / count;
     (std::array::from_fn(values), std::array::from_fn(sd))
 }
@@ -272,15 +272,8 @@ fn identify(
     sensors: &Sensors,
 ) -> Result<Estimate, Rejection> {
     let settings = Settings { lead_mm: machine.lead_mm, neutral_mm: machine.neutral_mm, ..Settings::default() };
-    let throw = Throw {
-        id: ThrowRef { boot_id: "table1".to_owned(), throw_no: 1 },
-        started_at: jiff::Timestamp::UNIX_EPOCH,
-        direction: Some(DIRECTION),
-        trace: trace.clone(),
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz: sensors.anti_alias_hz,
-    };
+    let throw =
+        Throw { direction: Some(DIRECTION), anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace.clone()) };
     // The table needs the coefficients, not only their ratios.
     identifier
         .identify(&throw, &settings)

@@ -14,7 +14,7 @@ use crate::{
     simulate::{
         self, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Part, Sensors, SimulatedMachine, SimulatedThrow,
     },
-    throw::{Throw, ThrowRef, Trace},
+    throw::Trace,
 };
 
 /// Stiffness of a soft toe drive \[N/m\]: dry friction then changes b0 and a0 too.
@@ -66,15 +66,9 @@ impl TraceMachine {
     }
 
     fn identify(&mut self, at: usize, simulated: SimulatedThrow) -> Observation {
-        let throw = Throw {
-            id: ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 },
-            started_at: started_at(at),
-            direction: Some(simulated.direction),
-            trace: self.recorded(at, simulated.trace),
-            temperature_c: Some(simulated.temperature_c),
-            supply_v: self.volts.then_some(simulated.supply_v),
-            anti_alias_hz: simulated.anti_alias_hz,
-        };
+        let mut throw = simulated.into_throw("evaluate", started_at(at));
+        throw.trace = self.recorded(at, throw.trace);
+        throw.supply_v = throw.supply_v.filter(|_| self.volts);
         let found = self.identifier.identify(&throw, &self.settings);
         Observation {
             throw: throw.id,

@@ -23,7 +23,7 @@ use super::{error::LoggerError, publish::publisher};
 use crate::{
     daemon::clock,
     simulate::{Fleet, FleetSettings, SimulatedThrow},
-    throw::{MachineId, Throw, ThrowRef, Trace},
+    throw::{MachineId, Trace},
     wire::{self, Alarm, Encoding, Kind},
 };
 
@@ -223,15 +223,9 @@ fn message(
     is_blocked: bool,
     noise: &mut Noise,
 ) -> Result<Vec<u8>, LoggerError> {
-    let throw = Throw {
-        id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
-        started_at: clock::now(),
-        direction: Some(simulated.direction),
-        trace: noise.on(&simulated.trace, is_blocked)?,
-        temperature_c: Some(simulated.temperature_c),
-        supply_v: Some(simulated.supply_v),
-        anti_alias_hz: simulated.anti_alias_hz,
-    };
+    let mut throw = simulated.clone().into_throw(boot_id, clock::now());
+    throw.id.throw_no = throw_no;
+    throw.trace = noise.on(&throw.trace, is_blocked)?;
     Ok(wire::encode_throw(Encoding::Cbor, &throw))
 }
 

@@ -22,7 +22,7 @@ use super::{backlog::Backlog, error::LoggerError, settings::LoggerSettings};
 use crate::{
     daemon::clock,
     simulate::{SimulatedMachine, SimulatedThrow},
-    throw::{MachineId, Throw, ThrowRef},
+    throw::{MachineId, ThrowRef},
     wire::{self, Encoding, Kind},
 };
 
@@ -118,15 +118,8 @@ impl Publishing {
 
     fn message(&self, simulated: SimulatedThrow, started_at: Timestamp, intervals: f64) -> (ThrowRef, ZBytes) {
         let elapsed = SignedDuration::try_from_secs_f64(intervals * self.settings.interval_s).unwrap_or_default();
-        let throw = Throw {
-            id: ThrowRef { boot_id: self.boot_id.clone(), throw_no: simulated.throw_index + 1 },
-            started_at: started_at.saturating_add(elapsed).unwrap_or(started_at),
-            direction: Some(simulated.direction),
-            trace: simulated.trace,
-            temperature_c: Some(simulated.temperature_c),
-            supply_v: Some(simulated.supply_v),
-            anti_alias_hz: simulated.anti_alias_hz,
-        };
+        let started_at = started_at.saturating_add(elapsed).unwrap_or(started_at);
+        let throw = simulated.into_throw(&self.boot_id, started_at);
         let message = wire::encode_throw(Encoding::Cbor, &throw).into();
         (throw.id, message)
     }

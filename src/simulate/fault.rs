@@ -15,8 +15,9 @@ use super::rails::Modes;
 use crate::throw::OutOfRange;
 
 /// The part that a fault changes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, strum::EnumString)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Part {
     /// Torque per ampere of the motor, as in the study: the back-EMF constant and so the speed stay, and only b0
     /// changes.

@@ -3,11 +3,12 @@
 
 use std::f64::consts::{PI, TAU};
 
+use jiff::Timestamp;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{Direction, OutOfRange, Trace};
+use crate::throw::{Direction, OutOfRange, Throw, ThrowRef, Trace};
 
 use super::fault::{Condition, Fault, Part, Shape};
 use super::machine::{Coefficients, Parameters};
@@ -183,6 +184,22 @@ pub struct SimulatedThrow {
     pub condition: Condition,
     /// True coefficients of this throw, equation (13).
     pub coefficients: Coefficients,
+}
+
+impl SimulatedThrow {
+    /// The throw as its logger publishes it.
+    #[must_use]
+    pub fn into_throw(self, boot_id: &str, started_at: Timestamp) -> Throw {
+        Throw {
+            id: ThrowRef { boot_id: boot_id.to_owned(), throw_no: self.throw_index + 1 },
+            started_at,
+            direction: Some(self.direction),
+            trace: self.trace,
+            temperature_c: Some(self.temperature_c),
+            supply_v: Some(self.supply_v),
+            anti_alias_hz: self.anti_alias_hz,
+        }
+    }
 }
 
 /// A first-order autoregressive process of unit variance.

@@ -158,6 +158,14 @@ pub struct Coefficients {
     pub running_speed_rad_s: f64,
 }
 
+impl Coefficients {
+    /// b0, a1, a0.
+    #[must_use]
+    pub fn values(&self) -> [f64; 3] {
+        [self.b0, self.a1, self.a0]
+    }
+}
+
 /// Inertia, friction and stiffness of all parts, referred to the screw.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Loads {

@@ -108,6 +108,20 @@ pub struct Throw {
 pub const POSSIBLE_SUPPLY_V: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
 
 impl Throw {
+    /// A throw of which only its trace is known, as from a recording; it has an arbitrary identity, and began in 1970.
+    #[must_use]
+    pub fn recorded(trace: Trace) -> Self {
+        Self {
+            id: ThrowRef { boot_id: "recorded".to_owned(), throw_no: 1 },
+            started_at: Timestamp::UNIX_EPOCH,
+            direction: None,
+            trace,
+            temperature_c: None,
+            supply_v: None,
+            anti_alias_hz: None,
+        }
+    }
+
     /// The supply voltage, if it was measured and is possible \[V\].
     #[must_use]
     pub fn possible_supply_v(&self) -> Option<f64> {

@@ -19,10 +19,11 @@ use serde_json::{Value, json};
 use super::{
     fleet::Filters,
     overview::{Web, selector},
-    page::{Failure, known_name},
+    page::Failure,
 };
 use crate::{
     store::{FleetQuery, Present},
+    throw::MachineId,
     wire,
 };
 
@@ -52,10 +53,9 @@ pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQu
 
 pub(super) async fn machine(
     State(web): State<Arc<Web>>,
-    names: Result<Path<(String, String)>, PathRejection>,
+    machine: Result<Path<MachineId>, PathRejection>,
 ) -> Result<Response, Failure> {
-    let Path((site, machine)) = names?;
-    let machine = known_name(&site, &machine)?;
+    let Path(machine) = machine?;
     let _turn = web.turn().await?;
     let reader = web.view.gauges.store.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;

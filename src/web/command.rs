@@ -10,12 +10,8 @@ use axum::{
 };
 use jiff::{SignedDuration, Timestamp};
 
-use super::{
-    connection::Arrived,
-    overview::Web,
-    page::{Failure, known_name},
-};
-use crate::{daemon::clock, diagnose::Command, store::seldom};
+use super::{connection::Arrived, overview::Web, page::Failure};
+use crate::{daemon::clock, diagnose::Command, store::seldom, throw::MachineId};
 
 /// Longest window in the form \[h\], about ten years; the settings may allow less.
 const LONGEST_HOURS: i64 = 24 * 3660;
@@ -23,12 +19,11 @@ const LONGEST_HOURS: i64 = 24 * 3660;
 pub(super) async fn post(
     State(web): State<Arc<Web>>,
     ConnectInfo(arrived): ConnectInfo<Arrived>,
-    names: Result<Path<(String, String)>, PathRejection>,
+    machine: Result<Path<MachineId>, PathRejection>,
     body: Bytes,
 ) -> Result<Response, Failure> {
     arrived.set();
-    let Path((site, machine)) = names?;
-    let machine = known_name(&site, &machine)?;
+    let Path(machine) = machine?;
     let fields: HashMap<String, String> = form_urlencoded::parse(&body).into_owned().collect();
     let config = web.view.config();
     let token = fields.get("token").map(String::as_str).unwrap_or_default();

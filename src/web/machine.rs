@@ -11,7 +11,7 @@ use axum::{
 use super::{
     alarm::AlarmLine,
     overview::{Web, selector},
-    page::{self, Failure, known_name},
+    page::{self, Failure},
     state::{self, Badge},
     trend::{self, Mark, Picture, Ways},
 };
@@ -125,11 +125,10 @@ pub(super) struct Row {
 
 pub(super) async fn page(
     State(web): State<Arc<Web>>,
-    names: Result<Path<(String, String)>, PathRejection>,
+    machine: Result<Path<MachineId>, PathRejection>,
     RawQuery(query): RawQuery,
 ) -> Result<Response, Failure> {
-    let Path((site, machine)) = names?;
-    let machine = known_name(&site, &machine)?;
+    let Path(machine) = machine?;
     let span = Span::from_query(query.as_deref())?;
     let trouble = web.trouble().await;
     let _turn = web.turn().await?;

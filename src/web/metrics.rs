@@ -56,12 +56,8 @@ pub(super) async fn page(State(web): State<Arc<Web>>, headers: HeaderMap) -> Res
         alarms(&mut registry, &overview);
         let series = web.view.config().web.machine_metrics;
         let omitted = if overview.tally.total() <= u64::from(series) { 0 } else { overview.tally.total() };
-        let omitted = ConstGauge::new(omitted.cast_signed());
-        registry.register(
-            "machines_omitted",
-            "Machines without own series, as there are more than web.machine_metrics",
-            omitted,
-        );
+        let help = "Machines without own series, as there are more than web.machine_metrics";
+        count(&mut registry, "machines_omitted", help, omitted);
         if overview.tally.total() <= u64::from(series)
             && let Ok(Ok(rows)) = time::timeout(LIMIT, machine_rows(&web, series)).await
         {
@@ -170,15 +166,9 @@ fn throws(registry: &mut Registry, view: &View) {
         refused.get_or_create(&[("reason", reason)]).inc_by(number);
     }
     registry.register("throws_not_evaluated", "Judged throws without an estimate, by reason", refused);
-    let backlog = ConstGauge::new(report.backlog.cast_signed());
-    registry.register("throws_backlog", "Throws still in the backlogs of their loggers", backlog);
-    gauge(
-        registry,
-        "inbox",
-        "Memory of received messages not stored yet",
-        Unit::Bytes,
-        view.gauges.inbox.queued_bytes() as u64,
-    );
+    count(registry, "throws_backlog", "Throws still in the backlogs of their loggers", report.backlog);
+    let inbox = view.gauges.inbox.queued_bytes() as u64;
+    gauge(registry, "inbox", "Memory of received messages not stored yet", Unit::Bytes, inbox);
 }
 
 fn database(registry: &mut Registry, overview: &Overview) {
@@ -192,7 +182,7 @@ fn database(registry: &mut Registry, overview: &Overview) {
         ("traces_kept", "Throws in the database with their trace", statistics.traces),
         ("machines", "Machines with any state or throw", overview.tally.total()),
     ] {
-        registry.register(name, help, ConstGauge::new(value.cast_signed()));
+        count(registry, name, help, value);
     }
     gauge(registry, "database", "Data in the database", Unit::Bytes, statistics.data_bytes);
     gauge(registry, "wal", "Write-ahead log of the database", Unit::Bytes, statistics.wal_bytes);
@@ -214,29 +204,16 @@ fn daemon(registry: &mut Registry, report: &StatusReport) {
     let build = Info::new([("version", report.version.clone())]);
     registry.register("build", "Version of the program", build);
     gauge(registry, "uptime", "Time since the daemon started", Unit::Seconds, report.uptime_s);
-    let connected = ConstGauge::new(i64::from(report.connected));
-    registry.register("connected", "Whether zenoh has a link", connected);
-    let loggers = ConstGauge::new(i64::try_from(report.loggers).unwrap_or(i64::MAX));
-    registry.register("loggers", "Loggers that are connected", loggers);
-    let machines = Family::<Labels<1>, Gauge>::default();
-    for state in MachineState::VARIANTS {
-        let count = report.standing.count(*state).cast_signed();
-        machines.get_or_create(&[("state", state.as_str().to_owned())]).set(count);
-    }
-    registry.register("machine_states", "Machines in each state", machines);
-    let shelved = ConstGauge::new(report.standing.shelved_alarms.cast_signed());
-    registry.register("alarms_shelved", "Open alarms that are shelved", shelved);
-    let disk = Family::<Labels<1>, Gauge>::default();
-    for level in DiskLevel::VARIANTS {
-        disk.get_or_create(&[("state", level.as_ref().to_owned())]).set(i64::from(report.disk == *level));
-    }
-    registry.register("disk_state", "1 for the present state of the disk", disk);
-    let beats = Family::<Labels<1>, Gauge>::default();
-    for task in TaskName::VARIANTS {
-        let silent = report.silent.iter().any(|silent| silent == task.as_ref());
-        beats.get_or_create(&[("loop", task.as_ref().to_owned())]).set(i64::from(!silent));
-    }
-    registry.register("loop_alive", "Whether the heartbeat of a loop of the daemon is fresh", beats);
+    count(registry, "connected", "Whether zenoh has a link", report.connected.into());
+    count(registry, "loggers", "Loggers that are connected", report.loggers as u64);
+    let states = MachineState::VARIANTS.iter().map(|state| (state.as_str(), report.standing.count(*state)));
+    counts(registry, "machine_states", "Machines in each state", "state", states);
+    count(registry, "alarms_shelved", "Open alarms that are shelved", report.standing.shelved_alarms);
+    let levels = DiskLevel::VARIANTS.iter().map(|level| (level.as_ref(), u64::from(report.disk == *level)));
+    counts(registry, "disk_state", "1 for the present state of the disk", "state", levels);
+    let is_silent = |task: &TaskName| report.silent.iter().any(|silent| silent == task.as_ref());
+    let beats = TaskName::VARIANTS.iter().map(|task| (task.as_ref(), u64::from(!is_silent(task))));
+    counts(registry, "loop_alive", "Whether the heartbeat of a loop of the daemon is fresh", "loop", beats);
 }
 
 fn alarms(registry: &mut Registry, overview: &Overview) {
@@ -251,6 +228,25 @@ fn alarms(registry: &mut Registry, overview: &Overview) {
         open.get_or_create(&cell(cause, severity)).set(number.cast_signed());
     }
     registry.register("alarms_open", "Open alarms, by cause and severity", open);
+}
+
+fn count(registry: &mut Registry, name: &str, help: &str, value: u64) {
+    registry.register(name, help, ConstGauge::new(value.cast_signed()));
+}
+
+/// A gauge with one label.
+fn counts<'a>(
+    registry: &mut Registry,
+    name: &str,
+    help: &str,
+    label: &'static str,
+    values: impl Iterator<Item = (&'a str, u64)>,
+) {
+    let family = Family::<Labels<1>, Gauge>::default();
+    for (word, value) in values {
+        family.get_or_create(&[(label, word.to_owned())]).set(value.cast_signed());
+    }
+    registry.register(name, help, family);
 }
 
 fn gauge(registry: &mut Registry, name: &str, help: &str, unit: Unit, value: u64) {

@@ -2,7 +2,7 @@
 
 use askama::Template;
 use axum::{
-    extract::rejection::PathRejection,
+    extract::{path::ErrorKind, rejection::PathRejection},
     http::{HeaderValue, StatusCode, header},
     response::{Html, IntoResponse, Response},
 };
@@ -62,8 +62,15 @@ impl From<StoreError> for Failure {
 }
 
 impl From<PathRejection> for Failure {
-    fn from(_: PathRejection) -> Self {
-        Self::bad_request("This address is not valid.")
+    fn from(rejection: PathRejection) -> Self {
+        match rejection {
+            PathRejection::FailedToDeserializePathParams(error)
+                if !matches!(error.kind(), ErrorKind::InvalidUtf8InPathParam { .. }) =>
+            {
+                Self::not_found("There is no such machine: a name has 1 to 64 characters of A-Z a-z 0-9 _ -")
+            }
+            _ => Self::bad_request("This address is not valid."),
+        }
     }
 }
 
@@ -116,12 +123,6 @@ pub(super) fn data(value: &impl Serialize) -> String {
     wire::json(value).replace('<', "\\u003c")
 }
 
-/// A valid machine name, also of an unknown machine.
-pub(super) fn known_name(site: &str, machine: &str) -> Result<MachineId, Failure> {
-    let wrong = |_| Failure::not_found("There is no such machine: a name has 1 to 64 characters of A-Z a-z 0-9 _ -");
-    MachineId::new(site, machine).map_err(wrong)
-}
-
 pub(super) fn throw_address(machine: &MachineId, throw: &ThrowRef) -> String {
     format!("/machines/{}/{}/throws/{}", machine.site, machine.machine, throw_path(throw))
 }
@@ -138,7 +139,7 @@ pub(super) fn window(window: &Window) -> String {
 }
 
 /// "2026-11-21 19:30:12 UTC".
-pub(super) fn time(at: Timestamp) -> String {
+pub(crate) fn time(at: Timestamp) -> String {
     at.strftime("%Y-%m-%d %H:%M:%S UTC").to_string()
 }
 

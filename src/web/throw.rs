@@ -13,13 +13,13 @@ use axum::{
 use super::{
     machine::{Row, row},
     overview::Web,
-    page::{self, Failure, known_name},
+    page::{self, Failure},
     trend::{self, Curve, Picture},
 };
 use crate::{
     estimate::{self, Motor},
-    store::StoredThrow,
-    throw::{MachineId, Throw, ThrowRef, Trace},
+    store::{Reader, StoredThrow},
+    throw::{MachineId, Name, Throw, ThrowRef, Trace},
     wire::Health,
 };
 
@@ -50,13 +50,22 @@ struct Page {
     no_trace: Option<String>,
 }
 
-type Names = Result<Path<(String, String, String, String)>, PathRejection>;
+type Names = Result<Path<(Name, Name, String, String)>, PathRejection>;
 
 /// Parses the machine and the throw in an address.
 fn named(names: Names) -> Result<(MachineId, ThrowRef), Failure> {
     let Path((site, machine, boot_id, throw_no)) = names?;
     let wrong = |_| Failure::bad_request("The address must end in the number of the throw.");
-    Ok((known_name(&site, &machine)?, ThrowRef { boot_id, throw_no: throw_no.parse().map_err(wrong)? }))
+    Ok((MachineId { site, machine }, ThrowRef { boot_id, throw_no: throw_no.parse().map_err(wrong)? }))
+}
+
+async fn found(
+    reader: &Reader,
+    machine: &MachineId,
+    throw: &ThrowRef,
+) -> Result<(StoredThrow, Option<Health>), Failure> {
+    let found = reader.throw_of(machine, throw).await?;
+    found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw in this database.")))
 }
 
 pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Response, Failure> {
@@ -64,9 +73,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
     let trouble = web.trouble().await;
     let _turn = web.turn().await?;
     let reader = web.view.gauges.store.reader();
-    let found = reader.throw_of(&machine, &throw).await?;
-    let (stored, health) =
-        found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw in this database.")))?;
+    let (stored, health) = found(reader, &machine, &throw).await?;
     let [before, after] = reader.neighbours_of(&machine, &throw).await?;
     let typical = typical(&web, &machine, &throw, health.as_ref()).await?;
     let settings = web.view.config().machines.of(&machine).clone();
@@ -121,9 +128,7 @@ async fn typical(
 pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Response, Failure> {
     let (machine, throw) = named(names)?;
     let _turn = web.turn().await?;
-    let found = web.view.gauges.store.reader().throw_of(&machine, &throw).await?;
-    let (stored, _) =
-        found.ok_or_else(|| Failure::not_found(format!("{machine} has no such throw in this database.")))?;
+    let (stored, _) = found(web.view.gauges.store.reader(), &machine, &throw).await?;
     let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;
     let kind = HeaderValue::from_static("text/csv; charset=utf-8");
     Ok(([(header::CONTENT_TYPE, kind)], throw.trace.to_csv()).into_response())

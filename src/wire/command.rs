@@ -2,38 +2,22 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::json;
+use super::{Invalid, json};
 use crate::diagnose::Command;
 
 /// Largest command \[bytes\]: room for names and a reason.
 const MAX_BYTES: usize = 8 * 1024;
 
-/// A payload that is not a command.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum InvalidCommand {
-    /// The payload is empty or too large.
-    #[error("the command has {bytes} bytes, must be 1 to {MAX_BYTES}")]
-    Size {
-        /// Size of the payload.
-        bytes: usize,
-    },
-    /// The payload is not JSON, or not a command.
-    #[error("not a command: {problem}; for example {{\"command\": \"ack\", \"cause\": \"friction\", \"by\": \"who\"}}")]
-    Json {
-        /// The parser's error with line and column.
-        problem: String,
-    },
-}
-
 /// Decodes a command.
 ///
 /// # Errors
 /// When the payload is empty, too large or not a command in JSON.
-pub fn decode_command(payload: &[u8]) -> Result<Command, InvalidCommand> {
+pub fn decode_command(payload: &[u8]) -> Result<Command, Invalid> {
     if !(1..=MAX_BYTES).contains(&payload.len()) {
-        return Err(InvalidCommand::Size { bytes: payload.len() });
+        return Err(Invalid(format!("the command has {} bytes, must be 1 to {MAX_BYTES}", payload.len())));
     }
-    serde_json::from_slice(payload).map_err(|error| InvalidCommand::Json { problem: error.to_string() })
+    let example = "{\"command\": \"ack\", \"cause\": \"friction\", \"by\": \"who\"}";
+    serde_json::from_slice(payload).map_err(|error| Invalid(format!("not a command: {error}; for example {example}")))
 }
 
 /// The daemon's reply to a command.

@@ -2,7 +2,8 @@
 
 use std::fmt;
 
-use crate::throw::{InvalidName, MachineId, Name};
+use super::Invalid;
+use crate::throw::{MachineId, Name};
 
 /// The first chunks of every key.
 const PREFIX: &str = "points/v1/";
@@ -21,17 +22,6 @@ pub enum Kind {
     Command,
     /// The logger's liveliness token.
     Alive,
-}
-
-/// A key that is not a key of a machine.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum InvalidKey {
-    /// The key is not of the form `points/v1/{site}/{machine}/{kind}`.
-    #[error("the key is not points/v1/{{site}}/{{machine}}/{{throw|health|alarm|command|alive}}")]
-    Shape,
-    /// The site or the machine is not a valid name.
-    #[error(transparent)]
-    Name(#[from] InvalidName),
 }
 
 /// The key of a machine for messages of `kind`.
@@ -73,14 +63,12 @@ pub fn monitor_status_key(site: &Name, id: &Name) -> String {
 ///
 /// # Errors
 /// When the key has another form or an invalid name.
-pub fn parse_key(key: &str) -> Result<(MachineId, Kind), InvalidKey> {
-    let mut chunks = key.strip_prefix(PREFIX).ok_or(InvalidKey::Shape)?.split('/');
-    let (Some(site), Some(machine), Some(kind), None) = (chunks.next(), chunks.next(), chunks.next(), chunks.next())
-    else {
-        return Err(InvalidKey::Shape);
-    };
-    let kind = kind.parse().map_err(|_| InvalidKey::Shape)?;
-    Ok((MachineId::new(site, machine)?, kind))
+pub fn parse_key(key: &str) -> Result<(MachineId, Kind), Invalid> {
+    let shape = || Invalid("the key is not points/v1/{site}/{machine}/{throw|health|alarm|command|alive}".to_owned());
+    let chunks: Vec<&str> = key.strip_prefix(PREFIX).ok_or_else(shape)?.splitn(4, '/').collect();
+    let [site, machine, kind] = chunks[..] else { return Err(shape()) };
+    let kind = kind.parse().map_err(|_| shape())?;
+    Ok((MachineId::new(site, machine).map_err(|error| Invalid(error.to_string()))?, kind))
 }
 
 /// The sites and machines whose keys a key expression includes, as `GLOB` patterns of SQLite; `None` if the expression has
@@ -112,23 +100,17 @@ pub struct Scope {
     machine: String,
 }
 
-/// A text that is not a scope.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{text:?} is not a scope: write points/v1/**, points/v1/{{site}}/** or points/v1/{{site}}/{{machine}}/**, \
-     a name may be * or contain $*"
-)]
-pub struct InvalidScope {
-    text: String,
-}
-
 impl Scope {
     /// Parses a scope.
     ///
     /// # Errors
     /// When the text has none of the three forms.
-    pub fn parse(text: &str) -> Result<Self, InvalidScope> {
-        let invalid = || InvalidScope { text: text.chars().take(200).collect() };
+    pub fn parse(text: &str) -> Result<Self, Invalid> {
+        let invalid = || {
+            let text: String = text.chars().take(200).collect();
+            let forms = "points/v1/**, points/v1/{site}/** or points/v1/{site}/{machine}/**";
+            Invalid(format!("{text:?} is not a scope: write {forms}, a name may be * or contain $*"))
+        };
         let rest = text.strip_prefix(PREFIX).and_then(|rest| rest.strip_suffix("**")).ok_or_else(invalid)?;
         let chunks: Vec<&str> = rest.split_terminator('/').collect();
         let (site, machine) = match chunks.as_slice() {

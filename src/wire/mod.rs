@@ -14,12 +14,12 @@ mod throw;
 
 pub use alarm::{Alarm, alarm_id};
 pub use backlog::{BacklogQuery, MAX_PAGE};
-pub use command::{Commander, InvalidCommand, Reply, decode_command};
+pub use command::{Commander, Reply, decode_command};
 pub use health::Health;
 pub use key::{
-    EVERY_MONITOR_ALIVE, InvalidKey, InvalidScope, Kind, Scope, every_key, machine_key, machine_patterns,
-    monitor_alive_key, monitor_status_key, parse_key, parse_monitor_key,
+    EVERY_MONITOR_ALIVE, Kind, Scope, every_key, machine_key, machine_patterns, monitor_alive_key, monitor_status_key,
+    parse_key, parse_monitor_key,
 };
-pub use query::{HistoryQuery, InvalidQuery, MAX_HISTORY};
-pub use text::json;
+pub use query::{HistoryQuery, MAX_HISTORY};
+pub use text::{Invalid, json};
 pub use throw::{Encoding, InvalidThrow, MAX_BOOT_ID_BYTES, decode_throw, encode_throw, is_boot_id};

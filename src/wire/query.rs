@@ -2,6 +2,8 @@
 
 use jiff::Timestamp;
 
+use super::Invalid;
+
 /// Largest number of rows in the reply to a query.
 pub const MAX_HISTORY: u32 = 10_000;
 /// Rows in the reply to a history query without `limit`.
@@ -21,41 +23,28 @@ pub enum HistoryQuery {
     },
 }
 
-/// An invalid parameter of a query.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum InvalidQuery {
-    /// `since` is not a time.
-    #[error("since={text:?} is not an RFC 3339 time with Z or an offset, as 2026-05-04T10:11:12Z")]
-    Since {
-        /// The text.
-        text: String,
-    },
-    /// `limit` is not a number in range.
-    #[error("limit={text:?} must be a whole number from 1 to {MAX_HISTORY}")]
-    Limit {
-        /// The text.
-        text: String,
-    },
-}
-
 impl HistoryQuery {
     /// Parses the parameters of a selector (the part after `?`). Unknown parameters are ignored.
     ///
     /// # Errors
     /// When `since` or `limit` is invalid.
-    pub fn parse(parameters: &str) -> Result<Self, InvalidQuery> {
+    pub fn parse(parameters: &str) -> Result<Self, Invalid> {
         let pairs = || parameters.split(';').filter_map(|pair| pair.split_once('='));
         let value = |name: &str| pairs().find(|(key, _)| key.trim() == name).map(|(_, value)| value.trim());
+        let wrong = |name: &str, text: &str, must: &str| {
+            let text: String = text.chars().take(60).collect();
+            Invalid(format!("{name}={text:?} {must}"))
+        };
         // URL encoders write `+` as a space, so both are accepted in the offset.
-        let since = value("since")
-            .map(|text| text.replace(' ', "+").parse().map_err(|_| InvalidQuery::Since { text: cut(text) }))
-            .transpose()?;
-        let limit = value("limit")
-            .map(|text| match text.parse() {
-                Ok(limit @ 1..=MAX_HISTORY) => Ok(limit),
-                _ => Err(InvalidQuery::Limit { text: cut(text) }),
-            })
-            .transpose()?;
+        let since = value("since").map(|text| {
+            let must = "is not an RFC 3339 time with Z or an offset, as 2026-05-04T10:11:12Z";
+            text.replace(' ', "+").parse().map_err(|_| wrong("since", text, must))
+        });
+        let limit = value("limit").map(|text| match text.parse() {
+            Ok(limit @ 1..=MAX_HISTORY) => Ok(limit),
+            _ => Err(wrong("limit", text, &format!("must be a whole number from 1 to {MAX_HISTORY}"))),
+        });
+        let (since, limit) = (since.transpose()?, limit.transpose()?);
         Ok(match (since, limit) {
             (None, None) => Self::Current,
             (since, limit) => {
@@ -63,10 +52,6 @@ impl HistoryQuery {
             }
         })
     }
-}
-
-fn cut(text: &str) -> String {
-    text.chars().take(60).collect()
 }
 
 #[cfg(test)]

@@ -1,6 +1,11 @@
-//! JSON of values.
+//! JSON of values, and the error of a text that cannot be read.
 
 use serde::Serialize;
+
+/// A key, a selector or a command that cannot be read: one sentence with the reason.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Invalid(pub(super) String);
 
 /// Encodes a value as JSON, for messages and the database.
 ///

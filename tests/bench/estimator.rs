@@ -9,7 +9,7 @@ use pointsd::estimate::{
     sriv::{Problem, Signal, Sriv, Workspace},
 };
 use pointsd::simulate::{Conditions, Parameters, Sensors};
-use pointsd::throw::{Direction, Throw, ThrowRef, Trace};
+use pointsd::throw::{Direction, Throw, Trace};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 const SAMPLES: usize = 4000;
@@ -57,15 +57,7 @@ pub(crate) fn estimation(criterion: &mut Criterion) {
         });
     });
 
-    let throw = Throw {
-        id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
-        started_at: jiff::Timestamp::UNIX_EPOCH,
-        direction: None,
-        trace,
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz: None,
-    };
+    let throw = Throw::recorded(trace);
     let (mut identifier, settings) = (Identifier::default(), Settings::default());
     group.bench_function("the whole way from trace to estimate", |bencher| {
         bencher.iter(|| identifier.identify(black_box(&throw), &settings));

@@ -3,7 +3,7 @@
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     simulate::{Fleet, FleetSettings},
-    throw::{MachineId, Throw, ThrowRef, Trace},
+    throw::{MachineId, Throw, Trace},
 };
 
 /// Throws of one machine, with all traces as long as the shortest, so that other programs can read them as one array.
@@ -15,18 +15,12 @@ pub(crate) fn throws(count: u64) -> Vec<Throw> {
     (1..)
         .zip(simulated)
         .map(|(throw_no, simulated)| {
-            let trace = simulated.trace;
+            let at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(10 * throw_no);
+            let mut throw = simulated.into_throw("boot", at);
             let [current, position] =
-                [trace.current_a(), trace.position_mm()].map(|channel| channel[..samples].to_vec());
-            Throw {
-                id: ThrowRef { boot_id: "boot".to_owned(), throw_no },
-                started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(10 * throw_no.cast_signed()),
-                direction: Some(simulated.direction),
-                trace: Trace::new(trace.sample_rate_hz(), current, position).expect("a valid trace"),
-                temperature_c: Some(simulated.temperature_c),
-                supply_v: Some(simulated.supply_v),
-                anti_alias_hz: simulated.anti_alias_hz,
-            }
+                [throw.trace.current_a(), throw.trace.position_mm()].map(|channel| channel[..samples].to_vec());
+            throw.trace = Trace::new(throw.trace.sample_rate_hz(), current, position).expect("a valid trace");
+            throw
         })
         .collect()
 }

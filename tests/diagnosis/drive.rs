@@ -112,10 +112,8 @@ impl Drive {
             id: ThrowRef { boot_id: "a".to_owned(), throw_no: self.throws },
             started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * self.throws.cast_signed()),
             direction: Some(direction),
-            trace,
-            temperature_c: None,
             supply_v: self.publishes_volts.then_some(volts),
-            anti_alias_hz: None,
+            ..Throw::recorded(trace)
         };
         let found = self.identifier.identify(&throw, &estimate::Settings::default());
         Observation {

@@ -10,7 +10,7 @@ use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     daemon::{Offline, config::Config},
     simulate::{Fault, Fleet, FleetFault, FleetSettings, Part, Shape},
-    throw::{MachineId, Throw, ThrowRef},
+    throw::{MachineId, Throw},
 };
 
 /// Throws of the baseline in both directions, and throws with the fault.
@@ -34,17 +34,10 @@ async fn record(config: &Path) {
     let mut pipeline = Offline::open(Config::load(config).unwrap()).await.unwrap();
     let id = MachineId::new("north", "21B").unwrap();
     for throw_no in 1..=THROWS.0 + THROWS.1 {
-        let simulated = machine.next_throw().unwrap();
         let hours = SignedDuration::from_hours(i64::try_from(throw_no).unwrap());
-        let throw = Throw {
-            id: ThrowRef { boot_id: "a".to_owned(), throw_no },
-            started_at: "2026-01-01T00:00:00Z".parse::<Timestamp>().unwrap() + hours,
-            direction: Some(simulated.direction),
-            trace: simulated.trace,
-            temperature_c: None,
-            supply_v: None,
-            anti_alias_hz: None,
-        };
+        let at = "2026-01-01T00:00:00Z".parse::<Timestamp>().unwrap() + hours;
+        let simulated = machine.next_throw().unwrap().into_throw("a", at);
+        let throw = Throw { temperature_c: None, supply_v: None, ..simulated };
         pipeline.take(&id, &throw).await.unwrap();
     }
     pipeline.judge().await.unwrap();

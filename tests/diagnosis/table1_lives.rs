@@ -45,10 +45,7 @@ impl Life {
             id: ThrowRef { boot_id: "a".to_owned(), throw_no: self.throws },
             started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_hours(i64::try_from(self.throws).unwrap()),
             direction: Some(way),
-            trace: sensors.record(&motion, way, &mut self.random).unwrap().trace,
-            temperature_c: None,
-            supply_v: None,
-            anti_alias_hz: None,
+            ..Throw::recorded(sensors.record(&motion, way, &mut self.random).unwrap().trace)
         };
         let found = self.identifier.identify(&throw, &estimate::Settings::default());
         let observation = Observation {

@@ -7,8 +7,6 @@ use pointsd::simulate::{Channel, Conditions, Parameters, Rails, STEP_S, Sensors,
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
 
-use super::identify::throw_with;
-
 /// Current and screw speed \[A, rad/s\] at which the motor turns against the slipping clutch: armature and shaft in
 /// steady state, by fixed-point iteration.
 fn slipping(machine: &Parameters) -> (f64, f64) {
@@ -51,7 +49,7 @@ fn an_obstruction_anywhere_shows_the_current_of_the_slipping_clutch() {
                 "{direction}, obstacle at {at_mm} mm: {current_a} A, the clutch takes {expected_a} A"
             );
             let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
-            let throw = Throw { direction: Some(direction), ..throw_with(trace, None) };
+            let throw = Throw { direction: Some(direction), ..Throw::recorded(trace) };
             let refused = identifier.identify(&throw, &Settings::default()).outcome.unwrap_err();
             assert!(refused.is_incomplete(), "{direction}, obstacle at {at_mm} mm: {refused}");
         }
@@ -139,7 +137,7 @@ fn a_series_motor_slips_its_clutch_too() {
         let refused = {
             let sensors = Sensors::default();
             let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(4)).unwrap().trace;
-            let throw = Throw { direction: Some(direction), ..throw_with(trace, None) };
+            let throw = Throw { direction: Some(direction), ..Throw::recorded(trace) };
             let settings = Settings { motor: Motor::Series, ..Settings::default() };
             Identifier::default().identify(&throw, &settings).outcome.unwrap_err()
         };
@@ -154,7 +152,7 @@ fn obstructed(sensors: &Sensors, direction: Direction, at_mm: f64, seed: u64) ->
     let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
     assert!(!motion.completed);
     let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(seed)).unwrap().trace;
-    Throw { direction: Some(direction), ..throw_with(trace, None) }
+    Throw { direction: Some(direction), ..Throw::recorded(trace) }
 }
 
 #[test]

@@ -2,10 +2,10 @@
 
 use pointsd::estimate::Identifier;
 use pointsd::simulate::{Channel, Conditions, Parameters, Sensors};
-use pointsd::throw::Direction;
+use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-use super::identify::{settings_of, throw_with};
+use super::identify::settings_of;
 
 /// Throws for each combination of noise and direction.
 const THROWS: u64 = 334;
@@ -30,7 +30,7 @@ fn the_95_pct_interval_covers_the_noise_free_estimate_in_93_to_97_pct_of_the_thr
             let mut rng = ChaCha8Rng::seed_from_u64(throws.into());
             let mut estimate = |sensors: &Sensors| {
                 let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
-                identifier.identify(&throw_with(trace, None), &settings).outcome.unwrap()
+                identifier.identify(&Throw::recorded(trace), &settings).outcome.unwrap()
             };
             let truth = estimate(&perfect);
             let mut here = [0_u32; 3];

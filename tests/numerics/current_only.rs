@@ -5,8 +5,6 @@ use pointsd::simulate::{Condition, Conditions, Parameters, Part, Sensors};
 use pointsd::throw::{Direction, Throw, Trace};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-use super::identify::throw_with;
-
 /// A throw recorded with a current sensor only, at 110 V; the logger sends `position` as each toe position.
 fn identify(
     machine: &Parameters,
@@ -21,7 +19,7 @@ fn identify(
     let (current, _) = recorded.into_channels();
     let nothing = vec![position; current.len()];
     let trace = Trace::new(rate_hz, current, nothing).unwrap();
-    let throw = Throw { direction: Some(direction), supply_v, ..throw_with(trace, None) };
+    let throw = Throw { direction: Some(direction), supply_v, ..Throw::recorded(trace) };
     Identifier::default().identify(&throw, &Settings { stroke_mm: Some(115.0), ..Settings::default() })
 }
 
@@ -83,7 +81,7 @@ fn the_pulse_of_a_contact_before_the_inrush_is_no_noise() {
         current.extend([0.6; 10]);
         current.extend([0.0; 2]);
         let nothing = vec![f64::NAN; current.len()];
-        let throw = throw_with(Trace::new(25.0, current, nothing).unwrap(), None);
+        let throw = Throw::recorded(Trace::new(25.0, current, nothing).unwrap());
         let Features { duration_s, running_current_a, quiet_current_a, .. } =
             Identifier::default().identify(&throw, &Settings::default()).features;
         let expected_s = 139.0 / 25.0;

@@ -2,11 +2,11 @@
 
 use pointsd::estimate::{Channel, Identification, Identifier, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, Sensors};
-use pointsd::throw::{Direction, Trace};
+use pointsd::throw::{Direction, Throw, Trace};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-use super::identify::{settings_of, simulated, throw_with};
+use super::identify::{settings_of, simulated};
 
 #[derive(Clone)]
 pub(crate) struct Channels {
@@ -25,7 +25,7 @@ impl Channels {
 
     pub(crate) fn identify(&self, identifier: &mut Identifier, settings: &Settings) -> Identification {
         let trace = Trace::new(self.rate_hz, self.current.clone(), self.position.clone()).unwrap();
-        identifier.identify(&throw_with(trace, None), settings)
+        identifier.identify(&Throw::recorded(trace), settings)
     }
 }
 
@@ -308,7 +308,7 @@ fn what_the_machine_did_wrong_is_told_from_what_the_sensors_did() {
         let trace =
             sensors.record(&motion, Direction::NormalToReverse, &mut ChaCha8Rng::seed_from_u64(3)).unwrap().trace;
         let settings = Settings { stroke_mm, ..settings_of(&machine) };
-        Identifier::default().identify(&throw_with(trace, None), &settings)
+        Identifier::default().identify(&Throw::recorded(trace), &settings)
     };
     let obstructed = Conditions { obstruction_mm: Some(60.0), ..Conditions::default() };
     let refused = outcome(obstructed, None).outcome.unwrap_err();
@@ -339,7 +339,7 @@ fn noise_of_the_position_neither_makes_nor_hides_an_obstruction() {
                         *mm += noise_mm * rng.sample::<f64, _>(rand_distr::StandardNormal);
                     }
                     let trace = Trace::new(1000.0, current, position).unwrap();
-                    Identifier::default().identify(&throw_with(trace, None), &settings)
+                    Identifier::default().identify(&Throw::recorded(trace), &settings)
                 };
                 let what = format!("{direction}, {noise_mm} mm, stroke {stroke_mm:?}");
                 let free = identify(None);

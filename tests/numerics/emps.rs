@@ -6,9 +6,7 @@ use pointsd::estimate::{
     Hold, Identifier, Rejection, Settings,
     sriv::{Problem, Signal, Sriv, Termination, Unsound, Workspace},
 };
-use pointsd::throw::Trace;
-
-use super::identify::throw_with;
+use pointsd::throw::{Throw, Trace};
 
 /// Force per unit of the current reference \[N\].
 const FORCE_N: f64 = 35.150_651_88;
@@ -77,7 +75,7 @@ fn the_plain_model_from_force_to_position_is_refused() {
 
     // The whole record, both directions, as one throw.
     let millimetres = position.iter().map(|x| 1000.0 * x).collect();
-    let throw = throw_with(Trace::new(1000.0, force, millimetres).unwrap(), None);
+    let throw = Throw::recorded(Trace::new(1000.0, force, millimetres).unwrap());
     let refused = Identifier::default().identify(&throw, &Settings::default()).outcome.unwrap_err();
     assert!(matches!(refused, Rejection::MovedBackwards { .. }), "{refused}");
 }

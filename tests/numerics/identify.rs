@@ -1,27 +1,15 @@
 //! One simulated throw through the whole estimator, which must return the simulated coefficients.
 
 use pointsd::estimate::{Identification, Identifier, Settings};
-use pointsd::simulate::{Conditions, Parameters, Rails, Sensors};
-use pointsd::throw::{Direction, Throw, ThrowRef, Trace};
+use pointsd::simulate::{Coefficients, Conditions, Parameters, Rails, Sensors};
+use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
-
-/// A throw with this trace and arbitrary identity.
-pub(crate) fn throw_with(trace: Trace, anti_alias_hz: Option<f64>) -> Throw {
-    Throw {
-        id: ThrowRef { boot_id: "boot".to_owned(), throw_no: 1 },
-        started_at: jiff::Timestamp::UNIX_EPOCH,
-        direction: None,
-        trace,
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz,
-    }
-}
 
 pub(crate) fn simulated(machine: &Parameters, sensors: &Sensors, direction: Direction, seed: u64) -> Throw {
     let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    throw_with(sensors.record(&motion, direction, &mut rng).unwrap().trace, sensors.anti_alias_hz)
+    let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
+    Throw { anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace) }
 }
 
 pub(crate) fn settings_of(machine: &Parameters) -> Settings {
@@ -33,6 +21,14 @@ pub(crate) fn without_dry_friction() -> Parameters {
     let machine = Parameters::default();
     let rails = Rails { slide_friction: 0.0, ..machine.rails };
     Parameters { motor_dry_nm: 0.0, screw_dry_nm: 0.0, rails, ..machine }
+}
+
+/// Checks that each coefficient is within this relative error of the true one.
+#[track_caller]
+pub(crate) fn assert_near(found: [f64; 3], known: &Coefficients, limit: f64, what: &str) {
+    for (found, known) in found.into_iter().zip(known.values()) {
+        assert!((found / known - 1.0).abs() < limit, "{what}: {found} for {known}");
+    }
 }
 
 fn identify(throw: &Throw, settings: &Settings) -> Identification {
@@ -48,10 +44,8 @@ fn a_noise_free_throw_gives_the_machines_physics_within_1_pct_in_both_directions
             let throw = simulated(&machine, &Sensors::perfect(1000.0), direction, 1);
             let found = identify(&throw, &settings_of(&machine));
             assert_eq!(found.direction, Some(direction));
-            let estimate = found.outcome.unwrap();
-            for (found, known) in [(estimate.b0, known.b0), (estimate.a1, known.a1), (estimate.a0, known.a0)] {
-                assert!((found / known - 1.0).abs() < 0.01, "{direction}, neutral {neutral_mm}: {found} for {known}");
-            }
+            let what = format!("{direction}, neutral {neutral_mm}");
+            assert_near(found.outcome.unwrap().coefficients(), &known, 0.01, &what);
         }
     }
 }
@@ -68,12 +62,8 @@ fn the_kink_of_the_current_at_switch_on_costs_nothing_wherever_it_lies_between_t
                 let sensors = Sensors { before_s: 0.2 + part / sample_rate_hz, ..Sensors::perfect(sample_rate_hz) };
                 let estimate =
                     identify(&simulated(&machine, &sensors, direction, 1), &settings_of(&machine)).outcome.unwrap();
-                for ratio in [estimate.b0 / known.b0, estimate.a1 / known.a1, estimate.a0 / known.a0] {
-                    assert!(
-                        (ratio - 1.0).abs() < 0.003,
-                        "{sample_rate_hz} Hz, {inductance_h} H, {part} of an interval, {direction}: {ratio}"
-                    );
-                }
+                let what = format!("{sample_rate_hz} Hz, {inductance_h} H, {part} of an interval, {direction}");
+                assert_near(estimate.coefficients(), &known, 0.003, &what);
             }
         }
     }
@@ -88,9 +78,7 @@ fn a_spring_that_drives_the_motor_is_told_from_a_current_of_the_other_polarity()
             let sensors = Sensors { signed_current, ..Sensors::perfect(1000.0) };
             let throw = simulated(&machine, &sensors, direction, 1);
             let estimate = identify(&throw, &settings_of(&machine)).outcome.unwrap();
-            for ratio in [estimate.b0 / known.b0, estimate.a1 / known.a1, estimate.a0 / known.a0] {
-                assert!((ratio - 1.0).abs() < 0.005, "{screw_stiffness_nm} N m/rad, {direction}: {ratio}");
-            }
+            assert_near(estimate.coefficients(), &known, 0.005, &format!("{screw_stiffness_nm} N m/rad, {direction}"));
         }
     }
 }

@@ -8,8 +8,6 @@ use pointsd::simulate::{Conditions, Parameters, STEP_S, Sensors, Waveform};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
 
-use super::identify::throw_with;
-
 fn on(supply: Waveform) -> Parameters {
     Parameters { supply, ..Parameters::default() }
 }
@@ -39,7 +37,8 @@ fn the_ripple_does_no_harm_where_it_is_sampled() {
         let conditions = Conditions { supply_phase_rad, ..Conditions::default() };
         let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
         let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(3)).unwrap().trace;
-        let throw = Throw { direction: Some(direction), ..throw_with(trace, sensors.anti_alias_hz) };
+        let throw =
+            Throw { direction: Some(direction), anti_alias_hz: sensors.anti_alias_hz, ..Throw::recorded(trace) };
         Identifier::default().identify(&throw, &Settings::default()).outcome.map(|found| [found.b0, found.a1, found.a0])
     };
     for (sample_rate_hz, filtered) in

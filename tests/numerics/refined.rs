@@ -5,10 +5,10 @@ use pointsd::estimate::{
     sriv::{Problem, Signal, Sriv, Workspace},
 };
 use pointsd::simulate::{Conditions, Parameters, Sensors};
-use pointsd::throw::Direction;
+use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-use super::identify::{settings_of, throw_with, without_dry_friction};
+use super::identify::{settings_of, without_dry_friction};
 use super::sriv::{normal, second_order};
 
 const THROWS: u64 = 300;
@@ -28,7 +28,7 @@ fn refined_estimates_scatter_half_as_much_without_bias_and_their_covariance_says
         let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
         for seed in 0..THROWS {
             let trace = sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(seed)).unwrap().trace;
-            let throw = throw_with(trace, None);
+            let throw = Throw::recorded(trace);
             for (which, settings) in [&plain, &refined].into_iter().enumerate() {
                 let found = identifier.identify(&throw, settings).outcome.unwrap();
                 of_ratio[which] += found.ratios_sd()[0] / found.ratios()[0];
@@ -97,7 +97,7 @@ fn dry_friction_biases_refined_estimates_no_more_than_plain_ones() {
     let mean = (0..40).map(|seed| {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let trace = Sensors::default().record(&motion, Direction::NormalToReverse, &mut rng).unwrap().trace;
-        identifier.identify(&throw_with(trace, None), &settings).outcome.unwrap().b0 / known.b0 - 1.0
+        identifier.identify(&Throw::recorded(trace), &settings).outcome.unwrap().b0 / known.b0 - 1.0
     });
     let mean = mean.sum::<f64>() / 40.0;
     assert!(mean.abs() < 0.006, "{mean}");

@@ -5,8 +5,6 @@ use pointsd::simulate::{Channel, Conditions, Parameters, Sensors};
 use pointsd::throw::{Direction, Throw, Trace};
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-use super::identify::throw_with;
-
 /// A recorded throw; the first and the last sample with the motor on.
 struct Recorded {
     current: Vec<f64>,
@@ -37,7 +35,7 @@ impl Recorded {
 
     fn identify(&self, settings: &Settings) -> Identification {
         let trace = Trace::new(1000.0, self.current.clone(), self.position.clone()).unwrap();
-        let throw = Throw { supply_v: Some(110.0), ..throw_with(trace, None) };
+        let throw = Throw { supply_v: Some(110.0), ..Throw::recorded(trace) };
         Identifier::default().identify(&throw, settings)
     }
 }
@@ -148,7 +146,7 @@ fn the_no_load_speed_needs_no_supply_voltage_and_does_not_change_with_dry_fricti
     for machine in [machine, dry] {
         let Recorded { current, position, .. } =
             Recorded::new(&machine, &Sensors::default(), Direction::NormalToReverse, None);
-        let throw = throw_with(Trace::new(1000.0, current, position).unwrap(), None);
+        let throw = Throw::recorded(Trace::new(1000.0, current, position).unwrap());
         let features = Identifier::default().identify(&throw, &Settings::default()).features;
         assert_eq!((features.supply_v, features.resistance_ohm), (None, None));
         let speed = features.no_load_speed_rad_per_s.unwrap();

@@ -5,12 +5,12 @@ use std::f64::consts::TAU;
 
 use pointsd::estimate::{Estimate, Grade, Identification, Identifier, Settings};
 use pointsd::simulate::{Parameters, RailModel, Rails, Sensors};
-use pointsd::throw::{Direction, Trace};
+use pointsd::throw::{Direction, Throw, Trace};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 use rand_distr::StandardNormal;
 
-use super::identify::{simulated, throw_with};
+use super::identify::simulated;
 
 /// Step of the integration and sampling interval \[s\].
 const STEP_S: f64 = 1e-5;
@@ -102,7 +102,7 @@ impl Drive {
             millimetres.drain(200 + from..205 + from);
         }
         let trace = Trace::new(1.0 / INTERVAL_S, amperes, millimetres).unwrap();
-        Identifier::default().identify(&throw_with(trace, None), &Settings::default())
+        Identifier::default().identify(&Throw::recorded(trace), &Settings::default())
     }
 
     /// True current \[A\] and toe position \[mm\] from the motor's start on.

@@ -5,8 +5,6 @@ use pointsd::throw::{Direction, Throw, Trace};
 use rand::RngExt;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-use super::identify::throw_with;
-
 /// A channel that is `rest`, and from `from` on for `length` samples a pulse, a ramp or a random walk of this height; it
 /// ends at its height or returns to exactly `rest`.
 fn channel(rng: &mut ChaCha8Rng, len: usize, height: f64) -> Vec<f64> {
@@ -61,10 +59,8 @@ fn strange(seed: u64) -> (Throw, Settings) {
     let throw = Throw {
         direction: [None, Some(Direction::NormalToReverse), Some(Direction::ReverseToNormal)][rng.random_range(0..3)],
         supply_v: [None, Some(110.0), Some(f64::NAN)][rng.random_range(0..3)],
-        ..throw_with(
-            Trace::new(rate_hz, current, position).unwrap(),
-            [None, None, Some(0.4 * rate_hz), Some(-1.0)][rng.random_range(0..4)],
-        )
+        anti_alias_hz: [None, None, Some(0.4 * rate_hz), Some(-1.0)][rng.random_range(0..4)],
+        ..Throw::recorded(Trace::new(rate_hz, current, position).unwrap())
     };
     let settings = Settings {
         stroke_mm: [None, Some(115.0), Some(1.0)][rng.random_range(0..3)],
@@ -112,7 +108,7 @@ fn a_toe_that_returns_to_its_start_moved_backwards() {
                 _ => (20.0 - 0.1 * f64::from(k - quiet - 700)).max(returned_mm),
             })
             .collect();
-        let throw = throw_with(Trace::new(1000.0, current, position).unwrap(), None);
+        let throw = Throw::recorded(Trace::new(1000.0, current, position).unwrap());
         for stroke_mm in [None, Some(115.0)] {
             let settings = Settings { stroke_mm, ..Settings::default() };
             let refused = Identifier::default().identify(&throw, &settings).outcome.unwrap_err();

@@ -74,14 +74,11 @@ async fn a_logger_that_goes_is_an_alarm_until_it_is_back() {
 async fn throws_that_were_missing_before_a_restart_are_an_alarm_after_it_and_only_once() {
     let rig = Rig::new();
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
-    for throw_no in [1, 5] {
-        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
-    }
+    let logger = daemon.logger(KEY).await;
+    logger.send([1, 5].map(|number| stub("boot", number))).await;
     rig.judged(2).await;
     assert!(daemon.terminate().success());
-    drop((publisher, session));
+    logger.close().await;
     // The minute for late throws passes while the daemon is down.
     rig.change("UPDATE gap SET detected_at_us = detected_at_us - 61000000").await;
 
@@ -89,9 +86,8 @@ async fn throws_that_were_missing_before_a_restart_are_an_alarm_after_it_and_onl
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE cause = 'data_loss'").await;
     assert!(daemon.terminate().success());
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
-    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 6))).await.unwrap();
+    let logger = daemon.logger(KEY).await;
+    logger.send([&stub("boot", 6)]).await;
     rig.judged(3).await;
     assert!(daemon.terminate().success());
     let events = rig.sql("SELECT machine, event_no, text FROM alarm_events WHERE cause = 'data_loss'");
@@ -113,8 +109,7 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
         let question = "SELECT 1 AS n FROM active_alarms WHERE machine = 'c7' AND cause = 'data_loss'";
         rig.until_sql(question).await;
         for selector in [&["alarms", "cabinets/c7", "--json"][..], &["alarms", "--json"]] {
-            let (code, text) = daemon.operate(selector);
-            assert_eq!(code, Some(0), "{text}");
+            let text = daemon.says(0, selector);
             let lines: Vec<Alarm> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
             let [alarm] = &lines[..] else { panic!("{text}") };
             assert_eq!((alarm.machine.site.as_str(), alarm.machine.machine.as_str()), ("cabinets", "c7"));
@@ -125,8 +120,7 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
             );
         }
         if start == 0 {
-            let (code, text) = daemon.operate(&["ack", "cabinets/c7", "data_loss", "--by", "tester"]);
-            assert_eq!(code, Some(0), "{text}");
+            daemon.says(0, &["ack", "cabinets/c7", "data_loss", "--by", "tester"]);
         }
         assert!(daemon.terminate().success());
     }
@@ -145,9 +139,8 @@ async fn no_logger_speaks_in_the_name_of_the_daemon() {
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE machine = 'pointsd' AND cause = 'data_loss'").await;
     assert!(daemon.terminate().success());
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, "points/v1/fleet/pointsd/throw").await;
-    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
+    let logger = daemon.logger("points/v1/fleet/pointsd/throw").await;
+    logger.send([&stub("boot", 1)]).await;
     rig.until_sql("SELECT 1 AS n FROM quarantine WHERE reason LIKE '%the name of pointsd itself%'").await;
     assert!(daemon.terminate().success());
 }

@@ -12,16 +12,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pointsd::{
-    bus::Questions,
-    throw::ThrowRef,
-    wire::{Encoding, encode_throw},
-};
+use pointsd::{bus::Questions, throw::ThrowRef};
 use tokio::runtime::Handle;
 
 use crate::{
     http::{KEY, exchange_bytes, get, small_history},
-    rig::{PATIENCE, matched, throws},
+    rig::{PATIENCE, throws},
 };
 
 /// Resident memory of a process \[KiB\].
@@ -63,8 +59,7 @@ async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
     const CLIENTS: usize = 200;
     let (rig, daemon, address) = small_history().await;
     let before = resident_kib(daemon.id());
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
+    let logger = daemon.logger(KEY).await;
     let paths = ["/", "/machines/north/21B?span=all", "/machines/north/21B/throws/boot/2", "/metrics"];
     let readers: Vec<_> = (0..CLIENTS)
         .map(|client| {
@@ -73,9 +68,7 @@ async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
         })
         .collect();
     let made = throws("during", 40);
-    for throw in &made {
-        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
-    }
+    logger.send(&made).await;
     rig.judged(3 + made.len()).await;
     let mut busy = 0;
     for reader in readers {
@@ -104,9 +97,8 @@ async fn who_asks_slowly_or_without_end_is_cut_and_the_daemon_goes_on() {
         (0..100).map(slow).collect()
     };
     let mut slow = crowd();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
-    publisher.put(encode_throw(Encoding::Cbor, &throws("after", 1)[0])).await.unwrap();
+    let logger = daemon.logger(KEY).await;
+    logger.send([&throws("after", 1)[0]]).await;
     assert_eq!(rig.judged(4).await.last().unwrap().throw, ThrowRef { boot_id: "after".to_owned(), throw_no: 1 });
     // They make way at once, not when their time is over, and go on being replaced by others.
     for path in ["/healthz", "/"] {

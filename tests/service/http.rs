@@ -5,9 +5,7 @@ use std::{
     net::TcpStream,
 };
 
-use pointsd::wire::{Encoding, encode_throw};
-
-use crate::rig::{Daemon, PATIENCE, Rig, matched, stub, throws};
+use crate::rig::{Daemon, PATIENCE, Rig, stub, throws};
 
 pub(crate) const KEY: &str = "points/v1/north/21B/throw";
 pub(crate) const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
@@ -23,6 +21,14 @@ pub(crate) struct Answer {
 }
 
 impl Answer {
+    /// Sends a request and parses the response.
+    pub(crate) fn to(address: &str, request: &str) -> Self {
+        let text = exchange(address, request);
+        let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{request}: {text:?}"));
+        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+        Self { status, head: head.to_owned(), body: body.to_owned() }
+    }
+
     pub(crate) fn header(&self, name: &str) -> Option<&str> {
         self.head.lines().find_map(|line| {
             let (key, value) = line.split_once(':')?;
@@ -54,10 +60,7 @@ pub(crate) fn exchange_bytes(address: &str, request: &[u8]) -> Vec<u8> {
 }
 
 pub(crate) fn ask(address: &str, method: &str, path: &str, host: &str) -> Answer {
-    let text = exchange(address, &format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"));
-    let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{method} {path}: {text:?}"));
-    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-    Answer { status, head: head.to_owned(), body: body.to_owned() }
+    Answer::to(address, &format!("{method} {path} HTTP/1.1\r\nHost: {host}\r\n\r\n"))
 }
 
 pub(crate) fn get(address: &str, path: &str) -> Answer {
@@ -71,11 +74,8 @@ pub(crate) async fn small_history() -> (Rig, Daemon, String) {
 
 pub(crate) async fn history_in(rig: Rig) -> (Rig, Daemon, String) {
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
-    for throw in throws("boot", 2).iter().chain([&stub(HOSTILE, 1)]) {
-        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
-    }
+    let logger = daemon.logger(KEY).await;
+    logger.send(throws("boot", 2).iter().chain([&stub(HOSTILE, 1)])).await;
     rig.judged(3).await;
     let address = address(&daemon);
     (rig, daemon, address)

@@ -35,25 +35,17 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     let alarm: Alarm = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
     assert_eq!((alarm.cause, alarm.event_no), (Cause::Kt, 1));
 
-    let (code, text) = daemon.operate(&["alarms", "--json"]);
-    assert_eq!(code, Some(0), "{text}");
+    let text = daemon.says(0, &["alarms", "--json"]);
     let open: Alarm = serde_json::from_str(text.lines().next().unwrap()).unwrap();
     assert_eq!(open.alarm_id, alarm.alarm_id);
 
-    let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "tester"]);
-    assert_eq!(code, Some(0), "{text}");
-    let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "another"]);
-    assert_eq!(code, Some(1), "{text}");
+    daemon.says(0, &["ack", "north/machine-1", "kt", "--by", "tester"]);
+    let text = daemon.says(1, &["ack", "north/machine-1", "kt", "--by", "another"]);
     assert!(text.contains("tester"), "{text}");
-    let (code, text) = daemon.operate(&["ack", "north/machine-2", "kt", "--by", "tester"]);
-    assert_eq!(code, Some(1), "{text}");
-    let (code, text) =
-        daemon.operate(&["shelve", "north/machine-1", "kt", "--for", "8h", "--why", "at work", "--by", "tester"]);
-    assert_eq!(code, Some(0), "{text}");
-    let (code, text) = daemon.operate(&["rebaseline", "north/machine-1", "--why", "new motor", "--by", "tester"]);
-    assert_eq!(code, Some(0), "{text}");
-    let (code, text) = daemon.operate(&["alarms", "--limit", "100", "--json"]);
-    assert_eq!(code, Some(0), "{text}");
+    daemon.says(1, &["ack", "north/machine-2", "kt", "--by", "tester"]);
+    daemon.says(0, &["shelve", "north/machine-1", "kt", "--for", "8h", "--why", "at work", "--by", "tester"]);
+    daemon.says(0, &["rebaseline", "north/machine-1", "--why", "new motor", "--by", "tester"]);
+    let text = daemon.says(0, &["alarms", "--limit", "100", "--json"]);
     let states: Vec<String> = text
         .lines()
         .map(|line| serde_json::from_str::<Alarm>(line).unwrap())
@@ -71,8 +63,7 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     assert_eq!(of("why"), ["-", "at work", "new motor"]);
     assert_eq!(of("by_whom"), ["tester"; 3]);
 
-    let (code, text) = daemon.operate(&["status", "--json"]);
-    assert_eq!(code, Some(0), "{text}");
+    let text = daemon.says(0, &["status", "--json"]);
     let status: serde_json::Value = serde_json::from_str(&text).unwrap();
     assert_eq!(status["daemons"][0]["stored"], 100);
     assert_eq!(status["health"].as_array().unwrap().len(), 4, "two machines, two directions");
@@ -84,8 +75,7 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
 
 /// A machine in maintenance is visible in `status` and its exit code, in health and in SQL, and its window has an end.
 fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
-    let (code, text) = daemon.operate(&["maintenance", "north/machine-2", "--why", "new chairs", "--by", "tester"]);
-    assert_eq!(code, Some(0), "{text}");
+    daemon.says(0, &["maintenance", "north/machine-2", "--why", "new chairs", "--by", "tester"]);
     let (code, text) = daemon.operate(&["status", "--json"]);
     assert_eq!(code, Some(1), "a machine in maintenance needs attention: {text}");
     let status: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -183,15 +173,12 @@ async fn without_a_daemon_operators_are_told_so() {
 async fn a_machine_that_no_daemon_serves_is_told_apart_from_no_daemon() {
     let rig = Rig::with("[subscribe]\nkey = \"points/v1/south/**\"\n");
     let daemon = rig.start();
-    let (code, said) = daemon.operate(&["ack", "north/21B", "kt", "--by", "tester"]);
-    assert_eq!(code, Some(69), "{said}");
+    let said = daemon.says(69, &["ack", "north/21B", "kt", "--by", "tester"]);
     assert!(said.contains("no daemon serves north/21B"), "{said}");
-    let (code, said) = daemon.operate(&["ack", "south/21B", "kt", "--by", "tester"]);
-    assert_eq!(code, Some(1), "{said}");
+    let said = daemon.says(1, &["ack", "south/21B", "kt", "--by", "tester"]);
     assert!(said.contains("no machine south/21B is known here"), "{said}");
     // No reply is an error, not an empty list.
-    let (code, said) = daemon.operate(&["alarms", "north/21B"]);
-    assert_eq!(code, Some(69), "{said}");
+    let said = daemon.says(69, &["alarms", "north/21B"]);
     assert!(said.contains("no daemon knows north/21B"), "{said}");
     assert!(daemon.terminate().success());
 }
@@ -221,8 +208,7 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
             }
         }
     });
-    let (code, said) = daemon.operate(&["status"]);
-    assert_eq!(code, Some(1), "{said}");
+    let said = daemon.says(1, &["status"]);
     assert!(said.contains("fleet/pointsd: version"), "{said}");
     assert!(said.contains("unreadable reply of points/v1/east/monitor/other/status"), "{said}");
     assert!(said.contains("no answer of a daemon: the database does not answer"), "{said}");
@@ -274,8 +260,7 @@ async fn the_newest_events_of_several_daemons_are_in_order_and_selected_before_t
         (&["--limit", "2"], &["11", "12"]),
         (&["--limit", "1", "--severity", "critical"], &["10"]),
     ] {
-        let (code, text) = daemon.operate(&[&["alarms", "--json"], arguments].concat());
-        assert_eq!(code, Some(0), "{text}");
+        let text = daemon.says(0, &[&["alarms", "--json"], arguments].concat());
         let shown: Vec<&str> = text.lines().map(|line| line.split("T1").nth(1).unwrap()).collect();
         let expected: Vec<&str> = hours.iter().map(|hour| &hour[1..]).collect();
         assert_eq!(shown.iter().map(|line| &line[..1]).collect::<Vec<_>>(), expected, "{arguments:?}: {text}");
@@ -444,12 +429,10 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
     watch.kill().unwrap();
     watch.wait().unwrap();
     assert_eq!(&start, b"\x1b[H\x1b[2J", "--watch clears the terminal");
-    let (code, text) = daemon.operate(&["alarms", "--check"]);
-    assert_eq!(code, Some(1), "{text}");
+    let text = daemon.says(1, &["alarms", "--check"]);
     assert!(text.contains("now -") && text.contains("(95 %)") && text.contains("not acknowledged"), "{text}");
     let arguments = ["shelve", "north/machine-1", "motor", "--for", "3d", "--why", "parts ordered", "--by", "tester"];
-    let (code, text) = daemon.operate(&arguments);
-    assert_eq!(code, Some(0), "{text}");
+    let text = daemon.says(0, &arguments);
     assert!(text.starts_with("fleet/a: the motor alarm of north/machine-1 is shelved until "), "{text}");
     assert!(text.trim_end().ends_with("by tester: parts ordered"), "{text}");
     for command in ["alarms", "status"] {

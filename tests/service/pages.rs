@@ -2,12 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use pointsd::wire::{Encoding, encode_throw};
-
 use crate::{
     http::{self, address, check_nesting, exchange, exchange_bytes, get, small_history},
     questions::large,
-    rig::{Rig, matched, pointsd, throws},
+    rig::{Rig, pointsd, throws},
 };
 
 /// Limit of a page or view. The README gives 100 ms for a release build on a computer without other work.
@@ -44,11 +42,8 @@ async fn times_of_pages_and_views() {
     let began = Instant::now();
     let daemon = rig.start();
     let start = began.elapsed();
-    let session = daemon.client().await;
-    let publisher = matched(&session, "points/v1/north/21B/throw").await;
-    for throw in throws("boot", 2) {
-        publisher.put(encode_throw(Encoding::Cbor, &throw)).await.unwrap();
-    }
+    let logger = daemon.logger("points/v1/north/21B/throw").await;
+    logger.send(throws("boot", 2)).await;
     rig.until_sql("SELECT 1 AS n FROM health_history WHERE machine = '21B' AND throw_no = 2").await;
     for statement in COMPLETE {
         rig.change(statement).await;

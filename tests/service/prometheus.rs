@@ -11,12 +11,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use pointsd::wire::{Encoding, encode_throw};
-
 use crate::{
     http::{address, exchange, get},
     operators::daemon_with_alarm,
-    rig::{PATIENCE, matched, stub},
+    rig::{PATIENCE, stub},
 };
 
 const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/grafana");
@@ -42,9 +40,8 @@ fn names(text: &str) -> BTreeSet<String> {
 async fn promtool_accepts_the_metrics_and_dashboards_and_rules_name_existing_ones() {
     let (rig, daemon) = daemon_with_alarm("a", WEB);
     // Some families have samples only after a rejected throw, or with a forecast.
-    let session = daemon.client().await;
-    let publisher = matched(&session, "points/v1/north/21B/throw").await;
-    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
+    let logger = daemon.logger("points/v1/north/21B/throw").await;
+    logger.send([&stub("boot", 1)]).await;
     daemon.until_status("rejected throw", |status| status["judged"] == 51).await;
     rig.change(
         "UPDATE monitor SET drifts = json_set(drifts, '$[0].limit_in_throws', json('{\"low\":1,\"mid\":2,\"high\":3}'))

@@ -3,6 +3,7 @@
 #![allow(dead_code, reason = "shared by test targets, each of which needs some of it")]
 
 use std::{
+    borrow::Borrow,
     ffi::OsString,
     fs,
     io::{BufRead, BufReader},
@@ -20,6 +21,7 @@ use pointsd::{
     simulate::{Fleet, FleetSettings},
     store::{Reader, Selector},
     throw::{Throw, ThrowRef, Trace},
+    wire::{self, encode_throw},
 };
 use zenoh::{Session, bytes::Encoding, qos::CongestionControl};
 
@@ -287,6 +289,13 @@ impl Daemon {
         client_of(&self.endpoint).await
     }
 
+    /// A logger that publishes on this key.
+    pub(crate) async fn logger(&self, key: &str) -> Sender {
+        let session = self.client().await;
+        let publisher = matched(&session, key).await;
+        Sender { session, publisher }
+    }
+
     /// The output of `pointsd status --json`.
     pub(crate) fn status(&self) -> serde_json::Value {
         // The exit code may report alarms, so it is ignored.
@@ -306,6 +315,14 @@ impl Daemon {
             assert!(Instant::now() < deadline, "no {what}: {status}; {:?}", self.log());
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
+    }
+
+    /// Runs an operator's command, which ends with this exit code; returns what it printed.
+    #[track_caller]
+    pub(crate) fn says(&self, exit: i32, arguments: &[&str]) -> String {
+        let (code, text) = self.operate(arguments);
+        assert_eq!(code, Some(exit), "{arguments:?}: {text}");
+        text
     }
 
     /// Runs an operator's command; returns its exit code and what it printed.
@@ -368,16 +385,8 @@ pub(crate) fn throws_of(fleet: &FleetSettings, boot_id: &str, count: u64) -> Vec
     let first: jiff::Timestamp = "2026-05-04T10:00:00Z".parse().unwrap();
     (1..=count)
         .map(|throw_no| {
-            let simulated = machine.next_throw().unwrap();
-            Throw {
-                id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
-                started_at: first + jiff::SignedDuration::from_mins(10 * throw_no.cast_signed()),
-                direction: Some(simulated.direction),
-                trace: simulated.trace,
-                temperature_c: Some(simulated.temperature_c),
-                supply_v: None,
-                anti_alias_hz: simulated.anti_alias_hz,
-            }
+            let at = first + jiff::SignedDuration::from_mins(10 * throw_no.cast_signed());
+            Throw { supply_v: None, ..machine.next_throw().unwrap().into_throw(boot_id, at) }
         })
         .collect()
 }
@@ -387,11 +396,28 @@ pub(crate) fn stub(boot_id: &str, throw_no: u64) -> Throw {
     Throw {
         id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
         started_at: "2026-05-04T10:00:00Z".parse().unwrap(),
-        direction: None,
-        trace: Trace::new(100.0, vec![0.0; 20], vec![0.0; 20]).unwrap(),
-        temperature_c: None,
-        supply_v: None,
-        anti_alias_hz: None,
+        ..Throw::recorded(Trace::new(100.0, vec![0.0; 20], vec![0.0; 20]).unwrap())
+    }
+}
+
+/// A connected logger of one machine, with its own session.
+pub(crate) struct Sender {
+    session: Session,
+    publisher: zenoh::pubsub::Publisher<'static>,
+}
+
+impl Sender {
+    /// Publishes throws in CBOR.
+    pub(crate) async fn send(&self, throws: impl IntoIterator<Item: Borrow<Throw>>) {
+        for throw in throws {
+            self.publisher.put(encode_throw(wire::Encoding::Cbor, throw.borrow())).await.unwrap();
+        }
+    }
+
+    /// Ends the session, when everything is sent.
+    pub(crate) async fn close(self) {
+        drop(self.publisher);
+        self.session.close().await.unwrap();
     }
 }
 

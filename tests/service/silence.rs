@@ -6,12 +6,11 @@ use std::{fs, os::unix::fs::FileExt, time::Instant};
 use pointsd::{
     simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
     throw::Throw,
-    wire::{Encoding, encode_throw},
 };
 
 use crate::{
-    http::{address, get},
-    rig::{Daemon, PATIENCE, Rig, matched, throws_of},
+    http::{KEY, address, get},
+    rig::{Daemon, PATIENCE, Rig, throws_of},
 };
 
 /// Healthy throws for the baseline.
@@ -140,11 +139,14 @@ async fn show(row: &'static Row) {
     let (sound, weak) = all.split_at(HEALTHY);
     let rig = Rig::with(CONFIG);
     let daemon = rig.start();
-    let session = send(&daemon, sound).await;
+    let logger = daemon.logger(KEY).await;
+    logger.send(sound).await;
     rig.judged(HEALTHY).await;
-    drop(session);
+    drop(logger);
     let daemon = befall(&rig, daemon, row.before);
-    let _session = send(&daemon, &(row.disguise)(sound, weak)).await;
+    // Lives until the throws are judged: when its session closes, its queue may still hold some.
+    let logger = daemon.logger(KEY).await;
+    logger.send((row.disguise)(sound, weak)).await;
     rig.judged(HEALTHY + WITHIN).await;
 
     let web = address(&daemon);
@@ -160,23 +162,11 @@ async fn show(row: &'static Row) {
     assert!(daemon.terminate().success(), "{}", row.name);
 }
 
-/// Publishes throws. The session must live until they are judged: when it closes, its queue may still hold some.
-async fn send(daemon: &Daemon, throws: &[Throw]) -> zenoh::Session {
-    let session = daemon.client().await;
-    let publisher = matched(&session, "points/v1/north/21B/throw").await;
-    for throw in throws {
-        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
-    }
-    drop(publisher);
-    session
-}
-
 fn befall(rig: &Rig, daemon: Daemon, before: Before) -> Daemon {
     match before {
         Before::Nothing => {}
         Before::Maintenance => {
-            let (code, said) = daemon.operate(&["maintenance", "north/21B", "--why", "new chairs", "--by", "tester"]);
-            assert_eq!(code, Some(0), "{said}");
+            daemon.says(0, &["maintenance", "north/21B", "--why", "new chairs", "--by", "tester"]);
         }
         Before::BrokenPage => {
             assert!(daemon.terminate().success());

@@ -26,13 +26,10 @@ const KEY: &str = "points/v1/north/21B/throw";
 async fn the_same_throw_three_times_is_one_row() {
     let rig = Rig::new();
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
+    let logger = daemon.logger(KEY).await;
     let made = throws("boot", 3);
     for throw in &made {
-        for _ in 0..3 {
-            publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
-        }
+        logger.send([throw; 3]).await;
     }
     let rows = rig.judged(3).await;
     assert!(daemon.terminate().success());
@@ -47,17 +44,13 @@ async fn the_same_throw_three_times_is_one_row() {
 async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
     let rig = Rig::new();
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
+    let logger = daemon.logger(KEY).await;
     let made = throws("boot", 60);
-    for throw in &made {
-        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
-    }
+    logger.send(&made).await;
     // The daemon's status shows that it received all.
     let received = async {
         loop {
-            let (code, text) = daemon.operate(&["status", "--json"]);
-            assert_eq!(code, Some(0), "{text}");
+            let text = daemon.says(0, &["status", "--json"]);
             let status: serde_json::Value = serde_json::from_str(&text).unwrap();
             if status["daemons"][0]["received"] == made.len() {
                 return;
@@ -80,22 +73,16 @@ async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
 async fn a_killed_daemon_goes_on_where_it_was() {
     let rig = Rig::new();
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
+    let logger = daemon.logger(KEY).await;
     let made = throws("boot", 12);
-    for throw in &made[..6] {
-        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
-    }
+    logger.send(&made[..6]).await;
     rig.judged(6).await;
     daemon.kill();
-    drop((publisher, session));
+    logger.close().await;
 
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
-    for throw in &made {
-        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
-    }
+    let logger = daemon.logger(KEY).await;
+    logger.send(&made).await;
     rig.judged(12).await;
     assert!(daemon.terminate().success());
     let rows = rig.history().await;
@@ -156,10 +143,9 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
 async fn a_locked_database_sends_no_valid_throw_to_quarantine() {
     let rig = Rig::new();
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
+    let logger = daemon.logger(KEY).await;
     let mut other = rig.locked("BEGIN IMMEDIATE").await;
-    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
+    logger.send([&stub("boot", 1)]).await;
     daemon.until_log("storing throws failed");
     // Each write of the daemon takes two busy timeouts of 5 s. The lock outlasts the attempts to store the throw with others
     // and alone, among writes of other loops.
@@ -202,11 +188,8 @@ async fn a_flood_from_one_sender_leaves_room_for_the_throws_of_others() {
 async fn a_missing_throw_number_is_a_gap() {
     let rig = Rig::new();
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
-    for throw_no in [1, 2, 5, 6] {
-        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
-    }
+    let logger = daemon.logger(KEY).await;
+    logger.send([1, 2, 5, 6].map(|number| stub("boot", number))).await;
     rig.judged(4).await;
     assert!(daemon.terminate().success());
     let gaps = rig.sql("SELECT first_throw_no, last_throw_no, missing_throws FROM data_gaps WHERE kind = 'missed'");
@@ -226,11 +209,8 @@ fn weakened(count: u64, from_throw: u64, ramp: Option<u64>) -> Vec<Throw> {
 
 /// Publishes throws, and waits until each is judged.
 async fn send(rig: &Rig, daemon: &Daemon, throws: &[Throw]) {
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
-    for throw in throws {
-        publisher.put(encode_throw(Encoding::Cbor, throw)).await.unwrap();
-    }
+    let logger = daemon.logger(KEY).await;
+    logger.send(throws).await;
     rig.judged(throws.len()).await;
 }
 
@@ -326,11 +306,8 @@ async fn no_health_is_lost_without_a_count() {
         count.fetch_add(1, Relaxed);
     };
     let _subscriber = slow.declare_subscriber("points/v1/**/health").callback(on_health).await.unwrap();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
-    for throw_no in 1..=THROWS {
-        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
-    }
+    let logger = daemon.logger(KEY).await;
+    logger.send((1..=THROWS).map(|number| stub("boot", number))).await;
     daemon.until_status("judged throws", |status| status["judged"] == THROWS).await;
     let all = async {
         while received.load(Relaxed) + daemon.status()["unpublished"].as_u64().unwrap() < THROWS {

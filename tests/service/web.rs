@@ -272,10 +272,7 @@ fn post(address: &str, headers: &str, form: &str) -> Answer {
         "POST /machines/north/21B/command HTTP/1.1\r\nHost: {address}\r\nContent-Length: {}\r\n{headers}\r\n{form}",
         form.len()
     );
-    let text = exchange(address, &request);
-    let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("{form}: {text:?}"));
-    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-    Answer { status, head: head.to_owned(), body: body.to_owned() }
+    Answer::to(address, &request)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -158,8 +158,7 @@ fn an_alarm_waits_for_its_receiver_and_is_sent_until_it_is_accepted() {
         numbers.push(server.next().body["event_no"].as_i64().unwrap());
     }
     assert!(numbers.is_sorted_by(|one, next| one < next), "{numbers:?}");
-    let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
-    assert_eq!(code, Some(0), "{text}");
+    daemon.says(0, &["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
     assert_eq!(server.next().body["state"], "active_acknowledged");
     assert!(!daemon.log().iter().any(|line| line.contains("secret")), "the secret is not in the log");
     assert!(daemon.terminate().success());
@@ -187,8 +186,7 @@ fn a_receiver_may_be_slow_and_is_asked_again_after_ten_seconds() {
     let seconds = |from: Instant, to: Instant| to.duration_since(from).as_secs_f64();
     let waits = [seconds(first.1, second.1), seconds(second.1, third.1) - SLOW_FOR.as_secs_f64()];
     assert!(waits[0] > 10.0 && waits[0] < 16.0 && waits[1] > 11.0 && waits[1] < 18.0, "{waits:?}");
-    let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
-    assert_eq!(code, Some(0), "{text}");
+    daemon.says(0, &["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
     while server.next().body["state"] != "active_acknowledged" {}
     thread::sleep(Duration::from_secs(32).saturating_sub(began.elapsed()));
     assert_eq!((&daemon.status()["silent"], &idle.status()["silent"]), (&json!([]), &json!([])));
@@ -212,8 +210,7 @@ fn a_killed_daemon_sends_after_its_start_what_was_not_accepted() {
     // Without a webhook nothing is kept for it.
     let rig = Rig::with("").moved_to(rig.folder());
     let daemon = rig.start();
-    let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
-    assert_eq!(code, Some(0), "{text}");
+    daemon.says(0, &["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
     assert_eq!(pending(&rig), 0);
     assert!(daemon.terminate().success());
 }

@@ -36,10 +36,8 @@ pub(crate) fn throw(boot_id: &str, throw_no: u64) -> Throw {
         id: ThrowRef { boot_id: boot_id.to_owned(), throw_no },
         started_at: at(60 * i64::try_from(throw_no).unwrap()),
         direction: Some(Direction::NormalToReverse),
-        trace: Trace::new(1000.0, wave(0.01), wave(0.003)).unwrap(),
         temperature_c: Some(12.5),
-        supply_v: None,
-        anti_alias_hz: None,
+        ..Throw::recorded(Trace::new(1000.0, wave(0.01), wave(0.003)).unwrap())
     }
 }
 

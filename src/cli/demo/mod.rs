@@ -1,12 +1,11 @@
 //! `pointsd demo`: daemon, simulated fleet, database and dashboard in one process.
 
-mod injected;
 mod outcome;
 mod screen;
 
 use std::{fs, net::Ipv4Addr, path::PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use jiff::SignedDuration;
 use tokio::sync::broadcast::error::RecvError;
 
@@ -23,10 +22,10 @@ use crate::{
         config::{Config, Document, client_session},
     },
     logger::{Logger, LoggerSettings},
-    simulate::{Fault, FleetFault, FleetSettings, Shape},
+    simulate::{FleetFault, FleetSettings},
     web::{self, Listening},
 };
-use injected::{Injected, MACHINES};
+use outcome::MACHINES;
 use screen::Screen;
 
 /// Throws of each machine: 50 in each direction for the baseline, and 50 in each direction with the faults.
@@ -124,13 +123,13 @@ async fn demo(arguments: &Arguments) -> Outcome {
         output::line("With --keep the daemon, the dashboard and the database stay.")?;
     }
     drop(logger);
-    session.close().await.map_err(|error| Failure { exit: Exit::Unavailable, error: anyhow::anyhow!(error) })?;
+    session.close().await.map_err(|error| Failure::new(Exit::Unavailable, anyhow!(error)))?;
     daemon.stop().await.or_exit(Exit::Io)?;
     Ok(if right { Exit::Ok } else { Exit::Negative })
 }
 
 fn died(TaskEnded(task): TaskEnded) -> Failure {
-    Failure { exit: Exit::Software, error: anyhow::anyhow!("{task} ended unexpectedly") }
+    Failure::new(Exit::Software, anyhow!("{task} ended unexpectedly"))
 }
 
 /// The folder of the demo; a temporary one is removed when this is dropped, unless --keep is given.
@@ -151,8 +150,8 @@ impl Folder {
             .or_exit(Exit::CannotCreate)?;
         let folder = Self { path, is_kept: arguments.keep || arguments.folder.is_some() };
         if folder.database().exists() {
-            let error = anyhow::anyhow!("{} exists already: name another folder", folder.database().display());
-            return Err(Failure { exit: Exit::CannotCreate, error });
+            let error = anyhow!("{} exists already: name another folder", folder.database().display());
+            return Err(Failure::new(Exit::CannotCreate, error));
         }
         Ok(folder)
     }
@@ -201,10 +200,6 @@ fn logger_settings(seed: u64) -> LoggerSettings {
 }
 
 fn fleet() -> FleetSettings {
-    let faults = MACHINES.iter().enumerate().filter_map(|(machine, injected)| {
-        let Injected { part, size_pct, from_throw, ramp_throws } = (*injected)?;
-        let shape = ramp_throws.map_or(Shape::Step, |throws| Shape::Ramp { throws });
-        Some(FleetFault { machine, fault: Fault { part, shape, size_pct, from_throw } })
-    });
+    let faults = (0..).zip(MACHINES).filter_map(|(machine, fault)| Some(FleetFault { machine, fault: fault? }));
     FleetSettings { machines: MACHINES.len(), faults: faults.collect(), ..FleetSettings::default() }
 }

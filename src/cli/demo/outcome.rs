@@ -5,12 +5,10 @@ use std::{path::Path, time::Duration};
 use comfy_table::{CellAlignment, Table, presets::UTF8_FULL_CONDENSED};
 use jiff::Timestamp;
 
-use super::{
-    super::output,
-    injected::{Injected, MACHINES},
-};
+use super::super::output;
 use crate::{
     diagnose::{Cause, Drifting},
+    simulate::{Fault, Part, Shape},
     store::{Reader, Selector, StoreError},
     throw::MachineId,
     wire::Alarm,
@@ -19,10 +17,19 @@ use crate::{
 /// Row limit, above the number of events that the demo can raise.
 const EVENTS: u32 = 10_000;
 
+/// The injected faults: one machine for each cause, and a healthy one.
+pub(super) const MACHINES: [Option<Fault>; 5] = [
+    Some(Fault { part: Part::Kt, shape: Shape::Step, size_pct: -20.0, from_throw: 120 }),
+    Some(Fault { part: Part::Friction, shape: Shape::Ramp { throws: 40 }, size_pct: 45.0, from_throw: 110 }),
+    Some(Fault { part: Part::Stiffness, shape: Shape::Step, size_pct: 30.0, from_throw: 130 }),
+    Some(Fault { part: Part::Inertia, shape: Shape::Ramp { throws: 30 }, size_pct: 20.0, from_throw: 115 }),
+    None,
+];
+
 /// A machine of the demo with its fault and its alarms.
 pub(super) struct Row {
     machine: MachineId,
-    injected: Option<Injected>,
+    injected: Option<Fault>,
     /// The first event of each alarm.
     alarms: Vec<Alarm>,
     /// The present drift.

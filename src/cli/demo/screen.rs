@@ -2,7 +2,7 @@
 
 use std::io::IsTerminal;
 
-use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar};
 
 use super::output;
 use crate::{
@@ -35,11 +35,10 @@ impl Screen {
     pub(super) fn new(machines: usize, throws: u64) -> Self {
         let terminal = std::io::stdout().is_terminal();
         let bars = MultiProgress::new();
-        let style = ProgressStyle::with_template("  {prefix:<12} {bar:30.cyan/blue} {pos:>4} throws  {wide_msg}");
-        let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+        let template = "  {prefix:<12} {bar:30.cyan/blue} {pos:>4} throws  {wide_msg}";
         let line = |_| {
-            let bar = if terminal { bars.add(ProgressBar::new(throws)) } else { ProgressBar::hidden() };
-            bar.set_style(style.clone());
+            let bar = output::progress(throws, template);
+            let bar = if terminal { bars.add(bar) } else { ProgressBar::hidden() };
             Line { bar, throws: 0, baseline: [(0, 1); 2], learned: false }
         };
         let machines = (0..machines).map(line).collect();

@@ -7,11 +7,8 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 
 use super::finding::{Finding, Row};
-use super::trial::Bench;
-use crate::estimate::{
-    Hold, Noise,
-    sriv::{Problem, Signal, Sriv, Workspace},
-};
+use super::trial::{Bench, fit};
+use crate::estimate::{Hold, sriv::Signal};
 use crate::simulate::{Coefficients, Parameters};
 use crate::throw::OutOfRange;
 
@@ -65,7 +62,10 @@ pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, O
         let noise = noise_um / 1000.0 * plant.radians_per_mm();
         for _ in 0..throws {
             let (current, position) = plant.throw(current, noise, load_pct / 100.0, bench);
-            identify(&mut row, &plant.known, &current, &position, noise);
+            // The current is constant between two samples.
+            let inputs = [Signal::Sampled(&current, Hold::Zero)];
+            let variances = [CURRENT_NOISE_A.powi(2), noise * noise];
+            fit::<1, 3>(&mut row, inputs, INTERVAL_S, &position, variances, plant.known.values());
         }
         row.finish();
         rows.push(row);
@@ -148,21 +148,4 @@ impl Controller {
         }
         asked.clamp(-MAX_CURRENT_A, MAX_CURRENT_A)
     }
-}
-
-fn identify(row: &mut Row, known: &Coefficients, current: &[f64], position: &[f64], noise: f64) {
-    let Ok(model) = Sriv::<2, 1, 3>::new([0]) else { return };
-    // The current is constant between two samples.
-    let inputs = [Signal::Sampled(current, Hold::Zero)];
-    let problem = Problem { interval_s: INTERVAL_S, output: position, inputs, equilibrium: None };
-    let mut workspace = Workspace::default();
-    let solved = model.identify(&problem, &mut workspace).ok().filter(|solution| solution.sound(0.0).is_ok());
-    let Some(solution) = solved else {
-        row.refusal = Some("not_converged".to_owned());
-        return;
-    };
-    let variances = Noise { output: noise * noise, inputs: [CURRENT_NOISE_A.powi(2)], scale: None, offsets: [0.0; 2] };
-    let covariance = model.covariance(&problem, &solution, &variances, &workspace);
-    let sd = std::array::from_fn(|at| covariance[at][at].sqrt());
-    row.add(solution.parameters, sd, [known.b0, known.a1, known.a0]);
 }

@@ -186,8 +186,7 @@ pub(super) fn converters(bench: &mut Bench, throws: usize) -> Result<Finding, Ou
 
 /// Effect of temperature on a healthy machine.
 pub(super) fn temperature(bench: &mut Bench) -> Result<Finding, OutOfRange> {
-    let at_20 = Parameters::default().coefficients()?;
-    let reference = Some([at_20.b0, at_20.a1, at_20.a0]);
+    let reference = Some(Parameters::default().coefficients()?.values());
     let rows = [-20.0, 0.0, 10.0, 20.0, 30.0, 50.0]
         .map(|temperature_c| {
             let machine = Parameters::default();

@@ -1,11 +1,8 @@
 //! A constant load torque: its effect on the three coefficients, and as a fourth coefficient.
 
 use super::finding::{Finding, Row};
-use super::trial::{Bench, Trial, without_dry_friction};
-use crate::estimate::{
-    Hold, Noise,
-    sriv::{Problem, Signal, Sriv, Workspace},
-};
+use super::trial::{Bench, Trial, fit, without_dry_friction};
+use crate::estimate::{Hold, sriv::Signal};
 use crate::simulate::{Conditions, Parameters, Sensors};
 use crate::throw::{Direction, OutOfRange};
 
@@ -17,7 +14,7 @@ const TRIED_NM: f64 = 0.5;
 /// Effect of a constant load on the three coefficients.
 pub(super) fn torque(bench: &mut Bench) -> Result<Finding, OutOfRange> {
     let known = without_dry_friction().coefficients()?;
-    let reference = Some([known.b0, known.a1, known.a0]);
+    let reference = Some(known.values());
     let mut rows = Vec::new();
     for screw_dry_nm in LOADS_NM {
         let machine = Parameters { screw_dry_nm, ..without_dry_friction() };
@@ -51,7 +48,7 @@ pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Fin
         let input = Signal::Sampled(&trace.current_a()[..end], Hold::First);
         let variances = [sensors.current.noise.powi(2), (sensors.position.noise * radians_per_mm).powi(2)];
         let interval_s = trace.sample_rate_hz().recip();
-        fit::<1, 3>(&mut three, [input], interval_s, &output, variances, [known.b0, known.a1, known.a0]);
+        fit::<1, 3>(&mut three, [input], interval_s, &output, variances, known.values());
         let viscous = [known.b0, known.a1_viscous, known.a0];
         fit::<2, 4>(&mut four, [input, Signal::Constant], interval_s, &output, variances, viscous);
     }
@@ -65,27 +62,4 @@ pub(super) fn fourth_coefficient(bench: &mut Bench, throws: usize) -> Result<Fin
         label: "estimated",
         rows: vec![three, four],
     })
-}
-
-fn fit<const S: usize, const P: usize>(
-    row: &mut Row,
-    inputs: [Signal; S],
-    interval_s: f64,
-    output: &[f64],
-    [current, position]: [f64; 2],
-    truth: [f64; 3],
-) {
-    let Ok(model) = Sriv::<2, S, P>::new([0; S]) else { return };
-    let problem = Problem { interval_s, output, inputs, equilibrium: None };
-    let mut workspace = Workspace::default();
-    let solved = model.identify(&problem, &mut workspace).ok().filter(|solution| solution.sound(0.0).is_ok());
-    let Some(solution) = solved else {
-        row.refusal = Some("not_converged".to_owned());
-        return;
-    };
-    let measured = std::array::from_fn(|s| if s == 0 { current } else { 0.0 });
-    let noise = Noise { output: position, inputs: measured, scale: None, offsets: [0.0; 2] };
-    let covariance = model.covariance(&problem, &solution, &noise, &workspace);
-    let of = [0, P - 2, P - 1];
-    row.add(of.map(|at| solution.parameters[at]), of.map(|at| covariance[at][at].sqrt()), truth);
 }

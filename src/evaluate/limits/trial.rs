@@ -4,9 +4,12 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 
 use super::finding::Row;
-use crate::estimate::{Grade, Identifier, Settings};
+use crate::estimate::{
+    Grade, Identifier, Noise, Settings,
+    sriv::{Problem, Signal, Sriv, Workspace},
+};
 use crate::simulate::{Conditions, Parameters, Sensors};
-use crate::throw::{Direction, OutOfRange, Throw, ThrowRef};
+use crate::throw::{Direction, OutOfRange, Throw};
 
 /// The throws of one row.
 #[derive(Debug, Clone)]
@@ -60,7 +63,7 @@ impl Bench {
 
     pub(super) fn row(&mut self, label: impl Into<String>, trial: &Trial) -> Result<Row, OutOfRange> {
         let known = trial.machine.at_temperature(trial.temperature_c).coefficients()?;
-        let reference = trial.reference.unwrap_or([known.b0, known.a1, known.a0]);
+        let reference = trial.reference.unwrap_or(known.values());
         let noisy = trial.sensors.current.noise > 0.0 || trial.repeats > 1;
         let mut row = Row::new(label, 0, noisy);
         let cases = trial.directions.iter().flat_map(|way| (0..trial.phases).map(move |phase| (way, phase)));
@@ -71,15 +74,8 @@ impl Bench {
             let motion = trial.machine.simulate(*direction, &conditions, trial.sensors.step_s())?;
             for _ in 0..trial.repeats {
                 let trace = trial.sensors.record(&motion, *direction, &mut self.rng)?.trace;
-                let throw = Throw {
-                    id: ThrowRef { boot_id: "limits".to_owned(), throw_no: 1 },
-                    started_at: jiff::Timestamp::UNIX_EPOCH,
-                    direction: Some(*direction),
-                    trace,
-                    temperature_c: None,
-                    supply_v: None,
-                    anti_alias_hz: trial.declared_hz,
-                };
+                let throw =
+                    Throw { direction: Some(*direction), anti_alias_hz: trial.declared_hz, ..Throw::recorded(trace) };
                 row.throws += 1;
                 let found = self.identifier.identify(&throw, &trial.settings);
                 let quality = found.quality();
@@ -96,4 +92,29 @@ impl Bench {
         row.finish();
         Ok(row)
     }
+}
+
+/// Adds the estimate of one throw without start and end, from inputs of which the first is the current; `current` and
+/// `position` are the variances of the noise.
+pub(super) fn fit<const S: usize, const P: usize>(
+    row: &mut Row,
+    inputs: [Signal; S],
+    interval_s: f64,
+    output: &[f64],
+    [current, position]: [f64; 2],
+    truth: [f64; 3],
+) {
+    let Ok(model) = Sriv::<2, S, P>::new([0; S]) else { return };
+    let problem = Problem { interval_s, output, inputs, equilibrium: None };
+    let mut workspace = Workspace::default();
+    let solved = model.identify(&problem, &mut workspace).ok().filter(|solution| solution.sound(0.0).is_ok());
+    let Some(solution) = solved else {
+        row.refusal = Some("not_converged".to_owned());
+        return;
+    };
+    let measured = std::array::from_fn(|s| if s == 0 { current } else { 0.0 });
+    let noise = Noise { output: position, inputs: measured, scale: None, offsets: [0.0; 2] };
+    let covariance = model.covariance(&problem, &solution, &noise, &workspace);
+    let of = [0, P - 2, P - 1];
+    row.add(of.map(|at| solution.parameters[at]), of.map(|at| covariance[at][at].sqrt()), truth);
 }

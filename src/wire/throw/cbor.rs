@@ -12,6 +12,7 @@ use minicbor::{
 use super::{
     error::InvalidThrow,
     fields::{Fields, SCHEMA, Supply, UNKNOWN_DIRECTION},
+    json::{Channel, Count},
 };
 use crate::throw::{Direction, MAX_SAMPLES, Throw};
 
@@ -71,17 +72,17 @@ fn fields(decoder: &mut Decoder<'_>) -> Decoded<Fields> {
     let mut fields = Fields::default();
     while next_item(decoder, &mut left)? {
         match key(decoder)?.as_deref() {
-            Some("schema") => text(decoder, "schema", &mut fields.schema)?,
-            Some("boot_id") => text(decoder, "boot_id", &mut fields.boot_id)?,
-            Some("throw_no") => count(decoder, "throw_no", &mut fields.throw_no)?,
-            Some("started_at") => text(decoder, "started_at", &mut fields.started_at)?,
-            Some("direction") => text(decoder, "direction", &mut fields.direction)?,
-            Some("sample_rate_hz") => number(decoder, "sample_rate_hz", &mut fields.sample_rate_hz)?,
-            Some("current_a") => channel(decoder, "current_a", &mut fields.current_a)?,
-            Some("position_mm") => channel(decoder, "position_mm", &mut fields.position_mm)?,
-            Some("temperature_c") => number(decoder, "temperature_c", &mut fields.temperature_c)?,
-            Some("supply_v") => supply(decoder, &mut fields.supply_v)?,
-            Some("anti_alias_hz") => number(decoder, "anti_alias_hz", &mut fields.anti_alias_hz)?,
+            Some("schema") => set(decoder, "schema", &mut fields.schema, text)?,
+            Some("boot_id") => set(decoder, "boot_id", &mut fields.boot_id, text)?,
+            Some("throw_no") => set(decoder, "throw_no", &mut fields.throw_no, count)?,
+            Some("started_at") => set(decoder, "started_at", &mut fields.started_at, text)?,
+            Some("direction") => set(decoder, "direction", &mut fields.direction, text)?,
+            Some("sample_rate_hz") => set(decoder, "sample_rate_hz", &mut fields.sample_rate_hz, float)?,
+            Some("current_a") => set(decoder, "current_a", &mut fields.current_a, channel)?,
+            Some("position_mm") => set(decoder, "position_mm", &mut fields.position_mm, channel)?,
+            Some("temperature_c") => set(decoder, "temperature_c", &mut fields.temperature_c, float)?,
+            Some("supply_v") => set(decoder, "supply_v", &mut fields.supply_v, supply)?,
+            Some("anti_alias_hz") => set(decoder, "anti_alias_hz", &mut fields.anti_alias_hz, float)?,
             _ => skip(decoder, MAX_DEPTH)?,
         }
     }
@@ -128,47 +129,42 @@ fn joined_text(decoder: &mut Decoder<'_>) -> Decoded<String> {
     Ok(text)
 }
 
-fn once<T>(field: &'static str, slot: Option<&T>) -> Decoded<()> {
-    if slot.is_some() { Err(wrong(field, "given twice")) } else { Ok(()) }
-}
-
-fn text(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<String>) -> Decoded<()> {
-    once(field, slot.as_ref())?;
+/// Reads the value of a field; null and undefined leave it unset.
+fn set<T>(
+    decoder: &mut Decoder<'_>,
+    field: &'static str,
+    slot: &mut Option<T>,
+    read: impl FnOnce(&mut Decoder<'_>, &'static str) -> Decoded<T>,
+) -> Decoded<()> {
+    if slot.is_some() {
+        return Err(wrong(field, "given twice"));
+    }
     match decoder.datatype()? {
-        Type::String | Type::StringIndef => *slot = Some(joined_text(decoder)?),
         Type::Null | Type::Undefined => skip(decoder, 1)?,
-        other => return Err(wrong(field, format!("{other}, must be a text"))),
+        _ => *slot = Some(read(decoder, field)?),
     }
     Ok(())
 }
 
-fn count(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<u64>) -> Decoded<()> {
-    once(field, slot.as_ref())?;
+fn text(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<String> {
     match decoder.datatype()? {
-        Type::U8 | Type::U16 | Type::U32 | Type::U64 => *slot = Some(decoder.u64()?),
-        Type::Null | Type::Undefined => skip(decoder, 1)?,
-        other => return Err(wrong(field, format!("{other}, must be a whole number from 0"))),
+        Type::String | Type::StringIndef => joined_text(decoder),
+        other => Err(wrong(field, format!("{other}, must be a text"))),
     }
-    Ok(())
 }
 
-fn number(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<f64>) -> Decoded<()> {
-    once(field, slot.as_ref())?;
-    *slot = match float(decoder, field)? {
-        value if value.is_nan() => None,
-        value => Some(value),
-    };
-    Ok(())
+fn count(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Count> {
+    match decoder.datatype()? {
+        Type::U8 | Type::U16 | Type::U32 | Type::U64 => Ok(Count(decoder.u64()?)),
+        other => Err(wrong(field, format!("{other}, must be a whole number from 0"))),
+    }
 }
 
-fn supply(decoder: &mut Decoder<'_>, slot: &mut Option<Supply>) -> Decoded<()> {
-    const FIELD: &str = "supply_v";
-    once(FIELD, slot.as_ref())?;
-    *slot = match decoder.datatype()? {
-        Type::Tag | Type::Array | Type::ArrayIndef => Some(Supply::Samples(samples(decoder, FIELD)?)),
-        _ => Some(float(decoder, FIELD)?).filter(|value| !value.is_nan()).map(Supply::Number),
-    };
-    Ok(())
+fn supply(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Supply> {
+    match decoder.datatype()? {
+        Type::Tag | Type::Array | Type::ArrayIndef => channel(decoder, field).map(Supply::Samples),
+        _ => float(decoder, field).map(Supply::Number),
+    }
 }
 
 /// A number of any type; null and undefined are NaN.
@@ -186,24 +182,13 @@ fn float(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<f64> {
     }
 }
 
-fn channel(decoder: &mut Decoder<'_>, field: &'static str, slot: &mut Option<Vec<f64>>) -> Decoded<()> {
-    once(field, slot.as_ref())?;
-    *slot = match decoder.datatype()? {
-        Type::Null | Type::Undefined => {
-            skip(decoder, 1)?;
-            None
-        }
-        _ => Some(samples(decoder, field)?),
-    };
-    Ok(())
-}
-
-fn samples(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f64>> {
+fn channel(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Channel> {
     match decoder.datatype()? {
         Type::Tag => typed_array(decoder, field),
         Type::Array | Type::ArrayIndef => plain_array(decoder, field),
         other => Err(wrong(field, format!("{other}, must be an array or a typed array"))),
     }
+    .map(Channel)
 }
 
 fn plain_array(decoder: &mut Decoder<'_>, field: &'static str) -> Decoded<Vec<f64>> {

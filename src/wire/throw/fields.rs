@@ -1,8 +1,12 @@
-//! The fields of a throw message as decoded from CBOR or JSON, and their checks.
+//! The fields of a throw message in CBOR and JSON, and their checks.
 
 use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
 
-use super::error::InvalidThrow;
+use super::{
+    error::InvalidThrow,
+    json::{Channel, Count},
+};
 use crate::throw::{Direction, Throw, ThrowRef, Trace};
 
 /// Name and version of the message; no other is accepted.
@@ -14,26 +18,49 @@ pub const MAX_BOOT_ID_BYTES: usize = 128;
 /// Highest `throw_no`: the database stores a signed 64-bit integer.
 const MAX_THROW_NO: u64 = i64::MAX as u64;
 
-#[derive(Debug, Default)]
+/// The fields of a message; `None` for a missing one or null. As JSON, the message.
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(super) struct Fields {
     pub(super) schema: Option<String>,
     pub(super) boot_id: Option<String>,
-    pub(super) throw_no: Option<u64>,
+    pub(super) throw_no: Option<Count>,
     pub(super) started_at: Option<String>,
     pub(super) direction: Option<String>,
     pub(super) sample_rate_hz: Option<f64>,
-    pub(super) current_a: Option<Vec<f64>>,
-    pub(super) position_mm: Option<Vec<f64>>,
+    pub(super) current_a: Option<Channel>,
+    pub(super) position_mm: Option<Channel>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) temperature_c: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) supply_v: Option<Supply>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) anti_alias_hz: Option<f64>,
 }
 
 /// The supply voltage: a number, or a value for each sample of the current.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(untagged, expecting = "supply_v must be a number, or an array of numbers")]
 pub(super) enum Supply {
     Number(f64),
-    Samples(Vec<f64>),
+    Samples(Channel),
+}
+
+impl From<&Throw> for Fields {
+    fn from(throw: &Throw) -> Self {
+        Self {
+            schema: Some(SCHEMA.to_owned()),
+            boot_id: Some(throw.id.boot_id.clone()),
+            throw_no: Some(Count(throw.id.throw_no)),
+            started_at: Some(throw.started_at.to_string()),
+            direction: Some(throw.direction.map_or(UNKNOWN_DIRECTION, Direction::as_str).to_owned()),
+            sample_rate_hz: Some(throw.trace.sample_rate_hz()),
+            current_a: Some(Channel(throw.trace.current_a().to_vec())),
+            position_mm: Some(Channel(throw.trace.position_mm().to_vec())),
+            temperature_c: throw.temperature_c,
+            supply_v: throw.supply_v.map(Supply::Number),
+            anti_alias_hz: throw.anti_alias_hz,
+        }
+    }
 }
 
 impl Fields {
@@ -44,11 +71,11 @@ impl Fields {
         }
         let id = ThrowRef {
             boot_id: boot_id(required("boot_id", self.boot_id)?)?,
-            throw_no: throw_no(required("throw_no", self.throw_no)?)?,
+            throw_no: throw_no(required("throw_no", self.throw_no)?.0)?,
         };
-        let current_a = required("current_a", self.current_a)?;
+        let Channel(current_a) = required("current_a", self.current_a)?;
         // A logger without a toe sensor may leave the channel out.
-        let position_mm = self.position_mm.unwrap_or_else(|| vec![f64::NAN; current_a.len()]);
+        let position_mm = self.position_mm.map_or_else(|| vec![f64::NAN; current_a.len()], |channel| channel.0);
         let supply_v = self.supply_v.map(|supply| supply_v(supply, &current_a)).transpose()?;
         let trace = Trace::new(required("sample_rate_hz", self.sample_rate_hz)?, current_a, position_mm)?;
         Ok(Throw {
@@ -82,7 +109,7 @@ fn quote(text: &str) -> String {
 fn supply_v(supply: Supply, current_a: &[f64]) -> Result<f64, InvalidThrow> {
     let samples = match supply {
         Supply::Number(value) => return Ok(value),
-        Supply::Samples(samples) => samples,
+        Supply::Samples(Channel(samples)) => samples,
     };
     if samples.len() != current_a.len() {
         let problem =

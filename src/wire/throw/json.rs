@@ -3,66 +3,28 @@
 use std::fmt;
 
 use serde::{
-    Deserialize, Deserializer, Serialize, Serializer,
+    Deserialize, Deserializer, Serialize,
     de::{self, SeqAccess, Visitor},
 };
 
-use super::{
-    error::InvalidThrow,
-    fields::{Fields, SCHEMA, Supply, UNKNOWN_DIRECTION},
-};
+use super::{error::InvalidThrow, fields::Fields};
 use crate::{
-    throw::{Direction, MAX_SAMPLES, Throw},
+    throw::{MAX_SAMPLES, Throw},
     wire::text::json,
 };
 
-#[derive(Deserialize)]
-struct Read {
-    schema: Option<String>,
-    boot_id: Option<String>,
-    throw_no: Option<Count>,
-    started_at: Option<String>,
-    direction: Option<String>,
-    sample_rate_hz: Option<f64>,
-    current_a: Option<Channel>,
-    position_mm: Option<Channel>,
-    temperature_c: Option<f64>,
-    supply_v: Option<Voltage>,
-    anti_alias_hz: Option<f64>,
-}
-
-/// The supply voltage, a number or an array.
-#[derive(Deserialize)]
-#[serde(untagged, expecting = "supply_v must be a number, or an array of numbers")]
-enum Voltage {
-    Number(f64),
-    Samples(Channel),
-}
-
 pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
     // serde_json rejects nesting beyond 128 and bytes after the value.
-    let read: Read =
-        serde_json::from_slice(payload).map_err(|error| InvalidThrow::Json { problem: error.to_string() })?;
-    Ok(Fields {
-        schema: read.schema,
-        boot_id: read.boot_id,
-        throw_no: read.throw_no.map(|count| count.0),
-        started_at: read.started_at,
-        direction: read.direction,
-        sample_rate_hz: read.sample_rate_hz,
-        current_a: read.current_a.map(|channel| channel.0),
-        position_mm: read.position_mm.map(|channel| channel.0),
-        temperature_c: read.temperature_c,
-        supply_v: read.supply_v.map(|voltage| match voltage {
-            Voltage::Number(value) => Supply::Number(value),
-            Voltage::Samples(channel) => Supply::Samples(channel.0),
-        }),
-        anti_alias_hz: read.anti_alias_hz,
-    })
+    serde_json::from_slice(payload).map_err(|error| InvalidThrow::Json { problem: error.to_string() })
+}
+
+pub(super) fn encode(throw: &Throw) -> Vec<u8> {
+    json(&Fields::from(throw)).into_bytes()
 }
 
 /// A whole number, also in the form 7.0 of some languages.
-struct Count(u64);
+#[derive(Debug, Serialize)]
+pub(super) struct Count(pub(super) u64);
 
 impl<'de> Deserialize<'de> for Count {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -92,8 +54,9 @@ impl<'de> Deserialize<'de> for Count {
     }
 }
 
-/// A channel; null is a sample that was not measured.
-struct Channel(Vec<f64>);
+/// A channel; null is a sample that was not measured, also for `serde_json`, which writes NaN and infinities as null.
+#[derive(Debug, Serialize)]
+pub(super) struct Channel(pub(super) Vec<f64>);
 
 impl<'de> Deserialize<'de> for Channel {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -118,46 +81,4 @@ impl<'de> Deserialize<'de> for Channel {
         }
         deserializer.deserialize_seq(Visit)
     }
-}
-
-#[derive(Serialize)]
-struct Written<'a> {
-    schema: &'static str,
-    boot_id: &'a str,
-    throw_no: u64,
-    started_at: jiff::Timestamp,
-    direction: &'static str,
-    sample_rate_hz: f64,
-    #[serde(serialize_with = "write_channel")]
-    current_a: &'a [f64],
-    #[serde(serialize_with = "write_channel")]
-    position_mm: &'a [f64],
-    #[serde(skip_serializing_if = "Option::is_none")]
-    temperature_c: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    supply_v: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    anti_alias_hz: Option<f64>,
-}
-
-/// `serde_json` writes NaN and infinities as null, which reads back as NaN.
-fn write_channel<S: Serializer>(samples: &&[f64], serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_seq(samples.iter())
-}
-
-pub(super) fn encode(throw: &Throw) -> Vec<u8> {
-    let written = Written {
-        schema: SCHEMA,
-        boot_id: &throw.id.boot_id,
-        throw_no: throw.id.throw_no,
-        started_at: throw.started_at,
-        direction: throw.direction.map_or(UNKNOWN_DIRECTION, Direction::as_str),
-        sample_rate_hz: throw.trace.sample_rate_hz(),
-        current_a: throw.trace.current_a(),
-        position_mm: throw.trace.position_mm(),
-        temperature_c: throw.temperature_c,
-        supply_v: throw.supply_v,
-        anti_alias_hz: throw.anti_alias_hz,
-    };
-    json(&written).into_bytes()
 }

@@ -1,4 +1,3 @@
-use minicbor::Encoder;
 use proptest::prelude::*;
 
 use super::*;
@@ -87,20 +86,9 @@ fn the_supply_voltage_is_a_number_or_the_mean_of_samples_under_current() {
         let error = supply(text).unwrap_err().to_string();
         assert!(error.contains("supply_v") && error.contains(says), "{error}");
     }
-    let with = |supply: &dyn Fn(&mut minicbor::Encoder<Vec<u8>>)| {
-        cbor(|e| {
-            e.array(2).unwrap().f32(1.0).unwrap().f32(3.0).unwrap();
-            e.str("supply_v").unwrap();
-            supply(e);
-        })
-    };
-    let array = |e: &mut minicbor::Encoder<Vec<u8>>| {
-        e.array(2).unwrap().f32(100.0).unwrap().u8(120).unwrap();
-    };
-    assert_eq!(with(&array).unwrap().supply_v, Some(115.0));
-    let short = with(&|e| {
-        e.array(1).unwrap().u8(120).unwrap();
-    });
+    let two = cbor(|e| e.array(2)?.f32(1.0)?.f32(3.0)?.str("supply_v")?.array(2)?.f32(100.0)?.u8(120));
+    assert_eq!(two.unwrap().supply_v, Some(115.0));
+    let short = cbor(|e| e.array(2)?.f32(1.0)?.f32(3.0)?.str("supply_v")?.array(1)?.u8(120));
     assert!(short.unwrap_err().to_string().contains("1 values"));
 }
 
@@ -131,9 +119,12 @@ fn json_that_cannot_be_used_says_why() {
     }
 }
 
+type Encoder = minicbor::Encoder<Vec<u8>>;
+type Written<'a> = Result<&'a mut Encoder, minicbor::encode::Error<std::convert::Infallible>>;
+
 /// A message in CBOR with one channel written as `write` does.
-fn cbor(write: impl FnOnce(&mut minicbor::Encoder<Vec<u8>>)) -> Result<Throw, InvalidThrow> {
-    let mut encoder = minicbor::Encoder::new(Vec::new());
+fn cbor(write: impl for<'a> FnOnce(&'a mut Encoder) -> Written<'a>) -> Result<Throw, InvalidThrow> {
+    let mut encoder = Encoder::new(Vec::new());
     encoder.begin_map().unwrap();
     encoder.str("schema").unwrap().str("points.throw/1").unwrap();
     encoder.u8(9).unwrap().begin_array().unwrap().bool(true).unwrap().end().unwrap();
@@ -143,22 +134,16 @@ fn cbor(write: impl FnOnce(&mut minicbor::Encoder<Vec<u8>>)) -> Result<Throw, In
     encoder.str("sample_rate_hz").unwrap().u16(1000).unwrap();
     encoder.str("position_mm").unwrap().array(2).unwrap().u8(1).unwrap().f32(2.5).unwrap();
     encoder.str("current_a").unwrap();
-    write(&mut encoder);
-    encoder.end().unwrap();
+    write(&mut encoder).unwrap().end().unwrap();
     decode_throw(Encoding::Cbor, &encoder.into_writer())
 }
 
 #[test]
 fn cbor_channels_may_be_plain_or_typed_arrays() {
     let little_endian = |values: [f64; 2]| values.map(f64::to_le_bytes).concat();
-    let typed = cbor(|e| {
-        e.tag(minicbor::data::Tag::new(86)).unwrap().bytes(&little_endian([0.1, -7.0])).unwrap();
-    });
+    let typed = cbor(|e| e.tag(minicbor::data::Tag::new(86))?.bytes(&little_endian([0.1, -7.0])));
     assert_eq!(typed.unwrap().trace.current_a(), [0.1, -7.0]);
-    let plain = cbor(|e| {
-        e.begin_array().unwrap().f64(0.1).unwrap().i8(-7).unwrap().end().unwrap();
-    })
-    .unwrap();
+    let plain = cbor(|e| e.begin_array()?.f64(0.1)?.i8(-7)?.end()).unwrap();
     assert_eq!(plain.trace.current_a(), [0.1, -7.0]);
     assert_eq!(plain.id.boot_id, "boot");
     assert_eq!(plain.trace.position_mm(), [1.0, 2.5]);
@@ -168,54 +153,14 @@ fn cbor_channels_may_be_plain_or_typed_arrays() {
 fn cbor_that_cannot_be_used_says_why() {
     let tag = minicbor::data::Tag::new;
     for (result, says) in [
-        (
-            cbor(|e| {
-                e.tag(tag(85)).unwrap().bytes(&[0; 7]).unwrap();
-            }),
-            "whole number",
-        ),
-        (
-            cbor(|e| {
-                e.tag(tag(81)).unwrap().bytes(&[0; 8]).unwrap();
-            }),
-            "tag 81",
-        ),
-        (
-            cbor(|e| {
-                e.tag(tag(85)).unwrap().u8(1).unwrap();
-            }),
-            "byte string",
-        ),
-        (
-            cbor(|e| {
-                e.str("1 2 3").unwrap();
-            }),
-            "must be an array",
-        ),
-        (
-            cbor(|e| {
-                e.array(1 << 60).unwrap();
-            }),
-            "samples",
-        ),
-        (
-            cbor(|e| {
-                e.array(900_000).unwrap();
-            }),
-            "must be a number",
-        ),
-        (
-            cbor(|e| {
-                e.array(1).unwrap().str("x").unwrap();
-            }),
-            "must be a number",
-        ),
-        (
-            cbor(|e| {
-                e.array(1).unwrap().u8(1).unwrap();
-            }),
-            "equally long",
-        ),
+        (cbor(|e| e.tag(tag(85))?.bytes(&[0; 7])), "whole number"),
+        (cbor(|e| e.tag(tag(81))?.bytes(&[0; 8])), "tag 81"),
+        (cbor(|e| e.tag(tag(85))?.u8(1)), "byte string"),
+        (cbor(|e| e.str("1 2 3")), "must be an array"),
+        (cbor(|e| e.array(1 << 60)), "samples"),
+        (cbor(|e| e.array(900_000)), "must be a number"),
+        (cbor(|e| e.array(1)?.str("x")), "must be a number"),
+        (cbor(|e| e.array(1)?.u8(1)), "equally long"),
     ] {
         let error = result.unwrap_err().to_string();
         assert!(error.contains(says), "{says}: {error}");

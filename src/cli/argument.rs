@@ -1,0 +1,108 @@
+//! Parsers of arguments that several commands have.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use jiff::{SignedDuration, Span, SpanRelativeTo, Timestamp, civil::Date, tz::TimeZone};
+use strum::VariantArray as _;
+
+use super::{Exit, Failure};
+use crate::{
+    daemon::clock,
+    diagnose::{Cause, MachineState, Severity},
+    estimate::Motor,
+    simulate::Part,
+    throw::{Direction, MachineId},
+};
+
+/// A machine as `SITE/MACHINE`.
+pub(super) fn machine(text: &str) -> Result<MachineId, String> {
+    let (site, machine) = text.split_once('/').ok_or("write SITE/MACHINE, as north/21B")?;
+    MachineId::new(site, machine).map_err(|error| error.to_string())
+}
+
+/// The cause of an alarm, by its word in messages or on pages.
+pub(super) fn cause(text: &str) -> Result<Cause, String> {
+    let known = || Cause::VARIANTS.iter().map(|cause| cause.as_str()).collect::<Vec<_>>().join(", ");
+    let is_named = |cause: &&Cause| cause.to_string().replace(' ', "_") == text.replace([' ', '-'], "_");
+    let named = text.parse().ok().or_else(|| Cause::VARIANTS.iter().find(is_named).copied());
+    named.ok_or_else(|| format!("must be motor or one of {}", known()))
+}
+
+pub(super) fn severity(word: &str) -> Result<Severity, String> {
+    let known = [Severity::Warning, Severity::Critical];
+    known.into_iter().find(|known| known.as_str() == word).ok_or_else(|| "must be warning or critical".to_owned())
+}
+
+pub(super) fn machine_state(word: &str) -> Result<MachineState, String> {
+    let wrong = |_| "must be learning, healthy, warning, critical, not_monitored or maintenance".to_owned();
+    word.replace([' ', '-'], "_").parse().map_err(wrong)
+}
+
+/// The part that a simulated fault changes.
+pub(super) fn part(word: &str) -> Result<Part, String> {
+    word.parse().map_err(|_| format!("{word:?} is not kt, friction, stiffness, rail_stiffness or inertia"))
+}
+
+/// The words of the directions, with hyphens.
+pub(super) fn direction() -> impl TypedValueParser<Value = Direction> {
+    PossibleValuesParser::new(["normal-to-reverse", "reverse-to-normal"])
+        .map(|word| if word == "reverse-to-normal" { Direction::ReverseToNormal } else { Direction::NormalToReverse })
+}
+
+/// The words of the kinds of motor.
+pub(super) fn motor() -> impl TypedValueParser<Value = Motor> {
+    let magnet = PossibleValue::new("permanent-magnet").alias("permanent_magnet");
+    let magnet = magnet.help("Torque proportional to the current");
+    let series = PossibleValue::new("series").help("Torque proportional to I |I|");
+    PossibleValuesParser::new([magnet, series])
+        .map(|word| if word == "series" { Motor::Series } else { Motor::PermanentMagnet })
+}
+
+/// A moment: a date (0:00 UTC) or a time with its zone.
+pub(super) fn moment(text: &str) -> Result<Timestamp, String> {
+    let date = || text.parse::<Date>().ok()?.to_zoned(TimeZone::UTC).ok().map(|day| day.timestamp());
+    // `Date` would accept a date and time without a zone, and ignore the time.
+    let date = if text.contains(['T', ' ', ':']) { None } else { date() };
+    let wrong = || format!("{text:?} is neither a date, as 2026-05-04, nor a time, as 2026-05-04T06:00:00Z");
+    date.or_else(|| text.parse().ok()).ok_or_else(wrong)
+}
+
+/// A length of time as 90m, 8h, 3d or 2w. A day has 24 hours.
+fn length(text: &str) -> Result<SignedDuration, String> {
+    let length = text.parse::<Span>().and_then(|span| span.to_duration(SpanRelativeTo::days_are_24_hours()));
+    let length = length.ok().filter(SignedDuration::is_positive);
+    length.ok_or_else(|| format!("{text:?} is not a length of time, as 90m, 8h or 3d"))
+}
+
+/// The options of a shelving or a maintenance: its reason and its end, or that it ends now.
+#[derive(Debug, clap::Args)]
+pub(super) struct Window {
+    /// Reason for it.
+    #[arg(long, value_name = "TEXT", required_unless_present = "end")]
+    why: Option<String>,
+    /// Length, as 90m, 8h, 3d or 2w.
+    #[arg(long = "for", value_name = "LENGTH", conflicts_with = "until", value_parser = length)]
+    length: Option<SignedDuration>,
+    /// End: a date, or a time as 2026-05-04T06:00:00Z.
+    #[arg(long, value_name = "TIME", value_parser = moment)]
+    until: Option<Timestamp>,
+    /// End it now.
+    #[arg(long, conflicts_with_all = ["why", "length", "until"])]
+    end: bool,
+}
+
+impl Window {
+    /// Reason and end, which is `default` from now if the command line gives none; `None` if the window ends now.
+    pub(super) fn bounds(&self, default: Option<SignedDuration>) -> Result<Option<(String, Timestamp)>, Failure> {
+        if self.end {
+            return Ok(None);
+        }
+        let usage = |problem| Failure::new(Exit::Usage, anyhow::anyhow!("{problem}"));
+        let from_now = || {
+            let length = self.length.or(default);
+            let length = length.ok_or_else(|| usage("no end given: use --for 8h or --until 2026-05-04T06:00:00Z"))?;
+            clock::now().checked_add(length).map_err(|_| usage("--for is too long"))
+        };
+        let until = self.until.map_or_else(from_now, Ok)?;
+        Ok(Some((self.why.clone().unwrap_or_default(), until)))
+    }
+}
