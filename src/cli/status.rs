@@ -132,7 +132,7 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
             return Err(Failure { exit: Exit::Unavailable, error });
         }
         print_machines(&health, &windows, arguments)?;
-        alarms::print_open(alarms, &health, &windows, false)?;
+        alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false)?;
     }
     Ok(if are_well { Exit::Ok } else { Exit::Negative })
 }
