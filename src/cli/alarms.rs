@@ -190,9 +190,11 @@ fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(
     output::line(format_args!("{:8}  {machine}  {}", alarm.severity.as_str().to_uppercase(), alarm.cause))?;
     let window = Window::of(alarm, windows).map(|window| format!(" {}", window.sentence())).unwrap_or_default();
     indented(&format!("raised {}, {}{window}", time(alarm.raised_at), alarm.state.words()))?;
-    let drifts = health.iter().filter(|health| health.machine == alarm.machine).filter_map(|health| health.drift);
-    if let Some(drift) = drifts.into_iter().find(|drift| drift.cause == alarm.cause) {
-        let limit = web::forecast(&drift).map(|limit| format!("; {limit}")).unwrap_or_default();
+    let of_machine = health.iter().filter(|health| health.machine == alarm.machine);
+    // A daemon of an earlier version sends only the worst drift.
+    let mut drifts = of_machine.flat_map(|health| health.drifts.iter().chain(&health.drift));
+    if let Some(drift) = drifts.find(|drift| drift.cause == alarm.cause) {
+        let limit = web::forecast(drift).map(|limit| format!("; {limit}")).unwrap_or_default();
         let size = output::size(drift.change_pct, drift.change_pct_sd);
         indented(&format!("now {size} (95 %){limit}"))?;
     }

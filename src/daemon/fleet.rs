@@ -372,6 +372,7 @@ fn health(
         mean_current_a: features.mean_current_a,
         state: Some(verdict.state),
         drift: verdict.drifts.first().copied(),
+        drifts: verdict.drifts.clone(),
         caveats: verdict.caveats.clone(),
         detail,
         baseline: verdict.baseline.map(|(so_far, needed)| (so_far as u64, needed as u64)),

@@ -101,7 +101,7 @@ pub struct HidingTemperature {
 pub struct Verdict {
     /// State of the machine after this throw.
     pub state: MachineState,
-    /// Present drifts with an active alarm, the largest relative to its warning limit first.
+    /// Present drifts with an active alarm, the most severe first.
     pub drifts: Vec<Drifting>,
     /// Blindness, if the temperature hides a change at the warning limit, or scatter one at the critical limit.
     pub blind: Option<Blindness>,

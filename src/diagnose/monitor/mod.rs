@@ -350,7 +350,7 @@ impl MachineMonitor {
         self.alarms.events().cloned().collect()
     }
 
-    /// The drifts with an active alarm with their present size, the largest relative to its warning limit first.
+    /// The drifts with an active alarm with their present size, the most severe first.
     #[must_use]
     pub fn drifts(&self) -> &[Drifting] {
         &self.drift.now
