@@ -385,7 +385,7 @@ fn outcome(machine: &MachineId, monitor: Option<&MachineMonitor>, at: Timestamp,
     let record = monitor.map(|monitor| MonitorRecord {
         snapshot: json(monitor),
         state: monitor.state(),
-        drifts: monitor.drifts().to_vec(),
+        drifts: monitor.drifts(),
         caveats: monitor.caveats(),
     });
     Outcome { machine: machine.clone(), at, monitor: record, events, reported_gaps: Vec::new(), command: None }

@@ -350,10 +350,10 @@ impl MachineMonitor {
         self.alarms.events().cloned().collect()
     }
 
-    /// The drifts with an active alarm with their present size, the most severe first.
+    /// The drifts with an active alarm whose present size is known, the most severe first.
     #[must_use]
-    pub fn drifts(&self) -> &[Drifting] {
-        &self.drift.now
+    pub fn drifts(&self) -> Vec<Drifting> {
+        self.drift.now.iter().filter(|drifting| drifting.has_size()).copied().collect()
     }
 
     /// Sentences about what the monitor cannot show at present.
