@@ -302,8 +302,8 @@ pub enum Rejection {
     },
     /// The model's output departs from the measured one by more than the sensors' noise and dry friction explain.
     #[error(
-        "the movement departs from the model by up to {peak_mm:.2} mm at {at_s:.2} s: current and position do not \
-         belong together (lost samples, a disturbed channel, channels of different moments)"
+        "the movement departs from the model by up to {peak_mm:.2} mm at {at_s:.2} s: the load varies along the stroke, \
+         or the channels do not belong together (lost samples, a disturbed channel, channels of different moments)"
     )]
     Misfit {
         /// Largest departure, averaged over short stretches \[mm\].
