@@ -368,7 +368,7 @@ impl MachineMonitor {
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(only_features.then(|| text::only_features(&self.name)))
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
-            .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name)))
+            .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()
     }
 
