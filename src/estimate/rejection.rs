@@ -58,10 +58,13 @@ pub enum Rejection {
         at_s: f64,
     },
     /// The message has no toe position, and current and supply voltage do not determine the coefficients.
-    #[error("there is no toe position: only the features of the current are known")]
+    #[error("there is no toe position, so only the features of the current are known: {why}")]
     #[serde(rename = "current_only")]
     #[strum(serialize = "current_only")]
-    NoPosition,
+    NoPosition {
+        /// Why current and supply voltage do not determine the coefficients.
+        why: String,
+    },
     /// A value that a point machine cannot have.
     #[error(
         "the {channel} at {at_s:.3} s is {value}, which is not possible for a point machine: a corrupt value, or a wrong \
