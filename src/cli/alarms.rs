@@ -178,7 +178,9 @@ fn entries<'a>(alarms: &'a [Alarm], daemons: &[MachineId], all: bool) -> Vec<Vec
         groups.entry((alarm.cause, alarm.severity, wire::kind_of(&alarm.text))).or_default().push(alarm);
     }
     let (mut groups, few): (Vec<_>, Vec<_>) = groups.into_values().partition(|group| group.len() >= GROUP_SIZE);
-    groups.iter_mut().for_each(|group| group.sort_by_key(|alarm| rank(alarm)));
+    for group in &mut groups {
+        group.sort_by_key(|alarm| rank(alarm));
+    }
     entries.extend(few.into_iter().flatten());
     groups.extend(entries.into_iter().map(|alarm| vec![alarm]));
     groups.sort_by_key(|entry| entry.first().map(|alarm| rank(alarm)));
