@@ -422,6 +422,7 @@ statements! {
         AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row) \
         ORDER BY near.started_at_us, near.throw_row LIMIT 1)) \
         JOIN boot USING (boot_row)";
+    MOTOR_AT = "SELECT resistance_ohm, back_emf_v_s_per_rad, no_load_speed_rad_per_s FROM estimate WHERE throw_row = ?1";
     HEALTH_AT = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row = ?1");
 
