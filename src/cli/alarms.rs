@@ -1,6 +1,6 @@
 //! `pointsd alarms`: open alarms, or the history of alarm events.
 
-use std::collections::BTreeMap;
+use std::{cmp::Reverse, collections::BTreeMap};
 
 use jiff::Timestamp;
 
@@ -19,7 +19,8 @@ use crate::{
     wire::{self, Alarm, Health, Kind, MAX_HISTORY},
 };
 
-/// Number of open alarms of one system-wide cause (not monitored, lost data) from which they are printed as one entry.
+/// Number of open alarms of one kind of a system-wide cause (not monitored, lost data) from which they are printed as one
+/// entry.
 const GROUP_SIZE: usize = 5;
 
 /// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
@@ -46,7 +47,7 @@ pub(super) struct Arguments {
     /// Show only the newest N events; without it, the newest 10,000 of each daemon.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_HISTORY)))]
     limit: Option<u32>,
-    /// Print every alarm, without summaries of alarms with the same cause.
+    /// Print every alarm, without summaries of alarms of the same kind.
     #[arg(long)]
     all: bool,
     /// Exit with 1 if an alarm is open, or a daemon's answer is missing or unreadable.
@@ -106,7 +107,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 let (reports, _) = operator::values::<StatusReport>(&daemons);
                 let windows: Vec<Window> = reports.into_iter().flat_map(|report| report.windows).collect();
                 let (health, _) = operator::values(&health);
-                print_open(alarms, &health, &windows, arguments.all)?;
+                print_open(&alarms, &operator::monitors(&daemons), &health, &windows, arguments.all)?;
             } else {
                 print_events(&alarms)?;
             }
@@ -140,9 +141,10 @@ fn selector(arguments: &Arguments) -> String {
     }
 }
 
-/// Prints the open alarms: first faults of machines with their present size, then machines not monitored and lost data.
+/// Prints the open alarms; `daemons` are the names of the daemons in their own alarms.
 pub(super) fn print_open(
-    mut alarms: Vec<Alarm>,
+    alarms: &[Alarm],
+    daemons: &[MachineId],
     health: &[Health],
     windows: &[Window],
     all: bool,
@@ -150,21 +152,31 @@ pub(super) fn print_open(
     if alarms.is_empty() {
         return output::line("no alarms");
     }
-    let common = |alarm: &Alarm| matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss);
-    alarms.sort_by_key(|alarm| (common(alarm), std::cmp::Reverse(alarm.severity), std::cmp::Reverse(alarm.raised_at)));
-    let mut groups: BTreeMap<Cause, Vec<&Alarm>> = BTreeMap::new();
-    for alarm in &alarms {
-        groups.entry(alarm.cause).or_default().push(alarm);
+    entries(alarms, daemons, all).into_iter().try_for_each(|entry| match entry[..] {
+        [alarm] => print_alarm(alarm, health, windows),
+        _ => print_group(&entry),
+    })
+}
+
+/// The entries of the list: alarms about a daemon itself, then faults of machines, then machines not monitored and lost
+/// data; of each the most severe first. Many alarms of one cause, severity and kind are one entry, unless `all` is set.
+fn entries<'a>(alarms: &'a [Alarm], daemons: &[MachineId], all: bool) -> Vec<Vec<&'a Alarm>> {
+    let is_daemon = |alarm: &Alarm| daemons.contains(&alarm.machine);
+    let common = |alarm: &Alarm| !is_daemon(alarm) && matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss);
+    let rank = |alarm: &Alarm| (!is_daemon(alarm), common(alarm), Reverse(alarm.severity), Reverse(alarm.raised_at));
+    let (grouped, mut entries): (Vec<&Alarm>, Vec<&Alarm>) = alarms.iter().partition(|alarm| !all && common(alarm));
+    let mut groups: BTreeMap<_, Vec<&Alarm>> = BTreeMap::new();
+    for alarm in grouped {
+        groups.entry((alarm.cause, alarm.severity, wire::kind_of(&alarm.text))).or_default().push(alarm);
     }
-    for alarm in &alarms {
-        let group = &groups[&alarm.cause];
-        if all || !common(alarm) || group.len() < GROUP_SIZE {
-            print_alarm(alarm, health, windows)?;
-        } else if std::ptr::eq(group[0], alarm) {
-            print_group(group)?;
-        }
+    let (mut groups, few): (Vec<_>, Vec<_>) = groups.into_values().partition(|group| group.len() >= GROUP_SIZE);
+    for group in &mut groups {
+        group.sort_by_key(|alarm| rank(alarm));
     }
-    Ok(())
+    entries.extend(few.into_iter().flatten());
+    groups.extend(entries.into_iter().map(|alarm| vec![alarm]));
+    groups.sort_by_key(|entry| entry.first().map(|alarm| rank(alarm)));
+    groups
 }
 
 fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(), Failure> {
@@ -172,16 +184,18 @@ fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(
     output::line(format_args!("{:8}  {machine}  {}", alarm.severity.as_str().to_uppercase(), alarm.cause))?;
     let window = Window::of(alarm, windows).map(|window| format!(" {}", window.sentence())).unwrap_or_default();
     indented(&format!("raised {}, {}{window}", web::time(alarm.raised_at), alarm.state.words()))?;
-    let drifts = health.iter().filter(|health| health.machine == alarm.machine).filter_map(|health| health.drift);
-    if let Some(drift) = drifts.into_iter().find(|drift| drift.cause == alarm.cause) {
-        let limit = web::forecast(&drift).map(|limit| format!("; {limit}")).unwrap_or_default();
+    let of_machine = health.iter().filter(|health| health.machine == alarm.machine);
+    // A daemon of an earlier version sends only the worst drift.
+    let mut drifts = of_machine.flat_map(|health| health.drifts.iter().chain(&health.drift));
+    if let Some(drift) = drifts.find(|drift| drift.cause == alarm.cause) {
+        let limit = web::forecast(drift).map(|limit| format!("; {limit}")).unwrap_or_default();
         let size = output::size(drift.change_pct, drift.change_pct_sd);
         indented(&format!("now {size} (95 %){limit}"))?;
     }
     indented(&alarm.text)
 }
 
-/// Prints many alarms of one cause as one entry.
+/// Prints many alarms of one kind as one entry, the newest first.
 fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
     let Some(newest) = alarms.first() else { return Ok(()) };
     let mut sites: BTreeMap<&str, usize> = BTreeMap::new();
@@ -190,8 +204,8 @@ fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
     }
     let sites: Vec<String> = sites.iter().map(|(site, count)| format!("{site} {count}")).collect();
     let raised = || alarms.iter().map(|alarm| alarm.raised_at);
-    let worst = alarms.iter().map(|alarm| alarm.severity).max().unwrap_or(newest.severity);
-    output::line(format_args!("{:8}  {} machines  {}", worst.as_str().to_uppercase(), alarms.len(), newest.cause))?;
+    let severity = newest.severity.as_str().to_uppercase();
+    output::line(format_args!("{severity:8}  {} machines  {}", alarms.len(), newest.cause))?;
     let (first, last) = (raised().min().unwrap_or(newest.raised_at), raised().max().unwrap_or(newest.raised_at));
     indented(&format!("raised {} to {}; by site: {}", web::time(first), web::time(last), sites.join(", ")))?;
     indented(&format!("for example: {}", newest.text))?;
@@ -232,4 +246,63 @@ fn indented(text: &str) -> Result<(), Failure> {
         line.push_str(word);
     }
     output::line(format_args!("  {line}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        diagnose::{AlarmEvent, AlarmState},
+        throw::MachineId,
+    };
+
+    fn alarm(machine: &str, cause: Cause, severity: Severity, text: &str) -> Alarm {
+        let at = Timestamp::UNIX_EPOCH;
+        let event = AlarmEvent {
+            cause,
+            raised_at: at,
+            event_no: 1,
+            severity,
+            state: AlarmState::ActiveUnacknowledged,
+            event_at: at,
+            change_pct: None,
+            change_pct_sd: None,
+            direction: None,
+            channel: None,
+            runner_up: None,
+            correlation: None,
+            first_throw: None,
+            last_throw: None,
+            text: text.to_owned(),
+            limit_in_throws: None,
+            by: None,
+            why: None,
+        };
+        Alarm::new(&MachineId::new("north", machine).unwrap(), &event)
+    }
+
+    #[test]
+    fn only_alarms_of_one_kind_are_one_entry_and_those_of_the_daemon_come_first() {
+        let lost = |at: usize| {
+            let name = format!("m{at}");
+            alarm(
+                &name,
+                Cause::DataLoss,
+                Severity::Warning,
+                &format!("Machine {name}: {} throws never arrived.", 2 + at),
+            )
+        };
+        let mut alarms: Vec<Alarm> = (0..GROUP_SIZE).map(lost).collect();
+        alarms.push(alarm("clock", Cause::DataLoss, Severity::Warning, "Machine clock: the clock is wrong."));
+        alarms.push(alarm("worn", Cause::Friction, Severity::Critical, "Machine worn: friction up 40 %."));
+        alarms.push(alarm("pointsd", Cause::DataLoss, Severity::Critical, "pointsd loses data: the disk is full."));
+        let daemons = [MachineId::new("north", "pointsd").unwrap()];
+        let names = |all| {
+            let entries = entries(&alarms, &daemons, all);
+            let name = |alarm: &&Alarm| alarm.machine.machine.to_string();
+            entries.iter().map(|entry| entry.iter().map(name).collect::<Vec<_>>().join(" ")).collect::<Vec<_>>()
+        };
+        assert_eq!(names(false), ["pointsd", "worn", "m0 m1 m2 m3 m4", "clock"]);
+        assert_eq!(names(true).len(), alarms.len());
+    }
 }

@@ -69,11 +69,8 @@ struct Count {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let config = load(arguments.config.as_deref())?;
-    if let Some(problem) = config.monitor.reserves(&arguments.machine.0) {
-        return Err(Failure {
-            exit: Exit::Usage,
-            error: anyhow::anyhow!("--machine {}: {problem}", arguments.machine.0),
-        });
+    if let Some(problem) = config.monitor.reserves(&arguments.machine) {
+        return Err(Failure::new(Exit::Usage, anyhow::anyhow!("--machine {}: {problem}", arguments.machine)));
     }
     runtime::block_on(async {
         let mut pipeline = Offline::open(config).await.map_err(start_failure)?;

@@ -102,6 +102,11 @@ pub(super) fn monitor_name(key: &str) -> String {
     parse_monitor_key(key).map_or_else(|| key.to_owned(), |monitor| monitor.to_string())
 }
 
+/// The daemons that answered.
+pub(super) fn monitors(answers: &bus::Answers) -> Vec<MachineId> {
+    answers.messages.iter().filter_map(|(key, _)| parse_monitor_key(key)).collect()
+}
+
 /// Closes a session. After an error the end of the process closes the link.
 pub(super) async fn close(session: Session) {
     if let Err(error) = session.close().await {

@@ -22,7 +22,7 @@ use crate::{
     diagnose::MachineState,
     store::{WORST_FIRST, Window},
     throw::{Direction, MachineId, Name},
-    wire::{Alarm, Health},
+    wire::{self, Alarm, Health},
 };
 
 /// Largest fleet of which every machine is listed by default: one screen.
@@ -124,8 +124,9 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
             let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
             return Err(Failure::new(Exit::Unavailable, error));
         }
-        print_machines(&health, &windows, arguments)?;
-        alarms::print_open(alarms, &health, &windows, false)?;
+        let caveats = print_machines(&health, &windows, arguments)?;
+        alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false)?;
+        caveats.iter().try_for_each(output::line)?;
     }
     Ok(if are_well { Exit::Ok } else { Exit::Negative })
 }
@@ -138,7 +139,8 @@ fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {
     report.parts().into_iter().try_for_each(|part| output::line(format_args!("  {part}")))
 }
 
-fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) -> Result<(), Failure> {
+/// Prints the table of the machines and those in maintenance. Returns the caveats of the machines in the table.
+fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) -> Result<Vec<String>, Failure> {
     let mut machines: BTreeMap<&MachineId, Vec<&Health>> = BTreeMap::new();
     for row in health {
         machines.entry(&row.machine).or_default().push(row);
@@ -184,15 +186,26 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     if !shown.is_empty() {
         output::line(table)?;
     }
-    let caveats: BTreeSet<&String> =
-        shown.iter().flat_map(|(_, rows)| rows.iter()).flat_map(|row| &row.caveats).collect();
-    for caveat in caveats {
-        output::line(caveat)?;
-    }
     for window in windows.iter().filter(|window| window.cause.is_none()) {
         output::line(format_args!("{} is in maintenance {}", window.machine, window.sentence()))?;
     }
-    Ok(())
+    Ok(caveats(shown.iter().flat_map(|(_, rows)| rows.iter().copied())))
+}
+
+/// The caveats, equal ones of several machines once with the names of these machines.
+fn caveats<'a>(rows: impl Iterator<Item = &'a Health>) -> Vec<String> {
+    let mut machines: BTreeMap<&str, BTreeSet<&MachineId>> = BTreeMap::new();
+    for row in rows {
+        for caveat in &row.caveats {
+            machines.entry(wire::without_subject(caveat)).or_default().insert(&row.machine);
+        }
+    }
+    let sentence = |(caveat, machines): (&str, BTreeSet<&MachineId>)| {
+        let noun = if machines.len() == 1 { "Machine" } else { "Machines" };
+        let names: Vec<String> = machines.into_iter().map(ToString::to_string).collect();
+        format!("{noun} {}: {caveat}", names.join(", "))
+    };
+    machines.into_iter().map(sentence).collect()
 }
 
 /// Sort order of the states, the worst first.
@@ -222,6 +235,18 @@ fn age(age: SignedDuration) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_equal_caveat_of_several_machines_is_one_line() {
+        let row = |machine: &str, caveat: &str| {
+            let health = json!({"schema": Health::SCHEMA, "site": "north", "machine": machine, "boot_id": "b",
+                "throw_no": 1, "started_at": "2026-05-04T10:11:12Z", "direction": "unknown", "quality": "rough",
+                "caveats": [format!("Machine {machine}: {caveat}")]});
+            serde_json::from_value::<Health>(health).unwrap()
+        };
+        let rows = [row("b", "is rough."), row("a", "is rough."), row("a", "is rough."), row("c", "is blind.")];
+        assert_eq!(caveats(rows.iter()), ["Machine north/c: is blind.", "Machines north/a, north/b: is rough."]);
+    }
 
     #[test]
     fn an_age_has_one_unit_and_says_when_a_clock_is_ahead() {

@@ -116,7 +116,7 @@ impl Fleet {
         at: Timestamp,
     ) -> Judgement {
         // A repeated trace is not evidence, neither of health nor of a drift.
-        let is_evidence = |found: &Identification| matches!(found.outcome, Ok(_) | Err(Rejection::NoPosition));
+        let is_evidence = |found: &Identification| matches!(found.outcome, Ok(_) | Err(Rejection::NoPosition { .. }));
         let repeats = stored.repeats && identification.as_ref().is_some_and(is_evidence);
         let identification = identification.filter(|_| !repeats);
         let mut observation = observation(stored, identification.as_ref());
@@ -328,7 +328,7 @@ fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observat
         ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
         incomplete: rejection.is_some_and(Rejection::is_incomplete),
         faulty: rejection.and_then(Rejection::faulty_channel).map(Into::into),
-        features_only: rejection == Some(&Rejection::NoPosition),
+        features_only: matches!(rejection, Some(Rejection::NoPosition { .. })),
         features: found.map(|found| found.features.clone()).unwrap_or_default(),
         temperature_c: declared.and_then(|throw| throw.temperature_c),
     }
@@ -375,6 +375,7 @@ fn health(
         mean_current_a: features.mean_current_a,
         state: Some(verdict.state),
         drift: verdict.drifts.first().copied(),
+        drifts: verdict.drifts.clone(),
         caveats: verdict.caveats.clone(),
         detail,
         baseline: verdict.baseline.map(|(so_far, needed)| (so_far as u64, needed as u64)),
@@ -387,7 +388,7 @@ fn outcome(machine: &MachineId, monitor: Option<&MachineMonitor>, at: Timestamp,
     let record = monitor.map(|monitor| MonitorRecord {
         snapshot: json(monitor),
         state: monitor.state(),
-        drifts: monitor.drifts().to_vec(),
+        drifts: monitor.drifts(),
         caveats: monitor.caveats(),
     });
     Outcome { machine: machine.clone(), at, monitor: record, events, reported_gaps: Vec::new(), command: None }

@@ -219,7 +219,7 @@ impl DriftAlarms {
 
     /// Updates the present drifts after a throw.
     fn renew(&mut self, drift: &Drift, order: u64, tracks: &Tracks, alarms: &Alarms, settings: &Settings) {
-        let mut now: Vec<(f64, Drifting)> = Vec::new();
+        let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
         let leaks = drift.attribution.as_ref().map_or(PLAIN_LEAKS, Attribution::leaks);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
@@ -251,7 +251,7 @@ impl DriftAlarms {
             let Some(largest) = largest else {
                 // The last throws do not show this cause, so its last known size stays.
                 let known = self.now.iter().find(|drifting| drifting.cause == alarm.cause);
-                now.extend(known.map(|known| (0.0, *known)));
+                now.extend(known.map(|known| (alarm.severity, 0.0, *known)));
                 continue;
             };
             let direction = drift.direction(alarm.cause, self.throws_since_onset(order), settings);
@@ -263,10 +263,9 @@ impl DriftAlarms {
                 direction,
                 limit_in_throws: forecast,
             };
-            now.push((size.relevance(settings), drifting));
+            now.push((alarm.severity, size.relevance(settings), drifting));
         }
-        now.sort_by(|(a, _), (b, _)| b.total_cmp(a));
-        self.now = now.into_iter().map(|(_, drifting)| drifting).collect();
+        self.now = worst_first(now);
     }
 
     /// The largest claim that the drift allows beside weather. A fall of friction by rain is over in some days. Without a
@@ -374,5 +373,38 @@ impl DriftAlarms {
         let limit = limit.map(|limit_pct| size.signum() * settings.critical_factor * limit_pct / 100.0);
         let forecast = limit.filter(|limit| *limit > -1.0).and_then(|limit| course.reaches(limit));
         (Explanation { size: whole.ln(), size_sd: size_sd / whole, ..*part }, forecast)
+    }
+}
+
+/// Drifts with their severity and size relative to the limit, in the order in which they are shown: the most severe
+/// first; of one severity a named part before `unattributed`, then the largest.
+fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
+    let is_named = |drifting: &Drifting| drifting.cause != Cause::Unattributed;
+    drifts.sort_by(|(severity, size, one), (other_severity, other_size, other)| {
+        let order = (other_severity, is_named(other)).cmp(&(severity, is_named(one)));
+        order.then(other_size.total_cmp(size))
+    });
+    drifts.into_iter().map(|(.., drifting)| drifting).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_named_part_comes_before_a_drift_without_a_name_of_the_same_severity() {
+        let drift = |cause: Cause, severity: Severity, size: f64| {
+            let drifting =
+                Drifting { cause, change_pct: size, change_pct_sd: 1.0, direction: None, limit_in_throws: None };
+            (severity, size, drifting)
+        };
+        let drifts = vec![
+            drift(Cause::Unattributed, Severity::Warning, 9.0),
+            drift(Cause::Friction, Severity::Warning, 2.0),
+            drift(Cause::Stiffness, Severity::Warning, 3.0),
+            drift(Cause::Kt, Severity::Critical, 1.0),
+        ];
+        let causes: Vec<Cause> = worst_first(drifts).iter().map(|drift| drift.cause).collect();
+        assert_eq!(causes, [Cause::Kt, Cause::Stiffness, Cause::Friction, Cause::Unattributed]);
     }
 }

@@ -232,11 +232,25 @@ pub(super) fn only_features(name: &str) -> String {
     )
 }
 
-pub(super) fn ratios_only(name: &str) -> String {
+/// Text for a machine without a change of its inertia; `of_baseline`: its baseline has only ratios, whatever its last throws
+/// have.
+pub(super) fn ratios_only(name: &str, of_baseline: bool) -> String {
+    let reasons =
+        "a load that varies along the stroke, play, a brake that releases late, a position behind the current";
+    let (what, advice) = if of_baseline {
+        let what = "its baseline has only the ratios of the coefficients, as throws in it were rough";
+        (
+            what,
+            format!(
+                "If its last throws are good, take a new baseline (rebaseline); else look for the reason: {reasons}."
+            ),
+        )
+    } else {
+        let what = "its last throws are all rough: they give the ratios of the coefficients, but not the coefficients";
+        (what, format!("Each throw names its reason: {reasons}."))
+    };
     format!(
-        "Machine {name}: its last throws are all rough: they give the ratios of the coefficients, but not the coefficients, so a \
-         change of inertia is not monitored. Motor, friction and stiffness are. Look for the reason in the start of the throws: play, a \
-         brake that releases late, a position behind the current."
+        "Machine {name}: {what}, so a change of inertia is not monitored. Motor, friction and stiffness are. {advice}"
     )
 }
 

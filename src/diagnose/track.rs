@@ -445,11 +445,8 @@ impl Tracks {
         let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
         let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
         // Wear changes all three logarithms without their mean, and none has the sign of wear alone.
-        let slopes = if self.sides.iter().any(|track| track.of_ratios) {
-            [0.0; 3]
-        } else {
-            trend(throws, 0.5 * (sensor[0] + sensor[1]), settings)
-        };
+        let slopes =
+            if self.any_of_ratios() { [0.0; 3] } else { trend(throws, 0.5 * (sensor[0] + sensor[1]), settings) };
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
@@ -490,6 +487,11 @@ impl Tracks {
     /// Discards the last throws, and keeps the baselines.
     pub(super) fn forget_recent(&mut self) {
         self.sides.iter_mut().for_each(|track| track.recent.clear());
+    }
+
+    /// Whether a direction has a baseline of ratios, with which only the ratios of its throws are compared.
+    pub(super) fn any_of_ratios(&self) -> bool {
+        self.sides.iter().any(|track| track.of_ratios)
     }
 
     pub(super) fn any_baseline(&self) -> bool {

@@ -74,6 +74,18 @@ pub struct Drifting {
     pub limit_in_throws: Option<LimitForecast>,
 }
 
+/// Half width \[%\] up to which the interval of a size is of use, however small the size is: the critical limit of friction,
+/// the highest of the default limits. A narrower interval says that no part has such a fault.
+const OF_USE_PCT: f64 = 45.0;
+
+impl Drifting {
+    /// Whether the size says something: its 95 % interval is at most three times as wide as the size, or narrow.
+    pub(super) fn has_size(&self) -> bool {
+        let half_width_pct = 1.96 * self.change_pct_sd;
+        half_width_pct <= OF_USE_PCT || 2.0 * half_width_pct <= 3.0 * self.change_pct.abs()
+    }
+}
+
 /// A machine whose throws cannot show a fault: at the present temperature, as its effect is too uncertain, or at all, as
 /// they scatter too much.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -101,7 +113,7 @@ pub struct HidingTemperature {
 pub struct Verdict {
     /// State of the machine after this throw.
     pub state: MachineState,
-    /// Present drifts with an active alarm, the largest relative to its warning limit first.
+    /// Present drifts with an active alarm, the most severe first.
     pub drifts: Vec<Drifting>,
     /// Blindness, if the temperature hides a change at the warning limit, or scatter one at the critical limit.
     pub blind: Option<Blindness>,
@@ -117,4 +129,20 @@ pub struct Verdict {
     pub baselines_taken: Vec<BaselineRecord>,
     /// Alarm events of this observation, in order.
     pub events: Vec<AlarmEvent>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_size_whose_interval_says_nothing_is_none() {
+        let has_size = |change_pct: f64, change_pct_sd: f64| {
+            let cause = Cause::Unattributed;
+            Drifting { cause, change_pct, change_pct_sd, direction: None, limit_in_throws: None }.has_size()
+        };
+        assert!(!has_size(7.0, 107.0) && !has_size(-20.0, 40.0));
+        assert!(has_size(42.0, 3.5) && has_size(90.0, 60.0), "a change for certain, and a large one");
+        assert!(has_size(0.5, 2.0), "the drift is over for certain");
+    }
 }

@@ -27,7 +27,7 @@ use super::{
 use crate::throw::Direction;
 
 /// Lowest sampling rate that resolves the inrush \[Hz\].
-const LEAST_RATE_HZ: f64 = 500.0;
+pub(super) const LEAST_RATE_HZ: f64 = 500.0;
 /// Length of the inrush for the estimate of the armature \[s\].
 const INRUSH_S: f64 = 0.2;
 /// Rounds of corrections; each is smaller than the previous one by the factor a1 L / R, a few per cent.

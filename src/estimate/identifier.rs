@@ -172,7 +172,7 @@ impl Identifier {
                         &mut features,
                     )
                 };
-                known.and_then(estimate).ok_or(Rejection::NoPosition)
+                known.and_then(estimate).ok_or_else(|| no_position(throw, settings, interval_s))
             });
         Identification { direction: throw.direction, direction_contradicted: false, features, outcome }
     }
@@ -420,6 +420,21 @@ impl Identifier {
         let rounding = |level: Level| level.quantum / 12.0_f64.sqrt();
         (current.max(rounding(movement.current)), position.max(rounding(movement.position)))
     }
+}
+
+/// Why a throw without a toe position has no coefficients.
+fn no_position(throw: &Throw, settings: &Settings, interval_s: f64) -> Rejection {
+    let (rate_hz, least_hz) = (interval_s.recip(), current_only::LEAST_RATE_HZ);
+    let why = if settings.motor != Motor::PermanentMagnet {
+        "the current gives the coefficients of a permanent-magnet motor only".to_owned()
+    } else if throw.possible_supply_v().is_none() || settings.stroke_mm.is_none() {
+        "the coefficients need supply_v in the message and stroke_mm in the configuration".to_owned()
+    } else if interval_s * least_hz > 1.0001 {
+        format!("the coefficients need at least {least_hz:.0} Hz, not {rate_hz:.0} Hz")
+    } else {
+        "the current does not determine the coefficients".to_owned()
+    };
+    Rejection::NoPosition { why }
 }
 
 /// Rejects a trace or window that is too short.

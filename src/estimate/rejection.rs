@@ -58,10 +58,13 @@ pub enum Rejection {
         at_s: f64,
     },
     /// The message has no toe position, and current and supply voltage do not determine the coefficients.
-    #[error("there is no toe position: only the features of the current are known")]
+    #[error("there is no toe position, so only the features of the current are known: {why}")]
     #[serde(rename = "current_only")]
     #[strum(serialize = "current_only")]
-    NoPosition,
+    NoPosition {
+        /// Why current and supply voltage do not determine the coefficients.
+        why: String,
+    },
     /// A value that a point machine cannot have.
     #[error(
         "the {channel} at {at_s:.3} s is {value}, which is not possible for a point machine: a corrupt value, or a wrong \
@@ -302,8 +305,8 @@ pub enum Rejection {
     },
     /// The model's output departs from the measured one by more than the sensors' noise and dry friction explain.
     #[error(
-        "the movement departs from the model by up to {peak_mm:.2} mm at {at_s:.2} s: current and position do not \
-         belong together (lost samples, a disturbed channel, channels of different moments)"
+        "the movement departs from the model by up to {peak_mm:.2} mm at {at_s:.2} s: the load varies along the stroke, \
+         or the channels do not belong together (lost samples, a disturbed channel, channels of different moments)"
     )]
     Misfit {
         /// Largest departure, averaged over short stretches \[mm\].

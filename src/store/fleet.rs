@@ -158,6 +158,8 @@ pub(crate) struct CommonAlarm {
     pub first: Timestamp,
     /// Time of the last raise.
     pub last: Timestamp,
+    /// Text of an alarm about lost data, which has several kinds.
+    pub text: Option<String>,
 }
 
 /// An open window: a shelved alarm, or maintenance of a machine.
@@ -261,6 +263,7 @@ impl FromRow<'_, SqliteRow> for CommonAlarm {
             count: row.try_get::<i64, _>("count")?.cast_unsigned(),
             first: time(row, "first_us")?,
             last: time(row, "last_us")?,
+            text: row.try_get("said")?,
         })
     }
 }
@@ -333,7 +336,7 @@ impl Reader {
         Ok(rows.first().map_or(0, |(count,)| count.cast_unsigned()))
     }
 
-    /// Numbers of open alarms of system-wide causes, by cause and site.
+    /// Numbers of open alarms of system-wide causes, by cause, site and text.
     pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
         self.asked(sqlx::query_as(sql::COMMON).bind(itself.site.as_str()).bind(itself.machine.as_str())).await
     }

@@ -1,6 +1,11 @@
 //! Queries of the dashboard; each reads a bounded number of rows by an index.
 
-use super::{error::StoreError, reader::Reader, rows::StoredThrow, statements as sql};
+use super::{
+    error::StoreError,
+    reader::Reader,
+    rows::{StoredThrow, ThrowRow},
+    statements as sql,
+};
 use crate::{
     throw::{Direction, MachineId, ThrowRef},
     wire::{Alarm, Health},
@@ -72,5 +77,12 @@ impl Reader {
         let Some(stored) = stored.into_iter().next() else { return Ok(None) };
         let health = self.asked(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0)).await?;
         Ok(Some((stored, health.into_iter().next())))
+    }
+
+    /// Resistance \[Ω\], back-EMF constant \[V s/rad\] and no-load speed \[rad/s\] of the motor in a throw, as far as known.
+    pub(crate) async fn motor_of(&self, row: ThrowRow) -> Result<[Option<f64>; 3], StoreError> {
+        let rows: Vec<(Option<f64>, Option<f64>, Option<f64>)> =
+            self.asked(sqlx::query_as(sql::MOTOR_AT).bind(row.0)).await?;
+        Ok(rows.into_iter().next().map(Into::into).unwrap_or_default())
     }
 }

@@ -250,6 +250,7 @@ impl FromRow<'_, SqliteRow> for Health {
             mean_current_a: row.try_get("mean_current_a")?,
             state: word(row, "state")?,
             drift: json(row, "drift")?,
+            drifts: json(row, "drifts")?.unwrap_or_default(),
             caveats: json(row, "caveats")?.unwrap_or_default(),
             detail: row.try_get("detail")?,
             baseline: so_far.zip(needed),

@@ -22,7 +22,7 @@ macro_rules! throw_rows {
 
 /// The columns of [`Health`](crate::wire::Health); direction and state depend on the query.
 macro_rules! health {
-    ($direction:literal, $state:literal, $drift:literal, $caveats:literal) => {
+    ($direction:literal, $state:literal, $drift:literal, $drifts:literal, $caveats:literal) => {
         concat!(
             "site, machine, boot_id, throw_no, started_at_us, ",
             $direction,
@@ -31,6 +31,8 @@ macro_rules! health {
             " AS state, ",
             $drift,
             " AS drift, ",
+            $drifts,
+            " AS drifts, ",
             $caveats,
             " AS caveats, quality, detail, b0, a1, a0, b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, \
              a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, duration_s, \
@@ -86,7 +88,13 @@ macro_rules! estimates {
 macro_rules! history {
     () => {
         concat!(
-            health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift", "NULL"),
+            health!(
+                "coalesce(estimate.direction, throw.direction)",
+                "estimate.state",
+                "estimate.drift",
+                "NULL",
+                "NULL"
+            ),
             estimates!()
         )
     };
@@ -356,7 +364,7 @@ statements! {
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE +site GLOB ?2 AND +machine GLOB ?3) \
         AND started_at_us >= ?4 AND throw_row NOT IN (SELECT throw_row FROM throw AS own INDEXED BY throw_pending WHERE judged_at_us IS NULL) \
         ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
-    LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.caveats"), "FROM machine JOIN latest USING (machine_row) \
+    LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.drifts", "monitor.caveats"), "FROM machine JOIN latest USING (machine_row) \
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
         WHERE +site GLOB ?1 AND +machine GLOB ?2 ORDER BY site, machine, latest.direction");
@@ -379,7 +387,7 @@ statements! {
         (SELECT min(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS low, \
         (SELECT max(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS high), \
         spot(at) AS (SELECT 0 UNION ALL SELECT at + 1 FROM spot WHERE at < ?4 - 1) \
-        SELECT DISTINCT ", health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift", "NULL"), "FROM spot CROSS JOIN span JOIN estimate ON estimate.throw_row = (SELECT min(near.throw_row) FROM estimate AS near \
+        SELECT DISTINCT ", health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift", "NULL", "NULL"), "FROM spot CROSS JOIN span JOIN estimate ON estimate.throw_row = (SELECT min(near.throw_row) FROM estimate AS near \
         WHERE near.machine_row = ", one_machine!(), " AND near.direction = ?3 \
         AND near.throw_row >= low + (high - low) * at / max(?4 - 1, 1)) \
         JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
@@ -414,6 +422,7 @@ statements! {
         AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row) \
         ORDER BY near.started_at_us, near.throw_row LIMIT 1)) \
         JOIN boot USING (boot_row)";
+    MOTOR_AT = "SELECT resistance_ohm, back_emf_v_s_per_rad, no_load_speed_rad_per_s FROM estimate WHERE throw_row = ?1";
     HEALTH_AT = concat!("SELECT ", history!(), " \
         WHERE estimate.throw_row = ?1");
 
@@ -466,11 +475,14 @@ statements! {
     SELECT count(*) FROM alarm JOIN machine USING (machine_row)
     WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
 
+    // The text tells the kinds of data loss apart: few machines have it, while a lost link makes thousands not monitored.
     COMMON = "
-    SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us
+    SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us,
+           CASE alarm.cause WHEN 'data_loss' THEN (SELECT payload ->> 'text' FROM alarm_event AS last
+               WHERE last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no) END AS said
     FROM alarm JOIN machine USING (machine_row)
     WHERE alarm.state <> 'normal' AND alarm.cause IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
-    GROUP BY alarm.cause, site ORDER BY count(*) DESC";
+    GROUP BY alarm.cause, site, said ORDER BY count(*) DESC";
 
     // The newest opening command of each machine in maintenance and of each shelved alarm.
     WINDOWS = "

@@ -1,6 +1,7 @@
 //! `/`: the open alarms, all machines with the worst first, and the daemon.
 
 use std::{
+    cmp::Reverse,
     collections::{BTreeMap, HashSet},
     fmt::Write as _,
     sync::Arc,
@@ -25,6 +26,7 @@ use crate::{
     diagnose::{Cause, MachineState},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, WORST_FIRST, Window},
     throw::MachineId,
+    wire,
 };
 
 /// Machines on one page.
@@ -68,7 +70,7 @@ struct Page {
     volatile: String,
 }
 
-/// All alarms of one system-wide cause (not monitored, lost data).
+/// All alarms of one kind of a system-wide cause (not monitored, lost data).
 struct Common {
     badge: Badge,
     says: String,
@@ -180,7 +182,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         trouble: trouble::all(&web.view, &overview),
         tally: tally_links(&tally, &filters),
         machines: format!("{} machine{}", page::count(tally.total()), if tally.total() == 1 { "" } else { "s" }),
-        common: common(&overview),
+        common: common(&overview.common),
         alarms: overview.faults.iter().map(|fault| fault_line(fault, &windows)).collect(),
         more_alarms: if more_alarms > 0 { page::count(more_alarms) } else { String::new() },
         sites: overview.sites.iter().map(|site| (site.clone(), *site == filters.site)).collect(),
@@ -231,14 +233,18 @@ fn fault_line(fault: &Fault, windows: &[Window]) -> AlarmLine {
     AlarmLine::new(&fault.alarm, fault.raised, &fault.drifts, windows)
 }
 
-/// Groups the alarms of system-wide causes.
-fn common(overview: &Overview) -> Vec<Common> {
-    let mut causes: BTreeMap<Cause, Vec<_>> = BTreeMap::new();
-    for alarm in &overview.common {
-        causes.entry(alarm.cause).or_default().push(alarm);
+/// Groups the alarms of system-wide causes, those about lost data by their kind.
+fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
+    let mut kinds: BTreeMap<(Cause, Option<String>), Vec<&CommonAlarm>> = BTreeMap::new();
+    for alarm in alarms {
+        kinds.entry((alarm.cause, alarm.text.as_deref().map(wire::kind_of))).or_default().push(alarm);
     }
-    let entry = |(cause, alarms): (Cause, Vec<&CommonAlarm>)| {
-        let count: u64 = alarms.iter().map(|alarm| alarm.count).sum();
+    let entry = |((cause, _), alarms): ((Cause, _), Vec<&CommonAlarm>)| {
+        let mut sites: BTreeMap<&str, (u64, &str)> = BTreeMap::new();
+        for alarm in &alarms {
+            sites.entry(&alarm.site).or_insert((0, &alarm.machine)).0 += alarm.count;
+        }
+        let count: u64 = sites.values().map(|(count, _)| count).sum();
         let (first, last) = (alarms.iter().map(|alarm| alarm.first).min(), alarms.iter().map(|alarm| alarm.last).max());
         let times = first.zip(last).map(|(first, last)| {
             let (first_time, last_time) = (page::time(first), page::time(last));
@@ -249,20 +255,26 @@ fn common(overview: &Overview) -> Vec<Common> {
             }
         });
         let machines = if count == 1 { "machine" } else { "machines" };
-        let what = if cause == Cause::NotMonitored { "not monitored" } else { "with lost throws" };
-        let at_site = |alarm: &&CommonAlarm| match alarm.count {
-            1 => format!("{}/{}", alarm.site, alarm.machine),
-            count => format!("{} {}", alarm.site, page::count(count)),
+        let example = alarms.iter().find_map(|alarm| alarm.text.as_deref());
+        let (what, example) = match example {
+            None => ("not monitored", String::new()),
+            Some(text) => ("with data loss", format!(": {}", wire::without_subject(text))),
         };
-        let sites: Vec<String> = alarms.iter().take(SILENT).map(at_site).collect();
+        let at_site = |(site, (count, machine)): (&str, (u64, &str))| match count {
+            1 => format!("{site}/{machine}"),
+            count => format!("{site} {}", page::count(count)),
+        };
+        let mut sites: Vec<_> = sites.into_iter().collect();
+        sites.sort_by_key(|(_, (count, _))| Reverse(*count));
+        let sites: Vec<String> = sites.into_iter().take(SILENT).map(at_site).collect();
         Common {
             badge: Badge(if cause == Cause::NotMonitored { MachineState::NotMonitored } else { MachineState::Warning }),
-            says: format!("{} {machines} {what}, {}", page::count(count), times.unwrap_or_default()),
+            says: format!("{} {machines} {what}, {}{example}", page::count(count), times.unwrap_or_default()),
             sites: sites.join(", "),
             address: Filters { cause: cause.as_str().to_owned(), ..Filters::default() }.address(),
         }
     };
-    causes.into_iter().map(entry).collect()
+    kinds.into_iter().map(entry).collect()
 }
 
 fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
@@ -375,6 +387,33 @@ mod tests {
         for wrong in ["state=good", "cause=magnet", "site=a%20b", "page=-1", "page=99999", "x=1"] {
             assert!(Filters::from_query(Some(wrong)).and_then(|filters| filters.query()).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn each_kind_of_data_loss_is_an_entry_with_its_text() {
+        let alarm = |cause: Cause, machine: &str, count: u64, text: Option<&str>| CommonAlarm {
+            cause,
+            site: "north".to_owned(),
+            machine: machine.to_owned(),
+            count,
+            first: jiff::Timestamp::UNIX_EPOCH,
+            last: jiff::Timestamp::UNIX_EPOCH,
+            text: text.map(str::to_owned),
+        };
+        let alarms = [
+            alarm(Cause::NotMonitored, "a", 12, None),
+            alarm(Cause::DataLoss, "b", 1, Some("Machine b: 2 throws never arrived.")),
+            alarm(Cause::DataLoss, "c", 1, Some("Machine c: 9 throws never arrived.")),
+            alarm(Cause::DataLoss, "d", 1, Some("Machine d: the clock of the logger is wrong.")),
+        ];
+        let shown: Vec<(String, String)> = common(&alarms).into_iter().map(|it| (it.says, it.sites)).collect();
+        let since = "since 1970-01-01 00:00:00 UTC";
+        let expected = [
+            (format!("12 machines not monitored, {since}"), "north 12".to_owned()),
+            (format!("2 machines with data loss, {since}: 2 throws never arrived."), "north 2".to_owned()),
+            (format!("1 machine with data loss, {since}: the clock of the logger is wrong."), "north/d".to_owned()),
+        ];
+        assert_eq!(shown, expected);
     }
 
     #[test]

@@ -76,6 +76,8 @@ struct Page {
     /// Value for the address, text, and whether the span is selected.
     spans: Vec<(&'static str, &'static str, bool)>,
     trends: Vec<Picture>,
+    /// Reason why there are no trends of the coefficients.
+    no_trends: &'static str,
     features: Vec<Picture>,
     /// JSON: time and address of each throw in the charts.
     drawn_throws: String,
@@ -191,6 +193,7 @@ async fn read(
         ways: ways(&both, &baselines),
         spans: Span::CHOICES.into_iter().map(|(choice, word, says)| (word, says, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
+        no_trends: no_trends(&baselines),
         features: trend::features(&both, &marks, &baselines),
         drawn_throws: drawn_throws(&both),
         drawn: drawn(&both),
@@ -203,6 +206,17 @@ async fn read(
         volatile: format!("As of {}.", page::time(clock::now())),
         machine: machine.clone(),
     }))
+}
+
+/// Reason why the charts of the coefficients are empty.
+fn no_trends(baselines: &[BaselineRecord]) -> &'static str {
+    if baselines.iter().any(|baseline| baseline.ratios_only) {
+        "The throws of the baseline have only the ratios of the coefficients: changes of the ratios are below."
+    } else if baselines.is_empty() {
+        "No baseline yet: changes are shown as soon as a baseline has its first throws."
+    } else {
+        "None of these throws has coefficients to compare with the baseline."
+    }
 }
 
 async fn rows(

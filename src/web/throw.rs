@@ -40,6 +40,8 @@ struct Page {
     /// `None` while the throw is pending.
     judged: Option<Row>,
     coefficients: Option<[String; 3]>,
+    /// Name and value of the ratios and of the motor's constants, as far as they are known.
+    measured: Vec<(&'static str, String)>,
     temperature: Option<String>,
     supply: Option<String>,
     pictures: Vec<Picture>,
@@ -87,6 +89,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
         }
         Err(unreadable) => (Vec::new(), None, Some(unreadable.to_string())),
     };
+    let motor = reader.motor_of(stored.row).await?;
     let measured = stored.throw.as_ref().ok();
     Ok(page::html(&Page {
         trouble,
@@ -98,6 +101,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
         after: after.map(address),
         judged: health.as_ref().map(row),
         coefficients: health.as_ref().and_then(coefficients),
+        measured: health.as_ref().map(|health| constants(health, motor)).unwrap_or_default(),
         temperature: measured.and_then(|throw| throw.temperature_c).map(|celsius| format!("{celsius:.1} °C")),
         supply: measured.and_then(|throw| throw.supply_v).map(|volts| format!("{volts:.1} V")),
         pictures,
@@ -224,6 +228,24 @@ fn coefficients(health: &Health) -> Option<[String; 3]> {
     Some([0, 1, 2].map(|at| rounded(values[at], 2.0 * sd[at])))
 }
 
+/// The ratios ± two standard deviations, and resistance, back-EMF constant and no-load speed.
+fn constants(health: &Health, motor: [Option<f64>; 3]) -> Vec<(&'static str, String)> {
+    let ratio = |value: Option<f64>, sd: Option<f64>| value.zip(sd).map(|(value, sd)| rounded(value, 2.0 * sd));
+    let names = ["resistance (Ω)", "back-EMF constant (V s/rad)", "no-load speed (rad/s)"];
+    let ratios = [
+        ("friction per motor, a1/b0 (A s/rad)", ratio(health.a1_per_b0, health.a1_per_b0_sd)),
+        ("stiffness per motor, a0/b0 (A/rad)", ratio(health.a0_per_b0, health.a0_per_b0_sd)),
+    ];
+    let motor = names.into_iter().zip(motor).map(|(name, value)| (name, value.map(three_digits)));
+    ratios.into_iter().chain(motor).filter_map(|(name, value)| Some((name, value?))).collect()
+}
+
+/// A constant of the motor, which scatters by about one per cent from throw to throw.
+fn three_digits(value: f64) -> String {
+    let decimals = (0..9).find(|decimals| value.abs() * 10.0_f64.powi(*decimals) >= 99.5).unwrap_or(9);
+    format!("{value:.0$}", usize::try_from(decimals).unwrap_or_default())
+}
+
 fn rounded(value: f64, reach: f64) -> String {
     let enough = |decimals: &u8| reach * 10.0_f64.powi(i32::from(*decimals)) >= 9.95;
     let decimals = usize::from((0..9).find(enough).unwrap_or(9));
@@ -233,6 +255,11 @@ fn rounded(value: f64, reach: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_constant_of_the_motor_has_three_digits() {
+        assert_eq!([0.8961, 4.139, 170.2, 1520.0].map(three_digits), ["0.896", "4.14", "170", "1520"]);
+    }
 
     #[test]
     fn a_coefficient_has_the_digits_that_are_known() {

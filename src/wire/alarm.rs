@@ -74,6 +74,19 @@ pub fn alarm_id(machine: &MachineId, cause: Cause, raised_at: Timestamp) -> Stri
     format!("{}.{}.{}.{}", machine.site, machine.machine, cause.as_str(), raised_at.as_microsecond())
 }
 
+/// The text of an alarm without its subject, "Machine north/21B, normal to reverse: ".
+#[must_use]
+pub fn without_subject(text: &str) -> &str {
+    text.split_once(": ").map_or(text, |(_, rest)| rest)
+}
+
+/// The text without its subject and numbers, by which lists group the alarms of many machines: one cause has several
+/// kinds, as lost throws and a wrong clock.
+#[must_use]
+pub fn kind_of(text: &str) -> String {
+    without_subject(text).replace(|character: char| character.is_ascii_digit(), "")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -63,6 +63,9 @@ pub struct Health {
     /// The worst active drift at the time of `state`.
     #[serde(default)]
     pub drift: Option<Drifting>,
+    /// All active drifts at the time of `state`, the worst first; absent if there are none, and in history.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub drifts: Vec<Drifting>,
     /// Sentences about what the monitor cannot show at present; absent if there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub caveats: Vec<String>,
@@ -168,7 +171,8 @@ mod tests {
             "b0_pct": 0.5, "a1_pct": -1.5, "a0_pct": 2.0, "fit_pct": null,
             "a1_per_b0": 0.03, "a1_per_b0_sd": 0.0001, "a0_per_b0": null, "a0_per_b0_sd": null,
             "duration_s": null, "peak_current_a": 0.5, "mean_current_a": null, "state": "warning",
-            "drift": {"cause": "kt", "change_pct": -7.0, "change_pct_sd": 0.5, "direction": null, "limit_in_throws": null}}"#;
+            "drift": {"cause": "kt", "change_pct": -7.0, "change_pct_sd": 0.5, "direction": null, "limit_in_throws": null},
+            "drifts": [{"cause": "kt", "change_pct": -7.0, "change_pct_sd": 0.5, "direction": null, "limit_in_throws": null}]}"#;
         let promised: serde_json::Value = serde_json::from_str(text).unwrap();
         let health: Health = serde_json::from_str(text).unwrap();
         assert_eq!(health.change_pct, Some([0.5, -1.5, 2.0]));

@@ -12,7 +12,7 @@ mod query;
 mod text;
 mod throw;
 
-pub use alarm::{Alarm, alarm_id};
+pub use alarm::{Alarm, alarm_id, kind_of, without_subject};
 pub use backlog::{BacklogQuery, MAX_PAGE};
 pub use command::{Commander, Reply, decode_command};
 pub use health::Health;

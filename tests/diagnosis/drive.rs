@@ -124,7 +124,7 @@ impl Drive {
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
             faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),
-            features_only: found.outcome == Err(Rejection::NoPosition),
+            features_only: matches!(found.outcome, Err(Rejection::NoPosition { .. })),
             grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
             estimate: found.outcome.ok().map(|e| (e.coefficients(), e.drift_covariance())),

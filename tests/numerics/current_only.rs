@@ -57,11 +57,17 @@ fn with_the_voltage_every_part_shows_in_the_current_alone() {
 #[test]
 fn without_the_voltage_or_at_a_low_rate_there_are_features() {
     let machine = Parameters::default();
-    for (rate_hz, supply_v) in [(1000.0, None), (25.0, Some(110.0)), (25.0, None), (20_000.0, None)] {
+    for (rate_hz, supply_v, why) in [
+        (1000.0, None, "need supply_v"),
+        (25.0, Some(110.0), "at least 500 Hz, not 25 Hz"),
+        (25.0, None, "need supply_v"),
+        (20_000.0, None, "need supply_v"),
+    ] {
         // A logger without a toe sensor sends nothing, nulls or zeros.
         for position in [f64::NAN, 0.0] {
             let found = identify(&machine, Direction::NormalToReverse, rate_hz, position, supply_v);
             assert_eq!(found.quality(), "current_only", "{rate_hz} Hz");
+            assert!(found.detail().unwrap().contains(why), "{:?}", found.detail());
             assert_eq!(found.direction, Some(Direction::NormalToReverse));
             let Features { duration_s, running_current_a, energy_j, travel_mm, end_position_mm, .. } = found.features;
             assert!((duration_s.unwrap() - 4.3).abs() < 0.1, "{rate_hz} Hz: {duration_s:?}");

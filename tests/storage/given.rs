@@ -90,6 +90,7 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
             mean_current_a: None,
             state: Some(MachineState::Healthy),
             drift: None,
+            drifts: Vec::new(),
             caveats: Vec::new(),
             detail: None,
             baseline: Some((50, 50)),

@@ -339,10 +339,10 @@ impl MachineMonitor {
         self.alarms.events().cloned().collect()
     }
 
-    /// The drifts with an active alarm with their present size, the largest relative to its warning limit first.
+    /// The drifts with an active alarm whose present size is known, the most severe first.
     #[must_use]
-    pub fn drifts(&self) -> &[Drifting] {
-        &self.drift.now
+    pub fn drifts(&self) -> Vec<Drifting> {
+        self.drift.now.iter().filter(|drifting| drifting.has_size()).copied().collect()
     }
 
     /// Sentences about what the monitor cannot show at present.
@@ -357,7 +357,7 @@ impl MachineMonitor {
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(only_features.then(|| text::only_features(&self.name)))
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
-            .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name)))
+            .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()
     }
 

@@ -65,7 +65,7 @@ impl MachineMonitor {
         verdict.baseline =
             observation.direction.filter(|_| !observation.features_only).map(|d| self.baseline_progress(d, settings));
         verdict.state = self.state();
-        verdict.drifts = self.drifts().to_vec();
+        verdict.drifts = self.drifts();
         verdict.blind = self.blind;
         verdict.has_trend = self.tracks.trend().is_some();
         verdict.caveats = self.caveats();
