@@ -93,12 +93,18 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     if daemons.messages.is_empty() && daemons.errors.is_empty() {
         return Err(operator::failure(OperatorError::NoDaemon));
     }
-    let (reports, mut problems) = operator::read::<StatusReport>(&daemons);
+    let (reports, of_daemons) = operator::read::<StatusReport>(&daemons);
+    let (mut latest, of_health) = operator::values::<Health>(&health);
+    let (mut open, of_alarms) = operator::values::<Alarm>(&alarms);
+    // A daemon counts its machines every few seconds only; the answers are newer.
+    let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
+    let are_well = of_daemons + of_health + of_alarms == 0
+        && reports.iter().all(|(_, report)| is_well(report))
+        && latest.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     if arguments.json {
         let [daemons, health, alarms] = [&daemons, &health, &alarms].map(|answers| {
-            let (values, others) = operator::values::<Value>(answers);
-            problems += others;
-            values
+            let values = answers.messages.iter().map(|(_, payload)| serde_json::from_slice::<Value>(payload));
+            values.filter_map(Result::ok).collect::<Vec<_>>()
         });
         output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}))?;
     } else {
@@ -108,24 +114,19 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
         let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
         let windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
-        let (mut health, of_health) = operator::values::<Health>(&health);
-        let (mut alarms, of_alarms) = operator::values::<Alarm>(&alarms);
-        problems += of_health + of_alarms;
-        health.retain(|health| is_asked(&health.machine));
-        alarms.retain(|alarm| is_asked(&alarm.machine));
+        latest.retain(|health| is_asked(&health.machine));
+        open.retain(|alarm| is_asked(&alarm.machine));
         if let Some(site) = &arguments.site
-            && health.is_empty()
+            && latest.is_empty()
             && windows.is_empty()
-            && alarms.is_empty()
+            && open.is_empty()
         {
             let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
             return Err(Failure::new(Exit::Unavailable, error));
         }
-        print_machines(&health, &windows, arguments)?;
-        alarms::print_open(alarms, &health, &windows, false)?;
+        print_machines(&latest, &windows, arguments)?;
+        alarms::print_open(open, &latest, &windows, false)?;
     }
-    let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
-    let are_well = problems == 0 && reports.iter().all(|(_, report)| is_well(report));
     Ok(if are_well { Exit::Ok } else { Exit::Negative })
 }
 
@@ -153,9 +154,8 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     let is_asked = |rows: &[&Health]| arguments.state.is_none_or(|wanted| wanted == state(rows));
     let is_short =
         arguments.all || arguments.state.is_some() || arguments.site.is_some() || machines.len() <= MAX_LISTED;
-    let quiet = [MachineState::Healthy, MachineState::Learning];
     let mut shown: Vec<_> =
-        machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !quiet.contains(&state(rows)))).collect();
+        machines.iter().filter(|(_, rows)| is_asked(rows) && (is_short || !state(rows).is_well())).collect();
     shown.sort_by_key(|(machine, rows)| (rank(state(rows)), **machine));
     let mut table = output::plain_table(["machine", "state", "to", "motor", "friction", "stiffness", "last throw"]);
     if io::stdout().is_terminal() {

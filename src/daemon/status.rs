@@ -88,8 +88,7 @@ impl Standing {
     /// Whether every machine is healthy or learning, no alarm is shelved, and the daemon has no own alarm.
     #[must_use]
     pub fn is_well(&self) -> bool {
-        let well = |state: &MachineState| matches!(state, MachineState::Healthy | MachineState::Learning);
-        self.machines.keys().all(well) && self.shelved_alarms + self.own_alarms == 0
+        self.machines.keys().all(|state| state.is_well()) && self.shelved_alarms + self.own_alarms == 0
     }
 }
 

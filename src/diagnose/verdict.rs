@@ -50,6 +50,12 @@ impl MachineState {
     pub fn as_str(self) -> &'static str {
         self.into()
     }
+
+    /// Whether nothing is known to be wrong with the machine, and it is in service.
+    #[must_use]
+    pub fn is_well(self) -> bool {
+        matches!(self, Self::Healthy | Self::Learning)
+    }
 }
 
 /// The present state of a drift with an active alarm, updated after every throw. Alarm events have the state at their

@@ -7,6 +7,8 @@ mod central;
 #[cfg(test)]
 mod daemon;
 #[cfg(test)]
+mod documents;
+#[cfg(test)]
 mod shipped;
 #[cfg(test)]
 mod site;

@@ -5,11 +5,12 @@ use std::{io::Read, process::Stdio};
 use pointsd::{
     bus,
     diagnose::{Cause, Command},
+    throw::{Throw, Trace},
     wire::{Alarm, Encoding, HistoryQuery, encode_throw},
 };
 use zenoh::Wait;
 
-use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsd, pointsim, stub};
+use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsd, pointsim, stub, throws};
 
 pub(crate) fn logger(endpoint: &str, arguments: &[&str]) {
     let mut child = pointsim(&["run", "--connect", endpoint, "--time-scale", "100000"])
@@ -448,5 +449,29 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
     let (code, text) =
         run(&["sql", "--database", &rig.database().display().to_string(), "SELECT b9 FROM health_history"]);
     assert_eq!((code, text.matches("no such column").count()), (Some(65), 1), "{text}");
+    assert!(daemon.terminate().success());
+}
+
+/// The daemon counts its machines every few seconds; an alarm counts at once.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_exit_code_of_status_knows_an_alarm_of_this_moment() {
+    let rig = Rig::with("[machines]\nstroke_mm = 115.0\n");
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let alarms = session.declare_subscriber("points/v1/**/alarm").await.unwrap();
+    // The toe stops half way, and the motor runs on.
+    let [whole] = &throws("boot", 1)[..] else { panic!("one throw") };
+    let (current_a, mut position_mm) = whole.trace.clone().into_channels();
+    let half_way = position_mm.len() / 2;
+    let reached = position_mm[half_way];
+    position_mm[half_way..].fill(reached);
+    let trace = Trace::new(whole.trace.sample_rate_hz(), current_a, position_mm).unwrap();
+    let obstructed = Throw { trace, ..whole.clone() };
+    let logger = daemon.logger("points/v1/north/21B/throw").await;
+    logger.send([obstructed]).await;
+    let alarm = tokio::time::timeout(PATIENCE, alarms.recv_async()).await.unwrap().unwrap();
+    let alarm: Alarm = serde_json::from_slice(&alarm.payload().to_bytes()).unwrap();
+    assert_eq!(alarm.cause, Cause::IncompleteThrow);
+    daemon.says(1, &["status"]);
     assert!(daemon.terminate().success());
 }

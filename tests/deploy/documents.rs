@@ -1,0 +1,94 @@
+//! The documents agree with the program.
+
+use std::{collections::HashSet, fs, path::Path};
+
+use pointsd::wire::{Alarm, Health, decode_command, decode_throw};
+use serde_json::{Value, json};
+
+use super::site::read;
+
+/// README and the documents of `deploy/`, with their names.
+fn documents() -> Vec<(String, String)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let deploy = fs::read_dir(root.join("deploy")).unwrap().map(|entry| entry.unwrap().path());
+    let documents = deploy.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
+    let documents = documents.chain([root.join("README.md")]);
+    documents.map(|path| (path.display().to_string(), fs::read_to_string(path).unwrap())).collect()
+}
+
+#[test]
+fn no_heading_of_a_document_occurs_twice() {
+    let documents = documents();
+    assert!(documents.len() >= 5, "{}", documents.len());
+    for (name, text) in documents {
+        let mut seen = HashSet::new();
+        let twice: Vec<&str> =
+            text.lines().filter(|line| line.starts_with("## ")).filter(|line| !seen.insert(*line)).collect();
+        assert!(twice.is_empty(), "{name}: {twice:?}");
+    }
+}
+
+/// The cells of the first column under a heading of a page, without their marks of code.
+fn first_cells(page: &str, heading: &str) -> Vec<String> {
+    let section = page.split("\n## ").find(|section| section.starts_with(heading)).unwrap();
+    let rows = section.lines().filter_map(|line| line.strip_prefix("| `")).filter_map(|row| row.split_once("` |"));
+    rows.flat_map(|(cell, _)| cell.split("`, `")).map(str::to_owned).collect()
+}
+
+fn keys(value: &Value) -> HashSet<String> {
+    value.as_object().unwrap().keys().cloned().collect()
+}
+
+#[test]
+fn the_page_of_messages_has_every_field() {
+    let page = read("MESSAGES.md");
+    let alarm: Alarm = serde_json::from_value(json!({
+        "schema": Alarm::SCHEMA, "alarm_id": "a", "event_no": 1, "site": "north", "machine": "21B", "cause": "sensor",
+        "severity": "warning", "state": "shelved", "raised_at": "2026-05-04T10:11:12Z", "channel": "clock",
+        "event_at": "2026-05-04T10:11:12Z", "text": "what"
+    }))
+    .unwrap();
+    let alarm: Value = serde_json::from_slice(&alarm.into_message()).unwrap();
+    assert_eq!(first_cells(&page, "Alarm").into_iter().collect::<HashSet<_>>(), keys(&alarm));
+
+    let health: Health = serde_json::from_value(json!({
+        "schema": Health::SCHEMA, "site": "north", "machine": "21B", "boot_id": "b", "throw_no": 7,
+        "started_at": "2026-05-04T10:11:12Z", "direction": "unknown", "quality": "good", "caveats": ["cold"]
+    }))
+    .unwrap();
+    let health: Value = serde_json::from_slice(&health.to_json()).unwrap();
+    assert_eq!(first_cells(&page, "Health").into_iter().collect::<HashSet<_>>(), keys(&health));
+}
+
+#[test]
+fn a_throw_of_the_fields_on_the_page_of_messages_is_valid() {
+    let mut throw = json!({
+        "schema": "points.throw/1", "boot_id": "b", "throw_no": 7, "started_at": "2026-05-04T10:11:12+02:00",
+        "direction": "unknown", "sample_rate_hz": 1000, "current_a": [0.1, null], "position_mm": [0.0, 0.0],
+        "temperature_c": 4.0, "supply_v": [110.0, 110.0], "anti_alias_hz": 400
+    });
+    let documented: HashSet<String> = first_cells(&read("MESSAGES.md"), "Throw").into_iter().collect();
+    assert_eq!(documented, keys(&throw));
+    let decode = |throw: &Value| decode_throw(pointsd::wire::Encoding::Json, throw.to_string().as_bytes());
+    assert!(decode(&throw).is_ok());
+    for optional in ["position_mm", "temperature_c", "supply_v", "anti_alias_hz"] {
+        throw.as_object_mut().unwrap().remove(optional);
+    }
+    assert!(decode(&throw).is_ok());
+    for required in ["schema", "boot_id", "throw_no", "started_at", "sample_rate_hz", "current_a"] {
+        let mut incomplete = throw.clone();
+        incomplete.as_object_mut().unwrap().remove(required);
+        assert!(decode(&incomplete).is_err(), "{required}");
+    }
+}
+
+#[test]
+fn the_commands_on_the_page_of_messages_are_valid() {
+    let commands = first_cells(&read("MESSAGES.md"), "Command");
+    let names: HashSet<&str> = commands
+        .iter()
+        .map(|text| decode_command(text.as_bytes()).unwrap_or_else(|error| panic!("{text}: {error}")).name())
+        .collect();
+    let all = ["ack", "shelve", "unshelve", "maintenance_start", "maintenance_end", "rebaseline"];
+    assert_eq!(names, all.into());
+}
