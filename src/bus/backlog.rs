@@ -26,7 +26,7 @@ const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// End of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ending {
+pub(crate) enum Ending {
     /// All replies arrived.
     Complete,
     /// A timeout or an error: the logger may have more throws.
@@ -35,7 +35,7 @@ pub enum Ending {
 
 /// The replies of a logger to a query for a page.
 #[derive(Debug)]
-pub struct Page {
+pub(crate) struct Page {
     /// The replies in the order of arrival.
     pub messages: Vec<Message>,
     /// Number of ignored replies: on another key, or beyond the limit of the query.
@@ -50,7 +50,7 @@ struct Collected {
 }
 
 /// Queries the throw key of a machine for a page. Without a logger the page is empty and complete.
-pub async fn page(session: &Session, key: &str, query: &BacklogQuery, limits: Limits) -> Page {
+pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, limits: Limits) -> Page {
     let empty = Page { messages: Vec::new(), ignored: 0, ending: Ending::Complete };
     let collected = Arc::new(Mutex::new(Collected { page: empty, bytes: 0 }));
     let failed = Arc::new(AtomicBool::new(false));

@@ -1,66 +1,109 @@
-//! The queue of the inbox. It serves the keys in turn, so that a flood with one key does not delay others.
+//! The queue of the inbox, with bounded memory. It serves the keys in turn, and one key cannot use the share of the
+//! others, so a flood with one key neither delays nor displaces the messages of others.
 
 use std::{
     collections::VecDeque,
-    sync::{Mutex, PoisonError},
+    hash::{BuildHasher, RandomState},
+    sync::{Mutex, MutexGuard, PoisonError},
 };
 
-use super::{
-    message::Message,
-    queue_budget::{QueueBudget, SLOTS},
-};
+use super::message::Message;
 
-/// Received messages that are not stored yet. Keys with the same hash share a slot.
+/// Capacity \[bytes\]: about one second of 40 kB throws at the measured rate of the database.
+const CAPACITY: usize = 128 << 20;
+/// Least cost of a message \[bytes\]: bounds the number of small messages.
+const LEAST_COST: usize = 8 << 10;
+/// Share of one key while more than half of the capacity is in use \[bytes\]: 64 throws of 64 kB.
+const SHARE: usize = CAPACITY / 32;
+/// Slots of keys, addressed by hash; keys with the same hash share a slot.
+const SLOTS: usize = 1_024;
+
+/// Received messages that are not stored yet.
 #[derive(Debug, Default)]
 pub(super) struct FairQueue {
-    budget: QueueBudget,
     queues: Mutex<Queues>,
+    /// Random, so that a sender cannot choose a key with the hash of another key.
+    hasher: RandomState,
 }
 
 #[derive(Debug)]
 struct Queues {
-    slots: Vec<VecDeque<Message>>,
+    /// Bytes in use by all slots.
+    reserved: usize,
+    slots: Vec<Slot>,
     /// Slots with messages, in the order of their turns.
     turns: VecDeque<usize>,
 }
 
+#[derive(Debug, Default)]
+struct Slot {
+    reserved: usize,
+    messages: VecDeque<Message>,
+}
+
 impl Default for Queues {
     fn default() -> Self {
-        Self { slots: (0..SLOTS).map(|_| VecDeque::new()).collect(), turns: VecDeque::new() }
+        Self { reserved: 0, slots: (0..SLOTS).map(|_| Slot::default()).collect(), turns: VecDeque::new() }
+    }
+}
+
+impl Queues {
+    /// Reserves memory; false if the capacity or the share of the slot is used up.
+    fn reserve(&mut self, slot: usize, cost: usize) -> bool {
+        let (all, own) = (self.reserved + cost, self.slots[slot].reserved + cost);
+        let is_fair = all <= CAPACITY / 2 || own <= SHARE || own == cost;
+        let fits = all <= CAPACITY && is_fair;
+        if fits {
+            (self.reserved, self.slots[slot].reserved) = (all, own);
+        }
+        fits
     }
 }
 
 impl FairQueue {
     /// Memory of the queued messages \[bytes\].
     pub(super) fn bytes(&self) -> usize {
-        self.budget.reserved()
+        self.queues().reserved
     }
 
     /// Queues a message of this key and size; false if the capacity or the share of the key is used up.
     pub(super) fn push(&self, key: &str, memory: usize, message: impl FnOnce() -> Message) -> bool {
-        if !self.budget.reserve(key, memory) {
+        let slot = self.slot(key);
+        if !self.queues().reserve(slot, memory.max(LEAST_COST)) {
             return false;
         }
-        let (message, slot) = (message(), self.budget.slot_number(key));
-        let mut queues = self.queues.lock().unwrap_or_else(PoisonError::into_inner);
-        if queues.slots[slot].is_empty() {
+        // Copied without the lock.
+        let message = message();
+        let mut queues = self.queues();
+        if queues.slots[slot].messages.is_empty() {
             queues.turns.push_back(slot);
         }
-        queues.slots[slot].push_back(message);
+        queues.slots[slot].messages.push_back(message);
         true
     }
 
     /// Removes the oldest message of the next slot.
     pub(super) fn pop(&self) -> Option<Message> {
-        let mut queues = self.queues.lock().unwrap_or_else(PoisonError::into_inner);
-        let slot = queues.turns.pop_front()?;
-        let message = queues.slots[slot].pop_front()?;
-        if !queues.slots[slot].is_empty() {
-            queues.turns.push_back(slot);
+        let mut queues = self.queues();
+        let at = queues.turns.pop_front()?;
+        let slot = &mut queues.slots[at];
+        let message = slot.messages.pop_front()?;
+        let cost = message.memory().max(LEAST_COST);
+        slot.reserved -= cost;
+        if !slot.messages.is_empty() {
+            queues.turns.push_back(at);
         }
-        drop(queues);
-        self.budget.release(&message.key, message.memory());
+        queues.reserved -= cost;
         Some(message)
+    }
+
+    fn queues(&self) -> MutexGuard<'_, Queues> {
+        self.queues.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "a remainder below SLOTS")]
+    fn slot(&self, key: &str) -> usize {
+        (self.hasher.hash_one(key) % SLOTS as u64) as usize
     }
 }
 
@@ -68,15 +111,53 @@ impl FairQueue {
 mod tests {
     use super::*;
 
+    /// Largest number of messages in the queue.
+    const MAX_MESSAGES: usize = CAPACITY / LEAST_COST;
+
+    /// Queues a message with this memory.
+    fn push(queue: &FairQueue, key: &str, memory: usize) -> bool {
+        let message = || Message {
+            key: key.to_owned(),
+            content_type: String::new(),
+            payload: vec![0; memory.saturating_sub(key.len())],
+            bytes: memory,
+        };
+        queue.push(key, message().memory(), message)
+    }
+
     #[test]
     fn keys_take_turns() {
         let queue = FairQueue::default();
-        for (key, bytes) in (0..100).map(|number| ("flood", number)).chain([("calm", 100), ("calm", 101)]) {
-            let message = || Message { key: key.to_owned(), content_type: String::new(), payload: Vec::new(), bytes };
-            assert!(queue.push(key, 0, message));
+        for (key, bytes) in (10..110).map(|number| ("flood", number)).chain([("calm", 100), ("calm", 101)]) {
+            assert!(push(&queue, key, bytes));
         }
         let first: Vec<usize> = (0..4).map(|_| queue.pop().unwrap().bytes).collect();
-        assert_eq!(first, [0, 100, 1, 101]);
+        assert_eq!(first, [10, 100, 11, 101]);
         assert_eq!((std::iter::from_fn(|| queue.pop()).count(), queue.bytes()), (98, 0));
+    }
+
+    #[test]
+    fn one_key_leaves_half_of_the_room_to_the_others() {
+        let queue = FairQueue::default();
+        let flood = (0..2 * MAX_MESSAGES).filter(|_| push(&queue, "flood", 40)).count();
+        assert_eq!(flood, MAX_MESSAGES / 2);
+        let others = (0..8).map(|other| (0..1_000).filter(|_| push(&queue, &format!("other {other}"), 40)).count());
+        // Every key gets its share, except those in the slot of the flood.
+        assert!(others.filter(|&taken| taken == SHARE / LEAST_COST).count() >= 6);
+        queue.pop();
+        assert!(!push(&queue, "flood", 40), "it still has more than its share");
+    }
+
+    #[test]
+    fn the_room_has_an_end_and_what_is_given_back_can_be_taken_again() {
+        let queue = FairQueue::default();
+        let taken = (0..10 * MAX_MESSAGES).filter(|number| push(&queue, &number.to_string(), 0)).count();
+        assert!(taken <= MAX_MESSAGES && taken > MAX_MESSAGES / 2, "{taken} messages");
+        let large = FairQueue::default();
+        let sizes = [("a", CAPACITY / 2), ("b", CAPACITY / 4), ("c", CAPACITY / 4), ("d", 1)];
+        assert_eq!(sizes.map(|(key, bytes)| push(&large, key, bytes)), [true, true, true, false]);
+        assert_eq!(large.pop().unwrap().key, "a");
+        assert!(push(&large, "d", 1));
+        assert_eq!(large.bytes(), CAPACITY / 2 + LEAST_COST);
     }
 }

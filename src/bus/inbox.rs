@@ -26,7 +26,7 @@ const DROPPED_KEYS: usize = 1_024;
 
 /// Counters of the inbox since its start, and its queue.
 #[derive(Debug, Default)]
-pub struct InboxCounters {
+pub(crate) struct InboxCounters {
     /// Messages received.
     pub received: AtomicU64,
     /// Messages dropped because the queue was full or their key had used its share.
@@ -38,24 +38,20 @@ pub struct InboxCounters {
 
 impl InboxCounters {
     /// Memory of the queued messages \[bytes\].
-    #[must_use]
-    pub fn queued_bytes(&self) -> usize {
+    pub(crate) fn queued_bytes(&self) -> usize {
         self.queue.bytes()
     }
 }
 
 /// The subscription to live throws and its queue.
-pub struct Inbox {
+pub(crate) struct Inbox {
     subscriber: Option<Subscriber<()>>,
     counters: Arc<InboxCounters>,
 }
 
 impl Inbox {
     /// Subscribes to a key expression. The returned receiver gets the keys of dropped messages.
-    ///
-    /// # Errors
-    /// When zenoh refuses the subscription.
-    pub async fn subscribe(
+    pub(crate) async fn subscribe(
         session: &Session,
         key_expression: &str,
         limits: Limits,
@@ -72,14 +68,13 @@ impl Inbox {
     }
 
     /// The counters, shared with the callback.
-    #[must_use]
-    pub fn counters(&self) -> Arc<InboxCounters> {
+    pub(crate) fn counters(&self) -> Arc<InboxCounters> {
         Arc::clone(&self.counters)
     }
 
     /// Waits for messages and moves up to `limit` of them into `batch`, fewer if they are large. Returns their number;
     /// 0 after [`Self::close`] once the queue is empty. Cancel safe.
-    pub async fn receive(&mut self, batch: &mut Vec<Message>, limit: usize) -> usize {
+    pub(crate) async fn receive(&mut self, batch: &mut Vec<Message>, limit: usize) -> usize {
         let before = batch.len();
         loop {
             let mut bytes = 0;
@@ -96,7 +91,7 @@ impl Inbox {
     }
 
     /// Ends the subscription. Queued messages can still be received.
-    pub async fn close(&mut self) {
+    pub(crate) async fn close(&mut self) {
         if let Some(subscriber) = self.subscriber.take()
             && let Err(error) = subscriber.undeclare().await
         {

@@ -4,7 +4,7 @@ use zenoh::sample::Sample;
 
 /// A received message, live or from a backlog.
 #[derive(Debug)]
-pub struct Message {
+pub(crate) struct Message {
     /// Key of the publication.
     pub key: String,
     /// Content type; empty if the sender gave none.
@@ -17,7 +17,7 @@ pub struct Message {
 
 /// Size limits of received payloads.
 #[derive(Debug, Clone, Copy)]
-pub struct Limits {
+pub(crate) struct Limits {
     /// Largest accepted payload \[bytes\].
     pub max_payload_bytes: usize,
     /// Bytes kept of a larger payload, for the quarantine.

@@ -135,10 +135,7 @@ pub async fn ask(
 
 /// Sends a command to the daemon that serves a machine, and returns its reply. First asks all daemons that would apply
 /// the command for their names; sends nothing unless there is exactly one, and it is `expected` if that is given.
-///
-/// # Errors
-/// When no daemon, several daemons or an unexpected daemon serve the machine, or the daemon refuses.
-pub async fn command(
+pub(crate) async fn command(
     session: &Session,
     machine: &MachineId,
     expected: Option<&MachineId>,
@@ -172,19 +169,13 @@ pub async fn command(
 }
 
 /// The names of the running daemons, as `{site}/{id}`, from their liveliness tokens.
-///
-/// # Errors
-/// When zenoh refuses the query.
-pub async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
+async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
     let keys = alive(session, EVERY_MONITOR_ALIVE).await?;
     Ok(keys.iter().filter_map(|key| parse_monitor_key(key)).map(|name| name.to_string()).collect())
 }
 
 /// Checks that the daemon `expected` runs behind this session.
-///
-/// # Errors
-/// When no daemon or only other daemons run there.
-pub async fn require_running(session: &Session, expected: &MachineId) -> Result<(), OperatorError> {
+pub(crate) async fn require_running(session: &Session, expected: &MachineId) -> Result<(), OperatorError> {
     let (found, expected) = (monitors(session).await?, expected.to_string());
     if found.contains(&expected) {
         Ok(())
@@ -197,10 +188,7 @@ pub async fn require_running(session: &Session, expected: &MachineId) -> Result<
 
 /// Distinguishes "no alarms" from "no daemon monitors this": checks that a daemon runs and, for a given machine, that a
 /// daemon knows it.
-///
-/// # Errors
-/// When no daemon runs, or none has a throw of the machine.
-pub async fn require_monitored(
+pub(crate) async fn require_monitored(
     session: &Session,
     machine: Option<&MachineId>,
     timeout: Duration,

@@ -28,7 +28,7 @@ const ALARMS: usize = 16;
 
 /// Counters since the start.
 #[derive(Debug, Default)]
-pub struct OutletCounters {
+pub(crate) struct OutletCounters {
     /// Messages that zenoh accepted.
     pub published: AtomicU64,
     /// Health messages dropped because the queue was full. They are in the database.
@@ -44,7 +44,7 @@ struct Job {
 
 /// Handle to the publishing threads, which end when the last handle is dropped.
 #[derive(Clone)]
-pub struct Outlet {
+pub(crate) struct Outlet {
     alarms: mpsc::Sender<Job>,
     healths: mpsc::Sender<Job>,
     counters: Arc<OutletCounters>,
@@ -52,11 +52,11 @@ pub struct Outlet {
 
 /// The end of the publishing threads.
 #[derive(Debug)]
-pub struct OutletEnd([oneshot::Receiver<Infallible>; 2]);
+pub(crate) struct OutletEnd([oneshot::Receiver<Infallible>; 2]);
 
 impl OutletEnd {
     /// Waits until the threads have published their queues and ended.
-    pub async fn reached(self) {
+    pub(crate) async fn reached(self) {
         for end in self.0 {
             // Always an error: the thread sends nothing, it only drops the sender.
             let _ = end.await;
@@ -67,10 +67,7 @@ impl OutletEnd {
 impl Outlet {
     /// Starts the threads. Close the session only after [`OutletEnd::reached`]: a put to a closing session panics in
     /// zenoh.
-    ///
-    /// # Errors
-    /// When a thread cannot be started.
-    pub fn start(session: &Session) -> std::io::Result<(Self, OutletEnd)> {
+    pub(crate) fn start(session: &Session) -> std::io::Result<(Self, OutletEnd)> {
         let counters = Arc::new(OutletCounters::default());
         // With a priority of their own alarms do not wait in zenoh behind health.
         let (alarms, first) = publisher("alarms", session, Priority::InteractiveHigh, ALARMS, &counters)?;
@@ -79,16 +76,12 @@ impl Outlet {
     }
 
     /// Counters of published, dropped and refused messages, shared with the threads.
-    #[must_use]
-    pub fn counters(&self) -> Arc<OutletCounters> {
+    pub(crate) fn counters(&self) -> Arc<OutletCounters> {
         Arc::clone(&self.counters)
     }
 
     /// Publishes an alarm event; returns when zenoh has accepted it.
-    ///
-    /// # Errors
-    /// When zenoh refuses the event, or the thread has ended.
-    pub async fn alarm(&self, key: String, payload: Vec<u8>) -> Result<(), BusError> {
+    pub(crate) async fn alarm(&self, key: String, payload: Vec<u8>) -> Result<(), BusError> {
         let (done, answer) = oneshot::channel();
         let gone = || BusError::new("publish an alarm")("the publishing thread has ended".into());
         self.alarms.send(Job { key, payload, done: Some(done) }).await.map_err(|_| gone())?;
@@ -96,15 +89,14 @@ impl Outlet {
     }
 
     /// Queues the health of a throw; counts it as dropped if the queue is full.
-    pub fn health(&self, key: String, payload: Vec<u8>) {
+    pub(crate) fn health(&self, key: String, payload: Vec<u8>) {
         if self.healths.try_send(Job { key, payload, done: None }).is_err() {
             self.counters.dropped.fetch_add(1, Relaxed);
         }
     }
 
     /// Whether a thread has ended.
-    #[must_use]
-    pub fn is_closed(&self) -> bool {
+    pub(crate) fn is_closed(&self) -> bool {
         self.alarms.is_closed() || self.healths.is_closed()
     }
 }

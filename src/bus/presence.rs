@@ -11,10 +11,7 @@ use super::error::BusError;
 /// Watches the liveliness tokens in a key expression while the session is open. `on_change` gets the key of each token,
 /// and whether it appeared or went; the present tokens come first. It runs on a thread of zenoh and must not wait: a cut
 /// link removes all tokens of a region at once, and a queue of these changes would overflow.
-///
-/// # Errors
-/// When zenoh refuses the subscription.
-pub async fn watch_tokens(
+pub(crate) async fn watch_tokens(
     session: &Session,
     key_expression: &str,
     on_change: impl Fn(&str, bool) + Send + Sync + 'static,
@@ -30,20 +27,17 @@ pub async fn watch_tokens(
 }
 
 /// The subscribers to a key expression, as seen by a publisher that publishes nothing.
-pub struct Audience(Publisher<'static>);
+pub(crate) struct Audience(Publisher<'static>);
 
 impl Audience {
     /// Watches the subscribers to any key in the key expression.
-    ///
-    /// # Errors
-    /// When zenoh refuses the publisher.
-    pub async fn of(session: &Session, key_expression: &str) -> Result<Self, BusError> {
+    pub(crate) async fn of(session: &Session, key_expression: &str) -> Result<Self, BusError> {
         let publisher = session.declare_publisher(key_expression.to_owned()).await;
         publisher.map(Self).map_err(BusError::new(format!("see the subscribers to {key_expression}")))
     }
 
     /// Whether any subscriber is connected now.
-    pub async fn is_connected(&self) -> bool {
+    pub(crate) async fn is_connected(&self) -> bool {
         self.0.matching_status().await.is_ok_and(|status| status.matching())
     }
 }

@@ -1,4 +1,4 @@
-//! Queries on health, alarms and commands, through a bounded queue.
+//! Queries on health, alarms and commands, through bounded queues of queries and of replies.
 
 use std::sync::{
     Arc,
@@ -6,7 +6,10 @@ use std::sync::{
 };
 
 use tokio::{
-    sync::mpsc::{self, error::TrySendError},
+    sync::{
+        OwnedSemaphorePermit, Semaphore,
+        mpsc::{self, error::TrySendError},
+    },
     task,
 };
 use zenoh::{
@@ -19,6 +22,8 @@ use super::{error::BusError, session::intersect};
 
 /// Capacity of the queue: a dashboard sends a few queries a second.
 const QUEUE: usize = 64;
+/// Queries whose replies are sent at the same time: those to a client on a slow link do not delay the others.
+const SENDING: usize = 8;
 /// Reply to a query that found the queue full, for its sender.
 const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
 /// Largest payload that is read \[bytes\]; commands have a few hundred.
@@ -37,20 +42,17 @@ impl Question {
     }
 
     /// The parameters, the part of the selector after `?`.
-    #[must_use]
-    pub fn parameters(&self) -> &str {
+    pub(crate) fn parameters(&self) -> &str {
         self.query.parameters().as_str()
     }
 
     /// The value of a parameter, as in `?name=value`.
-    #[must_use]
-    pub fn parameter(&self, name: &str) -> Option<&str> {
+    pub(crate) fn parameter(&self, name: &str) -> Option<&str> {
         self.query.parameters().get(name)
     }
 
     /// The payload, cut to `MAX_PAYLOAD`.
-    #[must_use]
-    pub fn payload(&self) -> Vec<u8> {
+    pub(crate) fn payload(&self) -> Vec<u8> {
         let Some(payload) = self.query.payload() else { return Vec::new() };
         let mut bytes = Vec::new();
         for slice in payload.slices() {
@@ -61,8 +63,7 @@ impl Question {
     }
 
     /// Whether the key expression of the query includes `key`.
-    #[must_use]
-    pub fn asks_about(&self, key: &str) -> bool {
+    pub(crate) fn asks_about(&self, key: &str) -> bool {
         intersect(self.key(), key)
     }
 }
@@ -73,6 +74,8 @@ pub struct Questions {
     /// Queries that found `waiting` full, for an error reply.
     refused: mpsc::Receiver<Question>,
     dropped: Arc<AtomicU64>,
+    /// A permit for each query whose replies are being sent.
+    sending: Arc<Semaphore>,
     _queryable: Queryable<()>,
 }
 
@@ -98,7 +101,8 @@ impl Questions {
             })
             .await
             .map_err(BusError::new(format!("answer queries on {key_expression}")))?;
-        Ok(Self { waiting, refused, dropped, _queryable: queryable })
+        let sending = Arc::new(Semaphore::new(SENDING));
+        Ok(Self { waiting, refused, dropped, sending, _queryable: queryable })
     }
 
     /// Number of queries refused since the last call, because the queue was full.
@@ -108,37 +112,42 @@ impl Questions {
     }
 
     /// The next query; `None` when the session is closed. First replies an error to the refused queries. They never wait
-    /// in vain: a query is refused only while others wait here, and the caller returns for these. Not cancel-safe.
+    /// in vain: a query is refused only while others wait here, and the caller returns for these. Cancel safe.
     pub async fn next(&mut self) -> Option<Question> {
         // Only those present now: during a flood others follow without end.
         for _ in 0..self.refused.len() {
-            answer(self.refused.recv().await?, Err(BUSY.to_owned())).await;
+            let question = self.refused.recv().await?;
+            // While slow links take all permits, it ends without a reply.
+            if let Ok(permit) = Arc::clone(&self.sending).try_acquire_owned() {
+                send(question, Err(BUSY.to_owned()), permit);
+            }
         }
         self.waiting.recv().await
     }
+
+    /// Replies to a query with JSON messages, each on its key, or with one error text. Returns while they are being sent,
+    /// but waits while the replies to `SENDING` other queries are.
+    pub(crate) async fn answer(&self, question: Question, replies: Result<Vec<(String, Vec<u8>)>, String>) {
+        // Always `Ok`: nothing closes the semaphore.
+        if let Ok(permit) = Arc::clone(&self.sending).acquire_owned().await {
+            send(question, replies, permit);
+        }
+    }
 }
 
-/// Replies to a query with JSON messages, each on its key, or with one error text. Runs on a blocking thread, as a
-/// reply blocks on a slow link, until zenoh closes the link after 5 s without progress.
-pub async fn answer(question: Question, replies: Result<Vec<(String, Vec<u8>)>, String>) {
-    let sent = task::spawn_blocking(move || {
-        let query = question.query;
+/// Sends replies on a blocking thread, as a reply blocks on a slow link, until zenoh closes the link after 5 s without
+/// progress.
+fn send(Question { query }: Question, replies: Result<Vec<(String, Vec<u8>)>, String>, permit: OwnedSemaphorePermit) {
+    task::spawn_blocking(move || {
+        let _permit = permit;
+        let failed = |error| tracing::debug!(%error, "sending a reply failed");
         match replies {
             Ok(messages) => {
                 for (key, payload) in messages {
-                    if let Err(error) = query.reply(key, payload).encoding(Encoding::APPLICATION_JSON).wait() {
-                        tracing::debug!(%error, "sending a reply failed");
-                    }
+                    query.reply(key, payload).encoding(Encoding::APPLICATION_JSON).wait().unwrap_or_else(failed);
                 }
             }
-            Err(problem) => {
-                if let Err(error) = query.reply_err(problem).encoding(Encoding::TEXT_PLAIN).wait() {
-                    tracing::debug!(%error, "sending an error reply failed");
-                }
-            }
+            Err(problem) => query.reply_err(problem).encoding(Encoding::TEXT_PLAIN).wait().unwrap_or_else(failed),
         }
     });
-    if let Err(error) = sent.await {
-        tracing::error!(%error, "answering a query failed");
-    }
 }

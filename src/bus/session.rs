@@ -13,17 +13,13 @@ pub async fn open(config: Config) -> Result<Session, BusError> {
 }
 
 /// Declares a liveliness token. Others see it until it is dropped or the link is closed.
-///
-/// # Errors
-/// When zenoh refuses the key.
-pub async fn declare_alive(session: &Session, key: &str) -> Result<LivelinessToken, BusError> {
+pub(crate) async fn declare_alive(session: &Session, key: &str) -> Result<LivelinessToken, BusError> {
     let declared = session.liveliness().declare_token(key.to_owned()).await;
     declared.map_err(BusError::new(format!("declare the liveliness token {key}")))
 }
 
 /// Whether two key expressions have a key in common; false if one of them is invalid.
-#[must_use]
-pub fn intersect(one: &str, other: &str) -> bool {
+pub(crate) fn intersect(one: &str, other: &str) -> bool {
     match (keyexpr::new(one), keyexpr::new(other)) {
         (Ok(one), Ok(other)) => one.intersects(other),
         _ => false,
@@ -31,6 +27,6 @@ pub fn intersect(one: &str, other: &str) -> bool {
 }
 
 /// Whether the session has a link to another session. A client without its router has none.
-pub async fn is_connected(session: &Session) -> bool {
+pub(crate) async fn is_connected(session: &Session) -> bool {
     session.info().transports().await.next().is_some()
 }

@@ -36,7 +36,7 @@ const EXPORT_FOLDERS: usize = 4;
 /// direction, boot, number, temperature, supply and filter of its line in `throws.csv`, which is in the folder of the
 /// traces or in the folder above; without this line it has the time of the file.
 ///
-/// Exit codes: 0 imported; 65 the content of a file is invalid; 66 a file cannot be read; 69 the daemon is running; 74
+/// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file cannot be read; 69 the daemon is running; 74
 /// the database cannot be used; 78 the configuration is invalid. Files before an invalid one are imported.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd import --machine north/21B --config config/pointsd.toml throws/*.csv")]
@@ -69,6 +69,12 @@ struct Count {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let config = load(arguments.config.as_deref())?;
+    if let Some(problem) = config.monitor.reserves(&arguments.machine.0) {
+        return Err(Failure {
+            exit: Exit::Usage,
+            error: anyhow::anyhow!("--machine {}: {problem}", arguments.machine.0),
+        });
+    }
     runtime::block_on(async {
         let mut pipeline = Offline::open(config).await.map_err(start_failure)?;
         let mut count = Count::default();

@@ -88,21 +88,21 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     let ask = |selector| bus::ask(session, selector, None, ANSWER_TIMEOUT);
     let daemons = ask("points/v1/*/monitor/*/status").await.map_err(operator::failure)?;
-    let health = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
-    let alarms = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
+    let of_machines = ask("points/v1/*/*/health").await.map_err(operator::failure)?;
+    let events = ask("points/v1/*/*/alarm").await.map_err(operator::failure)?;
     if daemons.messages.is_empty() && daemons.errors.is_empty() {
         return Err(operator::failure(OperatorError::NoDaemon));
     }
     let (reports, of_daemons) = operator::read::<StatusReport>(&daemons);
-    let (mut latest, of_health) = operator::values::<Health>(&health);
-    let (mut open, of_alarms) = operator::values::<Alarm>(&alarms);
+    let (mut health, of_health) = operator::values::<Health>(&of_machines);
+    let (mut alarms, of_alarms) = operator::values::<Alarm>(&events);
     // A daemon counts its machines every few seconds only; the answers are newer.
     let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
     let are_well = of_daemons + of_health + of_alarms == 0
         && reports.iter().all(|(_, report)| is_well(report))
-        && latest.iter().all(|health| health.state.is_none_or(MachineState::is_well));
+        && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     if arguments.json {
-        let [daemons, health, alarms] = [&daemons, &health, &alarms].map(|answers| {
+        let [daemons, health, alarms] = [&daemons, &of_machines, &events].map(|answers| {
             let values = answers.messages.iter().map(|(_, payload)| serde_json::from_slice::<Value>(payload));
             values.filter_map(Result::ok).collect::<Vec<_>>()
         });
@@ -114,18 +114,18 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
         let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
         let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
         let windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
-        latest.retain(|health| is_asked(&health.machine));
-        open.retain(|alarm| is_asked(&alarm.machine));
+        health.retain(|health| is_asked(&health.machine));
+        alarms.retain(|alarm| is_asked(&alarm.machine));
         if let Some(site) = &arguments.site
-            && latest.is_empty()
+            && health.is_empty()
             && windows.is_empty()
-            && open.is_empty()
+            && alarms.is_empty()
         {
             let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
             return Err(Failure::new(Exit::Unavailable, error));
         }
-        print_machines(&latest, &windows, arguments)?;
-        alarms::print_open(open, &latest, &windows, false)?;
+        print_machines(&health, &windows, arguments)?;
+        alarms::print_open(alarms, &health, &windows, false)?;
     }
     Ok(if are_well { Exit::Ok } else { Exit::Negative })
 }

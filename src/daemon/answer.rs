@@ -2,7 +2,7 @@
 
 use super::{orders::Orders, status::Gauges};
 use crate::{
-    bus::{self, Question, Questions},
+    bus::{Question, Questions},
     store::{Reader, Selector, StoreError, seldom},
     wire::{self, Alarm, Commander, Health, HistoryQuery, Kind},
 };
@@ -23,7 +23,7 @@ async fn next(questions: &mut Questions) -> Option<Question> {
 pub(super) async fn health(mut questions: Questions, reader: Reader) {
     while let Some(question) = next(&mut questions).await {
         let replies = health_replies(&question, &reader).await;
-        bus::answer(question, replies).await;
+        questions.answer(question, replies).await;
     }
 }
 
@@ -43,7 +43,7 @@ pub(super) async fn alarms(mut questions: Questions, reader: Reader, elsewhere: 
             continue;
         }
         let replies = alarm_replies(&question, &reader).await;
-        bus::answer(question, replies).await;
+        questions.answer(question, replies).await;
     }
 }
 
@@ -73,7 +73,7 @@ pub(super) async fn commands(mut questions: Questions, orders: Orders, itself: C
             Some(other) if other != itself.session => Ok(Vec::new()),
             _ => command_reply(&question, &orders, &itself).await,
         };
-        bus::answer(question, replies).await;
+        questions.answer(question, replies).await;
     }
 }
 
@@ -99,7 +99,7 @@ pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges
             // The rest of the status is most important when the database does not answer.
             Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
         }
-        bus::answer(question, Ok(vec![(key.clone(), wire::json(&report).into_bytes())])).await;
+        questions.answer(question, Ok(vec![(key.clone(), wire::json(&report).into_bytes())])).await;
     }
 }
 

@@ -133,7 +133,10 @@ impl Backlog {
                     self.seen = alive;
                 }
                 Some(key) = self.dropped.recv() => {
-                    if let Ok((machine, Kind::Throw)) = wire::parse_key(&key) {
+                    // Only known machines, as a flood may have any number of keys.
+                    if let Ok((machine, Kind::Throw)) = wire::parse_key(&key)
+                        && (self.seen.contains(&machine) || self.asker.intake.knows(&machine))
+                    {
                         schedule.ask(&machine);
                     }
                 }

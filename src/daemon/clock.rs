@@ -6,15 +6,13 @@ use std::time::Instant;
 use jiff::Timestamp;
 
 /// Wall time, for records and texts only, as it may jump.
-#[must_use]
 #[expect(clippy::disallowed_methods, reason = "this is the place")]
-pub fn now() -> Timestamp {
+pub(crate) fn now() -> Timestamp {
     Timestamp::now()
 }
 
 /// Monotonic time, for waits and heartbeats.
-#[must_use]
 #[expect(clippy::disallowed_methods, reason = "this is the place")]
-pub fn monotonic() -> Instant {
+pub(crate) fn monotonic() -> Instant {
     Instant::now()
 }

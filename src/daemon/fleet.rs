@@ -130,10 +130,6 @@ impl Fleet {
         if let Some(Command::Rebaseline { why, .. }) = &command {
             tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
         }
-        if let Some(found) = identification.as_ref().filter(|found| found.direction.is_some()) {
-            monitor.direction(found.direction_contradicted);
-        }
-        monitor.received(stored.received_at);
         let mut verdict = monitor.observe_beside(&observation, &common, settings);
         let irregularities = [
             (has_wrong_clock, Irregularity::WrongClock(stored.started_at)),
@@ -234,13 +230,8 @@ impl Fleet {
         now: Timestamp,
         settings: &Settings,
     ) -> Option<Outcome> {
-        if trouble.is_none() && !self.monitors.contains_key(own_machine) {
-            return None;
-        }
-        let monitor = self.monitor(own_machine);
-        let trouble = trouble.map(|(severity, text)| (*severity, text.as_str()));
-        let event = monitor.trouble(trouble, now, settings)?;
-        Some(outcome(own_machine, Some(monitor), now, vec![event]))
+        let text = trouble.map(|(severity, text)| (*severity, text.as_str()));
+        self.update(own_machine, trouble.is_some(), now, |monitor| monitor.trouble(text, now, settings))
     }
 
     /// Updates the alarm about watched daemons that are away; call it when they change.
@@ -251,13 +242,8 @@ impl Fleet {
         now: Timestamp,
         settings: &Settings,
     ) -> Option<Outcome> {
-        if away.is_empty() && !self.monitors.contains_key(own_machine) {
-            return None;
-        }
-        let away: Vec<(String, Timestamp)> = away.iter().map(|(peer, since)| (peer.to_string(), *since)).collect();
-        let monitor = self.monitor(own_machine);
-        let event = monitor.peers(&away, now, settings)?;
-        Some(outcome(own_machine, Some(monitor), now, vec![event]))
+        let names: Vec<(String, Timestamp)> = away.iter().map(|(peer, since)| (peer.to_string(), *since)).collect();
+        self.update(own_machine, !away.is_empty(), now, |monitor| monitor.peers(&names, now, settings))
     }
 
     /// Reports an irregularity of a logger without a throw; `None` if its machine has no monitor, or without news.
@@ -268,8 +254,23 @@ impl Fleet {
         now: Timestamp,
         settings: &Settings,
     ) -> Option<Outcome> {
-        let monitor = self.monitors.get_mut(machine)?;
-        let event = monitor.irregular(irregularity, None, now, settings)?;
+        self.update(machine, false, now, |monitor| monitor.irregular(irregularity, None, now, settings))
+    }
+
+    /// The outcome of a change that may have an event; `None` without an event. Of a machine without a monitor it is
+    /// `None` too, unless the monitor `is_needed`.
+    fn update(
+        &mut self,
+        machine: &MachineId,
+        is_needed: bool,
+        now: Timestamp,
+        change: impl FnOnce(&mut MachineMonitor) -> Option<AlarmEvent>,
+    ) -> Option<Outcome> {
+        if !is_needed && !self.monitors.contains_key(machine) {
+            return None;
+        }
+        let monitor = self.monitor(machine);
+        let event = change(monitor)?;
         Some(outcome(machine, Some(monitor), now, vec![event]))
     }
 
@@ -319,7 +320,9 @@ fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observat
     Observation {
         throw: stored.id.clone(),
         started_at: stored.started_at,
+        received_at: Some(stored.received_at),
         direction: found.and_then(|found| found.direction).or(declared.and_then(|throw| throw.direction)),
+        direction_contradicted: found.and_then(|found| found.direction.map(|_| found.direction_contradicted)),
         estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
         grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
         ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),

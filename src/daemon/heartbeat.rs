@@ -16,7 +16,7 @@ const FRESH: Duration = Duration::from_secs(30);
 /// A loop with a heartbeat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::AsRefStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
-pub enum TaskName {
+pub(crate) enum TaskName {
     /// Receives and stores messages.
     Receive,
     /// Identifies and diagnoses.
@@ -31,7 +31,7 @@ pub enum TaskName {
 
 /// The time of the last beat of each loop.
 #[derive(Debug)]
-pub struct Heartbeats {
+pub(crate) struct Heartbeats {
     start: Instant,
     last_ms: [AtomicU64; TaskName::VARIANTS.len()],
 }
@@ -47,13 +47,12 @@ impl Default for Heartbeats {
 
 impl Heartbeats {
     /// Records a heartbeat.
-    pub fn beat(&self, task: TaskName) {
+    pub(crate) fn beat(&self, task: TaskName) {
         self.last_ms[task as usize].store(self.elapsed_ms(), Relaxed);
     }
 
     /// Loops without a fresh heartbeat; none while a copy of the database makes progress, as they wait for the writer.
-    #[must_use]
-    pub fn silent(&self, is_copying: bool) -> Vec<TaskName> {
+    pub(crate) fn silent(&self, is_copying: bool) -> Vec<TaskName> {
         let now = self.elapsed_ms();
         let silent = |task: &TaskName| {
             let age = now.saturating_sub(self.last_ms[*task as usize].load(Relaxed));

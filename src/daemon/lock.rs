@@ -34,7 +34,7 @@ pub enum LockError {
 
 /// The lock of a database, held until it is dropped or the process ends in any way.
 #[derive(Debug)]
-pub struct DatabaseLock {
+pub(crate) struct DatabaseLock {
     _file: File,
     /// A second lock by an abstract socket name, which, unlike the lock file, cannot be removed.
     _name: UnixListener,
@@ -42,10 +42,7 @@ pub struct DatabaseLock {
 
 impl DatabaseLock {
     /// Takes the lock of a database.
-    ///
-    /// # Errors
-    /// When another process has the lock, or its file cannot be created.
-    pub fn take(database: &Path) -> Result<Self, LockError> {
+    pub(crate) fn take(database: &Path) -> Result<Self, LockError> {
         let mut path = database.as_os_str().to_owned();
         path.push(".lock");
         let path = PathBuf::from(path);

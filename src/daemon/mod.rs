@@ -10,7 +10,7 @@
 mod answer;
 mod backlog;
 mod budget;
-pub mod clock;
+pub(crate) mod clock;
 pub mod config;
 mod fleet;
 mod heartbeat;
@@ -33,11 +33,11 @@ mod view;
 mod watchdog;
 mod webhook;
 
-pub use heartbeat::{Heartbeats, TaskName};
+pub(crate) use heartbeat::TaskName;
 pub use judge::Judged;
-pub use lock::{DatabaseLock, LockError};
+pub use lock::LockError;
 pub use offline::{Offline, StartError};
 pub use running::{DATABASE, Daemon};
-pub use status::{Standing, Status, StatusReport};
+pub use status::{Standing, StatusReport};
 pub use tasks::TaskEnded;
 pub use view::View;

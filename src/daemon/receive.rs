@@ -2,7 +2,8 @@
 //! is retried until it succeeds or the daemon must end.
 
 use std::{
-    collections::HashMap,
+    collections::{HashMap, HashSet},
+    hash::{DefaultHasher, Hash, Hasher},
     sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::Ordering::Relaxed},
     time::Duration,
 };
@@ -11,10 +12,10 @@ use jiff::Timestamp;
 use tokio::{sync::Notify, task, time};
 use tokio_util::sync::CancellationToken;
 
-use super::{clock, heartbeat::TaskName, status::Status};
+use super::{clock, config::Monitor, heartbeat::TaskName, status::Status};
 use crate::{
     bus::{Inbox, Message},
-    store::{ALL_MACHINES, QUARANTINED_BYTES, Refused, Spooled, Store, StoreError, seldom},
+    store::{QUARANTINED_BYTES, Refused, Spooled, Store, StoreError, seldom},
     throw::{MachineId, Throw},
     wire::{self, Encoding},
 };
@@ -33,6 +34,9 @@ const FIRST_PAUSE: Duration = Duration::from_millis(50);
 /// Longest pause, within which freed disk space is noticed.
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
+/// Largest number of remembered hashes of refused messages; beyond it all are forgotten.
+const REFUSED_BEFORE: usize = 10_000;
+
 /// Time after a live throw for which a logger without a liveliness token counts as connected: longer than a gap is
 /// awaited, shorter than most cuts of a link.
 const LIVE: Duration = Duration::from_mins(1);
@@ -48,8 +52,9 @@ pub(super) struct Intake {
     pub(super) machines: Mutex<HashMap<MachineId, Option<time::Instant>>>,
     pub(super) max_machines: usize,
     pub(super) max_payload_bytes: usize,
-    /// Name of the daemon as a machine; no real machine may have it.
-    pub(super) itself: MachineId,
+    pub(super) monitor: Monitor,
+    /// Hashes of messages from backlogs that are in quarantine: a page may be queried again without end.
+    pub(super) refused_before: Mutex<HashSet<u64>>,
 }
 
 impl Intake {
@@ -76,12 +81,18 @@ impl Intake {
                 Err(why) => refused.push(why),
             }
         }
-        for refused in refused.iter().filter(|_| live) {
-            if let Ok((machine, _)) = wire::parse_key(&refused.key)
-                && self.known().contains_key(&machine)
-            {
-                self.status.count_invalid(machine, &refused.reason);
+        if live {
+            for refused in &refused {
+                if let Ok((machine, _)) = wire::parse_key(&refused.key)
+                    && self.knows(&machine)
+                {
+                    self.status.count_invalid(machine, &refused.reason);
+                }
             }
+        } else {
+            let all = refused.len();
+            refused.retain(|refused| self.is_first_refusal(refused));
+            self.status.duplicates.fetch_add((all - refused.len()) as u64, Relaxed);
         }
         self.quarantine(refused).await;
         throws
@@ -92,6 +103,22 @@ impl Intake {
         self.known().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
     }
 
+    /// Whether a message from a backlog was not refused before.
+    fn is_first_refusal(&self, Refused { key, bytes, beginning, .. }: &Refused) -> bool {
+        let mut before = self.refused_before.lock().unwrap_or_else(PoisonError::into_inner);
+        if before.len() >= REFUSED_BEFORE {
+            before.clear();
+        }
+        let mut hasher = DefaultHasher::new();
+        (key, bytes, beginning).hash(&mut hasher);
+        before.insert(hasher.finish())
+    }
+
+    /// Whether a throw of a machine was ever received.
+    pub(super) fn knows(&self, machine: &MachineId) -> bool {
+        self.known().contains_key(machine)
+    }
+
     fn known(&self) -> MutexGuard<'_, HashMap<MachineId, Option<time::Instant>>> {
         self.machines.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -100,10 +127,8 @@ impl Intake {
     fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, Refused> {
         let mut known = self.known();
         // Checked first: the daemon itself is in the database as a machine after its first alarm.
-        let reason = if machine == self.itself {
-            "this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned()
-        } else if machine.machine.as_str() == ALL_MACHINES {
-            format!("{ALL_MACHINES} is the name of the common alarms of a site: a machine needs another")
+        let reason = if let Some(reason) = self.monitor.reserves(&machine) {
+            reason
         } else if known.len() >= self.max_machines && !known.contains_key(&machine) {
             self.status.machines_refused.add(1);
             format!("more than {} machines: raise subscribe.max_machines", self.max_machines)
@@ -145,11 +170,24 @@ pub(super) struct ReceiveLoop {
     pub(super) missing: Arc<Notify>,
     /// Cancelled when the daemon must end: unstored throws are then lost, and logged as lost.
     pub(super) give_up: CancellationToken,
+    /// Received messages that are not decoded yet.
+    pub(super) undecoded: u64,
+    /// Decoded throws that are not stored yet.
+    pub(super) unstored: Vec<Received>,
 }
 
 impl ReceiveLoop {
-    /// Runs until `stop`, then stores the rest of the queue.
+    /// Runs until `stop`, then stores the rest of the queue. At `give_up` what is not stored by then is lost.
     pub(super) async fn run(mut self, stop: CancellationToken) {
+        let give_up = self.give_up.clone();
+        tokio::select! {
+            biased;
+            () = self.receive(stop) => {}
+            () = give_up.cancelled() => self.lose().await,
+        }
+    }
+
+    async fn receive(&mut self, stop: CancellationToken) {
         let mut batch = Vec::with_capacity(BATCH);
         let mut beat = time::interval(Duration::from_secs(1));
         let mut open = true;
@@ -171,50 +209,43 @@ impl ReceiveLoop {
                 return;
             }
             let next = time::Instant::now() + if count > FEW { BUSY_PACE } else { PACE };
-            let throws = self.intake.read(std::mem::take(&mut batch), true).await;
-            self.spool(throws).await;
+            self.undecoded = count as u64;
+            self.unstored = self.intake.read(std::mem::take(&mut batch), true).await;
+            self.undecoded = 0;
+            self.spool().await;
             self.missing.notify_one();
             self.status.heartbeats.beat(TaskName::Receive);
-            time::sleep_until(next).await;
+            if open {
+                time::sleep_until(next).await;
+            }
         }
     }
 
-    /// Stores throws, with retries.
-    async fn spool(&mut self, mut throws: Vec<Received>) {
+    /// Stores the throws of a batch, with retries.
+    async fn spool(&mut self) {
         let mut pause = FIRST_PAUSE;
-        while !throws.is_empty() {
-            let answers = self.store.spool_all(&throws).await;
-            let mut failed = Vec::new();
+        while !self.unstored.is_empty() {
+            let answers = self.store.spool_all(&self.unstored).await;
             let mut error = None;
-            for (received, answer) in throws.into_iter().zip(answers) {
+            for (received, answer) in std::mem::take(&mut self.unstored).into_iter().zip(answers) {
                 match answer {
                     Ok(spooled) => self.count(spooled),
                     Err(why) => {
                         error = Some(why);
-                        failed.push(received);
+                        self.unstored.push(received);
                     }
                 }
             }
             self.spooled.notify_one();
-            let Some(error) = error else {
-                self.storing_works();
-                return;
-            };
-            self.storing_fails(&error);
-            if self.give_up.is_cancelled() {
-                self.lose(&failed, &error);
-                return;
+            if let Some(error) = error {
+                self.storing_fails(&error);
+                self.quarantine_the_unstorable(&error).await;
             }
-            throws = self.without_the_unstorable(failed, &error).await;
-            if throws.is_empty() {
+            if self.unstored.is_empty() {
                 // The database has stored or quarantined each of them.
-                self.storing_works();
-                return;
+                return self.storing_works();
             }
-            tokio::select! {
-                () = time::sleep(pause) => {}
-                () = self.give_up.cancelled() => {}
-            }
+            time::sleep(pause).await;
             pause = (2 * pause).min(LONGEST_PAUSE);
         }
     }
@@ -239,36 +270,51 @@ impl ReceiveLoop {
         }
     }
 
-    fn lose(&self, throws: &[Received], error: &StoreError) {
-        for (machine, throw, _) in throws {
-            tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, %error, "a throw is LOST");
+    /// Logs and counts what is not stored. A write in progress may still be committed, so this is an upper bound.
+    async fn lose(&mut self) {
+        for (machine, throw, _) in &self.unstored {
+            tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
         }
-        self.status.lost.fetch_add(throws.len() as u64, Relaxed);
+        self.status.lost.fetch_add(self.undecoded + self.unstored.len() as u64, Relaxed);
+        self.inbox.close().await;
+        let mut queued = Vec::new();
+        while self.inbox.receive(&mut queued, usize::MAX).await > 0 {}
+        self.status.lost.fetch_add(queued.len() as u64, Relaxed);
+        let messages = self.undecoded + queued.len() as u64;
+        if messages > 0 {
+            tracing::error!(messages, "received messages could not be stored: they are LOST");
+        }
     }
 
     /// Stores each throw alone. A throw whose statement SQLite refuses (constraint, type) goes to quarantine; after any
     /// other error it is retried.
-    async fn without_the_unstorable(&self, throws: Vec<Received>, error: &StoreError) -> Vec<Received> {
+    async fn quarantine_the_unstorable(&mut self, error: &StoreError) {
         if !matches!(error, StoreError::Refused(_)) {
-            return throws;
+            return;
         }
-        let mut storable = Vec::with_capacity(throws.len());
-        for received in throws {
+        let mut at = 0;
+        while let Some((machine, throw, received_at)) = self.unstored.get(at) {
             self.status.heartbeats.beat(TaskName::Receive);
-            match self.store.spool(&received.0, &received.1, received.2).await {
-                Ok(spooled) => self.count(spooled),
+            let is_done = match self.store.spool(machine, throw, *received_at).await {
+                Ok(spooled) => {
+                    self.count(spooled);
+                    true
+                }
                 Err(error @ StoreError::Refused(_)) => {
                     let reason = format!("the database rejects it: {error}");
-                    let refused = Refused::throw(&received.0, &received.1, reason, received.2);
-                    match self.store.quarantine(vec![refused]).await {
-                        Ok(()) => drop(self.status.quarantined.fetch_add(1, Relaxed)),
-                        Err(_) => storable.push(received),
-                    }
+                    let refused = Refused::throw(machine, throw, reason, *received_at);
+                    let is_kept = self.store.quarantine(vec![refused]).await.is_ok();
+                    self.status.quarantined.fetch_add(u64::from(is_kept), Relaxed);
+                    is_kept
                 }
-                Err(_) => storable.push(received),
+                Err(_) => false,
+            };
+            if is_done {
+                self.unstored.remove(at);
+            } else {
+                at += 1;
             }
         }
-        storable
     }
 }
 

@@ -8,7 +8,7 @@ use std::{
 use sd_notify::NotifyState;
 use tokio::sync::{Notify, broadcast, mpsc, watch};
 use tokio_util::sync::CancellationToken;
-use zenoh::Session;
+use zenoh::{Session, liveliness::LivelinessToken};
 
 use super::{
     answer,
@@ -32,8 +32,8 @@ use super::{
     webhook::Notifier,
 };
 use crate::{
-    bus::{self, Audience, BusError, Inbox, Limits, LivelinessToken, Outlet, OutletEnd, Questions},
-    store::{self, ALL_MACHINES, Found, Opened, Store},
+    bus::{self, Audience, BusError, Inbox, Limits, Outlet, OutletEnd, Questions},
+    store::{self, Found, Opened, Store},
     throw::MachineId,
     wire::{Commander, Kind, machine_key, monitor_alive_key, monitor_status_key},
 };
@@ -302,15 +302,16 @@ impl Starting {
             store: self.store.clone(),
         };
         let machines = self.store.reader().machines().await?;
-        let own_machine = self.config.monitor.as_machine();
-        let sends = |machine: &MachineId| *machine != own_machine && machine.machine.as_str() != ALL_MACHINES;
+        let monitor = self.config.monitor.clone();
+        let sends = |machine: &MachineId| monitor.reserves(machine).is_none();
         let intake = Arc::new(Intake {
             store: self.store.clone(),
             status: Arc::clone(&self.status),
             machines: Mutex::new(machines.into_iter().filter(sends).map(|machine| (machine, None)).collect()),
             max_machines: subscribe.max_machines,
             max_payload_bytes: subscribe.max_payload_bytes,
-            itself: own_machine,
+            monitor,
+            refused_before: Mutex::default(),
         });
         let missing = Arc::<Notify>::default();
         let asker = Asker {
@@ -338,6 +339,8 @@ impl Starting {
             spooled: Arc::clone(&self.stored),
             missing,
             give_up: self.stops.give_up.clone(),
+            undecoded: 0,
+            unstored: Vec::new(),
         };
         self.tasks.spawn(RECEIVE, receiver.run(self.stops.receive.clone()));
         // Ends with the receiving loop: the next start fetches the rest.

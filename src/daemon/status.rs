@@ -23,7 +23,7 @@ const INVALID_IN_A_ROW: u32 = 5;
 
 /// Counters and states, shared by all loops.
 #[derive(Debug, Default)]
-pub struct Status {
+pub(crate) struct Status {
     /// Heartbeats of the loops.
     pub heartbeats: Heartbeats,
     /// Throws stored.

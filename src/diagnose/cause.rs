@@ -11,8 +11,8 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     correlation::Correlation,
     event::{Cause, RunnerUp},
-    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, relevance, single},
-    gauges::{Gauges, Level},
+    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, Leaks, PLAIN_LEAKS, direction_of, fit, relevance, single},
+    gauges::{BackEmf, Gauges},
     settings::Settings,
     window::Window,
 };
@@ -29,6 +29,9 @@ const STICKY: f64 = 4.0;
 const KNOWN: f64 = 20.0;
 /// Change of b0 since the level of the known drifts from which it is a new fault, as part of the motor's warning limit.
 const NEW_MOTOR_FAULT: f64 = 0.5;
+/// Least change of the back-EMF with a change of the motor that it shares, as part of that change and in standard deviations.
+const CHANGED: f64 = 0.5;
+const CHANGED_SD: f64 = 3.0;
 /// Largest misfit of the back-EMF, so that a change of the supply does not decide alone.
 const MOST_OF_GAUGE: f64 = 40.0;
 /// Penalty of a motor that loses torque alone: odds of 1 to 5 against weak magnets. Commutation loses a part of the torque,
@@ -53,14 +56,18 @@ pub(super) struct Known<'a> {
 
 impl Known<'_> {
     /// Change of the back-EMF in `window`, if it shows whether the motor changed. A change since the level that is the
-    /// motor's alone is a new fault: its torque may change without its back-EMF.
-    fn back_emf(&self, window: &Window, settings: &Settings) -> Option<Level> {
+    /// motor's alone is a new fault: like a known one, it may change the torque without the back-EMF.
+    fn back_emf(&self, window: &Window, settings: &Settings) -> Option<BackEmf> {
+        let back_emf = self.gauges?.back_emf(window.throws)?;
         let is_new = self.level.is_some_and(|level| {
             let since = window.mean - level;
             relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
         });
         let is_known = self.causes.contains(&Cause::Kt);
-        self.gauges.filter(|_| !is_new && !is_known)?.back_emf(window.throws)
+        let motor = single(Cause::Kt, &window.mean, &window.covariance, settings).size;
+        let change = back_emf.level.value.abs();
+        let has_changed = change > CHANGED * motor.abs() && change > CHANGED_SD * back_emf.level.sd;
+        (has_changed || !is_new && !is_known).then_some(back_emf)
     }
 }
 
@@ -104,6 +111,11 @@ pub(super) struct Attribution {
     pub(super) lead: f64,
     /// Whether gauges show the back-EMF of the motor.
     beside_gauges: bool,
+}
+
+/// The leaks of the causes; more of them are possible if gauges show the back-EMF of the motor.
+const fn leaks(beside_gauges: bool) -> Leaks {
+    if beside_gauges { LEAKS_BESIDE_GAUGES } else { PLAIN_LEAKS }
 }
 
 /// The explanations of a drift, each kind with the best first.
@@ -249,6 +261,11 @@ impl Attribution {
         }
     }
 
+    /// The leaks that are possible.
+    pub(super) const fn leaks(&self) -> Leaks {
+        leaks(self.beside_gauges)
+    }
+
     /// Whether the back-EMF shows that the motor is no part of the drift.
     pub(super) fn has_sound_motor(&self) -> bool {
         self.beside_gauges && !matches!(self.naming, Naming::Neither) && !self.includes(Cause::Kt)
@@ -274,7 +291,7 @@ impl Attribution {
 }
 
 impl Explanations {
-    fn of(window: &Window, open: &[Cause], back_emf: Option<Level>, settings: &Settings) -> Self {
+    fn of(window: &Window, open: &[Cause], back_emf: Option<BackEmf>, settings: &Settings) -> Self {
         let [a, b, c, d] = Cause::PHYSICAL;
         let pairs = [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]];
         Self {
@@ -299,17 +316,20 @@ impl Explanations {
     }
 }
 
-/// Explains the drift of `window` by `causes`, and the change of the back-EMF by that of the motor. A motor that loses
+/// Explains the drift of `window` by `causes`, and the change of the back-EMF by that of the motor; a shorter duration by less
+/// friction too. A motor that loses
 /// torque alone, as by its commutation, keeps its back-EMF; beside a rise of friction that is dry friction.
 fn explained<const K: usize>(
     causes: [Cause; K],
     window: &Window,
-    back_emf: Option<Level>,
+    back_emf: Option<BackEmf>,
     settings: &Settings,
 ) -> Fit<K> {
-    let leaks = if back_emf.is_some() { LEAKS_BESIDE_GAUGES } else { PLAIN_LEAKS };
-    let mut fit = fit(leaks, causes, &window.mean, &window.covariance, settings);
-    let Some(level) = back_emf else { return fit };
+    let mut fit = fit(leaks(back_emf.is_some()), causes, &window.mean, &window.covariance, settings);
+    let Some(BackEmf { level, of_duration }) = back_emf else { return fit };
+    if of_duration && fit.size_of(Cause::Friction) < 0.0 {
+        return fit;
+    }
     let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
     let torque_alone = fit.includes(Cause::Kt) && (K != 2 || !fit.includes(Cause::Friction));
     let motor = fit.size_of(Cause::Kt);
@@ -324,7 +344,7 @@ fn ranked<const N: usize, const K: usize>(
     explanations: [[Cause; K]; N],
     window: &Window,
     alarmed: impl Fn([Cause; K]) -> bool,
-    back_emf: Option<Level>,
+    back_emf: Option<BackEmf>,
     settings: &Settings,
 ) -> [Fit<K>; N] {
     let mut fits = explanations.map(|causes| {

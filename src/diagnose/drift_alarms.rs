@@ -13,7 +13,7 @@ use super::{
     course::LimitForecast,
     drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, Severity},
-    explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor, percent, relevance, single},
+    explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor, percent, relevance},
     gauges::Gauges,
     history::History,
     intermittent::Intermittent,
@@ -221,6 +221,7 @@ impl DriftAlarms {
     fn renew(&mut self, drift: &Drift, order: u64, tracks: &Tracks, alarms: &Alarms, settings: &Settings) {
         let mut now: Vec<(f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
+        let leaks = drift.attribution.as_ref().map_or(PLAIN_LEAKS, Attribution::leaks);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.active().filter(|event| event.cause.is_drift()) {
@@ -229,9 +230,9 @@ impl DriftAlarms {
                     return friction_of_sound_motor(mean, covariance);
                 }
                 let pair = pair.filter(|pair| pair.contains(&cause));
-                let together = pair.map(|pair| fit(PLAIN_LEAKS, pair, mean, covariance, settings));
+                let together = pair.map(|pair| fit(leaks, pair, mean, covariance, settings));
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
-                part.unwrap_or_else(|| single(cause, mean, covariance, settings))
+                part.unwrap_or_else(|| fit(leaks, [cause], mean, covariance, settings).parts[0])
             };
             // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
             let free = |Window { mean, covariance, .. }: &Window| {

@@ -14,6 +14,9 @@
 //! smaller: (-h, 1 - h, 0) with h from 0.1 to 0.4. Friction at the far end of a rail that bends grows with the travel until
 //! that end slides, as if the stiffness were larger: (0, 1, s) with s from 0.1 to 0.4.
 //!
+//! A motor with weaker magnets turns faster, and dry friction has the same torque at every speed, so in a viscous model its
+//! part of the friction falls with the motor: (1, c, 0), with c from 0 (viscous load) to 1 (dry load).
+//!
 //! # Score
 //! -2 ln of the probability of m under a wide prior on the sizes (Laplace), misfit + ln det U + ln det(D'U^-1 D) + k ln
 //! s^2, which penalises additional causes; coinciding faults have an extra penalty, as they are rarer than single ones.
@@ -26,18 +29,22 @@ use super::{event::Cause, settings::Settings};
 const SIZE_SCALE: f64 = 0.5;
 /// Penalty of each additional cause: one in a dozen faults comes with a second one.
 const SECOND_CAUSE: f64 = 5.0;
-/// Leaks of a rise of friction: viscous, stiff toe drive, soft toe drive, a rail whose far end sticks, and dry on a machine
-/// with little inertia; each is equally likely. The last ones look like a motor fault, or like one of stiffness beside it,
-/// so they count only if gauges show the motor.
-pub(super) const LEAKS_BESIDE_GAUGES: &[Leak] = &[
+/// Leaks of a rise of friction, each equally likely: viscous, stiff toe drive, soft toe drive, a rail whose far end sticks,
+/// and dry on a machine with little inertia.
+const OF_FRICTION: &[Leak] = &[
     Leak { parts: [0.0, 0.0, 0.0], sd: [0.08, 0.08, 0.08] },
     Leak { parts: [0.25, 0.25, 0.25], sd: [0.12, 0.12, 0.12] },
     Leak { parts: [0.67, 0.67, 0.67], sd: [0.22, 0.22, 0.22] },
     Leak { parts: [0.0, 0.0, 0.25], sd: [0.0, 0.0, 0.12] },
     Leak { parts: [-0.28, -0.28, 0.0], sd: [0.12, 0.12, 0.0] },
 ];
+const NO_LEAK: Leak = Leak { parts: [0.0; 3], sd: [0.0; 3] };
+/// Leaks of a change of the motor: a viscous load, and one that is dry in part.
+const OF_MOTOR: &[Leak] = &[NO_LEAK, Leak { parts: [0.0, 0.6, 0.0], sd: [0.0, 0.3, 0.0] }];
 /// The leaks that resemble no other fault.
-pub(super) const PLAIN_LEAKS: &[Leak] = LEAKS_BESIDE_GAUGES.split_at(3).0;
+pub(super) const PLAIN_LEAKS: Leaks = Leaks { friction: OF_FRICTION.split_at(3).0, motor: OF_MOTOR.split_at(1).0 };
+/// All leaks. Some look like a fault of the motor or the stiffness, so they count only if gauges show the motor.
+pub(super) const LEAKS_BESIDE_GAUGES: Leaks = Leaks { friction: OF_FRICTION, motor: OF_MOTOR };
 /// Number of standard deviations in the setting `model_error`, an upper bound.
 const MODEL_ERROR_SD: f64 = 3.0;
 /// Model error of friction besides its leak, as part of that of other causes.
@@ -63,12 +70,19 @@ pub(super) struct Fit<const K: usize> {
     pub(super) score: f64,
 }
 
-/// Common change of the coefficients by a rise of friction, as parts of it.
+/// Change of the coefficients beside the main effect of a cause, as parts of its size.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Leak {
     parts: [f64; 3],
     /// Standard deviations, of one error, so that the leaks together cover their range evenly.
     sd: [f64; 3],
+}
+
+/// The possible leaks of a rise of friction, and of a change of the motor.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Leaks {
+    friction: &'static [Leak],
+    motor: &'static [Leak],
 }
 
 /// The direction of a cause.
@@ -129,19 +143,21 @@ impl<const K: usize> Fit<K> {
     }
 }
 
-/// Explains the drift `m` with covariance `v` by `causes`, at most three: the mean over the leaks of friction by their odds.
+/// Explains the drift `m` with covariance `v` by `causes`, at most three: the mean over their leaks by the odds.
 pub(super) fn fit<const K: usize>(
-    leaks: &[Leak],
+    leaks: Leaks,
     causes: [Cause; K],
     m: &Vector3<f64>,
     v: &Matrix3<f64>,
     settings: &Settings,
 ) -> Fit<K> {
-    let with_leak = |leak: &Leak| fit_with_leak(*leak, causes, m, v, settings);
-    if !causes.contains(&Cause::Friction) {
-        return with_leak(&leaks[0]);
+    let of = |cause: Cause, leaks: &'static [Leak]| if causes.contains(&cause) { leaks } else { &leaks[..1] };
+    let (of_friction, of_motor) = (of(Cause::Friction, leaks.friction), of(Cause::Kt, leaks.motor));
+    let both = of_friction.iter().flat_map(|friction| of_motor.iter().map(move |motor| [*friction, *motor]));
+    let fits: Vec<Fit<K>> = both.map(|leaks| fit_with_leaks(leaks, causes, m, v, settings)).collect();
+    if let [only] = fits[..] {
+        return only;
     }
-    let fits: Vec<Fit<K>> = leaks.iter().map(with_leak).collect();
     let best = fits.iter().map(|fit| fit.score).fold(f64::INFINITY, f64::min);
     let odds: Vec<f64> = fits.iter().map(|fit| (0.5 * (best - fit.score)).exp()).collect();
     let total: f64 = odds.iter().sum();
@@ -158,9 +174,9 @@ pub(super) fn fit<const K: usize>(
     mean
 }
 
-/// The same for a given leak of friction.
-fn fit_with_leak<const K: usize>(
-    leak: Leak,
+/// The same for given leaks of friction and motor.
+fn fit_with_leaks<const K: usize>(
+    [of_friction, of_motor]: [Leak; 2],
     causes: [Cause; K],
     m: &Vector3<f64>,
     v: &Matrix3<f64>,
@@ -175,6 +191,11 @@ fn fit_with_leak<const K: usize>(
         // Rows without a cause have no effect, and the size 0.
         let mut information = Matrix3::identity();
         for (at, part) in fit.parts.iter().enumerate() {
+            let leak = match part.cause {
+                Cause::Friction => of_friction,
+                Cause::Kt => of_motor,
+                _ => NO_LEAK,
+            };
             u += model_error(part, leak, settings);
             d.set_column(at, &effect(part, leak));
             information[(at, at)] = 0.0;
@@ -220,22 +241,19 @@ pub(super) fn fit_along(
     found
 }
 
-/// Effect of a cause on the coefficients per unit of its size, for a given leak of friction.
+/// Effect of a cause with this leak on the coefficients, per unit of its size. A fall of friction hardly leaks.
 fn effect(part: &Explanation, leak: Leak) -> Vector3<f64> {
-    if part.cause == Cause::Friction && part.size > 0.0 {
-        return Vector3::y() + Vector3::from(leak.parts);
-    }
-    direction_of(part.cause).unwrap_or_else(Vector3::zeros)
+    let own = direction_of(part.cause).unwrap_or_else(Vector3::zeros);
+    if part.cause == Cause::Friction && part.size <= 0.0 { own } else { own + Vector3::from(leak.parts) }
 }
 
-/// Covariance of the model error of a cause of this size.
+/// Covariance of the model error of a cause of this size with this leak.
 fn model_error(part: &Explanation, leak: Leak, settings: &Settings) -> Matrix3<f64> {
     let sd = settings.model_error / MODEL_ERROR_SD * part.size;
-    if part.cause == Cause::Friction {
-        let together = Vector3::from(leak.sd) * part.size.max(0.0);
-        let rest = Vector3::new(1.0, 0.0, 1.0) * (FRICTION_ERROR * sd).powi(2);
-        return together * together.transpose() + Matrix3::from_diagonal(&rest);
-    }
+    let (leaking, sd) =
+        if part.cause == Cause::Friction { (part.size.max(0.0), FRICTION_ERROR * sd) } else { (part.size, sd) };
+    let together = Vector3::from(leak.sd) * leaking;
     let own = |i: usize| [Cause::Kt, Cause::Friction, Cause::Stiffness][i] == part.cause;
-    Matrix3::from_diagonal(&Vector3::from_fn(|i, _| if own(i) { 0.0 } else { sd * sd }))
+    let others = Vector3::from_fn(|i, _| if own(i) { 0.0 } else { sd * sd });
+    together * together.transpose() + Matrix3::from_diagonal(&others)
 }

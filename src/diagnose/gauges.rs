@@ -48,6 +48,8 @@ const RECENT: usize = WINDOWS[2];
 const EXPECTED_ERROR: f64 = 0.15;
 /// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
 const COPPER: (f64, f64) = (0.0039, 20.0);
+/// Significance of a shorter duration, in standard deviations.
+const SHORTER_SD: f64 = 3.0;
 /// Factor on the standard deviation of a mean, as consecutive throws are correlated: √((1 + 0.5) / (1 - 0.5)) for a
 /// correlation of 0.5.
 const CORRELATED: f64 = 1.7;
@@ -67,6 +69,14 @@ impl Level {
     pub(super) fn misfit(self, expected: f64, most: f64) -> f64 {
         ((self.value - expected).powi(2) / (self.sd * self.sd + (EXPECTED_ERROR * expected).powi(2))).min(most)
     }
+}
+
+/// Change of the back-EMF of the motor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct BackEmf {
+    pub(super) level: Level,
+    /// Whether it is only that of the duration, which less friction shortens too.
+    pub(super) of_duration: bool,
 }
 
 /// A changed gauge.
@@ -187,10 +197,14 @@ impl Gauges {
             .then(|| Level { value: mean(|(value, _)| *value), sd: sd_of_mean(gauge, mean(|(_, sd)| *sd), count) })
     }
 
-    /// Level of the back-EMF constant; without a supply voltage, from the no-load speed.
-    pub(super) fn back_emf(&self, throws: usize) -> Option<Level> {
+    /// Change of the back-EMF: from its constant, without a supply voltage from the no-load speed, and without both, as with
+    /// a stroke that unlocks, from a shorter duration.
+    pub(super) fn back_emf(&self, throws: usize) -> Option<BackEmf> {
         let of_speed = || self.level(Gauge::NoLoadSpeed, throws).map(|Level { value, sd }| Level { value: -value, sd });
-        self.level(Gauge::BackEmf, throws).or_else(of_speed)
+        let shown = self.level(Gauge::BackEmf, throws).or_else(of_speed);
+        let of_duration = || self.level(Gauge::Duration, throws).filter(|level| level.value < -SHORTER_SD * level.sd);
+        let level = shown.or_else(of_duration)?;
+        Some(BackEmf { level, of_duration: shown.is_none() })
     }
 
     /// Deletes the last throws.

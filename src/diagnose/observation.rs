@@ -17,8 +17,13 @@ pub struct Observation {
     pub throw: ThrowRef,
     /// Wall time of the first sample.
     pub started_at: Timestamp,
+    /// When it was received: judged after the loss of its logger, a throw received earlier is no sign of life. `None` for a
+    /// throw without a logger.
+    pub received_at: Option<Timestamp>,
     /// Direction; `None` if unknown.
     pub direction: Option<Direction>,
+    /// Whether the movement contradicts the direction that the logger names; `None` if the movement has no direction.
+    pub direction_contradicted: Option<bool>,
     /// (b0, a1, a0) and their covariance; `None` when the estimate was rejected.
     pub estimate: Option<([f64; 3], Matrix3<f64>)>,
     /// Grade of the estimate; a rough one counts for drifts, not for baselines.

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     alarm::{Alarms, Evidence},
     event::{AlarmEvent, Cause, SensorChannel, Severity},
-    observation::Irregularity,
+    observation::{Irregularity, Observation},
     settings::Settings,
     text,
     thermometer::Disbelief,
@@ -99,9 +99,6 @@ pub(super) struct Operation {
     lost: u64,
     silence_s: f64,
     ticked_at: Option<Timestamp>,
-    /// Time when the next throw was received.
-    #[serde(skip)]
-    received_at: Option<Timestamp>,
     #[serde(default)]
     logger: Logger,
     /// Time without problems of the daemon \[s\].
@@ -138,23 +135,16 @@ fn streak(count: &mut u32, holds: bool) {
 }
 
 impl Operation {
-    /// Applies the time when the next throw was received.
-    pub(super) fn on_receipt(&mut self, at: Timestamp) {
-        self.received_at = Some(at);
-    }
-
     /// Applies a throw, complete or not, which also shows that the logger is alive, unless it was received before the loss
     /// of the logger.
     pub(super) fn on_throw(
         &mut self,
-        incomplete: bool,
-        direction: Option<Direction>,
+        &Observation { incomplete, direction, received_at, .. }: &Observation,
         alarms: &mut Alarms,
         context: Context,
     ) -> Vec<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
         self.silence_s = 0.0;
-        let received_at = self.received_at.take();
         self.logger = match self.logger {
             gone @ Logger::Gone { since: Some(since), .. } if received_at.is_some_and(|at| at < since) => gone,
             // Throws without a token: from now on only silence shows that the logger is gone.

@@ -12,7 +12,9 @@
 //! follow from this movement as from a measured one (see `ratios`), and b0 from the third unknown. The terms with a1
 //! and a0 are corrected in a few rounds.
 
-use nalgebra::{Matrix3, Matrix5, Vector3, Vector5};
+use std::ops::AddAssign as _;
+
+use nalgebra::{Matrix2, Matrix3, Matrix5, Vector3, Vector5};
 
 use super::{
     features::Features,
@@ -34,6 +36,11 @@ const ROUNDS: usize = 6;
 /// scatter by 0.15 % in b0 and 0.3 % in a1 at 1 kHz, and twice as much at 500 Hz.
 const SCALE_SD: f64 = 0.005;
 const RATIO_SD: f64 = 0.003;
+/// Standard deviations of the errors that are equal in every throw of a machine. Without a position a brake that drags while
+/// the motor starts cannot be told from inertia: it takes at most half of the charge of the start, and twice this deviation
+/// includes it. The armature's constants from the inrush have an error of some per cent with a filter or dry friction.
+const SYSTEMATIC_SCALE_SD: f64 = 0.25;
+const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 
 pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) -> Features {
     let with_zeros = movement.features(current, &vec![0.0; current.len()], interval_s);
@@ -129,19 +136,18 @@ pub(super) fn estimate(
     let mut estimate = ratios.estimate(None, None, start, start + last, interval_s);
     let coefficients = Vector3::new(b0, a1, a0);
     // An error of ln b0 is common to all three; the ratios have additional errors.
-    let mut log = Matrix3::repeat(SCALE_SD * SCALE_SD);
-    for i in 0..2 {
-        for j in 0..2 {
-            let own = if i == j { RATIO_SD * RATIO_SD } else { 0.0 };
-            log[(i + 1, j + 1)] += own + ratios.log_covariance[(i, j)];
-        }
-    }
-    let scale = Matrix3::from_diagonal(&coefficients);
+    let log = |scale_sd: f64, ratio_sd: f64, of_ratios: Matrix2<f64>| {
+        let mut log = Matrix3::repeat(scale_sd * scale_sd);
+        log.fixed_view_mut::<2, 2>(1, 1).add_assign(Matrix2::from_diagonal_element(ratio_sd * ratio_sd) + of_ratios);
+        let scale = Matrix3::from_diagonal(&coefficients);
+        scale * log * scale
+    };
+    estimate.covariance = log(SCALE_SD, RATIO_SD, ratios.log_covariance);
+    estimate.systematic = log(SYSTEMATIC_SCALE_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic);
     // The errors of the ratios were for b0 = 1.
     estimate.offset = estimate.offset.map(|error| b0 * error);
     (estimate.b0, estimate.a1, estimate.a0) = (b0, a1, a0);
     estimate.grade = Grade::CurrentOnly;
     estimate.ratios_only = false;
-    estimate.covariance = scale * log * scale;
     Some(estimate)
 }

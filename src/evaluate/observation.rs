@@ -26,6 +26,8 @@ pub(super) fn observation(
     Observation {
         throw: ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 },
         started_at: started_at(at),
+        received_at: None,
+        direction_contradicted: None,
         direction: Some(if at.is_multiple_of(2) { Direction::NormalToReverse } else { Direction::ReverseToNormal }),
         estimate,
         incomplete: false,

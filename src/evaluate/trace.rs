@@ -73,6 +73,8 @@ impl TraceMachine {
         Observation {
             throw: throw.id,
             started_at: throw.started_at,
+            received_at: None,
+            direction_contradicted: None,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
             faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),

@@ -13,7 +13,7 @@ use super::{
     many::ROWS,
     open::{self, Report},
     page::{Cursor, Page, PageStored, WriteOff},
-    quarantine::{Quarantine, Refused, Sent, Statement},
+    quarantine::{Quarantine, Refused, Statement},
     reader::Reader,
     settings::{MIB, Settings},
     spool::{Spool, Spooled, Spools},
@@ -70,6 +70,7 @@ impl Store {
             identity: None,
             looked: None,
             log_bound: settings.max_wal_mib * MIB,
+            failed_at: 0,
         });
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
@@ -189,10 +190,7 @@ impl Store {
     }
 
     /// Stores outcomes in order and in one transaction.
-    ///
-    /// # Errors
-    /// When they could not be stored; the same call may be repeated.
-    pub async fn record_all(&self, outcomes: Arc<[Outcome]>) -> Result<(), StoreError> {
+    pub(crate) async fn record_all(&self, outcomes: Arc<[Outcome]>) -> Result<(), StoreError> {
         self.writer.write(outcomes).await
     }
 
@@ -201,7 +199,7 @@ impl Store {
     /// # Errors
     /// When it could not be stored; the same call may be repeated.
     pub async fn outbox_sent(&self, rows: &[i64]) -> Result<(), StoreError> {
-        self.writer.write(Sent(rows.to_vec())).await
+        self.writer.write(Statement(sql::DROP_MESSAGES, serde_json::Value::from(rows).to_string())).await
     }
 
     /// Tells whether alarm events are kept for a webhook from now on.

@@ -20,7 +20,7 @@ const OWN: usize = 2;
 
 /// Throws in the order of their start: of one machine or of all, and in a range of time.
 #[derive(Debug)]
-pub struct Export {
+pub(crate) struct Export {
     connection: SqliteConnection,
     /// `None` for all machines.
     machine: Option<MachineId>,
@@ -31,7 +31,7 @@ pub struct Export {
 
 /// A throw of a page.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Exported {
+pub(crate) struct Exported {
     throw_row: i64,
     /// The values of [`Export::columns`].
     pub values: Vec<Value>,
@@ -40,10 +40,7 @@ pub struct Exported {
 impl Export {
     /// Opens the database at `path`, which a daemon may use, for throws that started from `since` to before `until`.
     /// An unknown machine has no throws.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn open(
+    pub(crate) async fn open(
         path: &Path,
         machine: Option<MachineId>,
         since: Option<Timestamp>,
@@ -56,19 +53,13 @@ impl Export {
     }
 
     /// The names of the columns.
-    ///
-    /// # Errors
-    /// When the database is of another version.
-    pub async fn columns(&mut self) -> Result<Vec<String>, StoreError> {
+    pub(crate) async fn columns(&mut self) -> Result<Vec<String>, StoreError> {
         let statement = self.connection.prepare(sql::EXPORT.into_sql_str()).await.map_err(StoreError::read)?;
         Ok(statement.columns().iter().skip(OWN).map(|column| column.name().to_owned()).collect())
     }
 
     /// The next throws; none at the end.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn page(&mut self) -> Result<Vec<Exported>, StoreError> {
+    pub(crate) async fn page(&mut self) -> Result<Vec<Exported>, StoreError> {
         let (after_us, after_row) = self.after;
         let query = match &self.machine {
             Some(id) => sqlx::query(sql::EXPORT_MACHINE).bind(id.site.as_str()).bind(id.machine.as_str()),
@@ -88,10 +79,7 @@ impl Export {
     }
 
     /// A throw of a page with its trace; `None` if retention has deleted it.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
-    pub async fn stored(&mut self, of: &Exported) -> Result<Option<StoredThrow>, StoreError> {
+    pub(crate) async fn stored(&mut self, of: &Exported) -> Result<Option<StoredThrow>, StoreError> {
         let row = sqlx::query(sql::STORED_THROW).bind(of.throw_row).fetch_optional(&mut self.connection).await;
         let row = row.map_err(StoreError::read)?;
         row.map(|row| StoredThrow::from_row(&row)).transpose().map_err(StoreError::read)

@@ -194,10 +194,7 @@ async fn copy_readable(copy: &Settings, disk: &Disk, broken: &Path, tables: usiz
 
 /// Refuses a file that is not ours: a text file, or the database of another program. A file that cannot be read here is
 /// checked when it is opened for writing.
-///
-/// # Errors
-/// When the file is text or the database of another program.
-pub async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
+pub(crate) async fn refuse_foreign(path: &Path) -> Result<(), StoreError> {
     if DatabaseFiles::new(path).is_fresh() {
         return Ok(());
     }

@@ -1,7 +1,7 @@
-//! Small writes: messages for the quarantine, and removal of published messages.
+//! Small writes: messages for the quarantine, and single statements.
 
 use jiff::Timestamp;
-use sqlx::SqliteConnection;
+use sqlx::{Encode, Sqlite, SqliteConnection, Type};
 
 use super::{spool::count, statements as sql, write::Write};
 use crate::{
@@ -68,27 +68,16 @@ impl Write for Quarantine {
     }
 }
 
-/// Rows of the outbox that zenoh has accepted.
-pub(super) struct Sent(pub(super) Vec<i64>);
+/// A statement with one parameter, without a result.
+pub(super) struct Statement<T>(pub(super) &'static str, pub(super) T);
 
-impl Write for Sent {
+impl<T> Write for Statement<T>
+where
+    T: Clone + Send + Sync + 'static + for<'q> Encode<'q, Sqlite> + Type<Sqlite>,
+{
     type Output = ();
 
     async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
-        for row in &self.0 {
-            sqlx::query(sql::SENT).bind(row).execute(&mut *connection).await?;
-        }
-        Ok(())
-    }
-}
-
-/// A statement with one number, without a result.
-pub(super) struct Statement(pub(super) &'static str, pub(super) i64);
-
-impl Write for Statement {
-    type Output = ();
-
-    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
-        sqlx::query(self.0).bind(self.1).execute(connection).await.map(drop)
+        sqlx::query(self.0).bind(self.1.clone()).execute(connection).await.map(drop)
     }
 }

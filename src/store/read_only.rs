@@ -9,7 +9,7 @@ use sqlx::{
     sqlite::{SqliteColumn, SqliteConnectOptions, SqliteRow},
 };
 
-use super::{disk::beside, error::StoreError, open};
+use super::{disk::beside, error::StoreError, files::DatabaseFiles, open};
 
 /// A value in the result of a query.
 #[derive(Debug, Clone, PartialEq)]
@@ -106,7 +106,7 @@ pub(super) fn value(row: &SqliteRow, at: usize) -> sqlx::Result<Value> {
 
 /// A backup of a database in use, with its progress.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Backup {
+pub(crate) struct Backup {
     from: PathBuf,
     to: PathBuf,
     partial: PathBuf,
@@ -114,10 +114,7 @@ pub struct Backup {
 
 impl Backup {
     /// A backup of the database `from`, which may be in use, to the new file `to`.
-    ///
-    /// # Errors
-    /// When `to` exists: a backup does not overwrite files.
-    pub fn new(from: &Path, to: &Path) -> Result<Self, StoreError> {
+    pub(crate) fn new(from: &Path, to: &Path) -> Result<Self, StoreError> {
         if to.exists() {
             let source = std::io::Error::from(std::io::ErrorKind::AlreadyExists);
             return Err(StoreError::File { action: "create", path: to.to_owned(), source });
@@ -126,23 +123,18 @@ impl Backup {
     }
 
     /// Size of the database \[bytes\], about that of the copy.
-    #[must_use]
-    pub fn total_bytes(&self) -> u64 {
+    pub(crate) fn total_bytes(&self) -> u64 {
         std::fs::metadata(&self.from).map_or(0, |file| file.len())
     }
 
     /// Bytes copied so far.
-    #[must_use]
-    pub fn copied_bytes(&self) -> u64 {
+    pub(crate) fn copied_bytes(&self) -> u64 {
         std::fs::metadata(&self.partial).map_or(0, |file| file.len())
     }
 
     /// Copies one consistent state, checks the copy, and renames it to `to` when it is complete. Returns its size
     /// \[bytes\].
-    ///
-    /// # Errors
-    /// When reading or writing fails; then `to` does not exist.
-    pub async fn run(&self) -> Result<u64, StoreError> {
+    pub(crate) async fn run(&self) -> Result<u64, StoreError> {
         let file = |action, source| StoreError::File { action, path: self.partial.clone(), source };
         if self.partial.exists() {
             std::fs::remove_file(&self.partial).map_err(|source| file("remove", source))?;
@@ -159,6 +151,7 @@ impl Backup {
         std::fs::File::open(&self.partial)
             .and_then(|copy| copy.sync_all())
             .and_then(|()| std::fs::rename(&self.partial, &self.to))
+            .and_then(|()| DatabaseFiles::new(&self.to).sync_folder())
             .map_err(|source| file("complete", source))?;
         Ok(size)
     }

@@ -70,15 +70,15 @@ impl Reader {
     }
 
     /// Opens a database for a command that may have no right to write into its folder.
-    ///
-    /// # Errors
-    /// When the database does not exist or cannot be read.
-    pub async fn open_outside(path: &Path) -> Result<Self, StoreError> {
+    pub(crate) async fn open_outside(path: &Path) -> Result<Self, StoreError> {
         Self::with(path, read_only::options(path).await?).await
     }
 
     async fn with(path: &Path, options: SqliteConnectOptions) -> Result<Self, StoreError> {
-        let pools = Pools::connect(options)
+        let pools = Pools::new(&options);
+        pools
+            .own
+            .acquire()
             .await
             .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
         Ok(Self {
@@ -96,10 +96,8 @@ impl Reader {
 
     /// Opens the file now at `path`. Running queries keep the old file until they end: its pool is dropped, not closed,
     /// so that they do not fail.
-    pub(super) async fn reopen(&self, path: &Path) -> sqlx::Result<()> {
-        let pools = Pools::connect(open::reading(path)).await?;
-        *self.pools.write().unwrap_or_else(PoisonError::into_inner) = pools;
-        Ok(())
+    pub(super) fn reopen(&self, path: &Path) {
+        *self.pools.write().unwrap_or_else(PoisonError::into_inner) = Pools::new(&open::reading(path));
     }
 
     pub(super) async fn limited<T>(&self, query: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
@@ -363,10 +361,12 @@ fn waiting(now: Timestamp, wait: Duration) -> (i64, i64) {
 }
 
 impl Pools {
-    async fn connect(database: SqliteConnectOptions) -> sqlx::Result<Self> {
-        let options = SqlitePoolOptions::new().max_lifetime(None).idle_timeout(None);
-        let questions = options.clone().max_connections(QUESTIONS).connect_lazy_with(database.clone());
-        let own = options.max_connections(CONNECTIONS).connect_with(database).await?;
-        Ok(Self { own, questions })
+    /// Pools that connect when they are used.
+    fn new(database: &SqliteConnectOptions) -> Self {
+        let pool = |connections| {
+            let options = SqlitePoolOptions::new().max_lifetime(None).idle_timeout(None).max_connections(connections);
+            options.connect_lazy_with(database.clone())
+        };
+        Self { own: pool(CONNECTIONS), questions: pool(QUESTIONS) }
     }
 }

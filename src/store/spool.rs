@@ -122,7 +122,8 @@ impl Spool {
             return Ok(Spooled::Duplicate);
         }
         count(connection, "contradicted_throws", 1).await?;
-        let throw_no = again.highest_no + 1;
+        // A logger may use this boot too, up to the highest number: then SQLite refuses the throw.
+        let throw_no = again.highest_no.saturating_add(1);
         // It was made after the stored throws of the boot, so it is judged after them.
         let judged_as = Boot { position: boot.position.saturating_add(SPACING / 2), ..again };
         self.insert(connection, machine_row, judged_as, throw_no).await.map(Spooled::New)

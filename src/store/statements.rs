@@ -333,7 +333,7 @@ statements! {
     // The outbox.
     ADD_MESSAGE = "INSERT INTO outbox (key, payload, created_at_us) VALUES (?1, ?2, ?3)";
     MESSAGES = "SELECT outbox_row, key, payload FROM outbox WHERE outbox_row > ?1 ORDER BY outbox_row LIMIT ?2";
-    SENT = "DELETE FROM outbox WHERE outbox_row = ?1";
+    DROP_MESSAGES = concat!("DELETE FROM outbox WHERE outbox_row IN ", chosen!());
 
     // The webhook. Without one, notifications of an earlier start are removed.
     SET_WEBHOOK = "UPDATE webhook SET is_on = ?1; DELETE FROM notification WHERE NOT ?1";
@@ -545,7 +545,6 @@ statements! {
         AND NOT EXISTS (SELECT 1 FROM backlog WHERE cursor_boot_row = old.boot_row AND backlog.machine_row = old.machine_row) LIMIT 1000)";
     OLDEST_TRACE_TIME = "SELECT received_at_us FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL \
         ORDER BY throw_row LIMIT 1";
-    DROP_MESSAGES = concat!("DELETE FROM outbox WHERE outbox_row IN ", chosen!());
     OLDEST_MESSAGES = "SELECT outbox_row FROM outbox ORDER BY outbox_row LIMIT ?1";
     DROP_ALARMS = concat!("DELETE FROM alarm WHERE alarm_row IN ", chosen!());
     OLDEST_ALARMS = "SELECT alarm_row FROM alarm WHERE state = 'normal' ORDER BY raised_at_us LIMIT ?1";

@@ -38,8 +38,10 @@ pub(super) struct WritingConnection {
     pub(super) identity: Option<Identity>,
     /// When the identity of the open files was last compared with that of the files at the configured path.
     pub(super) looked: Option<Instant>,
-    /// Size of the log that starts a checkpoint or a move \[bytes\]; raised if both fail.
+    /// Size of the log that starts a checkpoint or a move \[bytes\].
     pub(super) log_bound: u64,
+    /// Size of the log when both failed last \[bytes\]; 0 after a success.
+    pub(super) failed_at: u64,
 }
 
 impl WritingConnection {
@@ -91,9 +93,21 @@ impl WritingConnection {
     async fn connected(&mut self) -> sqlx::Result<&mut SqliteConnection> {
         let connection = match self.connection.take() {
             Some(connection) => connection,
+            None if self.has_lost_its_file() => {
+                self.broken = true;
+                tracing::error!("the database was DELETED OR REPLACED while a write failed: its rows are LOST");
+                return Err(std::io::Error::from(std::io::ErrorKind::NotFound).into());
+            }
             None => SqliteConnection::connect_with(&self.options).await?,
         };
         Ok(self.connection.insert(connection))
+    }
+
+    /// Whether the file of the last connection is not at the configured path any more: closed, it is deleted. A new
+    /// connection would write into another file, which the monitors do not match.
+    fn has_lost_its_file(&self) -> bool {
+        let database = self.files.identity().database;
+        self.files.is_fresh() || self.identity.is_some_and(|known| known.database != database)
     }
 
     /// Closes the connection after an error, and removes the ballast if the disk is full.
@@ -138,6 +152,10 @@ impl WritingConnection {
     async fn bound_log(&mut self) {
         let log = self.files.log_bytes();
         if log < self.log_bound {
+            self.failed_at = 0;
+            return;
+        }
+        if log < self.failed_at + self.failed_at / 4 {
             return;
         }
         match self.checkpoint().await {
@@ -153,12 +171,12 @@ impl WritingConnection {
                 room,
                 "a program keeps reading an old state of the database, and there is no space to move the database: end that program"
             );
-            self.log_bound = log + log / 4;
+            self.failed_at = log;
             return;
         }
         if let Err(error) = self.move_database("a program keeps reading an old state of it").await {
             tracing::error!(%error, log, "moving the database away from a slow reader failed");
-            self.log_bound = log + log / 4;
+            self.failed_at = log;
             self.reopen_path().await;
         }
     }
@@ -166,9 +184,7 @@ impl WritingConnection {
     /// After a failed move: opens the configured path again for writer and readers, and removes the unfinished copy.
     async fn reopen_path(&mut self) {
         self.disconnect().await;
-        if let Err(error) = self.reader.reopen(self.files.path()).await {
-            tracing::error!(%error, "reopening the readers failed: they keep their file");
-        }
+        self.reader.reopen(self.files.path());
         if let Err(error) = self.files.next() {
             tracing::warn!(%error, "removing an unfinished copy of the database failed");
         }
@@ -192,7 +208,7 @@ impl WritingConnection {
         self.identity = None;
         self.disconnect().await;
         self.connected().await.map_err(|error| store_error(&error))?;
-        self.reader.reopen(self.files.path()).await.map_err(|error| store_error(&error))?;
+        self.reader.reopen(self.files.path());
         tracing::warn!(to = %copy.display(), why, "the database moved to a new file");
         Ok(())
     }

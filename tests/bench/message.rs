@@ -60,6 +60,8 @@ fn observation(throw: &Throw, identifier: &mut Identifier, settings: &estimate::
     Observation {
         throw: throw.id.clone(),
         started_at: throw.started_at,
+        received_at: None,
+        direction_contradicted: None,
         direction: found.direction,
         estimate: Some((estimate.coefficients(), estimate.drift_covariance())),
         grade: estimate.grade,

@@ -1,7 +1,10 @@
 //! Each cause is named correctly within a few throws, and a healthy machine has no alarms.
 
 use nalgebra::Vector3;
-use pointsd::diagnose::{Cause, MachineMonitor, Settings, Severity};
+use pointsd::{
+    diagnose::{Cause, MachineMonitor, Settings, Severity},
+    estimate::Grade,
+};
 
 use crate::fleet::{Machine, Nature, normal, shift};
 
@@ -44,28 +47,46 @@ fn steps_and_ramps_at_twice_the_limit_are_named_right() {
     }
 }
 
-/// Causes of the first alarm of 20 machines within 40 throws after `shift` and this change of the no-load speed, with the
-/// size in percent; `None` for machines that do not show that speed.
-fn named_beside_speed(shift: Vector3<f64>, speed: Option<f64>) -> Vec<(Cause, f64)> {
+/// Changes of gauges, as logarithms, and whether the throws give the ratios only.
+#[derive(Debug, Clone, Copy, Default)]
+struct Gauges {
+    /// No-load speed; `None` for machines that do not show it.
+    speed: Option<f64>,
+    duration: f64,
+    ratios_only: bool,
+}
+
+/// Causes of the first alarm of 20 machines within 60 throws after `shift` and these changes, with the size in percent.
+fn named_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<(Cause, f64)> {
     let settings = Settings::default();
     let of_machine = |seed: u64| {
         let mut machine = Machine::new(seed, Nature::default());
         let mut monitor = MachineMonitor::new("21B");
-        let mut feed = |shift: Vector3<f64>, speed: Option<f64>| {
+        let mut feed = |shift: Vector3<f64>, changes: Gauges| {
             let mut throw = machine.throw(shift);
-            let scatter = 0.01 * normal(&mut machine.rng);
-            throw.features.no_load_speed_rad_per_s = speed.map(|change| 17.0 * (change + scatter).exp());
+            let mut scattered = |change: f64| (change + 0.01 * normal(&mut machine.rng)).exp();
+            throw.features.no_load_speed_rad_per_s = changes.speed.map(|change| 17.0 * scattered(change));
+            throw.features.duration_s = Some(4.3 * scattered(changes.duration));
+            if changes.ratios_only {
+                (throw.ratios_only, throw.grade) = (true, Grade::Rough);
+            }
             monitor.observe(&throw, &settings)
         };
-        for _ in 0..2 * settings.baseline_throws {
-            feed(Vector3::zeros(), speed.map(|_| 0.0));
+        let before = Gauges { speed: gauges.speed.map(|_| 0.0), duration: 0.0, ..gauges };
+        for _ in 0..3 * settings.baseline_throws {
+            let events = feed(Vector3::zeros(), before).events;
+            assert_eq!(events, [], "machine {seed}");
         }
-        let event = (0..40).find_map(|_| feed(shift, speed).events.into_iter().next());
+        let event = (0..60).find_map(|_| feed(shift, gauges).events.into_iter().next());
         assert!(event.is_some(), "machine {seed} has no alarm");
         let event = event.unwrap();
         (event.cause, event.change_pct.unwrap_or_default())
     };
     (1_200..1_220).map(of_machine).collect()
+}
+
+fn named_beside_speed(shift: Vector3<f64>, speed: Option<f64>) -> Vec<(Cause, f64)> {
+    named_beside(shift, Gauges { speed, ..Gauges::default() })
 }
 
 #[test]
@@ -87,6 +108,34 @@ fn a_motor_is_named_whether_its_no_load_speed_changes_with_its_torque_or_not() {
     for speed in [0.0, 0.16] {
         let named = named_beside_speed(shift(Cause::Kt, -15.0), Some(speed));
         assert!(named.iter().all(|(cause, pct)| *cause == Cause::Kt && (-18.0..-12.0).contains(pct)), "{named:?}");
+    }
+}
+
+/// Weaker magnets turn faster. A dry load has the same torque at every speed, so its equivalent viscous friction falls: in
+/// the ratios that is a stiffer machine, or a weaker motor with less friction.
+#[test]
+fn weak_magnets_before_a_dry_load_are_the_motor_if_its_speed_shows_it() {
+    let dry = Vector3::new(-0.16, -0.13, 0.0);
+    let faster = Gauges { speed: Some(0.16), duration: -0.14, ratios_only: false };
+    for gauges in [faster, Gauges { ratios_only: true, ..faster }, Gauges { speed: None, ratios_only: true, ..faster }]
+    {
+        let named = named_beside(dry, gauges);
+        assert!(named.iter().all(|(cause, _)| *cause == Cause::Kt), "{gauges:?}: {named:?}");
+        let mean = named.iter().map(|(_, pct)| pct / named.len() as f64).sum::<f64>();
+        assert!((-18.0..-11.0).contains(&mean), "{gauges:?}: {mean}");
+    }
+}
+
+#[test]
+fn stiffness_and_friction_keep_their_names_on_machines_of_ratios() {
+    let unlocking = Gauges { speed: None, duration: 0.01, ratios_only: true };
+    for (cause, pct, duration) in
+        [(Cause::Stiffness, 20.0, 0.01), (Cause::Friction, 40.0, 0.05), (Cause::Friction, -40.0, -0.06)]
+    {
+        for speed in [None, Some(0.0)] {
+            let named = named_beside(shift(cause, pct), Gauges { speed, duration, ..unlocking });
+            assert!(named.iter().all(|(named, _)| *named == cause), "{cause} {pct} %, {speed:?}: {named:?}");
+        }
     }
 }
 

@@ -171,6 +171,8 @@ fn healthy_features(sd: [f64; 3], lag1: f64, heavy: bool, rng: &mut ChaCha8Rng) 
         Observation {
             throw: ThrowRef { boot_id: "a".to_owned(), throw_no: throw },
             started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw.cast_signed()),
+            received_at: None,
+            direction_contradicted: None,
             direction: Some(Direction::BOTH[usize::from(throw % 2 == 0)]),
             estimate: None,
             grade: Grade::Good,

@@ -55,6 +55,8 @@ impl Machine {
         Observation {
             throw: ThrowRef { boot_id: "field".to_owned(), throw_no: self.throws },
             started_at: self.started_at,
+            received_at: None,
+            direction_contradicted: None,
             direction: Some(Direction::BOTH[side]),
             estimate: Some((estimate.into(), scale * Nature::default().covariance() * scale)),
             grade: Grade::Good,

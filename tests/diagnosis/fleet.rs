@@ -81,6 +81,8 @@ impl Machine {
         Observation {
             throw: ThrowRef { boot_id: "7f0e6c1a".to_owned(), throw_no: self.throws },
             started_at: self.started_at,
+            received_at: None,
+            direction_contradicted: None,
             direction: Some(self.only.unwrap_or(turn)),
             estimate: Some((estimate.into(), scale * self.nature.covariance() * scale)),
             incomplete: false,

@@ -157,12 +157,8 @@ fn a_throw_received_before_the_loss_of_the_logger_is_no_sign_of_life() {
     pass(&mut monitor, &mut now, 1, |monitor, now| monitor.logger(true, now, &settings));
     let gone = pass(&mut monitor, &mut now, 15, |monitor, now| monitor.logger(false, now, &settings));
     assert_eq!(summary(&gone), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
-    for _ in 0..5 {
-        monitor.received(received);
-        assert_eq!(machine.feed(&mut monitor, Vector3::zeros(), &settings).events, []);
-    }
-    monitor.received(now);
-    let events = machine.feed(&mut monitor, Vector3::zeros(), &settings).events;
+    assert_eq!(feed(&mut machine, &mut monitor, 5, |throw| throw.received_at = Some(received)), []);
+    let events = feed(&mut machine, &mut monitor, 1, |throw| throw.received_at = Some(now));
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
 }
 
@@ -296,12 +292,11 @@ fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions
     let event = monitor.irregular(clock, Some(&last.throw), last.started_at, &Settings::default()).unwrap();
     assert!(event.cause == Cause::DataLoss && event.text.contains("1970-01-01"), "{}", event.text);
 
-    (0..4).for_each(|_| monitor.direction(true));
-    assert!(monitor.caveats().is_empty());
-    monitor.direction(true);
-    assert_eq!(monitor.caveats().len(), 1);
-    monitor.direction(false);
-    assert!(monitor.caveats().is_empty());
+    let mut named = |throws, contradicted| {
+        feed(&mut machine, &mut monitor, throws, |throw| throw.direction_contradicted = Some(contradicted));
+        monitor.caveats().len()
+    };
+    assert_eq!([named(4, true), named(1, true), named(1, false)], [0, 1, 0]);
 }
 
 /// After the loss of a snapshot nothing else would end the alarm, and its fault may still exist.

@@ -51,6 +51,8 @@ impl Life {
         let observation = Observation {
             throw: throw.id,
             started_at: throw.started_at,
+            received_at: None,
+            direction_contradicted: None,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
             faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),

@@ -16,7 +16,7 @@ use pointsd::{
     throw::Trace,
     wire::{self, Encoding, Health},
 };
-use zenoh::{Wait, sample::Sample};
+use zenoh::{Wait, qos::CongestionControl, sample::Sample};
 
 use crate::{
     logger::{self, QUICK_ALARMS},
@@ -142,5 +142,30 @@ async fn one_logger_at_full_speed_harms_no_other() {
         let whole = [&row["throws"], &row["traces"], &row["judged"]].iter().all(|count| **count == number);
         assert!(whole, "of {number}: {row}");
     }
+    assert!(daemon.terminate().success());
+}
+
+/// The daemon drops messages of a flood in which each has another key. Queries of all these loggers would fill its memory.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn loggers_that_nobody_knows_are_not_queried_in_a_flood() {
+    const MESSAGES: u64 = 200_000;
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    let queried = Arc::<AtomicU64>::default();
+    let count = Arc::clone(&queried);
+    let on_query = move |_| {
+        count.fetch_add(1, Relaxed);
+    };
+    session.declare_queryable("points/v1/*/*/throw").callback(on_query).background().await.unwrap();
+    let sender = daemon.client().await;
+    drop(rig::matched(&sender, "points/v1/north/mad/throw").await);
+    for number in 0..MESSAGES {
+        let put = sender.put(format!("points/v1/north/mad{number}/throw"), "no throw");
+        put.congestion_control(CongestionControl::Block).wait().unwrap();
+    }
+    daemon.until_status("dropped messages", |status| status["dropped"].as_u64() > Some(0)).await;
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    assert_eq!(queried.load(Relaxed), 0);
     assert!(daemon.terminate().success());
 }

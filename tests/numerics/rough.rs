@@ -61,6 +61,10 @@ struct Drive {
 
 impl Drive {
     fn identify(self, seed: u64) -> Identification {
+        Identifier::default().identify(&Throw::recorded(self.record(seed)), &Settings::default())
+    }
+
+    fn record(self, seed: u64) -> Trace {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (current, mut toe) = self.throw(&mut rng);
         if self.lag_hz > 0.0 {
@@ -101,8 +105,7 @@ impl Drive {
             amperes.drain(200 + from..205 + from);
             millimetres.drain(200 + from..205 + from);
         }
-        let trace = Trace::new(1.0 / INTERVAL_S, amperes, millimetres).unwrap();
-        Identifier::default().identify(&Throw::recorded(trace), &Settings::default())
+        Trace::new(1.0 / INTERVAL_S, amperes, millimetres).unwrap()
     }
 
     /// True current \[A\] and toe position \[mm\] from the motor's start on.
@@ -246,6 +249,27 @@ fn what_a_brake_hides_is_in_the_interval_or_the_throw_is_rough() {
     // The scatter between throws is as small as that of the sensors' noise.
     let plain = Drive::default().identify(1).outcome.unwrap();
     assert!(plain.covariance[(0, 0)].sqrt() < 0.01 * plain.b0 && plain.sd()[0] < 0.4 * plain.b0, "{plain:?}");
+}
+
+#[test]
+fn what_a_brake_hides_is_in_the_interval_without_a_position_too() {
+    let (mut missed, plain) = (0, Drive::default().truth());
+    for (brake_nm, brake_s) in [(0.0, 0.0), (8.0, 0.01), (8.0, 0.03), (16.0, 0.01), (16.0, 0.03), (30.0, 0.01)] {
+        for seed in 0..4 {
+            let trace = Drive { brake_nm, brake_s, ..Drive::default() }.record(seed);
+            let nothing = vec![f64::NAN; trace.len()];
+            let trace = Trace::new(trace.sample_rate_hz(), trace.current_a().to_vec(), nothing).unwrap();
+            let direction = Some(Direction::NormalToReverse);
+            let throw = Throw { supply_v: Some(110.0), direction, ..Throw::recorded(trace) };
+            let settings = Settings { stroke_mm: Some(114.5), ..Settings::default() };
+            let estimate = Identifier::default().identify(&throw, &settings).outcome.unwrap();
+            assert_eq!(estimate.grade, Grade::CurrentOnly);
+            missed += usize::from(!covers(&estimate, plain) || !covers_ratios(&estimate, plain));
+            // The scatter between throws is small.
+            assert!(estimate.covariance[(0, 0)].sqrt() < 0.01 * estimate.b0, "{estimate:?}");
+        }
+    }
+    assert!(missed <= 1, "{missed} of 24 intervals miss");
 }
 
 /// The table of conditions in the README; `POINTSD_THROWS` sets the throws in each row, 100 by default.

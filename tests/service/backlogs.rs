@@ -108,3 +108,22 @@ async fn an_outage_is_no_time_in_which_the_logger_replied_without_the_throws() {
     assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
     assert!(daemon.terminate().success());
 }
+
+/// The backlog ends with a message that is no throw, and every query gets it again.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_message_that_is_no_throw_is_in_quarantine_once() {
+    const KEY: &str = "points/v1/north/21B/throw";
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let session = daemon.client().await;
+    keep(&session, KEY, vec![(2, b"no throw".to_vec())]).await;
+    drop(matched(&session, KEY).await);
+    for throw_no in [1, 3] {
+        put(&session, KEY, ContentType::APPLICATION_CBOR, encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await;
+    }
+    rig.until_sql("SELECT 1 FROM data_gaps WHERE missing_throws = 1").await;
+    assert_eq!(rig.sql("SELECT reason FROM quarantined_messages").len(), 1);
+    let status = daemon.status();
+    assert_eq!(status["quarantined"], 1, "{status}");
+    assert!(daemon.terminate().success());
+}

@@ -16,8 +16,10 @@ use pointsd::{bus::Questions, throw::ThrowRef};
 use tokio::runtime::Handle;
 
 use crate::{
+    cable::Cable,
     http::{KEY, exchange_bytes, get, small_history},
-    rig::{PATIENCE, throws},
+    questions::large,
+    rig::{PATIENCE, Rig, client_of, matched, throws},
 };
 
 /// Resident memory of a process \[KiB\].
@@ -52,6 +54,29 @@ async fn a_query_that_finds_a_full_queue_gets_an_error() {
     for waiting in &queries[..64] {
         assert!(waiting.is_empty(), "the others wait");
     }
+}
+
+/// Replies that fill a hanging link wait until zenoh closes it; replies to others do not wait with them.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_link_that_hangs_delays_no_answer_to_others() {
+    const HISTORY: &str = "points/v1/**/health?limit=10000";
+    let rig = Rig::new();
+    large(&rig, 100, 20_000).await;
+    let daemon = rig.start();
+    let cable = Cable::to(&daemon.endpoint).await;
+    let (slow, quick) = (client_of(&cable.endpoint).await, daemon.client().await);
+    let mut histories = Vec::new();
+    for _ in 0..4 {
+        histories.push(slow.get(HISTORY).await.unwrap());
+    }
+    histories[0].recv_async().await.unwrap();
+    cable.cut();
+    // Until the buffers of the link are full.
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    let begin = Instant::now();
+    let replies = quick.get("points/v1/north/m1/health").await.unwrap();
+    assert!(replies.recv_async().await.unwrap().into_result().is_ok());
+    assert!(begin.elapsed() < Duration::from_secs(2), "an answer took {:?}", begin.elapsed());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -8,7 +8,11 @@ use crate::rig::{Rig, pointsd, stub, throws};
 
 /// Runs the command; returns its exit code, stdout and stderr.
 fn import(rig: &Rig, files: &[&Path], more: &[&str]) -> (Option<i32>, String, String) {
-    let mut command = pointsd(&["import", "--machine", "north/21B", "--config"]);
+    import_as(rig, "north/21B", files, more)
+}
+
+fn import_as(rig: &Rig, machine: &str, files: &[&Path], more: &[&str]) -> (Option<i32>, String, String) {
+    let mut command = pointsd(&["import", "--machine", machine, "--config"]);
     let output = command.arg(rig.config()).args(more).args(files).output().unwrap();
     let text = |bytes| String::from_utf8(bytes).unwrap();
     (output.status.code(), text(output.stdout), text(output.stderr))
@@ -45,6 +49,18 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     assert_eq!(lines.len(), 2, "{said}");
     assert_eq!((&lines[0]["throw_no"], &lines[0]["quality"]), (&5.into(), &"good".into()));
     assert_ne!(lines[1]["quality"], "good");
+}
+
+/// The alarms under these names are not those of a machine.
+#[test]
+fn no_throws_are_imported_under_a_reserved_name() {
+    let rig = Rig::with("[monitor]\nsite = \"north\"\nid = \"21B\"");
+    let file = rig.folder().join("one.json");
+    fs::write(&file, encode_throw(Encoding::Json, &stub("recorded", 1))).unwrap();
+    let (code, _, error) = import(&rig, &[&file], &[]);
+    assert!(code == Some(64) && error.contains("the name of pointsd itself"), "{error}");
+    let (code, _, error) = import_as(&rig, "north/all-machines", &[&file], &[]);
+    assert!(code == Some(64) && error.contains("the common alarms of a site"), "{error}");
 }
 
 #[test]

@@ -157,6 +157,27 @@ async fn a_locked_database_sends_no_valid_throw_to_quarantine() {
     assert!(daemon.terminate().success());
 }
 
+/// Another program locks the database beyond the stop of the daemon.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn throws_that_a_stop_cannot_store_are_counted_as_lost() {
+    let rig = Rig::new();
+    let mut daemon = rig.start();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let mut other = rig.locked("BEGIN IMMEDIATE").await;
+    for throw_no in 1..=5 {
+        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
+    }
+    daemon.until_status("throws", |status| status["received"] == 5).await;
+    daemon.signal("-TERM");
+    daemon.until_log("a throw is LOST");
+    daemon.until_log("5 messages LOST");
+    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+    while daemon.runs() {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
 /// Far more throws than the daemon can handle, at the speed of one link.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flood_from_one_sender_leaves_room_for_the_throws_of_others() {

@@ -383,6 +383,82 @@ async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_
     }
 }
 
+/// The open connection has the rows of a deleted file, until a write fails and it is closed.
+#[tokio::test]
+async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
+    for replaced in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, old) = (folder.path().join("points.db"), folder.path().join("old.db"));
+        open(folder.path()).await.store.close().await.unwrap();
+        fs::copy(&path, &old).unwrap();
+        let store = open(folder.path()).await.store;
+        judged(&store, 1, 5).await;
+        let mut outsider = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(&path)).await.unwrap();
+        let refuse = "CREATE TRIGGER refuse BEFORE INSERT ON throw WHEN NEW.throw_no = 99 \
+                      BEGIN SELECT RAISE(ABORT, 'refused'); END";
+        sqlx::query(refuse).execute(&mut outsider).await.unwrap();
+        outsider.close().await.unwrap();
+        // The writer looks for its file at most once a second.
+        tokio::time::sleep(Duration::from_millis(1_100)).await;
+        store.outbox_sent(&[]).await.unwrap();
+        for suffix in ["", "-wal", "-shm"] {
+            fs::remove_file(folder.path().join(format!("points.db{suffix}"))).unwrap();
+        }
+        if replaced {
+            fs::rename(&old, &path).unwrap();
+        }
+        store.spool(&machine("21B"), &throw("b1", 99), at(0)).await.unwrap_err();
+        tokio::time::timeout(Duration::from_secs(5), store.stopped())
+            .await
+            .expect("the writer goes on without its rows");
+        assert_eq!(path.exists(), replaced, "no empty database takes its place");
+    }
+}
+
+/// After the end of a slow reader the log has its bound again, also if the database could not move away from it.
+#[tokio::test]
+async fn the_bound_of_the_log_holds_again_after_failed_moves() {
+    const BOUND_MIB: u64 = 20;
+    let folder = tempfile::tempdir().unwrap();
+    let bounds = Settings { max_wal_mib: BOUND_MIB, ..settings(folder.path()) };
+    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let outside = SqliteConnectOptions::new().filename(store.path());
+    let mut outsider = SqliteConnection::connect_with(&outside).await.unwrap();
+    let reading = async || {
+        let mut holder = SqliteConnection::connect_with(&outside.clone().read_only(true)).await.unwrap();
+        sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
+        sqlx::query("SELECT count(*) FROM throw").fetch_one(&mut holder).await.unwrap();
+        holder
+    };
+    let mut write_mib = async |mib: u64| {
+        for _ in 0..mib {
+            let large = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start) \
+                         VALUES (0, '', '', 0, zeroblob(1 << 20))";
+            sqlx::query(large).execute(&mut outsider).await.unwrap();
+        }
+        store.outbox_sent(&[]).await.unwrap();
+        // The writer bounds the log after its answer.
+        store.outbox_sent(&[]).await.unwrap();
+    };
+    // The copy cannot have its name.
+    let blocked = folder.path().join("points.db-1");
+    fs::create_dir_all(blocked.join("in the way")).unwrap();
+    let holder = reading().await;
+    write_mib(BOUND_MIB + 1).await;
+    write_mib(BOUND_MIB / 2).await;
+    assert!(store.wal_bytes() > (BOUND_MIB * 5 / 4) << 20, "{} bytes", store.wal_bytes());
+    holder.close().await.unwrap();
+    let mut other = SqliteConnection::connect_with(&outside).await.unwrap();
+    sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut other).await.unwrap();
+    write_mib(0).await;
+    assert!(store.wal_bytes() < BOUND_MIB << 20, "{} bytes", store.wal_bytes());
+
+    fs::remove_dir_all(&blocked).unwrap();
+    let _holder = reading().await;
+    write_mib(BOUND_MIB + 1).await;
+    assert!(blocked.exists(), "the database did not move; the log has {} bytes", store.wal_bytes());
+}
+
 #[tokio::test]
 async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
     let folder = tempfile::tempdir().unwrap();

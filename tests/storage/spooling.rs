@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use pointsd::{
-    store::{Spooled, Store, ThrowRow},
+    store::{Spooled, Store, StoreError, ThrowRow},
     throw::ThrowRef,
 };
 use sqlx::{Connection, SqliteConnection};
@@ -190,6 +190,22 @@ async fn the_largest_numbers_and_oddest_times_are_taken() {
     write_off(&store).await;
     let missing = query::<(i64,)>(&store, "SELECT sum(missing_throws) FROM data_gaps").await;
     assert!(missing[0].0 > 1 << 40, "{missing:?}");
+}
+
+/// The number for a throw under a taken number is the next one of a separate boot, which may have no next one.
+#[tokio::test]
+async fn a_logger_that_uses_up_the_numbers_for_taken_numbers_does_not_stop_the_writer() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = open(folder.path()).await.store;
+    spooled(&store, "21B", "b1", 1).await;
+    let mut last = throw("b1~again", 2);
+    last.id.throw_no = u64::try_from(i64::MAX).unwrap();
+    assert!(matches!(store.spool(&machine("21B"), &last, at(0)).await.unwrap(), Spooled::New(_)));
+    let mut other = throw("b1", 3);
+    other.id.throw_no = 1;
+    let refused = store.spool(&machine("21B"), &other, at(0)).await;
+    assert!(matches!(refused, Err(StoreError::Refused(_))), "{refused:?}");
+    spooled(&store, "21B", "b1", 2).await;
 }
 
 /// A logger with a new boot id for each throw slows neither its own throws nor those of others.

@@ -100,8 +100,7 @@ impl Document {
     }
 
     /// An error about a key, with its line; for a key that is not in the text, with the line of its section.
-    #[must_use]
-    pub fn complain(&self, key: &str, problem: impl Into<String>) -> ConfigError {
+    pub(crate) fn complain(&self, key: &str, problem: impl Into<String>) -> ConfigError {
         let mut path = key;
         let place = loop {
             if let Some(place) = self.places.iter().find(|place| place.path == path) {

@@ -56,9 +56,20 @@ pub struct Peer {
 
 impl Monitor {
     /// The name as a machine, for the alarms about the daemon itself.
-    #[must_use]
-    pub fn as_machine(&self) -> MachineId {
+    pub(crate) fn as_machine(&self) -> MachineId {
         MachineId { site: self.site.clone(), machine: self.id.clone() }
+    }
+
+    /// The reason why no machine may have this name; `None` if one may.
+    pub(crate) fn reserves(&self, machine: &MachineId) -> Option<String> {
+        if machine.site == self.site && machine.machine == self.id {
+            Some("this is the name of pointsd itself (monitor.site, monitor.id): a machine needs another".to_owned())
+        } else if machine.machine.as_str() == store::ALL_MACHINES {
+            let name = store::ALL_MACHINES;
+            Some(format!("{name} is the name of the common alarms of a site: a machine needs another"))
+        } else {
+            None
+        }
     }
 
     /// The names of the watched daemons as machines.
@@ -196,10 +207,7 @@ pub struct Config {
 
 impl Config {
     /// The built-in configuration.
-    ///
-    /// # Errors
-    /// When the defaults are not usable, for example without a working folder.
-    pub fn built_in() -> Result<Self, ConfigError> {
+    pub(crate) fn built_in() -> Result<Self, ConfigError> {
         Self::from_document(&Document::parse(Path::new("built-in defaults"), String::new())?)
     }
 
@@ -212,8 +220,7 @@ impl Config {
     }
 
     /// The zenoh section as text, to detect changes.
-    #[must_use]
-    pub fn zenoh_text(&self) -> String {
+    pub(crate) fn zenoh_text(&self) -> String {
         self.zenoh.to_string()
     }
 
@@ -328,10 +335,7 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
 }
 
 /// Checks the `[log]` section.
-///
-/// # Errors
-/// When the level is invalid.
-pub fn check_log(log: &Log, document: &Document) -> Result<(), ConfigError> {
+pub(crate) fn check_log(log: &Log, document: &Document) -> Result<(), ConfigError> {
     // The filter takes any other word for a module, of which everything is logged, and of all others nothing.
     let is_wrong =
         |part: &&str| part.contains(char::is_whitespace) || !part.contains('=') && part.parse::<LevelFilter>().is_err();

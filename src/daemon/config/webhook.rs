@@ -52,22 +52,17 @@ impl Default for Webhook {
 
 impl Webhook {
     /// Whether the filters let an alarm pass.
-    #[must_use]
-    pub fn wants(&self, alarm: &Alarm) -> bool {
+    pub(crate) fn wants(&self, alarm: &Alarm) -> bool {
         alarm.severity >= self.severity && (self.causes.is_empty() || self.causes.contains(&alarm.cause))
     }
 
     /// The address of the receiver; `None` without one.
-    #[must_use]
-    pub fn uri(&self) -> Option<Uri> {
+    pub(crate) fn uri(&self) -> Option<Uri> {
         self.url.as_ref()?.parse().ok()
     }
 
     /// The authorities of `ca_file`.
-    ///
-    /// # Errors
-    /// A sentence, when the file cannot be read or has no certificate.
-    pub fn authorities(&self) -> Result<Option<Vec<CertificateDer<'static>>>, String> {
+    pub(crate) fn authorities(&self) -> Result<Option<Vec<CertificateDer<'static>>>, String> {
         let Some(file) = &self.ca_file else { return Ok(None) };
         let pem = fs::read(file).map_err(|error| format!("{} cannot be read: {error}", file.display()))?;
         let certificates: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&pem).collect();

@@ -232,17 +232,6 @@ impl MachineMonitor {
         operation.on_gap(lost, alarms, context).into_iter().collect()
     }
 
-    /// Applies the time when the next throw was received: judged after the loss of its logger, an earlier one is no sign
-    /// of life.
-    pub fn received(&mut self, at: Timestamp) {
-        self.operation.on_receipt(to_micros(at));
-    }
-
-    /// Counts the throws whose movement contradicts the direction that the logger names.
-    pub fn direction(&mut self, contradicted: bool) {
-        self.operation.on_direction(contradicted);
-    }
-
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
     /// compared, so a change starts a new baseline; returns the command that does this, with its events.
     pub fn configured(

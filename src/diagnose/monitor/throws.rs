@@ -32,6 +32,9 @@ impl MachineMonitor {
     /// Observes a throw like [`Self::observe`], without the change `common` of the other machines of the site.
     pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
+        if let Some(contradicted) = observation.direction_contradicted {
+            self.operation.on_direction(contradicted);
+        }
         let at = to_micros(observation.started_at);
         let temperature = self.thermometer.read(observation.temperature_c, at);
         // Without its toe sensor a machine is not what its baseline describes.
@@ -78,7 +81,7 @@ impl MachineMonitor {
         verdict: &mut Verdict,
     ) {
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
-        verdict.events.extend(operation.on_throw(observation.incomplete, observation.direction, alarms, context));
+        verdict.events.extend(operation.on_throw(observation, alarms, context));
         if let Some(throw) = evaluated {
             let suspicious = self.drift.is_suspicious(&self.alarms);
             let features = &observation.features;
