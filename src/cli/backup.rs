@@ -27,7 +27,7 @@ pub(super) struct Arguments {
     location: Location,
 }
 
-pub(super) fn run(arguments: &Arguments) -> Outcome {
+pub(super) fn main(arguments: &Arguments) -> Outcome {
     let from = arguments.location.find()?;
     let failure = |error: StoreError| {
         let exit = match error {

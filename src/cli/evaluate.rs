@@ -44,7 +44,7 @@ pub(super) struct Arguments {
     out: Option<PathBuf>,
 }
 
-pub(super) fn run(arguments: &Arguments) -> Outcome {
+pub(super) fn main(arguments: &Arguments) -> Outcome {
     let amount = if arguments.quick { Amount::QUICK } else { Amount::FULL };
     let plan = Plan::new(arguments.seed, amount, Settings::default());
     let threads = arguments.threads.or_else(|| thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);

@@ -55,7 +55,7 @@ pub(super) struct Arguments {
     refined: bool,
 }
 
-pub(super) fn run(arguments: &Arguments) -> Outcome {
+pub(super) fn main(arguments: &Arguments) -> Outcome {
     let settings = arguments.settings();
     settings.check().or_exit(Exit::Usage)?;
     let recording = recording::read(&arguments.file)?;

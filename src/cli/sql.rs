@@ -24,7 +24,7 @@ pub(super) struct Arguments {
     /// The query; `.tables` lists the views.
     // A query may start with a comment (`--`).
     #[arg(value_name = "SQL", default_value = ".tables", hide_default_value = true, allow_hyphen_values = true)]
-    question: String,
+    query: String,
     /// Print a JSON array with one object for each row.
     #[arg(long, conflicts_with = "csv")]
     json: bool,
@@ -35,7 +35,7 @@ pub(super) struct Arguments {
     location: Location,
 }
 
-pub(super) fn run(arguments: &Arguments) -> Outcome {
+pub(super) fn main(arguments: &Arguments) -> Outcome {
     let path = arguments.location.find()?;
     let mut answer: Box<dyn Answer> = match (arguments.json, arguments.csv) {
         (true, _) => Box::new(Json::new(BufWriter::new(io::stdout().lock()))),
@@ -46,8 +46,8 @@ pub(super) fn run(arguments: &Arguments) -> Outcome {
     let asked = block_on(async {
         let columns = |names: &[String]| answer.borrow_mut().columns(names).map_err(Trouble::Output);
         let row = |values| answer.borrow_mut().row(values).map_err(Trouble::Output);
-        let question = if arguments.question.trim() == ".tables" { VIEWS } else { &arguments.question };
-        Ok(ask(&path, question, columns, row).await)
+        let query = if arguments.query.trim() == ".tables" { VIEWS } else { &arguments.query };
+        Ok(ask(&path, query, columns, row).await)
     })?;
     match asked.and_then(|()| answer.borrow_mut().end().map_err(Trouble::Output)) {
         Ok(()) => Ok(Exit::Ok),

@@ -165,10 +165,10 @@ impl Plan {
                 (Task::Fleet { fleet, throws, .. }, Kind::Healthy(alarms)) => {
                     add(&mut healthy, Depth::Parameter, Some(FLEETS[fleet].label), throws, alarms);
                 }
-                (Task::Row { row, .. }, Kind::Row(three, accused, coverage)) => {
+                (Task::Row { row, .. }, Kind::Row(three, is_wrong, coverage)) => {
                     judgements[row].push(three);
                     coverages[row].merge(coverage);
-                    wrong_critical[row] += usize::from(accused);
+                    wrong_critical[row] += usize::from(is_wrong);
                 }
                 (Task::Budget { phi, .. }, Kind::Budget { throws, alarmed }) => budget[phi].add(throws, alarmed),
                 _ => {}

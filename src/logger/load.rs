@@ -13,7 +13,6 @@ use std::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
-use serde::Deserialize;
 use zenoh::{
     Session, Wait, bytes::Encoding as ContentType, key_expr::KeyExpr, pubsub::Subscriber, qos::CongestionControl,
     sample::Sample,
@@ -24,7 +23,7 @@ use crate::{
     daemon::clock,
     simulate::{Fleet, FleetSettings, SimulatedThrow},
     throw::{MachineId, Trace},
-    wire::{self, Alarm, Encoding, Kind},
+    wire::{self, Alarm, Encoding, Health, Kind},
 };
 
 /// Number of simulated machines; the others repeat them.
@@ -164,20 +163,13 @@ fn subscribe(
     healths: &Shared,
     alarms: &Shared,
 ) -> Result<[Subscriber<()>; 2], LoggerError> {
-    /// The fields of a health message that identify the throw.
-    #[derive(Deserialize)]
-    struct Which {
-        boot_id: String,
-        throw_no: u64,
-    }
     let (boot_id, healths, alarms) = (boot_id.to_owned(), Arc::clone(healths), Arc::clone(alarms));
     let on_health = move |sample: Sample| {
         let now = clock::monotonic();
-        let which = serde_json::from_slice::<Which>(&sample.payload().to_bytes());
-        if let (Ok(which), Ok((machine, _))) = (which, wire::parse_key(sample.key_expr()))
-            && which.boot_id == boot_id
+        if let Ok(Health { machine, throw, .. }) = serde_json::from_slice(&sample.payload().to_bytes())
+            && throw.boot_id == boot_id
         {
-            lock(&healths).on_message(&(machine, which.throw_no), now);
+            lock(&healths).on_message(&(machine, throw.throw_no), now);
         }
     };
     let on_alarm = move |sample: Sample| {

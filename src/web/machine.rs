@@ -13,7 +13,7 @@ use super::{
     overview::{Web, selector},
     page::{self, Failure},
     state::{self, Badge},
-    trend::{self, Mark, Picture, Ways},
+    trend::{self, Directions, Mark, Picture},
 };
 use crate::{
     daemon::clock,
@@ -72,7 +72,7 @@ struct Page {
     /// Sentences about what the monitor cannot show at present.
     caveats: Vec<String>,
     alarms: Vec<AlarmLine>,
-    ways: Vec<Way>,
+    last_throws: Vec<LastThrow>,
     /// Value for the address, text, and whether the span is selected.
     spans: Vec<(&'static str, &'static str, bool)>,
     trends: Vec<Picture>,
@@ -93,7 +93,7 @@ struct Page {
 }
 
 /// The last throw of a direction.
-struct Way {
+struct LastThrow {
     direction: Direction,
     baseline: String,
     /// For each coefficient: change in the last throw, and scatter of the machine.
@@ -190,7 +190,7 @@ async fn read(
         caveats,
         maintenance: maintenance(now_state, &windows),
         alarms: open.iter().map(|alarm| AlarmLine::new(alarm, raised(alarm), &drifts, &windows)).collect(),
-        ways: ways(&both, &baselines),
+        last_throws: last_throws(&both, &baselines),
         spans: Span::CHOICES.into_iter().map(|(choice, word, says)| (word, says, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
         no_trends: no_trends(&baselines),
@@ -240,8 +240,8 @@ fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {
 }
 
 /// For each direction: baseline, last change, and scatter of the machine.
-fn ways(both: &Ways, baselines: &[BaselineRecord]) -> Vec<Way> {
-    let way = |(direction, rows): &(Direction, Vec<Health>)| {
+fn last_throws(both: &Directions, baselines: &[BaselineRecord]) -> Vec<LastThrow> {
+    let last_throw = |(direction, rows): &(Direction, Vec<Health>)| {
         let last = rows.last();
         let scatter = trend::scatter_pct(baselines, *direction);
         let change = last.and_then(|last| last.change_pct);
@@ -254,14 +254,14 @@ fn ways(both: &Ways, baselines: &[BaselineRecord]) -> Vec<Way> {
             Some(_) => "complete".to_owned(),
             None => "none yet".to_owned(),
         };
-        Way {
+        LastThrow {
             direction: *direction,
             baseline,
             changes: change.map(|change| [text(0, change), text(1, change), text(2, change)]),
             without: last.map(without).unwrap_or_default(),
         }
     };
-    both.iter().map(way).collect()
+    both.iter().map(last_throw).collect()
 }
 
 /// Reason why a throw has no changes from the baseline.
@@ -285,12 +285,12 @@ fn quality(row: &Health) -> String {
 }
 
 /// "From … to …; 250 and 250 throws."
-fn drawn(ways: &Ways) -> String {
-    let times = || ways.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
+fn drawn(directions: &Directions) -> String {
+    let times = || directions.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
     let (Some(first), Some(last)) = (times().min(), times().max()) else {
         return "No throw with a known direction.".to_owned();
     };
-    let [there, back] = ways.each_ref().map(|(_, rows)| rows.len());
+    let [there, back] = directions.each_ref().map(|(_, rows)| rows.len());
     format!(
         "{} to {}; drawn are {there} throws normal to reverse and {back} back.",
         page::time(first),
@@ -298,15 +298,15 @@ fn drawn(ways: &Ways) -> String {
     )
 }
 
-fn drawn_throws(ways: &Ways) -> String {
-    let rows = ways.iter().flat_map(|(_, rows)| rows);
+fn drawn_throws(directions: &Directions) -> String {
+    let rows = directions.iter().flat_map(|(_, rows)| rows);
     page::data(&rows.map(|row| (trend::x(row.started_at), page::throw_path(&row.throw))).collect::<Vec<_>>())
 }
 
 /// "Rejected throws: 12 supply sagged, 3 no movement."
-fn rejected(ways: &Ways) -> String {
+fn rejected(directions: &Directions) -> String {
     let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
-    for row in ways.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected()) {
+    for row in directions.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected()) {
         *reasons.entry(&row.quality).or_default() += 1;
     }
     let reasons: Vec<String> =
@@ -315,8 +315,13 @@ fn rejected(ways: &Ways) -> String {
 }
 
 /// Marks in the charts: raised alarms, complete baselines and commands since the first throw shown, oldest first.
-fn marks(ways: &Ways, events: &[Alarm], baselines: &[BaselineRecord], commands: &[CommandRow]) -> Vec<Mark> {
-    let Some(first) = ways.iter().filter_map(|(_, rows)| rows.first()).map(|row| row.started_at).min() else {
+fn marks(
+    directions: &Directions,
+    events: &[Alarm],
+    baselines: &[BaselineRecord],
+    commands: &[CommandRow],
+) -> Vec<Mark> {
+    let Some(first) = directions.iter().filter_map(|(_, rows)| rows.first()).map(|row| row.started_at).min() else {
         return Vec::new();
     };
     let raised = events.iter().filter(|alarm| alarm.event_no == 1 && alarm.state == AlarmState::ActiveUnacknowledged);
@@ -334,7 +339,7 @@ fn marks(ways: &Ways, events: &[Alarm], baselines: &[BaselineRecord], commands: 
     marks
 }
 
-fn who(by: Option<&String>, why: Option<&String>) -> String {
+fn by_whom(by: Option<&String>, why: Option<&String>) -> String {
     match (by, why) {
         (Some(by), Some(why)) => format!("{by}: {why}"),
         (Some(by), None) => by.clone(),
@@ -349,7 +354,7 @@ fn event(alarm: &Alarm) -> Event {
         what: alarm.cause.to_string(),
         state: alarm.state.words().to_owned(),
         text: alarm.text.clone(),
-        by: who(alarm.by.as_ref(), alarm.why.as_ref()),
+        by: by_whom(alarm.by.as_ref(), alarm.why.as_ref()),
     }
 }
 
@@ -362,7 +367,7 @@ fn command(row: &CommandRow) -> Event {
         what: format!("{}{cause}", row.command.replace('_', " ")),
         state: until.unwrap_or_default(),
         text: String::new(),
-        by: who(Some(&row.by), row.why.as_ref()),
+        by: by_whom(Some(&row.by), row.why.as_ref()),
     }
 }
 

@@ -39,7 +39,7 @@ pub(super) struct Mark {
 }
 
 /// The throws of each direction, oldest first.
-pub(super) type Ways = [(Direction, Vec<Health>); 2];
+pub(super) type Directions = [(Direction, Vec<Health>); 2];
 
 /// Every n-th row up to the last, at most [`POINTS`].
 pub(super) fn thinned(rows: Vec<Health>) -> Vec<Health> {
@@ -58,15 +58,15 @@ pub(super) fn scatter_pct(baselines: &[BaselineRecord], direction: Direction) ->
 /// Charts of the changes of b0, a1, a0 and inertia, with limits, marks and the scatter of the machine. Empty without a
 /// baseline.
 pub(super) fn coefficients(
-    ways: &Ways,
+    directions: &Directions,
     marks: &[Mark],
     baselines: &[BaselineRecord],
     settings: &Settings,
 ) -> Vec<Picture> {
-    if !ways.iter().flat_map(|(_, rows)| rows).any(|row| row.change_pct.is_some()) {
+    if !directions.iter().flat_map(|(_, rows)| rows).any(|row| row.change_pct.is_some()) {
         return Vec::new();
     }
-    let scatter = widest(ways.each_ref().map(|(direction, _)| scatter_pct(baselines, *direction)));
+    let scatter = widest(directions.each_ref().map(|(direction, _)| scatter_pct(baselines, *direction)));
     let shown = [
         ("motor (b0)", "b0", settings.kt_limit_pct, 0),
         ("friction (a1)", "a1", settings.friction_limit_pct, 1),
@@ -82,7 +82,7 @@ pub(super) fn coefficients(
                 own.map(|own| format!("The band of ± {own:.1} % is the scatter of this machine. ")).unwrap_or_default(),
                 limits.1
             );
-            Picture::new(change(title, limits, own, ways, marks, |row| Some(row.change_pct?[at])), says)
+            Picture::new(change(title, limits, own, directions, marks, |row| Some(row.change_pct?[at])), says)
         })
         .collect();
     let limits = (settings.inertia_limit_pct, settings.inertia_limit_pct * settings.critical_factor);
@@ -91,7 +91,7 @@ pub(super) fn coefficients(
          change alike. Warning at {} %, critical at {} %.",
         limits.0, limits.1
     );
-    let inertia = change("inertia", limits, None, ways, marks, |row| Some(inertia_pct(row.change_pct?, scatter)));
+    let inertia = change("inertia", limits, None, directions, marks, |row| Some(inertia_pct(row.change_pct?, scatter)));
     pictures.push(Picture::new(inertia, says));
     pictures
 }
@@ -118,19 +118,19 @@ fn change(
     title: &str,
     (warning, critical): (f64, f64),
     own: Option<f64>,
-    ways: &Ways,
+    directions: &Directions,
     marks: &[Mark],
     value: impl Fn(&Health) -> Option<f64>,
 ) -> Panel {
     let mut panel = Panel::history(title, "% from the baseline");
     let mut furthest = (0.0_f64, 0.0_f64);
-    for (direction, rows) in ways {
+    for (direction, rows) in directions {
         // NaN, for a throw without the value, interrupts the curve.
         let points: Vec<_> = rows.iter().map(|row| (x(row.started_at), value(row).unwrap_or(f64::NAN))).collect();
         furthest = points.iter().fold(furthest, |(low, high), (_, change)| (low.min(*change), high.max(*change)));
         panel = panel.line(direction.to_string(), points);
     }
-    if let Some((first, last)) = ends(ways) {
+    if let Some((first, last)) = ends(directions) {
         // Without a band the line at 0 only gives the chart the same range of time as the others.
         let own = own.unwrap_or(0.0);
         panel = panel.banded_line("", [(first, 0.0, own), (last, 0.0, own)]);
@@ -143,7 +143,7 @@ fn change(
     if furthest.0 < -warning {
         panel = panel.level(-critical, "critical");
     }
-    let rejected = rejected_at(ways, furthest.0.min(-warning));
+    let rejected = rejected_at(directions, furthest.0.min(-warning));
     marked(panel, rejected, marks)
 }
 
@@ -155,7 +155,7 @@ const ROUGH_THROWS: &str = "of each throw, also of rough ones, which have only t
 
 /// Charts of the features of every throw, also of rejected ones: duration and currents. If some throws are rough, the
 /// ratios of the coefficients too.
-pub(super) fn features(ways: &Ways, marks: &[Mark], baselines: &[BaselineRecord]) -> Vec<Picture> {
+pub(super) fn features(directions: &Directions, marks: &[Mark], baselines: &[BaselineRecord]) -> Vec<Picture> {
     let ratios: [(&str, &str, &str, Feature); 2] = [
         ("Friction per motor (a1 / b0)", "mA s/rad", ROUGH_THROWS, |row| ratio(row, row.a1_per_b0, 1)),
         ("Stiffness per motor (a0 / b0)", "mA/rad", ROUGH_THROWS, |row| ratio(row, row.a0_per_b0, 2)),
@@ -166,25 +166,25 @@ pub(super) fn features(ways: &Ways, marks: &[Mark], baselines: &[BaselineRecord]
         ("Peak current", "A", ALL_THROWS, |row| row.peak_current_a),
     ];
     let is_rough = |row: &Health| row.coefficients.is_none() && row.a1_per_b0.is_some();
-    let ratios = if ways.iter().flat_map(|(_, rows)| rows).any(is_rough) { &ratios[..] } else { &[] };
+    let ratios = if directions.iter().flat_map(|(_, rows)| rows).any(is_rough) { &ratios[..] } else { &[] };
     let picture = |(title, unit, of, value): (&str, &str, &str, Feature)| {
         let mut panel = Panel::history(title, unit);
         let mut least = f64::INFINITY;
-        for (direction, rows) in ways {
+        for (direction, rows) in directions {
             let points: Vec<_> = rows.iter().filter_map(|row| Some((x(row.started_at), value(row)?))).collect();
             least = points.iter().fold(least, |least, (_, value)| least.min(*value));
             panel = panel.line(direction.to_string(), points);
         }
         // Takes the colour of the band in the other charts.
         panel = panel.line("", []);
-        for level in usual(ways, baselines, value) {
+        for level in usual(directions, baselines, value) {
             panel = panel.level(level, "");
         }
         if !least.is_finite() {
             return None;
         }
         let says = format!("{title} {of}. The dashed lines are the medians of the baseline in each direction.");
-        Some(Picture::new(marked(panel, rejected_at(ways, least), marks), says))
+        Some(Picture::new(marked(panel, rejected_at(directions, least), marks), says))
     };
     ratios.iter().copied().chain(shown).filter_map(picture).collect()
 }
@@ -197,7 +197,7 @@ fn ratio(row: &Health, known: Option<f64>, at: usize) -> Option<f64> {
 
 /// Median of a feature for each direction, over the throws in the chart up to the baseline, or over the first good
 /// ones.
-fn usual(ways: &Ways, baselines: &[BaselineRecord], value: fn(&Health) -> Option<f64>) -> Vec<f64> {
+fn usual(directions: &Directions, baselines: &[BaselineRecord], value: fn(&Health) -> Option<f64>) -> Vec<f64> {
     let one = |(direction, rows): &(Direction, Vec<Health>)| {
         let baseline = baselines.iter().filter(|it| it.direction == *direction).max_by_key(|it| it.taken_at)?;
         let good = || rows.iter().filter(|row| row.is_evaluated());
@@ -208,7 +208,7 @@ fn usual(ways: &Ways, baselines: &[BaselineRecord], value: fn(&Health) -> Option
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied()
     };
-    ways.iter().filter_map(one).collect()
+    directions.iter().filter_map(one).collect()
 }
 
 /// Number of first good throws that replace the throws of a baseline outside the chart.
@@ -220,14 +220,14 @@ pub(super) fn x(at: Timestamp) -> f64 {
 }
 
 /// Times of the first and the last throw in the chart.
-fn ends(ways: &Ways) -> Option<(f64, f64)> {
-    let times = || ways.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
+fn ends(directions: &Directions) -> Option<(f64, f64)> {
+    let times = || directions.iter().flat_map(|(_, rows)| rows).map(|row| row.started_at);
     Some((x(times().min()?), x(times().max()?)))
 }
 
 /// Dots for rejected throws, at `height`.
-fn rejected_at(ways: &Ways, height: f64) -> Vec<(f64, f64)> {
-    let rows = ways.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected());
+fn rejected_at(directions: &Directions, height: f64) -> Vec<(f64, f64)> {
+    let rows = directions.iter().flat_map(|(_, rows)| rows).filter(|row| row.is_rejected());
     let mut dots: Vec<f64> = rows.map(|row| x(row.started_at)).collect();
     dots.sort_by(f64::total_cmp);
     // A NaN after each dot interrupts the line.

@@ -240,17 +240,7 @@ fn settings_are_checked_and_read_from_toml_without_unknown_keys() {
     assert!(settings.check().is_ok());
     assert!(settings.machine.stroke_mm > 149.0 && settings.faults[0].fault.shape == Shape::Ramp { throws: 100 });
     assert!(toml::from_str::<FleetSettings>("machine = { strok_mm = 1.0 }").is_err());
-    let wrong = [
-        "machines = 0",
-        "[machine]\nsupply_v = -1.0",
-        "[machine.rails]\nmodes = 9",
-        "[sensors]\nsample_rate_hz = 5.0",
-        "[scatter]\ncorrelation = 1.0",
-        "[[faults]]\nmachine = 5\nfault = { part = \"kt\", shape = \"step\", size_pct = -10.0, from_throw = 0 }",
-    ];
-    for text in wrong {
-        let settings: FleetSettings = toml::from_str(text).unwrap();
-        let error = Fleet::new(&settings, 1).expect_err(text);
-        assert!(error.to_string().contains("must be"), "{text}: {error}");
-    }
+    let settings: FleetSettings = toml::from_str(&text.replace("machine = 1\n", "machine = 5\n")).unwrap();
+    let error = Fleet::new(&settings, 1).expect_err("a machine outside the fleet");
+    assert!(error.to_string().contains("must be"), "{error}");
 }

@@ -467,12 +467,11 @@ async fn the_exit_code_of_status_knows_an_alarm_of_this_moment() {
     position_mm[half_way..].fill(reached);
     let trace = Trace::new(whole.trace.sample_rate_hz(), current_a, position_mm).unwrap();
     let obstructed = Throw { trace, ..whole.clone() };
-    let publisher = matched(&session, "points/v1/north/21B/throw").await;
-    publisher.put(encode_throw(Encoding::Cbor, &obstructed)).await.unwrap();
+    let logger = daemon.logger("points/v1/north/21B/throw").await;
+    logger.send([obstructed]).await;
     let alarm = tokio::time::timeout(PATIENCE, alarms.recv_async()).await.unwrap().unwrap();
     let alarm: Alarm = serde_json::from_slice(&alarm.payload().to_bytes()).unwrap();
     assert_eq!(alarm.cause, Cause::IncompleteThrow);
-    let (code, text) = daemon.operate(&["status"]);
-    assert_eq!(code, Some(1), "{text}");
+    daemon.says(1, &["status"]);
     assert!(daemon.terminate().success());
 }

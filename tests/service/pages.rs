@@ -133,37 +133,22 @@ async fn a_big_history_gives_bounded_pages() {
                             sample_rate_hz, samples, content_crc32, judged_at_us)
          SELECT i, machine_row, boot_row, i, started_at_us + 60000000 * i, received_at_us, direction, sample_rate_hz,
                 samples, content_crc32, judged_at_us
-         FROM n, (SELECT * FROM throw WHERE throw_row = 1)",
-    )
-    .await;
-    rig.change(
-        "WITH RECURSIVE n(i) AS (SELECT 1000 UNION ALL SELECT i + 1 FROM n WHERE i < 151000)
+         FROM n, (SELECT * FROM throw WHERE throw_row = 1);
+         WITH RECURSIVE n(i) AS (SELECT 1000 UNION ALL SELECT i + 1 FROM n WHERE i < 151000)
          INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, b0, a1, a0, b0_sd,
                                a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, fit_pct, throws_since_baseline)
          SELECT i, machine_row, CASE i % 2 WHEN 0 THEN 'normal_to_reverse' ELSE 'reverse_to_normal' END, 0, 'good', b0,
                 a1, a0, b0_sd, a1_sd, a0_sd, i % 7, i % 11, -(i % 5), fit_pct, i
-         FROM n, (SELECT * FROM estimate WHERE throw_row = 1)",
-    )
-    .await;
-    rig.change(
-        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 3000)
-         INSERT INTO machine (site, machine) SELECT 'south', 'M' || i FROM n",
-    )
-    .await;
-    rig.change(
-        "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no)
-         SELECT machine_row, 'b', 0, 1 FROM machine WHERE site = 'south'",
-    )
-    .await;
-    rig.change(
-        "INSERT INTO throw (throw_row, machine_row, boot_row, throw_no, started_at_us, received_at_us, sample_rate_hz,
+         FROM n, (SELECT * FROM estimate WHERE throw_row = 1);
+         WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 3000)
+         INSERT INTO machine (site, machine) SELECT 'south', 'M' || i FROM n;
+         INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no)
+         SELECT machine_row, 'b', 0, 1 FROM machine WHERE site = 'south';
+         INSERT INTO throw (throw_row, machine_row, boot_row, throw_no, started_at_us, received_at_us, sample_rate_hz,
                             samples, content_crc32, judged_at_us)
          SELECT 200000 + machine_row, machine_row, boot_row, 1, 0, 0, 1000, 0, 0, 1
-         FROM machine JOIN boot USING (machine_row) WHERE site = 'south'",
-    )
-    .await;
-    rig.change(
-        "INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, throws_since_baseline)
+         FROM machine JOIN boot USING (machine_row) WHERE site = 'south';
+         INSERT INTO estimate (throw_row, machine_row, direction, direction_contradicted, quality, throws_since_baseline)
          SELECT 200000 + machine_row, machine_row, 'normal_to_reverse', 0, 'good', 1 FROM machine WHERE site = 'south'",
     )
     .await;
@@ -173,25 +158,16 @@ async fn a_big_history_gives_bounded_pages() {
     rig.change(
         "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
          SELECT machine, machine_row, 'kt', machine_row, 1, 'active_unacknowledged'
-         FROM machine WHERE site = 'south' AND machine_row % 5 = 0",
-    )
-    .await;
-    rig.change(
-        "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
+         FROM machine WHERE site = 'south' AND machine_row % 5 = 0;
+         INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
          SELECT machine || '-lost', machine_row, 'not_monitored', machine_row, 1, 'active_unacknowledged'
-         FROM machine WHERE site = 'south' AND machine_row % 6 = 1",
-    )
-    .await;
-    rig.change(
-        "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload)
+         FROM machine WHERE site = 'south' AND machine_row % 6 = 1;
+         INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload)
          SELECT alarm_row, 1, 0, 'critical', state, json_object('schema', 'points.alarm/1', 'alarm_id', alarm_id,
                 'event_no', 1, 'site', site, 'machine', machine, 'cause', cause, 'severity', 'critical', 'state', state,
                 'raised_at', '2026-05-04T10:00:00Z', 'event_at', '2026-05-04T10:00:00Z', 'text', 'weak')
-         FROM alarm JOIN machine USING (machine_row)",
-    )
-    .await;
-    rig.change(
-        "INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts)
+         FROM alarm JOIN machine USING (machine_row);
+         INSERT INTO monitor (machine_row, snapshot, updated_at_us, state, drifts)
          SELECT machine_row, (SELECT snapshot FROM monitor LIMIT 1), 0,
                 CASE WHEN machine_row % 5 = 0 THEN 'critical' WHEN machine_row % 6 = 1 THEN 'not_monitored' ELSE 'healthy' END,
                 CASE WHEN machine_row % 5 = 0 THEN

@@ -23,6 +23,7 @@ use pointsd::{
     throw::{Throw, ThrowRef, Trace},
     wire::{self, encode_throw},
 };
+use sqlx::Connection as _;
 use zenoh::{Session, bytes::Encoding, qos::CongestionControl};
 
 /// Longest wait for an event, sufficient on a loaded computer.
@@ -215,20 +216,21 @@ impl Rig {
         }
     }
 
+    async fn connection(&self) -> sqlx::SqliteConnection {
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(self.database());
+        sqlx::SqliteConnection::connect_with(&options).await.unwrap()
+    }
+
     /// Locks the database for other programs with a statement such as `BEGIN IMMEDIATE`, until `ROLLBACK`.
     pub(crate) async fn locked(&self, begin: &'static str) -> sqlx::SqliteConnection {
-        use sqlx::Connection;
-        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(self.database());
-        let mut connection = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+        let mut connection = self.connection().await;
         sqlx::query(begin).execute(&mut connection).await.unwrap();
         connection
     }
 
     /// Changes the database while no daemon runs.
     pub(crate) async fn change(&self, statement: impl Into<String>) {
-        use sqlx::Connection;
-        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(self.database());
-        let mut connection = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+        let mut connection = self.connection().await;
         sqlx::query(sqlx::AssertSqlSafe(statement.into())).execute(&mut connection).await.unwrap();
         connection.close().await.unwrap();
     }

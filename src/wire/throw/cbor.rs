@@ -12,7 +12,7 @@ use minicbor::{
 use super::{
     error::InvalidThrow,
     fields::{Fields, SCHEMA, Supply, UNKNOWN_DIRECTION},
-    json::{Channel, Count},
+    values::{Channel, Count},
 };
 use crate::throw::{Direction, MAX_SAMPLES, Throw};
 

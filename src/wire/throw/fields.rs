@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     error::InvalidThrow,
-    json::{Channel, Count},
+    values::{Channel, Count},
 };
 use crate::throw::{Direction, Throw, ThrowRef, Trace};
 

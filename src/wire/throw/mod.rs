@@ -7,12 +7,14 @@
 mod cbor;
 mod error;
 mod fields;
-mod json;
+mod values;
 
 pub use error::InvalidThrow;
 pub use fields::{MAX_BOOT_ID_BYTES, is_boot_id};
 
+use super::json;
 use crate::throw::Throw;
+use fields::Fields;
 
 /// Encoding of a throw, by its content type on zenoh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,7 +42,10 @@ impl Encoding {
 pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, InvalidThrow> {
     match encoding {
         Encoding::Cbor => cbor::decode(payload),
-        Encoding::Json => json::decode(payload),
+        // serde_json rejects nesting beyond 128 and bytes after the value.
+        Encoding::Json => {
+            serde_json::from_slice(payload).map_err(|error| InvalidThrow::Json { problem: error.to_string() })
+        }
     }?
     .into_throw()
 }
@@ -51,7 +56,7 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
 pub fn encode_throw(encoding: Encoding, throw: &Throw) -> Vec<u8> {
     match encoding {
         Encoding::Cbor => cbor::encode(throw),
-        Encoding::Json => json::encode(throw),
+        Encoding::Json => json(&Fields::from(throw)).into_bytes(),
     }
 }
 

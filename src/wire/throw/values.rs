@@ -1,4 +1,4 @@
-//! Throws in JSON.
+//! A whole number and a channel, as they are in JSON.
 
 use std::fmt;
 
@@ -7,20 +7,7 @@ use serde::{
     de::{self, SeqAccess, Visitor},
 };
 
-use super::{error::InvalidThrow, fields::Fields};
-use crate::{
-    throw::{MAX_SAMPLES, Throw},
-    wire::text::json,
-};
-
-pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
-    // serde_json rejects nesting beyond 128 and bytes after the value.
-    serde_json::from_slice(payload).map_err(|error| InvalidThrow::Json { problem: error.to_string() })
-}
-
-pub(super) fn encode(throw: &Throw) -> Vec<u8> {
-    json(&Fields::from(throw)).into_bytes()
-}
+use crate::throw::MAX_SAMPLES;
 
 /// A whole number, also in the form 7.0 of some languages.
 #[derive(Debug, Serialize)]
