@@ -1,5 +1,7 @@
 //! The throws of each direction in the monitor: the baseline and its learning, and the last throws.
 
+use std::mem;
+
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -53,8 +55,9 @@ pub(super) enum Suspicion {
 /// The throws of one direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Track {
-    /// Throws of the baseline; kept until both directions are complete.
-    learned: Vec<BaselineThrow>,
+    /// Throws of the baseline; kept until both directions are complete. Without spare memory, as a whole fleet may
+    /// learn at once.
+    learned: Box<[BaselineThrow]>,
     /// Throws set aside while a drift is suspected.
     aside: Vec<BaselineThrow>,
     /// Mean covariance of the estimates of `learned` and `aside`.
@@ -418,8 +421,8 @@ impl Tracks {
         if suspicion == Suspicion::AboveLimit || suspicion == Suspicion::Suspected && track.aside.len() < MOST_ASIDE {
             return Vec::new();
         }
-        track.learned.append(&mut track.aside);
-        track.learned.truncate(settings.baseline_throws);
+        let learned = mem::take(&mut track.learned).into_iter().chain(mem::take(&mut track.aside));
+        track.learned = learned.take(settings.baseline_throws).collect();
         let usable = settings.baseline_usable_throws;
         let next =
             [usable, 2 * usable].into_iter().find(|stage| *stage > track.baseline.as_ref().map_or(0, Baseline::throws));
@@ -467,10 +470,7 @@ impl Tracks {
             self.mixed = Some(Mixed { scatter, thresholds });
         }
         if done {
-            for track in &mut self.sides {
-                track.learned = Vec::new();
-                track.aside.shrink_to_fit();
-            }
+            self.sides.iter_mut().for_each(|track| track.learned = Box::default());
         }
     }
 

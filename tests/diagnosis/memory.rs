@@ -14,6 +14,11 @@ const LIMIT: u64 = 6_300;
 /// Throws after which all histories are full: more than fill the blocks of the history since the baseline.
 const THROWS: u32 = 650;
 
+/// Throws of a machine whose baselines lack a few throws of 50 each.
+const LEARNING_THROWS: u32 = 90;
+/// Largest memory of its monitor \[bytes\].
+const LEARNING_LIMIT: u64 = 9_100;
+
 /// A throw with every feature and a temperature.
 fn throw(machine: &mut Machine) -> Observation {
     let observation = machine.throw(Vector3::zeros());
@@ -41,10 +46,10 @@ fn memory(make: impl FnOnce() -> MachineMonitor) -> u64 {
     counted.bytes_current.unsigned_abs()
 }
 
-#[test]
-fn a_full_monitor_takes_little_memory_before_and_after_a_restart() {
+/// The memory of the monitor of a machine with this number of throws, before and after a restart \[bytes\].
+fn memory_after(throws: u32) -> [u64; 2] {
     let (settings, mut machine) = (Settings::default(), Machine::new(3, Nature::default()));
-    let throws: Vec<Observation> = (0..THROWS).map(|_| throw(&mut machine)).collect();
+    let throws: Vec<Observation> = (0..throws).map(|_| throw(&mut machine)).collect();
     let fed = || {
         let mut monitor = MachineMonitor::new("north/21B");
         for throw in &throws {
@@ -56,5 +61,18 @@ fn a_full_monitor_takes_little_memory_before_and_after_a_restart() {
     let restored = || MachineMonitor::from_snapshot(&snapshot).unwrap();
     let taken = [memory(fed), memory(restored)];
     println!("{taken:?} bytes, {} of them itself; snapshot {}", size_of::<MachineMonitor>(), snapshot.len());
+    taken
+}
+
+#[test]
+fn a_full_monitor_takes_little_memory_before_and_after_a_restart() {
+    let taken = memory_after(THROWS);
     assert!(taken.iter().all(|bytes| *bytes <= LIMIT), "{taken:?} bytes");
+}
+
+/// All machines of a new fleet learn at the same time.
+#[test]
+fn a_monitor_that_learns_takes_little_memory_before_and_after_a_restart() {
+    let taken = memory_after(LEARNING_THROWS);
+    assert!(taken.iter().all(|bytes| *bytes <= LEARNING_LIMIT), "{taken:?} bytes");
 }
