@@ -168,6 +168,11 @@ impl Baseline {
         self.complete
     }
 
+    /// Start of its last throw.
+    pub(super) fn taken_at(&self) -> Timestamp {
+        self.taken_at
+    }
+
     /// Whether it has all its throws: complete, or with a trend.
     pub(super) fn is_final(&self, settings: &Settings) -> bool {
         self.complete || self.throws >= settings.baseline_throws

@@ -158,7 +158,9 @@ impl<'a> Series<'a> {
             .map(|((value, middle), point)| {
                 // The scatter is that of a logarithm, so it grows with the level.
                 let sd = middle.exp() * noise.sd;
-                (value.exp_m1(), sd * sd * inflation(noise.lag1, point.throws) / point.throws)
+                // Consecutive means count as independent, so their variance contains the correlation between them.
+                let length = if point.throws > 1.0 { f64::INFINITY } else { 1.0 };
+                (value.exp_m1(), sd * sd * inflation(noise.lag1, length) / point.throws)
             })
             .unzip();
         Self { points, values, variances, lag1: noise.lag1 }
@@ -325,6 +327,22 @@ mod tests {
         let points: Vec<Point> = blocks.chain(series(|_| 0.26)).collect();
         let (size, sd) = Course::of(&points, NOISE).unwrap().now();
         assert!((size - 0.26_f64.exp_m1()).abs() < 2.0 * sd && sd < 0.003, "{size} ± {sd}");
+    }
+
+    /// Correlated throws determine a level equally well one by one and as means of four.
+    #[test]
+    fn means_of_throws_are_as_certain_as_their_throws() {
+        let noise = Noise { lag1: 0.6, ..NOISE };
+        let singles = series(|_| 0.2);
+        let mean = |four: &[Point]| Point {
+            age: four[1].age - 0.5,
+            value: four.iter().map(|point| point.value).sum::<f64>() / 4.0,
+            throws: 4.0,
+        };
+        let means: Vec<Point> = singles.chunks_exact(4).map(mean).collect();
+        let [(_, of_singles), (_, of_means)] =
+            [&singles, &means].map(|points| Course::of(points, noise).unwrap().now());
+        assert!((of_means / of_singles - 1.0).abs() < 0.1, "{of_singles} and {of_means}");
     }
 
     #[test]

@@ -38,12 +38,12 @@ const ONE_SIDED_THROWS: u64 = 12;
 
 /// Largest change of another coefficient as part of a change of friction by weather.
 const BESIDE_WEATHER: f64 = 0.67;
-/// Part of a fall that the last few throws have while it lasts.
-const STILL_FALLEN: f64 = 0.5;
+/// Part of a change that the last few throws have while it lasts.
+const STILL_CHANGED: f64 = 0.5;
 
-/// A fall of friction, as negative changes of ln a1. Wear raises the friction; rain and warmth lower it.
+/// A change of friction, as change of ln a1. Wear and cold raise the friction; rain and warmth lower it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Fall {
+pub(super) struct FrictionChange {
     pub(super) size: f64,
     /// Whether the last few throws have it.
     pub(super) lasts: bool,
@@ -115,12 +115,12 @@ impl Drift {
         self.levels.iter().chain(&self.last_few).chain([&self.strongest]).flatten()
     }
 
-    /// A drift above its limit as a fall of friction, if it is mostly that.
-    pub(super) fn fall(&self) -> Option<Fall> {
+    /// A drift above its limit as a change of friction, if it is mostly that.
+    pub(super) fn change_of_friction(&self) -> Option<FrictionChange> {
         let Window { mean, .. } = self.strongest.as_ref().filter(|_| self.matters())?;
         let beside = mean.x.abs().max(mean.z.abs());
-        let lasts = self.latest.1.as_ref().is_none_or(|window| window.mean.y < STILL_FALLEN * mean.y);
-        (beside < -BESIDE_WEATHER * mean.y).then(|| Fall { size: mean.y, lasts })
+        let lasts = self.latest.1.as_ref().is_none_or(|window| window.mean.y / mean.y > STILL_CHANGED);
+        (beside < BESIDE_WEATHER * mean.y.abs()).then_some(FrictionChange { size: mean.y, lasts })
     }
 
     /// Whether a drift is detected and above its limit, with any name.

@@ -11,7 +11,7 @@ use super::{
     cause::{Attribution, Known, Naming},
     condition::{Claim, Condition, LONGEST_WINDOW, Transition},
     course::LimitForecast,
-    drift::Drift,
+    drift::{Drift, FrictionChange},
     event::{AlarmEvent, Cause, RunnerUp, Severity},
     explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor, percent, relevance},
     gauges::Gauges,
@@ -43,7 +43,7 @@ const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
 /// Losses of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
 /// friction of a machine.
 const RAIN_PCT: Range<f64> = 10.0..25.0;
-/// Part of a slow fall that existed a week ago: a season takes months.
+/// Part of a slow change that existed a week ago: a season takes months.
 const SLOW_FROM: f64 = 1.0 / 3.0;
 const DAYS_OF_WEEK: f64 = 7.0;
 
@@ -74,6 +74,9 @@ pub(super) struct DriftAlarms {
     /// Time and number of the first throw of a fall of friction that lasts.
     #[serde(default)]
     pub(super) fallen: Option<(Timestamp, u64)>,
+    /// A slow change of the friction \[%\] that raises no alarm, as it may be the season's.
+    #[serde(default)]
+    pub(super) season_pct: Option<f64>,
 }
 
 impl DriftAlarms {
@@ -199,6 +202,7 @@ impl DriftAlarms {
         self.history = History::default();
         self.onset = None;
         self.fallen = None;
+        self.season_pct = None;
     }
 
     /// Resets the state after a change or maintenance, except the times since the last raises.
@@ -268,10 +272,31 @@ impl DriftAlarms {
         self.now = worst_first(now);
     }
 
-    /// The largest claim that the drift allows beside weather. A fall of friction by rain is over in some days. Without a
-    /// temperature, a slow one below the critical limit may be warmth: then a part of it existed a week ago.
+    /// The largest claim that the drift allows beside weather, which changes the friction most.
     fn beside_weather(&mut self, drift: &Drift, order: u64, tracks: &Tracks, context: Context) -> Claim {
-        let Some(fall) = drift.fall() else {
+        let change = drift.change_of_friction();
+        let season = change.filter(|change| self.may_be_season(change.size, tracks, context));
+        self.season_pct = season.map(|change| percent(change.size));
+        match self.beside_rain(change, order, context) {
+            Claim::Named if season.is_some() => Claim::Counts,
+            claim => claim,
+        }
+    }
+
+    /// Whether a change of the friction may be the season's: the machine has no temperature, the change is below the
+    /// critical limit, and a part of it existed a week ago.
+    fn may_be_season(&self, size: f64, tracks: &Tracks, context: Context) -> bool {
+        let is_critical = relevance(Cause::Friction, size, context.settings) > context.settings.critical_factor;
+        let per_day = tracks.throws_per_day(context.at).unwrap_or(context.settings.throws_per_day);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
+        let week = ((DAYS_OF_WEEK * per_day) as u32).max(LONGEST_WINDOW);
+        let was_there = || self.history.mean(week..u32::MAX).is_some_and(|level| level.y / size > SLOW_FROM);
+        !is_critical && tracks.has_no_temperature() && was_there()
+    }
+
+    /// The largest claim beside rain: a fall of friction by rain is over in some days.
+    fn beside_rain(&mut self, change: Option<FrictionChange>, order: u64, context: Context) -> Claim {
+        let Some(fall) = change.filter(|change| change.size < 0.0) else {
             self.fallen = None;
             return Claim::Named;
         };
@@ -283,13 +308,7 @@ impl DriftAlarms {
         }
         let is_new = context.at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
             || order - first < u64::from(LONGEST_WINDOW);
-        let may_be_rain = is_new && RAIN_PCT.contains(&-percent(fall.size));
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "at most 5,000 throws a day")]
-        let week = ((DAYS_OF_WEEK * context.settings.throws_per_day) as u32).max(2 * LONGEST_WINDOW);
-        let was_there = || self.history.mean(week..u32::MAX).is_some_and(|level| level.y < SLOW_FROM * fall.size);
-        let is_critical = relevance(Cause::Friction, fall.size, context.settings) > context.settings.critical_factor;
-        let may_be_warmth = tracks.has_no_temperature() && !is_critical && was_there();
-        if may_be_rain || may_be_warmth { Claim::Counts } else { Claim::Named }
+        if is_new && RAIN_PCT.contains(&-percent(fall.size)) { Claim::Counts } else { Claim::Named }
     }
 
     /// Throws since the drift was first suspected.

@@ -139,15 +139,15 @@ impl Intermittent {
         let inverse = of_one_throw.try_inverse()?;
         let shows = |(size, throws): (Size, u32)| {
             let counted = f64::from(self.recent.throws().min(throws));
-            let last = self.recent.last(throws).map(|d| Vector3::from(d.map(f64::from)));
-            let all: Vec<Vector3<f64>> = last.filter(|d| (d.transpose() * inverse * d).x > size.far).collect();
+            let last = self.recent.last(throws).map(|(age, d)| (f64::from(*age), Vector3::from(d.map(f64::from))));
+            let all: Vec<_> = last.filter(|(_, d)| (d.transpose() * inverse * d).x > size.far).collect();
             let enough = |count: usize| count >= 3 && self.chance(size, count, counted) < share;
             if !enough(all.len()) {
                 return None;
             }
             // A fault gives departures of the same kind, heavy tails give all kinds.
-            let kind = |(cause, sign): (Cause, f64)| -> Vec<Vector3<f64>> {
-                let is_of_kind = |departure: &&Vector3<f64>| {
+            let kind = |(cause, sign): (Cause, f64)| -> Vec<(f64, Vector3<f64>)> {
+                let is_of_kind = |(_, departure): &&(f64, Vector3<f64>)| {
                     let part = single(cause, departure, of_one_throw, settings);
                     sign * part.size > 0.0 && part.relevance(settings) > 1.0
                 };
@@ -155,8 +155,10 @@ impl Intermittent {
             };
             let kinds = Cause::PHYSICAL.into_iter().flat_map(|cause| [(cause, 1.0), (cause, -1.0)]);
             let most = kinds.map(kind).max_by_key(Vec::len).filter(|most| enough(most.len()))?;
-            let count = most.len() as f64;
-            Some((counted / count, most.iter().sum::<Vector3<f64>>() / count, count))
+            let (count, (newest, _), (oldest, _)) = (most.len() as f64, most.first()?, most.last()?);
+            // The counted throws may have begun before the fault.
+            let one_in = (oldest - newest) / (count - 1.0);
+            Some((one_in, most.iter().map(|(_, departure)| departure).sum::<Vector3<f64>>() / count, count))
         };
         let (one_in, mean, count) = tests.find_map(shows)?;
         let covariance = of_one_throw / count;

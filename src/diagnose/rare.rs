@@ -30,9 +30,9 @@ impl Rare {
         is_oldest.then(|| self.values.remove(0).1)
     }
 
-    /// The values of the last `throws`, the newest first.
-    pub(super) fn last(&self, throws: u32) -> impl Iterator<Item = &[f32; 3]> {
-        self.values.iter().rev().take_while(move |(age, _)| *age < throws).map(|(_, value)| value)
+    /// The values of the last `throws` with their ages, the newest first.
+    pub(super) fn last(&self, throws: u32) -> impl Iterator<Item = &(u32, [f32; 3])> {
+        self.values.iter().rev().take_while(move |(age, _)| *age < throws)
     }
 
     /// Removes the values, and keeps the number of throws.
@@ -78,8 +78,8 @@ mod tests {
             }
             assert_eq!(Vec::from(rare.clone()), all);
             assert_eq!(Rare::from(all.clone()), rare);
-            let last: Vec<_> = all.iter().rev().take(10).flatten().collect();
-            assert_eq!(rare.last(10).collect::<Vec<_>>(), last);
+            let last = (0..10).zip(all.iter().rev()).filter_map(|(age, value)| Some((age, (*value)?)));
+            assert_eq!(rare.last(10).copied().collect::<Vec<_>>(), last.collect::<Vec<_>>());
         }
     }
 }

@@ -1,9 +1,10 @@
 //! Common changes of the machines of a site: weather, not a fault of a machine.
 //!
-//! Every monitor stores its last departures. Before the judgement of a throw the median of the latest departures of the
-//! other machines is subtracted, if at least three machines of the last hours agree and the median is significant. The
-//! subtraction can only reduce a departure: a machine without the common change is judged without it, and no departure
-//! increases or changes its sign.
+//! Every monitor stores its last departures. Before the judgement of a throw the change that three quarters of the other
+//! machines have at least, beyond chance, is subtracted, if at least three machines had throws in the last hours. This
+//! change has no steps, however the others differ: steps would look like an intermittent fault. The subtraction can only
+//! reduce a departure: a machine without the common change is judged without it, and no departure increases or changes
+//! its sign.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
@@ -28,10 +29,10 @@ const WITNESSES: usize = 3;
 /// Most other machines that are compared, the first of the site in the order of names: the cost of a throw must not grow
 /// with the size of a site.
 const MOST_WITNESSES: usize = 32;
-/// Least share of them with a change of the same sign and at least half of the median.
+/// Share of them that have at least the common change.
 const AGREE: f64 = 0.75;
-/// The median is significant from four of its standard deviations on; that of n machines is 1.25 / √n of that of one.
-const BEYOND_CHANCE: f64 = 4.0 * 1.25;
+/// Standard deviations of the mean of the others that are chance.
+const BEYOND_CHANCE: f64 = 2.0;
 
 /// Part of the warning limit below which a common change has ended.
 const OVER_BELOW: f64 = 0.5;
@@ -92,12 +93,14 @@ pub(super) fn common<'a>(trails: impl Iterator<Item = &'a Trail>, at: Timestamp)
         return Common::default();
     }
     let change = Vector3::from_fn(|i, _| {
-        let logs = || latest.iter().map(|(log, _)| f64::from(log[i]));
-        let middle = median(&mut logs().collect::<Vec<_>>());
-        let score = median(&mut latest.iter().map(|(log, sd)| f64::from(log[i] / sd[i])).collect::<Vec<_>>());
-        let along = logs().filter(|log| log * middle.signum() >= 0.5 * middle.abs()).count() as f64;
-        let holds = along >= AGREE * count && score.abs() * count.sqrt() > BEYOND_CHANCE;
-        if holds { middle } else { 0.0 }
+        let mut logs: Vec<f64> = latest.iter().map(|(log, _)| log[i].into()).collect();
+        logs.sort_unstable_by(f64::total_cmp);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a part of at most 32 machines")]
+        let disagree = ((1.0 - AGREE) * count) as usize;
+        let (at_least, at_most) = (logs[disagree], logs[latest.len() - 1 - disagree]);
+        let sd = median(&mut latest.iter().map(|(_, sd)| sd[i].into()).collect::<Vec<_>>());
+        let chance = BEYOND_CHANCE * sd / count.sqrt();
+        (at_least - chance).max(0.0) + (at_most + chance).min(0.0)
     });
     Common { change, is_known: true }
 }

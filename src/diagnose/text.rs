@@ -275,6 +275,16 @@ pub(super) fn blind(name: &str, blind: &Blindness) -> String {
     )
 }
 
+/// Text for a slow change of the friction of a machine without a temperature.
+pub(super) fn season(name: &str, pct: f64) -> String {
+    let way = if pct < 0.0 { "fell" } else { "rose" };
+    format!(
+        "Machine {name}: its friction {way} by {:.0} % over more than a week. Without a temperature, the season looks the \
+         same as wear or lubrication, so only a change at the critical limit raises an alarm. Publish temperature_c.",
+        pct.abs()
+    )
+}
+
 /// Text for a machine whose throws changed steadily while its baseline was taken; slopes of the logarithms per throw.
 pub(super) fn trend(name: &str, slopes: [f64; 3]) -> String {
     let of = |(slope, what): (f64, &str)| (slope != 0.0).then(|| format!("{what} {:+.2} %", percent(slope)));

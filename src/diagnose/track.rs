@@ -515,6 +515,15 @@ impl Tracks {
         track.baseline.as_ref().map(|baseline| baseline.record(direction, track.of_ratios))
     }
 
+    /// Evaluated throws of the machine per day since its baselines; `None` without any.
+    pub(super) fn throws_per_day(&self, at: Timestamp) -> Option<f64> {
+        let rate = |track: &Track| {
+            let days = at.duration_since(track.baseline.as_ref()?.taken_at()).as_secs_f64() / 86_400.0;
+            (days > 0.0 && track.since_baseline > 0).then(|| track.since_baseline as f64 / days)
+        };
+        self.sides.iter().filter_map(rate).reduce(|a, b| a + b)
+    }
+
     pub(super) fn since_baseline(&self, direction: Direction) -> u64 {
         self.sides[direction.side()].since_baseline
     }

@@ -23,6 +23,8 @@ pub(crate) struct Machine {
     centre: [Vector3<f64>; 2],
     root: Matrix3<f64>,
     started_at: Timestamp,
+    /// Time between two throws.
+    pub(crate) interval: SignedDuration,
 }
 
 impl Machine {
@@ -34,7 +36,7 @@ impl Machine {
         let root = Nature::default().covariance().cholesky().unwrap().l();
         let state = Vector3::from_fn(|i, _| scatter.sd[i] * normal(&mut rng));
         let started_at = "2026-01-01T00:00:00Z".parse().unwrap();
-        Self { rng, throws: 0, scatter, state, centre, root, started_at }
+        Self { rng, throws: 0, scatter, state, centre, root, started_at, interval: SignedDuration::from_mins(72) }
     }
 
     /// The direction of the next throw: 0 or 1.
@@ -42,7 +44,7 @@ impl Machine {
         usize::from(self.throws % 2 == 1)
     }
 
-    /// The next throw, 72 minutes later, with `shift` added to ln b0, ln a1, ln a0.
+    /// The next throw, an interval later, with `shift` added to ln b0, ln a1, ln a0.
     pub(crate) fn throw(&mut self, shift: Vector3<f64>, temperature_c: Option<f64>) -> Observation {
         self.state = self.scatter.next(self.state, || normal(&mut self.rng));
         let error = self.root * Vector3::from_fn(|_, _| normal(&mut self.rng));
@@ -50,7 +52,7 @@ impl Machine {
         let estimate = (self.centre[side] + self.state + error + shift).map(f64::exp);
         let scale = Matrix3::from_diagonal(&estimate);
         self.throws += 1;
-        self.started_at += SignedDuration::from_mins(72);
+        self.started_at += self.interval;
         let duration_s = 4.3 * (1.0 + 0.004 * normal(&mut self.rng));
         Observation {
             throw: ThrowRef { boot_id: "field".to_owned(), throw_no: self.throws },

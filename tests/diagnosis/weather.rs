@@ -1,5 +1,6 @@
 //! Temperature: its effect is learned permanently, and the alarm text says what it can hide.
 
+use jiff::SignedDuration;
 use nalgebra::Vector3;
 use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Settings, Severity, Verdict};
 
@@ -190,5 +191,33 @@ fn a_warm_season_raises_no_alarm_and_a_fault_in_it_does() {
         // Wear in spite of the warmth is faster than it.
         let wear = alarms(45_200 + seed, 400, |throw| warmth(throw) + shift(Cause::Friction, 0.15 * throw as f64));
         assert_eq!(wear.first().map(|(_, cause)| *cause), Some(Cause::Friction), "seed {seed}: {wear:?}");
+    }
+}
+
+#[test]
+fn a_cold_season_raises_no_alarm_but_is_stated_and_a_critical_rise_is_one() {
+    let settings = Settings::default();
+    // 30 K in 100 days, at twenty and at two throws a day.
+    for (minutes, throws) in [(72, 2_000), (720, 200)] {
+        for seed in 0..10 {
+            let mut machine = Machine::new(48_000 + seed, Scatter::USUAL);
+            machine.interval = SignedDuration::from_mins(minutes);
+            let mut monitor = MachineMonitor::new("21B");
+            for _ in 0..130 {
+                machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
+            }
+            let cold = |throw: u64| Vector3::from(PER_KELVIN) * -30.0 * (throw as f64 / throws as f64).min(1.0);
+            let mut feed = |shift| machine.feed(&mut monitor, shift, None, &settings);
+            let mut stated = false;
+            for throw in 0..throws + 100 {
+                let verdict = feed(cold(throw));
+                assert_eq!(verdict.events, [], "seed {seed}, throw {throw}");
+                stated |= verdict.caveats.iter().any(|caveat| caveat.contains("Publish temperature_c"));
+            }
+            assert!(stated, "seed {seed}");
+            let worn = cold(throws) + shift(Cause::Friction, 35.0);
+            let first = (0..40).flat_map(|_| feed(worn).events).find(|event| event.cause.is_drift());
+            assert!(first.as_ref().is_some_and(|event| event.cause == Cause::Friction), "seed {seed}: {first:?}");
+        }
     }
 }

@@ -355,6 +355,7 @@ impl MachineMonitor {
             .into_iter()
             .chain(blind)
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
+            .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))
             .chain(only_features.then(|| text::only_features(&self.name)))
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
