@@ -228,7 +228,8 @@ impl DriftAlarms {
         let leaks = drift.attribution.as_ref().map_or(PLAIN_LEAKS, Attribution::leaks);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
-        for alarm in alarms.active().filter(|event| event.cause.is_drift()) {
+        let of_drift = |cause: Cause| cause.is_drift() && drift.of_features != Some(cause);
+        for alarm in alarms.active().filter(|event| of_drift(event.cause)) {
             let size = |cause: Cause, Window { mean, covariance, .. }: &Window| {
                 if has_sound_motor && cause == Cause::Friction {
                     return friction_of_sound_motor(mean, covariance);

@@ -1,6 +1,6 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge, no-load speed). Each is used as the logarithm of its ratio to the normal value of the
-//! direction. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which
+//! inrush, running current, charge, no-load speed, start). Each is used as the logarithm of its ratio to the normal value of
+//! the direction, except for the delay of the start. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which
 //! distinguishes the two.
 
 use serde::{Deserialize, Deserializer, Serialize};
@@ -24,10 +24,14 @@ pub(super) enum Gauge {
     Charge,
     /// Supply voltage over back-EMF constant, known without the supply voltage.
     NoLoadSpeed,
+    /// Delay of the start \[ms\], as a difference and not as a logarithm, as it has either sign.
+    StartDelay,
+    /// b0 of the start alone.
+    StartGain,
 }
 
 impl Gauge {
-    const COUNT: usize = 9;
+    const COUNT: usize = 11;
 
     /// Least standard deviation of a level: the effect of sampling, adjustment and temperature on a healthy machine.
     pub(super) fn floor(self) -> f64 {
@@ -35,7 +39,8 @@ impl Gauge {
             Self::Travel => 0.003,
             Self::BackEmf => 0.005,
             Self::Resistance | Self::Duration | Self::Volts | Self::NoLoadSpeed => 0.01,
-            Self::Inrush | Self::Running | Self::Charge => 0.02,
+            Self::Inrush | Self::Running | Self::Charge | Self::StartGain => 0.02,
+            Self::StartDelay => 0.2,
         }
     }
 }
@@ -248,7 +253,7 @@ impl Normal {
     }
 }
 
-/// The logarithms of the gauges of a throw.
+/// The gauges of a throw, as logarithms except for the delay of the start.
 fn values(features: &Features, celsius: Option<f64>) -> Values {
     let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
     let shown = [
@@ -261,6 +266,8 @@ fn values(features: &Features, celsius: Option<f64>) -> Values {
         features.running_current_a,
         features.charge_as,
         features.no_load_speed_rad_per_s,
+        features.start_delay_s.map(|delay_s| (1e3 * delay_s).exp()),
+        features.start_gain,
     ];
     // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
     #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]

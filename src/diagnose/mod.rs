@@ -26,6 +26,7 @@ mod scatter;
 mod settings;
 mod site;
 mod snapshot;
+mod start;
 mod sym3;
 mod temperature;
 mod testimony;

@@ -9,6 +9,7 @@ use super::{
     explain::{Explanation, percent},
     gauges::{Change, Gauge},
     intermittent::Departures,
+    start,
     testimony::Fault,
     thermometer::Disbelief,
     verdict::{Blindness, HidingTemperature},
@@ -221,6 +222,24 @@ pub(super) fn features(name: &str, changes: &[Change], throws: usize) -> String 
         "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. Their coefficients are not known, \
          so no part can be named. Check slide chairs, lubrication, drive and supply.",
         changes.join(", ")
+    )
+}
+
+/// Text for throws whose start has changed, over the last `throws`.
+pub(super) fn start(name: &str, change: &start::Change, throws: usize) -> String {
+    let start::Change { delay, gain, running } = change;
+    let later = if delay.value < 0.0 { "earlier" } else { "later" };
+    let more = if gain.value < 0.0 { "less" } else { "more" };
+    format!(
+        "Machine {name}: the start of the movement has changed, over {throws} throws: the toe moves {:.1} ms (±{:.1} ms) {later} \
+         after the start of the current, and accelerates {:.0} % (±{:.0} %) {more}. The running current ({:+.0} %) does not explain this, so \
+         no running part is named. Check the brake, which may release late, play and lost motion in drive and rods, and whether \
+         the position sensor is loose or its values are late. Then look for added load.",
+        delay.value.abs(),
+        1.96 * delay.sd,
+        percent(gain.value).abs(),
+        196.0 * gain.sd * gain.value.exp(),
+        percent(running.value)
     )
 }
 

@@ -7,7 +7,7 @@
 //! motor's largest and releases up to 40 ms are fitted; the interval of the scale includes every brake that fits the
 //! start.
 
-use super::rejection::Rejection;
+use super::{rejection::Rejection, start::free_movement};
 
 /// Length of the start, and latest release \[s\].
 const START_S: f64 = 0.06;
@@ -64,17 +64,8 @@ pub(super) fn scale_sd(
     let (input, output) = (&input[foot..=foot + last], &output[foot..=foot + last]);
     let peak = input.iter().fold(0.0, |peak: f64, u| peak.max(*u));
     let Buffers { free, after, found } = buffers;
-    free.clear();
-    free.resize(last + 1, 0.0);
-    let (mut charge, mut angle, mut before) = (0.0, 0.0, 0.0);
-    for k in 1..=last {
-        let shift = equilibrium.map_or(0.0, |shift| shift[foot + k - 1]);
-        charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
-        angle += (0.5 * (output[k - 1] + output[k]) - shift) * interval_s;
-        let balance = charge - (a1 * output[k] + a0 * angle) / b0;
-        free[k] = free[k - 1] + 0.5 * (before + balance) * interval_s;
-        before = balance;
-    }
+    let equilibrium = equilibrium.map(|shift| &shift[foot..]);
+    free_movement(free, (input, output), equilibrium, [a1 / b0, a0 / b0], interval_s);
     after.clear();
     after.resize(last + 1, [0.0; 9]);
     for k in (0..last).rev() {

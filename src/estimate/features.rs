@@ -12,6 +12,11 @@ pub struct Features {
     pub duration_s: Option<f64>,
     /// Time from the motor's start until the toe has moved 0.5 % of its travel \[s\].
     pub release_s: Option<f64>,
+    /// Delay of the movement behind the current at the start \[s\]; of a healthy machine some milliseconds of either sign.
+    /// A late brake, play, lost motion and a position behind the current change it.
+    pub start_delay_s: Option<f64>,
+    /// b0 of the start alone, without that delay \[rad s⁻² A⁻¹\]. A brake that drags, and inertia, lower it.
+    pub start_gain: Option<f64>,
     /// Largest magnitude of the current \[A\]. Below 1 kHz it depends on the sampling instants and scatters by 13 %.
     pub peak_current_a: Option<f64>,
     /// Mean magnitude of the current from the half to nine tenths of the time of the motor \[A\].

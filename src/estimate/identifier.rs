@@ -5,6 +5,7 @@ use super::{
     armature, brake, course,
     covariance::Noise,
     current_only, damage, decimate,
+    features::Features,
     filter::Hold,
     hum,
     identification::{Estimate, Grade, Identification},
@@ -16,6 +17,7 @@ use super::{
     release,
     settings::{Motor, Settings},
     sriv::{Failure, Problem, Signal, Sriv, Workspace},
+    start,
     window::{self, Window, offset_variance},
 };
 use crate::throw::{Direction, Throw};
@@ -61,6 +63,7 @@ pub struct Identifier {
     scratch: Vec<f64>,
     workspace: Workspace<3>,
     brakes: brake::Buffers,
+    free: Vec<f64>,
 }
 
 /// The model of equation (12): two poles, one input, three parameters.
@@ -129,12 +132,24 @@ impl Identifier {
             let channels = (self.current.as_slice(), self.position.as_slice());
             armature::add_constants(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
         }
+        if let Ok(estimate) = &outcome {
+            self.add_start(&mut features, estimate, &movement, interval_s);
+        }
         Identification {
             direction: moved.or(throw.direction),
             direction_contradicted: moved.is_some() && throw.direction.is_some() && moved != throw.direction,
             features,
             outcome,
         }
+    }
+
+    /// Adds the start of the movement in the window of its estimate to the features.
+    fn add_start(&mut self, features: &mut Features, estimate: &Estimate, movement: &Movement, interval_s: f64) {
+        let foot = movement.start().min(LEAD_IN);
+        let channels = (&self.input[foot..], &self.output[foot..]);
+        let start = start::find(channels, &self.equilibrium[foot..], estimate.ratios(), interval_s, &mut self.free);
+        features.start_delay_s = start.map(|start| start.delay_s);
+        features.start_gain = start.map(|start| start.gain);
     }
 
     /// Identifies a throw of a machine without a toe sensor.

@@ -27,6 +27,7 @@ mod release;
 mod settings;
 mod small;
 pub mod sriv;
+mod start;
 mod window;
 
 pub use covariance::Noise;

@@ -213,6 +213,8 @@ impl Judgement {
             .bind(features.resistance_ohm)
             .bind(features.back_emf_v_s_per_rad)
             .bind(features.no_load_speed_rad_per_s)
+            .bind(features.start_delay_s)
+            .bind(features.start_gain)
             .bind(health.baseline.map(|(so_far, _)| so_far.cast_signed()))
             .bind(health.baseline.map(|(_, needed)| needed.cast_signed()))
             .bind(health.throws_since_baseline.cast_signed())

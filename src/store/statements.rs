@@ -295,12 +295,13 @@ statements! {
     PENDING_AMONG = "SELECT count(*) FROM throw WHERE throw_row IN (VALUES (?)) AND judged_at_us IS NULL";
     SET_JUDGED = "WITH new (throw_row, at_us) AS (VALUES (?, ?)) \
         UPDATE throw SET judged_at_us = new.at_us FROM new WHERE throw.throw_row = new.throw_row";
-    ADD_ESTIMATES = "WITH new AS (VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)) \
+    ADD_ESTIMATES = "WITH new AS (VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)) \
         INSERT INTO estimate (throw_row, direction, direction_contradicted, quality, detail, b0, a1, a0, \
         b0_sd, a1_sd, a0_sd, b0_pct, a1_pct, a0_pct, b0_a1_cov, b0_a0_cov, a1_a0_cov, fit_pct, \
         a1_per_b0, a1_per_b0_sd, a0_per_b0, a0_per_b0_sd, iterations, start_s, end_s, \
         duration_s, peak_current_a, mean_current_a, charge_as, travel_mm, end_position_mm, release_s, running_current_a, \
         energy_j, quiet_current_a, start_position_mm, resistance_ohm, back_emf_v_s_per_rad, no_load_speed_rad_per_s, \
+        start_delay_s, start_gain, \
         baseline_throws, baseline_needed, throws_since_baseline, state, drift, machine_row) \
         SELECT new.*, throw.machine_row FROM new CROSS JOIN throw ON throw.throw_row = new.column1";
     SET_MONITORS_OF = set_monitor!("SELECT throw.machine_row, column2, column3, column4, column5, column6 \

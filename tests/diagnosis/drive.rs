@@ -37,6 +37,10 @@ pub(crate) struct State {
     pub(crate) position_noise_mm: f64,
     /// Release of the brake after the start of the motor \[s\].
     pub(crate) brake_s: f64,
+    /// Play between toe and position sensor \[mm\].
+    pub(crate) play_mm: f64,
+    /// Delay of the position behind the current \[s\].
+    pub(crate) late_s: f64,
 }
 
 impl State {
@@ -54,6 +58,8 @@ impl State {
         stroke: 1.0,
         position_noise_mm: 0.02,
         brake_s: 0.0,
+        play_mm: 0.0,
+        late_s: 0.0,
     };
 }
 
@@ -174,8 +180,8 @@ impl Drive {
         let mut at = -0.2 + phase;
         while at < current.len() as f64 * STEP_S {
             #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index within the throw")]
-            let k = (at.max(0.0) / STEP_S) as usize;
-            let (amperes, way) = (current[k], toe[k] * MM_PER_RADIAN);
+            let [k, seen] = [at, at - state.late_s].map(|at| (at.max(0.0) / STEP_S) as usize);
+            let (amperes, way) = (current[k], (toe[seen] * MM_PER_RADIAN - state.play_mm).max(0.0));
             let mm = if rest == 0.0 { way } else { STROKE_MM * state.stroke - way };
             recorded_a.push(state.current_gain * direction.sign() * amperes + 0.02 * normal(&mut self.rng));
             recorded_mm.push(state.position_gain * mm + state.position_noise_mm * normal(&mut self.rng));

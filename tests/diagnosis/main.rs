@@ -21,5 +21,6 @@ mod replay;
 mod restart;
 mod site;
 mod snapshot;
+mod start;
 mod table1_lives;
 mod weather;

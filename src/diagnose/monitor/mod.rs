@@ -18,6 +18,7 @@ use super::{
     settings::Settings,
     site::{self, Common, Trail},
     snapshot::VersionOne,
+    start::StartWatch,
     text,
     thermometer::Thermometer,
     track::Tracks,
@@ -53,6 +54,8 @@ pub struct MachineMonitor {
     instruments: Instruments,
     #[serde(default)]
     features: FeatureWatch,
+    #[serde(default)]
+    start: StartWatch,
     /// The last departures, for the judgement of the other machines of the site.
     #[serde(default)]
     trail: Trail,
@@ -89,6 +92,7 @@ impl MachineMonitor {
             thermometer: Thermometer::default(),
             instruments: Instruments::default(),
             features: FeatureWatch::default(),
+            start: StartWatch::default(),
             trail: Trail::default(),
             blind: None,
             maintenance: None,
@@ -303,6 +307,7 @@ impl MachineMonitor {
         self.drift.now.clear();
         self.instruments = Instruments::default();
         self.features.reset();
+        self.start = StartWatch::default();
         self.trail = Trail::default();
         self.blind = None;
         self.unread = None;
@@ -315,9 +320,14 @@ impl MachineMonitor {
 
     /// Ends the alarms of rules that forget their last throws, and could not end them any more.
     fn end_rules(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
-        let of_features = self.features.is_alarmed().then_some(Cause::Unattributed);
+        let of_features = self.has_features_alarm().then_some(Cause::Unattributed);
         let causes = [Cause::Sensor, Cause::Supply].into_iter().chain(of_features);
         causes.filter_map(|cause| self.alarms.clear(cause, text::checked_anew(&self.name), now)).collect()
+    }
+
+    /// Whether the alarm `unattributed` is from the features or the start of the throws, and not from a drift.
+    fn has_features_alarm(&self) -> bool {
+        self.features.is_alarmed() || self.start.is_alarmed()
     }
 
     fn end_maintenance(&mut self, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
@@ -328,6 +338,7 @@ impl MachineMonitor {
         self.tracks.forget_recent();
         self.instruments.forget_recent();
         self.features.reset();
+        self.start = StartWatch::default();
         self.drift.reset();
         self.operation.reset();
         events

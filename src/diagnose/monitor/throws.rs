@@ -6,7 +6,6 @@ use nalgebra::Vector3;
 
 use super::{
     super::{
-        cause::Known,
         event::{Cause, SensorChannel},
         explain::percent,
         observation::{Evaluated, Observation},
@@ -176,16 +175,14 @@ impl MachineMonitor {
         let suspicious = self.drift.is_suspicious(&self.alarms);
         let departure = self.tracks.departure(throw);
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
+        let of_features = self.has_features_alarm();
         let context = Context { name: &self.name, at, throw: Some(id), settings };
         let drift = residual.map(|residual| {
-            // The alarm of the features has no cause, so no part of the drift is known by it.
-            let of_features = self.features.is_alarmed();
-            let gauges = &self.instruments.gauges;
-            let known = if of_features {
-                Known { gauges: Some(gauges), ..Known::default() }
-            } else {
-                self.drift.known(&self.alarms, gauges)
-            };
+            let mut known = self.drift.known(&self.alarms, &self.instruments.gauges);
+            if of_features {
+                // The alarm of the features has no cause, so no part of the drift is known by it.
+                known.causes.retain(|cause| *cause != Cause::Unattributed);
+            }
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
@@ -197,6 +194,7 @@ impl MachineMonitor {
             drift
         });
         let excused = drift.as_ref().is_some_and(|drift| drift.testimony.excuses());
+        verdict.events.extend(self.start.judge(&self.instruments.gauges, excused, &mut self.alarms, context));
         if let Some(departure) = departure {
             verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
         }

@@ -1,0 +1,103 @@
+//! A changed start of the movement: the toe moves later behind the current, or accelerates less, than the running current
+//! explains. A late brake, play, lost motion and a delayed position do this, and leave friction, motor and stiffness of
+//! the running machine. The throws are rough then, and their ratios look healthy.
+
+use serde::{Deserialize, Serialize};
+
+use super::{
+    alarm::{Alarms, Evidence},
+    event::{AlarmEvent, Cause, Severity},
+    gauges::{Gauge, Gauges, Level},
+    operational::Context,
+    text,
+    threshold::WINDOWS,
+};
+
+/// Change of the delay that matters \[ms\]: play or lost motion of 0.1 mm causes 2 to 4 ms.
+const DELAY_MS: f64 = 1.0;
+/// Change of the delay that friction can cause, for each 1 of the logarithm of the running current \[ms\]: dry friction
+/// winds up an elastic drive before the toe moves. Drives of 1.5e7 N/m have 10 to 26 ms.
+const DELAY_OF_FRICTION_MS: f64 = 30.0;
+/// Change of the logarithm of the acceleration that matters, in addition to that of the running current, which a motor
+/// changes as much.
+const GAIN: f64 = 0.1;
+/// Significant change, in standard deviations of a level.
+const SIGNIFICANT_SD: f64 = 4.0;
+/// Consecutive throws with the change: a fault of a part shows in the coefficients within fewer, and has a name there.
+const NAMED_THROWS: u32 = 8;
+/// Part of its limit below which a change has ended.
+const OVER_BELOW: f64 = 0.5;
+
+/// The alarm about a changed start.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct StartWatch {
+    /// Consecutive throws with a change, and without.
+    named: u32,
+    calm: u32,
+    /// Whether the alarm `unattributed` is from this rule.
+    alarmed: bool,
+}
+
+/// The changes of the start of the last throws.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Change {
+    /// Change of the delay \[ms\].
+    pub(super) delay: Level,
+    /// Changes of the logarithms of the acceleration per ampere and of the running current.
+    pub(super) gain: Level,
+    pub(super) running: Level,
+}
+
+impl Change {
+    /// `None` if a gauge or its normal value is unknown.
+    fn of(gauges: &Gauges) -> Option<Self> {
+        let level = |gauge| gauges.level(gauge, WINDOWS[2]);
+        let (delay, gain) = (level(Gauge::StartDelay)?, level(Gauge::StartGain)?);
+        Some(Self { delay, gain, running: level(Gauge::Running)? })
+    }
+
+    /// Size relative to what matters and to what the running current explains.
+    fn size(&self) -> f64 {
+        let running = self.running.value.abs();
+        let of = |level: Level, least: f64| level.value.abs() / least.max(SIGNIFICANT_SD * level.sd);
+        of(self.delay, DELAY_MS + DELAY_OF_FRICTION_MS * running).max(of(self.gain, GAIN + running))
+    }
+}
+
+impl StartWatch {
+    /// Applies an estimated throw, whose gauges are the last; `excused`: a sensor or the supply explains its drift.
+    pub(super) fn judge(
+        &mut self,
+        gauges: &Gauges,
+        excused: bool,
+        alarms: &mut Alarms,
+        context: Context,
+    ) -> Option<AlarmEvent> {
+        let Context { name, at, throw, settings } = context;
+        let change = Change::of(gauges);
+        let size = change.map_or(0.0, |change| change.size());
+        self.named = if size > 1.0 && !excused { self.named.saturating_add(1) } else { 0 };
+        self.calm = if size < OVER_BELOW { self.calm.saturating_add(1) } else { 0 };
+        if self.alarmed {
+            if self.calm < settings.off_delay_throws {
+                return None;
+            }
+            *self = Self::default();
+            return alarms.clear(Cause::Unattributed, text::cleared(name, Cause::Unattributed, false), at);
+        }
+        // A fault of a part can change the start too, as stiffness does in an elastic drive. An alarm about inertia names brake
+        // and play.
+        let explains = |cause: Cause| cause.is_drift() || cause == Cause::Sensor;
+        if self.named < NAMED_THROWS || alarms.active().any(|event| explains(event.cause)) {
+            return None;
+        }
+        let text = text::start(name, &change?, WINDOWS[2]);
+        self.alarmed = true;
+        alarms.raise(Cause::Unattributed, Evidence::plain(Severity::Warning, throw, text), at)
+    }
+
+    /// Whether its alarm is active.
+    pub(super) fn is_alarmed(&self) -> bool {
+        self.alarmed
+    }
+}

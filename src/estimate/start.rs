@@ -1,0 +1,111 @@
+//! The start of a movement: its delay behind the current, and its acceleration per ampere.
+//!
+//! With the ratios of the coefficients, which the later movement shows, the movement after a prompt start is known up to
+//! b0: y = b0 F with F = ∬ (u - a1/b0 y' - a0/b0 (y - `y_eq`)). A delay δ and b0 are fitted by least squares to the first
+//! part of the travel,
+//!
+//! ```text
+//! y(t) = b0 F(t - δ)
+//! ```
+//!
+//! A late brake, play, lost motion and a position behind the current delay the movement, or take its acceleration.
+//! Friction, motor and inertia hardly change δ. A healthy machine has a δ of its own, of some milliseconds of either sign,
+//! as dry friction and the elastic drive are not in the model: only its changes mean something.
+
+/// Length of the start, as share of the travel: after 3 % the inrush is over.
+const SHARE: f64 = 0.03;
+/// Longest start, and longest delay \[s\].
+const LONGEST_S: f64 = 0.6;
+/// Movement beyond the start that a negative delay needs \[s\].
+const AHEAD_S: f64 = 0.03;
+/// Largest change of the delay in a step of the iteration \[s\], and number of steps.
+const STEP_S: f64 = 0.01;
+const STEPS: usize = 60;
+/// Change of the delay at which the iteration ends \[s\]: far below the scatter of 0.2 ms.
+const CONVERGED_S: f64 = 2e-6;
+const LEAST_SAMPLES: usize = 8;
+
+/// The start of a movement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Start {
+    /// Delay of the movement behind the current \[s\].
+    pub(super) delay_s: f64,
+    /// b0 of the start alone \[rad s⁻² A⁻¹\].
+    pub(super) gain: f64,
+}
+
+/// Computes F: the movement over b0 after a prompt start, for the samples of `output`.
+pub(super) fn free_movement(
+    free: &mut Vec<f64>,
+    (input, output): (&[f64], &[f64]),
+    equilibrium: Option<&[f64]>,
+    [a1_per_b0, a0_per_b0]: [f64; 2],
+    interval_s: f64,
+) {
+    free.clear();
+    free.resize(output.len(), 0.0);
+    let (mut charge, mut angle, mut before) = (0.0, 0.0, 0.0);
+    for k in 1..output.len() {
+        let shift = equilibrium.map_or(0.0, |shift| shift[k - 1]);
+        charge += 0.5 * (input[k - 1] + input[k]) * interval_s;
+        angle += (0.5 * (output[k - 1] + output[k]) - shift) * interval_s;
+        let balance = charge - (a1_per_b0 * output[k] + a0_per_b0 * angle);
+        free[k] = free[k - 1] + 0.5 * (before + balance) * interval_s;
+        before = balance;
+    }
+}
+
+/// The start of a movement whose motor starts with the first sample; `None` if the samples do not show it.
+pub(super) fn find(
+    channels: (&[f64], &[f64]),
+    equilibrium: &[f64],
+    ratios: [f64; 2],
+    interval_s: f64,
+    free: &mut Vec<f64>,
+) -> Option<Start> {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let samples = |time_s: f64| (time_s / interval_s) as usize;
+    let (input, output) = channels;
+    let travel = *output.last()?;
+    let last = output.iter().take(samples(LONGEST_S)).position(|y| *y > SHARE * travel)?;
+    let end = (last + samples(AHEAD_S).max(1) + 1).min(output.len());
+    if last < LEAST_SAMPLES {
+        return None;
+    }
+    free_movement(free, (&input[..end], &output[..end]), Some(equilibrium), ratios, interval_s);
+    // The delay in samples.
+    let (mut delay, step) = (0.0_f64, STEP_S / interval_s);
+    for _ in 0..STEPS {
+        let (mut own, mut both, mut slope, mut right, mut right_slope) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for (k, y) in output[..=last].iter().enumerate() {
+            let at = (k as f64 - delay).min((end - 1) as f64);
+            if at <= 0.0 {
+                continue;
+            }
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "not negative, and below the length"
+            )]
+            let before = (at as usize).min(end - 2);
+            let speed = free[before + 1] - free[before];
+            let f = free[before] + (at - before as f64) * speed;
+            own += f * f;
+            both -= f * speed;
+            slope += speed * speed;
+            right += f * y;
+            right_slope -= speed * y;
+        }
+        let determinant = own * slope - both * both;
+        let gain = (right * slope - right_slope * both) / determinant;
+        let change = (own * right_slope - both * right) / determinant / gain;
+        if !(change.is_finite() && gain > 0.0) {
+            return None;
+        }
+        delay += change.clamp(-step, step);
+        if (change * interval_s).abs() < CONVERGED_S {
+            return Some(Start { delay_s: delay * interval_s, gain });
+        }
+    }
+    None
+}

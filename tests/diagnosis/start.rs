@@ -1,0 +1,92 @@
+//! A changed start of the movement, beside a running machine that is healthy: a late brake, play, a late position.
+
+use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, Settings};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
+
+use crate::{
+    drive::{Drive, State},
+    fleet::normal,
+};
+
+fn is_about_the_start(event: &AlarmEvent) -> bool {
+    event.cause == Cause::Unattributed && event.text.contains("the start of the movement has changed")
+}
+
+/// A drive after a healthy time without an event.
+fn learned(seed: u64, settings: &Settings) -> Drive {
+    let mut drive = Drive::new(59_000 + seed, false);
+    for throw in 0..100 {
+        assert_eq!(drive.feed(State::SOUND, settings).events, [], "seed {seed}, throw {throw}");
+    }
+    drive
+}
+
+#[test]
+fn a_late_brake_play_or_a_late_position_has_an_alarm_that_names_them() {
+    let settings = Settings::default();
+    let sound = State::SOUND;
+    let faults = [
+        State { brake_s: 0.01, ..sound },
+        State { brake_s: 0.02, ..sound },
+        State { brake_s: 0.03, ..sound },
+        State { play_mm: 0.1, ..sound },
+        State { play_mm: 1.0, ..sound },
+        State { late_s: 0.005, ..sound },
+    ];
+    for (at, fault) in faults.into_iter().enumerate() {
+        for ramp in [1, 60] {
+            let mut drive = learned(at as u64, &settings);
+            let events: Vec<_> = (1..=100)
+                .flat_map(|throw| {
+                    let part = f64::from(throw.min(ramp)) / f64::from(ramp);
+                    let [brake_s, late_s] = [fault.brake_s, fault.late_s].map(|time_s| part * time_s);
+                    drive.feed(State { brake_s, late_s, play_mm: part * fault.play_mm, ..sound }, &settings).events
+                })
+                .collect();
+            let open = drive.monitor.open_alarms();
+            println!("{:?}", open.iter().map(|event| &event.text).collect::<Vec<_>>());
+            assert!(!open.is_empty(), "{fault:?}, ramp {ramp}: no alarm");
+            let names = |event: &AlarmEvent| event.text.contains("brake") && event.text.contains("play");
+            assert!(events.iter().all(names), "{fault:?}, ramp {ramp}: {events:?}");
+            let mended: Vec<_> = (0..100).flat_map(|_| drive.feed(sound, &settings).events).collect();
+            let ended = mended.iter().filter(|event| event.state == AlarmState::ClearedUnacknowledged).count();
+            assert_eq!(ended, open.len(), "{fault:?}, ramp {ramp}: {mended:?}");
+        }
+    }
+}
+
+#[test]
+fn a_fault_of_a_running_part_is_no_changed_start() {
+    let settings = Settings::default();
+    let sound = State::SOUND;
+    let faults = [
+        State { friction: 1.8, ..sound },
+        State { torque: 0.75, back_emf: 0.75, ..sound },
+        State { torque: 0.75, ..sound },
+        State { stiffness: 1.6, ..sound },
+        State { inertia: 1.2, ..sound },
+        State { volts: 0.75, ..sound },
+        State { current_gain: 1.2, ..sound },
+        State { position_gain: 0.85, stroke: 1.0, ..sound },
+    ];
+    for (at, fault) in faults.into_iter().enumerate() {
+        let mut drive = learned(20 + at as u64, &settings);
+        let events: Vec<_> = (0..60).flat_map(|_| drive.feed(fault, &settings).events).collect();
+        assert!(!events.iter().any(is_about_the_start), "{fault:?}: {events:?}");
+    }
+}
+
+/// The brake of a healthy machine is late by a time that scatters, and its friction follows the weather.
+#[test]
+fn a_start_that_always_scatters_is_normal() {
+    let settings = Settings::default();
+    for seed in 0..3 {
+        let (mut drive, mut rng) = (Drive::new(59_500 + seed, false), ChaCha8Rng::seed_from_u64(seed));
+        for throw in 0..300 {
+            let brake_s = 0.006 * (0.2 * normal(&mut rng)).exp();
+            let friction = 1.0 + 0.05 * (f64::from(throw) / 30.0).sin();
+            let verdict = drive.feed(State { brake_s, friction, ..State::SOUND }, &settings);
+            assert!(!verdict.events.iter().any(is_about_the_start), "seed {seed}, throw {throw}: {:?}", verdict.events);
+        }
+    }
+}
