@@ -85,7 +85,7 @@ fn a_start_that_always_scatters_is_normal() {
         for throw in 0..300 {
             let brake_s = 0.006 * (0.2 * normal(&mut rng)).exp();
             let friction = 1.0 + 0.05 * (f64::from(throw) / 30.0).sin();
-            let verdict = drive.feed(State { brake_s, friction, ..State::SOUND }, &settings);
+            let verdict = drive.feed(State { friction, brake_s, ..State::SOUND }, &settings);
             assert!(!verdict.events.iter().any(is_about_the_start), "seed {seed}, throw {throw}: {:?}", verdict.events);
         }
     }

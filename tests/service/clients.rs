@@ -19,7 +19,7 @@ use crate::{
     cable::Cable,
     http::{KEY, exchange_bytes, get, small_history},
     questions::large,
-    rig::{PATIENCE, Rig, client_of, matched, throws},
+    rig::{PATIENCE, Rig, client_of, throws},
 };
 
 /// Resident memory of a process \[KiB\].
