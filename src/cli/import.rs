@@ -69,10 +69,10 @@ struct Count {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let config = load(arguments.config.as_deref())?;
-    if let Some(problem) = config.monitor.reserves(&arguments.machine.0) {
+    if let Some(problem) = config.monitor.reserves(&arguments.machine) {
         return Err(Failure {
             exit: Exit::Usage,
-            error: anyhow::anyhow!("--machine {}: {problem}", arguments.machine.0),
+            error: anyhow::anyhow!("--machine {}: {problem}", arguments.machine),
         });
     }
     runtime::block_on(async {
