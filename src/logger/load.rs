@@ -33,7 +33,7 @@ const THROWS: usize = 4;
 /// Standard deviation of the added noise: a step of a 14-bit converter over 40 A \[A\] and over 160 mm \[mm\].
 const CURRENT_A: f64 = 0.0025;
 const POSITION_MM: f64 = 0.01;
-/// Number of prepared noise values, more than a trace has samples; each throw uses a stretch of them.
+/// Number of prepared noise values; each throw uses a stretch of them.
 const NOISE_VALUES: usize = 1 << 17;
 
 /// Settings of a load.
@@ -236,8 +236,8 @@ impl Noise {
     /// A trace with noise from a random position; without a movement of the toe if it is blocked.
     fn on(&mut self, trace: &Trace, is_blocked: bool) -> Result<Trace, LoggerError> {
         let mut channel = |samples: &[f64], sd: f64, moves: bool| {
-            let from = self.rng.random_range(0..=self.values.len().saturating_sub(samples.len()));
-            let noise = &self.values[from..];
+            let from = self.rng.random_range(0..self.values.len());
+            let noise = self.values.iter().cycle().skip(from);
             let value = |sample: f64| if moves { sample } else { samples[0] };
             samples.iter().zip(noise).map(|(sample, noise)| value(*sample) + sd * noise).collect()
         };
