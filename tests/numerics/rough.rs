@@ -272,7 +272,7 @@ fn what_a_brake_hides_is_in_the_interval_without_a_position_too() {
     assert!(missed <= 1, "{missed} of 24 intervals miss");
 }
 
-/// The table of conditions in the README; `POINTSD_THROWS` sets the throws in each row, 100 by default.
+/// The table of conditions in `deploy/LIMITS.md`; `POINTSD_THROWS` sets the throws in each row, 100 by default.
 #[test]
 #[ignore = "a table of some minutes"]
 fn table_of_conditions() {
