@@ -25,9 +25,12 @@ use super::error::BusError;
 /// Capacity of the queue of health: a burst of throws. Alarms are few, and each waits for its result.
 const QUEUE: usize = 1_024;
 const ALARMS: usize = 16;
-/// Largest number of declared keys of a thread: zenoh keeps 2.6 kB for each, for ever. More machines are a fleet of many
-/// sites, where the comparison with the keys of one site is short.
-const DECLARED: usize = 2_000;
+/// Machines of a site from which on their keys are declared. zenoh keeps 2.6 kB with the route of a declared key, for ever;
+/// any other key it compares with every key of its site at each put, which takes 0.2 us a key.
+const LARGE_SITE: usize = 100;
+
+/// The keys of each site; `None` while they are not declared.
+type Keys = HashMap<String, HashMap<String, Option<KeyExpr<'static>>>>;
 
 /// Counters since the start.
 #[derive(Debug, Default)]
@@ -123,11 +126,9 @@ fn publisher(
 }
 
 fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, counters: &OutletCounters) {
-    // For a declared key zenoh keeps the route. For any other it compares the key with every key of its site at each
-    // put, which took 0.2 ms with 1,000 loggers at the site.
-    let mut declared = HashMap::new();
+    let mut keys = Keys::default();
     while let Some(Job { key, payload, done }) = jobs.blocking_recv() {
-        let result = put(session, &mut declared, &key, payload, priority);
+        let result = put(session, &mut keys, &key, payload, priority);
         if result.is_ok() {
             counters.published.fetch_add(1, Relaxed);
         }
@@ -143,23 +144,19 @@ fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, cou
     }
 }
 
-/// Publishes on a key, which is declared at its first use while there is space.
-fn put(
-    session: &Session,
-    declared: &mut HashMap<String, KeyExpr<'static>>,
-    key: &str,
-    payload: Vec<u8>,
-    priority: Priority,
-) -> Result<(), BusError> {
-    let failed = BusError::new(format!("publish on {key}"));
-    if declared.len() < DECLARED && !declared.contains_key(key) {
-        match session.declare_keyexpr(key.to_owned()).wait() {
-            Ok(own) => drop(declared.insert(key.to_owned(), own)),
-            Err(error) => return Err(failed(error)),
-        }
+/// Publishes on a key, which is declared if its site is large.
+fn put(session: &Session, keys: &mut Keys, key: &str, payload: Vec<u8>, priority: Priority) -> Result<(), BusError> {
+    let failed = |error| BusError::new(format!("publish on {key}"))(error);
+    let (machine, _kind) = key.rsplit_once('/').unwrap_or((key, ""));
+    let (site, _machine) = machine.rsplit_once('/').unwrap_or((machine, ""));
+    let site = keys.entry(site.to_owned()).or_default();
+    let is_large = site.len() >= LARGE_SITE;
+    let declared = site.entry(key.to_owned()).or_default();
+    if is_large && declared.is_none() {
+        *declared = Some(session.declare_keyexpr(key.to_owned()).wait().map_err(failed)?);
     }
-    let put = match declared.get(key) {
-        Some(key) => session.put(key, payload),
+    let put = match declared {
+        Some(declared) => session.put(&*declared, payload),
         None => session.put(key, payload),
     };
     put.encoding(Encoding::APPLICATION_JSON)

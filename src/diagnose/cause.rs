@@ -113,11 +113,6 @@ pub(super) struct Attribution {
     beside_gauges: bool,
 }
 
-/// The leaks of the causes; more of them are possible if gauges show the back-EMF of the motor.
-const fn leaks(beside_gauges: bool) -> Leaks {
-    if beside_gauges { LEAKS_BESIDE_GAUGES } else { PLAIN_LEAKS }
-}
-
 /// The explanations of a drift, each kind with the best first.
 struct Explanations {
     singles: [Fit<1>; 4],
@@ -263,7 +258,7 @@ impl Attribution {
 
     /// The leaks that are possible.
     pub(super) const fn leaks(&self) -> Leaks {
-        leaks(self.beside_gauges)
+        if self.beside_gauges { LEAKS_BESIDE_GAUGES } else { PLAIN_LEAKS }
     }
 
     /// Whether the back-EMF shows that the motor is no part of the drift.
@@ -316,26 +311,30 @@ impl Explanations {
     }
 }
 
-/// Explains the drift of `window` by `causes`, and the change of the back-EMF by that of the motor; a shorter duration by less
-/// friction too. A motor that loses
-/// torque alone, as by its commutation, keeps its back-EMF; beside a rise of friction that is dry friction.
+/// Explains the drift of `window` by `causes`, and the change of the back-EMF by that of the motor; a shorter duration by
+/// less friction too. A motor that loses torque alone, as by its commutation, keeps its back-EMF and its speed; beside a rise
+/// of friction that is dry friction.
 fn explained<const K: usize>(
     causes: [Cause; K],
     window: &Window,
     back_emf: Option<BackEmf>,
     settings: &Settings,
 ) -> Fit<K> {
-    let mut fit = fit(leaks(back_emf.is_some()), causes, &window.mean, &window.covariance, settings);
-    let Some(BackEmf { level, of_duration }) = back_emf else { return fit };
+    let fitted = |leaks: Leaks| fit(leaks, causes, &window.mean, &window.covariance, settings);
+    let Some(BackEmf { level, of_duration }) = back_emf else { return fitted(PLAIN_LEAKS) };
+    let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
+    let mut fit = fitted(LEAKS_BESIDE_GAUGES);
     if of_duration && fit.size_of(Cause::Friction) < 0.0 {
         return fit;
     }
-    let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
-    let torque_alone = fit.includes(Cause::Kt) && (K != 2 || !fit.includes(Cause::Friction));
-    let motor = fit.size_of(Cause::Kt);
-    let lost = TORQUE_ALONE + (motor / TORQUE_ALONE_SD).powi(2);
-    let alone = if torque_alone { misfit(0.0) + lost } else { f64::INFINITY };
-    fit.score += misfit(motor).min(alone);
+    fit.score += misfit(fit.size_of(Cause::Kt));
+    if fit.includes(Cause::Kt) && (K != 2 || !fit.includes(Cause::Friction)) {
+        let mut alone = fitted(LEAKS_BESIDE_GAUGES.at_equal_speed());
+        alone.score += misfit(0.0) + TORQUE_ALONE + (alone.size_of(Cause::Kt) / TORQUE_ALONE_SD).powi(2);
+        if alone.score < fit.score {
+            return alone;
+        }
+    }
     fit
 }
 

@@ -85,6 +85,13 @@ pub(super) struct Leaks {
     motor: &'static [Leak],
 }
 
+impl Leaks {
+    /// The leaks beside a motor whose speed has not changed.
+    pub(super) fn at_equal_speed(self) -> Self {
+        Self { motor: &self.motor[..1], ..self }
+    }
+}
+
 /// The direction of a cause.
 pub(super) fn direction_of(cause: Cause) -> Option<Vector3<f64>> {
     match cause {

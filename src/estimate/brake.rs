@@ -19,7 +19,7 @@ const LEAST_SAMPLES: usize = 12;
 /// Half width of a 95 % interval \[standard deviations\].
 const WIDE: f64 = 1.96;
 /// Largest relative standard deviation: a brake takes at most half of the charge of the start.
-const LARGEST_SD: f64 = 0.5;
+pub(super) const LARGEST_SD: f64 = 0.5;
 /// Twice the logarithm of the likelihood ratio from which a brake is certain.
 const CERTAIN: f64 = 16.0;
 /// Root mean square of the effect of rails and toe drive on the start, as a share of the travel.

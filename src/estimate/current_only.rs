@@ -17,6 +17,7 @@ use std::ops::AddAssign as _;
 use nalgebra::{Matrix2, Matrix3, Matrix5, Vector3, Vector5};
 
 use super::{
+    brake,
     features::Features,
     identification::{Estimate, Grade},
     movement::Movement,
@@ -36,10 +37,8 @@ const ROUNDS: usize = 6;
 /// scatter by 0.15 % in b0 and 0.3 % in a1 at 1 kHz, and twice as much at 500 Hz.
 const SCALE_SD: f64 = 0.005;
 const RATIO_SD: f64 = 0.003;
-/// Standard deviations of the errors that are equal in every throw of a machine. Without a position a brake that drags while
-/// the motor starts cannot be told from inertia: it takes at most half of the charge of the start, and twice this deviation
-/// includes it. The armature's constants from the inrush have an error of some per cent with a filter or dry friction.
-const SYSTEMATIC_SCALE_SD: f64 = 0.25;
+/// Standard deviation of the logarithms of the ratios by errors that are equal in every throw of a machine: with dry
+/// friction, or a filter, the inrush gives the armature's constants to some per cent.
 const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 
 pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) -> Features {
@@ -143,7 +142,8 @@ pub(super) fn estimate(
         scale * log * scale
     };
     estimate.covariance = log(SCALE_SD, RATIO_SD, ratios.log_covariance);
-    estimate.systematic = log(SYSTEMATIC_SCALE_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic);
+    // Without a position a brake that drags while the motor starts cannot be told from inertia.
+    estimate.systematic = log(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic);
     // The errors of the ratios were for b0 = 1.
     estimate.offset = estimate.offset.map(|error| b0 * error);
     (estimate.b0, estimate.a1, estimate.a0) = (b0, a1, a0);

@@ -53,7 +53,8 @@ fn the_page_of_messages_has_every_field() {
 
     let health: Health = serde_json::from_value(json!({
         "schema": Health::SCHEMA, "site": "north", "machine": "21B", "boot_id": "b", "throw_no": 7,
-        "started_at": "2026-05-04T10:11:12Z", "direction": "unknown", "quality": "good", "caveats": ["cold"]
+        "started_at": "2026-05-04T10:11:12Z", "direction": "unknown", "quality": "good", "caveats": ["cold"],
+        "drifts": [{"cause": "kt", "change_pct": -7.0, "change_pct_sd": 0.5, "direction": null, "limit_in_throws": null}]
     }))
     .unwrap();
     let health: Value = serde_json::from_slice(&health.to_json()).unwrap();

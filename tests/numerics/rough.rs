@@ -265,6 +265,13 @@ fn what_a_brake_hides_is_in_the_interval_without_a_position_too() {
             let estimate = Identifier::default().identify(&throw, &settings).outcome.unwrap();
             assert_eq!(estimate.grade, Grade::CurrentOnly);
             missed += usize::from(!covers(&estimate, plain) || !covers_ratios(&estimate, plain));
+            let ratios = estimate.ratios();
+            println!(
+                "{brake_nm} N m, {brake_s} s: b0 {:+.3}, ratios {:+.3} {:+.3}",
+                estimate.b0 / plain[0] - 1.0,
+                ratios[0] * plain[0] / plain[1] - 1.0,
+                ratios[1] * plain[0] / plain[2] - 1.0
+            );
             // The scatter between throws is small.
             assert!(estimate.covariance[(0, 0)].sqrt() < 0.01 * estimate.b0, "{estimate:?}");
         }
