@@ -6,6 +6,8 @@
 //! throws is compared with the earlier rate of the machine; with a gamma prior on the rate it has a negative binomial
 //! distribution.
 
+use std::iter;
+
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use statrs::function::gamma::ln_gamma;
@@ -211,12 +213,11 @@ impl Intermittent {
         let past = if size.far > ANY.far { self.past_large } else { self.past.0 };
         let (shape, exposure) = (past + size.prior.0, self.past.1 + size.prior.1);
         let p = throws / (throws + exposure);
-        let of = |k: f64| {
-            let ln = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0);
-            (ln + shape * (1.0 - p).ln() + k * p.ln()).exp()
-        };
-        // Summed directly, as one minus the rest would be lost in rounding.
-        (count..count + TAIL_TERMS).map(|k| of(k as f64)).sum()
+        let k = count as f64;
+        let first = ln_gamma(shape + k) - ln_gamma(shape) - ln_gamma(k + 1.0) + shape * (1.0 - p).ln() + k * p.ln();
+        // Summed directly, as one minus the rest would be lost in rounding; each term from the one before.
+        let next = |(k, term): &(f64, f64)| Some((k + 1.0, term * p * (shape + k) / (k + 1.0)));
+        iter::successors(Some((k, first.exp())), next).take(TAIL_TERMS).map(|(_, term)| term).sum()
     }
 }
 
