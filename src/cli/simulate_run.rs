@@ -51,7 +51,7 @@ pub(super) struct Arguments {
     connect: Option<String>,
 }
 
-/// A fault as MACHINE:PART:SIZE:FROM[:RAMP].
+/// A fault as `MACHINE:PART:SIZE:FROM[:RAMP]`.
 fn fault(text: &str) -> Result<FleetFault, String> {
     let parts: Vec<&str> = text.split(':').collect();
     let ([machine, part, size, from] | [machine, part, size, from, _]) = parts[..] else {

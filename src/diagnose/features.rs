@@ -54,6 +54,12 @@ impl FeatureWatch {
         let changes = self.changes();
         self.calm = if changes.is_empty() { self.calm.saturating_add(1) } else { 0 };
         if self.alarmed {
+            // A part that the ratios show meanwhile is the reason for the change.
+            let named = alarms.active().map(|event| event.cause).find(|cause| Cause::PHYSICAL.contains(cause));
+            if let Some(part) = named {
+                self.alarmed = false;
+                return alarms.clear(Cause::Unattributed, text::withdrawn(name, Cause::Unattributed, part), at);
+            }
             return if self.calm >= settings.off_delay_throws { self.end(alarms, context) } else { None };
         }
         if changes.is_empty() || alarms.active().any(|event| event.cause.is_drift()) {

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use pointsd::{
-    diagnose::{AlarmEvent, Cause, MachineMonitor, Settings, Severity},
+    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, Settings, Severity},
     estimate::Grade,
 };
 
@@ -56,9 +56,8 @@ struct Gauges {
     ratios_only: bool,
 }
 
-/// Causes of the first alarm about the coefficients of 20 machines within 60 throws after `shift` and these changes, with the
-/// size in percent.
-fn named_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<(Cause, f64)> {
+/// Alarm events of 20 machines in 60 throws after `shift` and these changes.
+fn events_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<Vec<AlarmEvent>> {
     let settings = Settings::default();
     let of_machine = |seed: u64| {
         let mut machine = Machine::new(seed, Nature::default());
@@ -78,13 +77,24 @@ fn named_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<(Cause, f64)> {
             let events = feed(Vector3::zeros(), before).events;
             assert_eq!(events, [], "machine {seed}");
         }
-        let of_coefficients = |event: &AlarmEvent| !event.text.contains("the throws have changed");
-        let event = (0..60).find_map(|_| feed(shift, gauges).events.into_iter().find(of_coefficients));
-        assert!(event.is_some(), "machine {seed} has no alarm");
+        (0..60).flat_map(|_| feed(shift, gauges).events).collect()
+    };
+    (1_200..1_220).map(of_machine).collect()
+}
+
+fn is_of_features(event: &AlarmEvent) -> bool {
+    event.text.contains("the throws have changed")
+}
+
+/// Cause and size \[%\] of the first alarm about the coefficients of 20 machines.
+fn named_beside(shift: Vector3<f64>, gauges: Gauges) -> Vec<(Cause, f64)> {
+    let first = |events: Vec<AlarmEvent>| {
+        let event = events.into_iter().find(|event| !is_of_features(event));
+        assert!(event.is_some(), "a machine has no alarm");
         let event = event.unwrap();
         (event.cause, event.change_pct.unwrap_or_default())
     };
-    (1_200..1_220).map(of_machine).collect()
+    events_beside(shift, gauges).into_iter().map(first).collect()
 }
 
 fn named_beside_speed(shift: Vector3<f64>, speed: Option<f64>) -> Vec<(Cause, f64)> {
@@ -125,6 +135,20 @@ fn weak_magnets_before_a_dry_load_are_the_motor_if_its_speed_shows_it() {
         assert!(named.iter().all(|(cause, _)| *cause == Cause::Kt), "{gauges:?}: {named:?}");
         let mean = named.iter().map(|(_, pct)| pct / named.len() as f64).sum::<f64>();
         assert!((-18.0..-11.0).contains(&mean), "{gauges:?}: {mean}");
+    }
+}
+
+/// The features of a machine of ratios change before its part has a name.
+#[test]
+fn the_alarm_of_the_features_ends_when_a_part_is_named() {
+    let gauges = Gauges { speed: Some(0.16), duration: -0.14, ratios_only: true };
+    let lives = events_beside(Vector3::new(-0.16, -0.13, 0.0), gauges);
+    let of_features: Vec<_> = lives.iter().filter(|events| events.iter().any(is_of_features)).collect();
+    assert!(!of_features.is_empty());
+    for events in of_features {
+        let last = events.iter().rfind(|event| event.cause == Cause::Unattributed).unwrap();
+        assert_eq!(last.state, AlarmState::ClearedUnacknowledged, "{events:?}");
+        assert!(last.text.contains("but motor"), "{}", last.text);
     }
 }
 
