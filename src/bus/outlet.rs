@@ -147,8 +147,8 @@ fn run(session: &Session, mut jobs: mpsc::Receiver<Job>, priority: Priority, cou
 /// Publishes on a key, which is declared if its site is large.
 fn put(session: &Session, keys: &mut Keys, key: &str, payload: Vec<u8>, priority: Priority) -> Result<(), BusError> {
     let failed = |error| BusError::new(format!("publish on {key}"))(error);
-    let (machine, _kind) = key.rsplit_once('/').unwrap_or((key, ""));
-    let (site, _machine) = machine.rsplit_once('/').unwrap_or((machine, ""));
+    // The key without machine and kind.
+    let site = key.rsplitn(3, '/').last().unwrap_or(key);
     let site = keys.entry(site.to_owned()).or_default();
     let is_large = site.len() >= LARGE_SITE;
     let declared = site.entry(key.to_owned()).or_default();

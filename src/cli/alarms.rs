@@ -251,33 +251,14 @@ fn indented(text: &str) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        diagnose::{AlarmEvent, AlarmState},
-        throw::MachineId,
-    };
+    use crate::{diagnose::AlarmEvent, throw::MachineId};
 
     fn alarm(machine: &str, cause: Cause, severity: Severity, text: &str) -> Alarm {
-        let at = Timestamp::UNIX_EPOCH;
-        let event = AlarmEvent {
-            cause,
-            raised_at: at,
-            event_no: 1,
-            severity,
-            state: AlarmState::ActiveUnacknowledged,
-            event_at: at,
-            change_pct: None,
-            change_pct_sd: None,
-            direction: None,
-            channel: None,
-            runner_up: None,
-            correlation: None,
-            first_throw: None,
-            last_throw: None,
-            text: text.to_owned(),
-            limit_in_throws: None,
-            by: None,
-            why: None,
-        };
+        let event = serde_json::json!({
+            "cause": cause, "severity": severity, "text": text, "event_no": 1, "state": "active_unacknowledged",
+            "raised_at": Timestamp::UNIX_EPOCH, "event_at": Timestamp::UNIX_EPOCH,
+        });
+        let event: AlarmEvent = serde_json::from_value(event).unwrap();
         Alarm::new(&MachineId::new("north", machine).unwrap(), &event)
     }
 

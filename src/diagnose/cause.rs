@@ -29,7 +29,8 @@ const STICKY: f64 = 4.0;
 const KNOWN: f64 = 20.0;
 /// Change of b0 since the level of the known drifts from which it is a new fault, as part of the motor's warning limit.
 const NEW_MOTOR_FAULT: f64 = 0.5;
-/// Least change of the back-EMF with a change of the motor that it shares, as part of that change and in standard deviations.
+/// Least change of the back-EMF that counts beside a known or new fault of the motor, as part of the change of the motor and
+/// in standard deviations.
 const CHANGED: f64 = 0.5;
 const CHANGED_SD: f64 = 3.0;
 /// Largest misfit of the back-EMF, so that a change of the supply does not decide alone.
@@ -64,10 +65,12 @@ impl Known<'_> {
             relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
         });
         let is_known = self.causes.contains(&Cause::Kt);
-        let motor = single(Cause::Kt, &window.mean, &window.covariance, settings).size;
+        if !is_new && !is_known {
+            return Some(back_emf);
+        }
+        let motor = single(Cause::Kt, &window.mean, &window.covariance, settings).size.abs();
         let change = back_emf.level.value.abs();
-        let has_changed = change > CHANGED * motor.abs() && change > CHANGED_SD * back_emf.level.sd;
-        (has_changed || !is_new && !is_known).then_some(back_emf)
+        (change > CHANGED * motor && change > CHANGED_SD * back_emf.level.sd).then_some(back_emf)
     }
 }
 

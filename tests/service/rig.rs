@@ -276,7 +276,8 @@ impl Daemon {
         assert!(!waited.timed_out(), "no log line with {words:?}: {lines:?}");
     }
 
-    fn wait(&mut self, limit: Duration) -> ExitStatus {
+    /// Waits for the exit.
+    pub(crate) fn wait(&mut self, limit: Duration) -> ExitStatus {
         let deadline = Instant::now() + limit;
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {

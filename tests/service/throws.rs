@@ -173,9 +173,7 @@ async fn throws_that_a_stop_cannot_store_are_counted_as_lost() {
     daemon.until_log("a throw is LOST");
     daemon.until_log("5 messages LOST");
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
-    while daemon.runs() {
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    daemon.wait(PATIENCE);
 }
 
 /// Far more throws than the daemon can handle, at the speed of one link.
