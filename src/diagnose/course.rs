@@ -3,22 +3,25 @@
 //! Along the effect of its cause, a throw has the value `level + n`. The level goes through stages: first there is no
 //! drift and the level is o, the error of the baseline's centre; each later stage begins at some throw and has the level
 //! `a + b s + c s^2`, s throws after its beginning, independent of the stage before it. A step, a ramp, a ramp that has
-//! ended, an accelerating wear and a repair are all such series. The noise n is an autoregression of first order that
-//! begins anew with each stage. Sizes are parts of nominal, as wear is linear in these and not in their logarithms.
+//! ended, an accelerating wear and a repair are all such series. The noise n is the sum of two autoregressions of first
+//! order that begin anew with each stage, one of them slow. Sizes are parts of nominal, as wear is linear in these and not in their logarithms.
 //!
-//! With normal priors on o, a, b, c a stage is a linear problem, solved recursively (recursive least squares), and its
-//! evidence is the product of the densities of its values. The evidence of all series of stages up to a throw is a sum
+//! With normal priors on o, a, b, c a stage is a linear problem, solved recursively (a Kalman filter whose state is a, b, c
+//! and the slow noise), and its evidence is the product of the densities of its values. The evidence of all series of stages up to a throw is a sum
 //! over the beginning of the last one (exact inference for multiple changepoints: Fearnhead, Statistics and Computing
 //! 16, 2006, section 2). The mixture over the last stages gives the present size, with an interval that assumes neither
 //! shape nor beginning, and the throws until a limit.
 
 use std::ops::Range;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix4, Vector4};
 use serde::{Deserialize, Serialize};
 use statrs::function::erf::erf;
 
-use super::{robust::median, scatter::inflation};
+use super::{
+    robust::median,
+    scatter::{Noise, SLOW_LAG1, inflation},
+};
 
 /// Forecast of the throws until a limit is reached.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -50,6 +53,8 @@ const FARTHEST: f64 = 1000.0;
 /// Least probability of reaching a limit within [`FARTHEST`] for a forecast: most drifts that go on have it, and less
 /// than 1 % of the throws after a step (same simulation).
 const LIKELY: f64 = 0.6;
+/// Place of the slow part of the scatter in the state of a stage.
+const SLOW: usize = 3;
 /// Tail probability of each side of a 95 % interval.
 const TAIL: f64 = 0.025;
 
@@ -62,17 +67,6 @@ pub(super) struct Point {
     pub(super) value: f64,
     /// Number of throws of the mean.
     pub(super) throws: f64,
-}
-
-/// Noise of the series.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Noise {
-    /// Standard deviation of one value.
-    pub(super) sd: f64,
-    /// Correlation of consecutive values.
-    pub(super) lag1: f64,
-    /// Standard deviation of the baseline's centre and of the present effect of the temperature.
-    pub(super) offset_sd: f64,
 }
 
 /// The course of a drift over the last throws.
@@ -92,14 +86,14 @@ impl Course {
         }
         let series = Series::new(points, noise);
         let offset_variance = (noise.offset_sd * noise.offset_sd).max(1e-12);
-        let mut stages = vec![Stage::undrifted(points[0].age, offset_variance)];
+        let mut stages = vec![Stage::undrifted(points[0].age, offset_variance, series.slow_variance)];
         // Logarithm of the evidence of all series of stages up to the point before.
         let mut before = 0.0;
         for at in 0..points.len() {
             // A drift is not measured by a single throw.
             if at + 1 < points.len() {
                 let evidence = before + (BEGINS_PER_POINT / SHAPES.len() as f64).ln();
-                stages.extend(SHAPES.map(|shape| Stage::drifted(points[at].age, shape, evidence)));
+                stages.extend(SHAPES.map(|shape| Stage::drifted(points[at].age, shape, noise.slow_sd, evidence)));
             }
             for stage in &mut stages {
                 stage.add(&series, at);
@@ -149,11 +143,12 @@ struct Series<'a> {
     values: Vec<f64>,
     variances: Vec<f64>,
     lag1: f64,
+    slow_variance: f64,
 }
 
 impl<'a> Series<'a> {
     fn new(points: &'a [Point], noise: Noise) -> Self {
-        let (values, variances) = calmed(points, CLIP_SD * noise.sd)
+        let (values, variances) = calmed(points, CLIP_SD * noise.sd.hypot(noise.slow_sd))
             .zip(points)
             .map(|((value, middle), point)| {
                 // The scatter is that of a logarithm, so it grows with the level.
@@ -163,7 +158,7 @@ impl<'a> Series<'a> {
                 (value.exp_m1(), sd * sd * inflation(noise.lag1, length) / point.throws)
             })
             .unzip();
-        Self { points, values, variances, lag1: noise.lag1 }
+        Self { points, values, variances, lag1: noise.lag1, slow_variance: noise.slow_sd * noise.slow_sd }
     }
 
     /// Whether the noise of a point is correlated with that of the point before.
@@ -178,33 +173,38 @@ struct Stage {
     /// Age of its first point.
     age: f64,
     drifted: bool,
-    /// a, b, c.
-    mean: Vector3<f64>,
-    covariance: Matrix3<f64>,
+    /// a, b, c, and the slow part of the scatter at the last point.
+    mean: Vector4<f64>,
+    covariance: Matrix4<f64>,
     /// Logarithm of the evidence of this stage and of all series of stages before it, without common terms.
     evidence: f64,
 }
 
 impl Stage {
     /// The first stage, without drift.
-    fn undrifted(age: f64, offset_variance: f64) -> Self {
-        let covariance = Matrix3::from_diagonal(&Vector3::new(offset_variance, 0.0, 0.0));
-        Self { age, drifted: false, mean: Vector3::zeros(), covariance, evidence: 0.0 }
+    fn undrifted(age: f64, offset_variance: f64, slow_variance: f64) -> Self {
+        let covariance = Matrix4::from_diagonal(&Vector4::new(offset_variance, 0.0, 0.0, slow_variance));
+        Self { age, drifted: false, mean: Vector4::zeros(), covariance, evidence: 0.0 }
     }
 
     /// A later stage with the prior of a shape; `evidence` is that of all series of stages before it.
-    fn drifted(age: f64, (slope_sd, curvature_sd): (f64, f64), evidence: f64) -> Self {
-        let prior_sd = Vector3::new(STEP_SD, slope_sd, curvature_sd);
-        let covariance = Matrix3::from_diagonal(&prior_sd.component_mul(&prior_sd));
-        Self { age, drifted: true, mean: Vector3::zeros(), covariance, evidence }
+    fn drifted(age: f64, (slope_sd, curvature_sd): (f64, f64), slow_sd: f64, evidence: f64) -> Self {
+        let prior_sd = Vector4::new(STEP_SD, slope_sd, curvature_sd, slow_sd);
+        let covariance = Matrix4::from_diagonal(&prior_sd.component_mul(&prior_sd));
+        Self { age, drifted: true, mean: Vector4::zeros(), covariance, evidence }
     }
 
-    /// Adds a point by recursive least squares on the whitened series.
+    /// Adds a point by a step of the Kalman filter on the whitened series.
     fn add(&mut self, series: &Series, at: usize) {
-        let mut x = self.regressors(series.points[at].age);
+        let age = series.points[at].age;
+        let mut x = self.regressors(age);
         let mut value = series.values[at];
         let mut variance = series.variances[at];
-        if series.points[at].age < self.age && series.is_correlated(at) {
+        if age < self.age {
+            self.pass(series.points[at - 1].age - age, series.slow_variance);
+        }
+        if age < self.age && series.is_correlated(at) {
+            // The slow part is nearly that of the point before.
             x -= series.lag1 * self.regressors(series.points[at - 1].age);
             value -= series.lag1 * series.values[at - 1];
             variance *= 1.0 - series.lag1 * series.lag1;
@@ -217,16 +217,29 @@ impl Stage {
         self.covariance -= gain * gain.transpose() / expected;
     }
 
+    /// The slow part after some throws.
+    fn pass(&mut self, throws: f64, slow_variance: f64) {
+        let kept = SLOW_LAG1.powf(throws);
+        self.mean[SLOW] *= kept;
+        for i in 0..SLOW {
+            self.covariance[(i, SLOW)] *= kept;
+            self.covariance[(SLOW, i)] *= kept;
+        }
+        let variance = &mut self.covariance[(SLOW, SLOW)];
+        *variance = slow_variance + kept * kept * (*variance - slow_variance);
+    }
+
     /// Mean and variance of the level at an age; negative ages are in the future.
     fn level(&self, age: f64) -> (f64, f64) {
-        let x = self.regressors(age);
+        let mut x = self.regressors(age);
+        x[SLOW] = 0.0;
         (x.dot(&self.mean), x.dot(&(self.covariance * x)))
     }
 
-    /// Regressors of a, b, c at an age.
-    fn regressors(&self, age: f64) -> Vector3<f64> {
+    /// Regressors of a, b, c and the slow part at an age.
+    fn regressors(&self, age: f64) -> Vector4<f64> {
         let since = self.age - age;
-        Vector3::new(1.0, since, since * since)
+        Vector4::new(1.0, since, since * since, 1.0)
     }
 }
 
@@ -281,6 +294,9 @@ fn calmed(points: &[Point], reach: f64) -> impl Iterator<Item = (f64, f64)> {
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
+
     use super::*;
 
     fn series(shape: impl Fn(f64) -> f64) -> Vec<Point> {
@@ -290,7 +306,7 @@ mod tests {
             .collect()
     }
 
-    const NOISE: Noise = Noise { sd: 0.003, lag1: 0.0, offset_sd: 0.001 };
+    const NOISE: Noise = Noise { sd: 0.003, lag1: 0.0, slow_sd: 0.0, offset_sd: 0.001 };
 
     #[test]
     fn a_step_a_ramp_and_an_accelerating_wear_are_measured_at_their_last_throw() {
@@ -343,6 +359,29 @@ mod tests {
         let [(_, of_singles), (_, of_means)] =
             [&singles, &means].map(|points| Course::of(points, noise).unwrap().now());
         assert!((of_means / of_singles - 1.0).abs() < 0.1, "{of_singles} and {of_means}");
+    }
+
+    /// A level of 0.2 below an autoregression with the lag-1 correlation [`SLOW_LAG1`] and the standard deviation 0.02.
+    #[test]
+    fn the_interval_contains_the_size_in_slow_noise() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+        let noise = Noise { slow_sd: 0.02, ..NOISE };
+        let mut inside = 0;
+        for _ in 0..200 {
+            let mut slow = noise.slow_sd * normal();
+            let points: Vec<Point> = (0..48_u32)
+                .rev()
+                .map(|age| {
+                    slow = SLOW_LAG1 * slow + (1.0 - SLOW_LAG1 * SLOW_LAG1).sqrt() * noise.slow_sd * normal();
+                    let value = 0.2_f64.ln_1p() + slow + noise.sd * normal();
+                    Point { age: f64::from(age), value, throws: 1.0 }
+                })
+                .collect();
+            let (size, sd) = Course::of(&points, noise).unwrap().now();
+            inside += usize::from((size - 0.2).abs() < 1.96 * sd);
+        }
+        assert!((180..=198).contains(&inside), "{inside} of 200");
     }
 
     #[test]

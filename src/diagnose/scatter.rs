@@ -8,8 +8,9 @@
 //! V = D A D + C / w,   D = diag(sqrt(g_w(phi_i) / w)),   g_w(phi) = 1 + 2 sum_{k<w} (1 - k/w) phi^k
 //! ```
 //!
-//! and `g_w` tends to (1 + phi) / (1 - phi) (the variance of the mean of a first-order autoregressive series). The
-//! centre of a baseline, a mean of n throws, has an error of the same kind.
+//! and `g_w` tends to (1 + phi) / (1 - phi) (the variance of the mean of a first-order autoregressive series). A part of
+//! the scatter may last longer than phi shows, as weather does: it has its own `g_w`, with the lag-1 correlation
+//! [`SLOW_LAG1`]. The centre of a baseline, a mean of n throws, has an error of the same kind.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -33,6 +34,12 @@ const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
 const LAG1_RANGE: (f64, f64) = (-0.3, 0.95);
 /// Strongest possible lag-1 correlation of an uncertain estimate: a series that is hardly stationary.
 const MOST_LAG1: f64 = 0.98;
+/// Lag-1 correlation of the slow part of the scatter: weather of half a day at twenty throws a day.
+pub(super) const SLOW_LAG1: f64 = 0.9;
+/// Lags whose correlations show the slow part: the rest of the scatter has hardly any there.
+const SLOW_LAGS: std::ops::Range<usize> = 5..16;
+/// Largest slow part.
+const MOST_SLOW: f64 = 0.9;
 /// Fourth moment of a Gaussian variable relative to the square of its variance.
 const GAUSSIAN_KURTOSIS: f64 = 3.0;
 /// Weight of Gaussian tails in the kurtosis of a baseline, in values of independent throws.
@@ -47,12 +54,28 @@ pub(super) struct Doubt {
     pub(super) factors: Vec<(f64, f64)>,
 }
 
+/// Noise of a series of throws along one direction of the logarithms.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Noise {
+    /// Standard deviation of one throw, without the slow part.
+    pub(super) sd: f64,
+    /// Correlation of consecutive throws, without the slow part.
+    pub(super) lag1: f64,
+    /// Standard deviation of the slow part, whose lag-1 correlation is [`SLOW_LAG1`].
+    pub(super) slow_sd: f64,
+    /// Standard deviation of the baseline's centre, and of other errors that all throws have in common.
+    pub(super) offset_sd: f64,
+}
+
 /// Natural scatter, from the residuals of a baseline.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Scatter {
     natural: Sym3,
     sensor: Sym3,
     lag1: [f64; 3],
+    /// Slow part of the natural variance.
+    #[serde(default)]
+    slow: [f64; 3],
     throws: f64,
     /// Weight of the typical scatter in independent throws; 0 for a baseline of enough throws.
     #[serde(default)]
@@ -71,9 +94,14 @@ impl Scatter {
             residuals.iter().zip(&residuals[lag..]).map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>() / throws
         };
         let (zero, one) = (moment(0), moment(1));
+        let lagged = |i: usize, lag: usize| -> f64 {
+            let pairs = residuals.iter().zip(residuals.iter().skip(lag));
+            pairs.map(|(a, b)| a[i] * b[i]).sum::<f64>() / (throws - lag as f64)
+        };
         let few = throws < ENOUGH_THROWS * centres as f64;
         let (usual_weight, usual) = usual_lag1(few);
         let mut lag1 = [0.0; 3];
+        let mut slow = [0.0; 3];
         let mut grow = Vector3::zeros();
         for i in 0..3 {
             // The removed mean reduces the moments by its variance; corrected with the first guess.
@@ -86,7 +114,9 @@ impl Scatter {
             lag1[i] = ((weight * own + usual_weight * f64::atanh(usual)) / (weight + usual_weight))
                 .tanh()
                 .clamp(LAG1_RANGE.0, LAG1_RANGE.1);
-            let lost = centres as f64 * (1.0 + share * (inflation(lag1[i], throws) - 1.0)) / throws;
+            let natural = zero[(i, i)] * share.max(0.2);
+            slow[i] = slow_part(lag1[i], throws, |lag| lagged(i, lag) / natural);
+            let lost = centres as f64 * (1.0 + share * (inflation_of(lag1[i], slow[i], throws) - 1.0)) / throws;
             grow[i] = (1.0 / (1.0 - lost.min(0.5))).sqrt();
         }
         let scale = Matrix3::from_diagonal(&grow);
@@ -99,6 +129,7 @@ impl Scatter {
             natural: natural.into(),
             sensor: sensor.into(),
             lag1,
+            slow,
             throws,
             leaning,
             tail_worth: tail_worth(residuals, own),
@@ -137,26 +168,29 @@ impl Scatter {
         (Matrix3::from(self.natural) + sensor).diagonal().map(|v| v.max(1e-12).sqrt())
     }
 
-    /// Standard deviation and lag-1 correlation of one throw along `weights`, and standard deviation of the centre of
-    /// `baseline_throws` throws.
-    pub(super) fn along(&self, weights: &Vector3<f64>, baseline_throws: f64) -> (f64, f64, f64) {
+    /// Noise along `weights` of throws compared with the centre of `baseline_throws` throws.
+    pub(super) fn along(&self, weights: &Vector3<f64>, baseline_throws: f64) -> Noise {
         let variance = |m: Matrix3<f64>| (weights.transpose() * m * weights).x.max(0.0);
         let natural = Matrix3::from(self.natural);
-        let total = variance(self.of_one_throw()).max(1e-12);
-        let lagged = natural.component_mul(&Matrix3::from_fn(|i, j| 0.5 * (self.lag1[i] + self.lag1[j])));
+        let part = |share: Vector3<f64>| natural.component_mul(&(share * share.transpose()));
+        let slow = part(Vector3::from(self.slow).map(f64::sqrt));
+        let rest = part(Vector3::from(self.slow).map(|slow| (1.0 - slow).sqrt()));
+        let total = variance(rest + Matrix3::from(self.sensor)).max(1e-12);
+        let lag1 = Vector3::from_fn(|i, _| lag1_of_rest(self.lag1[i], self.slow[i]));
+        let lagged = rest.component_mul(&Matrix3::from_fn(|i, j| 0.5 * (lag1[i] + lag1[j])));
         let lag1 = ((weights.transpose() * lagged * weights).x / total).clamp(LAG1_RANGE.0, LAG1_RANGE.1);
-        let base = Vector3::from_fn(|i, _| (inflation(self.lag1[i], self.throws) / baseline_throws).sqrt());
+        let base = Vector3::from_fn(|i, _| (self.inflation(i, self.throws) / baseline_throws).sqrt());
         let centre = variance(natural.component_mul(&(base * base.transpose())))
             + variance(Matrix3::from(self.sensor)) / baseline_throws;
-        (total.sqrt(), lag1, centre.sqrt())
+        Noise { sd: total.sqrt(), lag1, slow_sd: variance(slow).sqrt(), offset_sd: centre.sqrt() }
     }
 
     /// Covariance of the difference between the mean of `w` throws, whose estimates have the mean covariance `sensor`,
     /// and the centre of a baseline of `baseline_throws` throws.
     pub(super) fn of_mean(&self, w: usize, sensor: &Matrix3<f64>, baseline_throws: f64) -> Matrix3<f64> {
         let w = w as f64;
-        let recent = Vector3::from_fn(|i, _| (inflation(self.lag1[i], w) / w).sqrt());
-        let base = Vector3::from_fn(|i, _| (inflation(self.lag1[i], self.throws) / baseline_throws).sqrt());
+        let recent = Vector3::from_fn(|i, _| (self.inflation(i, w) / w).sqrt());
+        let base = Vector3::from_fn(|i, _| (self.inflation(i, self.throws) / baseline_throws).sqrt());
         let natural = Matrix3::from(self.natural);
         natural.component_mul(&(recent * recent.transpose() + base * base.transpose()))
             + sensor / w
@@ -177,10 +211,15 @@ impl Scatter {
         let w = w as f64;
         let rho = self.lag1_of_one(sensor);
         let ends = rho.map(|rho| (2.0 * rho.max(0.0)).sqrt() / (w * (1.0 - rho)));
-        let own = |i: usize| inflation(self.lag1[i], f64::INFINITY) - inflation(self.lag1[i], w);
+        let own = |i: usize| self.inflation(i, f64::INFINITY) - self.inflation(i, w);
         let more = Vector3::from_fn(|i, _| (own(i).max(0.0) / w).sqrt());
         Matrix3::from(self.natural).component_mul(&(more * more.transpose()))
             + sensor.component_mul(&(ends * ends.transpose()))
+    }
+
+    /// Ratio of the natural variance of a mean of `w` throws of coefficient `i` to that of independent throws.
+    fn inflation(&self, i: usize, w: f64) -> f64 {
+        inflation_of(self.lag1[i], self.slow[i], w)
     }
 
     /// Uncertainty of `of_mean` of `w` throws, from the variance of the throws and the lag-1 correlation, both from a
@@ -269,6 +308,42 @@ pub(super) fn inflation(phi: f64, w: f64) -> f64 {
     (1.0 + phi) / rest - 2.0 * phi * (1.0 - phi.powf(w)) / (w * rest * rest)
 }
 
+/// [`inflation`] of scatter with the lag-1 correlation `lag1`, of which the part `slow` has [`SLOW_LAG1`].
+fn inflation_of(lag1: f64, slow: f64, w: f64) -> f64 {
+    if slow > 0.0 {
+        (1.0 - slow) * inflation(lag1_of_rest(lag1, slow), w) + slow * inflation(SLOW_LAG1, w)
+    } else {
+        inflation(lag1, w)
+    }
+}
+
+/// Lag-1 correlation of scatter with the lag-1 correlation `lag1` without its slow part.
+fn lag1_of_rest(lag1: f64, slow: f64) -> f64 {
+    ((lag1 - SLOW_LAG1 * slow) / (1.0 - slow)).clamp(LAG1_RANGE.0, LAG1_RANGE.1)
+}
+
+/// Slow part of the scatter of `throws` residuals with the lag-1 correlation `lag1`, from their correlations at
+/// [`SLOW_LAGS`]; less its standard deviation, so that scatter without a slow part hardly ever gets one.
+fn slow_part(lag1: f64, throws: f64, correlation: impl Fn(usize) -> f64) -> f64 {
+    if throws < 2.0 * SLOW_LAGS.end as f64 {
+        return 0.0;
+    }
+    let count = SLOW_LAGS.len() as f64;
+    let measured = SLOW_LAGS.map(correlation).sum::<f64>() / count;
+    // The removed mean reduces all correlations by its variance.
+    let expected =
+        |phi: f64| SLOW_LAGS.map(|lag| phi.powi(lag as i32)).sum::<f64>() / count - inflation(phi, throws) / throws;
+    let of_slow = expected(SLOW_LAG1);
+    let phi = lag1.max(0.0);
+    let sd = (inflation(phi, f64::INFINITY) * (1.0 + phi * phi) / (1.0 - phi * phi) / (count * throws)).sqrt();
+    let mut slow = 0.0;
+    for _ in 0..5 {
+        let rest = (1.0 - slow) * expected(lag1_of_rest(lag1, slow));
+        slow = ((measured - rest - sd) / of_slow).clamp(0.0, MOST_SLOW);
+    }
+    slow
+}
+
 /// The limit of [`inflation`] for long series, with the lag-1 correlation clamped to [`LAG1_RANGE`].
 pub(super) fn serial_inflation(phi: f64) -> f64 {
     let phi = phi.clamp(0.0, LAG1_RANGE.1);
@@ -284,7 +359,54 @@ fn natural_part(total: Matrix3<f64>, sensor: Matrix3<f64>) -> Matrix3<f64> {
 
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
+
     use super::*;
+
+    /// Scatter learned from many baselines of 100 throws, whose residuals are the sum of autoregressions of first order with
+    /// these lag-1 correlations and shares of the variance.
+    fn learned(parts: &[(f64, f64)]) -> Vec<Scatter> {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+        let baseline = |_| {
+            let mut states = vec![0.0; parts.len()];
+            let mut next = || {
+                for (state, (phi, share)) in states.iter_mut().zip(parts) {
+                    *state = phi * *state + ((1.0 - phi * phi) * share).sqrt() * normal();
+                }
+                Vector3::repeat(0.03 * states.iter().sum::<f64>())
+            };
+            let series: Vec<_> = (0..200).map(|_| next()).skip(100).collect();
+            let mean = series.iter().sum::<Vector3<f64>>() / 100.0;
+            let residuals: Vec<_> = series.into_iter().map(|x| x - mean).collect();
+            Scatter::learn(&residuals, Matrix3::identity() * 1e-8, 1)
+        };
+        (0..300).map(baseline).collect()
+    }
+
+    /// The lag-1 correlation alone gives half of the variance of a mean.
+    #[test]
+    fn the_variance_of_a_mean_contains_scatter_that_lasts() {
+        for slow in [(0.9, 0.4), (0.95, 0.3)] {
+            let parts = [(0.2, 1.0 - slow.1), slow];
+            let learned = learned(&parts);
+            let of_mean = |scatter: &Scatter| scatter.of_mean(24, &Matrix3::zeros(), f64::INFINITY)[(1, 1)];
+            let stated = learned.iter().map(of_mean).sum::<f64>() / learned.len() as f64;
+            let inflation: f64 = parts.iter().map(|(phi, share)| share * inflation(*phi, 24.0)).sum();
+            let ratio = stated / (9e-4 * inflation / 24.0);
+            assert!((0.6..1.2).contains(&ratio), "{ratio} for {slow:?}");
+        }
+    }
+
+    #[test]
+    fn scatter_that_does_not_last_has_hardly_any_slow_part() {
+        for phi in [0.0, 0.3, 0.6] {
+            let learned = learned(&[(phi, 1.0)]);
+            let slow = learned.iter().map(|scatter| scatter.slow[1]).sum::<f64>() / learned.len() as f64;
+            assert!(slow < 0.06, "{slow} for {phi}");
+        }
+    }
 
     #[test]
     fn the_inflation_is_the_sum_it_stands_for() {

@@ -9,13 +9,13 @@ use serde::{Deserialize, Serialize};
 use super::{
     baseline::{Baseline, BaselineRecord, BaselineThrow, learn_mixed, trend},
     cause::Known,
-    course::{Course, Noise, Point},
+    course::{Course, Point},
     drift::{Drift, visible_pct},
     event::Cause,
     history::History,
     observation::Evaluated,
     robust::median,
-    scatter::Scatter,
+    scatter::{Noise, Scatter},
     settings::Settings,
     sym3::Sym3,
     temperature::doubt,
@@ -235,8 +235,8 @@ impl Tracks {
         let [normal, reverse] = &self.sides;
         let baselines = [normal.baseline.as_ref(), reverse.baseline.as_ref()];
         let noise = |scatter: &Scatter, throws: f64| {
-            let (sd, lag1, centre_sd) = scatter.along(weights, throws);
-            Noise { sd, lag1, offset_sd: centre_sd.hypot(weights.dot(temperature_sd)) }
+            let noise = scatter.along(weights, throws);
+            Noise { offset_sd: noise.offset_sd.hypot(weights.dot(temperature_sd)), ..noise }
         };
         let one = |at: usize| {
             let stream = Stream::of(&self.sides[at].recent, at);

@@ -6,23 +6,32 @@ use pointsd::{
     throw::{MachineId, Throw, Trace},
 };
 
-/// Throws of one machine, with all traces as long as the shortest, so that other programs can read them as one array.
+/// Throws of one machine, with all traces as long as the longest, so that other programs can read them as one array: a
+/// trace that ends with the movement is rejected, so short ones go on at rest.
 pub(crate) fn throws(count: u64) -> Vec<Throw> {
     let settings = FleetSettings { machines: 1, ..FleetSettings::default() };
     let mut machine = Fleet::new(&settings, 5).expect("valid settings").into_machines().remove(0);
     let simulated: Vec<_> = (0..count).map(|_| machine.next_throw().expect("a valid machine")).collect();
-    let samples = simulated.iter().map(|throw| throw.trace.len()).min().expect("a throw");
+    let samples = simulated.iter().map(|throw| throw.trace.len()).max().expect("a throw");
     (1..)
         .zip(simulated)
         .map(|(throw_no, simulated)| {
             let at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(10 * throw_no);
             let mut throw = simulated.into_throw("boot", at);
             let [current, position] =
-                [throw.trace.current_a(), throw.trace.position_mm()].map(|channel| channel[..samples].to_vec());
+                [throw.trace.current_a(), throw.trace.position_mm()].map(|channel| lengthened(channel, samples));
             throw.trace = Trace::new(throw.trace.sample_rate_hz(), current, position).expect("a valid trace");
             throw
         })
         .collect()
+}
+
+/// `channel` with its last samples, those at rest, again and again.
+fn lengthened(channel: &[f64], samples: usize) -> Vec<f64> {
+    /// Samples at rest after the movement in every simulated trace.
+    const REST: usize = 20;
+    let rest = &channel[channel.len() - REST..];
+    channel.iter().chain(rest.iter().cycle()).copied().take(samples).collect()
 }
 
 pub(crate) fn machine(number: u32) -> MachineId {
