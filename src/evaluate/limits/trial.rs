@@ -104,7 +104,7 @@ pub(super) fn fit<const S: usize, const P: usize>(
     [current, position]: [f64; 2],
     truth: [f64; 3],
 ) {
-    let Ok(model) = Sriv::<2, S, P>::new([0; S]) else { return };
+    let Some(model) = Sriv::<2, S, P>::new([0; S]) else { return };
     let problem = Problem { interval_s, output, inputs, equilibrium: None };
     let mut workspace = Workspace::default();
     let solved = model.identify(&problem, &mut workspace).ok().filter(|solution| solution.sound(0.0).is_ok());
