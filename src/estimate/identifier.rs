@@ -126,10 +126,9 @@ impl Identifier {
             _ => {}
         }
         features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
-        let supply_v = features.supply_v.and(throw.possible_supply_v());
-        features.energy_j = features.charge_as.zip(supply_v).map(|(charge_as, supply_v)| charge_as * supply_v);
+        features.energy_j = energy_j(throw, &features);
         if undamaged && settings.motor == Motor::PermanentMagnet {
-            let channels = (self.current.as_slice(), self.position.as_slice());
+            let (channels, supply_v) = ((self.current.as_slice(), self.position.as_slice()), throw.possible_supply_v());
             armature::add_constants(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
         }
         if let Ok(estimate) = &outcome {
@@ -166,8 +165,7 @@ impl Identifier {
         let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
         let mut features = current_only::features(&movement, &self.current, interval_s);
         features.supply_v = throw.supply_v;
-        features.energy_j =
-            throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
+        features.energy_j = energy_j(throw, &features);
         let known =
             throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
         let start_s = movement.start() as f64 * interval_s;
@@ -435,6 +433,11 @@ impl Identifier {
         let rounding = |level: Level| level.quantum / 12.0_f64.sqrt();
         (current.max(rounding(movement.current)), position.max(rounding(movement.position)))
     }
+}
+
+/// Energy of the motor \[J\], if the charge and a possible supply voltage are known.
+fn energy_j(throw: &Throw, features: &Features) -> Option<f64> {
+    throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as)
 }
 
 /// Why a throw without a toe position has no coefficients.
