@@ -3,17 +3,13 @@
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::simulate::{
     Channel, Climate, Condition, Conditions, Fault, Fleet, FleetFault, FleetSettings, Incident, IncidentKind,
-    Parameters, Part, RailModel, Rails, Scatter, Sensors, Shape, Stuck, Waveform, Which,
+    Parameters, Part, RailModel, Scatter, Sensors, Shape, Stuck, Waveform, Which,
 };
 use pointsd::throw::{Direction, Throw, Trace};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
 
 use super::identify::assert_near;
-
-fn lumped() -> Parameters {
-    let rails = Rails { model: RailModel::Lumped, ..Rails::default() };
-    Parameters { rails, ..Parameters::default() }
-}
+use super::machine::{NO_SCATTER, lumped};
 
 fn record(machine: &Parameters, sensors: &Sensors, direction: Direction) -> Trace {
     let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
@@ -195,9 +191,8 @@ fn throws_scatter_as_much_and_as_correlated_as_set() {
 
 #[test]
 fn faults_and_incidents_happen_when_they_are_set() {
-    let mut settings = FleetSettings { machines: 2, machine: lumped(), ..FleetSettings::default() };
-    settings.scatter =
-        Scatter { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, supply_pct: 0.0, correlation: 0.0 };
+    let mut settings =
+        FleetSettings { machines: 2, machine: lumped(), scatter: NO_SCATTER, ..FleetSettings::default() };
     let fault = Fault { part: Part::Stiffness, shape: Shape::Step, size_pct: 30.0, from_throw: 3 };
     settings.faults.push(FleetFault { machine: 1, fault });
     let incident = |kind, from_throw| Incident { machine: 0, kind, from_throw, throws: 1 };

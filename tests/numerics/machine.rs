@@ -44,11 +44,12 @@ fn a_seed_reproduces_a_fleet() {
     assert_ne!(throws(7)[0].trace, throws(8)[0].trace);
 }
 
-fn lumped() -> Parameters {
+/// The default machine with quasi-static rails.
+pub(crate) fn lumped() -> Parameters {
     Parameters { rails: Rails { model: RailModel::Lumped, ..Rails::default() }, ..Parameters::default() }
 }
 
-const NO_SCATTER: Scatter =
+pub(crate) const NO_SCATTER: Scatter =
     Scatter { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, supply_pct: 0.0, correlation: 0.0 };
 const NO_SPREAD: Spread = Spread { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, inertia_pct: 0.0 };
 

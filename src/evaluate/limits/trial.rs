@@ -61,6 +61,7 @@ impl Bench {
         Self { rng: ChaCha12Rng::seed_from_u64(seed), identifier: Identifier::default() }
     }
 
+    /// Runs the throws of a trial; a rough estimate counts as rejected.
     pub(super) fn row(&mut self, label: impl Into<String>, trial: &Trial) -> Result<Row, OutOfRange> {
         let known = trial.machine.at_temperature(trial.temperature_c).coefficients()?;
         let reference = trial.reference.unwrap_or(known.values());
