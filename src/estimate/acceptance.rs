@@ -7,7 +7,7 @@ use super::{
     movement::MIN_QUIET,
     rejection::Rejection,
     settings::Settings,
-    sriv::{Solution, Unsound},
+    sriv::Solution,
     window::Window,
 };
 
@@ -49,17 +49,11 @@ pub(super) struct Departure {
 /// Rejects a solution that is unsound, or not that of a switch.
 pub(super) fn accept(solution: &Solution<2, 1, 3>, settings: &Settings) -> Result<(), Rejection> {
     let [b0, a1, a0] = solution.parameters;
-    let sound = solution.sound(settings.fit_floor_pct / 100.0);
     let positive = b0 > 0.0 && a1 > 0.0 && a0 > 0.0;
-    match sound {
-        Err(Unsound::NearlySingular { .. }) => Err(Rejection::Singular),
-        Err(Unsound::NotConverged { iterations }) => Err(Rejection::NotConverged { iterations }),
-        Ok(()) | Err(_) if !positive => Err(Rejection::NotPositive { b0, a1, a0 }),
-        Err(Unsound::Unstable) => Err(Rejection::Unstable { a1, a0 }),
-        Err(Unsound::PoorFit { fit }) => {
-            Err(Rejection::PoorFit { fit_pct: 100.0 * fit, floor_pct: settings.fit_floor_pct })
-        }
-        Ok(()) => Ok(()),
+    match solution.sound(settings.fit_floor_pct) {
+        Err(reason @ (Rejection::Singular | Rejection::NotConverged { .. })) => Err(reason),
+        _ if !positive => Err(Rejection::NotPositive { b0, a1, a0 }),
+        sound => sound,
     }
 }
 

@@ -20,8 +20,9 @@ use super::{
     brake,
     features::Features,
     identification::{Estimate, Grade},
-    movement::Movement,
+    movement::{Movement, NEAR_END_SHARE},
     ratios,
+    rejection::Channel,
     settings::Settings,
     window,
 };
@@ -41,16 +42,10 @@ const RATIO_SD: f64 = 0.003;
 /// friction, or a filter, the inrush gives the armature's constants to some per cent.
 const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 
+/// The features of a throw without a toe position; the duration is that of the motor.
 pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) -> Features {
-    let with_zeros = movement.features(current, &vec![0.0; current.len()], interval_s);
-    Features {
-        duration_s: movement.motor_off.map(|off| off.saturating_sub(movement.start()) as f64 * interval_s),
-        release_s: None,
-        travel_mm: None,
-        start_position_mm: None,
-        end_position_mm: None,
-        ..with_zeros
-    }
+    let duration_s = movement.motor_off.map(|off| off.saturating_sub(movement.start()) as f64 * interval_s);
+    Features { duration_s, ..movement.features(current, &[], interval_s).without(Channel::Position) }
 }
 
 /// The coefficients from current, supply voltage and stroke; `None` if these do not determine them. Adds resistance and
@@ -119,7 +114,7 @@ pub(super) fn estimate(
         };
         let equilibrium = from_start_mm * std::f64::consts::TAU / settings.lead_mm;
         let offset = window::current_offset_variance(movement);
-        let end = output.iter().position(|y| *y > 0.95 * angle).unwrap_or(last);
+        let end = output.iter().position(|y| *y > NEAR_END_SHARE * angle).unwrap_or(last);
         let input = ratios::Input { values: &amperes[..end], scale: None, offset, rest_a: window::rest(movement) };
         let ratios = ratios::of(input, &output[..end], equilibrium, interval_s)?;
         let [r1, r0] = ratios.values;

@@ -1,5 +1,9 @@
 //! Checks for damaged samples: impossible, clipped, stuck, single wrong values and lasting steps.
 
+use std::f64::consts::FRAC_1_SQRT_2;
+
+use statrs::function::erf::erf;
+
 use super::{
     movement::{MIN_QUIET, Movement, every, largest, quantum},
     rejection::{Channel, Rejection},
@@ -13,9 +17,10 @@ const LARGEST_POSITION_MM: f64 = 10_000.0;
 /// nine times its depth within the plateau, which is at most one step.
 const CLIPPED_SAMPLES: usize = 3;
 const CLIPPED_FLANK: f64 = 30.0;
-/// Largest number of equal consecutive samples of a working channel: with noise of half a step 25 come once in 10^7
-/// samples.
+/// Least number of equal consecutive samples of a stuck channel, and chance of a longer stretch in a working channel at a
+/// sample: a throw at 20 kHz has 90,000 samples.
 const REPEATED_SAMPLES: f64 = 25.0;
+const REPEATED_CHANCE: f64 = 1e-9;
 /// The search first compares the two ends of parts of this length: every stretch of more than [`REPEATED_SAMPLES`]
 /// equal samples contains one whole part.
 const REPEATED_PART: usize = 13;
@@ -95,7 +100,7 @@ pub(super) fn sticking(
     let from = if noisy { 0 } else { start };
     let values = &values[from..to];
     let longest = match channel {
-        _ if noisy => REPEATED_SAMPLES,
+        _ if noisy => repeated_by_chance(movement.level(channel).sd / step),
         Channel::Position => REPEATED_SAMPLES.max(REPEATED_STEPS * step / mean_step).max(REPEATED_S / interval_s),
         Channel::Current => REPEATED_SAMPLES.max(LEVEL_CURRENT_SHARE * values.len() as f64),
     };
@@ -120,6 +125,13 @@ pub(super) fn sticking(
         at += stretch.len();
     }
     Ok(())
+}
+
+/// Largest number of equal consecutive samples of a working channel with this noise \[steps of the converter\]. A level in
+/// the middle of a code repeats the code most often: white noise stays in it with the probability erf(1 / (2 √2 noise)).
+fn repeated_by_chance(noise: f64) -> f64 {
+    let same = erf(0.5 * FRAC_1_SQRT_2 / noise);
+    REPEATED_SAMPLES.max(REPEATED_CHANCE.ln() / same.ln())
 }
 
 /// Least height of a spike: as share of the peak current and of the travel, and in standard deviations of the noise.
@@ -287,4 +299,41 @@ pub(super) fn steps(
         Channel::Current => Rejection::CurrentJump { jump_a: size, at_s },
         Channel::Position => Rejection::PositionJump { jump_mm: size.abs(), at_s },
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::StandardNormal;
+
+    use super::*;
+    use crate::estimate::movement::Level;
+
+    /// The level is in the middle of a code, where equal samples are most frequent.
+    #[test]
+    fn millions_of_samples_of_a_coarse_converter_are_not_stuck() {
+        let noise = 0.62;
+        let level = Level { mean: 0.0, sd: noise, samples: 200, quantum: 1.0 };
+        let movement = Movement {
+            quiet: 200,
+            motor_off: Some(4500),
+            current: level,
+            position: level,
+            sign: 1.0,
+            travel_mm: 115.0,
+            near_end: 4400,
+            arrived: 4450,
+            end_mm: 115.0,
+            peak_a: 13.0,
+            mean_a: 1.0,
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let samples: Vec<f64> =
+            (0..8_000_000).map(|_| (3.0 + noise * rng.sample::<f64, _>(StandardNormal)).round()).collect();
+        assert_eq!(sticking(&movement, Channel::Current, &samples, 5e-5, samples.len() / 4400), Ok(()));
+        let mut stuck = samples[..90_000].to_vec();
+        stuck[40_000..40_050].fill(3.0);
+        assert!(matches!(sticking(&movement, Channel::Current, &stuck, 5e-5, 20), Err(Rejection::Stuck { .. })));
+    }
 }

@@ -225,6 +225,12 @@ fn product<const N: usize>(left: &[[f64; N]; N], right: &[[f64; N]; N]) -> [[f64
     std::array::from_fn(|i| std::array::from_fn(|j| (0..N).map(|k| left[i][k] * right[k][j]).sum()))
 }
 
-fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+/// Scalar product; a loop, as this is in the inner loop of a pass.
+#[inline]
+pub(super) fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    let mut sum = 0.0;
+    for i in 0..N {
+        sum += a[i] * b[i];
+    }
+    sum
 }

@@ -24,8 +24,11 @@ const INRUSH_S: f64 = 0.15;
 
 /// Least-squares fit of a sine of one frequency and a straight line.
 struct Sine {
+    /// Angle between two samples \[rad\].
     turn: f64,
+    /// Index of the middle of the fitted samples.
     centre: f64,
+    /// Coefficients of sine, cosine, constant and slope.
     found: Vector4<f64>,
 }
 

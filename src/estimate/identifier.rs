@@ -32,8 +32,8 @@ const TOLERANCE: f64 = 1e-4;
 const LEAD_IN: usize = 2;
 /// Least number of samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
-/// Shortest rise of the current of a point machine \[s\]: inductance over resistance is 2 ms or more.
-const SLOWEST_RISE_S: f64 = 0.008;
+/// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
+const SHORTEST_RISE_S: f64 = 0.008;
 /// Largest departure of the rise from a linear armature: in standard deviations of the noise, and as share of the peak.
 /// Healthy traces have less than 5 standard deviations, a rectified supply less than 3 % of the peak; five lost samples
 /// cause 10 %, jitter of 0.3 ms causes 1 to 20 %.
@@ -126,10 +126,9 @@ impl Identifier {
             _ => {}
         }
         features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);
-        let supply_v = features.supply_v.and(throw.possible_supply_v());
-        features.energy_j = features.charge_as.zip(supply_v).map(|(charge_as, supply_v)| charge_as * supply_v);
+        features.energy_j = energy_j(throw, &features);
         if undamaged && settings.motor == Motor::PermanentMagnet {
-            let channels = (self.current.as_slice(), self.position.as_slice());
+            let (channels, supply_v) = ((self.current.as_slice(), self.position.as_slice()), throw.possible_supply_v());
             armature::add_constants(&mut features, supply_v, &movement, channels, interval_s, settings.lead_mm);
         }
         if let Ok(estimate) = &outcome {
@@ -166,8 +165,7 @@ impl Identifier {
         let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
         let mut features = current_only::features(&movement, &self.current, interval_s);
         features.supply_v = throw.supply_v;
-        features.energy_j =
-            throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as);
+        features.energy_j = energy_j(throw, &features);
         let known =
             throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
         let start_s = movement.start() as f64 * interval_s;
@@ -209,10 +207,10 @@ impl Identifier {
         let rise_samples = course::rise_samples(movement, &self.current);
         if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
             let undersampled = Rejection::Undersampled { rise_samples };
-            // At this rate every inductance is resolved, so samples of the rise are lost.
-            if interval_s > SLOWEST_RISE_S / MIN_RISE_SAMPLES as f64 {
+            if interval_s > SHORTEST_RISE_S / MIN_RISE_SAMPLES as f64 {
                 return Err(undersampled);
             }
+            // This rate resolves the rise of every machine, so samples of the rise are lost.
             doubt = doubt.or(Some(undersampled));
         }
         let filtered = filter_hz.is_some();
@@ -278,7 +276,7 @@ impl Identifier {
         movement: &Movement,
         window: &Window,
     ) -> (Option<FullModel>, Result<Estimate, Rejection>) {
-        let Ok(mut model) = ThrowModel::new([0]) else { return (None, Err(Rejection::Singular)) };
+        let Some(mut model) = ThrowModel::new([0]) else { return (None, Err(Rejection::Singular)) };
         model.tolerance = TOLERANCE;
         let problem = Problem {
             interval_s: window.interval_s,
@@ -323,7 +321,7 @@ impl Identifier {
                 } else {
                     None
                 };
-                let solution = refined.map_or(solution, |refined| refined.solution);
+                let solution = refined.unwrap_or(solution);
                 accept(&solution, settings)?;
                 let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
                 let offset = (window.rest_a, noise.scale);
@@ -435,6 +433,11 @@ impl Identifier {
         let rounding = |level: Level| level.quantum / 12.0_f64.sqrt();
         (current.max(rounding(movement.current)), position.max(rounding(movement.position)))
     }
+}
+
+/// Energy of the motor \[J\], if the charge and a possible supply voltage are known.
+fn energy_j(throw: &Throw, features: &Features) -> Option<f64> {
+    throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as)
 }
 
 /// Why a throw without a toe position has no coefficients.

@@ -19,7 +19,10 @@ use super::{
 
 /// Length of the start, as share of the travel: after 3 % the inrush is over.
 const START_SHARE: f64 = 0.03;
+/// Longest start \[s\], for a toe that hardly moves.
 const LONGEST_START_S: f64 = 0.4;
+/// Least number of samples of a usable start.
+const LEAST_SAMPLES: usize = 8;
 /// Largest accepted delay of the start \[s\], and in standard deviations. A soft drive (5e6 N/m) delays the toe by 1 to
 /// 2 ms, play of 0.1 mm by 3.3 ms.
 const LARGEST_DELAY_S: f64 = 3e-3;
@@ -48,7 +51,7 @@ pub(super) fn check(
 
 /// Computes the delay \[s\] and its standard deviation from `output` and the output of the model, both from the sample
 /// `foot` at which the motor starts; `None` if the start has too few samples. `noise` is the variance of the output.
-pub(super) fn find(
+fn find(
     (input, output, model): (&[f64], &[f64], &[f64]),
     equilibrium: Option<&[f64]>,
     [b0, a1, a0]: [f64; 3],
@@ -61,7 +64,7 @@ pub(super) fn find(
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
     let longest = foot + (LONGEST_START_S / interval_s) as usize;
     let last = far.min(longest).min(output.len() - 2);
-    if last < foot + 8 {
+    if last < foot + LEAST_SAMPLES {
         return None;
     }
     let factor = 1.0 + SCALE_STEP;

@@ -35,6 +35,5 @@ pub use features::Features;
 pub use filter::Hold;
 pub use identification::{Estimate, Grade, Identification};
 pub use identifier::Identifier;
-pub use refined::Refined;
 pub use rejection::{Channel, Rejection};
 pub use settings::{Motor, Settings};

@@ -6,12 +6,25 @@ use super::{features::Features, rejection::Channel};
 /// Share of the peak current at which the search for the start of the motor begins: above sensor noise, below the first
 /// crest.
 const START_SHARE: f64 = 0.05;
-/// The motor counts as on above this share of the peak current. The share is small because a throw in which the spring
-/// helps needs very little current.
+/// Least distance of the first sample of a starting motor from the current at rest, in standard deviations of the noise;
+/// the next sample must be as far.
+const START_SIGMAS: f64 = 6.0;
+/// Noise around the foot of the current's rise: in standard deviations, and as share of the peak if the noise is smaller.
+const FOOT_SIGMAS: f64 = 3.0;
+const FOOT_SHARE: f64 = 0.002;
+/// The motor counts as on above this share of the peak current, and above this many standard deviations of the noise. The
+/// share is small because a throw in which the spring helps needs very little current.
 const ON_SHARE: f64 = 0.005;
+const ON_SIGMAS: f64 = 5.0;
 /// After the arrival of the toe the motor counts as on above this share of the current before it: a motor that drives a standing
 /// toe takes more than a running one, a detection circuit takes less.
 const DRIVING_SHARE: f64 = 0.5;
+/// Share of the travel near the end, where the estimation stops: behind it the toe runs into the stock rail.
+pub(super) const NEAR_END_SHARE: f64 = 0.95;
+/// Largest distance of an arrived toe from its end: in standard deviations of the noise, and as share of the travel if the
+/// noise is smaller.
+const ARRIVED_SIGMAS: f64 = 4.0;
+const ARRIVED_SHARE: f64 = 0.002;
 /// Largest noise of the position for the estimation and for the time of the arrival, as share of the travel.
 pub(super) const LARGEST_POSITION_SHARE: f64 = 0.005;
 /// Share of the travel at which the toe counts as released: 0.6 mm of 115 mm is above the noise of position sensors,
@@ -69,7 +82,7 @@ impl Movement {
         let threshold = |level: &Level, peak: f64| {
             // A pulse of a contact among a few samples looks like noise as large as the running current.
             let largest = if level.samples < MIN_QUIET { START_SHARE * peak } else { f64::INFINITY };
-            (ON_SHARE * peak).max((5.0 * level.sd).min(largest))
+            (ON_SHARE * peak).max((ON_SIGMAS * level.sd).min(largest))
         };
         let mut peak_a = peak(current, level.mean);
         let mut motor_off = start.and_then(|_| last_beyond(current, level.mean, threshold(&level, peak_a)));
@@ -98,8 +111,8 @@ impl Movement {
         let sign = if moved == 0.0 { 0.0 } else { moved.signum() };
         let progress = |k: usize| sign * (position[k] - position_level.mean);
         let travel_mm = moved.abs();
-        let near_end = (0..len).find(|&k| progress(k) >= 0.95 * travel_mm).unwrap_or(len - 1);
-        let slack = (4.0 * position_level.sd).max(0.002 * travel_mm);
+        let near_end = (0..len).find(|&k| progress(k) >= NEAR_END_SHARE * travel_mm).unwrap_or(len - 1);
+        let slack = (ARRIVED_SIGMAS * position_level.sd).max(ARRIVED_SHARE * travel_mm);
         let arrived = (near_end..len).find(|&k| progress(k) >= travel_mm - slack).unwrap_or(len - 1);
         // A noisy position does not show the arrival.
         let is_clear = arrived > quiet && position_level.sd <= LARGEST_POSITION_SHARE * travel_mm;
@@ -108,7 +121,7 @@ impl Movement {
             scratch.clear();
             scratch.extend(current[since..=arrived].iter().map(|i| (i - level.mean).abs()));
             let driving = threshold(&level, peak_a).max(DRIVING_SHARE * median_of_magnitudes(scratch));
-            // The noise of a detection circuit is no motor: the mean of some samples counts.
+            // A mean of some samples, as single samples of a noisy detection circuit are as large as those of a motor.
             let drives = |values: &[f64]| (mean(values.iter().copied()) - level.mean).abs() > driving;
             let after = current[arrived..=off].windows(MIN_QUIET).rposition(drives);
             motor_off = Some(arrived + after.map_or(0, |from| from + MIN_QUIET / 2));
@@ -232,12 +245,13 @@ pub(super) fn start_of_motor(current: &[f64], scratch: &mut Vec<f64>) -> Option<
     };
     let first = crossing(START_SHARE * peak)?;
     let noise = Level::of(&current[..first.saturating_sub(2)]);
-    let first = if noise.samples >= MIN_QUIET { crossing((START_SHARE * peak).max(6.0 * noise.sd))? } else { first };
+    let first =
+        if noise.samples >= MIN_QUIET { crossing((START_SHARE * peak).max(START_SIGMAS * noise.sd))? } else { first };
     if peak == 0.0 || first == 0 {
         return (peak > 0.0).then_some(0);
     }
     // Goes down the flank to the foot, the last sample within the noise.
-    let band = (3.0 * noise.sd).max(0.002 * peak);
+    let band = (FOOT_SIGMAS * noise.sd).max(FOOT_SHARE * peak);
     let centre = if noise.samples >= MIN_QUIET { noise.mean } else { lead };
     Some((0..first).rev().find(|&k| (current[k] - centre).abs() <= band).unwrap_or(0))
 }

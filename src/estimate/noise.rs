@@ -17,25 +17,23 @@ const LARGEST_NOISE_SHARE: f64 = 0.025;
 
 /// Rejects noise that is too large compared with the signals.
 pub(super) fn resolved(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
-    let largest_mm = LARGEST_POSITION_SHARE * movement.travel_mm;
-    for (channel, level, expected, largest) in [
-        (Channel::Current, movement.current, settings.current_noise_a, LARGEST_NOISE_SHARE * movement.peak_a),
-        (Channel::Position, movement.position, settings.position_noise_mm, largest_mm),
-    ] {
-        if level.samples >= MIN_QUIET && level.sd > largest {
-            return Err(Rejection::Noisy { channel, measured: level.sd, expected });
-        }
-    }
-    Ok(())
+    let largest_a = LARGEST_NOISE_SHARE * movement.peak_a;
+    within(movement, settings, [largest_a, LARGEST_POSITION_SHARE * movement.travel_mm])
 }
 
 /// Rejects noise that is too large compared with the configured sensors.
 pub(super) fn plausible(movement: &Movement, settings: &Settings) -> Result<(), Rejection> {
-    for (channel, level, expected, factor) in [
-        (Channel::Current, movement.current, settings.current_noise_a, CURRENT_NOISE_FACTOR),
-        (Channel::Position, movement.position, settings.position_noise_mm, POSITION_NOISE_FACTOR),
+    let largest_a = CURRENT_NOISE_FACTOR * settings.current_noise_a;
+    within(movement, settings, [largest_a, POSITION_NOISE_FACTOR * settings.position_noise_mm])
+}
+
+/// Rejects a channel whose noise at rest has a larger standard deviation than this \[A, mm\].
+fn within(movement: &Movement, settings: &Settings, [current_a, position_mm]: [f64; 2]) -> Result<(), Rejection> {
+    for (channel, level, expected, largest) in [
+        (Channel::Current, movement.current, settings.current_noise_a, current_a),
+        (Channel::Position, movement.position, settings.position_noise_mm, position_mm),
     ] {
-        if level.samples >= MIN_QUIET && level.sd > factor * expected {
+        if level.samples >= MIN_QUIET && level.sd > largest {
             return Err(Rejection::Noisy { channel, measured: level.sd, expected });
         }
     }

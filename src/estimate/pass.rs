@@ -10,7 +10,7 @@
 //! ```
 
 use super::{
-    filter::{Discrete, Hold, Readout},
+    filter::{Discrete, Hold, Readout, dot},
     problem::{Problem, Signal, Sriv, Workspace},
 };
 
@@ -28,7 +28,7 @@ pub(super) struct Sums<const P: usize> {
 /// The auxiliary model of a pass.
 #[derive(Clone, Copy)]
 pub(super) struct Auxiliary<'a, const N: usize, const P: usize> {
-    /// Numerators.
+    /// Parameters of the model; a pass uses only their numerators.
     pub(super) parameters: &'a [f64; P],
     /// Denominator, if it differs from that of the filter.
     pub(super) denominator: Option<&'a [f64; N]>,
@@ -334,15 +334,6 @@ fn combined<const N: usize, const P: usize>(theta: &[f64; P], columns: &[f64; P]
     let mut sum = 0.0;
     for at in 0..P - N {
         sum += theta[at] * columns[at];
-    }
-    sum
-}
-
-#[inline]
-fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
-    let mut sum = 0.0;
-    for i in 0..N {
-        sum += a[i] * b[i];
     }
     sum
 }

@@ -16,9 +16,9 @@ pub enum Signal<'a> {
 pub struct Problem<'a, const S: usize> {
     /// Sampling interval \[s\].
     pub interval_s: f64,
-    /// The output; at rest before the first sample, unless there is an impulse input.
+    /// The output; at rest before the first sample.
     pub output: &'a [f64],
-    /// The inputs, each sampled one as long as the output.
+    /// The inputs; sampled inputs are as long as the output.
     pub inputs: [Signal<'a>; S],
     /// The output at which the term in `a_N` vanishes, as mean over the interval after each sample; 0 while the machine
     /// is held. `None` if it is always 0.
@@ -36,14 +36,6 @@ pub struct Sriv<const N: usize, const S: usize, const P: usize> {
     pub tolerance: f64,
     /// Largest number of iterations.
     pub max_iterations: usize,
-}
-
-/// The numerators do not have `P` parameters in total, or one has at least the order of the denominator.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("numerator orders must be below {order} and give {numerator_parameters} coefficients in all")]
-pub struct InvalidStructure {
-    order: usize,
-    numerator_parameters: usize,
 }
 
 /// Buffers, reused from problem to problem to avoid allocations.
@@ -82,28 +74,21 @@ impl<const P: usize> Workspace<P> {
 }
 
 impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
-    /// A model whose input s has a numerator of order `numerator_orders[s]`.
-    ///
-    /// # Errors
-    /// When a numerator is not of lower order than N, or Σ (order + 1) + N is not P.
-    pub fn new(numerator_orders: [usize; S]) -> Result<Self, InvalidStructure> {
+    /// A model whose input s has a numerator of order `numerator_orders[s]`; `None` if a numerator is not of lower order
+    /// than N, or Σ (order + 1) + N is not P.
+    #[must_use]
+    pub fn new(numerator_orders: [usize; S]) -> Option<Self> {
         const { assert!(N > 0 && P > N, "a model has poles and at least one numerator coefficient") };
-        let invalid = InvalidStructure { order: N, numerator_parameters: P - N };
-        if numerator_orders.iter().any(|order| *order >= N) {
-            return Err(invalid);
-        }
         let mut columns = [(0, 0); P];
         let mut used = 0;
         for (input, order) in numerator_orders.into_iter().enumerate() {
             for derivative in (0..=order).rev() {
-                *columns[..P - N].get_mut(used).ok_or(invalid)? = (input, derivative);
+                *columns[..P - N].get_mut(used)? = (input, derivative);
                 used += 1;
             }
         }
-        if used != P - N {
-            return Err(invalid);
-        }
-        Ok(Self { columns, start_per_s: 5.0, tolerance: 1e-6, max_iterations: 50 })
+        let is_valid = used == P - N && numerator_orders.iter().all(|order| *order < N);
+        is_valid.then_some(Self { columns, start_per_s: 5.0, tolerance: 1e-6, max_iterations: 50 })
     }
 
     /// The denominator coefficients `a_1` … `a_N` in a parameter vector.

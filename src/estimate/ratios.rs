@@ -45,7 +45,8 @@ pub(super) struct Ratios {
     /// Covariances of the logarithms: of errors that differ in each throw, and of errors that are equal in every throw.
     pub(super) log_covariance: Matrix2<f64>,
     pub(super) log_systematic: Matrix2<f64>,
-    /// Errors of the logarithms for one standard deviation of the part of the current at rest that is none in motion.
+    /// Errors of the logarithms for one standard deviation of the part of the current at rest that the machine does not
+    /// draw in motion.
     log_offset: [f64; 2],
     /// First sample used.
     pub(super) from: usize,
@@ -59,7 +60,7 @@ pub(super) struct Input<'a> {
     pub(super) scale: Option<&'a [f64]>,
     /// Variance of the offset of the current \[A²\].
     pub(super) offset: f64,
-    /// Standard deviation of the part of the current at rest that is none in motion \[A\].
+    /// Standard deviation of the part of the current at rest that the machine does not draw in motion \[A\].
     pub(super) rest_a: f64,
 }
 

@@ -27,18 +27,10 @@ use super::{
     sriv::{Failure, Solution, Termination, distance, solve},
 };
 
-/// A refined solution.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Refined {
-    /// The solution; its `fit` is that of the model before the refinement.
-    pub solution: Solution<2, 1, 3>,
-    /// Root mean square of the whitened residual over the output's noise; 1 if model and noise explain the data.
-    pub residual_ratio: f64,
-}
-
 impl Sriv<2, 1, 3> {
-    /// Refines `solution`, which must be stable, with the noise of output and input. `None` if one has no noise: then
-    /// the prefilter of SRIV is optimal.
+    /// Refines `solution`, which must be stable, with the noise of output and input; its `fit` stays that of the model
+    /// before the refinement. `None` without noise of the input, for which the prefilter of SRIV is optimal, or without
+    /// noise of the output.
     ///
     /// # Errors
     /// When the normal equations become singular or the model unstable.
@@ -48,8 +40,8 @@ impl Sriv<2, 1, 3> {
         solution: &Solution<2, 1, 3>,
         noise: &Noise<1>,
         workspace: &mut Workspace<3>,
-    ) -> Result<Option<Refined>, Failure> {
-        let Signal::Sampled(input, hold) = problem.inputs[0] else { return Ok(None) };
+    ) -> Result<Option<Solution<2, 1, 3>>, Failure> {
+        let Signal::Sampled(_, hold) = problem.inputs[0] else { return Ok(None) };
         let share = noise.scale.map_or(1.0, |scale| scale.iter().map(|s| s * s).sum::<f64>() / scale.len() as f64);
         let ratio = noise.inputs[0] * share / noise.output;
         if !(ratio.is_finite() && ratio > 0.0) {
@@ -80,8 +72,7 @@ impl Sriv<2, 1, 3> {
         for (parameter, bias) in refined.parameters.iter_mut().zip(bias) {
             *parameter -= bias;
         }
-        let residual_ratio = (innovations(&refined, &filter, hold, input, problem) / noise.output).sqrt();
-        Ok(Some(Refined { solution: refined, residual_ratio }))
+        Ok(Some(refined))
     }
 }
 
@@ -123,31 +114,4 @@ fn noise_in_instrument(
         reached -= noise.scale.map_or(1.0, |scale| scale[len - 1 - j] * scale[len - 1 - j]);
     }
     Some(beta)
-}
-
-/// Mean square of the whitened residual (A y - b0 u - a0 `y_eq`) / C.
-fn innovations(
-    refined: &Solution<2, 1, 3>,
-    filter: &Discrete<2>,
-    hold: Hold,
-    input: &[f64],
-    problem: &Problem<1>,
-) -> f64 {
-    let [b0, a1, a0] = refined.parameters;
-    let [c1, c0] = refined.denominator;
-    let (linear, input_row, held) = (filter.readout(Hold::First), filter.readout(hold), filter.readout(Hold::Zero));
-    let (output_row, output_through) = linear.combined(&[a0 - c0, a1 - c1]);
-    let mut states = [linear.start(&[0.0; 2], problem.output[0]), input_row.start(&[0.0; 2], input[0]), [0.0; 2]];
-    let mut squares = 0.0;
-    for (k, (y, u)) in problem.output.iter().zip(input).enumerate() {
-        let read = |row: &[f64; 2], state: usize| row[0] * states[state][0] + row[1] * states[state][1];
-        let error = y + read(&output_row, 0) + output_through * y
-            - b0 * (read(&input_row.state[0], 1) + input_row.through[0] * u)
-            - a0 * read(&held.state[0], 2);
-        squares += error * error;
-        filter.advance(&mut states[0], *y);
-        filter.advance(&mut states[1], *u);
-        filter.advance(&mut states[2], problem.equilibrium.map_or(0.0, |shift| shift[k]));
-    }
-    squares / problem.output.len() as f64
 }

@@ -1,4 +1,4 @@
-//! Why a throw has no estimate.
+//! The reasons why a throw has no estimate.
 
 use std::fmt;
 

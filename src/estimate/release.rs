@@ -23,10 +23,11 @@ use std::f64::consts::TAU;
 
 use super::movement::{mean, start_of_motor};
 
+/// Tried widths of the pulse, from a low to a high inductance of the motor \[s\].
 const PULSE_WIDTHS_S: [f64; 5] = [0.005, 0.01, 0.02, 0.04, 0.08];
 /// Samples of an unfiltered rise for the extrapolation.
 const RISE_SAMPLES: usize = 6;
-/// Number of tried starts.
+/// Number of steps between the tried starts of a pulse of one width.
 const STEPS: u32 = 100;
 /// Delay of a fourth-order Butterworth low-pass at 0 Hz, in units of `1/ω_c`: 2 (sin π/8 + sin 3π/8).
 const FILTER_DELAY: f64 = 2.613_125_929_752_753;

@@ -26,11 +26,12 @@ pub(super) fn invert<const P: usize>(matrix: &[[f64; P]; P]) -> Option<Inverse<P
     rcond.is_finite().then_some(Inverse { inverse, rcond })
 }
 
+/// Matrix times vector.
 pub(super) fn times<const P: usize>(matrix: &[[f64; P]; P], vector: &[f64; P]) -> [f64; P] {
     std::array::from_fn(|i| matrix[i].iter().zip(vector).map(|(m, v)| m * v).sum())
 }
 
-/// A S Aᵀ.
+/// The product A S Aᵀ of `outer` A and `inner` S.
 pub(super) fn sandwich<const P: usize>(outer: &[[f64; P]; P], inner: &[[f64; P]; P]) -> [[f64; P]; P] {
     let half: [[f64; P]; P] =
         std::array::from_fn(|i| std::array::from_fn(|j| (0..P).map(|k| outer[i][k] * inner[k][j]).sum()));

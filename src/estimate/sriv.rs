@@ -24,10 +24,11 @@
 use super::{
     pass::{Auxiliary, Sums},
     polynomial::{is_stable, reflected},
+    rejection::Rejection,
     small::{Inverse, invert, times},
 };
 
-pub use super::problem::{InvalidStructure, Problem, Signal, Sriv, Workspace};
+pub use super::problem::{Problem, Signal, Sriv, Workspace};
 
 /// Reason for the end of the iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -52,32 +53,6 @@ pub enum Failure {
     Singular,
 }
 
-/// A solution that must not be used.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum Unsound {
-    /// The normal equations are close to singular.
-    #[error("the normal equations are nearly singular (reciprocal condition {rcond:e})")]
-    NearlySingular {
-        /// Reciprocal condition of the equilibrated normal matrix.
-        rcond: f64,
-    },
-    /// The iteration limit was reached before convergence.
-    #[error("no convergence in {iterations} iterations")]
-    NotConverged {
-        /// Number of iterations.
-        iterations: usize,
-    },
-    /// The model is unstable; its filter worked only with reflected poles.
-    #[error("the model found is unstable")]
-    Unstable,
-    /// The fit of the model is too low.
-    #[error("the model explains {fit} of the output's variance only")]
-    PoorFit {
-        /// `R²_T`.
-        fit: f64,
-    },
-}
-
 /// Least reciprocal condition of the normal matrix; below it rounding affects the third digit.
 const MIN_RCOND: f64 = 1e-12;
 
@@ -86,19 +61,21 @@ impl<const N: usize, const S: usize, const P: usize> Solution<N, S, P> {
     /// SRIV converges to wrong values.
     ///
     /// # Errors
-    /// The first problem: not converged, unstable, nearly singular, or a fit `R²_T` below `fit_floor`.
-    pub fn sound(&self, fit_floor: f64) -> Result<(), Unsound> {
+    /// The first problem: nearly singular, not converged, unstable, or a fit `R²_T` below `floor_pct`.
+    pub fn sound(&self, floor_pct: f64) -> Result<(), Rejection> {
+        let fit_pct = 100.0 * self.fit;
         if self.rcond < MIN_RCOND {
-            return Err(Unsound::NearlySingular { rcond: self.rcond });
+            Err(Rejection::Singular)
+        } else if self.termination != Termination::Converged {
+            Err(Rejection::NotConverged { iterations: self.iterations })
+        } else if self.reflected {
+            Err(Rejection::Unstable { a1: self.parameters[P - N], a0: self.parameters[P - 1] })
+        } else if fit_pct >= floor_pct {
+            Ok(())
+        } else {
+            // Also for a fit that is NaN.
+            Err(Rejection::PoorFit { fit_pct, floor_pct })
         }
-        if self.termination != Termination::Converged {
-            return Err(Unsound::NotConverged { iterations: self.iterations });
-        }
-        if self.reflected {
-            return Err(Unsound::Unstable);
-        }
-        // A NaN fails this comparison.
-        if self.fit >= fit_floor { Ok(()) } else { Err(Unsound::PoorFit { fit: self.fit }) }
     }
 }
 
@@ -111,7 +88,7 @@ pub struct Solution<const N: usize, const S: usize, const P: usize> {
     pub iterations: usize,
     /// Reason for the end.
     pub termination: Termination,
-    /// Whether the last filter needed reflected poles.
+    /// Whether the last filter needed reflected poles, or the parameters are those of an unstable model.
     pub reflected: bool,
     /// Reciprocal condition of the equilibrated normal matrix of the last iteration.
     pub rcond: f64,

@@ -23,6 +23,7 @@ const STEP_S: f64 = 0.01;
 const STEPS: usize = 60;
 /// Change of the delay at which the iteration ends \[s\]: far below the scatter of 0.2 ms.
 const CONVERGED_S: f64 = 2e-6;
+/// Least number of samples of a usable start.
 const LEAST_SAMPLES: usize = 8;
 
 /// The start of a movement.

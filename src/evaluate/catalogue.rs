@@ -111,7 +111,7 @@ fn trace_rows(limits: Limits) -> Vec<Scenario> {
     rows
 }
 
-/// Rows of what happens to machines in the field, at parameter depth. All are hard.
+/// Rows of faults that machines have in the field, at parameter depth. All are hard.
 fn field_rows(limits: Limits) -> Vec<Scenario> {
     let row = |situation, fault, shape| Scenario { hard: true, ..row(Depth::Parameter, situation, vec![fault], shape) };
     let [kt, friction, stiffness, _] = limits.map(|limit| PLAIN_FROM * limit);

@@ -72,7 +72,7 @@ pub(super) fn judge(calls: &[Call], trend: Option<usize>, life: &Timeline) -> Ju
         1 => (all_named, unattributed),
         _ => (all_named.into_iter().chain(unattributed).min(), None),
     };
-    // Wear from the first throw: an early statement about the baseline is as good as a name, and a late name is none.
+    // Wear from the first throw: an early statement about the baseline counts as a name, and a late name does not count.
     let right = match life.deadline() {
         Some(deadline) => right.into_iter().chain(trend).min().filter(|at| *at < deadline),
         None => right,
@@ -125,7 +125,7 @@ mod tests {
         judge(&calls, None, life)
     }
 
-    /// Alarms as throw, cause and whether critical; and what they are worth.
+    /// Calls as in `judged`, and their judgement.
     type Case = (&'static [(isize, Cause, bool)], Judgement);
 
     #[test]

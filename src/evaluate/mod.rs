@@ -43,9 +43,11 @@
 //!
 //! **Healthy** machines: every alarm is false. Further fleets have scatter or weather that the diagnosis does not
 //! assume: strong serial correlation; heavy tails (Student's t with 3 degrees of freedom); three times the usual scatter; a
-//! year with a swing of 20 K up and down, not published; friction -20 % in wet spells of 15 throws, one in 20 days. They
-//! are no goals. **Budget**: with warning limits near 0 only the false-alarm budget of
-//! the drift rule prevents alarms; lives end at their first alarm, so the rate is alarms per throw.
+//! year with a swing of 20 K up and down, not published; friction -20 % in wet spells of 15 throws, one in 20 days. No
+//! goals are set for them.
+//!
+//! **Budget**: with warning limits near 0 only the false-alarm budget of the drift rule prevents alarms; lives end at
+//! their first alarm, so the rate is alarms per throw.
 //!
 //! # Comparators
 //! Both get the same throws and the same number of baseline throws as the monitor. The paper's rule and the CUSUM are

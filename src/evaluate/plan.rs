@@ -48,7 +48,7 @@ impl Amount {
         fleet_throws: 200_000,
         budget_lives: 400,
     };
-    /// About a tenth.
+    /// About a tenth of [`Self::FULL`].
     pub const QUICK: Self = Self {
         trials: 50,
         trace_trials: 2,
@@ -63,7 +63,7 @@ impl Amount {
 const HEALTHY_LIFE: usize = 10_000;
 /// Monitored throws of a healthy life at trace depth, where a throw takes more time.
 const HEALTHY_TRACE_LIFE: usize = 500;
-/// Monitored throws of a life in a fleet: more than half a year, so that the season has its whole range.
+/// Monitored throws of a life in a fleet: 200 days, in which the season alone changes the temperature by more than 20 K.
 const FLEET_LIFE: usize = 4_000;
 
 /// Serial correlations in the budget section.

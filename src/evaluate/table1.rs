@@ -342,14 +342,4 @@ impl CaseResult {
         let largest = (0..3).filter(|&at| moved[at]).max_by(|&a, &b| most(a).total_cmp(&most(b)));
         largest.map_or("none", |at| causes[at])
     }
-
-    /// Largest difference between the changes of the three coefficients in any test \[points\].
-    #[must_use]
-    pub fn disagreement(&self) -> f64 {
-        let span = |test: &Test| {
-            let [b0, a1, a0] = test.change_pct;
-            b0.max(a1).max(a0) - b0.min(a1).min(a0)
-        };
-        self.tests.iter().map(span).fold(0.0, f64::max)
-    }
 }

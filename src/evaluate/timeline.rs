@@ -134,7 +134,7 @@ impl Timeline {
     /// Change of (ln b0, ln a1, ln a0) at throw `at`, from faults and temperature.
     pub(super) fn displacement(&self, at: usize) -> Vector3<f64> {
         let drift: Vector3<f64> = self.faults.iter().map(|fault| displacement(fault.part, fault.size_at(at))).sum();
-        // A fall hardly leaks.
+        // Friction that falls hardly changes the other coefficients.
         let leaked = Vector3::repeat(drift.y.max(0.0) * self.leakage);
         let warmth = self.climate.map_or_else(Vector3::zeros, |climate| climate.displacement(at));
         drift + leaked + warmth + self.wet.displacement(at)

@@ -31,7 +31,7 @@ pub(super) struct TraceMachine {
     settings: Settings,
     /// Whether the throws contain the supply voltage.
     volts: bool,
-    /// Faulty instrument, size of the fault, and its first throw.
+    /// Faulty instrument, factor on its values, and the first throw with the fault.
     errs: Option<(Instrument, f64, usize)>,
 }
 
@@ -70,25 +70,19 @@ impl TraceMachine {
         throw.trace = self.recorded(at, throw.trace);
         throw.supply_v = throw.supply_v.filter(|_| self.volts);
         let found = self.identifier.identify(&throw, &self.settings);
+        let estimate = found.outcome.as_ref().ok();
+        let of_drift = estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance()));
         Observation {
-            throw: throw.id,
-            started_at: throw.started_at,
-            received_at: None,
-            direction_contradicted: None,
             direction: found.direction,
             incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
             faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),
-            features_only: false,
-            grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
-            ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
-            estimate: found.outcome.ok().map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
+            grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
+            ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
             features: found.features,
-            temperature_c: throw.temperature_c,
+            ..observation(at, of_drift, throw.temperature_c)
         }
     }
-}
 
-impl TraceMachine {
     /// The trace as recorded with the faulty instrument.
     fn recorded(&self, at: usize, trace: Trace) -> Trace {
         let Some((which, ratio, _)) = self.errs.filter(|(.., onset)| at >= *onset) else { return trace };

@@ -32,14 +32,14 @@ use crate::{
     wire::{self, Health, Kind},
 };
 use backlog::AnswerThread;
-use publish::Publishing;
+use publish::{Publishing, Source};
 
 /// Time that the daemons get to judge the last throws.
 const JUDGED_TIMEOUT: Duration = Duration::from_mins(1);
 /// Time between two queries for the last judged throw.
 const JUDGED_POLL_INTERVAL: Duration = Duration::from_millis(200);
 
-/// A running logger; stops when it is dropped.
+/// A running logger; stops after the present throw when it is dropped.
 pub struct Logger {
     session: Session,
     machines: Vec<MachineId>,
@@ -66,7 +66,6 @@ impl Logger {
         let published = Arc::new(AtomicU64::new(0));
         let stop = CancellationToken::new();
         let publishing = Publishing {
-            session: session.clone(),
             settings: settings.clone(),
             boot_id: boot_id.clone(),
             published: Arc::clone(&published),
@@ -77,7 +76,7 @@ impl Logger {
         for (id, machine) in machines.iter().zip(simulated) {
             let key = wire::machine_key(id, Kind::Throw);
             let backlog = answering.declare(&session, &key, settings.backlog_throws, max_bytes)?;
-            sources.push(publishing.source(id, backlog, machine)?);
+            sources.push(Source { publisher: publish::publisher(&session, id)?, backlog, machine });
             // The token follows the backlog: a daemon that sees the token asks for the backlog at once.
             tokens.push(bus::declare_alive(&session, &wire::machine_key(id, Kind::Alive)).await?);
         }
@@ -106,11 +105,6 @@ impl Logger {
     #[must_use]
     pub fn published(&self) -> u64 {
         self.published.load(Relaxed)
-    }
-
-    /// Stops the logger after the present throw.
-    pub fn stop(&self) {
-        self.stop.cancel();
     }
 
     /// Waits until all throws are published or the logger is stopped; returns the number of throws of each machine.

@@ -29,8 +29,8 @@ use crate::{
 /// Time between two checks of the stop flag while the thread waits.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
+/// The publishing of a fleet as one boot.
 pub(super) struct Publishing {
-    pub(super) session: Session,
     pub(super) settings: LoggerSettings,
     pub(super) boot_id: String,
     pub(super) published: Arc<AtomicU64>,
@@ -39,9 +39,9 @@ pub(super) struct Publishing {
 
 /// A simulated machine with its publisher and backlog.
 pub(super) struct Source {
-    publisher: Publisher<'static>,
-    backlog: Backlog,
-    machine: SimulatedMachine,
+    pub(super) publisher: Publisher<'static>,
+    pub(super) backlog: Backlog,
+    pub(super) machine: SimulatedMachine,
 }
 
 /// Declares the publisher of a machine's throws.
@@ -54,16 +54,6 @@ pub(super) fn publisher(session: &Session, id: &MachineId) -> Result<Publisher<'
 }
 
 impl Publishing {
-    /// Declares the publisher of a machine.
-    pub(super) fn source(
-        &self,
-        id: &MachineId,
-        backlog: Backlog,
-        machine: SimulatedMachine,
-    ) -> Result<Source, LoggerError> {
-        Ok(Source { publisher: publisher(&self.session, id)?, backlog, machine })
-    }
-
     /// Publishes the throws of all machines in turn. Returns the number of throws of each machine, and the sources,
     /// whose backlogs a daemon may still read.
     pub(super) fn run(&self, mut sources: Vec<Source>) -> Result<(u64, Vec<Source>), LoggerError> {

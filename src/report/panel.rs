@@ -11,7 +11,8 @@ const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00
 const CHARACTER: f64 = 6.8;
 /// Least space between neighbouring names \[px\].
 const GAP: f64 = 10.0;
-/// Space right of the axes \[px\].
+/// Space left and right of the axes \[px\].
+const LEFT: f64 = 72.0;
 const MARGIN: f64 = 24.0;
 const GRID: &str = "#dddddd";
 const FRAME: &str = "#444444";
@@ -169,12 +170,12 @@ impl Panel {
     }
 
     pub(super) fn draw(&self, canvas: &mut Canvas, left: f64, top: f64, width: f64, height: f64) {
-        let inside = width - 72.0 - MARGIN;
-        let marks = self.placed_marks(left + 72.0, inside);
+        let inside = width - LEFT - MARGIN;
+        let marks = self.placed_marks(left + LEFT, inside);
         let rows = marks.iter().filter_map(|mark| mark.row).max().map_or(0, |row| row + 1);
         let above = 56.0 + MARK_ROW * rows as f64;
         let frame = Frame {
-            left: left + 72.0,
+            left: left + LEFT,
             top: top + above,
             width: inside,
             height: height - above - 54.0 - self.slant(inside),

@@ -5,6 +5,7 @@ use super::{
     svg::{Anchor, Canvas},
 };
 
+/// Usual size of a panel \[px\].
 const PANEL_WIDTH: f64 = 640.0;
 const PANEL_HEIGHT: f64 = 380.0;
 /// Height of the sheet's title \[px\].

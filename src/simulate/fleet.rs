@@ -236,12 +236,6 @@ pub struct SimulatedMachine {
 }
 
 impl SimulatedMachine {
-    /// Parameters of the machine when new.
-    #[must_use]
-    pub fn parameters(&self) -> &Parameters {
-        &self.parameters
-    }
-
     /// Simulates the next throw; directions alternate, starting with normal to reverse.
     ///
     /// # Errors
@@ -333,11 +327,6 @@ impl Fleet {
     }
 
     /// The machines, in the order of their index.
-    pub fn machines(&mut self) -> &mut [SimulatedMachine] {
-        &mut self.machines
-    }
-
-    /// The machines by value, for one task each.
     #[must_use]
     pub fn into_machines(self) -> Vec<SimulatedMachine> {
         self.machines

@@ -80,8 +80,8 @@ pub fn without_subject(text: &str) -> &str {
     text.split_once(": ").map_or(text, |(_, rest)| rest)
 }
 
-/// The text without its subject and numbers, by which lists group the alarms of many machines: one cause has several
-/// kinds, as lost throws and a wrong clock.
+/// The text without its subject and its numbers. Lists group the alarms of many machines by it, as one cause has several
+/// kinds of alarms: lost throws and a wrong clock have the same cause.
 #[must_use]
 pub fn kind_of(text: &str) -> String {
     without_subject(text).replace(|character: char| character.is_ascii_digit(), "")

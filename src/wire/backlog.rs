@@ -51,8 +51,8 @@ impl BacklogQuery {
     }
 
     /// Index in `kept` (the backlog, oldest first) where the page starts: behind the last throw of the boot of `after`
-    /// whose number is not above that of `after`. If only later throws of this boot are left, it is the first of them;
-    /// 0 if the boot is unknown, or without `after`.
+    /// whose number is not above that of `after`. If only later throws of this boot are left, the page starts at
+    /// the first of them; at 0 if the boot is unknown, or without `after`.
     #[must_use]
     pub fn start<'a>(&self, kept: impl DoubleEndedIterator<Item = &'a ThrowRef> + ExactSizeIterator) -> usize {
         let Some(after) = &self.after else { return 0 };

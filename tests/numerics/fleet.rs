@@ -3,17 +3,13 @@
 use pointsd::estimate::{Identifier, Motor, Settings};
 use pointsd::simulate::{
     Channel, Climate, Condition, Conditions, Fault, Fleet, FleetFault, FleetSettings, Incident, IncidentKind,
-    Parameters, Part, RailModel, Rails, Scatter, Sensors, Shape, Stuck, Waveform, Which,
+    Parameters, Part, RailModel, Scatter, Sensors, Shape, Stuck, Waveform, Which,
 };
 use pointsd::throw::{Direction, Throw, Trace};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
 
 use super::identify::assert_near;
-
-fn lumped() -> Parameters {
-    let rails = Rails { model: RailModel::Lumped, ..Rails::default() };
-    Parameters { rails, ..Parameters::default() }
-}
+use super::machine::{NO_SCATTER, lumped};
 
 fn record(machine: &Parameters, sensors: &Sensors, direction: Direction) -> Trace {
     let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
@@ -161,22 +157,21 @@ fn sensors_do_to_the_trace_what_they_say() {
 fn machines_do_not_depend_on_the_size_of_their_fleet() {
     let fleet = |machines| {
         let settings = FleetSettings { machines, machine: lumped(), ..FleetSettings::default() };
-        Fleet::new(&settings, 11).unwrap()
+        Fleet::new(&settings, 11).unwrap().into_machines()
     };
     let (mut small, mut large) = (fleet(2), fleet(6));
     for _ in 0..3 {
-        assert_eq!(small.machines()[1].next_throw().unwrap(), large.machines()[1].next_throw().unwrap());
+        let [first, second] = std::array::from_fn(|at| large[at].next_throw().unwrap());
+        assert_eq!(small[1].next_throw().unwrap(), second);
+        assert_ne!(first.coefficients, second.coefficients);
     }
-    let [first, second, ..] = large.machines() else { unreachable!("six machines") };
-    assert_ne!(first.parameters(), second.parameters());
 }
 
 #[test]
 fn throws_scatter_as_much_and_as_correlated_as_set() {
     let scatter = Scatter { correlation: 0.6, ..Scatter::default() };
     let settings = FleetSettings { machines: 1, machine: lumped(), scatter, ..FleetSettings::default() };
-    let mut fleet = Fleet::new(&settings, 5).unwrap();
-    let machine = &mut fleet.machines()[0];
+    let mut machine = Fleet::new(&settings, 5).unwrap().into_machines().remove(0);
     let (b0, a1): (Vec<f64>, Vec<f64>) = (0..600)
         .map(|_| machine.next_throw().unwrap().coefficients)
         .map(|known| (known.b0.ln(), known.a1.ln()))
@@ -196,9 +191,8 @@ fn throws_scatter_as_much_and_as_correlated_as_set() {
 
 #[test]
 fn faults_and_incidents_happen_when_they_are_set() {
-    let mut settings = FleetSettings { machines: 2, machine: lumped(), ..FleetSettings::default() };
-    settings.scatter =
-        Scatter { kt_pct: 0.0, friction_pct: 0.0, stiffness_pct: 0.0, supply_pct: 0.0, correlation: 0.0 };
+    let mut settings =
+        FleetSettings { machines: 2, machine: lumped(), scatter: NO_SCATTER, ..FleetSettings::default() };
     let fault = Fault { part: Part::Stiffness, shape: Shape::Step, size_pct: 30.0, from_throw: 3 };
     settings.faults.push(FleetFault { machine: 1, fault });
     let incident = |kind, from_throw| Incident { machine: 0, kind, from_throw, throws: 1 };
@@ -207,14 +201,14 @@ fn faults_and_incidents_happen_when_they_are_set() {
         incident(IncidentKind::WeakSupply { loss_pct: 30.0 }, 1),
         incident(IncidentKind::StuckSensor(Stuck { channel: Which::Current, from_s: 0.5 }), 2),
     ];
-    let mut fleet = Fleet::new(&settings, 2).unwrap();
-    let throws: Vec<_> = (0..4).map(|_| fleet.machines()[0].next_throw().unwrap()).collect();
+    let mut machines = Fleet::new(&settings, 2).unwrap().into_machines();
+    let throws: Vec<_> = (0..4).map(|_| machines[0].next_throw().unwrap()).collect();
     let end = |at: usize| throws[at].trace.position_mm()[throws[at].trace.len() - 1];
     let length = |at: usize| throws[at].trace.len() as f64;
     assert!((end(0) - 60.0).abs() < 5.0, "obstructed at {} mm", end(0));
     assert!(length(1) > 1.3 * length(3), "weak supply: {} samples, else {}", length(1), length(3));
     assert!(throws[2].trace.current_a()[1000..1500].windows(2).all(|pair| pair[0].to_bits() == pair[1].to_bits()));
-    let a0: Vec<f64> = (0..6).map(|_| fleet.machines()[1].next_throw().unwrap().coefficients.a0).collect();
+    let a0: Vec<f64> = (0..6).map(|_| machines[1].next_throw().unwrap().coefficients.a0).collect();
     assert!((a0[2] / a0[0] - 1.0).abs() < 1e-9 && (a0[3] / a0[0] - 1.3).abs() < 1e-9, "{a0:?}");
 }
 

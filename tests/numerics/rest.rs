@@ -154,6 +154,16 @@ fn the_no_load_speed_needs_no_supply_voltage_and_does_not_change_with_dry_fricti
     }
 }
 
+#[test]
+fn the_energy_is_known_for_every_motor_with_a_supply_voltage() {
+    for (machine, motor) in [(Parameters::default(), Motor::PermanentMagnet), (Parameters::series(), Motor::Series)] {
+        let recorded = Recorded::new(&machine, &Sensors::default(), Direction::NormalToReverse, None);
+        let features = recorded.identify(&Settings { motor, ..Settings::default() }).features;
+        let expected = features.charge_as.unwrap() * 110.0;
+        assert!((features.energy_j.unwrap() - expected).abs() < 1e-9 * expected, "{motor:?}: {features:?}");
+    }
+}
+
 type Damage = fn(&mut [f64]);
 
 #[test]

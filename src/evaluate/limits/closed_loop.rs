@@ -26,6 +26,7 @@ const MAX_CURRENT_A: f64 = 13.0;
 const SPEED_FILTER_S: f64 = 0.01;
 /// Correlation time of the load \[s\].
 const LOAD_S: f64 = 0.05;
+/// Standard deviation of the current sensor's noise \[A\].
 const CURRENT_NOISE_A: f64 = 0.02;
 
 /// Source of the motor's current.
@@ -80,6 +81,7 @@ pub(super) fn closed_loop(bench: &mut Bench, throws: usize) -> Result<Finding, O
     })
 }
 
+/// The machine with its true coefficients, and the current of an undisturbed throw on a battery.
 struct Plant {
     machine: Parameters,
     known: Coefficients,

@@ -61,6 +61,7 @@ impl Bench {
         Self { rng: ChaCha12Rng::seed_from_u64(seed), identifier: Identifier::default() }
     }
 
+    /// Runs the throws of a trial; a rough estimate counts as rejected.
     pub(super) fn row(&mut self, label: impl Into<String>, trial: &Trial) -> Result<Row, OutOfRange> {
         let known = trial.machine.at_temperature(trial.temperature_c).coefficients()?;
         let reference = trial.reference.unwrap_or(known.values());
@@ -104,7 +105,7 @@ pub(super) fn fit<const S: usize, const P: usize>(
     [current, position]: [f64; 2],
     truth: [f64; 3],
 ) {
-    let Ok(model) = Sriv::<2, S, P>::new([0; S]) else { return };
+    let Some(model) = Sriv::<2, S, P>::new([0; S]) else { return };
     let problem = Problem { interval_s, output, inputs, equilibrium: None };
     let mut workspace = Workspace::default();
     let solved = model.identify(&problem, &mut workspace).ok().filter(|solution| solution.sound(0.0).is_ok());
