@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     diagnose::{Cause, Observation},
-    estimate::{Identifier, Rejection, Settings},
+    estimate::{Identifier, Settings},
     simulate::{
         self, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Part, Sensors, SimulatedMachine, SimulatedThrow,
     },
@@ -70,21 +70,7 @@ impl TraceMachine {
         throw.trace = self.recorded(at, throw.trace);
         throw.supply_v = throw.supply_v.filter(|_| self.volts);
         let found = self.identifier.identify(&throw, &self.settings);
-        Observation {
-            throw: throw.id,
-            started_at: throw.started_at,
-            received_at: None,
-            direction_contradicted: None,
-            direction: found.direction,
-            incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
-            faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),
-            features_only: false,
-            grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
-            ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
-            estimate: found.outcome.ok().map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
-            features: found.features,
-            temperature_c: throw.temperature_c,
-        }
+        Observation::of(&throw, &found)
     }
 }
 
