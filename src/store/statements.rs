@@ -521,6 +521,10 @@ statements! {
     EXPORT = export!("TRUE");
     EXPORT_MACHINE = export!(concat!("throw.machine_row = ", one_machine!()));
 
+    // The latest throws of a machine show the progress of its baselines, which begin anew.
+    RESTART_BASELINES = "UPDATE estimate SET baseline_throws = 0, throws_since_baseline = 0 \
+        WHERE baseline_throws IS NOT NULL AND throw_row IN (SELECT throw_row FROM latest WHERE machine_row = ?1)";
+
     // Retention.
     LAST_HEARD = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";
     TRACE_HOLDINGS = "SELECT traces AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \
