@@ -80,8 +80,8 @@ enum QueryEnd {
 struct Turn {
     at: Instant,
     in_progress: bool,
-    /// Whether the last query was slow, or the present one of a logger whose last one was.
-    is_slow: bool,
+    /// Index of its queue in [`Schedule::due`]: 1 if its last query was slow.
+    class: usize,
     /// Whether to query again at once.
     again: bool,
     /// Consecutive queries without new throws.
@@ -238,7 +238,7 @@ impl Schedule {
         match self.turns.get_mut(machine) {
             Some(turn) if turn.in_progress => turn.again = true,
             Some(turn) => {
-                let due = &mut self.due[usize::from(turn.is_slow)];
+                let due = &mut self.due[turn.class];
                 due.remove(&(turn.at, machine.clone()));
                 turn.at = turn.at.min(now);
                 due.insert((turn.at, machine.clone()));
@@ -247,7 +247,7 @@ impl Schedule {
                 let turn = Turn {
                     at: now,
                     in_progress: false,
-                    is_slow: false,
+                    class: 0,
                     again: false,
                     tries: 0,
                     without_since: None,
@@ -269,8 +269,8 @@ impl Schedule {
     /// Notes whether the ended query of a logger was slow.
     fn paced(&mut self, machine: &MachineId, was_slow: bool) {
         let Some(turn) = self.turns.get_mut(machine) else { return };
-        self.slow_in_progress -= usize::from(turn.is_slow);
-        turn.is_slow = was_slow;
+        self.slow_in_progress -= turn.class;
+        turn.class = usize::from(was_slow);
     }
 
     /// The next logger that is due, and the size of its page.
@@ -294,7 +294,7 @@ impl Schedule {
         let Some(turn) = self.turns.get_mut(machine) else { return };
         turn.in_progress = false;
         turn.at = Instant::now() + if turn.again { Duration::ZERO } else { pause };
-        self.due[usize::from(turn.is_slow)].insert((turn.at, machine.clone()));
+        self.due[turn.class].insert((turn.at, machine.clone()));
     }
 
     /// Removes a logger without missing throws.
@@ -432,7 +432,9 @@ mod tests {
         let mut schedule = Schedule::default();
         let slow: Vec<MachineId> = (0..2 * AT_A_TIME).map(|number| named(format!("slow-{number}"))).collect();
         // Nobody knows yet that they are slow.
-        slow.iter().for_each(|machine| schedule.ask(machine));
+        for machine in &slow {
+            schedule.ask(machine);
+        }
         while let Some((machine, _)) = schedule.next() {
             schedule.paced(&machine, true);
             schedule.rest(&machine, Duration::ZERO);

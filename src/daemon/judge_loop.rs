@@ -237,20 +237,20 @@ impl JudgeLoop {
                 outcomes.iter().filter(|_| stored).for_each(|outcome| self.announce(outcome));
                 Ok(stored)
             }
-            Err(StoreError::Refused(problem)) => match &*outcomes {
-                [Outcome { machine, events, .. }] => {
+            Err(StoreError::Refused(_)) if outcomes.len() > 1 => {
+                let mut stored = true;
+                for outcome in &*outcomes {
+                    stored &= Box::pin(self.record(outcome.clone())).await?;
+                }
+                Ok(stored)
+            }
+            Err(StoreError::Refused(problem)) => {
+                for Outcome { machine, events, .. } in &*outcomes {
                     let texts: Vec<&str> = events.iter().map(|event| event.text.as_str()).collect();
                     seldom!(error, %machine, problem, ?texts, "the database rejects the change of a monitor: it is LOST");
-                    Ok(false)
                 }
-                _ => {
-                    let mut stored = true;
-                    for outcome in &*outcomes {
-                        stored &= Box::pin(self.record(outcome.clone())).await?;
-                    }
-                    Ok(stored)
-                }
-            },
+                Ok(false)
+            }
             Err(error) => Err(error),
         }
     }

@@ -5,6 +5,7 @@ use pointsd::throw::{Throw, Trace};
 
 use crate::{
     faketime,
+    http::{address, get},
     rig::{Rig, stub, throws},
 };
 
@@ -74,7 +75,7 @@ async fn a_daemon_with_a_wrong_clock_accuses_no_logger() {
             }
         }
         let received = rig.sql("SELECT min(received_at_us) AS at FROM throw")[0]["at"].as_i64().unwrap();
-        let earlier = Timestamp::now() - DAY * (i32::try_from(behind_days).unwrap() - 1);
+        let earlier = Timestamp::now() - DAY * (behind_days - 1);
         assert!(received < earlier.as_microsecond(), "the clock of the daemon is right");
         assert!(rig.sql("SELECT * FROM alarm_history WHERE channel = 'clock'").is_empty());
         assert!(daemon.terminate().success());
@@ -142,5 +143,48 @@ async fn fields_out_of_range_are_kept_not_used_and_stated() {
     logger.send(&made[16..]).await;
     rig.judged(made.len()).await;
     assert!(rig.sql(caveats).is_empty());
+    assert!(daemon.terminate().success());
+}
+
+/// The database rejects the result of a throw, as after a change of it from outside: the throw is not evaluated, and the next
+/// ones are.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_judgement_that_the_database_rejects_holds_up_no_other() {
+    let rig = Rig::new();
+    let daemon = rig.start();
+    let logger = daemon.logger(KEY).await;
+    let made = throws("boot", 6);
+    logger.send(&made[..2]).await;
+    rig.judged(2).await;
+    rig.change(
+        "CREATE TRIGGER reject BEFORE INSERT ON estimate WHEN NEW.b0 IS NOT NULL AND (SELECT throw_no FROM throw WHERE \
+         throw_row = NEW.throw_row) = 4 BEGIN SELECT RAISE(ABORT, 'no such estimate'); END",
+    )
+    .await;
+    logger.send(&made[2..]).await;
+    let rows = rig.judged(6).await;
+    let qualities: Vec<&str> = rows.iter().map(|row| row.quality.as_str()).collect();
+    assert_eq!(qualities, ["good", "good", "good", "not_storable", "good", "good"]);
+    let rejected = rig.sql("SELECT throw_no, reason, detail FROM throws_not_evaluated");
+    assert_eq!((rejected.len(), &rejected[0]["throw_no"]), (1, &4.into()), "{rejected:?}");
+    assert!(rejected[0].to_string().contains("no such estimate"), "{rejected:?}");
+    daemon.until_status("the rejection", |status| status["not_evaluated"] == 1).await;
+    assert!(daemon.terminate().success());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_new_baseline_shows_at_once() {
+    let rig = Rig::with("[web]\nlisten = \"127.0.0.1:0\"\n");
+    let daemon = rig.start();
+    let logger = daemon.logger(KEY).await;
+    let made = throws("boot", 30);
+    logger.send(&made).await;
+    rig.judged(made.len()).await;
+    let progress = "SELECT direction FROM machine_health WHERE baseline_throws > 0 OR throws_since_baseline > 0";
+    assert_eq!(rig.sql(progress).len(), 2);
+    daemon.says(0, &["rebaseline", "north/21B", "--why", "new motor", "--by", "tester"]);
+    assert!(rig.sql(progress).is_empty());
+    let page = get(&address(&daemon), "/machines/north/21B").body;
+    assert_eq!(page.matches("0 of 50 throws").count(), 2, "{page}");
     assert!(daemon.terminate().success());
 }
