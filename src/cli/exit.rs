@@ -94,12 +94,15 @@ fn sentence(error: &anyhow::Error) -> String {
         }
     }
     let is_place = |word: &str| word.contains(".rs:");
-    let mut words: Vec<&str> = Vec::new();
+    let mut words: Vec<String> = Vec::new();
     for word in text.split_whitespace() {
         if !is_place(word) {
-            words.push(word);
-        } else if words.last() == Some(&"at") {
-            words.pop();
+            words.push(word.to_owned());
+            continue;
+        }
+        words.pop_if(|word| word == "at");
+        if let Some(last) = words.last_mut().filter(|_| word.ends_with(')')) {
+            last.push(')');
         }
     }
     words.join(" ")
@@ -108,6 +111,13 @@ fn sentence(error: &anyhow::Error) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_bracket_around_a_source_location_is_closed() {
+        let error =
+            anyhow::anyhow!("no answer (zenoh: cannot connect. Timeout! at /root/zenoh/src/orchestrator.rs:89.)");
+        assert_eq!(sentence(&error), "no answer (zenoh: cannot connect. Timeout!)");
+    }
 
     #[test]
     fn an_error_is_one_sentence_that_says_nothing_twice() {

@@ -28,6 +28,10 @@ use crate::{
 
 /// Loggers queried at the same time; with pages of 4 MiB this bounds the memory to 32 MiB.
 const AT_A_TIME: usize = 8;
+/// Of these, loggers whose last turn was slow: the others make progress beside them.
+const SLOW_AT_A_TIME: usize = AT_A_TIME / 2;
+/// Time after which a turn ends and counts as slow: a page of 1 MiB on a link with 500 kB/s.
+const LONG_TURN: Duration = Duration::from_secs(2);
 /// Throws in the first page, while neither their size nor the link is known, and in the largest page.
 const FIRST_PAGE: usize = 4;
 const LARGEST_PAGE: usize = 32;
@@ -76,6 +80,8 @@ enum QueryEnd {
 struct Turn {
     at: Instant,
     in_progress: bool,
+    /// Index of its queue in [`Schedule::due`]: 1 if its last query was slow.
+    class: usize,
     /// Whether to query again at once.
     again: bool,
     /// Consecutive queries without new throws.
@@ -116,8 +122,9 @@ impl Backlog {
             {
                 let asker = Arc::clone(&self.asker);
                 asked.spawn(async move {
+                    let start = Instant::now();
                     let (ended, page) = asker.ask(&machine, page).await;
-                    (machine, ended, page)
+                    (machine, ended, page, start.elapsed() >= LONG_TURN)
                 });
             }
             let wakes_at = schedule.wakes_at().filter(|_| asked.len() < AT_A_TIME);
@@ -147,7 +154,10 @@ impl Backlog {
                 }
                 _ = round.tick() => self.seen.iter().for_each(|machine| schedule.ask(machine)),
                 Some(asked) = asked.join_next() => match asked {
-                    Ok((machine, ended, page)) => self.ended(&mut schedule, &machine, ended, page).await,
+                    Ok((machine, ended, page, was_slow)) => {
+                        schedule.paced(&machine, was_slow);
+                        self.ended(&mut schedule, &machine, ended, page).await;
+                    }
                     // The end of this task ends the process.
                     Err(error) => return tracing::error!(%error, "querying a logger failed"),
                 },
@@ -215,7 +225,10 @@ impl Backlog {
 #[derive(Default)]
 struct Schedule {
     turns: HashMap<MachineId, Turn>,
-    due: BTreeSet<(Instant, MachineId)>,
+    /// Of fast, and of slow loggers.
+    due: [BTreeSet<(Instant, MachineId)>; 2],
+    /// Slow loggers that are queried now.
+    slow_in_progress: usize,
 }
 
 impl Schedule {
@@ -225,14 +238,16 @@ impl Schedule {
         match self.turns.get_mut(machine) {
             Some(turn) if turn.in_progress => turn.again = true,
             Some(turn) => {
-                self.due.remove(&(turn.at, machine.clone()));
+                let due = &mut self.due[turn.class];
+                due.remove(&(turn.at, machine.clone()));
                 turn.at = turn.at.min(now);
-                self.due.insert((turn.at, machine.clone()));
+                due.insert((turn.at, machine.clone()));
             }
             None => {
                 let turn = Turn {
                     at: now,
                     in_progress: false,
+                    class: 0,
                     again: false,
                     tries: 0,
                     without_since: None,
@@ -240,31 +255,46 @@ impl Schedule {
                     page: FIRST_PAGE,
                 };
                 self.turns.insert(machine.clone(), turn);
-                self.due.insert((now, machine.clone()));
+                self.due[0].insert((now, machine.clone()));
             }
         }
     }
 
+    /// The class of the next logger, fast or slow, with the time at which it is due.
+    fn first(&self) -> Option<(Instant, usize)> {
+        let classes = if self.slow_in_progress < SLOW_AT_A_TIME { 2 } else { 1 };
+        (0..classes).filter_map(|class| Some((self.due[class].first()?.0, class))).min()
+    }
+
+    /// Notes whether the ended query of a logger was slow.
+    fn paced(&mut self, machine: &MachineId, was_slow: bool) {
+        let Some(turn) = self.turns.get_mut(machine) else { return };
+        self.slow_in_progress -= turn.class;
+        turn.class = usize::from(was_slow);
+    }
+
     /// The next logger that is due, and the size of its page.
     fn next(&mut self) -> Option<(MachineId, usize)> {
-        if self.wakes_at()? > Instant::now() {
+        let (at, class) = self.first()?;
+        if at > Instant::now() {
             return None;
         }
-        let (_, machine) = self.due.pop_first()?;
+        let (_, machine) = self.due[class].pop_first()?;
+        self.slow_in_progress += class;
         let turn = self.turns.get_mut(&machine)?;
         (turn.in_progress, turn.again) = (true, false);
         Some((machine, turn.page))
     }
 
     fn wakes_at(&self) -> Option<Instant> {
-        self.due.first().map(|(at, _)| *at)
+        self.first().map(|(at, _)| at)
     }
 
     fn rest(&mut self, machine: &MachineId, pause: Duration) {
         let Some(turn) = self.turns.get_mut(machine) else { return };
         turn.in_progress = false;
         turn.at = Instant::now() + if turn.again { Duration::ZERO } else { pause };
-        self.due.insert((turn.at, machine.clone()));
+        self.due[turn.class].insert((turn.at, machine.clone()));
     }
 
     /// Removes a logger without missing throws.
@@ -304,7 +334,7 @@ impl Asker {
             return Ok(QueryEnd::Broken);
         }
         let mut cursor = self.store.reader().cursor(machine).await?;
-        let (mut repeated, mut least) = (0, 1);
+        let (mut repeated, mut least, start) = (0, 1, Instant::now());
         for _ in 0..TURN {
             let limit = page_limit(&cursor, *size).max(least);
             let (page, ending, is_empty) = self.page(machine, &cursor, limit).await;
@@ -338,6 +368,9 @@ impl Asker {
                 return Ok(QueryEnd::Without(cursor));
             }
             *size = (*size * 2).min(LARGEST_PAGE);
+            if start.elapsed() >= LONG_TURN {
+                break;
+            }
         }
         Ok(QueryEnd::More)
     }
@@ -387,4 +420,37 @@ fn keep_order(throws: &mut Vec<crate::throw::Throw>, after: Option<&ThrowRef>) {
         }
         follows
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slow_loggers_leave_places_to_the_others() {
+        let named = |name: String| MachineId::new("north", &name).unwrap();
+        let mut schedule = Schedule::default();
+        let slow: Vec<MachineId> = (0..2 * AT_A_TIME).map(|number| named(format!("slow-{number}"))).collect();
+        // Nobody knows yet that they are slow.
+        for machine in &slow {
+            schedule.ask(machine);
+        }
+        while let Some((machine, _)) = schedule.next() {
+            schedule.paced(&machine, true);
+            schedule.rest(&machine, Duration::ZERO);
+            if schedule.due[1].len() == slow.len() {
+                break;
+            }
+        }
+        let taken: Vec<_> = std::iter::from_fn(|| schedule.next()).collect();
+        assert_eq!(taken.len(), SLOW_AT_A_TIME);
+        assert_eq!(schedule.wakes_at(), None, "it would wait without a pause");
+        let fast = named("fast".to_owned());
+        schedule.ask(&fast);
+        assert_eq!(schedule.next().unwrap().0, fast);
+        // A place of a slow one becomes free.
+        schedule.paced(&taken[0].0, false);
+        schedule.rest(&taken[0].0, Duration::ZERO);
+        assert!(slow.contains(&schedule.next().unwrap().0));
+    }
 }

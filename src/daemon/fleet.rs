@@ -1,7 +1,7 @@
 //! The monitors of all machines; turns their changes into outcomes to store. Does no I/O.
 
 use std::{
-    collections::{BTreeMap, BTreeSet, HashSet},
+    collections::{BTreeMap, BTreeSet, HashSet, VecDeque},
     time::Duration,
 };
 
@@ -46,7 +46,13 @@ pub(super) struct Fleet {
     to_store: HashSet<MachineId>,
     /// Ticks in this hour.
     ticks: u64,
+    /// The machines whose throws were judged last, at most [`WITNESSES`], and whether the last throw of each is dated more
+    /// than a day after its reception.
+    ahead: VecDeque<(MachineId, bool)>,
 }
+
+/// Largest number of machines whose clocks show whether that of this computer is right.
+const WITNESSES: usize = 32;
 
 impl Fleet {
     /// Restores monitors from the database. In the place of one that cannot be read, as after a return to an earlier
@@ -120,10 +126,10 @@ impl Fleet {
         let repeats = stored.repeats && identification.as_ref().is_some_and(is_evidence);
         let identification = identification.filter(|_| !repeats);
         let mut observation = observation(stored, identification.as_ref());
-        let has_wrong_clock = !is_possible(stored.started_at, stored.received_at);
-        if has_wrong_clock {
-            observation.started_at = stored.received_at;
-        }
+        let received_at = self.trusted(stored);
+        let monitor = self.monitor(&stored.machine);
+        let (dated_at, clock) = monitor.date(&stored.id, stored.started_at, received_at, settings);
+        observation.started_at = dated_at;
         let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
         let monitor = self.monitor(&stored.machine);
         let (command, events) = monitor.configured(parameters, observation.started_at, settings).unzip();
@@ -131,11 +137,9 @@ impl Fleet {
             tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
         }
         let mut verdict = monitor.observe_beside(&observation, &common, settings);
-        let irregularities = [
-            (has_wrong_clock, Irregularity::WrongClock(stored.started_at)),
-            (repeats, Irregularity::RepeatedTrace),
-            (stored.renumbered, Irregularity::RepeatedNumber),
-        ];
+        verdict.events.extend(clock);
+        let irregularities =
+            [(repeats, Irregularity::RepeatedTrace), (stored.renumbered, Irregularity::RepeatedNumber)];
         for (_, irregularity) in irregularities.into_iter().filter(|(is_so, _)| *is_so) {
             let event = monitor.irregular(irregularity, Some(&stored.id), observation.started_at, settings);
             verdict.events.extend(event);
@@ -151,6 +155,25 @@ impl Fleet {
         }
         let health = health(stored, identification.as_ref(), &verdict, since_baseline);
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
+    }
+
+    /// The time of reception of a throw; `None` if the clock of this computer is not trusted, as after a loss of power
+    /// without a time server: it is then behind those of most loggers. Before the first throw of another logger it is not
+    /// trusted either, unless there is no other.
+    fn trusted(&mut self, stored: &StoredThrow) -> Option<Timestamp> {
+        let is_ahead = stored.started_at.duration_since(stored.received_at) > SignedDuration::from_hours(24);
+        self.ahead.retain(|(machine, _)| *machine != stored.machine);
+        let others = self.ahead.len();
+        let others_ahead = self.ahead.iter().filter(|(_, is_ahead)| *is_ahead).count();
+        self.ahead.push_front((stored.machine.clone(), is_ahead));
+        self.ahead.truncate(WITNESSES);
+        let has_other = |machine: &MachineId| *machine != stored.machine && machine.machine.as_str() != ALL_MACHINES;
+        let is_alone = || {
+            let mut loggers = self.monitors.iter().filter(|(_, monitor)| !monitor.has_no_logger());
+            !loggers.any(|(machine, _)| has_other(machine))
+        };
+        let is_trusted = !is_ahead || if others == 0 { is_alone() } else { 2 * others_ahead < others };
+        is_trusted.then_some(stored.received_at)
     }
 
     /// Advances the time of every machine, with the present liveliness tokens; returns the machines to store, with their
@@ -303,35 +326,16 @@ fn name_of(id: &MachineId) -> String {
     if id.machine.as_str() == ALL_MACHINES { format!("All machines of {}", id.site) } else { id.to_string() }
 }
 
-/// Whether a logger with a right clock can date a throw so. Throws of a backlog or a recording may be old.
-fn is_possible(started_at: Timestamp, received_at: Timestamp) -> bool {
-    /// A clock without a battery starts in 1970, 1980 or 2000.
-    const FIRST: Timestamp = Timestamp::constant(978_307_200, 0);
-    /// Five years: simulated machines live faster than real time.
-    const FAR: SignedDuration = SignedDuration::from_hours(5 * 365 * 24);
-    started_at >= FIRST && started_at.duration_since(received_at) <= FAR
-}
-
 fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observation {
-    let outcome = found.map(|found| &found.outcome);
-    let estimate = outcome.and_then(|outcome| outcome.as_ref().ok());
-    let rejection = outcome.and_then(|outcome| outcome.as_ref().err());
-    let declared = stored.throw.as_ref().ok();
-    Observation {
-        throw: stored.id.clone(),
-        started_at: stored.started_at,
-        received_at: Some(stored.received_at),
-        direction: found.and_then(|found| found.direction).or(declared.and_then(|throw| throw.direction)),
-        direction_contradicted: found.and_then(|found| found.direction.map(|_| found.direction_contradicted)),
-        estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
-        grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
-        ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
-        incomplete: rejection.is_some_and(Rejection::is_incomplete),
-        faulty: rejection.and_then(Rejection::faulty_channel).map(Into::into),
-        features_only: matches!(rejection, Some(Rejection::NoPosition { .. })),
-        features: found.map(|found| found.features.clone()).unwrap_or_default(),
-        temperature_c: declared.and_then(|throw| throw.temperature_c),
-    }
+    let unread = || Observation::without_trace(stored.id.clone(), stored.started_at);
+    let observation = match (stored.throw.as_ref().ok(), found) {
+        (Some(throw), Some(found)) => Observation::of(throw, found),
+        (Some(throw), None) => {
+            Observation { direction: throw.direction, temperature_c: throw.temperature_c, ..unread() }
+        }
+        (None, _) => unread(),
+    };
+    Observation { throw: stored.id.clone(), received_at: Some(stored.received_at), ..observation }
 }
 
 fn health(

@@ -151,15 +151,54 @@ impl JudgeLoop {
             let judgements = Arc::clone(&judgements);
             async move { store.judge_all(judgements).await.map(drop) }
         };
-        if self.until_stored("judgements", commit).await? {
-            for judgement in &*judgements {
-                self.publish(judgement);
-            }
+        match self.until_stored("judgements", commit).await {
+            Ok(true) => judgements.iter().for_each(|judgement| self.publish(judgement)),
+            Ok(false) => {}
+            Err(StoreError::Refused(_)) => self.judge_one_by_one(&judgements).await?,
+            Err(error) => return Err(error),
         }
         Ok(self.judge.more)
     }
 
-    /// Repeats a write until it is stored. Returns false if the daemon must end first; the next start continues from
+    /// Stores the judgements of a batch that the database rejects, each alone. One that is rejected again is replaced: its
+    /// throw counts as not evaluated, as a repetition would fail for ever, and hold up every later throw.
+    async fn judge_one_by_one(&mut self, judgements: &[Judgement]) -> Result<(), StoreError> {
+        for judgement in judgements {
+            let Err(error) = self.judge_alone(judgement.clone()).await else { continue };
+            let StoreError::Refused(problem) = error else { return Err(error) };
+            let (machine, throw_no) = (&judgement.health.machine, judgement.health.throw.throw_no);
+            seldom!(error, %machine, throw_no, problem, "the database rejects a judgement: the throw is stored as not evaluated");
+            self.judge.fleet.store_again(machine);
+            let [with_events, alone] = judgement.instead(&problem);
+            let Err(error) = self.judge_alone(with_events).await else { continue };
+            let StoreError::Refused(problem) = error else { return Err(error) };
+            for event in &judgement.outcome.events {
+                tracing::error!(%machine, problem, "an alarm event is LOST: {}", event.text);
+            }
+            match self.judge_alone(alone).await {
+                Err(StoreError::Refused(problem)) => {
+                    seldom!(error, %machine, throw_no, problem, "the database rejects every judgement of a throw; retrying");
+                    self.pause().await;
+                }
+                stored => stored?,
+            }
+        }
+        Ok(())
+    }
+
+    async fn judge_alone(&mut self, judgement: Judgement) -> Result<(), StoreError> {
+        let alone: Arc<[Judgement]> = Arc::new([judgement]);
+        let commit = |store: Store| {
+            let alone = Arc::clone(&alone);
+            async move { store.judge_all(alone).await.map(drop) }
+        };
+        if self.until_stored("a judgement", commit).await? {
+            self.publish(&alone[0]);
+        }
+        Ok(())
+    }
+
+    /// Repeats a write until it is stored, or the database rejects it. Returns false if the daemon must end first; the next start continues from
     /// the database, whose monitors are then older than those in memory.
     async fn until_stored<W>(&mut self, what: &str, write: impl Fn(Store) -> W) -> Result<bool, StoreError>
     where
@@ -169,7 +208,7 @@ impl JudgeLoop {
             self.links.status.heartbeats.beat(TaskName::Identify);
             match write(self.judge.store.clone()).await {
                 Ok(()) => return Ok(true),
-                Err(StoreError::Closed) => return Err(StoreError::Closed),
+                Err(error @ (StoreError::Closed | StoreError::Refused(_))) => return Err(error),
                 Err(error) => seldom!(warn, %error, what, "storing failed; retrying"),
             }
             // May store a newer monitor of the daemon, which a repeated write then replaces by an older one.
@@ -193,11 +232,27 @@ impl JudgeLoop {
             let outcomes = Arc::clone(&outcomes);
             async move { store.record_all(outcomes).await }
         };
-        let stored = self.until_stored("changes of monitors", write).await?;
-        if stored {
-            outcomes.iter().for_each(|outcome| self.announce(outcome));
+        match self.until_stored("changes of monitors", write).await {
+            Ok(stored) => {
+                outcomes.iter().filter(|_| stored).for_each(|outcome| self.announce(outcome));
+                Ok(stored)
+            }
+            Err(StoreError::Refused(_)) if outcomes.len() > 1 => {
+                let mut stored = true;
+                for outcome in &*outcomes {
+                    stored &= Box::pin(self.record(outcome.clone())).await?;
+                }
+                Ok(stored)
+            }
+            Err(StoreError::Refused(problem)) => {
+                for Outcome { machine, events, .. } in &*outcomes {
+                    let texts: Vec<&str> = events.iter().map(|event| event.text.as_str()).collect();
+                    seldom!(error, %machine, problem, ?texts, "the database rejects the change of a monitor: it is LOST");
+                }
+                Ok(false)
+            }
+            Err(error) => Err(error),
         }
-        Ok(stored)
     }
 
     fn publish(&self, judgement: &Judgement) {
@@ -348,7 +403,7 @@ impl JudgeLoop {
                     tracing::info!(%machine, ?command, "operator's command applied");
                     (true, command.confirmation(machine))
                 } else {
-                    (false, "the daemon stops and could not store the command: send it again".to_owned())
+                    (false, "the command could not be stored: send it again".to_owned())
                 }
             }
         })

@@ -1,12 +1,13 @@
 //! The lock of a database: only one process may use it, as each process has its own monitors.
 
 use std::{
-    fs::{File, TryLockError},
+    fs::{File, Metadata, TryLockError},
     io::{self, ErrorKind},
     os::{
         linux::net::SocketAddrExt,
         unix::{
             ffi::OsStrExt,
+            fs::MetadataExt,
             net::{SocketAddr, UnixListener},
         },
     },
@@ -32,10 +33,11 @@ pub enum LockError {
     },
 }
 
-/// The lock of a database, held until it is dropped or the process ends in any way.
+/// The lock of a database, held until it is dropped, which removes its file, or the process ends in any way.
 #[derive(Debug)]
 pub(crate) struct DatabaseLock {
-    _file: File,
+    file: File,
+    path: PathBuf,
     /// A second lock by an abstract socket name, which, unlike the lock file, cannot be removed.
     _name: UnixListener,
 }
@@ -49,8 +51,10 @@ impl DatabaseLock {
         let failed = |source| LockError::File { path: path.clone(), source };
         let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
         match file.try_lock() {
+            // The file was removed by another process, which ended in between.
+            Ok(()) if !is_at(&file, &path) => Self::take(database),
             Ok(()) => match UnixListener::bind_addr(&name_of(database).map_err(failed)?) {
-                Ok(name) => Ok(Self { _file: file, _name: name }),
+                Ok(name) => Ok(Self { file, path, _name: name }),
                 Err(error) if error.kind() == ErrorKind::AddrInUse => {
                     Err(LockError::Taken { database: database.to_owned() })
                 }
@@ -60,6 +64,21 @@ impl DatabaseLock {
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
     }
+}
+
+impl Drop for DatabaseLock {
+    fn drop(&mut self) {
+        if is_at(&self.file, &self.path) {
+            // Ignored: a file that is left over locks nothing.
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+fn is_at(file: &File, path: &Path) -> bool {
+    let identity = |metadata: Metadata| (metadata.dev(), metadata.ino());
+    let open = file.metadata().map(identity).ok();
+    open.is_some() && open == std::fs::metadata(path).map(identity).ok()
 }
 
 /// A name in the abstract namespace of Linux, the same for all paths to the same database.
@@ -85,6 +104,7 @@ mod tests {
         std::fs::remove_file(folder.path().join("points.db.lock")).unwrap();
         assert!(matches!(DatabaseLock::take(&database), Err(LockError::Taken { .. })));
         drop(first);
-        DatabaseLock::take(&database).unwrap();
+        drop(DatabaseLock::take(&database).unwrap());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "a lock file is left over");
     }
 }

@@ -4,6 +4,7 @@
 use std::{
     collections::{HashMap, HashSet},
     hash::{DefaultHasher, Hash, Hasher},
+    panic::{AssertUnwindSafe, catch_unwind},
     sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::Ordering::Relaxed},
     time::Duration,
 };
@@ -64,7 +65,8 @@ impl Intake {
         // Decoding a large message takes milliseconds, too long for an async worker.
         let decoded = task::spawn_blocking(move || {
             let received_at = clock::now();
-            messages.into_iter().map(|message| decode(message, received_at, limit)).collect::<Vec<_>>()
+            let decode = |message: &Message| decode(message, received_at, limit);
+            messages.into_iter().map(|message| guarded(message, received_at, decode)).collect::<Vec<_>>()
         });
         let decoded = match decoded.await {
             Ok(decoded) => decoded,
@@ -318,21 +320,54 @@ impl ReceiveLoop {
     }
 }
 
-fn decode(message: Message, received_at: Timestamp, limit: usize) -> Result<Received, Refused> {
+/// Decodes a message. One that makes the decoder panic is refused like any other, and the rest of its batch is kept.
+fn guarded(
+    message: Message,
+    received_at: Timestamp,
+    decode: impl Fn(&Message) -> Result<Received, String>,
+) -> Result<Received, Refused> {
+    let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message)));
+    decoded.unwrap_or_else(|_| Err("the decoder failed on this message: please report it".to_owned())).map_err(
+        |reason| {
+            let Message { key, payload: mut beginning, bytes, .. } = message;
+            beginning.truncate(QUARANTINED_BYTES);
+            Refused { key, reason, bytes, beginning, at: received_at }
+        },
+    )
+}
+
+fn decode(message: &Message, received_at: Timestamp, limit: usize) -> Result<Received, String> {
     let Message { key, content_type, payload, bytes } = message;
-    let read = if bytes > limit {
-        Err(format!("{bytes} bytes, more than subscribe.max_payload_bytes = {limit}"))
-    } else {
-        match wire::parse_key(&key) {
-            Ok((machine, _)) => wire::decode_throw(Encoding::of(&content_type, &payload), &payload)
-                .map(|throw| (machine, throw, received_at))
-                .map_err(|error| error.to_string()),
-            Err(error) => Err(error.to_string()),
-        }
-    };
-    read.map_err(|reason| {
-        let mut beginning = payload;
-        beginning.truncate(QUARANTINED_BYTES);
-        Refused { key, reason, bytes, beginning, at: received_at }
-    })
+    if *bytes > limit {
+        return Err(format!("{bytes} bytes, more than subscribe.max_payload_bytes = {limit}"));
+    }
+    let (machine, _) = wire::parse_key(key).map_err(|error| error.to_string())?;
+    let throw = wire::decode_throw(Encoding::of(content_type, payload), payload).map_err(|error| error.to_string())?;
+    Ok((machine, throw, received_at))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_that_makes_the_decoder_panic_costs_no_other() {
+        let message = |key: &str| Message {
+            key: key.to_owned(),
+            content_type: String::new(),
+            payload: vec![7; 2 * QUARANTINED_BYTES],
+            bytes: 2 * QUARANTINED_BYTES,
+        };
+        let decoded = ["good", "poison", "good"].map(|key| {
+            guarded(message(key), Timestamp::UNIX_EPOCH, |message| {
+                assert!(message.key != "poison", "a defect of the decoder");
+                Err("read".to_owned())
+            })
+        });
+        let reasons = decoded.map(|refused| refused.unwrap_err().reason);
+        assert!(
+            reasons[1].contains("the decoder failed") && [0, 2].iter().all(|at| reasons[*at] == "read"),
+            "{reasons:?}"
+        );
+    }
 }

@@ -3,6 +3,7 @@
 mod alarm;
 mod baseline;
 mod cause;
+mod clock;
 mod command;
 mod condition;
 mod correlation;

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::event::SensorChannel;
 use crate::{
-    estimate::{self, Estimate, Features, Grade, Motor},
-    throw::{Direction, ThrowRef},
+    estimate::{self, Estimate, Features, Grade, Identification, Motor, Rejection},
+    throw::{Direction, Throw, ThrowRef},
 };
 
 /// A throw as input of the diagnosis.
@@ -40,9 +40,56 @@ pub struct Observation {
     pub features: Features,
     /// Temperature \[°C\]; `None` if not measured.
     pub temperature_c: Option<f64>,
+    /// Code of the reason why the estimate was rejected.
+    pub rejected: Option<&'static str>,
+    /// A sentence about the fields of the message whose values are not possible.
+    pub unused_fields: Option<String>,
 }
 
 impl Observation {
+    /// An observation of which only identity and time are known.
+    #[must_use]
+    pub fn without_trace(throw: ThrowRef, started_at: Timestamp) -> Self {
+        Self {
+            throw,
+            started_at,
+            received_at: None,
+            direction: None,
+            direction_contradicted: None,
+            estimate: None,
+            grade: Grade::Good,
+            ratios_only: false,
+            incomplete: false,
+            faulty: None,
+            features_only: false,
+            features: Features::default(),
+            temperature_c: None,
+            rejected: None,
+            unused_fields: None,
+        }
+    }
+
+    /// The observation of a throw, with what the estimator found in it.
+    #[must_use]
+    pub fn of(throw: &Throw, found: &Identification) -> Self {
+        let (estimate, rejection) = (found.outcome.as_ref().ok(), found.outcome.as_ref().err());
+        Self {
+            direction: found.direction,
+            direction_contradicted: found.direction.map(|_| found.direction_contradicted),
+            estimate: estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance())),
+            grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
+            ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
+            incomplete: rejection.is_some_and(Rejection::is_incomplete),
+            faulty: rejection.and_then(Rejection::faulty_channel).map(Into::into),
+            features_only: matches!(rejection, Some(Rejection::NoPosition { .. })),
+            features: found.features.clone(),
+            temperature_c: throw.temperature_c,
+            rejected: rejection.map(Rejection::code),
+            unused_fields: found.unused_fields.clone(),
+            ..Self::without_trace(throw.id.clone(), throw.started_at)
+        }
+    }
+
     /// Whether the throw has no toe position.
     pub(super) fn is_without_position(&self) -> bool {
         self.features_only || self.estimate.is_some() && self.grade == Grade::CurrentOnly
@@ -59,8 +106,6 @@ pub enum Irregularity<'a> {
         /// Reason of the last one.
         reason: &'a str,
     },
-    /// The clock of the logger stands at an impossible time.
-    WrongClock(Timestamp),
     /// The logger sent the same recording before.
     RepeatedTrace,
     /// The logger restarted its throw numbers with the same `boot_id`.

@@ -33,6 +33,9 @@ const USUAL_TICK_S: f64 = 60.0;
 const CALM_S: f64 = 600.0;
 /// Consecutive throws that contradict the logger's direction until this is stated; a label may be wrong for once.
 const CONTRADICTED_IN_A_ROW: u32 = 5;
+/// Throws in a row with unused fields until this is stated, and rejected ones of the last 32 of a direction.
+const UNUSED_IN_A_ROW: u32 = 5;
+const OFTEN_REJECTED: u32 = 8;
 
 /// Liveliness of the logger.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -57,7 +60,7 @@ enum Logger {
 
 /// Consecutive throws of one direction: points move to and fro, so a trouble of one direction never has consecutive
 /// throws of the machine.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 struct Streaks {
     incomplete: u32,
     slow: u32,
@@ -65,9 +68,12 @@ struct Streaks {
     unevaluated: u32,
     /// Throws at a temperature that hides faults at their warning limit.
     blind: u32,
-    /// The last eight throws as bits: 1 if it was not evaluated.
+    /// The last 32 throws as bits: 1 if it was not evaluated.
     #[serde(default)]
-    lost: u8,
+    lost: u32,
+    /// Code of the reason for the last rejection.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    rejected: Option<String>,
 }
 
 /// Counters of the operational alarms; those without a unit count consecutive throws of the machine.
@@ -84,6 +90,9 @@ pub(super) struct Operation {
     /// Throws whose movement contradicts the direction that the logger names.
     #[serde(default)]
     contradicted: u32,
+    /// The sentence about the unused fields of the last throw, and the number of throws with any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    unused_fields: Option<(String, u32)>,
     /// Throws with a rejected, and with an accepted temperature.
     #[serde(default)]
     disbelieved: u32,
@@ -139,7 +148,7 @@ impl Operation {
     /// of the logger.
     pub(super) fn on_throw(
         &mut self,
-        &Observation { incomplete, direction, received_at, .. }: &Observation,
+        &Observation { incomplete, direction, received_at, rejected, ref unused_fields, .. }: &Observation,
         alarms: &mut Alarms,
         context: Context,
     ) -> Vec<AlarmEvent> {
@@ -155,10 +164,15 @@ impl Operation {
         streak(&mut self.incomplete, incomplete);
         let mut in_a_row = self.incomplete;
         if let Some(direction) = direction {
-            let own = &mut self.sides[direction.side()].incomplete;
-            streak(own, incomplete);
-            in_a_row = in_a_row.max(*own);
+            let own = &mut self.sides[direction.side()];
+            streak(&mut own.incomplete, incomplete);
+            in_a_row = in_a_row.max(own.incomplete);
+            if let Some(code) = rejected {
+                own.rejected = Some(code.to_owned());
+            }
         }
+        let before = self.unused_fields.take().map_or(0, |(_, throws)| throws);
+        self.unused_fields = unused_fields.clone().map(|sentence| (sentence, before.saturating_add(1)));
         streak(&mut self.complete, !incomplete);
         self.since_gap = self.since_gap.saturating_add(1);
         let mut events = Vec::new();
@@ -225,7 +239,7 @@ impl Operation {
         }
         for own in Direction::BOTH.into_iter().filter(|own| direction.is_none_or(|direction| direction == *own)) {
             let own = &mut self.sides[own.side()];
-            own.lost = own.lost << 1 | u8::from(!evaluated);
+            own.lost = own.lost << 1 | u32::from(!evaluated);
             if direction.is_some() {
                 streak(&mut own.unevaluated, !evaluated);
             }
@@ -233,7 +247,7 @@ impl Operation {
                 streak(&mut own.blind, blind.is_some());
             }
         }
-        let is_seen = self.sides.iter().all(|side| side.lost.count_zeros() >= EVALUATED_OF_EIGHT);
+        let is_seen = self.sides.iter().all(|side| (side.lost | !0xff).count_zeros() >= EVALUATED_OF_EIGHT);
         let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
         // The throws of one direction may all be rejected, as with a wrong `neutral_mm`, while the other is healthy.
         let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
@@ -264,6 +278,18 @@ impl Operation {
     /// Whether the logger names the directions the other way round, or always the same.
     pub(super) fn is_contradicted(&self) -> bool {
         self.contradicted >= CONTRADICTED_IN_A_ROW
+    }
+
+    /// Sentences about rejected throws among evaluated ones, and about unused fields unless `of_sensor`: an alarm about a
+    /// sensor tells of them already.
+    pub(super) fn caveats(&self, name: &str, of_sensor: bool) -> Vec<String> {
+        let unused = self.unused_fields.as_ref().filter(|(_, throws)| *throws >= UNUSED_IN_A_ROW && !of_sensor);
+        let often = Direction::BOTH.into_iter().filter_map(|direction| {
+            let Streaks { lost, rejected, .. } = &self.sides[direction.side()];
+            let count = Some(lost.count_ones()).filter(|count| *count >= OFTEN_REJECTED)?;
+            Some(text::often_rejected(name, direction, count, u32::BITS, rejected.as_ref()?))
+        });
+        unused.map(|(sentence, _)| text::unused_fields(name, sentence)).into_iter().chain(often).collect()
     }
 
     /// Applies the plausibility of temperature and supply voltage of a throw.
@@ -431,7 +457,6 @@ impl Operation {
             Irregularity::RepeatedTrace => text::repeated_trace(context.name),
             Irregularity::RepeatedNumber => text::repeated_number(context.name),
             Irregularity::Invalid { count, reason } => text::invalid(context.name, count, reason),
-            Irregularity::WrongClock(at) => text::wrong_clock(context.name, at),
         };
         alarms.raise(Cause::DataLoss, context.warning(text), context.at)
     }

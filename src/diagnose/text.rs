@@ -14,7 +14,7 @@ use super::{
     thermometer::Disbelief,
     verdict::{Blindness, HidingTemperature},
 };
-use crate::throw::Direction;
+use crate::throw::{Direction, brief};
 
 /// "Machine 21B, normal to reverse"; without a direction for both.
 pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
@@ -189,12 +189,31 @@ pub(super) fn invalid(name: &str, count: u32, reason: &str) -> String {
     )
 }
 
-/// Text for a logger whose clock stands at an impossible time.
-pub(super) fn wrong_clock(name: &str, at: Timestamp) -> String {
+/// Text for a logger whose clock is wrong: the time of a throw by it, and by the clock of this computer.
+pub(super) fn wrong_clock(name: &str, started_at: Timestamp, received_at: Timestamp) -> String {
+    let shown = |at: Timestamp| at.strftime("%Y-%m-%d %H:%M:%S UTC").to_string();
     format!(
-        "Machine {name}: the clock of the logger is wrong: it dates a throw {}. Set the clock; until then the times of \
-         alarms are those of reception.",
-        at.strftime("%Y-%m-%d %H:%M:%S UTC")
+        "Machine {name}: the clock of the logger is wrong: it dates a throw {}, received {}. Set the clock; until then the \
+         times of alarms are those of reception.",
+        shown(started_at),
+        shown(received_at)
+    )
+}
+
+pub(super) fn right_clock(name: &str) -> String {
+    format!("Machine {name}: the clock of the logger is right again.")
+}
+
+/// Text for a logger that sends fields with impossible values.
+pub(super) fn unused_fields(name: &str, sentence: &str) -> String {
+    format!("Machine {name}: a field in the messages of the logger is not used: {sentence}. Correct the logger.")
+}
+
+/// Text for a machine with many rejected throws among evaluated ones.
+pub(super) fn often_rejected(name: &str, direction: Direction, rejected: u32, of: u32, code: &str) -> String {
+    format!(
+        "Machine {name}, {direction}: {rejected} of the last {of} throws were rejected, the last one as {code}, so a fault is \
+         detected later. throws_not_evaluated has the reasons."
     )
 }
 
@@ -319,7 +338,8 @@ pub(super) fn trend(name: &str, slopes: [f64; 3]) -> String {
 pub(super) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
     let what = match disbelief {
         Disbelief::Impossible(celsius) => {
-            format!("temperature sensor reads {celsius:.4} °C, which is impossible. The last good temperature is used")
+            let celsius = brief(celsius);
+            format!("temperature sensor reads {celsius} °C, which is impossible. The last good temperature is used")
         }
         Disbelief::Jump(from, to) => format!(
             "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather. The last good temperature is used"
@@ -329,8 +349,9 @@ pub(super) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
             since.strftime("%Y-%m-%d %H:%M:%S UTC")
         ),
         Disbelief::Supply(volts) => {
+            let volts = brief(volts);
             format!(
-                "sensor of the supply voltage reads {volts:.4} V, which is impossible. Checks with the voltage are omitted"
+                "sensor of the supply voltage reads {volts} V, which is impossible. Checks with the voltage are omitted"
             )
         }
     };

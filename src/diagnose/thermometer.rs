@@ -3,8 +3,8 @@
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
-/// Possible temperatures of a machine \[°C\]: from the coldest place with rails to a drive in the sun.
-const POSSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=90.0;
+use crate::throw::POSSIBLE_C;
+
 /// Fastest change by weather, sun and a warm motor: at once \[K\], and per hour \[K/h\].
 const JUMP_K: (f64, f64) = (20.0, 2.0);
 /// Time after which a missing temperature is a fault of the sensor. The last one is used all the same: without it the

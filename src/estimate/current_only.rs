@@ -42,13 +42,19 @@ const RATIO_SD: f64 = 0.003;
 /// friction, or a filter, the inrush gives the armature's constants to some per cent.
 const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 
+/// Why there are no coefficients.
+const NOT_ENDED: &str = "the recording does not show that the motor is switched off at the end of the throw";
+const NO_ARMATURE: &str = "the inrush does not give resistance, inductance and back-EMF of the motor: it may be smoothed by a \
+                           filter, or supply_v be wrong";
+const NO_MODEL: &str = "the movement that follows from the current does not fit the model of a point machine";
+
 /// The features of a throw without a toe position; the duration is that of the motor.
 pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) -> Features {
     let duration_s = movement.motor_off.map(|off| off.saturating_sub(movement.start()) as f64 * interval_s);
     Features { duration_s, ..movement.features(current, &[], interval_s).without(Channel::Position) }
 }
 
-/// The coefficients from current, supply voltage and stroke; `None` if these do not determine them. Adds resistance and
+/// The coefficients from current, supply voltage and stroke, or why these do not determine them. Adds resistance and
 /// back-EMF constant to the features.
 pub(super) fn estimate(
     current: &[f64],
@@ -58,13 +64,14 @@ pub(super) fn estimate(
     settings: &Settings,
     interval_s: f64,
     features: &mut Features,
-) -> Option<Estimate> {
+) -> Result<Estimate, &'static str> {
     if interval_s * LEAST_RATE_HZ > 1.0001 {
-        return None;
+        return Err("the coefficients need at least 500 samples/s");
     }
-    let (start, off) = (movement.start(), movement.motor_off?);
+    let (start, off) = (movement.start(), movement.motor_off.ok_or(NOT_ENDED)?);
     let drive = movement.drive(current);
-    let amperes: Vec<f64> = current.get(start..=off)?.iter().map(|i| drive * (i - movement.current.mean)).collect();
+    let amperes: Vec<f64> =
+        current.get(start..=off).ok_or(NOT_ENDED)?.iter().map(|i| drive * (i - movement.current.mean)).collect();
     let integral = |values: &[f64]| {
         let mut sum = 0.0;
         let mut sums = vec![0.0];
@@ -79,7 +86,7 @@ pub(super) fn estimate(
     let triple = integral(&double);
     let angle = stroke_mm * std::f64::consts::TAU / settings.lead_mm;
     // The motor is cut off when the toe arrives, so the last samples may be falling already.
-    let last = amperes.len().checked_sub(3)?;
+    let last = amperes.len().checked_sub(3).ok_or(NOT_ENDED)?;
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
     let inrush = ((INRUSH_S / interval_s) as usize).min(last);
     let time = |k: usize| k as f64 * interval_s;
@@ -97,7 +104,7 @@ pub(super) fn estimate(
             right += row * left;
         }
         let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
-        let inverse = Matrix5::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]).try_inverse()?;
+        let inverse = Matrix5::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]).try_inverse().ok_or(NO_ARMATURE)?;
         let solved: Vector5<f64> = (inverse * right.component_mul(&scale)).component_mul(&scale);
         let inductance = solved[0];
         resistance = solved[1] - a1 * inductance;
@@ -105,7 +112,7 @@ pub(super) fn estimate(
         let flux = |k: usize| supply_v * time(k) - late_v_s - resistance * charge[k] - inductance * amperes[k];
         let back_emf = flux(last) / angle;
         if !(inductance > 0.0 && resistance > 0.0 && back_emf > 0.0) {
-            return None;
+            return Err(NO_ARMATURE);
         }
         let output: Vec<f64> = (0..=last).map(|k| flux(k) / back_emf).collect();
         let from_start_mm = match direction {
@@ -116,15 +123,15 @@ pub(super) fn estimate(
         let offset = window::current_offset_variance(movement);
         let end = output.iter().position(|y| *y > NEAR_END_SHARE * angle).unwrap_or(last);
         let input = ratios::Input { values: &amperes[..end], scale: None, offset, rest_a: window::rest(movement) };
-        let ratios = ratios::of(input, &output[..end], equilibrium, interval_s)?;
+        let ratios = ratios::of(input, &output[..end], equilibrium, interval_s).ok_or(NO_MODEL)?;
         let [r1, r0] = ratios.values;
         let b0: f64 = solved[2] / (back_emf + r1 * resistance + r0 * inductance);
         (a1, a0) = (r1 * b0, r0 * b0);
         found = Some((b0, ratios, back_emf));
     }
-    let (b0, ratios, back_emf) = found?;
+    let (b0, ratios, back_emf) = found.ok_or(NO_MODEL)?;
     if !(b0.is_finite() && b0 > 0.0) {
-        return None;
+        return Err(NO_MODEL);
     }
     (features.resistance_ohm, features.back_emf_v_s_per_rad) = (Some(resistance), Some(back_emf));
     let mut estimate = ratios.estimate(None, None, start, start + last, interval_s);
@@ -144,5 +151,5 @@ pub(super) fn estimate(
     (estimate.b0, estimate.a1, estimate.a0) = (b0, a1, a0);
     estimate.grade = Grade::CurrentOnly;
     estimate.ratios_only = false;
-    Some(estimate)
+    Ok(estimate)
 }

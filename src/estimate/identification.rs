@@ -139,6 +139,9 @@ pub struct Identification {
     pub features: Features,
     /// The estimate or the rejection.
     pub outcome: Result<Estimate, Rejection>,
+    /// A sentence about the fields of the message whose values are not possible.
+    #[serde(default)]
+    pub unused_fields: Option<String>,
 }
 
 impl Identification {
@@ -148,11 +151,13 @@ impl Identification {
         self.outcome.as_ref().map_or_else(Rejection::code, |estimate| estimate.grade.as_str())
     }
 
-    /// Why the throw is rejected or rough, as a sentence.
+    /// Why the throw is rejected or rough, and which fields of its message are not used, as a sentence.
     #[must_use]
     pub fn detail(&self) -> Option<String> {
         let reason = self.outcome.as_ref().map_or_else(Some, |estimate| estimate.reason.as_ref());
-        reason.map(ToString::to_string)
+        let parts: Vec<String> =
+            reason.map(ToString::to_string).into_iter().chain(self.unused_fields.clone()).collect();
+        (!parts.is_empty()).then(|| parts.join("; "))
     }
 }
 
@@ -200,6 +205,7 @@ mod tests {
                 direction_contradicted: false,
                 features: Features { duration_s: Some(4.1), ..Features::default() },
                 outcome,
+                unused_fields: None,
             };
             let json = serde_json::to_value(&found).unwrap();
             assert_eq!(serde_json::from_value::<Identification>(json.clone()).unwrap(), found);

@@ -20,7 +20,7 @@ use super::{
     start,
     window::{self, Window, offset_variance},
 };
-use crate::throw::{Direction, Throw};
+use crate::throw::{Direction, Throw, Trace};
 
 /// Least number of samples and shortest time for three coefficients.
 const MIN_SAMPLES: usize = 30;
@@ -87,7 +87,7 @@ impl Identifier {
         copy_finite(&mut self.current, &raw_current);
         copy_finite(&mut self.position, &raw_position);
         let at_rest = if factor > 1 { level_before(&self.current) } else { 0.0 };
-        let linear = settings.motor == Motor::PermanentMagnet && throw.anti_alias_hz.is_none();
+        let linear = settings.motor == Motor::PermanentMagnet && throw.possible_anti_alias_hz().is_none();
         let released = (factor > 1)
             .then(|| release::at_full_rate(&mut self.current, raw_interval_s, linear, &mut self.scratch))
             .flatten();
@@ -139,6 +139,7 @@ impl Identifier {
             direction_contradicted: moved.is_some() && throw.direction.is_some() && moved != throw.direction,
             features,
             outcome,
+            unused_fields: throw.unused_fields(),
         }
     }
 
@@ -185,9 +186,18 @@ impl Identifier {
                         &mut features,
                     )
                 };
-                known.and_then(estimate).ok_or_else(|| no_position(throw, settings, interval_s))
+                known
+                    .ok_or_else(|| without_current(throw, settings))
+                    .and_then(estimate)
+                    .map_err(|why| Rejection::NoPosition { sent: sent_position(trace).to_owned(), why: why.to_owned() })
             });
-        Identification { direction: throw.direction, direction_contradicted: false, features, outcome }
+        Identification {
+            direction: throw.direction,
+            direction_contradicted: false,
+            features,
+            outcome,
+            unused_fields: throw.unused_fields(),
+        }
     }
 
     fn estimate(
@@ -440,19 +450,24 @@ fn energy_j(throw: &Throw, features: &Features) -> Option<f64> {
     throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as)
 }
 
-/// Why a throw without a toe position has no coefficients.
-fn no_position(throw: &Throw, settings: &Settings, interval_s: f64) -> Rejection {
-    let (rate_hz, least_hz) = (interval_s.recip(), current_only::LEAST_RATE_HZ);
-    let why = if settings.motor != Motor::PermanentMagnet {
-        "the current gives the coefficients of a permanent-magnet motor only".to_owned()
-    } else if throw.possible_supply_v().is_none() || settings.stroke_mm.is_none() {
-        "the coefficients need supply_v in the message and stroke_mm in the configuration".to_owned()
-    } else if interval_s * least_hz > 1.0001 {
-        format!("the coefficients need at least {least_hz:.0} Hz, not {rate_hz:.0} Hz")
+/// Why the coefficients of a throw without a toe position are not searched in its current.
+fn without_current(throw: &Throw, settings: &Settings) -> &'static str {
+    if settings.motor != Motor::PermanentMagnet {
+        "the current gives the coefficients of a permanent-magnet motor only"
+    } else if throw.supply_v.is_some() && settings.stroke_mm.is_some() {
+        "the coefficients need a possible supply_v"
     } else {
-        "the current does not determine the coefficients".to_owned()
-    };
-    Rejection::NoPosition { why }
+        "the coefficients need supply_v in the message and stroke_mm in the configuration"
+    }
+}
+
+/// What a trace without a toe position has in its place.
+fn sent_position(trace: &Trace) -> &'static str {
+    if trace.position_mm().contains(&0.0) {
+        "position_mm is 0 in all samples, as without a toe sensor"
+    } else {
+        "there is no toe position (position_mm is absent, or no sample of it was measured)"
+    }
 }
 
 /// Rejects a trace or window that is too short.

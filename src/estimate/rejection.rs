@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::throw::brief;
+
 /// One of the two channels of a trace.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -58,17 +60,20 @@ pub enum Rejection {
         at_s: f64,
     },
     /// The message has no toe position, and current and supply voltage do not determine the coefficients.
-    #[error("there is no toe position, so only the features of the current are known: {why}")]
+    #[error("{sent}, so only the features of the current are known: {why}")]
     #[serde(rename = "current_only")]
     #[strum(serialize = "current_only")]
     NoPosition {
+        /// What the message has in place of a position.
+        #[serde(default)]
+        sent: String,
         /// Why current and supply voltage do not determine the coefficients.
         why: String,
     },
     /// A value that a point machine cannot have.
     #[error(
-        "the {channel} at {at_s:.3} s is {value}, which is not possible for a point machine: a corrupt value, or a wrong \
-         unit ({field})", field = .channel.field()
+        "the {channel} at {at_s:.3} s is {}, which is not possible for a point machine: a corrupt value, or a wrong \
+         unit ({field})", brief(*.value), field = .channel.field()
     )]
     #[serde(rename = "implausible_value")]
     #[strum(serialize = "implausible_value")]

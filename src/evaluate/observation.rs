@@ -6,7 +6,6 @@ use nalgebra::Matrix3;
 use super::weather::THROWS_A_DAY;
 use crate::{
     diagnose::Observation,
-    estimate::{Features, Grade},
     throw::{Direction, ThrowRef},
 };
 
@@ -23,19 +22,11 @@ pub(super) fn observation(
     estimate: Option<([f64; 3], Matrix3<f64>)>,
     temperature_c: Option<f64>,
 ) -> Observation {
+    let throw = ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 };
     Observation {
-        throw: ThrowRef { boot_id: "evaluate".to_owned(), throw_no: at as u64 + 1 },
-        started_at: started_at(at),
-        received_at: None,
-        direction_contradicted: None,
         direction: Some(if at.is_multiple_of(2) { Direction::NormalToReverse } else { Direction::ReverseToNormal }),
         estimate,
-        incomplete: false,
-        faulty: None,
-        features_only: false,
-        grade: Grade::Good,
-        ratios_only: false,
-        features: Features::default(),
         temperature_c,
+        ..Observation::without_trace(throw, started_at(at))
     }
 }

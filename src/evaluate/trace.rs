@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     diagnose::{Cause, Observation},
-    estimate::{Identifier, Rejection, Settings},
+    estimate::{Identifier, Settings},
     simulate::{
         self, Fleet, FleetFault, FleetSettings, Incident, IncidentKind, Part, Sensors, SimulatedMachine, SimulatedThrow,
     },
@@ -70,17 +70,7 @@ impl TraceMachine {
         throw.trace = self.recorded(at, throw.trace);
         throw.supply_v = throw.supply_v.filter(|_| self.volts);
         let found = self.identifier.identify(&throw, &self.settings);
-        let estimate = found.outcome.as_ref().ok();
-        let of_drift = estimate.map(|estimate| (estimate.coefficients(), estimate.drift_covariance()));
-        Observation {
-            direction: found.direction,
-            incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
-            faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),
-            grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
-            ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
-            features: found.features,
-            ..observation(at, of_drift, throw.temperature_c)
-        }
+        Observation::of(&throw, &found)
     }
 
     /// The trace as recorded with the faulty instrument.

@@ -70,6 +70,44 @@ pub struct MonitorRecord {
     pub caveats: Vec<String>,
 }
 
+impl Judgement {
+    /// The judgement in the place of one that the database rejects: the throw counts as not evaluated. The first keeps the
+    /// events and the monitor, the second nothing.
+    #[must_use]
+    pub fn instead(&self, problem: &str) -> [Self; 2] {
+        let health = Health {
+            quality: NOT_STORABLE.to_owned(),
+            detail: Some(format!("the database rejects the result: {problem}")),
+            coefficients: None,
+            sd: None,
+            change_pct: None,
+            fit_pct: None,
+            a1_per_b0: None,
+            a1_per_b0_sd: None,
+            a0_per_b0: None,
+            a0_per_b0_sd: None,
+            duration_s: None,
+            peak_current_a: None,
+            mean_current_a: None,
+            drift: None,
+            drifts: Vec::new(),
+            ..self.health.clone()
+        };
+        let outcome = Outcome { command: None, ..self.outcome.clone() };
+        let nothing = Outcome { monitor: None, events: Vec::new(), reported_gaps: Vec::new(), ..outcome.clone() };
+        [outcome, nothing].map(|outcome| Self {
+            row: self.row,
+            health: health.clone(),
+            identification: None,
+            baselines: Vec::new(),
+            outcome,
+        })
+    }
+}
+
+/// `quality` of a throw whose judgement the database rejects.
+const NOT_STORABLE: &str = "not_storable";
+
 type Statements<'q> = Query<'q, Sqlite, SqliteArguments>;
 
 impl MonitorRecord {
@@ -256,6 +294,9 @@ impl Outcome {
         }
         if let Some(command) = &self.command {
             add_command(connection, machine_row, command, at_us).await?;
+            if matches!(command, Command::Rebaseline { .. }) {
+                sqlx::query(sql::RESTART_BASELINES).bind(machine_row).execute(&mut *connection).await?;
+            }
         }
         for event in &self.events {
             let alarm = Alarm::new(&self.machine, event);

@@ -46,6 +46,8 @@ pub struct Reader {
     pools: Arc<RwLock<Pools>>,
     /// Cancelled when a query finds the file broken.
     broken: CancellationToken,
+    /// Cancelled when the store closes: external queries end.
+    closing: CancellationToken,
     /// The throws stored last.
     pub(super) recent: RecentThrows,
 }
@@ -84,11 +86,13 @@ impl Reader {
         Ok(Self {
             pools: Arc::new(RwLock::new(pools)),
             broken: CancellationToken::new(),
+            closing: CancellationToken::new(),
             recent: RecentThrows::default(),
         })
     }
 
     pub(super) async fn close(&self) {
+        self.closing.cancel();
         let Pools { own, questions } = self.pools();
         own.close().await;
         questions.close().await;
@@ -150,7 +154,9 @@ impl Reader {
         let answer = async {
             let mut connection = self.pools().questions.acquire().await?;
             let end = Instant::now() + Self::TIME_LIMIT;
-            connection.lock_handle().await?.set_progress_handler(STEPS, move || Instant::now() < end);
+            let closing = self.closing.clone();
+            let goes_on = move || Instant::now() < end && !closing.is_cancelled();
+            connection.lock_handle().await?.set_progress_handler(STEPS, goes_on);
             query.fetch_all(&mut *connection).await
         };
         self.limited(answer).await
@@ -368,5 +374,26 @@ impl Pools {
             options.connect_lazy_with(database.clone())
         };
         Self { own: pool(CONNECTIONS), questions: pool(QUESTIONS) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::{Settings, Store};
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+    async fn a_store_that_closes_ends_a_slow_external_query() {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = Settings { path: folder.path().join("points.db"), ballast_mib: 0, ..Settings::default() };
+        let store = Store::open(&settings, Timestamp::UNIX_EPOCH).await.unwrap().store;
+        let reader = store.reader().clone();
+        let endless = "WITH RECURSIVE c (x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT max(x) FROM c";
+        let asked = tokio::spawn(async move { reader.asked::<(i64,)>(sqlx::query_as(endless)).await });
+        tokio::time::sleep(Duration::from_millis(300)).await;
+        let start = Instant::now();
+        store.close().await.unwrap();
+        assert!(start.elapsed() < Reader::TIME_LIMIT / 4, "{:?}", start.elapsed());
+        assert!(asked.await.unwrap().is_err());
     }
 }

@@ -9,7 +9,7 @@
 use std::collections::{BTreeMap, BinaryHeap};
 
 use jiff::{SignedDuration, Timestamp};
-use sqlx::SqliteConnection;
+use sqlx::{Sqlite, SqliteConnection, query::QueryScalar, sqlite::SqliteArguments};
 
 use super::{
     database::Store, disk::DiskLevel, error::StoreError, settings::MIB, spool::count, statements as sql,
@@ -73,11 +73,29 @@ impl Bound {
     }
 }
 
+/// Limits of the time of reception, for the age of traces \[µs\].
+#[derive(Debug, Clone, Copy)]
+struct Ages {
+    before_us: i64,
+    now_us: i64,
+}
+
+impl Ages {
+    /// Earlier times are those of a clock that was not set yet, after a loss of power: 2020.
+    const FIRST_US: i64 = 1_577_836_800_000_000;
+
+    /// Selects the aged traces.
+    fn query<'q>(self, rows: u64) -> QueryScalar<'q, Sqlite, i64, SqliteArguments> {
+        let query = sqlx::query_scalar(sql::AGED_TRACES).bind(rows.cast_signed());
+        query.bind(self.before_us).bind(Self::FIRST_US).bind(self.now_us)
+    }
+}
+
 /// Rows that can be dropped.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
     Traces(Bound),
-    TracesBefore(i64),
+    AgedTraces(Ages),
     Throws(Bound),
     /// Pending throws: a machine that sends more throws than can be judged loses its oldest ones.
     Pending(Bound),
@@ -93,7 +111,7 @@ impl Kind {
             Self::Traces(bound) => oldest_of_largest(connection, bound, sql::OLDEST_TRACES, rows).await,
             Self::Throws(bound) => oldest_of_largest(connection, bound, sql::OLDEST_THROWS, rows).await,
             Self::Pending(bound) => oldest_of_largest(connection, bound, sql::OLDEST_PENDING, rows).await,
-            Self::TracesBefore(at_us) => oldest(connection, sql::AGED_TRACES, rows, Some(at_us)).await,
+            Self::AgedTraces(ages) => ages.query(rows).fetch_all(connection).await,
             Self::Alarms => oldest(connection, sql::OLDEST_ALARMS, rows, None).await,
             Self::Messages => oldest(connection, sql::OLDEST_MESSAGES, rows, None).await,
             Self::Pages => Ok(Vec::new()),
@@ -104,7 +122,7 @@ impl Kind {
     async fn drop(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<(Dropped, u64)> {
         let (what, statements): (_, &[&'static str]) = match self {
             Self::Traces(_) => (Dropped::Traces, &[sql::DROP_TRACES, sql::TRACES_FROM]),
-            Self::TracesBefore(_) => (Dropped::Traces, &[sql::DROP_TRACES]),
+            Self::AgedTraces(_) => (Dropped::Traces, &[sql::DROP_TRACES]),
             Self::Throws(_) => (Dropped::Throws, THROWS),
             Self::Pending(_) => (Dropped::PendingThrows, THROWS),
             Self::Alarms => (Dropped::Alarms, &[sql::DROP_ALARMS]),
@@ -266,18 +284,17 @@ impl Store {
                 due.push(DropRows { kinds, rows });
             }
         }
-        let before_us = (now - SignedDuration::from_hours(24 * i64::from(settings.trace_days))).as_microsecond();
-        if clock_trusted && self.oldest_trace_us().await?.is_some_and(|oldest| oldest < before_us) {
-            due.push(DropRows { kinds: vec![Kind::TracesBefore(before_us)], rows: BATCH });
+        if clock_trusted {
+            let before = now - SignedDuration::from_hours(24 * i64::from(settings.trace_days));
+            let ages = Ages { before_us: before.as_microsecond(), now_us: now.as_microsecond() };
+            if self.reader.limited(ages.query(1).fetch_optional(&self.reader.pool())).await?.is_some() {
+                due.push(DropRows { kinds: vec![Kind::AgedTraces(ages)], rows: BATCH });
+            }
         }
         let disk_low = matches!(self.disk.level(), DiskLevel::Low | DiskLevel::Full);
         if disk_low && figures.free_bytes > PAGES * PAGE {
             due.push(DropRows { kinds: vec![Kind::Pages], rows: PAGES });
         }
         Ok(due)
-    }
-
-    async fn oldest_trace_us(&self) -> Result<Option<i64>, StoreError> {
-        self.reader.limited(sqlx::query_scalar(sql::OLDEST_TRACE_TIME).fetch_optional(&self.reader.pool())).await
     }
 }

@@ -521,6 +521,10 @@ statements! {
     EXPORT = export!("TRUE");
     EXPORT_MACHINE = export!(concat!("throw.machine_row = ", one_machine!()));
 
+    // The latest throws of a machine show the progress of its baselines, which begin anew.
+    RESTART_BASELINES = "UPDATE estimate SET baseline_throws = 0, throws_since_baseline = 0 \
+        WHERE baseline_throws IS NOT NULL AND throw_row IN (SELECT throw_row FROM latest WHERE machine_row = ?1)";
+
     // Retention.
     LAST_HEARD = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";
     TRACE_HOLDINGS = "SELECT traces AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \
@@ -535,8 +539,14 @@ statements! {
     OLDEST_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw JOIN trace USING (throw_row) \
         WHERE machine_row = ?2 AND throw_row >= (SELECT traces_from FROM machine WHERE machine_row = ?2) \
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
-    AGED_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us, received_at_us FROM trace JOIN throw USING (throw_row) \
-        ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL AND received_at_us < ?2 LIMIT ?1";
+    // Rows stand in the order of reception. A time before 2020, as of a clock that was not set yet, or after the present one
+    // (?4) says nothing; such a trace is as old as the next one with a usable time. None is older than the first young one.
+    AGED_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM trace JOIN throw USING (throw_row) \
+        WHERE throw_row <= (SELECT max(throw_row) FROM trace JOIN throw USING (throw_row) \
+            WHERE received_at_us >= ?3 AND received_at_us < ?2 AND throw_row < coalesce( \
+                (SELECT throw_row FROM trace JOIN throw USING (throw_row) WHERE received_at_us BETWEEN ?2 AND ?4 \
+                ORDER BY throw_row LIMIT 1), 9223372036854775807)) \
+        ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
     DROP_TRACE = "DELETE FROM trace WHERE throw_row = ?1";
     DROP_TRACES = concat!("DELETE FROM trace WHERE throw_row IN ", chosen!());
     TRACES_FROM = concat!("UPDATE machine SET traces_from = last + 1 FROM \
@@ -556,8 +566,6 @@ statements! {
         WHERE pruned_to_no >= highest_no AND NOT EXISTS (SELECT 1 FROM throw WHERE throw.boot_row = old.boot_row) \
         AND position < (SELECT max(position) FROM boot AS newer WHERE newer.machine_row = old.machine_row) \
         AND NOT EXISTS (SELECT 1 FROM backlog WHERE cursor_boot_row = old.boot_row AND backlog.machine_row = old.machine_row) LIMIT 1000)";
-    OLDEST_TRACE_TIME = "SELECT received_at_us FROM trace JOIN throw USING (throw_row) WHERE judged_at_us IS NOT NULL \
-        ORDER BY throw_row LIMIT 1";
     OLDEST_MESSAGES = "SELECT outbox_row FROM outbox ORDER BY outbox_row LIMIT ?1";
     DROP_ALARMS = concat!("DELETE FROM alarm WHERE alarm_row IN ", chosen!());
     OLDEST_ALARMS = "SELECT alarm_row FROM alarm WHERE state = 'normal' ORDER BY raised_at_us LIMIT ?1";

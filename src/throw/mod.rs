@@ -13,7 +13,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 pub use machine::{InvalidName, MachineId, Name};
-pub use range::OutOfRange;
+pub use range::{OutOfRange, brief};
 pub use trace::{InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
 
 /// Direction of a throw.
@@ -104,6 +104,8 @@ pub struct Throw {
     pub anti_alias_hz: Option<f64>,
 }
 
+/// Possible temperatures of a machine \[°C\]: from the coldest place with rails to a drive in the sun.
+pub const POSSIBLE_C: std::ops::RangeInclusive<f64> = -60.0..=90.0;
 /// Possible supply voltages \[V\]: point machines have 20 to 400 V. Outside this range the sensor has failed.
 pub const POSSIBLE_SUPPLY_V: std::ops::RangeInclusive<f64> = 5.0..=1000.0;
 
@@ -126,5 +128,36 @@ impl Throw {
     #[must_use]
     pub fn possible_supply_v(&self) -> Option<f64> {
         self.supply_v.filter(|volts| POSSIBLE_SUPPLY_V.contains(volts))
+    }
+
+    /// The cut-off of the filter, if it is declared and possible \[Hz\]: above half of the sampling rate a filter
+    /// suppresses no alias.
+    #[must_use]
+    pub fn possible_anti_alias_hz(&self) -> Option<f64> {
+        self.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= self.half_rate_hz() * 1.0001)
+    }
+
+    fn half_rate_hz(&self) -> f64 {
+        0.5 * self.trace.sample_rate_hz()
+    }
+
+    /// A sentence about the optional fields whose values are not possible, and not used; `None` if there are none.
+    #[must_use]
+    pub fn unused_fields(&self) -> Option<String> {
+        let filter_hz = self.anti_alias_hz.filter(|_| self.possible_anti_alias_hz().is_none());
+        let supply_v = self.supply_v.filter(|_| self.possible_supply_v().is_none());
+        let celsius = self.temperature_c.filter(|celsius| !POSSIBLE_C.contains(celsius));
+        let unused = |key: &str, value: Option<f64>, must: String| {
+            Some(OutOfRange { key: key.to_owned(), value: value?, must }.to_string() + ", and is not used")
+        };
+        let half = format!("above 0 and up to {} Hz, half of sample_rate_hz", brief(self.half_rate_hz()));
+        let (volts, possible) = (POSSIBLE_SUPPLY_V, POSSIBLE_C);
+        let sentences = [
+            unused("anti_alias_hz", filter_hz, half),
+            unused("supply_v", supply_v, format!("{} to {} V", volts.start(), volts.end())),
+            unused("temperature_c", celsius, format!("{} to {} °C", possible.start(), possible.end())),
+        ];
+        let sentences: Vec<String> = sentences.into_iter().flatten().collect();
+        (!sentences.is_empty()).then(|| sentences.join("; "))
     }
 }

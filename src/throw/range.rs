@@ -2,7 +2,7 @@
 
 /// A number outside its range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{key} is {value}, must be {must}")]
+#[error("{key} is {}, must be {must}", brief(*.value))]
 pub struct OutOfRange {
     /// The key, as in configuration files: `lead_mm`, or with its section `machine.lead_mm`.
     pub key: String,
@@ -10,6 +10,13 @@ pub struct OutOfRange {
     pub value: f64,
     /// Allowed range with its unit: "0.5 to 500 mm".
     pub must: String,
+}
+
+/// A number for a sentence: a large or tiny one has an exponent, as 1e300 has 301 digits.
+#[must_use]
+pub fn brief(value: f64) -> String {
+    let magnitude = value.abs();
+    if magnitude == 0.0 || (1e-6..1e9).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
 }
 
 impl OutOfRange {
@@ -47,6 +54,6 @@ impl OutOfRange {
     /// The error text without the key, for a message that names the key elsewhere.
     #[must_use]
     pub fn problem(&self) -> String {
-        format!("is {}, must be {}", self.value, self.must)
+        format!("is {}, must be {}", brief(self.value), self.must)
     }
 }

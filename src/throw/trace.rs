@@ -2,6 +2,8 @@
 
 use std::{fmt::Write as _, sync::Arc};
 
+use super::brief;
+
 /// Longest trace, in samples of each channel: 50 s at 20 kHz. Bounds the memory that one message can use.
 pub const MAX_SAMPLES: usize = 1_000_000;
 /// Lowest sampling rate that a trace accepts \[Hz\].
@@ -24,7 +26,7 @@ pub struct Trace {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum InvalidTrace {
     /// The sampling rate is not finite or out of range.
-    #[error("sample_rate_hz is {rate_hz}, must be {MIN_SAMPLE_RATE_HZ} to {MAX_SAMPLE_RATE_HZ}")]
+    #[error("sample_rate_hz is {}, must be {MIN_SAMPLE_RATE_HZ} to {MAX_SAMPLE_RATE_HZ}", brief(*.rate_hz))]
     SampleRate {
         /// The rate given \[Hz\].
         rate_hz: f64,

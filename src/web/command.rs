@@ -9,8 +9,15 @@ use axum::{
     response::{IntoResponse, Response},
 };
 use jiff::{SignedDuration, Timestamp};
+use tokio::time;
 
-use super::{connection::Arrived, overview::Web, page::Failure};
+use super::{
+    connection::Arrived,
+    guard::LIMIT,
+    machine::{self, Form},
+    overview::Web,
+    page::Failure,
+};
 use crate::{daemon::clock, diagnose::Command, store::seldom, throw::MachineId};
 
 /// Longest window in the form \[h\], about ten years; the settings may allow less.
@@ -25,6 +32,21 @@ pub(super) async fn post(
     arrived.set();
     let Path(machine) = machine?;
     let fields: HashMap<String, String> = form_urlencoded::parse(&body).into_owned().collect();
+    let Err(refused) = apply(&web, &machine, &fields).await else {
+        let place = format!("/machines/{}/{}#commands", machine.site, machine.machine);
+        let place = HeaderValue::from_str(&place)
+            .map_err(|_| Failure::bad_request("The name of the machine cannot be used."))?;
+        return Ok((StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response());
+    };
+    // The form again, with what was typed; an error of the page itself hides the first one.
+    let form = Form::refused(&fields, refused.says.clone());
+    let page = time::timeout(LIMIT, machine::page_with(&web, &machine, form)).await;
+    let Ok(Ok(page)) = page else { return Err(refused) };
+    Ok((refused.status, page).into_response())
+}
+
+/// Applies the command in the fields of the form.
+async fn apply(web: &Web, machine: &MachineId, fields: &HashMap<String, String>) -> Result<(), Failure> {
     let config = web.view.config();
     let token = fields.get("token").map(String::as_str).unwrap_or_default();
     if !config.web.token.as_ref().is_some_and(|secret| secret.is(token)) {
@@ -34,17 +56,14 @@ pub(super) async fn post(
             "Nothing was done: the token is wrong. It must be web.token of the configuration.",
         ));
     }
-    let command = command(&fields, clock::now()).map_err(Failure::bad_request)?;
+    let command = command(fields, clock::now()).map_err(Failure::bad_request)?;
     let reply = web.view.orders.carry_out(machine.clone(), command).await;
     let reply = reply.map_err(|problem| Failure::new(StatusCode::SERVICE_UNAVAILABLE, sentence(&problem)))?;
     if !reply.done {
         return Err(Failure::new(StatusCode::CONFLICT, format!("Nothing was done: {}.", reply.text)));
     }
     web.forget().await;
-    let place = format!("/machines/{}/{}#commands", machine.site, machine.machine);
-    let place =
-        HeaderValue::from_str(&place).map_err(|_| Failure::bad_request("The name of the machine cannot be used."))?;
-    Ok((StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response())
+    Ok(())
 }
 
 fn sentence(problem: &str) -> String {

@@ -15,7 +15,7 @@ use tokio::time;
 use super::{connection::Arrived, overview::Web, page::Failure, trouble};
 
 /// Time limit of a page, below the timeout of the page's script and the daemon's limit for one query.
-const LIMIT: Duration = Duration::from_secs(4);
+pub(super) const LIMIT: Duration = Duration::from_secs(4);
 
 /// Content security policy: style, script, forms and connections of this daemon only; not in frames.
 const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; connect-src 'self'; base-uri 'none'; \
@@ -31,11 +31,12 @@ const VOLATILE: &str = "data-volatile";
 pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: Next) -> Response {
     let wants_gzip = accepts_gzip(request.headers());
     let known = request.headers().get(header::IF_NONE_MATCH).cloned();
+    let is_api = request.uri().path().starts_with("/api/");
     let config = web.view.config();
     let commands = config.web.token.is_some();
     let mut response = if let Some(refusal) = refusal(&request, &config.web.hosts, commands) {
         // A refused request may come from anybody, so the response has no data of the daemon.
-        let mut response = refusal.page(Vec::new());
+        let mut response = if is_api { refusal.json() } else { refusal.page(Vec::new()) };
         if response.status() == StatusCode::METHOD_NOT_ALLOWED {
             let allowed = if commands { "GET, HEAD, POST" } else { "GET, HEAD" };
             response.headers_mut().insert(header::ALLOW, HeaderValue::from_static(allowed));
@@ -54,6 +55,7 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
             time::timeout(LIMIT, answer).await.unwrap_or_else(|_| Failure::busy().into_response())
         };
         match response.extensions_mut().remove::<Failure>() {
+            Some(failure) if is_api => failure.json(),
             Some(failure) => failure.page(trouble::of_daemon(&web.view)),
             None => response,
         }

@@ -1,6 +1,9 @@
 //! `/machines/{site}/{machine}`: state, present drifts, trends, alarms and last throws of one machine.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::{BTreeMap, HashMap},
+    sync::Arc,
+};
 
 use askama::Template;
 use axum::{
@@ -87,9 +90,48 @@ struct Page {
     commands: Vec<Event>,
     throws: Vec<Row>,
     takes_commands: bool,
+    form: Form,
     /// The style sheet, in a file without links; `None` for a page of the dashboard.
     file_style: Option<&'static str>,
     volatile: String,
+}
+
+/// The form for commands: after a refusal with the reason and what was typed, except the token.
+#[derive(Default)]
+pub(super) struct Form {
+    refused: Option<String>,
+    command: String,
+    cause: String,
+    hours: String,
+    why: String,
+    by: String,
+}
+
+impl Form {
+    pub(super) fn refused(fields: &HashMap<String, String>, why_refused: String) -> Self {
+        let typed = |name: &str| fields.get(name).cloned().unwrap_or_default();
+        Self {
+            refused: Some(why_refused),
+            command: typed("command"),
+            cause: typed("cause"),
+            hours: typed("hours"),
+            why: typed("why"),
+            by: typed("by"),
+        }
+    }
+
+    /// The word, the text, and whether it is chosen, of each command; those of alarms only with alarms.
+    fn commands(&self, alarms: &[AlarmLine]) -> Vec<(&'static str, &'static str, bool)> {
+        let of_alarms =
+            [("ack", "acknowledge the alarm"), ("shelve", "shelve the alarm"), ("unshelve", "end the shelving")];
+        let of_machine = [
+            ("maintenance", "start maintenance"),
+            ("maintenance_end", "end maintenance"),
+            ("rebaseline", "take a new baseline"),
+        ];
+        let all = of_alarms.into_iter().filter(|_| !alarms.is_empty()).chain(of_machine);
+        all.map(|(word, says)| (word, says, self.command == word)).collect()
+    }
 }
 
 /// The last throw of a direction.
@@ -131,13 +173,21 @@ pub(super) async fn page(
     RawQuery(query): RawQuery,
 ) -> Result<Response, Failure> {
     let Path(machine) = machine?;
-    let span = Span::from_query(query.as_deref())?;
+    show(&web, &machine, Span::from_query(query.as_deref())?, Form::default()).await
+}
+
+/// The page with the form of a refused command.
+pub(super) async fn page_with(web: &Web, machine: &MachineId, form: Form) -> Result<Response, Failure> {
+    show(web, machine, Span::from_query(None)?, form).await
+}
+
+async fn show(web: &Web, machine: &MachineId, span: Span, form: Form) -> Result<Response, Failure> {
     let trouble = web.trouble().await;
     let _turn = web.turn().await?;
     let config = web.view.config();
-    let page = read(web.view.gauges.store.reader(), &machine, span, &config.diagnosis).await?;
+    let page = read(web.view.gauges.store.reader(), machine, span, &config.diagnosis).await?;
     let page = page.ok_or_else(|| Failure::not_found(format!("No throw of a machine {machine} is known.")))?;
-    Ok(page::html(&Page { trouble, takes_commands: config.web.token.is_some(), ..page }))
+    Ok(page::html(&Page { trouble, takes_commands: config.web.token.is_some(), form, ..page }))
 }
 
 /// The page of a machine as one HTML file without links, with the limits of `settings`. `None` for an unknown machine.
@@ -200,8 +250,9 @@ async fn read(
         rejected: rejected(&both),
         events: events.iter().map(event).collect(),
         commands: commands.iter().map(command).collect(),
-        throws: throws.iter().map(row).collect(),
+        throws: rows_of(&throws),
         takes_commands: false,
+        form: Form::default(),
         file_style: None,
         volatile: format!("As of {}.", page::time(clock::now())),
         machine: machine.clone(),
@@ -282,6 +333,28 @@ fn quality(row: &Health) -> String {
         Some(detail) => format!("{word}: {detail}"),
         None => word,
     }
+}
+
+/// The rows of the table, newest first. A reason that differs only in its numbers from that of a newer throw is not repeated.
+fn rows_of(throws: &[Health]) -> Vec<Row> {
+    /// Shorter reasons are repeated.
+    const LONG: usize = 60;
+    let mut before: HashMap<String, u64> = HashMap::new();
+    let mut of = |health: &Health| {
+        let mut row = row(health);
+        if row.quality.chars().count() > LONG {
+            let words = row.quality.replace(|character: char| character.is_ascii_digit(), "");
+            match before.get(&words) {
+                Some(throw_no) => {
+                    let word = row.quality.split(':').next().unwrap_or_default();
+                    row.quality = format!("{word}: as throw {throw_no}");
+                }
+                None => drop(before.insert(words, row.throw_no)),
+            }
+        }
+        row
+    };
+    throws.iter().map(&mut of).collect()
 }
 
 /// "From … to …; 250 and 250 throws."

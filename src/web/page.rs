@@ -22,8 +22,8 @@ pub(super) const STYLE: &str = include_str!("pages/style.css");
 /// A failure as response; `guard` turns it into a page.
 #[derive(Debug, Clone)]
 pub(super) struct Failure {
-    status: StatusCode,
-    says: String,
+    pub(super) status: StatusCode,
+    pub(super) says: String,
 }
 
 #[derive(Template)]
@@ -75,6 +75,13 @@ impl From<PathRejection> for Failure {
 }
 
 impl Failure {
+    /// The failure in the JSON interface.
+    pub(super) fn json(&self) -> Response {
+        let kind = HeaderValue::from_static("application/json");
+        let error = serde_json::json!({ "error": self.says });
+        (self.status, [(header::CONTENT_TYPE, kind)], wire::json(&error)).into_response()
+    }
+
     /// The page of the failure, with `trouble` as banner.
     pub(super) fn page(&self, trouble: Vec<String>) -> Response {
         let title = self.status.canonical_reason().unwrap_or("Failure");

@@ -19,7 +19,7 @@ use super::{
 use crate::{
     estimate::{self, Motor},
     store::{Reader, StoredThrow},
-    throw::{MachineId, Name, Throw, ThrowRef, Trace},
+    throw::{MachineId, Name, Throw, ThrowRef, Trace, brief},
     wire::Health,
 };
 
@@ -102,14 +102,19 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
         judged: health.as_ref().map(row),
         coefficients: health.as_ref().and_then(coefficients),
         measured: health.as_ref().map(|health| constants(health, motor)).unwrap_or_default(),
-        temperature: measured.and_then(|throw| throw.temperature_c).map(|celsius| format!("{celsius:.1} °C")),
-        supply: measured.and_then(|throw| throw.supply_v).map(|volts| format!("{volts:.1} V")),
+        temperature: measured.and_then(|throw| throw.temperature_c).map(|celsius| measured_text(celsius, "°C")),
+        supply: measured.and_then(|throw| throw.supply_v).map(|volts| measured_text(volts, "V")),
         pictures,
         typical: typical.map(|typical| (address(typical.id.clone()), typical.id.throw_no)),
         csv,
         no_trace,
         machine: stored.machine,
     }))
+}
+
+/// A measured value; one that is not possible may have 301 digits.
+fn measured_text(value: f64, unit: &str) -> String {
+    if value.abs() < 1e6 { format!("{value:.1} {unit}") } else { format!("{} {unit}", brief(value)) }
 }
 
 /// Reads a good throw of the same direction from the time of the newest baseline.

@@ -56,22 +56,7 @@ pub(crate) fn diagnosis(criterion: &mut Criterion) {
 
 fn observation(throw: &Throw, identifier: &mut Identifier, settings: &estimate::Settings) -> Observation {
     let found = identifier.identify(throw, settings);
-    let estimate = found.outcome.expect("a healthy throw");
-    Observation {
-        throw: throw.id.clone(),
-        started_at: throw.started_at,
-        received_at: None,
-        direction_contradicted: None,
-        direction: found.direction,
-        estimate: Some((estimate.coefficients(), estimate.drift_covariance())),
-        grade: estimate.grade,
-        ratios_only: estimate.ratios_only,
-        incomplete: false,
-        faulty: None,
-        features_only: false,
-        features: found.features,
-        temperature_c: throw.temperature_c,
-    }
+    Observation::of(throw, &found)
 }
 
 /// A group of received throws, compressed and committed; and the same samples as raw blobs in one table.

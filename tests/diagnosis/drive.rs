@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     diagnose::{MachineMonitor, Observation, Settings, Verdict},
-    estimate::{self, Identifier, Rejection},
+    estimate::{self, Identifier},
     throw::{Direction, Throw, ThrowRef, Trace},
 };
 use rand::{RngExt as _, SeedableRng as _};
@@ -122,21 +122,7 @@ impl Drive {
             ..Throw::recorded(trace)
         };
         let found = self.identifier.identify(&throw, &estimate::Settings::default());
-        Observation {
-            throw: throw.id,
-            started_at: throw.started_at,
-            received_at: None,
-            direction_contradicted: None,
-            direction: found.direction,
-            incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
-            faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),
-            features_only: matches!(found.outcome, Err(Rejection::NoPosition { .. })),
-            grade: found.outcome.as_ref().map(|estimate| estimate.grade).unwrap_or_default(),
-            ratios_only: found.outcome.as_ref().is_ok_and(|estimate| estimate.ratios_only),
-            estimate: found.outcome.ok().map(|e| (e.coefficients(), e.drift_covariance())),
-            features: found.features,
-            temperature_c: None,
-        }
+        Observation::of(&throw, &found)
     }
 
     /// The trace and the supply voltage of a throw.

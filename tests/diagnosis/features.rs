@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
     diagnose::{AlarmState, Cause, MachineMonitor, MachineState, Observation, Settings},
-    estimate::{Features, Grade},
+    estimate::Features,
     throw::{Direction, ThrowRef},
 };
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
@@ -156,7 +156,7 @@ fn a_machine_whose_every_throw_is_rough_is_monitored_by_its_ratios() {
 /// duration, running current and charge, lag-1 correlation, and whether the tails are heavy.
 fn healthy_features(sd: [f64; 3], lag1: f64, heavy: bool, rng: &mut ChaCha8Rng) -> impl FnMut() -> Observation {
     let mut state = [0.0; 3];
-    let mut throw = 0;
+    let mut throw = 0_u64;
     move || {
         for value in &mut state {
             let tail = if heavy {
@@ -168,17 +168,9 @@ fn healthy_features(sd: [f64; 3], lag1: f64, heavy: bool, rng: &mut ChaCha8Rng) 
         }
         throw += 1;
         let of = |at: usize, usual: f64| Some(usual * (sd[at] * state[at]).exp());
+        let started_at = Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw.cast_signed());
         Observation {
-            throw: ThrowRef { boot_id: "a".to_owned(), throw_no: throw },
-            started_at: Timestamp::UNIX_EPOCH + SignedDuration::from_mins(72 * throw.cast_signed()),
-            received_at: None,
-            direction_contradicted: None,
-            direction: Some(Direction::BOTH[usize::from(throw % 2 == 0)]),
-            estimate: None,
-            grade: Grade::Good,
-            ratios_only: false,
-            incomplete: false,
-            faulty: None,
+            direction: Some(Direction::BOTH[usize::from(throw.is_multiple_of(2))]),
             features_only: true,
             features: Features {
                 duration_s: of(0, 4.3),
@@ -186,7 +178,7 @@ fn healthy_features(sd: [f64; 3], lag1: f64, heavy: bool, rng: &mut ChaCha8Rng) 
                 charge_as: of(2, 4.6),
                 ..Features::default()
             },
-            temperature_c: None,
+            ..Observation::without_trace(ThrowRef { boot_id: "a".to_owned(), throw_no: throw }, started_at)
         }
     }
 }

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 pub(crate) use pointsd::evaluate::Scatter;
 use pointsd::{
     diagnose::{MachineMonitor, Observation, Settings, Verdict},
-    estimate::{Features, Grade},
+    estimate::Features,
     throw::{Direction, ThrowRef},
 };
 use rand::SeedableRng;
@@ -54,20 +54,13 @@ impl Machine {
         self.throws += 1;
         self.started_at += self.interval;
         let duration_s = 4.3 * (1.0 + 0.004 * normal(&mut self.rng));
+        let throw = ThrowRef { boot_id: "field".to_owned(), throw_no: self.throws };
         Observation {
-            throw: ThrowRef { boot_id: "field".to_owned(), throw_no: self.throws },
-            started_at: self.started_at,
-            received_at: None,
-            direction_contradicted: None,
             direction: Some(Direction::BOTH[side]),
             estimate: Some((estimate.into(), scale * Nature::default().covariance() * scale)),
-            grade: Grade::Good,
-            ratios_only: false,
-            incomplete: false,
-            faulty: None,
-            features_only: false,
             features: Features { duration_s: Some(duration_s), ..Features::default() },
             temperature_c,
+            ..Observation::without_trace(throw, self.started_at)
         }
     }
 

@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Vector3};
 use pointsd::{
     diagnose::{Cause, MachineMonitor, Observation, Settings, Verdict},
-    estimate::{Features, Grade},
+    estimate::Features,
     throw::{Direction, ThrowRef},
 };
 use rand::{Rng, RngExt, SeedableRng};
@@ -78,20 +78,12 @@ impl Machine {
         self.throws += 1;
         self.started_at += SignedDuration::from_mins(30);
         let turn = Direction::BOTH[usize::from(self.throws.is_multiple_of(2))];
+        let throw = ThrowRef { boot_id: "7f0e6c1a".to_owned(), throw_no: self.throws };
         Observation {
-            throw: ThrowRef { boot_id: "7f0e6c1a".to_owned(), throw_no: self.throws },
-            started_at: self.started_at,
-            received_at: None,
-            direction_contradicted: None,
             direction: Some(self.only.unwrap_or(turn)),
             estimate: Some((estimate.into(), scale * self.nature.covariance() * scale)),
-            incomplete: false,
-            faulty: None,
-            features_only: false,
-            grade: Grade::Good,
-            ratios_only: false,
             features: Features { duration_s: Some(4.3 * (1.0 + 0.004 * normal(&mut self.rng))), ..Features::default() },
-            temperature_c: None,
+            ..Observation::without_trace(throw, self.started_at)
         }
     }
 

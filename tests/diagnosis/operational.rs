@@ -288,9 +288,12 @@ fn messages_that_are_no_throws_and_a_wrong_clock_are_alarms_and_wrong_directions
     assert!(event.text.contains("the last 5 messages") && event.text.contains("\"N\""), "{}", event.text);
 
     let mut monitor = machine.learned(&Settings::default());
-    let clock = Irregularity::WrongClock(jiff::Timestamp::UNIX_EPOCH);
-    let event = monitor.irregular(clock, Some(&last.throw), last.started_at, &Settings::default()).unwrap();
-    assert!(event.cause == Cause::DataLoss && event.text.contains("1970-01-01"), "{}", event.text);
+    let dated = [1, 2, 3]
+        .map(|_| monitor.date(&last.throw, jiff::Timestamp::UNIX_EPOCH, Some(last.started_at), &Settings::default()));
+    assert!(dated.iter().all(|(at, _)| *at == last.started_at) && dated[1].1.is_none());
+    let event = dated[2].1.as_ref().unwrap();
+    assert_eq!((event.cause, event.channel), (Cause::Sensor, Some(SensorChannel::Clock)));
+    assert!(event.text.contains("1970-01-01"), "{}", event.text);
 
     let mut named = |throws, contradicted| {
         feed(&mut machine, &mut monitor, throws, |throw| throw.direction_contradicted = Some(contradicted));

@@ -4,7 +4,7 @@
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     diagnose::{AlarmState, Cause, MachineMonitor, Observation, Settings},
-    estimate::{self, Grade, Identifier, Rejection},
+    estimate::{self, Identifier},
     simulate::{Conditions, Parameters, Sensors},
     throw::{Direction, Throw, ThrowRef},
 };
@@ -48,21 +48,8 @@ impl Life {
             ..Throw::recorded(sensors.record(&motion, way, &mut self.random).unwrap().trace)
         };
         let found = self.identifier.identify(&throw, &estimate::Settings::default());
-        let observation = Observation {
-            throw: throw.id,
-            started_at: throw.started_at,
-            received_at: None,
-            direction_contradicted: None,
-            direction: found.direction,
-            incomplete: found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
-            faulty: found.outcome.as_ref().err().and_then(Rejection::faulty_channel).map(Into::into),
-            features_only: false,
-            grade: Grade::Good,
-            ratios_only: false,
-            estimate: found.outcome.ok().map(|e| ([e.b0, e.a1, e.a0], e.covariance)),
-            features: found.features,
-            temperature_c: None,
-        };
+        let estimate = found.outcome.as_ref().ok().map(|e| ([e.b0, e.a1, e.a0], e.covariance));
+        let observation = Observation { estimate, direction_contradicted: None, ..Observation::of(&throw, &found) };
         for event in self.monitor.observe(&observation, &self.settings).events {
             let active = matches!(event.state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged);
             if active && !self.raised.contains(&event.cause) {

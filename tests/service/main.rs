@@ -13,6 +13,7 @@ mod faketime;
 mod files;
 mod http;
 mod import;
+mod loggers;
 mod operators;
 mod pages;
 mod prometheus;

@@ -81,11 +81,20 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         ("/?state=good", 400, "site, state, cause and q"),
         ("/?x=1", 400, "and a page"),
         ("/api/v1/machines/north/99", 404, "No throw of a machine north/99 is known"),
+        ("/api/v1/machines/no%20rth/99", 404, "There is no such machine"),
+        ("/api/v1/nowhere", 404, "There is no such page"),
+        ("/api/v1/machines?x=1", 400, "and a page"),
     ] {
         let answer = get(&address, path);
         assert_eq!(answer.status, status, "{path}: {answer:?}");
         assert!(answer.body.contains(says), "{path}: {}", answer.body);
-        check_nesting(&answer.body);
+        if path.starts_with("/api/") {
+            let error: serde_json::Value = serde_json::from_str(&answer.body).unwrap();
+            assert!(error["error"].as_str().unwrap().contains(says), "{path}: {error}");
+            assert_eq!(answer.header("content-type"), Some("application/json"), "{path}");
+        } else {
+            check_nesting(&answer.body);
+        }
         assert!(answer.header("content-security-policy").is_some(), "{path}");
     }
     assert!(daemon.terminate().success());
@@ -297,6 +306,25 @@ async fn operators_act_from_the_page_with_the_token_and_from_nowhere_else() {
         assert!(refused.status == status && refused.body.contains(says), "{headers}{form}: {refused:?}");
     }
     assert!(rig.sql("SELECT * FROM operator_commands").is_empty());
+    // The form is shown again with what was typed, except the token.
+    for (typed, why) in [
+        (form("wrong"), "&#60;script&#62;"),
+        (good.replace("why=%3Cscript%3E", "why="), ""),
+        (good.replace("hours=3", "hours=9999"), "&#60;script&#62;"),
+    ] {
+        let again = post(&address, &origin, &typed).body;
+        check_nesting(&again);
+        for part in [
+            "<p class=\"trouble\" role=\"alert\">",
+            "<option value=\"maintenance\" selected>",
+            &format!("name=\"why\" maxlength=\"200\" value=\"{why}\""),
+            "value=\"A. Meyer\"",
+            if typed.contains("9999") { "value=\"9999\"" } else { "value=\"3\"" },
+        ] {
+            assert!(again.contains(part), "{typed}: {part}: {again}");
+        }
+        assert!(!again.contains("value=\"wrong") && !again.contains("correct horse"), "{again}");
+    }
     let done = post(&address, &format!("{origin}Sec-Fetch-Site: same-origin\r\n"), &good);
     assert_eq!((done.status, done.header("location")), (303, Some("/machines/north/21B#commands")), "{done:?}");
 

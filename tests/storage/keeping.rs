@@ -174,6 +174,26 @@ async fn age_counts_only_while_the_clock_is_trusted() {
     assert_eq!(done, BTreeMap::from([(Dropped::Traces, 20)]));
 }
 
+/// Two throws were received while the daemon's clock was years ahead, two while it was not set yet, after a loss of power.
+#[tokio::test]
+async fn a_trace_received_with_a_wrong_clock_is_as_old_as_the_next_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(&Settings { trace_days: 30, ..settings(folder.path()) }, at(0)).await.unwrap().store;
+    let day = |days: i64| at(86_400 * days);
+    let times = [day(4000), day(0), Timestamp::UNIX_EPOCH, day(10), day(4000), Timestamp::UNIX_EPOCH, day(50)];
+    for (throw_no, received_at) in (1..).zip(times) {
+        let answer = store.spool(&machine("21B"), &throw("b1", throw_no), received_at).await.unwrap();
+        let Spooled::New(row) = answer else { panic!("{throw_no}") };
+        judge(&store, judgement(row, "21B")).await.unwrap();
+    }
+    let mut left = Vec::new();
+    for now in [day(29), day(35), day(45), day(79), day(81)] {
+        store.keep_bounds(now, true).await.unwrap();
+        left.push(query::<(i64,)>(&store, "SELECT count(*) FROM trace").await[0].0);
+    }
+    assert_eq!(left, [7, 5, 3, 3, 0]);
+}
+
 #[tokio::test]
 async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
     for pages in [8..40, 0..1] {

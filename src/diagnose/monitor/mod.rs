@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     alarm::{Actor, Alarms},
     baseline::BaselineRecord,
+    clock::LoggerClock,
     command::{Command, CommandError},
     drift_alarms::{DRIFTS, DriftAlarms, Onset},
     event::{AlarmEvent, Cause, Severity},
@@ -51,6 +52,8 @@ pub struct MachineMonitor {
     #[serde(default)]
     thermometer: Thermometer,
     #[serde(default)]
+    clock: LoggerClock,
+    #[serde(default)]
     instruments: Instruments,
     #[serde(default)]
     features: FeatureWatch,
@@ -90,6 +93,7 @@ impl MachineMonitor {
             alarms: Alarms::default(),
             operation: Operation::default(),
             thermometer: Thermometer::default(),
+            clock: LoggerClock::default(),
             instruments: Instruments::default(),
             features: FeatureWatch::default(),
             start: StartWatch::default(),
@@ -251,6 +255,25 @@ impl MachineMonitor {
         Some((command, events))
     }
 
+    /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the diagnosis,
+    /// which is that of reception while the clock is wrong, and the event of a raised or cleared alarm. Without `received_at`
+    /// the clock of this computer is not trusted, and only an impossible time is wrong.
+    pub fn date(
+        &mut self,
+        throw: &ThrowRef,
+        started_at: Timestamp,
+        received_at: Option<Timestamp>,
+        settings: &Settings,
+    ) -> (Timestamp, Option<AlarmEvent>) {
+        let is_wrong = self.clock.is_wrong(throw, started_at, received_at);
+        let at = received_at.filter(|_| is_wrong).unwrap_or(started_at);
+        if self.maintenance.is_some() {
+            return (at, None);
+        }
+        let context = Context { name: &self.name, at: to_micros(at), throw: Some(throw), settings };
+        (at, self.clock.judge(started_at, &mut self.alarms, context))
+    }
+
     /// Applies an irregularity of the logger, in a throw if it is one of a throw.
     pub fn irregular(
         &mut self,
@@ -369,6 +392,7 @@ impl MachineMonitor {
             .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))
             .chain(only_features.then(|| text::only_features(&self.name)))
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
+            .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor)))
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()
     }

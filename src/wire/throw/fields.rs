@@ -85,7 +85,7 @@ impl Fields {
             trace,
             temperature_c: self.temperature_c.filter(|value| value.is_finite()),
             supply_v: supply_v.filter(|value| value.is_finite()),
-            anti_alias_hz: self.anti_alias_hz.filter(|value| value.is_finite() && *value > 0.0),
+            anti_alias_hz: self.anti_alias_hz.filter(|value| value.is_finite()),
         })
     }
 }

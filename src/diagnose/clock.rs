@@ -1,0 +1,101 @@
+//! The clock of a logger: a throw dated far ahead of its reception, long before the throw before it, or in 1970.
+//!
+//! Throws of a backlog or a recording may be old, and simulated machines live faster than real time. So only a jump is
+//! wrong, and from then on every throw until the clock agrees again with the time of reception.
+
+use jiff::{SignedDuration, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    alarm::{Alarms, Evidence},
+    event::{AlarmEvent, Cause, SensorChannel, Severity},
+    operational::Context,
+    text,
+};
+use crate::throw::ThrowRef;
+
+/// A clock without a battery starts in 1970, 1980 or 2000.
+const FIRST: Timestamp = Timestamp::constant(978_307_200, 0);
+/// Largest difference that is no jump: a wrong time zone is half a day.
+const DAY: SignedDuration = SignedDuration::from_hours(24);
+/// Consecutive throws with a wrong clock that raise the alarm: most clocks are set soon after a start.
+const IN_A_ROW: u32 = 3;
+
+/// State of the clock of a logger.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct LoggerClock {
+    /// The last throw with a right clock.
+    last: Option<Box<Stamp>>,
+    /// Consecutive throws with a wrong, and with a right clock.
+    wrong: u32,
+    right: u32,
+    alarmed: bool,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Stamp {
+    throw: ThrowRef,
+    started_at: Timestamp,
+    received_at: Timestamp,
+}
+
+impl LoggerClock {
+    /// Applies the time of a throw; returns whether it is wrong. Without `received_at` the clock of this computer is not
+    /// trusted, and shows nothing about that of the logger.
+    pub(super) fn is_wrong(&mut self, throw: &ThrowRef, started_at: Timestamp, received_at: Option<Timestamp>) -> bool {
+        let received_at = received_at.filter(|at| *at >= FIRST);
+        let is_wrong = match received_at {
+            _ if started_at < FIRST => true,
+            None => return false,
+            Some(received_at) if self.wrong > 0 => !self.agrees_again(received_at.duration_since(started_at)),
+            Some(received_at) => self.jumps(throw, started_at, received_at),
+        };
+        (self.wrong, self.right) =
+            if is_wrong { (self.wrong.saturating_add(1), 0) } else { (0, self.right.saturating_add(1)) };
+        if let Some(received_at) = received_at.filter(|_| !is_wrong) {
+            self.last = Some(Box::new(Stamp { throw: throw.clone(), started_at, received_at }));
+        }
+        is_wrong
+    }
+
+    /// Whether the clock jumped by more than a day since the last throw, away from the time of reception.
+    fn jumps(&self, throw: &ThrowRef, started_at: Timestamp, received_at: Timestamp) -> bool {
+        let ahead = started_at.duration_since(received_at);
+        let Some(last) = &self.last else { return ahead > DAY };
+        let made = started_at.duration_since(last.started_at);
+        let received = received_at.duration_since(last.received_at);
+        let before = last.started_at.duration_since(last.received_at);
+        let is_later = last.throw.boot_id == throw.boot_id && last.throw.throw_no < throw.throw_no;
+        ahead > DAY && made > DAY + received.max(SignedDuration::ZERO)
+            || is_later && made < -DAY && ahead.abs() > before.abs()
+    }
+
+    /// Whether a throw received `age` after its time is about as old as the last one with a right clock.
+    fn agrees_again(&self, age: SignedDuration) -> bool {
+        let before = self.last.as_ref().map(|last| last.received_at.duration_since(last.started_at));
+        age >= -DAY && before.is_none_or(|before| age <= DAY + before.max(SignedDuration::ZERO))
+    }
+
+    /// Raises and clears the alarm about the clock, after [`Self::is_wrong`].
+    pub(super) fn judge(
+        &mut self,
+        started_at: Timestamp,
+        alarms: &mut Alarms,
+        Context { name, at, throw, settings }: Context,
+    ) -> Option<AlarmEvent> {
+        if self.wrong >= IN_A_ROW {
+            let plain = Evidence::plain(Severity::Warning, throw, text::wrong_clock(name, started_at, at));
+            let evidence = Evidence { channel: Some(SensorChannel::Clock), ..plain };
+            let event = alarms.raise_sensor(evidence, self.wrong == IN_A_ROW, at);
+            self.alarmed |= event.is_some();
+            event
+        } else if self.right >= settings.off_delay_throws
+            && std::mem::take(&mut self.alarmed)
+            && alarms.faulty_sensor() == Some(SensorChannel::Clock)
+        {
+            alarms.clear(Cause::Sensor, text::right_clock(name), at)
+        } else {
+            None
+        }
+    }
+}
