@@ -1,4 +1,4 @@
-//! The statements of the page on the limits of the method, checked with its runs.
+//! The statements and the numbers of the page on the limits of the method, checked with its runs.
 
 use pointsd::evaluate::limits::{Finding, Row, Runs, run};
 
@@ -40,4 +40,16 @@ fn the_page_holds() {
     assert!(largest(row("neutral", "57.5, 57.5, R to N")) < 1.0);
     assert!(largest(row("neutral", "0, 57.5, N to R")) > 50.0);
     assert_eq!(findings.len(), 13);
+    // Results without noise do not depend on the seed, so the page has the same numbers.
+    let page = include_str!("../../src/evaluate/limits/limits.md");
+    for row in findings.iter().flat_map(|finding| &finding.rows).filter(|row| !row.noisy) {
+        let errors = row.worst_pct().map_or([""; 3].map(str::to_owned), |worst| worst.map(|pct| format!("{pct:+.2}")));
+        let rejected = match (&row.refusal, row.errors_pct.len()) {
+            (Some(code), 0) => format!("`{code}`"),
+            (Some(code), accepted) => format!("{} of {}: `{code}`", row.throws - accepted, row.throws),
+            (None, _) => String::new(),
+        };
+        let line = format!("| {} | {} | {rejected} |", row.label, errors.join(" | "));
+        assert!(page.contains(&line), "not on the page: {line}");
+    }
 }
