@@ -165,7 +165,7 @@ async fn a_judgement_that_the_database_rejects_holds_up_no_other() {
     let rows = rig.judged(6).await;
     let qualities: Vec<&str> = rows.iter().map(|row| row.quality.as_str()).collect();
     assert_eq!(qualities, ["good", "good", "good", "not_storable", "good", "good"]);
-    let rejected = rig.sql("SELECT throw_no, reason, detail FROM throws_not_evaluated");
+    let rejected = rig.sql("SELECT throw_no, quality, detail FROM throws_not_evaluated");
     assert_eq!((rejected.len(), &rejected[0]["throw_no"]), (1, &4.into()), "{rejected:?}");
     assert!(rejected[0].to_string().contains("no such estimate"), "{rejected:?}");
     daemon.until_status("the rejection", |status| status["not_evaluated"] == 1).await;
