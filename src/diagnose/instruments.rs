@@ -30,6 +30,7 @@ use super::{
     explain::{PLAIN_LEAKS, fit, fit_along, percent, single},
     gauges::{Gauge, Gauges, Level},
     operational::Context,
+    rule::Rule,
     settings::Settings,
     testimony::{Fault, Testimony},
     text,
@@ -70,9 +71,6 @@ pub(super) struct Instruments {
     pub(super) gauges: Gauges,
     /// The sensor that explains the drift of the last throw.
     channel: Option<SensorChannel>,
-    /// The sensor about which an alarm was raised last.
-    #[serde(default)]
-    alarmed: Option<SensorChannel>,
     sensor: Streaks,
     supply: Streaks,
 }
@@ -182,6 +180,7 @@ impl Instruments {
         self.sensor.follow(fault.is_some(), drift.matters());
         if let Some(fault) = fault.filter(|_| self.sensor.named >= settings.on_delay_throws) {
             let evidence = Evidence {
+                rule: Rule::Gauges,
                 channel: Some(fault.channel),
                 change_pct: Some(percent(fault.size)),
                 change_pct_sd: Some(100.0 * fault.size_sd * fault.size.exp()),
@@ -189,12 +188,8 @@ impl Instruments {
                 correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
                 ..Evidence::plain(Severity::Warning, throw, text::sensor(name, &fault))
             };
-            let event = alarms.raise_sensor(evidence, self.sensor.named == settings.on_delay_throws, at);
-            self.alarmed = if event.is_some() { self.channel } else { self.alarmed };
-            events.extend(event);
-        } else if self.sensor.over >= settings.off_delay_throws
-            && self.alarmed.take_if(|alarmed| alarms.faulty_sensor() == Some(*alarmed)).is_some()
-        {
+            events.extend(alarms.raise_sensor(evidence, self.sensor.named == settings.on_delay_throws, at));
+        } else if self.sensor.over >= settings.off_delay_throws && alarms.owned_by(Rule::Gauges).is_some() {
             events.extend(alarms.clear(Cause::Sensor, text::cleared(name, Cause::Sensor, false), at));
         }
         let drift_matters = (testimony == Testimony::Supply).then(|| drift.matters());

@@ -463,6 +463,11 @@ pub(super) fn withdrawn(name: &str, cause: Cause, other: Cause) -> String {
     format!("Machine {name}: the cause of the drift is no longer {cause}, but {other}.")
 }
 
+/// Text of an alarm without a name whose reason `part` explains.
+pub(super) fn explained(name: &str, part: Cause) -> String {
+    format!("Machine {name}: this alarm is withdrawn: {part} explains the change.")
+}
+
 fn change(e: &Explanation) -> String {
     let pct = percent(e.size);
     let way = if pct < 0.0 { "down" } else { "up" };

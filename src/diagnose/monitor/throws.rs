@@ -8,8 +8,10 @@ use super::{
     super::{
         event::{Cause, SensorChannel},
         explain::percent,
+        found,
         observation::{Evaluated, Observation},
         operational::Context,
+        rule::Rule,
         settings::Settings,
         site::{self, Common},
         thermometer::Disbelief,
@@ -95,6 +97,7 @@ impl MachineMonitor {
         let watched = self.watch_features(observation, is_judged, at, settings, verdict);
         let blind = self.blind;
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
+        verdict.events.extend(found::withdraw_explained(alarms, context));
         let evaluated_or_watched = evaluated.is_some() || watched;
         let direction = observation.direction;
         let event = operation.on_evaluation(evaluated_or_watched, direction, blind.as_ref(), alarms, context);
@@ -154,14 +157,16 @@ impl MachineMonitor {
     ) -> bool {
         let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
         if is_judged {
-            verdict.events.extend(self.features.on_estimate(observation.direction, &mut self.alarms, context));
+            let found = self.features.on_estimate(observation.direction);
+            verdict.events.extend(found.apply(Rule::Features, &mut self.alarms, context));
             return true;
         }
         let Some(direction) = observation.direction.filter(|_| !observation.incomplete) else { return false };
         let (features, gauges) = (&observation.features, &self.instruments.gauges);
-        verdict.events.extend(self.features.on_features(direction, features, gauges, &mut self.alarms, context));
+        let found = self.features.on_features(direction, features, gauges, context);
+        verdict.events.extend(found.apply(Rule::Features, &mut self.alarms, context));
         let has_features = !self.has_position && observation.features_only && features.running_current_a.is_some();
-        self.features.is_alarmed() || has_features
+        self.alarms.owned_by(Rule::Features).is_some() || has_features
     }
 
     fn observe_evaluated(
@@ -175,18 +180,12 @@ impl MachineMonitor {
         let suspicious = self.drift.is_suspicious(&self.alarms);
         let departure = self.tracks.departure(throw);
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
-        let of_features = self.has_features_alarm();
         let context = Context { name: &self.name, at, throw: Some(id), settings };
         let drift = residual.map(|residual| {
-            let mut known = self.drift.known(&self.alarms, &self.instruments.gauges);
-            if of_features {
-                // The alarm of the features has no cause, so no part of the drift is known by it.
-                known.causes.retain(|cause| *cause != Cause::Unattributed);
-            }
+            let known = self.drift.known(&self.alarms, &self.instruments.gauges);
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
-            drift.of_features = of_features.then_some(Cause::Unattributed);
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
             verdict.events.extend(events);
             let events = self.instruments.judge(&drift, drift.testimony, &mut self.alarms, context);
@@ -194,7 +193,8 @@ impl MachineMonitor {
             drift
         });
         let excused = drift.as_ref().is_some_and(|drift| drift.testimony.excuses());
-        verdict.events.extend(self.start.judge(&self.instruments.gauges, excused, &mut self.alarms, context));
+        let found = self.start.judge(&self.instruments.gauges, excused, context);
+        verdict.events.extend(found.apply(Rule::Start, &mut self.alarms, context));
         if let Some(departure) = departure {
             verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
         }
