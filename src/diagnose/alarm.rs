@@ -12,12 +12,14 @@ use super::{
     correlation::Correlation,
     course::LimitForecast,
     event::{AlarmEvent, AlarmState, Cause, RunnerUp, SensorChannel, Severity},
+    rule::Rule,
 };
 use crate::throw::{Direction, ThrowRef};
 
-/// The evidence of an alarm: severity, size, throws and text.
+/// The evidence of an alarm: its rule, severity, size, throws and text.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Evidence {
+    pub(super) rule: Rule,
     pub(super) severity: Severity,
     pub(super) change_pct: Option<f64>,
     pub(super) change_pct_sd: Option<f64>,
@@ -35,6 +37,7 @@ impl Evidence {
     /// Evidence of an alarm that is not about a drift.
     pub(super) fn plain(severity: Severity, throw: Option<&ThrowRef>, text: String) -> Self {
         Self {
+            rule: Rule::Usual,
             severity,
             change_pct: None,
             change_pct_sd: None,
@@ -134,8 +137,16 @@ impl State {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Alarm {
     pub(super) state: State,
+    /// The rule that owns the alarm.
+    #[serde(default, skip_serializing_if = "is_usual")]
+    pub(super) rule: Rule,
     /// Latest event, with cause, severity and identity.
     pub(super) last: AlarmEvent,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
+fn is_usual(rule: &Rule) -> bool {
+    *rule == Rule::Usual
 }
 
 /// The open alarms of one machine.
@@ -183,27 +194,36 @@ impl Alarms {
         unique
     }
 
-    /// Raises the alarm of `cause`; no change if it is active already.
+    /// Raises the alarm of `cause`; no change if it is active already. The usual rule takes over the alarm of a rule that
+    /// knows no part.
     pub(super) fn raise(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
-        if self.is_active(cause) {
+        let takes_over = evidence.rule == Rule::Usual && self.rule(cause).is_some_and(Rule::knows_no_part);
+        if self.is_active(cause) && !takes_over {
             return None;
         }
         let index = self.find(cause).unwrap_or_else(|| {
             let last = blank(cause, self.unique(at));
-            self.open.push(Alarm { state: State::Cleared, last });
+            self.open.push(Alarm { state: State::Cleared, rule: evidence.rule, last });
             self.open.len() - 1
         });
         Some(self.activate(index, evidence, at))
     }
 
-    /// Raises the alarm about a sensor. If it is active about another sensor and this fault `is_new`, it is about this one
-    /// from now on, as one alarm must not hide the fault of another sensor.
-    pub(super) fn raise_sensor(&mut self, evidence: Evidence, is_new: bool, at: Timestamp) -> Option<AlarmEvent> {
-        let other = self.find_active(Cause::Sensor).is_some_and(|event| event.channel != evidence.channel);
-        let index = self.find(Cause::Sensor).filter(|_| other && is_new);
+    /// Raises the alarm about a sensor or the supply. If it is active about another sensor, or is that of another rule, and
+    /// this fault `is_new`, it is about this one from now on, as one alarm must not hide another fault.
+    pub(super) fn raise_another(
+        &mut self,
+        cause: Cause,
+        evidence: Evidence,
+        is_new: bool,
+        at: Timestamp,
+    ) -> Option<AlarmEvent> {
+        let other = self.find_active(cause).is_some_and(|event| event.channel != evidence.channel)
+            || cause == Cause::Supply && self.rule(cause).is_some_and(|rule| rule != evidence.rule);
+        let index = self.find(cause).filter(|_| other && is_new);
         match index {
             Some(index) => Some(self.activate(index, evidence, at)),
-            None => self.raise(Cause::Sensor, evidence, at),
+            None => self.raise(cause, evidence, at),
         }
     }
 
@@ -227,6 +247,7 @@ impl Alarms {
     fn activate(&mut self, index: usize, evidence: Evidence, at: Timestamp) -> AlarmEvent {
         let alarm = &mut self.open[index];
         *alarm.state.beneath_mut() = State::Active { acknowledged: None };
+        alarm.rule = evidence.rule;
         let text = take_evidence(&mut alarm.last, evidence);
         self.event(index, at, Actor::default(), Some(text))
     }
@@ -234,7 +255,7 @@ impl Alarms {
     /// Takes over an open alarm of a lost monitor, as cleared; ends it if `cause` has an alarm already.
     pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) -> AlarmEvent {
         let state = if self.find(last.cause).is_some() { State::Normal } else { State::Cleared };
-        self.open.push(Alarm { state, last });
+        self.open.push(Alarm { state, rule: Rule::Usual, last });
         self.event(self.open.len() - 1, at, Actor::default(), Some(text))
     }
 
@@ -320,6 +341,24 @@ impl Alarms {
         self.find_active(cause).is_some()
     }
 
+    /// The rule that owns the active alarm of `cause`.
+    pub(super) fn rule(&self, cause: Cause) -> Option<Rule> {
+        self.open.iter().find(|alarm| alarm.last.cause == cause && alarm.state.is_active()).map(|alarm| alarm.rule)
+    }
+
+    /// The cause of the active alarm that `rule` owns.
+    pub(super) fn owned_by(&self, rule: Rule) -> Option<Cause> {
+        let owned = self.open.iter().find(|alarm| alarm.rule == rule && alarm.state.is_active());
+        owned.map(|alarm| alarm.last.cause)
+    }
+
+    /// Gives the alarm of `cause` an owner, as read from a snapshot.
+    pub(super) fn give(&mut self, cause: Cause, rule: Rule) {
+        if let Some(index) = self.find(cause) {
+            self.open[index].rule = rule;
+        }
+    }
+
     fn find_active(&self, cause: Cause) -> Option<&AlarmEvent> {
         self.active().find(|event| event.cause == cause)
     }
@@ -332,6 +371,12 @@ impl Alarms {
     /// The active alarms, oldest first.
     pub(super) fn active(&self) -> impl Iterator<Item = &AlarmEvent> {
         self.open.iter().filter(|alarm| alarm.state.is_active()).map(|alarm| &alarm.last)
+    }
+
+    /// The active alarms about a drift of the coefficients, oldest first.
+    pub(super) fn drifts(&self) -> impl Iterator<Item = &AlarmEvent> {
+        let is_of_coefficients = |alarm: &&Alarm| alarm.last.cause.is_drift() && !alarm.rule.knows_no_part();
+        self.open.iter().filter(|alarm| alarm.state.is_active()).filter(is_of_coefficients).map(|alarm| &alarm.last)
     }
 
     /// The latest event of every open alarm, oldest first.

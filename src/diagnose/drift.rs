@@ -62,8 +62,6 @@ pub(super) struct Drift {
     pub(super) strongest: Option<Window>,
     /// Verdict of the gauges on the drift.
     pub(super) testimony: Testimony,
-    /// The cause whose alarm is from the features of throws that are not judged.
-    pub(super) of_features: Option<Cause>,
     /// Whether its cause has an active alarm.
     is_alarmed: bool,
     /// Whether a direction has a baseline, but too few throws for a level.
@@ -100,7 +98,6 @@ impl Drift {
             attribution,
             strongest,
             testimony,
-            of_features: None,
             is_alarmed,
             is_half_seen,
             levels,

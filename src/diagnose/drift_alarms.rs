@@ -14,10 +14,12 @@ use super::{
     drift::{Drift, FrictionChange},
     event::{AlarmEvent, Cause, RunnerUp, Severity},
     explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor, percent, relevance},
+    found::Found,
     gauges::Gauges,
     history::History,
     intermittent::Intermittent,
     operational::Context,
+    rule::Rule,
     settings::Settings,
     testimony::Testimony,
     text,
@@ -64,7 +66,7 @@ pub(super) struct DriftAlarms {
     pub(super) history: History,
     pub(super) onset: Option<Onset>,
     pub(super) conditions: [Condition; 5],
-    /// The drifts with an active alarm, with their present size.
+    /// The drifts with an active alarm, with their present size; named parts first, then the most severe.
     pub(super) now: Vec<Drifting>,
     /// Throws since the last one that was judged.
     #[serde(default)]
@@ -101,16 +103,14 @@ impl DriftAlarms {
             if weather != Claim::Named && reading.claim != Claim::None {
                 reading.claim = weather;
             }
-            let transition = self.conditions[index].step(reading, alarms.severity(cause), settings);
+            let knows_no_part = alarms.rule(cause).is_some_and(Rule::knows_no_part);
+            let active = alarms.severity(cause).filter(|_| !knows_no_part);
+            let transition = self.conditions[index].step(reading, active, settings);
             let evidence = |severity| self.evidence(cause, severity, drift, order, tracks, context);
             events.extend(match transition {
                 Transition::Stay => None,
-                // An alarm of another rule, about an intermittent fault or features, ends by this rule.
-                Transition::Clear { .. } | Transition::Withdraw
-                    if [self.intermittent.alarmed, drift.of_features].contains(&Some(cause)) =>
-                {
-                    None
-                }
+                // An alarm about an intermittent fault ends by its own rule.
+                Transition::Clear { .. } | Transition::Withdraw if alarms.rule(cause) != Some(Rule::Usual) => None,
                 Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
                 Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
                 Transition::Clear { at_once } => alarms.clear(cause, text::cleared(name, cause, at_once), at),
@@ -138,29 +138,28 @@ impl DriftAlarms {
         alarms: &mut Alarms,
         context: Context,
     ) -> Option<AlarmEvent> {
-        let Context { name, at, settings, .. } = context;
-        let suspicious = self.is_suspicious(alarms);
-        self.intermittent.push(side, departure, &of_one_throw, complete, suspicious, settings);
-        if let Some(cause) = self.intermittent.alarmed {
-            if !self.intermittent.is_over() {
-                return None;
-            }
-            self.intermittent.end();
-            return alarms.clear(cause, text::cleared(name, cause, false), at);
-        }
-        let budget = settings.false_alarms_per_throw();
-        let found = self.intermittent.found(&of_one_throw, budget, settings)?;
-        if excused || alarms.active().any(|event| event.cause.is_drift()) {
-            return None;
-        }
-        self.intermittent.alarmed = Some(found.cause);
-        let text = text::intermittent(name, &found);
-        let evidence = Evidence {
-            change_pct: Some(percent(found.explanation.size)),
-            change_pct_sd: Some(text::sd_pct(&found.explanation)),
-            ..Evidence::plain(Severity::Warning, context.throw, text)
+        let settings = context.settings;
+        let is_active = alarms.owned_by(Rule::Intermittent).is_some();
+        let states = [self.is_suspicious(alarms), is_active];
+        self.intermittent.push(side, departure, &of_one_throw, complete, states, settings);
+        let found = if is_active {
+            if self.intermittent.is_over() { Found::Nothing } else { Found::Unclear }
+        } else {
+            let found = self.intermittent.found(&of_one_throw, settings.false_alarms_per_throw(), settings);
+            found.filter(|_| !excused).map_or(Found::Unclear, |found| {
+                let text = text::intermittent(context.name, &found);
+                let evidence = Evidence {
+                    change_pct: Some(percent(found.explanation.size)),
+                    change_pct_sd: Some(text::sd_pct(&found.explanation)),
+                    ..Evidence::plain(Severity::Warning, context.throw, text)
+                };
+                Found::Fault(found.cause, Box::new(evidence))
+            })
         };
-        alarms.raise(found.cause, evidence, at)
+        if found == Found::Nothing {
+            self.intermittent.end();
+        }
+        found.apply(Rule::Intermittent, alarms, context)
     }
 
     /// The suspicion against adding the last throw to a baseline.
@@ -181,7 +180,7 @@ impl DriftAlarms {
     pub(super) fn known<'a>(&self, alarms: &Alarms, gauges: &'a Gauges) -> Known<'a> {
         let raised = self.conditions.iter().filter_map(Condition::since_raised).min();
         let level = raised.and_then(|throws| self.history.mean(LONGEST_WINDOW..throws));
-        Known { causes: alarms.active().map(|event| event.cause).collect(), level, gauges: Some(gauges) }
+        Known { causes: alarms.drifts().map(|event| event.cause).collect(), level, gauges: Some(gauges) }
     }
 
     /// Whether a drift is suspected or alarmed, so that throws do not count as healthy.
@@ -228,8 +227,7 @@ impl DriftAlarms {
         let leaks = drift.attribution.as_ref().map_or(PLAIN_LEAKS, Attribution::leaks);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
-        let of_drift = |cause: Cause| cause.is_drift() && drift.of_features != Some(cause);
-        for alarm in alarms.active().filter(|event| of_drift(event.cause)) {
+        for alarm in alarms.drifts() {
             let size = |cause: Cause, Window { mean, covariance, .. }: &Window| {
                 if has_sound_motor && cause == Cause::Friction {
                     return friction_of_sound_motor(mean, covariance);
@@ -355,18 +353,16 @@ impl DriftAlarms {
         }
         let main = attribution.main();
         let subject = text::subject(context.name, direction);
+        let text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
         Some(Evidence {
-            severity,
             change_pct: main.map(|main| percent(main.size)),
             change_pct_sd: main.map(text::sd_pct),
             direction,
-            channel: None,
             runner_up: attribution.runner_up,
             correlation: Some(attribution.correlation),
             first_throw: self.onset.as_ref().map(|onset| onset.first.clone()),
-            last_throw: context.throw.cloned(),
             limit_in_throws,
-            text: text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref()),
+            ..Evidence::plain(severity, context.throw, text)
         })
     }
 
@@ -396,12 +392,12 @@ impl DriftAlarms {
     }
 }
 
-/// Drifts with their severity and size relative to the limit, in the order in which they are shown: the most severe
-/// first; of one severity a named part before `unattributed`, then the largest.
+/// Drifts with their severity and size relative to the limit, in the order in which they are shown: named parts before
+/// `unattributed`, then the most severe, then the largest.
 fn worst_first(mut drifts: Vec<(Severity, f64, Drifting)>) -> Vec<Drifting> {
     let is_named = |drifting: &Drifting| drifting.cause != Cause::Unattributed;
     drifts.sort_by(|(severity, size, one), (other_severity, other_size, other)| {
-        let order = (other_severity, is_named(other)).cmp(&(severity, is_named(one)));
+        let order = (is_named(other), other_severity).cmp(&(is_named(one), severity));
         order.then(other_size.total_cmp(size))
     });
     drifts.into_iter().map(|(.., drifting)| drifting).collect()
@@ -412,14 +408,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_named_part_comes_before_a_drift_without_a_name_of_the_same_severity() {
+    fn a_named_part_comes_before_a_drift_without_a_name() {
         let drift = |cause: Cause, severity: Severity, size: f64| {
             let drifting =
                 Drifting { cause, change_pct: size, change_pct_sd: 1.0, direction: None, limit_in_throws: None };
             (severity, size, drifting)
         };
         let drifts = vec![
-            drift(Cause::Unattributed, Severity::Warning, 9.0),
+            drift(Cause::Unattributed, Severity::Critical, 9.0),
             drift(Cause::Friction, Severity::Warning, 2.0),
             drift(Cause::Stiffness, Severity::Warning, 3.0),
             drift(Cause::Kt, Severity::Critical, 1.0),

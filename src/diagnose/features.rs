@@ -5,8 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{Alarms, Evidence},
-    event::{AlarmEvent, Cause, Severity},
+    found::Found,
     gauges::{Change, Gauge, Gauges, sd_of_mean},
     last::Last,
     operational::Context,
@@ -25,7 +24,7 @@ const LEVEL: usize = 6;
 /// or two, and consecutive throws are correlated.
 const SIGNIFICANT_SD: f64 = 4.0;
 
-/// Departures of the watched features from normal, and their standard deviations.
+/// Departures of the watched features from normal, beyond what the supply explains, and their standard deviations.
 type Departures = [Option<(f32, f32)>; WATCHED.len()];
 
 /// The features of the last throws without an estimate.
@@ -34,8 +33,6 @@ pub(super) struct FeatureWatch {
     /// The throws of each direction, the newest last.
     sides: [Last<Departures, LEVEL>; 2],
     calm: u32,
-    /// Whether the alarm `unattributed` is from this rule.
-    alarmed: bool,
 }
 
 impl FeatureWatch {
@@ -43,45 +40,28 @@ impl FeatureWatch {
     pub(super) fn on_features(
         &mut self,
         direction: Direction,
-        features: &Features,
+        (features, celsius): (&Features, Option<f64>),
         gauges: &Gauges,
-        alarms: &mut Alarms,
         context: Context,
-    ) -> Option<AlarmEvent> {
-        let Context { name, at, throw, settings } = context;
+    ) -> Found {
         let recent = &mut self.sides[direction.side()];
-        recent.push(gauges.departures(WATCHED.map(|(gauge, _)| gauge), direction, features));
+        recent.push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
         let changes = self.changes();
-        self.calm = if changes.is_empty() { self.calm.saturating_add(1) } else { 0 };
-        if self.alarmed {
-            // A part that the ratios show meanwhile is the reason for the change.
-            let named = alarms.active().map(|event| event.cause).find(|cause| Cause::PHYSICAL.contains(cause));
-            if let Some(part) = named {
-                self.alarmed = false;
-                return alarms.clear(Cause::Unattributed, text::withdrawn(name, Cause::Unattributed, part), at);
-            }
-            return if self.calm >= settings.off_delay_throws { self.end(alarms, context) } else { None };
+        if !changes.is_empty() {
+            self.calm = 0;
+            let text = text::features(context.name, &changes, LEVEL);
+            return Found::unnamed(context.throw, text);
         }
-        if changes.is_empty() || alarms.active().any(|event| event.cause.is_drift()) {
-            return None;
-        }
-        self.alarmed = true;
-        let evidence = Evidence::plain(Severity::Warning, throw, text::features(name, &changes, LEVEL));
-        alarms.raise(Cause::Unattributed, evidence, at)
+        self.calm = self.calm.saturating_add(1);
+        if self.calm >= context.settings.off_delay_throws { Found::Nothing } else { Found::Unclear }
     }
 
     /// Applies a throw with an estimate: the drift rule judges its direction again.
-    pub(super) fn on_estimate(
-        &mut self,
-        direction: Option<Direction>,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
+    pub(super) fn on_estimate(&mut self, direction: Option<Direction>) -> Found {
         if let Some(direction) = direction {
             self.sides[direction.side()].pop_oldest();
         }
-        let is_empty = self.sides.iter().all(|side| side.is_empty());
-        if self.alarmed && is_empty { self.end(alarms, context) } else { None }
+        if self.sides.iter().all(|side| side.is_empty()) { Found::Nothing } else { Found::Unclear }
     }
 
     /// Whether features of the last throws were compared with normal values.
@@ -89,19 +69,9 @@ impl FeatureWatch {
         self.sides.iter().flat_map(|side| side.iter()).any(|departures| departures.iter().any(Option::is_some))
     }
 
-    /// Whether its alarm is active.
-    pub(super) fn is_alarmed(&self) -> bool {
-        self.alarmed
-    }
-
     /// Deletes the last throws, after maintenance.
     pub(super) fn reset(&mut self) {
         *self = Self::default();
-    }
-
-    fn end(&mut self, alarms: &mut Alarms, Context { name, at, .. }: Context) -> Option<AlarmEvent> {
-        self.reset();
-        alarms.clear(Cause::Unattributed, text::cleared(name, Cause::Unattributed, false), at)
     }
 
     /// The features that changed significantly and relevantly in a direction, the largest change of each.

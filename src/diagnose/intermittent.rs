@@ -70,8 +70,6 @@ pub(super) struct Intermittent {
     /// Whether each of the last throws was far out; newest last. They count later, so that a fault does not count as a
     /// heavy tail.
     undecided: Last<bool, DECIDED_AFTER>,
-    /// Cause of the active alarm.
-    pub(super) alarmed: Option<Cause>,
 }
 
 /// The departures in the last throws.
@@ -88,14 +86,14 @@ pub(super) struct Departures {
 impl Intermittent {
     /// Adds the departure of a throw from the previous ones of its side, with its covariance `of_one_throw`. Until the
     /// baseline is `complete`, the throw belongs to the past; with a `suspicious` drift it does not count for the
-    /// tails.
+    /// tails. While its alarm `is_active` nothing is learned.
     pub(super) fn push(
         &mut self,
         side: usize,
         departure: Vector3<f64>,
         of_one_throw: &Matrix3<f64>,
         complete: bool,
-        suspicious: bool,
+        [suspicious, is_active]: [bool; 2],
         settings: &Settings,
     ) {
         let inverse = of_one_throw.try_inverse();
@@ -122,7 +120,7 @@ impl Intermittent {
         if !complete || self.recent.throws() > COUNTED[1] {
             let is_rising = self.is_rising();
             let oldest = self.recent.pop_oldest().filter(|_| !is_rising);
-            if self.alarmed.is_none() {
+            if !is_active {
                 let is_large = oldest.is_some_and(|d| square(Vector3::from(d.map(f64::from))) > LARGE.far);
                 self.past.0 += f64::from(u8::from(oldest.is_some()));
                 self.past_large += f64::from(u8::from(is_large));
@@ -183,9 +181,8 @@ impl Intermittent {
         (far + TAIL_PRIOR) / (throws + TAIL_PRIOR_THROWS) > HEAVY_FROM
     }
 
-    /// Ends the alarm and discards its departures.
+    /// Discards the departures of an alarm that ends.
     pub(super) fn end(&mut self) {
-        self.alarmed = None;
         self.recent.forget_values();
     }
 

@@ -7,6 +7,7 @@ use super::{
     alarm::{Alarms, Evidence},
     event::{AlarmEvent, Cause, SensorChannel, Severity},
     observation::{Irregularity, Observation},
+    rule::Rule,
     settings::Settings,
     text,
     thermometer::Disbelief,
@@ -309,8 +310,9 @@ impl Operation {
             };
             let evidence = context.warning(text::sensor_implausible(name, disbelief));
             let is_new = self.disbelieved == DISBELIEVED_IN_A_ROW;
-            alarms.raise_sensor(Evidence { channel: Some(channel), ..evidence }, is_new, at)
+            alarms.raise_another(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, is_new, at)
         } else if self.believed >= settings.off_delay_throws
+            && alarms.rule(Cause::Sensor) == Some(Rule::Usual)
             && matches!(alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
         {
             alarms.clear(Cause::Sensor, text::sensor_plausible(name), at)
@@ -337,11 +339,11 @@ impl Operation {
             self.unusable = Some((channel, 1));
         }
         let (channel, throws) = self.unusable?;
-        let alarmed = alarms.faulty_sensor() == Some(channel);
+        let alarmed = alarms.faulty_sensor() == Some(channel) && alarms.rule(Cause::Sensor) == Some(Rule::Usual);
         if throws.count_ones() >= UNUSABLE_OF_EIGHT {
             let evidence = context.warning(text::sensor_unusable(name, channel));
             let is_new = before.is_none_or(|(of, throws)| of != channel || throws.count_ones() < UNUSABLE_OF_EIGHT);
-            alarms.raise_sensor(Evidence { channel: Some(channel), ..evidence }, is_new, at)
+            alarms.raise_another(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, is_new, at)
         } else if self.usable >= settings.off_delay_throws.max(u8::BITS) {
             self.unusable = None;
             if alarmed { alarms.clear(Cause::Sensor, text::sensor_usable(name, channel), at) } else { None }

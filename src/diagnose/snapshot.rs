@@ -1,4 +1,6 @@
-//! Snapshots of version 1, which are converted to the present form.
+//! Snapshots of earlier programs, which are converted to the present form.
+//!
+//! Early snapshots of version 2 stored the owner of an alarm as a flag of each rule.
 //!
 //! Version 1 had no version number. It stored the state of an alarm as flags, all counters of a condition together, and
 //! allowed a maintenance window without end.
@@ -9,9 +11,10 @@ use serde::Deserialize;
 use super::{
     alarm::{Acknowledgement, Alarm, Alarms, State},
     condition::{Condition, Ending, Onset},
-    event::{AlarmEvent, AlarmState},
+    event::{AlarmEvent, AlarmState, Cause, SensorChannel},
     history::History,
     operational::Operation,
+    rule::Rule,
     track::Tracks,
 };
 use crate::throw::ThrowRef;
@@ -104,7 +107,7 @@ impl From<AlarmOne> for Alarm {
             Some(until) => State::Shelved { until, by: shelved_by, why, beneath: Box::new(state) },
             None => state,
         };
-        Self { state, last }
+        Self { state, rule: Rule::Usual, last }
     }
 }
 
@@ -118,5 +121,47 @@ impl ConditionOne {
         let EndingOne { healthy, below, other, level, below_level, fell_within, proposed, restless } = self.ending;
         let ending = Ending { healthy, below, other, level, since_level: below_level, fell_within, proposed, restless };
         Condition::Raised { onset, since_raised: self.since_raised.unwrap_or_default(), ending: Box::new(ending) }
+    }
+}
+
+/// The version of a snapshot, and the owners of alarms in early snapshots of version 2: flags of the rules, with the cause or
+/// the sensor of the alarm.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Stamp {
+    pub(super) version: Option<u32>,
+    features: Flag<bool>,
+    start: Flag<bool>,
+    drift: OfDrift,
+    instruments: Flag<Option<SensorChannel>>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct OfDrift {
+    intermittent: Flag<Option<Cause>>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct Flag<T> {
+    alarmed: T,
+}
+
+impl Stamp {
+    /// Gives the alarms their owners.
+    pub(super) fn give_owners(&self, alarms: &mut Alarms) {
+        let of_sensor = self.instruments.alarmed.filter(|channel| alarms.faulty_sensor() == Some(*channel));
+        let owners = [
+            (self.start.alarmed.then_some(Cause::Unattributed), Rule::Start),
+            (self.features.alarmed.then_some(Cause::Unattributed), Rule::Features),
+            (self.drift.intermittent.alarmed, Rule::Intermittent),
+            (of_sensor.map(|_| Cause::Sensor), Rule::Gauges),
+        ];
+        for (cause, rule) in owners {
+            if let Some(cause) = cause {
+                alarms.give(cause, rule);
+            }
+        }
     }
 }

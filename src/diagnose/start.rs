@@ -5,8 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{Alarms, Evidence},
-    event::{AlarmEvent, Cause, Severity},
+    found::Found,
     gauges::{Gauge, Gauges, Level},
     operational::Context,
     text,
@@ -34,8 +33,6 @@ pub(super) struct StartWatch {
     /// Consecutive throws with a change, and without.
     named: u32,
     calm: u32,
-    /// Whether the alarm `unattributed` is from this rule.
-    alarmed: bool,
 }
 
 /// The changes of the start of the last throws.
@@ -65,39 +62,20 @@ impl Change {
 }
 
 impl StartWatch {
-    /// Applies an estimated throw, whose gauges are the last; `excused`: a sensor or the supply explains its drift.
-    pub(super) fn judge(
-        &mut self,
-        gauges: &Gauges,
-        excused: bool,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
-        let Context { name, at, throw, settings } = context;
+    /// Applies an estimated throw, whose gauges are the last; `excused`: a sensor or the supply explains its drift. A fault
+    /// of a part can change the start too, as stiffness does in an elastic drive.
+    pub(super) fn judge(&mut self, gauges: &Gauges, excused: bool, context: Context) -> Found {
         let change = Change::of(gauges);
         let size = change.map_or(0.0, |change| change.size());
         self.named = if size > 1.0 && !excused { self.named.saturating_add(1) } else { 0 };
         self.calm = if size < OVER_BELOW { self.calm.saturating_add(1) } else { 0 };
-        if self.alarmed {
-            if self.calm < settings.off_delay_throws {
-                return None;
+        match change {
+            Some(change) if self.named >= NAMED_THROWS => {
+                let text = text::start(context.name, &change, WINDOWS[2]);
+                Found::unnamed(context.throw, text)
             }
-            *self = Self::default();
-            return alarms.clear(Cause::Unattributed, text::cleared(name, Cause::Unattributed, false), at);
+            _ if self.calm >= context.settings.off_delay_throws => Found::Nothing,
+            _ => Found::Unclear,
         }
-        // A fault of a part can change the start too, as stiffness does in an elastic drive. An alarm about inertia names brake
-        // and play.
-        let explains = |cause: Cause| cause.is_drift() || cause == Cause::Sensor;
-        if self.named < NAMED_THROWS || alarms.active().any(|event| explains(event.cause)) {
-            return None;
-        }
-        let text = text::start(name, &change?, WINDOWS[2]);
-        self.alarmed = true;
-        alarms.raise(Cause::Unattributed, Evidence::plain(Severity::Warning, throw, text), at)
-    }
-
-    /// Whether its alarm is active.
-    pub(super) fn is_alarmed(&self) -> bool {
-        self.alarmed
     }
 }

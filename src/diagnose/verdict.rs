@@ -113,7 +113,7 @@ pub struct HidingTemperature {
 pub struct Verdict {
     /// State of the machine after this throw.
     pub state: MachineState,
-    /// Present drifts with an active alarm, the most severe first.
+    /// Present drifts with an active alarm, named parts first, then the most severe.
     pub drifts: Vec<Drifting>,
     /// Blindness, if the temperature hides a change at the warning limit, or scatter one at the critical limit.
     pub blind: Option<Blindness>,

@@ -148,7 +148,7 @@ fn the_alarm_of_the_features_ends_when_a_part_is_named() {
     for events in of_features {
         let last = events.iter().rfind(|event| event.cause == Cause::Unattributed).unwrap();
         assert_eq!(last.state, AlarmState::ClearedUnacknowledged, "{events:?}");
-        assert!(last.text.contains("but motor"), "{}", last.text);
+        assert!(last.text.contains("motor explains the change"), "{}", last.text);
     }
 }
 

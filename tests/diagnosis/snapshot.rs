@@ -1,4 +1,4 @@
-//! Snapshots of program version 1: a demo after its alarms, one of them acknowledged, one shelved, and one machine in
+//! Snapshots of earlier programs. Of version 1: a demo after its alarms, one of them acknowledged, one shelved, and one machine in
 //! maintenance without an end.
 
 use jiff::SignedDuration;
@@ -7,6 +7,9 @@ use pointsd::{
     throw::Direction,
 };
 
+/// Of a program that stored the owner of an alarm as a flag of its rule: the alarm of the features is active beside that of
+/// the supply.
+const WITH_FLAGS: &str = include_str!("snapshots/version-2.json");
 const SNAPSHOTS: &str = include_str!("snapshots/version-1.ndjson");
 
 fn monitors() -> [MachineMonitor; 3] {
@@ -52,4 +55,26 @@ fn a_snapshot_of_a_newer_version_is_refused_by_its_number() {
     let error = MachineMonitor::from_snapshot(r#"{"version": 99}"#).unwrap_err().to_string();
     assert!(error.contains("99"), "{error}");
     assert!(MachineMonitor::from_snapshot("[]").is_err());
+}
+
+#[test]
+fn the_owner_of_an_alarm_is_read_from_the_flags_of_an_earlier_program() {
+    let owners = |json: &serde_json::Value| {
+        let monitor = MachineMonitor::from_snapshot(&json.to_string()).unwrap();
+        let now = serde_json::to_value(&monitor).unwrap();
+        let again = MachineMonitor::from_snapshot(&now.to_string()).unwrap();
+        assert_eq!(again, monitor);
+        let open = now["alarms"]["open"].as_array().unwrap().clone();
+        open.into_iter().map(|alarm| (alarm["last"]["cause"].clone(), alarm["rule"].clone())).collect::<Vec<_>>()
+    };
+    let mut json: serde_json::Value = serde_json::from_str(WITH_FLAGS).unwrap();
+    let none = serde_json::Value::Null;
+    assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), "features".into())]);
+    json["features"]["alarmed"] = false.into();
+    assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), none.clone())]);
+    json["start"]["alarmed"] = true.into();
+    assert_eq!(owners(&json), [("supply".into(), none.clone()), ("unattributed".into(), "start".into())]);
+    json["start"]["alarmed"] = false.into();
+    json["drift"]["intermittent"]["alarmed"] = "unattributed".into();
+    assert_eq!(owners(&json), [("supply".into(), none), ("unattributed".into(), "intermittent".into())]);
 }

@@ -90,3 +90,28 @@ fn a_start_that_always_scatters_is_normal() {
         }
     }
 }
+
+/// A late brake, and later a fault of a part: the part has a name, and explains the start from then on.
+#[test]
+fn the_alarm_about_the_start_ends_when_a_part_is_named() {
+    let settings = Settings::default();
+    for (seed, fault, cause) in [
+        (40, State { friction: 2.2, ..State::SOUND }, Cause::Friction),
+        (41, State { torque: 0.7, back_emf: 0.7, ..State::SOUND }, Cause::Kt),
+    ] {
+        let mut drive = learned(seed, &settings);
+        let late = State { brake_s: 0.02, ..State::SOUND };
+        let before: Vec<_> = (0..40).flat_map(|_| drive.feed(late, &settings).events).collect();
+        assert!(before.len() == 1 && is_about_the_start(&before[0]), "{before:?}");
+        let (mut drifts, mut events) = (Vec::new(), Vec::new());
+        for _ in 0..60 {
+            let verdict = drive.feed(State { brake_s: 0.02, ..fault }, &settings);
+            events.extend(verdict.events);
+            drifts = verdict.drifts;
+        }
+        let withdrawn = events.iter().find(|event| event.cause == Cause::Unattributed).unwrap();
+        assert_eq!(withdrawn.state, AlarmState::ClearedUnacknowledged, "{events:?}");
+        assert!(withdrawn.text.contains(&format!("{cause} explains the change")), "{}", withdrawn.text);
+        assert_eq!(drifts.first().map(|drifting| drifting.cause), Some(cause), "{events:?}");
+    }
+}

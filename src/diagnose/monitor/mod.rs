@@ -16,9 +16,10 @@ use super::{
     instruments::Instruments,
     observation::{Irregularity, Parameters},
     operational::{self, Context, Operation},
+    rule::Rule,
     settings::Settings,
     site::{self, Common, Trail},
-    snapshot::VersionOne,
+    snapshot::{Stamp, VersionOne},
     start::StartWatch,
     text,
     thermometer::Thermometer,
@@ -125,18 +126,16 @@ impl MachineMonitor {
     /// # Errors
     /// When the text is not a snapshot, or has an unknown version.
     pub fn from_snapshot(json: &str) -> Result<Self, serde_json::Error> {
-        #[derive(Deserialize)]
-        struct Stamp {
-            version: Option<u32>,
-        }
-        match serde_json::from_str(json)? {
-            Stamp { version: None } => serde_json::from_str::<VersionOne>(json).map(Self::from),
-            Stamp { version: Some(Self::VERSION) } => {
-                let monitor: Self = serde_json::from_str(json)?;
+        let stamp: Stamp = serde_json::from_str(json)?;
+        match stamp.version {
+            None => serde_json::from_str::<VersionOne>(json).map(Self::from),
+            Some(Self::VERSION) => {
+                let mut monitor: Self = serde_json::from_str(json)?;
+                stamp.give_owners(&mut monitor.alarms);
                 let replaced = monitor.unread.as_ref().and_then(|unread| Self::from_snapshot(unread).ok());
                 Ok(replaced.unwrap_or(monitor))
             }
-            Stamp { version: Some(other) } => {
+            Some(other) => {
                 let problem = format!("snapshot version {other} is from a newer program");
                 Err(serde::de::Error::custom(problem))
             }
@@ -343,14 +342,10 @@ impl MachineMonitor {
 
     /// Ends the alarms of rules that forget their last throws, and could not end them any more.
     fn end_rules(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
-        let of_features = self.has_features_alarm().then_some(Cause::Unattributed);
-        let causes = [Cause::Sensor, Cause::Supply].into_iter().chain(of_features);
+        let of_rules = [Rule::Features, Rule::Start, Rule::Intermittent].into_iter();
+        let of_rules: Vec<Cause> = of_rules.filter_map(|rule| self.alarms.owned_by(rule)).collect();
+        let causes = [Cause::Sensor, Cause::Supply].into_iter().chain(of_rules);
         causes.filter_map(|cause| self.alarms.clear(cause, text::checked_anew(&self.name), now)).collect()
-    }
-
-    /// Whether the alarm `unattributed` is from the features or the start of the throws, and not from a drift.
-    fn has_features_alarm(&self) -> bool {
-        self.features.is_alarmed() || self.start.is_alarmed()
     }
 
     fn end_maintenance(&mut self, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
@@ -373,7 +368,7 @@ impl MachineMonitor {
         self.alarms.events().cloned().collect()
     }
 
-    /// The drifts with an active alarm whose present size is known, the most severe first.
+    /// The drifts with an active alarm whose present size is known; named parts first, then the most severe.
     #[must_use]
     pub fn drifts(&self) -> Vec<Drifting> {
         self.drift.now.iter().filter(|drifting| drifting.has_size()).copied().collect()

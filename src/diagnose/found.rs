@@ -1,0 +1,66 @@
+//! What a rule finds in the last throws, and its alarm.
+
+use super::{
+    alarm::{Alarms, Evidence},
+    event::{AlarmEvent, Cause, SensorChannel, Severity},
+    operational::Context,
+    rule::Rule,
+    text,
+};
+use crate::throw::ThrowRef;
+
+/// What a rule finds in the last throws.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Found {
+    /// A fault.
+    Fault(Cause, Box<Evidence>),
+    /// No fault, for long enough to end an alarm.
+    Nothing,
+    /// Neither.
+    Unclear,
+}
+
+impl Found {
+    /// A drift without a named part, at severity warning.
+    pub(super) fn unnamed(throw: Option<&ThrowRef>, text: String) -> Self {
+        Self::Fault(Cause::Unattributed, Box::new(Evidence::plain(Severity::Warning, throw, text)))
+    }
+
+    /// Raises or ends the alarm of `rule`. A fault that a present alarm explains raises none.
+    pub(super) fn apply(
+        self,
+        rule: Rule,
+        alarms: &mut Alarms,
+        Context { name, at, .. }: Context,
+    ) -> Option<AlarmEvent> {
+        match (alarms.owned_by(rule), self) {
+            (Some(cause), Self::Nothing) => {
+                let supply = alarms.is_active(Cause::Supply) && rule.knows_no_part();
+                let text =
+                    if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, false) };
+                alarms.clear(cause, text, at)
+            }
+            (None, Self::Fault(cause, evidence))
+                if !alarms.active().any(|event| event.cause == Cause::Unattributed || explains(event)) =>
+            {
+                alarms.raise(cause, Evidence { rule, ..*evidence }, at)
+            }
+            _ => None,
+        }
+    }
+}
+
+/// Ends the alarm of a rule that knows no part, when another alarm names the part or the sensor.
+pub(super) fn withdraw_explained(alarms: &mut Alarms, Context { name, at, .. }: Context) -> Option<AlarmEvent> {
+    let part = alarms.active().find(|event| explains(event))?.cause;
+    let unnamed = [Rule::Features, Rule::Start].into_iter().find_map(|rule| alarms.owned_by(rule))?;
+    alarms.clear(unnamed, text::explained(name, part), at)
+}
+
+/// Whether this alarm names the part, or the sensor, that changes the features and the start of a throw. A changed supply
+/// explains some of them and not all, so the features are compared without what it explains.
+fn explains(event: &AlarmEvent) -> bool {
+    use SensorChannel::{Clock, Current, Position};
+    Cause::PHYSICAL.contains(&event.cause)
+        || event.cause == Cause::Sensor && matches!(event.channel, Some(Current | Position | Clock))
+}
