@@ -10,6 +10,7 @@ use super::{
     alarm::{Alarms, Evidence},
     event::{AlarmEvent, Cause, SensorChannel, Severity},
     operational::Context,
+    rule::Rule,
     text,
 };
 use crate::throw::ThrowRef;
@@ -29,7 +30,6 @@ pub(super) struct LoggerClock {
     /// Consecutive throws with a wrong, and with a right clock.
     wrong: u32,
     right: u32,
-    alarmed: bool,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -85,14 +85,9 @@ impl LoggerClock {
     ) -> Option<AlarmEvent> {
         if self.wrong >= IN_A_ROW {
             let plain = Evidence::plain(Severity::Warning, throw, text::wrong_clock(name, started_at, at));
-            let evidence = Evidence { channel: Some(SensorChannel::Clock), ..plain };
-            let event = alarms.raise_sensor(evidence, self.wrong == IN_A_ROW, at);
-            self.alarmed |= event.is_some();
-            event
-        } else if self.right >= settings.off_delay_throws
-            && std::mem::take(&mut self.alarmed)
-            && alarms.faulty_sensor() == Some(SensorChannel::Clock)
-        {
+            let evidence = Evidence { channel: Some(SensorChannel::Clock), rule: Rule::Dates, ..plain };
+            alarms.raise_another(Cause::Sensor, evidence, self.wrong == IN_A_ROW, at)
+        } else if self.right >= settings.off_delay_throws && alarms.rule(Cause::Sensor) == Some(Rule::Dates) {
             alarms.clear(Cause::Sensor, text::right_clock(name), at)
         } else {
             None

@@ -15,6 +15,8 @@ pub(super) enum Rule {
     Start,
     /// Departures of some throws.
     Intermittent,
+    /// Dates of throws that a right clock cannot give.
+    Dates,
     /// Gauges that show a faulty sensor.
     Gauges,
     /// A changed resistance of the motor and its line to the supply.
