@@ -209,14 +209,21 @@ impl Alarms {
         Some(self.activate(index, evidence, at))
     }
 
-    /// Raises the alarm about a sensor. If it is active about another sensor and this fault `is_new`, it is about this one
-    /// from now on, as one alarm must not hide the fault of another sensor.
-    pub(super) fn raise_sensor(&mut self, evidence: Evidence, is_new: bool, at: Timestamp) -> Option<AlarmEvent> {
-        let other = self.find_active(Cause::Sensor).is_some_and(|event| event.channel != evidence.channel);
-        let index = self.find(Cause::Sensor).filter(|_| other && is_new);
+    /// Raises the alarm about a sensor or the supply. If it is active about another sensor, or is that of another rule, and
+    /// this fault `is_new`, it is about this one from now on, as one alarm must not hide another fault.
+    pub(super) fn raise_another(
+        &mut self,
+        cause: Cause,
+        evidence: Evidence,
+        is_new: bool,
+        at: Timestamp,
+    ) -> Option<AlarmEvent> {
+        let other = self.find_active(cause).is_some_and(|event| event.channel != evidence.channel)
+            || cause == Cause::Supply && self.rule(cause).is_some_and(|rule| rule != evidence.rule);
+        let index = self.find(cause).filter(|_| other && is_new);
         match index {
             Some(index) => Some(self.activate(index, evidence, at)),
-            None => self.raise(Cause::Sensor, evidence, at),
+            None => self.raise(cause, evidence, at),
         }
     }
 

@@ -12,7 +12,7 @@ use super::{
     correlation::Correlation,
     event::{Cause, RunnerUp},
     explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, Leaks, PLAIN_LEAKS, direction_of, fit, relevance, single},
-    gauges::{BackEmf, Gauges},
+    gauges::{BackEmf, Gauges, Level},
     settings::Settings,
     window::Window,
 };
@@ -114,6 +114,8 @@ pub(super) struct Attribution {
     pub(super) lead: f64,
     /// Whether gauges show the back-EMF of the motor.
     beside_gauges: bool,
+    /// Change of the back-EMF, if a gauge shows it directly.
+    back_emf: Option<Level>,
 }
 
 /// The explanations of a drift, each kind with the best first.
@@ -141,6 +143,7 @@ impl Attribution {
             relevance: all.any.relevance(settings),
             lead: 0.0,
             beside_gauges: back_emf.is_some(),
+            back_emf: known.gauges.and_then(|gauges| gauges.back_emf(window.throws)).and_then(BackEmf::of_motor),
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
             return attribution;
@@ -267,6 +270,18 @@ impl Attribution {
     /// Whether the back-EMF shows that the motor is no part of the drift.
     pub(super) fn has_sound_motor(&self) -> bool {
         self.beside_gauges && !matches!(self.naming, Naming::Neither) && !self.includes(Cause::Kt)
+    }
+
+    /// Change of the back-EMF, if it shows that a lost torque is not that of the magnets: gear, clutch and brushes lose torque
+    /// without it.
+    pub(super) fn sound_magnets(&self) -> Option<Level> {
+        let named = match &self.naming {
+            Naming::One(one) | Naming::Another { new: one, .. } => [Some(one), None],
+            Naming::Either(a, b) | Naming::Both(a, b) => [Some(a), Some(b)],
+            Naming::Neither => [None, None],
+        };
+        let motor = named.into_iter().flatten().find(|part| part.cause == Cause::Kt && part.size < 0.0)?;
+        self.back_emf.filter(|level| level.value.abs() + level.sd < CHANGED * motor.size.abs())
     }
 
     /// Whether the cross-correlation rule contradicts the name of its main part.

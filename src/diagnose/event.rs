@@ -50,7 +50,7 @@ pub enum Cause {
     DataLoss,
     /// A sensor gives implausible values, or explains a drift at least as well as the machine.
     Sensor,
-    /// The supply of the motor changed.
+    /// The supply of the motor changed: its voltage, or the resistance between it and the motor.
     Supply,
 }
 

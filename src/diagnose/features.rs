@@ -24,7 +24,7 @@ const LEVEL: usize = 6;
 /// or two, and consecutive throws are correlated.
 const SIGNIFICANT_SD: f64 = 4.0;
 
-/// Departures of the watched features from normal, and their standard deviations.
+/// Departures of the watched features from normal, beyond what the supply explains, and their standard deviations.
 type Departures = [Option<(f32, f32)>; WATCHED.len()];
 
 /// The features of the last throws without an estimate.
@@ -40,12 +40,12 @@ impl FeatureWatch {
     pub(super) fn on_features(
         &mut self,
         direction: Direction,
-        features: &Features,
+        (features, celsius): (&Features, Option<f64>),
         gauges: &Gauges,
         context: Context,
     ) -> Found {
         let recent = &mut self.sides[direction.side()];
-        recent.push(gauges.departures(WATCHED.map(|(gauge, _)| gauge), direction, features));
+        recent.push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
         let changes = self.changes();
         if !changes.is_empty() {
             self.calm = 0;

@@ -33,6 +33,18 @@ pub(super) enum Gauge {
 impl Gauge {
     const COUNT: usize = 11;
 
+    /// Range of the changes that a changed supply explains, as logarithms. The charge is that of the inrush, and of the running
+    /// motor: its current is the same before a dry load, and follows the speed before a viscous one.
+    fn range(self, Supplied { slower, inrush }: Supplied) -> [f32; 2] {
+        let [from, to] = match self {
+            Self::Duration => [0.0, slower],
+            Self::Running => [0.0, -slower],
+            Self::Charge => [inrush, slower],
+            _ => [0.0, 0.0],
+        };
+        [from.min(to).min(0.0), from.max(to).max(0.0)]
+    }
+
     /// Least standard deviation of a level: the effect of sampling, adjustment and temperature on a healthy machine.
     pub(super) fn floor(self) -> f64 {
         match self {
@@ -53,6 +65,21 @@ const RECENT: usize = WINDOWS[2];
 const EXPECTED_ERROR: f64 = 0.15;
 /// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
 const COPPER: (f64, f64) = (0.0039, 20.0);
+/// Temperatures that change the resistance \[K\]: of a winding above the air, in a yard with a throw every few minutes (80 K is
+/// the limit of its insulation), and of the air above that of the baseline, where it is not measured.
+const HEATED_K: f64 = 60.0;
+const WEATHER_K: f64 = 30.0;
+/// Significance of a changed resistance, in standard deviations of a level.
+const CIRCUIT_SD: f64 = 4.0;
+/// Least error of a published voltage, as a logarithm, and its significance.
+const VOLTAGE_ERROR: f64 = 0.08;
+const VOLTAGE_ERROR_SD: f64 = 4.0;
+/// Largest difference of two changes that are the same, as part of them.
+const ALIKE: f64 = 0.5;
+/// Largest part of the normal voltage across the resistance: more would be a motor near its stall.
+const LARGEST_SHARE: f32 = 0.6;
+/// Least speed that a supply leaves, as part of the normal one; it bounds a logarithm.
+const LEAST_SPEED: f32 = 0.1;
 /// Significance of a shorter duration, in standard deviations.
 const SHORTER_SD: f64 = 3.0;
 /// Factor on the standard deviation of a mean, as consecutive throws are correlated: √((1 + 0.5) / (1 - 0.5)) for a
@@ -76,12 +103,36 @@ impl Level {
     }
 }
 
+/// Changes of a throw by its supply, as logarithms.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Supplied {
+    /// By how much the motor is slower.
+    slower: f32,
+    /// Change of the inrush, V/R.
+    inrush: f32,
+}
+
 /// Change of the back-EMF of the motor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct BackEmf {
     pub(super) level: Level,
     /// Whether it is only that of the duration, which less friction shortens too.
     pub(super) of_duration: bool,
+}
+
+impl BackEmf {
+    /// The change, if it is not only that of the duration.
+    pub(super) fn of_motor(self) -> Option<Level> {
+        (!self.of_duration).then_some(self.level)
+    }
+}
+
+/// Change of the resistance between supply and motor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Circuit {
+    pub(super) level: Level,
+    /// Size relative to what heat explains, and to the scatter.
+    pub(super) size: f64,
 }
 
 /// A changed gauge.
@@ -169,18 +220,22 @@ impl Gauges {
         self.recent.push(Shown::new(side, values));
     }
 
-    /// Departures of some gauges of this throw from normal, as logarithms, with the standard deviation of one throw;
-    /// `None` if the gauge or its normal value is unknown.
-    pub(super) fn departures<const N: usize>(
+    /// Departures of some gauges of this throw from normal that its supply does not explain, as logarithms, with the
+    /// standard deviation of one throw; `None` if the gauge or its normal value is unknown.
+    pub(super) fn unexplained<const N: usize>(
         &self,
         gauges: [Gauge; N],
         direction: Direction,
         features: &Features,
+        celsius: Option<f64>,
     ) -> [Option<(f32, f32)>; N] {
-        let (normal, values) = (&self.sides[direction.side()], values(features, None));
+        let (normal, values) = (&self.sides[direction.side()], values(features, celsius));
+        let supplied = normal.supplied(&values);
         gauges.map(|gauge| {
             let (centre, sd) = normal.of(gauge)?;
-            Some((values[gauge as usize]? - centre, sd))
+            let change = values[gauge as usize]? - centre;
+            let [from, to] = gauge.range(supplied);
+            Some((change - change.clamp(from, to), sd))
         })
     }
 
@@ -202,11 +257,48 @@ impl Gauges {
             .then(|| Level { value: mean(|(value, _)| *value), sd: sd_of_mean(gauge, mean(|(_, sd)| *sd), count) })
     }
 
+    /// Error of the published supply voltage. Resistance and back-EMF constant are computed from it and have the same error,
+    /// and the no-load speed is not: the voltage changed, and the speed did not follow. A voltage that is not changed, but
+    /// should be, as with a sensor that is stuck, has the same error in both too, beyond what heat does to a resistance.
+    /// Weaker magnets do not change the resistance, and draw more current; a motor with another winding too. The level is
+    /// that of the last few throws; the longer window must show it too.
+    pub(super) fn voltage_error(&self) -> Option<Level> {
+        self.voltage_error_in(WINDOWS[1]).and_then(|_| self.voltage_error_in(WINDOWS[0]))
+    }
+
+    /// The same over the last `throws`.
+    pub(super) fn voltage_error_in(&self, throws: usize) -> Option<Level> {
+        let level = |gauge| self.level(gauge, throws);
+        let (back_emf, ohms, volts) = (level(Gauge::BackEmf)?, level(Gauge::Resistance)?, level(Gauge::Volts)?);
+        let is_like = |of: f64, sd: f64| (of - back_emf.value).abs() < ALIKE * back_emf.value.abs() + sd;
+        let size = back_emf.value.abs();
+        let is_shown =
+            size > VOLTAGE_ERROR.max(VOLTAGE_ERROR_SD * back_emf.sd.max(ohms.sd)) && is_like(ohms.value, 0.0);
+        let is_alone = is_like(volts.value, volts.sd) || size.min(ohms.value.abs()) > heat(HEATED_K + WEATHER_K);
+        let running = level(Gauge::Running).map_or(0.0, |running| running.value.abs() - running.sd);
+        (is_shown && is_alone && running < ALIKE * size).then_some(back_emf)
+    }
+
+    /// Change of the resistance between supply and motor that heat does not explain; `knows_weather`: the resistance is
+    /// known at the temperature of the air. The level is that of the last few throws; the longer window must show it too, so
+    /// that a single throw does not. `None` if it is unknown, or the voltage is wrong.
+    pub(super) fn circuit(&self, knows_weather: bool) -> Option<Circuit> {
+        let [level, longer] = [WINDOWS[0], WINDOWS[1]].map(|throws| self.level(Gauge::Resistance, throws));
+        let (level, longer) = (level?, longer?);
+        let heat = heat(HEATED_K + if knows_weather { 0.0 } else { WEATHER_K });
+        let is_motor =
+            self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
+        let size_of = |level: Level| level.value.abs() / heat.max(CIRCUIT_SD * level.sd);
+        let size = size_of(level).min(size_of(longer));
+        (!is_motor && self.voltage_error().is_none()).then_some(Circuit { level, size })
+    }
+
     /// Change of the back-EMF: from its constant, without a supply voltage from the no-load speed, and without both, as with
     /// a stroke that unlocks, from a shorter duration.
     pub(super) fn back_emf(&self, throws: usize) -> Option<BackEmf> {
         let of_speed = || self.level(Gauge::NoLoadSpeed, throws).map(|Level { value, sd }| Level { value: -value, sd });
-        let shown = self.level(Gauge::BackEmf, throws).or_else(of_speed);
+        let of_constant = self.level(Gauge::BackEmf, throws).filter(|_| self.voltage_error().is_none());
+        let shown = of_constant.or_else(of_speed);
         let of_duration = || self.level(Gauge::Duration, throws).filter(|level| level.value < -SHORTER_SD * level.sd);
         let level = shown.or_else(of_duration)?;
         Some(BackEmf { level, of_duration: shown.is_none() })
@@ -228,6 +320,23 @@ impl Normal {
     /// Centre and standard deviation of a gauge.
     fn of(&self, gauge: Gauge) -> Option<(f32, f32)> {
         self.known[gauge as usize]
+    }
+
+    /// How much slower supply voltage and resistance of a throw make the motor, as a logarithm. The speed is (V - R i)/K; of the
+    /// normal voltage the resistance takes the part s = R i/V, so the speed changes by (V/V0 - s R/R0)/(1 - s). The current
+    /// is the normal one, as before a dry load; before a viscous load it follows the speed, and the change is smaller. If
+    /// the resistance is unknown, the inrush, at most V/R, gives an upper bound of s. No change if the voltage is unknown.
+    fn supplied(&self, values: &Values) -> Supplied {
+        let change = |gauge: Gauge| Some(values[gauge as usize]? - self.of(gauge)?.0);
+        let centre = |gauge: Gauge| self.of(gauge).map(|(centre, _)| centre);
+        let of_resistance = || Some(centre(Gauge::Resistance)? + centre(Gauge::Running)? - centre(Gauge::Volts)?);
+        let of_inrush = || Some(centre(Gauge::Running)? - centre(Gauge::Inrush)?);
+        let share = of_resistance().or_else(of_inrush).map_or(0.0, f32::exp).min(LARGEST_SHARE);
+        change(Gauge::Volts).map_or(Supplied::default(), |volts| {
+            let ohms = change(Gauge::Resistance).unwrap_or_default();
+            let speed = ((volts.exp() - share * ohms.exp()) / (1.0 - share)).max(LEAST_SPEED);
+            Supplied { slower: -speed.ln(), inrush: volts - ohms }
+        })
     }
 
     fn learn(&mut self, values: Values) {
@@ -253,6 +362,11 @@ impl Normal {
     }
 }
 
+/// Change of the logarithm of a resistance by a temperature.
+fn heat(kelvin: f64) -> f64 {
+    (COPPER.0 * kelvin).ln_1p()
+}
+
 /// The gauges of a throw, as logarithms except for the delay of the start.
 fn values(features: &Features, celsius: Option<f64>) -> Values {
     let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
@@ -273,4 +387,47 @@ fn values(features: &Features, celsius: Option<f64>) -> Values {
     #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
     let rounded = |value: f64| ((1e4 * value.ln()).round() / 1e4) as f32;
     shown.map(|value| value.map(rounded).filter(|ln| ln.is_finite()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NORMAL: Direction = Direction::NormalToReverse;
+
+    /// 5 A through 0.9 Ω take 4.5 of 36 V, so the speed follows V - 4.5 V.
+    fn features(supply_v: f64, duration_s: f64, resistance_ohm: Option<f64>) -> Features {
+        Features {
+            supply_v: Some(supply_v),
+            duration_s: Some(duration_s),
+            resistance_ohm,
+            running_current_a: Some(5.0),
+            peak_current_a: Some(30.0),
+            ..Features::default()
+        }
+    }
+
+    #[test]
+    fn a_voltage_explains_a_duration_up_to_that_of_the_back_emf() {
+        for (ohm, longest) in
+            [(Some(0.9), (36.0 - 4.5) / (30.0 - 4.5)), (None, (1.0 - 5.0 / 30.0) / (30.0 / 36.0 - 5.0 / 30.0))]
+        {
+            let mut gauges = Gauges::default();
+            for _ in 0..LEARNED.0 {
+                gauges.push(NORMAL, &features(36.0, 7.0, ohm), None, false);
+            }
+            for (factor, rest) in [
+                (1.0, 0.0),
+                (longest, 0.0),
+                (1.2 * longest, 1.2_f64.ln()),
+                // A shorter throw is not the effect of a lower voltage.
+                (0.9, 0.9_f64.ln()),
+            ] {
+                let throw = features(30.0, 7.0 * factor, ohm);
+                let [found] = gauges.unexplained([Gauge::Duration], NORMAL, &throw, None);
+                let found = f64::from(found.unwrap().0);
+                assert!((found - rest).abs() < 1e-3, "{ohm:?}, {factor}: {found}");
+            }
+        }
+    }
 }

@@ -28,7 +28,7 @@ use super::{
     drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel, Severity},
     explain::{PLAIN_LEAKS, fit, fit_along, percent, single},
-    gauges::{Gauge, Gauges, Level},
+    gauges::{Circuit, Gauge, Gauges, Level},
     operational::Context,
     rule::Rule,
     settings::Settings,
@@ -73,6 +73,8 @@ pub(super) struct Instruments {
     channel: Option<SensorChannel>,
     sensor: Streaks,
     supply: Streaks,
+    #[serde(default)]
+    circuit: Streaks,
 }
 
 /// A sensor fault: its effect on the coefficients and on travel, back-EMF, resistance and duration.
@@ -102,7 +104,10 @@ impl Instruments {
         if self.supply_explains(attribution, window, settings) {
             return Testimony::Supply;
         }
-        let levels = TELLING.map(|gauge| self.gauges.level(gauge, window.throws));
+        let is_wrong = self.gauges.voltage_error().is_some();
+        let is_of_voltage = |gauge: Gauge| matches!(gauge, Gauge::BackEmf | Gauge::Resistance);
+        let levels = TELLING
+            .map(|gauge| self.gauges.level(gauge, window.throws).filter(|_| !(is_wrong && is_of_voltage(gauge))));
         // With a supply voltage the back-EMF replaces the duration, which has the scatter of the supply.
         let levels = if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels };
         let (part, score) = best_part(window, &levels, settings);
@@ -151,33 +156,36 @@ impl Instruments {
         attribution.main().is_some_and(|main| main.cause == Cause::Friction) && (-slack..DRIER + slack).contains(&share)
     }
 
-    /// Loss of supply voltage, as a logarithm, from the voltage or the inrush; `None` unless it is significant and the
-    /// duration agrees.
+    /// Loss of supply voltage, as a logarithm, from the voltage without its error, or the inrush; `None` unless it is
+    /// significant and the duration agrees.
     fn supply_lost(&self, throws: usize) -> Option<Level> {
         let gauge = self.gauges.level(Gauge::Volts, throws).or_else(|| self.gauges.level(Gauge::Inrush, throws))?;
         let longer = self.gauges.level(Gauge::Duration, throws)?;
-        let lost = Level { value: -gauge.value, ..gauge };
+        let is_wrong = self.gauges.voltage_error_in(WINDOWS[0]).is_some();
+        let error = self.gauges.level(Gauge::BackEmf, throws).filter(|_| is_wrong);
+        let lost = Level { value: error.map_or(0.0, |error| error.value) - gauge.value, ..gauge };
         let changed = lost.value.abs() > SUPPLY_CHANGE.max(SUPPLY_SD * lost.sd);
         (changed && LONGER.contains(&(longer.value / lost.value))).then_some(lost)
     }
 
-    /// Updates the alarms about sensor and supply after a throw with this testimony.
-    pub(super) fn judge(
-        &mut self,
-        drift: &Drift,
-        testimony: Testimony,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Vec<AlarmEvent> {
+    /// Updates the alarm about a sensor after a throw with this drift, and its testimony.
+    pub(super) fn judge(&mut self, drift: &Drift, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
         let Context { name, at, throw, settings } = context;
-        let mut events = Vec::new();
-        let fault = if let Testimony::Sensor(fault) = testimony { Some(fault) } else { None };
+        let of_drift = if let Testimony::Sensor(fault) = drift.testimony { Some(fault) } else { None };
+        let of_voltage = || {
+            let Level { value, sd } = self.gauges.voltage_error()?;
+            let runner_up = RunnerUp { cause: Cause::Supply, margin: (value / sd).powi(2).min(MOST) };
+            Some(Fault { channel: SensorChannel::Supply, size: value, size_sd: sd, runner_up })
+        };
+        let fault = of_drift.or_else(of_voltage);
         let same = fault.is_some_and(|fault| self.channel == Some(fault.channel));
         if fault.is_some() && !same {
             self.sensor.named = 0;
         }
         self.channel = fault.map_or(self.channel, |fault| Some(fault.channel));
-        self.sensor.follow(fault.is_some(), drift.matters());
+        self.sensor.follow(fault.is_some(), of_drift.is_none() || drift.matters());
+        // A wrong voltage changes no coefficient, so it cannot explain a drift.
+        self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
         if let Some(fault) = fault.filter(|_| self.sensor.named >= settings.on_delay_throws) {
             let evidence = Evidence {
                 rule: Rule::Gauges,
@@ -188,19 +196,21 @@ impl Instruments {
                 correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
                 ..Evidence::plain(Severity::Warning, throw, text::sensor(name, &fault))
             };
-            events.extend(alarms.raise_sensor(evidence, self.sensor.named == settings.on_delay_throws, at));
+            alarms.raise_another(Cause::Sensor, evidence, self.sensor.named == settings.on_delay_throws, at)
         } else if self.sensor.over >= settings.off_delay_throws && alarms.owned_by(Rule::Gauges).is_some() {
-            events.extend(alarms.clear(Cause::Sensor, text::cleared(name, Cause::Sensor, false), at));
+            alarms.clear(Cause::Sensor, text::cleared(name, Cause::Sensor, false), at)
+        } else {
+            None
         }
-        let drift_matters = (testimony == Testimony::Supply).then(|| drift.matters());
-        events.extend(self.judge_supply(drift_matters, alarms, context));
-        events
     }
 
-    /// Updates the alarm about the supply after a throw; `explained`: whether the drift that it explains matters.
+    /// Updates the alarm about the supply after a throw; `explained`: whether the drift that it explains matters;
+    /// `circuit`: the resistance between supply and motor. The circuit is part of the supply, as the voltage is measured
+    /// before it.
     pub(super) fn judge_supply(
         &mut self,
         explained: Option<bool>,
+        circuit: Option<Circuit>,
         alarms: &mut Alarms,
         context: Context,
     ) -> Option<AlarmEvent> {
@@ -209,19 +219,34 @@ impl Instruments {
         let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
         let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
         self.supply.follow(lost.is_some() || explained.is_some(), matters || explained == Some(true));
-        if let Some(lost) = lost.filter(|_| self.supply.named >= settings.on_delay_throws) {
-            let change_pct = percent(-lost.value);
-            let evidence = Evidence {
-                change_pct: Some(change_pct),
-                change_pct_sd: Some(100.0 * lost.sd * (-lost.value).exp()),
-                ..Evidence::plain(Severity::Warning, throw, text::supply(name, change_pct))
-            };
-            alarms.raise(Cause::Supply, evidence, at)
-        } else if self.supply.over >= settings.off_delay_throws {
-            alarms.clear(Cause::Supply, text::cleared(name, Cause::Supply, false), at)
-        } else {
-            None
+        // A wrong current changes the resistance too.
+        let circuit = circuit.filter(|_| self.sensor.named == 0 && !self.sensor.lingers);
+        let size = circuit.map_or(0.0, |circuit| circuit.size);
+        self.circuit.follow(size > 1.0 - settings.deadband_pct / 100.0, size > 1.0);
+        let evidence = |rule: Rule, Level { value, sd }: Level, text: String| Evidence {
+            rule,
+            change_pct: Some(percent(value)),
+            change_pct_sd: Some(100.0 * sd * value.exp()),
+            ..Evidence::plain(Severity::Warning, throw, text)
+        };
+        let delay = settings.on_delay_throws;
+        let of_voltage = lost.filter(|_| self.supply.named >= delay).map(|lost| {
+            let level = Level { value: -lost.value, ..lost };
+            (self.supply, evidence(Rule::Usual, level, text::supply(name, percent(level.value))))
+        });
+        let of_circuit = circuit
+            .filter(|_| self.circuit.named >= delay)
+            .map(|Circuit { level, .. }| (self.circuit, evidence(Rule::Circuit, level, text::circuit(name, &level))));
+        let is_over = |streaks: Streaks| streaks.over >= settings.off_delay_throws;
+        let owner = if alarms.rule(Cause::Supply) == Some(Rule::Circuit) { self.circuit } else { self.supply };
+        for (streaks, evidence) in of_voltage.into_iter().chain(of_circuit) {
+            let is_new = streaks.named == delay || is_over(owner);
+            let event = alarms.raise_another(Cause::Supply, evidence, is_new, at);
+            if event.is_some() {
+                return event;
+            }
         }
+        if is_over(owner) { alarms.clear(Cause::Supply, text::cleared(name, Cause::Supply, false), at) } else { None }
     }
 
     /// Deletes the last throws, but not the normal values, after maintenance.

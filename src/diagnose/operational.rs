@@ -284,7 +284,7 @@ impl Operation {
             };
             let evidence = context.warning(text::sensor_implausible(name, disbelief));
             let is_new = self.disbelieved == DISBELIEVED_IN_A_ROW;
-            alarms.raise_sensor(Evidence { channel: Some(channel), ..evidence }, is_new, at)
+            alarms.raise_another(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, is_new, at)
         } else if self.believed >= settings.off_delay_throws
             && alarms.rule(Cause::Sensor) == Some(Rule::Usual)
             && matches!(alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
@@ -317,7 +317,7 @@ impl Operation {
         if throws.count_ones() >= UNUSABLE_OF_EIGHT {
             let evidence = context.warning(text::sensor_unusable(name, channel));
             let is_new = before.is_none_or(|(of, throws)| of != channel || throws.count_ones() < UNUSABLE_OF_EIGHT);
-            alarms.raise_sensor(Evidence { channel: Some(channel), ..evidence }, is_new, at)
+            alarms.raise_another(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, is_new, at)
         } else if self.usable >= settings.off_delay_throws.max(u8::BITS) {
             self.unusable = None;
             if alarmed { alarms.clear(Cause::Sensor, text::sensor_usable(name, channel), at) } else { None }

@@ -17,6 +17,8 @@ pub(super) enum Rule {
     Intermittent,
     /// Gauges that show a faulty sensor.
     Gauges,
+    /// A changed resistance of the motor and its line to the supply.
+    Circuit,
 }
 
 impl Rule {

@@ -7,7 +7,7 @@ use super::{
     course::LimitForecast,
     event::{Cause, RunnerUp, SensorChannel},
     explain::{Explanation, percent},
-    gauges::{Change, Gauge},
+    gauges::{Change, Gauge, Level},
     intermittent::Departures,
     start,
     testimony::Fault,
@@ -24,6 +24,9 @@ pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
     }
 }
 
+/// Name of a part that loses torque, if the back-EMF of the motor has not changed.
+const MOTOR_OR_GEAR: &str = "motor or gear";
+
 /// Text of a drift: causes with sizes, what to check, and the forecast of the critical limit. `alike` is a sensor that
 /// explains the drift equally well, and whether more throws may decide.
 pub(super) fn drift(
@@ -34,19 +37,23 @@ pub(super) fn drift(
     forecast: Option<&LimitForecast>,
 ) -> String {
     let over = if throws == 1 { "1 throw".to_owned() } else { format!("{throws} throws") };
+    let is_sound = alike.is_none() && attribution.sound_magnets().is_some();
+    let name =
+        |e: &Explanation| if is_sound && e.cause == Cause::Kt { MOTOR_OR_GEAR.to_owned() } else { e.cause.to_string() };
+    let change = |e: &Explanation| change_of(&name(e), e);
     let what = match &attribution.naming {
         Naming::One(one) => match alike {
-            Some((sensor, _)) => format!("{} or {sensor}: {} over {over}, or a faulty sensor", one.cause, change(one)),
+            Some((sensor, _)) => format!("{} or {sensor}: {} over {over}, or a faulty sensor", name(one), change(one)),
             None => format!("{} over {over}{}", change(one), runner_up(attribution.runner_up.as_ref())),
         },
         Naming::Either(a, b) => {
-            format!("{} or {}, too close to call: {} or {} over {over}", a.cause, b.cause, change(a), change(b))
+            format!("{} or {}, too close to call: {} or {} over {over}", name(a), name(b), change(a), change(b))
         }
         Naming::Another { new, known } => {
             format!("{} over {over}, in addition to {}", change(new), change(known))
         }
         Naming::Both(a, b) => {
-            let together = format!("{} and {} together", a.cause, b.cause);
+            let together = format!("{} and {} together", name(a), name(b));
             format!("{together}{}: {} and {} over {over}", rival(attribution.rival), change(a), change(b))
         }
         Naming::Neither => format!("a change that no cause explains over {over}: {}", coefficients(attribution)),
@@ -75,7 +82,7 @@ pub(super) fn sensor(name: &str, fault: &Fault) -> String {
         SensorChannel::Position => ("reads", "the travel differs from the stroke"),
         SensorChannel::Clock => ("runs", "the duration of all movements seems changed"),
         SensorChannel::Temperature => ("reads", "it differs from the weather"),
-        SensorChannel::Supply => ("reads", "it differs from the supply"),
+        SensorChannel::Supply => ("reads", "the motor's resistance and back-EMF seem changed as much, its current not"),
     };
     let way = match (fault.channel, pct > 0.0) {
         (SensorChannel::Clock, true) => "fast",
@@ -99,6 +106,25 @@ pub(super) fn supply(name: &str, change_pct: f64) -> String {
         "Machine {name}: the supply voltage is {:.0} % {way} than the baseline's, and the throws' duration agrees. Check \
          battery, charger, feeder and connections.",
         change_pct.abs()
+    )
+}
+
+/// Text about a changed resistance between supply and motor.
+pub(super) fn circuit(name: &str, level: &Level) -> String {
+    let (way, what) = if level.value > 0.0 {
+        ("up", "A bad contact, worn brushes or a damaged cable do this. Check terminals, brushes, contactor and cable.")
+    } else {
+        (
+            "down",
+            "Turns of the winding that touch, or a contact that was repaired, do this. Check the winding, then take a new \
+             baseline (rebaseline).",
+        )
+    };
+    format!(
+        "Machine {name}: the resistance of the motor and its supply line is {way} {:.0} % (±{:.0} %), more than heat explains, and \
+         the motor's back-EMF has not changed. {what}",
+        percent(level.value).abs(),
+        196.0 * level.sd * level.value.exp()
     )
 }
 
@@ -469,13 +495,17 @@ pub(super) fn explained(name: &str, part: Cause) -> String {
 }
 
 fn change(e: &Explanation) -> String {
+    change_of(&e.cause.to_string(), e)
+}
+
+fn change_of(name: &str, e: &Explanation) -> String {
     let pct = percent(e.size);
     let way = if pct < 0.0 { "down" } else { "up" };
     // One decimal for small changes only; the interval has the same decimals as the change.
     let decimals = usize::from(pct.abs() < 9.95);
     let least = if decimals == 0 { 1.0 } else { 0.1 };
     let interval = interval_pct(e).max(least);
-    format!("{} {way} {:.decimals$} % (±{interval:.decimals$} %)", e.cause, pct.abs())
+    format!("{name} {way} {:.decimals$} % (±{interval:.decimals$} %)", pct.abs())
 }
 
 /// Half width of the 95 % interval of a size \[%\].
@@ -516,11 +546,18 @@ fn runner_up(runner_up: Option<&RunnerUp>) -> String {
 }
 
 fn advice(attribution: &Attribution) -> String {
+    let look_at = |e: &Explanation| match attribution.sound_magnets() {
+        Some(Level { value, sd }) if e.cause == Cause::Kt => format!(
+            "The motor's back-EMF has not changed as much ({:+.1} %, ±{:.1} %), so its magnets are sound. Check gear, clutch and \
+             screw for wear and lubrication, then brushes and commutator.",
+            percent(value),
+            196.0 * sd * value.exp()
+        ),
+        _ => look_at(e.cause, e.size).to_owned(),
+    };
     match &attribution.naming {
-        Naming::One(e) | Naming::Another { new: e, .. } => look_at(e.cause, e.size).to_owned(),
-        Naming::Either(a, b) | Naming::Both(a, b) => {
-            format!("{} {}", look_at(a.cause, a.size), look_at(b.cause, b.size))
-        }
+        Naming::One(e) | Naming::Another { new: e, .. } => look_at(e),
+        Naming::Either(a, b) | Naming::Both(a, b) => format!("{} {}", look_at(a), look_at(b)),
         Naming::Neither => "Check the sensors first, then the whole drive.".to_owned(),
     }
 }

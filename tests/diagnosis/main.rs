@@ -5,6 +5,7 @@
 mod alarm;
 mod budget;
 mod cause;
+mod circuit;
 mod drive;
 mod evaluate;
 mod features;

@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::{
     super::{
+        drift::Drift,
         event::{Cause, SensorChannel},
         explain::percent,
         found,
@@ -14,6 +15,7 @@ use super::{
         rule::Rule,
         settings::Settings,
         site::{self, Common},
+        testimony::Testimony,
         thermometer::Disbelief,
         verdict::{Blindness, HidingTemperature, Verdict},
     },
@@ -139,10 +141,9 @@ impl MachineMonitor {
         let has_baseline = self.tracks.of_one_throw(direction).is_some();
         let unusual = self.drift.is_suspicious(&self.alarms) || !features_only && has_baseline;
         self.instruments.gauges.push(direction, &features, observation.temperature_c, unusual);
-        if !features_only && features.supply_v.is_some() {
-            let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
-            verdict.events.extend(self.instruments.judge_supply(None, &mut self.alarms, context));
-        }
+        let circuit = self.instruments.gauges.circuit(observation.temperature_c.is_some());
+        let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
+        verdict.events.extend(self.instruments.judge_supply(None, circuit, &mut self.alarms, context));
     }
 
     /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
@@ -162,10 +163,12 @@ impl MachineMonitor {
             return true;
         }
         let Some(direction) = observation.direction.filter(|_| !observation.incomplete) else { return false };
-        let (features, gauges) = (&observation.features, &self.instruments.gauges);
+        let gauges = &self.instruments.gauges;
+        let features = (&observation.features, observation.temperature_c);
         let found = self.features.on_features(direction, features, gauges, context);
         verdict.events.extend(found.apply(Rule::Features, &mut self.alarms, context));
-        let has_features = !self.has_position && observation.features_only && features.running_current_a.is_some();
+        let has_features =
+            !self.has_position && observation.features_only && observation.features.running_current_a.is_some();
         self.alarms.owned_by(Rule::Features).is_some() || has_features
     }
 
@@ -188,12 +191,18 @@ impl MachineMonitor {
             drift.testimony = self.instruments.testimony(&drift, settings);
             let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
             verdict.events.extend(events);
-            let events = self.instruments.judge(&drift, drift.testimony, &mut self.alarms, context);
-            verdict.events.extend(events);
+            verdict.events.extend(self.instruments.judge(&drift, &mut self.alarms, context));
             drift
         });
-        let excused = drift.as_ref().is_some_and(|drift| drift.testimony.excuses());
-        let found = self.start.judge(&self.instruments.gauges, excused, context);
+        let testimony = drift.as_ref().map(|drift| drift.testimony);
+        let excused = testimony.is_some_and(Testimony::excuses);
+        let explained = drift.as_ref().filter(|drift| drift.testimony == Testimony::Supply).map(Drift::matters);
+        let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());
+        let circuit = circuit.filter(|_| !matches!(testimony, Some(Testimony::Either { .. })));
+        verdict.events.extend(self.instruments.judge_supply(explained, circuit, &mut self.alarms, context));
+        // The inrush, which accelerates the machine, depends on the supply.
+        let excused_start = excused || self.alarms.is_active(Cause::Supply);
+        let found = self.start.judge(&self.instruments.gauges, excused_start, context);
         verdict.events.extend(found.apply(Rule::Start, &mut self.alarms, context));
         if let Some(departure) = departure {
             verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));

@@ -1,0 +1,166 @@
+//! The circuit of the motor: a changed resistance, a sensor of the supply voltage that lies, a supply that explains slower
+//! throws, and a lost torque with sound magnets.
+
+use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, Observation, SensorChannel, Settings};
+
+use crate::drive::{Drive, State};
+
+const SOUND: State = State::SOUND;
+/// A brake that hides the scale of the coefficients, so that the throws give the ratios only.
+const OF_RATIOS: State = State { brake_s: 0.02, ..SOUND };
+
+/// A drive with a published voltage, after a healthy time without an event.
+fn learned(seed: u64, state: State, settings: &Settings) -> Drive {
+    let mut drive = Drive::new(91_000 + seed, true);
+    for throw in 0..100 {
+        assert_eq!(drive.feed(state, settings).events, [], "seed {seed}, throw {throw}");
+    }
+    drive
+}
+
+/// The alarms that were raised, and those that ended.
+fn split(events: Vec<AlarmEvent>) -> [Vec<AlarmEvent>; 2] {
+    let (raised, ended) = events.into_iter().partition(|event| event.state == AlarmState::ActiveUnacknowledged);
+    [raised, ended]
+}
+
+#[test]
+fn a_bad_contact_is_an_alarm_of_the_supply_until_it_is_mended() {
+    let settings = Settings::default();
+    for (seed, before) in [(1, SOUND), (2, SOUND), (3, OF_RATIOS), (4, OF_RATIOS)] {
+        let mut drive = learned(seed, before, &settings);
+        let bad = State { ohms: 1.5, ..before };
+        let [raised, _] = split((0..60).flat_map(|_| drive.feed(bad, &settings).events).collect());
+        assert_eq!(raised.len(), 1, "seed {seed}: {raised:?}");
+        let AlarmEvent { cause, change_pct, text, .. } = &raised[0];
+        assert!(*cause == Cause::Supply && text.contains("resistance") && text.contains("brushes"), "{text}");
+        let pct = change_pct.unwrap();
+        assert!((42.0..58.0).contains(&pct), "{pct}");
+        let [again, ended] = split((0..60).flat_map(|_| drive.feed(before, &settings).events).collect());
+        assert!(again.is_empty() && ended.len() == 1 && ended[0].cause == Cause::Supply, "{again:?}, {ended:?}");
+    }
+}
+
+/// The copper of the motor follows the air, and is warmer in busy hours.
+#[test]
+fn a_motor_that_warms_and_cools_has_no_alarm() {
+    let settings = Settings::default();
+    for (seed, is_published) in [(10, true), (11, true), (12, false), (13, false)] {
+        let mut drive = Drive::new(91_000 + seed, true);
+        let swing_k = if is_published { 30.0 } else { 15.0 };
+        for throw in 0..400 {
+            let celsius = 10.0 - swing_k * (f64::from(throw) / 120.0).cos();
+            let heated_k = if throw % 150 > 110 { 40.0 } else { 5.0 };
+            let ohms = 1.0 + 0.0039 * (celsius + heated_k - 20.0);
+            let mut observation = drive.observe(State { ohms, ..SOUND });
+            observation.temperature_c = is_published.then_some(celsius);
+            let mut events = drive.monitor.observe(&observation, &settings).events;
+            // The baseline may not show the effect of the temperature on the friction, and says so.
+            events.retain(|event| event.cause != Cause::NotMonitored);
+            assert_eq!(events, [], "seed {seed}, throw {throw}");
+        }
+    }
+}
+
+/// With a temperature, a smaller change of the resistance is more than heat explains.
+#[test]
+fn the_temperature_makes_a_smaller_change_of_the_resistance_visible() {
+    let settings = Settings::default();
+    for (is_published, expected) in [(true, 1), (false, 0)] {
+        let mut drive = Drive::new(91_020, true);
+        let mut raised = Vec::new();
+        for throw in 0..160 {
+            let celsius = 15.0 + 5.0 * (f64::from(throw) / 10.0).sin();
+            let contact = if throw < 100 { 1.0 } else { 1.31 };
+            let ohms = contact * (1.0 + 0.0039 * (celsius - 20.0));
+            let mut observation = drive.observe(State { ohms, ..SOUND });
+            observation.temperature_c = is_published.then_some(celsius);
+            raised.extend(drive.monitor.observe(&observation, &settings).events);
+        }
+        assert_eq!(raised.len(), expected, "{raised:?}");
+    }
+}
+
+/// The throw as a logger with a wrong voltage sends it: resistance and back-EMF are computed from the voltage.
+fn read_with(gain: f64, mut observation: Observation) -> Observation {
+    let features = &mut observation.features;
+    for value in [&mut features.supply_v, &mut features.resistance_ohm, &mut features.back_emf_v_s_per_rad] {
+        *value = value.map(|value| gain * value);
+    }
+    observation
+}
+
+#[test]
+fn a_voltage_sensor_that_lies_is_named_and_nothing_else() {
+    let settings = Settings::default();
+    // The gain of the sensor, and the true voltage: one is stuck while the supply falls.
+    for (at, (gain, volts)) in [(0.67, 1.0), (0.85, 1.0), (1.2, 1.0), (1.0 / 0.72, 0.72)].into_iter().enumerate() {
+        for before in [SOUND, OF_RATIOS] {
+            let mut drive = learned(30 + at as u64, before, &settings);
+            let mut events = Vec::new();
+            for _ in 0..60 {
+                let observation = read_with(gain, drive.observe(State { volts, ..before }));
+                events.extend(drive.monitor.observe(&observation, &settings).events);
+            }
+            let slower = [Cause::SlowThrow, Cause::Unattributed, Cause::Supply, Cause::NotMonitored];
+            events.retain(|event| volts >= 1.0 || !slower.contains(&event.cause));
+            let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
+            assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Supply))], "{gain}: {events:?}");
+            let pct = events[0].change_pct.unwrap();
+            assert!((pct - 100.0 * (gain - 1.0)).abs() < 5.0, "{gain}: {pct}");
+            let [again, ended] = split((0..60).flat_map(|_| drive.feed(before, &settings).events).collect());
+            assert!(again.is_empty() && ended.iter().any(|event| event.cause == Cause::Sensor), "{again:?}, {ended:?}");
+        }
+    }
+}
+
+/// The motor turns more slowly with less voltage, so the duration is no second alarm; a fault of a part beside it is one.
+#[test]
+fn what_a_published_loss_of_voltage_explains_is_no_second_alarm() {
+    let settings = Settings::default();
+    for (seed, has_toe_sensor, before) in
+        [(40, true, OF_RATIOS), (41, true, OF_RATIOS), (42, false, SOUND), (43, false, SOUND)]
+    {
+        let healthy = |settings: &Settings| {
+            let mut drive = Drive::new(91_000 + seed, true);
+            drive.has_toe_sensor = has_toe_sensor;
+            for throw in 0..100 {
+                assert_eq!(drive.feed(before, settings).events, [], "seed {seed}, throw {throw}");
+            }
+            drive
+        };
+        for volts in [0.8, 0.7] {
+            let mut drive = healthy(&settings);
+            let weak = State { volts, ..before };
+            let [raised, _] = split((0..60).flat_map(|_| drive.feed(weak, &settings).events).collect());
+            // Rough throws can scatter so much that the monitor says what it does not see.
+            let causes = raised.iter().map(|event| event.cause).filter(|cause| *cause != Cause::NotMonitored);
+            let causes: Vec<_> = causes.collect();
+            assert_eq!(causes, [Cause::Supply], "seed {seed}, {volts}: {raised:?}");
+        }
+        let mut drive = healthy(&settings);
+        let both = State { volts: 0.8, friction: 2.0, ..before };
+        let [raised, _] = split((0..60).flat_map(|_| drive.feed(both, &settings).events).collect());
+        let is_about_the_drive = |event: &AlarmEvent| [Cause::Unattributed, Cause::Friction].contains(&event.cause);
+        assert!(raised.iter().any(is_about_the_drive), "seed {seed}: {raised:?}");
+    }
+}
+
+/// A gear that loses torque leaves the back-EMF of the motor; weak magnets do not.
+#[test]
+fn a_lost_torque_with_sound_magnets_points_to_the_gear() {
+    let settings = Settings::default();
+    for (seed, before) in [(50, SOUND), (51, SOUND), (52, OF_RATIOS), (53, OF_RATIOS)] {
+        for (back_emf, is_sound) in [(1.0, true), (0.78, false)] {
+            let mut drive = learned(seed, before, &settings);
+            let weak = State { torque: 0.78, back_emf, ..before };
+            let events: Vec<_> = (0..100).flat_map(|_| drive.feed(weak, &settings).events).collect();
+            let of_motor: Vec<_> = events.iter().filter(|event| event.cause == Cause::Kt).collect();
+            assert!(!of_motor.is_empty(), "seed {seed}, {back_emf}: {events:?}");
+            for event in of_motor {
+                let points_to_gear = event.text.contains("magnets are sound") && event.text.contains("gear");
+                assert_eq!(points_to_gear, is_sound, "seed {seed}: {}", event.text);
+            }
+        }
+    }
+}
