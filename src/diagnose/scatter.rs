@@ -38,6 +38,8 @@ const MOST_LAG1: f64 = 0.98;
 pub(super) const SLOW_LAG1: f64 = 0.9;
 /// Lags whose correlations show the slow part: the rest of the scatter has hardly any there.
 const SLOW_LAGS: std::ops::Range<usize> = 5..16;
+/// Least number of throws that show a slow part: five of its spans. In 50 throws it is anything from 0 to all.
+const LEAST_FOR_SLOW: f64 = 80.0;
 /// Largest slow part.
 const MOST_SLOW: f64 = 0.9;
 /// Fourth moment of a Gaussian variable relative to the square of its variance.
@@ -325,11 +327,15 @@ fn lag1_of_rest(lag1: f64, slow: f64) -> f64 {
 /// Slow part of the scatter of `throws` residuals with the lag-1 correlation `lag1`, from their correlations at
 /// [`SLOW_LAGS`]; less its standard deviation, so that scatter without a slow part hardly ever gets one.
 fn slow_part(lag1: f64, throws: f64, correlation: impl Fn(usize) -> f64) -> f64 {
-    if throws < 2.0 * SLOW_LAGS.end as f64 {
+    if throws < LEAST_FOR_SLOW {
         return 0.0;
     }
     let count = SLOW_LAGS.len() as f64;
     let measured = SLOW_LAGS.map(correlation).sum::<f64>() / count;
+    if measured.is_nan() {
+        // A coefficient without scatter, as b0 in a baseline of ratios.
+        return 0.0;
+    }
     // The removed mean reduces all correlations by its variance.
     let expected =
         |phi: f64| SLOW_LAGS.map(|lag| phi.powi(lag as i32)).sum::<f64>() / count - inflation(phi, throws) / throws;

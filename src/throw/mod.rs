@@ -147,6 +147,9 @@ impl Throw {
         let filter_hz = self.anti_alias_hz.filter(|_| self.possible_anti_alias_hz().is_none());
         let supply_v = self.supply_v.filter(|_| self.possible_supply_v().is_none());
         let celsius = self.temperature_c.filter(|celsius| !POSSIBLE_C.contains(celsius));
+        if filter_hz.or(supply_v).or(celsius).is_none() {
+            return None;
+        }
         let unused = |key: &str, value: Option<f64>, must: String| {
             Some(OutOfRange { key: key.to_owned(), value: value?, must }.to_string() + ", and is not used")
         };
@@ -157,7 +160,6 @@ impl Throw {
             unused("supply_v", supply_v, format!("{} to {} V", volts.start(), volts.end())),
             unused("temperature_c", celsius, format!("{} to {} °C", possible.start(), possible.end())),
         ];
-        let sentences: Vec<String> = sentences.into_iter().flatten().collect();
-        (!sentences.is_empty()).then(|| sentences.join("; "))
+        Some(sentences.into_iter().flatten().collect::<Vec<_>>().join("; "))
     }
 }

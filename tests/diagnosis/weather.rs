@@ -172,7 +172,8 @@ fn rain_raises_no_alarm_and_a_lasting_fall_of_friction_does() {
             if throw % 170 < 30 { shift(Cause::Friction, pct) } else { Vector3::zeros() }
         };
         assert_eq!(alarms(44_000 + seed, 850, rain), [], "seed {seed}");
-        let lasting = alarms(44_100 + seed, 120, |_| shift(Cause::Friction, -22.5));
+        // The mean of a short window differs by some per cent from this, and more than 25 % is no rain.
+        let lasting = alarms(44_100 + seed, 120, |_| shift(Cause::Friction, -19.0));
         assert!(matches!(lasting[..], [(60..90, Cause::Friction)]), "seed {seed}: {lasting:?}");
         let large = alarms(44_200 + seed, 20, |_| shift(Cause::Friction, -45.0));
         assert!(matches!(large[..], [(0..12, Cause::Friction)]), "seed {seed}: {large:?}");

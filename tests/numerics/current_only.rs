@@ -59,7 +59,7 @@ fn without_the_voltage_or_at_a_low_rate_there_are_features() {
     let machine = Parameters::default();
     for (rate_hz, supply_v, why) in [
         (1000.0, None, "need supply_v"),
-        (25.0, Some(110.0), "at least 500 Hz, not 25 Hz"),
+        (25.0, Some(110.0), "at least 500 samples/s"),
         (25.0, None, "need supply_v"),
         (20_000.0, None, "need supply_v"),
     ] {

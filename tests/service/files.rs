@@ -127,7 +127,7 @@ async fn a_report_is_one_file_with_everything_that_it_shows() {
         ">friction (a1)</text>",
         ">Mean current</text>",
         "Alarm history",
-        "Check the motor",
+        "brushes and commutator",
     ] {
         assert!(page.contains(part), "{part}: {page:.2000}");
     }
