@@ -71,6 +71,8 @@ const HEATED_K: f64 = 60.0;
 const WEATHER_K: f64 = 30.0;
 /// Significance of a changed resistance, in standard deviations of a level.
 const CIRCUIT_SD: f64 = 4.0;
+/// Largest uncertainty of a resistance that is judged, as a logarithm: one whose inrush hardly shows it may be anything.
+const CIRCUIT_UNCERTAINTY: f64 = 0.4;
 /// Least error of a published voltage, as a logarithm, and its significance.
 const VOLTAGE_ERROR: f64 = 0.08;
 const VOLTAGE_ERROR_SD: f64 = 4.0;
@@ -290,7 +292,8 @@ impl Gauges {
             self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
         let size_of = |level: Level| level.value.abs() / heat.max(CIRCUIT_SD * level.sd);
         let size = size_of(level).min(size_of(longer));
-        (!is_motor && self.voltage_error().is_none()).then_some(Circuit { level, size })
+        let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
+        (is_measured && !is_motor && self.voltage_error().is_none()).then_some(Circuit { level, size })
     }
 
     /// Change of the back-EMF: from its constant, without a supply voltage from the no-load speed, and without both, as with
@@ -404,6 +407,24 @@ mod tests {
             running_current_a: Some(5.0),
             peak_current_a: Some(30.0),
             ..Features::default()
+        }
+    }
+
+    #[test]
+    fn a_resistance_that_scatters_much_is_not_judged() {
+        for (scatter, is_judged) in [(0.02_f64, true), (0.3, false)] {
+            let mut gauges = Gauges::default();
+            let mut push = |ohm: f64| {
+                let features = Features { back_emf_v_s_per_rad: Some(4.0), ..features(36.0, 7.0, Some(ohm)) };
+                gauges.push(NORMAL, &features, None, false);
+            };
+            for at in 0..LEARNED.1 {
+                push(0.9 * if at % 2 == 0 { scatter.exp() } else { (-scatter).exp() });
+            }
+            for _ in 0..WINDOWS[1] {
+                push(18.0);
+            }
+            assert_eq!(gauges.circuit(true).is_some_and(|circuit| circuit.size > 1.0), is_judged, "{scatter}");
         }
     }
 
