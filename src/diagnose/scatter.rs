@@ -40,6 +40,8 @@ pub(super) const SLOW_LAG1: f64 = 0.9;
 const SLOW_LAGS: std::ops::Range<usize> = 5..16;
 /// Least number of throws that show a slow part: five of its spans. In 50 throws it is anything from 0 to all.
 const LEAST_FOR_SLOW: f64 = 80.0;
+/// Standard deviations by which a slow part is discounted, so that scatter without one hardly ever gets one.
+const DISCOUNT_SD: f64 = 0.5;
 /// Largest slow part.
 const MOST_SLOW: f64 = 0.9;
 /// Fourth moment of a Gaussian variable relative to the square of its variance.
@@ -325,7 +327,7 @@ fn lag1_of_rest(lag1: f64, slow: f64) -> f64 {
 }
 
 /// Slow part of the scatter of `throws` residuals with the lag-1 correlation `lag1`, from their correlations at
-/// [`SLOW_LAGS`]; less its standard deviation, so that scatter without a slow part hardly ever gets one.
+/// [`SLOW_LAGS`].
 fn slow_part(lag1: f64, throws: f64, correlation: impl Fn(usize) -> f64) -> f64 {
     if throws < LEAST_FOR_SLOW {
         return 0.0;
@@ -338,14 +340,14 @@ fn slow_part(lag1: f64, throws: f64, correlation: impl Fn(usize) -> f64) -> f64 
     }
     // The removed mean reduces all correlations by its variance.
     let expected =
-        |phi: f64| SLOW_LAGS.map(|lag| phi.powi(lag as i32)).sum::<f64>() / count - inflation(phi, throws) / throws;
+        |phi: f64| SLOW_LAGS.map(|lag| phi.powf(lag as f64)).sum::<f64>() / count - inflation(phi, throws) / throws;
     let of_slow = expected(SLOW_LAG1);
     let phi = lag1.max(0.0);
     let sd = (inflation(phi, f64::INFINITY) * (1.0 + phi * phi) / (1.0 - phi * phi) / (count * throws)).sqrt();
     let mut slow = 0.0;
     for _ in 0..5 {
         let rest = (1.0 - slow) * expected(lag1_of_rest(lag1, slow));
-        slow = ((measured - rest - sd) / of_slow).clamp(0.0, MOST_SLOW);
+        slow = ((measured - rest - DISCOUNT_SD * sd) / of_slow).clamp(0.0, MOST_SLOW);
     }
     slow
 }

@@ -147,9 +147,7 @@ impl Throw {
         let filter_hz = self.anti_alias_hz.filter(|_| self.possible_anti_alias_hz().is_none());
         let supply_v = self.supply_v.filter(|_| self.possible_supply_v().is_none());
         let celsius = self.temperature_c.filter(|celsius| !POSSIBLE_C.contains(celsius));
-        if filter_hz.or(supply_v).or(celsius).is_none() {
-            return None;
-        }
+        filter_hz.or(supply_v).or(celsius)?;
         let unused = |key: &str, value: Option<f64>, must: String| {
             Some(OutOfRange { key: key.to_owned(), value: value?, must }.to_string() + ", and is not used")
         };
