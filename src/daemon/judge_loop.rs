@@ -345,7 +345,8 @@ impl JudgeLoop {
             alarm.published = true;
             let Outcome { machine, events, .. } = &alarm.outcome;
             for event in events {
-                tracing::error!(%machine, "an alarm cannot be stored yet: published uncommitted");
+                let (cause, text) = (event.cause, &event.text);
+                tracing::error!(%machine, %cause, "an alarm cannot be stored yet, and is published uncommitted: {text}");
                 let key = wire::machine_key(machine, Kind::Alarm);
                 let message = Alarm::new(machine, event).into_message();
                 // The alarm is in the log, also if the publication fails.
