@@ -198,8 +198,8 @@ impl JudgeLoop {
         Ok(())
     }
 
-    /// Repeats a write until it is stored, or the database rejects it. Returns false if the daemon must end first; the next start continues from
-    /// the database, whose monitors are then older than those in memory.
+    /// Repeats a write until it is stored, or the database rejects it. Returns false if the daemon must end first; the next
+    /// start continues from the database, whose monitors are then older than those in memory.
     async fn until_stored<W>(&mut self, what: &str, write: impl Fn(Store) -> W) -> Result<bool, StoreError>
     where
         W: Future<Output = Result<(), StoreError>>,

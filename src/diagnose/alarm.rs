@@ -343,13 +343,12 @@ impl Alarms {
 
     /// The rule that owns the active alarm of `cause`.
     pub(super) fn rule(&self, cause: Cause) -> Option<Rule> {
-        self.open.iter().find(|alarm| alarm.last.cause == cause && alarm.state.is_active()).map(|alarm| alarm.rule)
+        self.in_force().find(|alarm| alarm.last.cause == cause).map(|alarm| alarm.rule)
     }
 
     /// The cause of the active alarm that `rule` owns.
     pub(super) fn owned_by(&self, rule: Rule) -> Option<Cause> {
-        let owned = self.open.iter().find(|alarm| alarm.rule == rule && alarm.state.is_active());
-        owned.map(|alarm| alarm.last.cause)
+        self.in_force().find(|alarm| alarm.rule == rule).map(|alarm| alarm.last.cause)
     }
 
     /// Gives the alarm of `cause` an owner, as read from a snapshot.
@@ -368,15 +367,19 @@ impl Alarms {
         self.find_active(cause).map(|event| event.severity)
     }
 
-    /// The active alarms, oldest first.
+    fn in_force(&self) -> impl Iterator<Item = &Alarm> {
+        self.open.iter().filter(|alarm| alarm.state.is_active())
+    }
+
+    /// The latest events of the active alarms, oldest first.
     pub(super) fn active(&self) -> impl Iterator<Item = &AlarmEvent> {
-        self.open.iter().filter(|alarm| alarm.state.is_active()).map(|alarm| &alarm.last)
+        self.in_force().map(|alarm| &alarm.last)
     }
 
     /// The active alarms about a drift of the coefficients, oldest first.
     pub(super) fn drifts(&self) -> impl Iterator<Item = &AlarmEvent> {
         let is_of_coefficients = |alarm: &&Alarm| alarm.last.cause.is_drift() && !alarm.rule.knows_no_part();
-        self.open.iter().filter(|alarm| alarm.state.is_active()).filter(is_of_coefficients).map(|alarm| &alarm.last)
+        self.in_force().filter(is_of_coefficients).map(|alarm| &alarm.last)
     }
 
     /// The latest event of every open alarm, oldest first.

@@ -56,21 +56,20 @@ pub(super) struct Known<'a> {
 }
 
 impl Known<'_> {
-    /// Change of the back-EMF in `window`, if it shows whether the motor changed. A change since the level that is the
+    /// Whether the change `back_emf` in `window` shows whether the motor changed. A change since the level that is the
     /// motor's alone is a new fault: like a known one, it may change the torque without the back-EMF.
-    fn back_emf(&self, window: &Window, settings: &Settings) -> Option<BackEmf> {
-        let back_emf = self.gauges?.back_emf(window.throws)?;
+    fn is_decided_by(&self, back_emf: &BackEmf, window: &Window, settings: &Settings) -> bool {
         let is_new = self.level.is_some_and(|level| {
             let since = window.mean - level;
             relevance(Cause::Kt, since.x, settings) > NEW_MOTOR_FAULT && since.y.abs() < since.x.abs()
         });
         let is_known = self.causes.contains(&Cause::Kt);
         if !is_new && !is_known {
-            return Some(back_emf);
+            return true;
         }
         let motor = single(Cause::Kt, &window.mean, &window.covariance, settings).size.abs();
         let change = back_emf.level.value.abs();
-        (change > CHANGED * motor && change > CHANGED_SD * back_emf.level.sd).then_some(back_emf)
+        change > CHANGED * motor && change > CHANGED_SD * back_emf.level.sd
     }
 }
 
@@ -129,7 +128,8 @@ struct Explanations {
 impl Attribution {
     /// Attributes the drift of `window`; `of_one_throw` is the scatter of the machine.
     pub(super) fn of(window: &Window, of_one_throw: &Matrix3<f64>, known: &Known, settings: &Settings) -> Self {
-        let back_emf = known.back_emf(window, settings);
+        let shown = known.gauges.and_then(|gauges| gauges.back_emf(window.throws));
+        let back_emf = shown.filter(|shown| known.is_decided_by(shown, window, settings));
         let all = Explanations::of(window, &known.causes, back_emf, settings);
         let [best, next, ..] = &all.singles;
         let correlation = Correlation::of(of_one_throw, &window.mean);
@@ -143,7 +143,7 @@ impl Attribution {
             relevance: all.any.relevance(settings),
             lead: 0.0,
             beside_gauges: back_emf.is_some(),
-            back_emf: known.gauges.and_then(|gauges| gauges.back_emf(window.throws)).and_then(BackEmf::of_motor),
+            back_emf: shown.and_then(BackEmf::of_motor),
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
             return attribution;

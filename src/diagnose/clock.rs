@@ -87,7 +87,7 @@ impl LoggerClock {
             let plain = Evidence::plain(Severity::Warning, throw, text::wrong_clock(name, started_at, at));
             let evidence = Evidence { channel: Some(SensorChannel::Clock), rule: Rule::Dates, ..plain };
             alarms.raise_another(Cause::Sensor, evidence, self.wrong == IN_A_ROW, at)
-        } else if self.right >= settings.off_delay_throws && alarms.rule(Cause::Sensor) == Some(Rule::Dates) {
+        } else if self.right >= settings.off_delay_throws && alarms.owned_by(Rule::Dates).is_some() {
             alarms.clear(Cause::Sensor, text::right_clock(name), at)
         } else {
             None

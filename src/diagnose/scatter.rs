@@ -94,13 +94,9 @@ impl Scatter {
     /// estimates; `centres` is the number of means removed from the residuals, one for each direction.
     pub(super) fn learn(residuals: &[Vector3<f64>], sensor: Matrix3<f64>, centres: usize) -> Self {
         let throws = residuals.len() as f64;
-        let moment = |lag: usize| -> Matrix3<f64> {
-            residuals.iter().zip(&residuals[lag..]).map(|(a, b)| a * b.transpose()).sum::<Matrix3<f64>>() / throws
-        };
-        let (zero, one) = (moment(0), moment(1));
+        let zero = residuals.iter().map(|r| r * r.transpose()).sum::<Matrix3<f64>>() / throws;
         let lagged = |i: usize, lag: usize| -> f64 {
-            let pairs = residuals.iter().zip(residuals.iter().skip(lag));
-            pairs.map(|(a, b)| a[i] * b[i]).sum::<f64>() / (throws - lag as f64)
+            residuals.iter().zip(&residuals[lag..]).map(|(a, b)| a[i] * b[i]).sum::<f64>() / throws
         };
         let few = throws < ENOUGH_THROWS * centres as f64;
         let (usual_weight, usual) = usual_lag1(few);
@@ -110,7 +106,8 @@ impl Scatter {
         for i in 0..3 {
             // The removed mean reduces the moments by its variance; corrected with the first guess.
             let share = ((zero[(i, i)] - sensor[(i, i)]) / zero[(i, i)]).clamp(0.0, 1.0);
-            let raw = if share > 0.0 { one[(i, i)] / (zero[(i, i)] * share.max(0.2)) } else { 0.0 };
+            let natural = zero[(i, i)] * share.max(0.2);
+            let raw = if share > 0.0 { lagged(i, 1) / natural } else { 0.0 };
             let unbiased = (raw + centres as f64 / throws) / (1.0 - 3.0 * centres as f64 / throws);
             let weight = throws * share;
             // The transformed estimate is nearly normal.
@@ -118,8 +115,7 @@ impl Scatter {
             lag1[i] = ((weight * own + usual_weight * f64::atanh(usual)) / (weight + usual_weight))
                 .tanh()
                 .clamp(LAG1_RANGE.0, LAG1_RANGE.1);
-            let natural = zero[(i, i)] * share.max(0.2);
-            slow[i] = slow_part(lag1[i], throws, |lag| lagged(i, lag) / natural);
+            slow[i] = slow_part(lag1[i], throws, |lag| lagged(i, lag) / natural * throws / (throws - lag as f64));
             let lost = centres as f64 * (1.0 + share * (inflation_of(lag1[i], slow[i], throws) - 1.0)) / throws;
             grow[i] = (1.0 / (1.0 - lost.min(0.5))).sqrt();
         }
