@@ -48,17 +48,64 @@ impl Thresholds {
 
 /// The value that T exceeds with probability `alpha`, for a covariance with the uncertainty `doubt`.
 fn limit(alpha: f64, doubt: &Doubt) -> f64 {
+    /// Largest limit, as its logarithm.
+    const MOST_LOG: f64 = 12.0;
+    /// Relative error of the probability.
+    const PRECISION: f64 = 1e-4;
+    /// Steps, of which five or six are needed.
+    const MOST_STEPS: usize = 30;
+    /// Part of the probability that is left out.
+    const NEGLIGIBLE: f64 = 1e-5;
     let second = (doubt.degrees_of_freedom - DIMENSIONS + 1.0).max(2.0);
     let nu = second + DIMENSIONS - 1.0;
     let hotelling = |t: f64| {
         let f = t * second / (DIMENSIONS * nu);
         checked_beta_reg(second / 2.0, DIMENSIONS / 2.0, second / (second + DIMENSIONS * f)).unwrap_or(0.0)
     };
-    let exceeds = |t: f64| doubt.factors.iter().map(|(factor, share)| share * hotelling(t / factor)).sum::<f64>();
-    let (mut low, mut high) = (0.0_f64, 12.0_f64);
-    for _ in 0..18 {
-        let middle = 0.5 * (low + high);
-        if exceeds(middle.exp()) > alpha { low = middle } else { high = middle }
+    let mut factors = doubt.factors.clone();
+    factors.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
+    let exceeds = |t: f64| {
+        let (mut sum, mut rest) = (0.0, 1.0);
+        for (factor, share) in &factors {
+            let tail = hotelling(t / factor);
+            // Smaller factors have smaller tails.
+            if rest * tail < NEGLIGIBLE * sum {
+                break;
+            }
+            sum += share * tail;
+            rest -= share;
+        }
+        sum
+    };
+    let above = |log: f64| (exceeds(log.exp()).max(f64::MIN_POSITIVE) / alpha).ln();
+    let (mut low, mut at_low) = (0.0, above(0.0));
+    let (mut high, mut at_high) = (1.0, above(1.0));
+    while at_high > 0.0 && high < MOST_LOG {
+        (low, at_low) = (high, at_high);
+        high += 1.0;
+        at_high = above(high);
+    }
+    if at_low <= 0.0 || at_high >= 0.0 {
+        return if at_low <= 0.0 { low.exp() } else { high.exp() };
+    }
+    // Between both, the logarithm of the tail is nearly straight, so its chord has nearly the same root. The value at an end
+    // that stays is halved (Illinois), so that both approach the root.
+    let mut stayed = 0;
+    for _ in 0..MOST_STEPS {
+        let middle = (low * at_high - high * at_low) / (at_high - at_low);
+        let at_middle = above(middle);
+        if at_middle.abs() < PRECISION {
+            return middle.exp();
+        }
+        if at_middle > 0.0 {
+            (low, at_low) = (middle, at_middle);
+            at_high *= if stayed > 0 { 0.5 } else { 1.0 };
+            stayed = 1;
+        } else {
+            (high, at_high) = (middle, at_middle);
+            at_low *= if stayed < 0 { 0.5 } else { 1.0 };
+            stayed = -1;
+        }
     }
     high.exp()
 }
@@ -74,6 +121,12 @@ mod tests {
             let limit = limit(alpha, &Doubt { degrees_of_freedom: 1e7, factors: vec![(1.0, 1.0)] });
             assert!((limit - expected).abs() < 2e-3, "{limit}");
         }
+    }
+
+    #[test]
+    fn an_impossible_budget_has_the_nearest_limit() {
+        let doubt = Doubt { degrees_of_freedom: 12.0, factors: vec![(1.0, 1.0)] };
+        assert_eq!([2.0, 1e-300].map(|alpha| limit(alpha, &doubt).ln().round()), [0.0, 12.0]);
     }
 
     #[test]
