@@ -87,23 +87,20 @@ pub(super) fn coefficients(
         .collect();
     let limits = (settings.inertia_limit_pct, settings.inertia_limit_pct * settings.critical_factor);
     let says = format!(
-        "The change of inertia that fits the changes of b0, a1 and a0 best. It shows the inertia only if all three \
-         change alike. Warning at {} %, critical at {} %.",
+        "The change of inertia, which changes b0, a1 and a0 alike: from the middle one of the three, as a fault of \
+         another part changes one of them. Warning at {} %, critical at {} %.",
         limits.0, limits.1
     );
-    let inertia = change("inertia", limits, None, directions, marks, |row| Some(inertia_pct(row.change_pct?, scatter)));
+    let inertia = change("inertia", limits, None, directions, marks, |row| Some(inertia_pct(row.change_pct?)));
     pictures.push(Picture::new(inertia, says));
     pictures
 }
 
-/// The change of inertia \[%\] that fits the changes of b0, a1 and a0 best, weighted by their inverse variances: all
-/// three are proportional to 1 / J.
-fn inertia_pct(change_pct: [f64; 3], scatter: Option<[f64; 3]>) -> f64 {
-    let sd = scatter.unwrap_or([1.0; 3]).map(|sd| sd.max(0.1));
-    let weight = sd.map(|sd| sd.powi(-2));
-    let log = change_pct.map(|pct| (1.0 + pct / 100.0).max(0.01).ln());
-    let mean = (0..3).map(|at| weight[at] * log[at]).sum::<f64>() / weight.iter().sum::<f64>();
-    100.0 * ((-mean).exp() - 1.0)
+/// The change of inertia \[%\]: that of the middle coefficient, as all three are proportional to 1 / J. A fault of another
+/// part changes one coefficient, and leaves the middle one.
+fn inertia_pct(mut change_pct: [f64; 3]) -> f64 {
+    change_pct.sort_unstable_by(f64::total_cmp);
+    100.0 * ((1.0 + change_pct[1] / 100.0).max(0.01).recip() - 1.0)
 }
 
 /// The larger scatter of the two directions, for each coefficient.
@@ -296,8 +293,9 @@ mod tests {
     #[test]
     fn inertia_is_what_moves_all_three_coefficients_alike() {
         let more = 100.0 * (1.0 / 1.2 - 1.0);
-        assert!((inertia_pct([more; 3], None) - 20.0).abs() < 1e-9);
-        assert!((inertia_pct([more; 3], Some([1.0, 6.0, 2.0])) - 20.0).abs() < 1e-9);
-        assert!(inertia_pct([0.0, 30.0, 0.0], Some([1.0, 6.0, 2.0])).abs() < 1.0, "friction alone is little inertia");
+        assert!((inertia_pct([more; 3]) - 20.0).abs() < 1e-9);
+        for one in [[-20.0, 0.0, 0.0], [0.0, 30.0, 0.0], [0.0, 0.0, 15.0]] {
+            assert!(inertia_pct(one).abs() < 1e-9, "{one:?} is the fault of another part");
+        }
     }
 }
