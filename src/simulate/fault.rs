@@ -3,7 +3,8 @@
 //! The size of a fault is the change of a coefficient: a torque loss of 10 % lowers b0 by 10 %, friction of +25 %
 //! raises a1 by 25 %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
 //!
-//! Estimates show this change, with one exception. On a beam the chairs near the heel stick until the rail has bent, so
+//! Estimates show this change, with two exceptions. A weaker motor runs faster, so the dry friction of the machine counts
+//! as less viscous friction: a motor of -20 % is estimated as -20 % in b0 and -6 % in a1. And on a beam the chairs near the heel stick until the rail has bent, so
 //! their friction builds up over the first centimetres of toe travel, which no constant coefficient describes: friction
 //! of +25 % there is estimated as +30 % in a1 and +4 to +5 % in b0 and a0. With lumped rails the estimates are +24.5 %
 //! in a1, -0.4 % in b0 and 0 % in a0.
@@ -19,8 +20,8 @@ use crate::throw::OutOfRange;
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Part {
-    /// Torque per ampere of the motor, as in the study: the back-EMF constant and so the speed stay, and only b0
-    /// changes.
+    /// Magnets of the motor: torque per ampere and back-EMF constant, which are one constant in SI units. A weaker motor
+    /// needs more current and runs faster.
     Kt,
     /// Dry friction on the slide chairs (mu); a decrease scales every friction of the machine.
     Friction,
@@ -139,6 +140,7 @@ impl Parameters {
         let mut worn = self.clone();
         worn.add_friction(condition.friction, &modes);
         worn.torque_constant *= condition.kt;
+        worn.back_emf_constant *= condition.kt;
         let n2 = self.gear_ratio.powi(2);
         worn.load_inertia_kg_m2 += (condition.inertia - 1.0) * loads.inertia / n2;
         // A loss larger than the inertia of the couplings reduces the rotor's inertia.
