@@ -3,11 +3,11 @@
 //! The size of a fault is the change of a coefficient: a torque loss of 10 % lowers b0 by 10 %, friction of +25 %
 //! raises a1 by 25 %, stiffness of +15 % raises a0 by 15 %, inertia of +10 % divides all three by 1.1.
 //!
-//! Estimates show this change, with two exceptions. A weaker motor runs faster, so the dry friction of the machine counts
-//! as less viscous friction: a motor of -20 % is estimated as -20 % in b0 and -6 % in a1. And on a beam the chairs near the heel stick until the rail has bent, so
-//! their friction builds up over the first centimetres of toe travel, which no constant coefficient describes: friction
-//! of +25 % there is estimated as +30 % in a1 and +4 to +5 % in b0 and a0. With lumped rails the estimates are +24.5 %
-//! in a1, -0.4 % in b0 and 0 % in a0.
+//! Estimates show this change, with two exceptions. A weaker motor runs faster, so that dry friction counts as less
+//! viscous friction: a motor of -20 % is estimated as -20 % in b0 and -4 % in a1. And on a beam the chairs near the heel
+//! stick until the rail has bent, so their friction builds up over the first centimetres of toe travel, which no constant
+//! coefficient describes: friction of +25 % there is estimated as +30 % in a1 and +4 to +5 % in b0 and a0. With lumped
+//! rails the estimates are +24.5 % in a1, -0.4 % in b0 and 0 % in a0.
 
 use serde::{Deserialize, Serialize};
 
