@@ -239,6 +239,12 @@ impl Alarms {
         Some(self.activate(index, evidence, at))
     }
 
+    /// Gives an active alarm new evidence of any severity; it needs a new acknowledgement.
+    pub(super) fn turn(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
+        let index = self.find(cause).filter(|_| self.is_active(cause))?;
+        Some(self.activate(index, evidence, at))
+    }
+
     /// Raises an alarm that is not active, and escalates one that is.
     pub(super) fn raise_or_escalate(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
         if self.is_active(cause) { self.escalate(cause, evidence, at) } else { self.raise(cause, evidence, at) }

@@ -23,7 +23,7 @@ const REPAIR_SHOWS_WITHIN: u32 = 8;
 const REPAIRABLE_LEVEL: f64 = 1.5;
 /// Least throws of plain health before an alarm is cleared: the levels, of up to as many throws of a direction, follow a
 /// step with this delay, so they still look healthy just after the raise.
-const LEVELS_FOLLOW: u32 = 12;
+pub(super) const LEVELS_FOLLOW: u32 = 12;
 const _: () = assert!(LEVELS_FOLLOW as usize == WINDOWS[2], "the same length, in another type");
 /// Throws of the machine that fill a longest window.
 pub(super) const LONGEST_WINDOW: u32 = 24;
@@ -56,6 +56,8 @@ pub(super) struct Reading {
     pub(super) below: bool,
     /// Whether the drift has another name.
     pub(super) other_name: bool,
+    /// Whether the drift has this name, above its limit, in the other sense than the alarm.
+    pub(super) turned: bool,
     /// Size in the last few throws relative to the limit; `None` if they are of the other direction than the alarm.
     pub(super) latest: Option<f64>,
 }
@@ -65,6 +67,8 @@ pub(super) enum Transition {
     Stay,
     Raise(Severity),
     Escalate,
+    /// The alarm goes on in the other sense: what had fallen has risen above its limit, or the other way round.
+    Turn(Severity),
     /// The drift has ended; `at_once`: within a few throws.
     Clear {
         at_once: bool,
@@ -80,7 +84,7 @@ pub(super) enum Transition {
 /// ```text
 ///          named for the on delay, and its patience
 ///   Quiet -----------------------------------------> Raised --- critical for as long: escalates, stays Raised
-///     ^                                                |
+///     ^                                                |    --- named in the other sense for as long: turns, stays
 ///     '--- healthy, below or otherwise explained ------'
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -109,6 +113,8 @@ pub(super) struct Ending {
     pub(super) healthy: u32,
     pub(super) below: u32,
     pub(super) other: u32,
+    #[serde(default)]
+    pub(super) turned: u32,
     /// Largest recent size relative to the warning limit.
     pub(super) level: f64,
     /// Throws since the size was near `level`.
@@ -155,7 +161,10 @@ impl Condition {
         };
         let before = if let Self::Raised { ending, .. } = self { **ending } else { Ending::default() };
         let mut ending = before.after(reading);
-        let transition = if severity == Severity::Warning && is_critical {
+        let transition = if ending.turned >= delay {
+            ending = Ending { restless: ending.restless, ..Ending::default() };
+            Transition::Turn(if is_critical { Severity::Critical } else { Severity::Warning })
+        } else if severity == Severity::Warning && is_critical {
             Transition::Escalate
         } else {
             ending.update_level(reading.latest);
@@ -197,6 +206,7 @@ impl Ending {
         count(&mut self.healthy, reading.plain_health);
         count(&mut self.below, reading.below);
         count(&mut self.other, reading.other_name);
+        count(&mut self.turned, reading.turned);
         self
     }
 

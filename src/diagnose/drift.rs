@@ -10,6 +10,7 @@ use super::{
     scatter::Scatter,
     settings::Settings,
     testimony::Testimony,
+    verdict::Blindness,
     window::Window,
 };
 use crate::throw::Direction;
@@ -72,8 +73,8 @@ pub(super) struct Drift {
     last_few: [Option<Window>; 2],
     /// Side of the latest throw, and the level of its last few throws.
     latest: (usize, Option<Window>),
-    /// Cause and size \[%\] hidden by the temperature, if it hides a change at the warning limit.
-    pub(super) hidden: Option<(Cause, f64)>,
+    /// The change hidden by the temperature, if it hides one at the warning limit.
+    pub(super) hidden: Option<Blindness>,
 }
 
 impl Drift {
@@ -82,7 +83,7 @@ impl Drift {
         [provisional, is_half_seen]: [bool; 2],
         [levels, last_few]: [[Option<Window>; 2]; 2],
         latest: (usize, Option<Window>),
-        hidden: Option<(Cause, f64)>,
+        hidden: Option<Blindness>,
         known: &Known,
         settings: &Settings,
     ) -> Self {
@@ -173,6 +174,7 @@ impl Drift {
             plain_health: is_shown && bound < HEALTHY_BELOW,
             below: is_shown && (self.attribution.is_none() || size < deadband),
             other_name: other,
+            turned: false,
             latest,
         }
     }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     alarm::{Alarms, Evidence},
     cause::{Attribution, Known, Naming},
-    condition::{Claim, Condition, LONGEST_WINDOW, Transition},
+    condition::{Claim, Condition, LEVELS_FOLLOW, LONGEST_WINDOW, Transition},
     course::LimitForecast,
     drift::{Drift, FrictionChange},
     event::{AlarmEvent, Cause, RunnerUp, Severity},
@@ -98,13 +98,30 @@ impl DriftAlarms {
         self.follow_onset(drift, order, context);
         let mut events = Vec::new();
         let weather = self.beside_weather(drift, order, tracks, context);
+        let is_rising = self.intermittent.is_rising();
         for (index, cause) in DRIFTS.into_iter().enumerate() {
             let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
             if weather != Claim::Named && reading.claim != Claim::None {
                 reading.claim = weather;
             }
+            if is_rising || alarms.rule(cause) == Some(Rule::Intermittent) {
+                // Two faulty throws in a row are no drift.
+                reading.patience += LEVELS_FOLLOW;
+            }
             let knows_no_part = alarms.rule(cause).is_some_and(Rule::knows_no_part);
             let active = alarms.severity(cause).filter(|_| !knows_no_part);
+            let direction = drift.direction(cause, self.throws_since_onset(order), settings);
+            if reading.claim == Claim::Named
+                && let Some((now, _)) = self.named_now(Severity::Warning, drift, direction, order, tracks, settings)
+            {
+                let size = now.relevance(settings);
+                let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
+                reading.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
+                // The window may contain throws in which the drift was larger.
+                reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
+                let least = 1.0 - settings.deadband_pct / 100.0;
+                reading.claim = if size > least { Claim::Named } else { Claim::Counts };
+            }
             let transition = self.conditions[index].step(reading, active, settings);
             let evidence = |severity| self.evidence(cause, severity, drift, order, tracks, context);
             events.extend(match transition {
@@ -112,6 +129,7 @@ impl DriftAlarms {
                 // An alarm about an intermittent fault ends by its own rule.
                 Transition::Clear { .. } | Transition::Withdraw if alarms.rule(cause) != Some(Rule::Usual) => None,
                 Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
+                Transition::Turn(severity) => evidence(severity).and_then(|with| alarms.turn(cause, with, at)),
                 Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
                 Transition::Clear { at_once } => alarms.clear(cause, text::cleared(name, cause, at_once), at),
                 Transition::ProposeRebaseline => alarms.remark(cause, text::maybe_repaired(name, cause), at),
@@ -334,14 +352,10 @@ impl DriftAlarms {
         let mut attribution = *drift.attribution.as_ref()?;
         let throws = self.throws_since_onset(order);
         let direction = drift.direction(cause, throws, context.settings);
-        let mut limit_in_throws = None;
-        let sound = drift.strongest.as_ref().filter(|_| attribution.has_sound_motor());
-        if let Naming::One(main) | Naming::Another { new: main, .. } = &mut attribution.naming {
-            if let Some(Window { mean, covariance, .. }) = sound.filter(|_| main.cause == Cause::Friction) {
-                *main = friction_of_sound_motor(mean, covariance);
-            }
-            let (now, forecast) = self.present(main, severity, drift, direction, order, tracks, context.settings);
-            limit_in_throws = forecast;
+        let now = self.named_now(severity, drift, direction, order, tracks, context.settings);
+        let limit_in_throws = now.as_ref().and_then(|(_, forecast)| forecast.clone());
+        if let (Naming::One(main) | Naming::Another { new: main, .. }, Some((now, _))) = (&mut attribution.naming, now)
+        {
             *main = now;
         }
         let alike = match drift.testimony {
@@ -364,6 +378,24 @@ impl DriftAlarms {
             limit_in_throws,
             ..Evidence::plain(severity, context.throw, text)
         })
+    }
+
+    /// The single named part with its size at this throw, and the forecast of the critical limit for an alarm below it.
+    fn named_now(
+        &self,
+        severity: Severity,
+        drift: &Drift,
+        direction: Option<Direction>,
+        order: u64,
+        tracks: &Tracks,
+        settings: &Settings,
+    ) -> Option<(Explanation, Option<LimitForecast>)> {
+        let attribution = drift.attribution.as_ref()?;
+        let (Naming::One(main) | Naming::Another { new: main, .. }) = attribution.naming else { return None };
+        let is_beside_sound_motor = attribution.has_sound_motor() && main.cause == Cause::Friction;
+        let of_friction = drift.strongest.as_ref().filter(|_| is_beside_sound_motor);
+        let part = of_friction.map_or(main, |window| friction_of_sound_motor(&window.mean, &window.covariance));
+        Some(self.present(&part, severity, drift, direction, order, tracks, settings))
     }
 
     /// The explanation with its size at this throw, and the forecast of the critical limit for an alarm below it.

@@ -194,7 +194,7 @@ impl Intermittent {
 
     /// Whether departures are so much more frequent than before that they may be a fault, which the rate of the machine
     /// must not learn.
-    fn is_rising(&self) -> bool {
+    pub(super) fn is_rising(&self) -> bool {
         let throws = self.recent.throws();
         let count = self.recent.last(throws).count();
         count >= 3 && self.chance(ANY, count, throws.into()) < RISING_FROM

@@ -119,7 +119,17 @@ impl ConditionOne {
             return Condition::Quiet { onset, since_raised: self.since_raised };
         }
         let EndingOne { healthy, below, other, level, below_level, fell_within, proposed, restless } = self.ending;
-        let ending = Ending { healthy, below, other, level, since_level: below_level, fell_within, proposed, restless };
+        let ending = Ending {
+            healthy,
+            below,
+            other,
+            turned: 0,
+            level,
+            since_level: below_level,
+            fell_within,
+            proposed,
+            restless,
+        };
         Condition::Raised { onset, since_raised: self.since_raised.unwrap_or_default(), ending: Box::new(ending) }
     }
 }

@@ -20,6 +20,7 @@ use super::{
     sym3::Sym3,
     temperature::doubt,
     threshold::{Thresholds, WINDOWS},
+    verdict::{Blindness, HidingTemperature},
     window::{RecentThrow, RecentThrows, Stream, Window, with_middle_kept},
 };
 use crate::{estimate::Grade, throw::Direction};
@@ -325,8 +326,8 @@ impl Tracks {
     }
 
     /// The cause and size \[%\] hidden most by the uncertain effect of the temperature on this side, if it hides a
-    /// change at the warning limit.
-    fn hidden(&self, side: usize, level: Option<&Window>, settings: &Settings) -> Option<(Cause, f64)> {
+    /// change at the warning limit, with the mean temperature of these throws.
+    fn hidden(&self, side: usize, level: Option<&Window>, settings: &Settings) -> Option<Blindness> {
         let track = &self.sides[side];
         let thresholds =
             track.thresholds.as_ref().filter(|_| track.baseline.as_ref().is_some_and(Baseline::is_complete))?;
@@ -338,8 +339,12 @@ impl Tracks {
             let otherwise = visible_pct(cause, window.covariance - doubt(window.temperature_sd), limit)?;
             (visible > limit_pct.max(HIDES_FROM * otherwise)).then_some((cause, visible, visible / limit_pct))
         };
-        let worst = Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2));
-        worst.map(|(cause, visible, _)| (cause, visible))
+        let (cause, below_pct, _) =
+            Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))?;
+        let baseline_c = track.baseline.as_ref()?.temperature().reference_c()?;
+        let distances = track.recent.iter().rev().take(window.throws).map(|throw| throw.raw().1);
+        let temperature_c = baseline_c + distances.sum::<f64>() / window.throws as f64;
+        Some(Blindness { cause, below_pct, temperature: Some(HidingTemperature { temperature_c, baseline_c }) })
     }
 
     /// The cause and size \[%\] hidden most by the scatter of the throws of a direction, if no window shows a change at the
@@ -370,11 +375,6 @@ impl Tracks {
             Some((cause, least, least / critical_pct))
         };
         Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))
-    }
-
-    /// The reference temperature of the baseline of a direction \[°C\].
-    pub(super) fn reference_c(&self, direction: Direction) -> Option<f64> {
-        self.sides[direction.side()].baseline.as_ref()?.temperature().reference_c()
     }
 
     /// Whether no baseline has a temperature.

@@ -115,6 +115,22 @@ fn severity_rises_within_the_same_alarm_and_asks_to_be_seen_again() {
     assert_eq!((worse[0].severity, worse[0].raised_at, worse[0].event_no), (Severity::Critical, raised.raised_at, 3));
 }
 
+/// Ice after rain: an alarm about the fall must not hide the rise.
+#[test]
+fn a_change_in_the_other_sense_is_a_new_event_of_the_same_alarm() {
+    for (first, then) in [(-30.0, 30.0), (30.0, -30.0)] {
+        let mut machine = Machine::new(7, Nature::default());
+        let mut monitor = machine.learned(&Settings::default());
+        let raised = run(&mut machine, &mut monitor, 40, shift(Cause::Friction, first)).remove(0);
+        assert!(raised.cause == Cause::Friction && raised.change_pct.unwrap() * first > 0.0, "{}", raised.text);
+        monitor.command(&Command::Ack { cause: Cause::Friction, by: by() }, now(), &Settings::default()).unwrap();
+        let events = run(&mut machine, &mut monitor, 20, shift(Cause::Friction, then));
+        let turned = events.iter().find(|event| event.change_pct.is_some_and(|pct| pct * then > 0.0)).unwrap();
+        assert_eq!((turned.state, turned.raised_at), (AlarmState::ActiveUnacknowledged, raised.raised_at));
+        assert!((turned.change_pct.unwrap() - then).abs() < 8.0, "{}", turned.text);
+    }
+}
+
 #[test]
 fn shelved_until_a_time_or_a_command() {
     let settings = Settings::default();

@@ -2,6 +2,8 @@
 
 use nalgebra::Vector3;
 use pointsd::diagnose::{AlarmState, Cause, MachineMonitor, Settings};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 
 use crate::{
     field::{Machine, Scatter},
@@ -76,4 +78,31 @@ fn an_intermittent_fault_that_is_mended_clears() {
         states.extend(verdict.events.into_iter().filter(|e| e.cause == Cause::Friction).map(|event| event.state));
     }
     assert_eq!(states, [AlarmState::ActiveUnacknowledged, AlarmState::ClearedUnacknowledged]);
+}
+
+/// Faulty throws also come two or three in a row, which is no drift of the machine.
+#[test]
+fn every_event_about_a_fault_in_one_of_five_throws_has_a_size_above_the_limit() {
+    let settings = Settings::default();
+    for (cause, pct, limit_pct) in [(Cause::Kt, -15.0, settings.kt_limit_pct), (Cause::Friction, 60.0, 15.0)] {
+        let mut found = 0;
+        for seed in 0..LIVES {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let mut machine = Machine::new(63_000 + seed, Scatter::USUAL);
+            let mut monitor = MachineMonitor::new("21B");
+            let mut events = Vec::new();
+            for throw in 0..330 {
+                let is_faulty = throw >= 150 && rng.random_bool(0.2);
+                let fault = if is_faulty { shift(cause, pct) } else { Vector3::zeros() };
+                events.extend(machine.feed(&mut monitor, fault, None, &settings).events);
+            }
+            let active = events.iter().filter(|event| event.state == AlarmState::ActiveUnacknowledged);
+            for event in active.filter(|event| event.cause == cause) {
+                let size = event.change_pct.unwrap() / pct.signum();
+                assert!(size > 0.8 * limit_pct, "seed {seed}: {:?}: {}", event.severity, event.text);
+                found += 1;
+            }
+        }
+        assert!(found >= LIVES, "{cause}: {found}");
+    }
 }

@@ -17,7 +17,7 @@ use super::{
         site::{self, Common},
         testimony::Testimony,
         thermometer::Disbelief,
-        verdict::{Blindness, HidingTemperature, Verdict},
+        verdict::{Blindness, Verdict},
     },
     MachineMonitor, is_drift, to_micros,
 };
@@ -207,12 +207,7 @@ impl MachineMonitor {
         if let Some(departure) = departure {
             verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
         }
-        let hidden = drift.as_ref().and_then(|drift| drift.hidden);
-        let by_temperature = hidden.and_then(|(cause, below_pct)| {
-            let baseline_c = self.tracks.reference_c(throw.direction)?;
-            let temperature = HidingTemperature { temperature_c: throw.temperature_c?, baseline_c };
-            Some(Blindness { cause, below_pct, temperature: Some(temperature) })
-        });
+        let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);
         self.blind = by_temperature.or_else(|| {
             let (cause, below_pct) = self.tracks.hidden_by_scatter(settings)?;
             Some(Blindness { cause, below_pct, temperature: None })
