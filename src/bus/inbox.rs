@@ -32,7 +32,6 @@ pub(crate) struct InboxCounters {
     /// Messages dropped because the queue was full or their key had used its share.
     pub dropped: AtomicU64,
     queue: FairQueue,
-    /// Notified when a message was queued.
     queued: Notify,
 }
 
@@ -67,7 +66,6 @@ impl Inbox {
         Ok((Self { subscriber: Some(subscriber), counters }, dropped_keys))
     }
 
-    /// The counters, shared with the callback.
     pub(crate) fn counters(&self) -> Arc<InboxCounters> {
         Arc::clone(&self.counters)
     }

@@ -50,7 +50,6 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-/// One occurrence of an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Occurrence {
     raised_at: Timestamp,

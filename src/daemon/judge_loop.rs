@@ -48,7 +48,6 @@ const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 struct PendingDaemonAlarm {
     outcome: Outcome,
     raised: Instant,
-    /// Whether it was published already.
     published: bool,
 }
 
@@ -56,11 +55,8 @@ struct PendingDaemonAlarm {
 pub(super) struct Links {
     pub(super) status: Arc<Status>,
     pub(super) outlet: Outlet,
-    /// Notified when a throw was stored.
     pub(super) spooled: Arc<Notify>,
-    /// Notified when the outbox has a new message.
     pub(super) outbox: Arc<Notify>,
-    /// The same for the webhook.
     pub(super) webhook: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
     /// The machines whose loggers have a liveliness token now.
@@ -71,17 +67,14 @@ pub(super) struct Links {
     pub(super) give_up: CancellationToken,
 }
 
-/// The judge loop.
 pub(super) struct JudgeLoop {
     judge: Judge,
     links: Links,
-    /// Name of the daemon as a machine, for its alarms.
     own_machine: MachineId,
     /// Watched daemons that were away at the last tick, with the time since when.
     away: Option<Vec<(MachineId, Timestamp)>>,
     /// Queue of unstored events: at most a raise, an escalation and a clearance.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
-    /// Rate limit of commands.
     budget: Budget,
 }
 
@@ -98,10 +91,6 @@ impl JudgeLoop {
         }
     }
 
-    /// Runs until `stop`, then judges the throws that are still pending.
-    ///
-    /// # Errors
-    /// When the store is closed.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
         // Without this list the daemon does all the same what it is for.
         let adopted = self.judge.adopt().await.unwrap_or_else(|error| {

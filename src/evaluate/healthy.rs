@@ -8,7 +8,6 @@ use super::{
     weather::{Climate, WetSpells},
 };
 
-/// Weather of a fleet.
 #[derive(Debug, Clone, Copy)]
 enum Weather {
     Steady,
@@ -18,7 +17,6 @@ enum Weather {
     Wet,
 }
 
-/// A fleet of healthy machines.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fleet {
     /// Name in the table.

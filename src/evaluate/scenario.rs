@@ -106,7 +106,6 @@ pub(super) enum Situation {
     Slow,
     /// Complete throws with a fault of sensor, clock or supply, with or without a published supply voltage.
     Instrument {
-        /// The faulty instrument.
         which: Instrument,
         /// Whether the throws contain the supply voltage.
         volts: bool,
@@ -122,7 +121,6 @@ pub(super) enum Instrument {
     Position,
     /// Rate of the logger's clock.
     Clock,
-    /// The supply voltage.
     Supply,
 }
 
@@ -160,7 +158,6 @@ impl Situation {
 pub(super) struct Scenario {
     /// Depth of the simulation of its lives.
     pub(super) depth: Depth,
-    /// The conditions.
     pub(super) situation: Situation,
     /// The faulty parts with the size as a fraction of nominal; two for a pair.
     pub(super) faults: Vec<(Cause, f64)>,
@@ -170,7 +167,6 @@ pub(super) struct Scenario {
     pub(super) shape: Shape,
     /// Noise of the current sensor.
     pub(super) noise: Noise,
-    /// Whether the row is hard.
     pub(super) hard: bool,
 }
 

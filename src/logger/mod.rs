@@ -52,9 +52,7 @@ pub struct Logger {
 impl Logger {
     /// Starts to publish the throws of a fleet as one boot. Each machine gets a backlog, a liveliness token and a
     /// publisher.
-    ///
-    /// # Errors
-    /// When a setting of the fleet is out of range, zenoh refuses a declaration, or no thread can be started.
+    /// Fails when a setting of the fleet is out of range, zenoh refuses a declaration, or no thread can be started.
     pub async fn start(
         session: Session,
         settings: &LoggerSettings,
@@ -96,21 +94,16 @@ impl Logger {
     }
 
     /// The machines of the fleet, in the order of their index.
-    #[must_use]
     pub fn machines(&self) -> &[MachineId] {
         &self.machines
     }
 
     /// Number of throws published so far, of all machines.
-    #[must_use]
     pub fn published(&self) -> u64 {
         self.published.load(Relaxed)
     }
 
     /// Waits until all throws are published or the logger is stopped; returns the number of throws of each machine.
-    ///
-    /// # Errors
-    /// When publishing failed.
     pub async fn finished(&mut self) -> Result<u64, LoggerError> {
         (&mut self.done).await.unwrap_or(Err(LoggerError::Thread))
     }

@@ -25,7 +25,6 @@ pub enum Spooled {
     Duplicate,
 }
 
-/// A throw to store.
 pub(super) struct Spool {
     machine: MachineId,
     id: ThrowRef,

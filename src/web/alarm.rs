@@ -11,7 +11,6 @@ use crate::{
     wire::Alarm,
 };
 
-/// One open alarm.
 pub(super) struct AlarmLine {
     pub(super) machine: MachineId,
     pub(super) badge: Badge,

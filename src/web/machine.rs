@@ -58,7 +58,6 @@ impl Span {
     }
 
     /// The span of the word `100`, `1000` or `all`.
-    #[must_use]
     pub fn from_word(word: &str) -> Option<Self> {
         Self::CHOICES.into_iter().find(|(_, choice, _)| *choice == word).map(|(span, ..)| span)
     }
@@ -144,7 +143,6 @@ struct LastThrow {
     without: String,
 }
 
-/// An alarm event or an operator's command.
 struct Event {
     at: String,
     badge: Option<Badge>,
@@ -191,9 +189,6 @@ async fn show(web: &Web, machine: &MachineId, span: Span, form: Form) -> Result<
 }
 
 /// The page of a machine as one HTML file without links, with the limits of `settings`. `None` for an unknown machine.
-///
-/// # Errors
-/// When the database cannot be read.
 pub async fn report(
     reader: &Reader,
     machine: &MachineId,

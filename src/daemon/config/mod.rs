@@ -206,15 +206,12 @@ pub struct Config {
 }
 
 impl Config {
-    /// The built-in configuration.
     pub(crate) fn built_in() -> Result<Self, ConfigError> {
         Self::from_document(&Document::parse(Path::new("built-in defaults"), String::new())?)
     }
 
     /// Loads and checks a file.
-    ///
-    /// # Errors
-    /// The first error, with file, line and key.
+    /// Fails with the first error, with file, line and key.
     pub fn load(file: &Path) -> Result<Self, ConfigError> {
         Self::from_document(&Document::read(file)?)
     }
@@ -225,9 +222,7 @@ impl Config {
     }
 
     /// Checks a document.
-    ///
-    /// # Errors
-    /// The first error, with file, line and key.
+    /// Fails with the first error, with file, line and key.
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
         let file: File = document.deserialize()?;
         let scope =
@@ -291,9 +286,6 @@ fn machines(file: &File, document: &Document) -> Result<Machines, ConfigError> {
 }
 
 /// The `[diagnosis]` section alone, for a reader of the database, who may have no right to the daemon's files.
-///
-/// # Errors
-/// The first error of this section.
 pub fn diagnosis(document: &Document) -> Result<diagnose::Settings, ConfigError> {
     #[derive(Deserialize)]
     struct Section {
@@ -334,7 +326,6 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
     Ok(())
 }
 
-/// Checks the `[log]` section.
 pub(crate) fn check_log(log: &Log, document: &Document) -> Result<(), ConfigError> {
     // The filter takes any other word for a module, of which everything is logged, and of all others nothing.
     let is_wrong =
@@ -387,9 +378,6 @@ fn monitor_session(document: &Document) -> Result<::zenoh::Config, ConfigError> 
 }
 
 /// The session of a logger or an operator: a client of the router on loopback, with the `[zenoh]` of the file.
-///
-/// # Errors
-/// When zenoh rejects the section.
 pub fn client_session(document: &Document) -> Result<::zenoh::Config, ConfigError> {
     zenoh::session_config(zenoh::CLIENT, section(document)?.as_ref(), document)
 }

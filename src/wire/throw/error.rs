@@ -4,36 +4,16 @@ use crate::throw::InvalidTrace;
 
 /// A payload that is not a throw. `Display` is one sentence for a person.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum InvalidThrow {
-    /// The bytes are not CBOR.
     #[error("not valid CBOR at byte {at}: {problem}")]
-    Cbor {
-        /// Offset of the error \[bytes\].
-        at: usize,
-        /// The error at this offset.
-        problem: String,
-    },
-    /// The bytes are not JSON, or a field has the wrong type.
+    Cbor { at: usize, problem: String },
     #[error("not a throw in JSON: {problem}")]
-    Json {
-        /// The parser's error with line and column.
-        problem: String,
-    },
-    /// A required field is missing.
+    Json { problem: String },
     #[error("the field {field} is missing")]
-    Missing {
-        /// The field.
-        field: &'static str,
-    },
-    /// The value of a field is invalid.
+    Missing { field: &'static str },
     #[error("{field}: {problem}")]
-    Field {
-        /// The field.
-        field: &'static str,
-        /// The value and the allowed values.
-        problem: String,
-    },
-    /// The two channels do not form a trace.
+    Field { field: &'static str, problem: String },
     #[error(transparent)]
     Trace(#[from] InvalidTrace),
 }
