@@ -162,7 +162,6 @@ async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     assert_eq!(browser.value(&fleet, "window.untouched"), Some(true.into()));
     assert_eq!(rig.sql("SELECT by_whom FROM operator_commands")[0]["by_whom"], "A. Meyer");
     drop(browser);
-    assert!(daemon.terminate().success());
 }
 
 /// The chart of friction, among those that the page's script made.
@@ -247,5 +246,4 @@ async fn the_charts_show_every_throw_zoom_and_lead_to_it_and_are_pictures_withou
     assert_eq!(browser.value(&tab, is_seen), Some(true.into()));
     assert_eq!(browser.value(&tab, "document.querySelector('.uplot')"), Some(Value::Null));
     drop(browser);
-    assert!(daemon.terminate().success());
 }
