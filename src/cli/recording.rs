@@ -24,7 +24,6 @@ const LONGEST_STEP: f64 = 5.5;
 pub(super) struct Recording {
     /// The two channels on an even grid.
     pub(super) trace: Trace,
-    /// Whether the channels were interpolated.
     pub(super) resampled: bool,
     /// Line of each sample in the file, from 1; empty if resampled.
     pub(super) lines: Vec<u64>,
@@ -38,7 +37,8 @@ struct Columns {
 }
 
 /// Reads a recorded throw.
-/// Fails with [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] with line and column when its content is invalid.
+/// Fails with [`Exit::NoInput`] when the file cannot be read, and with [`Exit::Data`], line and column when its content
+/// is invalid.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
     let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
     parse(&bytes).and_then(Columns::evenly).with_context(|| path.display().to_string()).or_exit(Exit::Data)

@@ -54,7 +54,6 @@ pub(super) struct Arguments {
 struct Occurrence {
     raised_at: Timestamp,
     throw_no: Option<u64>,
-    /// The highest severity of the alarm.
     severity: Severity,
 }
 

@@ -64,7 +64,6 @@ const MISSING: u32 = 10_000;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum QueryEnd {
-    /// No throw is missing.
     Complete,
     /// The turn of the logger is over; it has more throws.
     More,
@@ -100,7 +99,6 @@ pub(super) struct Backlog {
     pub(super) seen: HashSet<MachineId>,
     pub(super) with_token: HashSet<MachineId>,
     pub(super) dropped: mpsc::Receiver<String>,
-    /// Notified when a throw may be missing.
     pub(super) missing: Arc<Notify>,
 }
 
@@ -223,7 +221,6 @@ struct Schedule {
     turns: HashMap<MachineId, Turn>,
     /// Of fast, and of slow loggers.
     due: [BTreeSet<(Instant, MachineId)>; 2],
-    /// Slow loggers that are queried now.
     slow_in_progress: usize,
 }
 

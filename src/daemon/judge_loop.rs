@@ -59,7 +59,6 @@ pub(super) struct Links {
     pub(super) outbox: Arc<Notify>,
     pub(super) webhook: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
-    /// The machines whose loggers have a liveliness token now.
     pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
     pub(super) orders: mpsc::Receiver<Order>,
     pub(super) peers: Arc<Peers>,

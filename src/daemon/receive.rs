@@ -170,7 +170,6 @@ pub(super) struct ReceiveLoop {
     pub(super) give_up: CancellationToken,
     /// Received messages that are not decoded yet.
     pub(super) undecoded: u64,
-    /// Decoded throws that are not stored yet.
     pub(super) unstored: Vec<Received>,
 }
 

@@ -19,9 +19,7 @@ enum Weather {
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fleet {
-    /// Name in the table.
     pub(super) label: &'static str,
-    /// Natural scatter of its machines.
     pub(super) scatter: Scatter,
     weather: Weather,
 }

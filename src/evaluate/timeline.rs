@@ -31,9 +31,7 @@ pub(super) struct Fault {
     pub(super) size: f64,
     /// First throw with the fault, from 0.
     pub(super) onset: usize,
-    /// First throw after the repair.
     pub(super) repaired: Option<usize>,
-    /// Development over the throws.
     pub(super) shape: Shape,
 }
 
@@ -54,7 +52,6 @@ pub(super) struct Timeline {
     /// First throw of the judged fault or faults.
     pub(super) onset: usize,
     pub(super) throws: usize,
-    /// A varying temperature.
     pub(super) climate: Option<Climate>,
     pub(super) wet: WetSpells,
     /// Share of ln friction that moves ln b0 and ln a0 too.

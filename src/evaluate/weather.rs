@@ -39,7 +39,6 @@ enum Course {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Climate {
     course: Course,
-    /// Whether the throws contain the temperature.
     pub(super) measured: bool,
 }
 

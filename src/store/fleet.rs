@@ -32,9 +32,7 @@ pub(crate) struct FleetQuery {
     pub cause: Option<Cause>,
     /// A text in `site/machine`; `None` for all.
     pub search: Option<String>,
-    /// Number of machines to skip.
     pub offset: u32,
-    /// Largest number of machines.
     pub limit: u32,
     /// Throws of each machine for its small chart.
     pub spark: u32,
@@ -64,7 +62,6 @@ impl FleetQuery {
 /// Numbers of machines.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Tally {
-    /// Number of machines in each state.
     pub states: Vec<(MachineState, u64)>,
     /// Number of machines that are not monitored and have no other open alarm.
     pub silent: u64,
@@ -88,7 +85,6 @@ pub(crate) struct FleetRow {
     /// Active drifts with their present size, the worst first.
     pub drifts: Vec<Drifting>,
     pub causes: Vec<Cause>,
-    /// Start of the last judged throw.
     pub started_at: Option<Timestamp>,
     pub quality: Option<String>,
     /// Throws in the baseline of the last throw's direction (or of normal to reverse), and throws that it needs.
@@ -114,7 +110,6 @@ pub(crate) struct Fault {
     pub alarm: Alarm,
     /// Size and standard deviation when raised \[%\].
     pub raised: Option<(f64, f64)>,
-    /// Active drifts of the machine with their present size.
     pub drifts: Vec<Drifting>,
 }
 
@@ -125,7 +120,6 @@ pub(crate) struct CommandRow {
     /// Name of the command, as `ack`.
     pub command: String,
     pub cause: Option<Cause>,
-    /// End of the shelving or maintenance.
     pub until: Option<Timestamp>,
     pub by: String,
     pub why: Option<String>,
@@ -138,11 +132,8 @@ pub(crate) struct CommonAlarm {
     pub site: String,
     /// One of the machines.
     pub machine: String,
-    /// Number of machines.
     pub count: u64,
-    /// Time of the first raise.
     pub first: Timestamp,
-    /// Time of the last raise.
     pub last: Timestamp,
     /// Text of an alarm about lost data, which has several kinds.
     pub text: Option<String>,

@@ -36,7 +36,8 @@ pub enum InvalidTrace {
 
 impl Trace {
     /// A trace of `current_a` \[A\] and `position_mm` \[mm\] at `sample_rate_hz` \[Hz\].
-    /// Fails when the rate is out of range, the channels differ in length, or their length is 0 or above [`MAX_SAMPLES`].
+    /// Fails when the rate is out of range, the channels differ in length, or their length is 0 or above
+    /// [`MAX_SAMPLES`].
     pub fn new(sample_rate_hz: f64, current_a: Vec<f64>, position_mm: Vec<f64>) -> Result<Self, InvalidTrace> {
         if !(MIN_SAMPLE_RATE_HZ..=MAX_SAMPLE_RATE_HZ).contains(&sample_rate_hz) {
             return Err(InvalidTrace::SampleRate { rate_hz: sample_rate_hz });
