@@ -10,7 +10,7 @@ use pointsd::{
 
 use crate::{
     http::KEY,
-    rig::{PATIENCE, Rig, listen, next, pointsd, stub},
+    rig::{PATIENCE, Program, Rig, listen, next, pointsd, stub},
 };
 
 const ALIVE: &str = "points/v1/north/21B/alive";
@@ -139,15 +139,14 @@ fn while_it_starts_systemd_is_asked_for_more_time() {
     socket.set_read_timeout(Some(PATIENCE)).unwrap();
     let config = rig.config();
     let mut command = pointsd(&["run", "--config"]);
-    let mut child = command.arg(config).env("NOTIFY_SOCKET", &path).stderr(Stdio::null()).spawn().unwrap();
+    let child = command.arg(config).env("NOTIFY_SOCKET", &path).stderr(Stdio::null()).spawn().unwrap();
+    let _program = Program(child);
     let mut said = Vec::new();
     while !said.iter().any(|text: &String| text.contains("READY=1")) {
         let mut buffer = [0; 4096];
         let count = socket.recv(&mut buffer).expect("it becomes ready");
         said.push(String::from_utf8_lossy(&buffer[..count]).into_owned());
     }
-    child.kill().unwrap();
-    child.wait().unwrap();
     let more: u64 =
         said[0].lines().find_map(|line| line.strip_prefix("EXTEND_TIMEOUT_USEC=")).expect("asks").parse().unwrap();
     assert!(more >= 30_000_000, "{said:?}");

@@ -14,7 +14,7 @@ use std::{
 use crate::{
     http::{KEY, WEB, address, exchange, get},
     operators::daemon_with_alarm,
-    rig::{PATIENCE, stub},
+    rig::{PATIENCE, Program, stub},
 };
 
 const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/grafana");
@@ -92,13 +92,14 @@ async fn a_real_prometheus_scrapes_the_daemon_and_fires_the_rule_of_a_critical_a
     );
     fs::write(&config, text).unwrap();
     let place = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-    let mut prometheus = Command::new("prometheus")
+    let prometheus = Command::new("prometheus")
         .arg(format!("--config.file={}", config.display()))
         .arg(format!("--storage.tsdb.path={}", rig.folder().join("tsdb").display()))
         .arg(format!("--web.listen-address={place}"))
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
+    let _prometheus = Program(prometheus);
     let deadline = Instant::now() + PATIENCE;
     let fired = loop {
         let rules = Command::new("promtool").args(["query", "instant", &format!("http://{place}"), "ALERTS"]).output();
@@ -111,8 +112,6 @@ async fn a_real_prometheus_scrapes_the_daemon_and_fires_the_rule_of_a_critical_a
     };
     let rules = format!("GET /api/v1/rules HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n");
     let rules = exchange(&place, &rules);
-    prometheus.kill().unwrap();
-    prometheus.wait().unwrap();
     let fired = fired.unwrap();
     assert!(fired.contains("cause=\"kt\"") && !fired.contains("PointsdDown"), "{fired}");
     assert!(rules.contains("\"health\":\"ok\"") && !rules.contains("\"health\":\"err\""), "{rules}");

@@ -397,6 +397,16 @@ impl Drop for Daemon {
     }
 }
 
+/// Another program, which ends with the test.
+pub(crate) struct Program(pub(crate) Child);
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// A program of this package; an environment variable can name another build.
 fn program(variable: &str, built: &str) -> Command {
     Command::new(std::env::var_os(variable).unwrap_or_else(|| built.into()))

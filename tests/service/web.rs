@@ -10,7 +10,7 @@ use std::{
 use crate::{
     faketime,
     http::{Answer, WEB, address, ask, check_nesting, exchange, get, history_in, small_history},
-    rig::{PATIENCE, Rig, pointsd},
+    rig::{PATIENCE, Program, Rig, pointsd},
 };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -358,8 +358,9 @@ async fn a_command_from_a_page_waits_until_it_is_applied() {
 #[test]
 fn the_demo_names_its_dashboard() {
     let folder = tempfile::tempdir().unwrap();
-    let mut demo = pointsd(&["demo", "--folder"]).arg(folder.path()).stdout(Stdio::piped()).spawn().unwrap();
-    let mut output = std::io::BufReader::new(demo.stdout.take().unwrap());
+    let demo = pointsd(&["demo", "--folder"]).arg(folder.path()).stdout(Stdio::piped()).spawn().unwrap();
+    let mut demo = Program(demo);
+    let mut output = std::io::BufReader::new(demo.0.stdout.take().unwrap());
     let mut line = String::new();
     while !line.starts_with("In a browser: ") {
         line.clear();
@@ -375,6 +376,4 @@ fn the_demo_names_its_dashboard() {
         assert!(Instant::now() < deadline, "no throw is shown");
         thread::sleep(Duration::from_millis(50));
     }
-    demo.kill().unwrap();
-    demo.wait().unwrap();
 }

@@ -3,7 +3,7 @@
 use std::{
     io::{BufRead, BufReader, Read, Write},
     net::{SocketAddr, TcpListener, TcpStream},
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     sync::mpsc,
     thread,
     time::{Duration, Instant},
@@ -18,7 +18,7 @@ use tokio_rustls::rustls::{
 
 use crate::{
     operators::logger,
-    rig::{Daemon, PATIENCE, Rig},
+    rig::{Daemon, PATIENCE, Program, Rig},
 };
 
 const ACCEPTED: &str = "HTTP/1.1 204 No Content\r\n\r\n";
@@ -312,16 +312,6 @@ fn mail_server() -> (SocketAddr, mpsc::Receiver<String>) {
         }
     });
     (address, mails)
-}
-
-/// A program that ends with the test.
-struct Program(Child);
-
-impl Drop for Program {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 /// The receiver of `deploy/`: an alarm becomes an e-mail.
