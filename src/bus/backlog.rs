@@ -24,6 +24,7 @@ const PAGE_BYTES: usize = 4 << 20;
 /// Time until a query for a page fails. Longer than the 10 s of silence after which zenoh closes a link.
 const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
 
+/// End of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ending {
     /// All replies arrived.

@@ -61,6 +61,7 @@ impl Queues {
 }
 
 impl FairQueue {
+    /// Memory of the queued messages \[bytes\].
     pub(super) fn bytes(&self) -> usize {
         self.queues().reserved
     }
@@ -113,6 +114,7 @@ mod tests {
     /// Largest number of messages in the queue.
     const MAX_MESSAGES: usize = CAPACITY / LEAST_COST;
 
+    /// Queues a message with this memory.
     fn push(queue: &FairQueue, key: &str, memory: usize) -> bool {
         let message = || Message {
             key: key.to_owned(),

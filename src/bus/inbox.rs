@@ -31,6 +31,7 @@ pub(crate) struct InboxCounters {
     /// Messages dropped because the queue was full or their key had used its share.
     pub dropped: AtomicU64,
     queue: FairQueue,
+    /// Notified when a message was queued.
     queued: Notify,
 }
 
@@ -65,6 +66,7 @@ impl Inbox {
         Ok((Self { subscriber: Some(subscriber), counters }, dropped_keys))
     }
 
+    /// The counters, shared with the callback.
     pub(crate) fn counters(&self) -> Arc<InboxCounters> {
         Arc::clone(&self.counters)
     }

@@ -16,38 +16,57 @@ use crate::{
 
 /// A query or command without a usable answer.
 #[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
 pub enum OperatorError {
+    /// Zenoh refused the query.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// No daemon runs behind the session.
     #[error(
         "no daemon answers: none is connected to this router. Is pointsd running, and does [zenoh] connect to the same router?"
     )]
     NoDaemon,
+    /// Daemons run, and none of them accepts commands for the machine.
     #[error(
         "no daemon serves {0}: is the name right, does subscribe.key of a running pointsd include it, and may your certificate command it?"
     )]
     NotServed(String),
+    /// Daemons run, and none of them has a throw of the machine.
     #[error(
         "no daemon knows {0}, which is not the same as no alarms: is the name right, has it sent a throw, and does \
          subscribe.key of a running pointsd include it?"
     )]
     Unknown(String),
+    /// More than one daemon would apply the command.
     #[error(
         "nothing was sent: several daemons serve {machine}: {daemons}. Each machine belongs to one daemon: correct \
          subscribe.key, or connect to a daemon that no router joins to the others"
     )]
-    Several { machine: String, daemons: String },
+    Several {
+        /// The machine.
+        machine: String,
+        /// Names and sessions of the daemons.
+        daemons: String,
+    },
+    /// The daemon that answers is not the daemon of the given configuration.
     #[error(
         "nothing was sent: {found} answers there, and the configuration is that of {expected}. Is {expected} running?"
     )]
-    AnotherDaemon { found: String, expected: String },
+    AnotherDaemon {
+        /// Name of the daemon that answers.
+        found: String,
+        /// The name in the configuration.
+        expected: String,
+    },
+    /// A daemon answers without its name.
     #[error("nothing was sent: a daemon that serves {0} does not give its name; it may be an older version")]
     Nameless(String),
+    /// The daemon stopped answering between the query and the command.
     #[error("the daemon {0} stopped answering: check with pointsd alarms whether the command was applied")]
     Gone(String),
+    /// A daemon did not answer in time.
     #[error("a daemon did not answer in time: is its computer overloaded, or the link down?")]
     Timeout,
+    /// The daemon refused, with its reason.
     #[error("{0}")]
     Refused(String),
 }
@@ -63,12 +82,18 @@ pub struct Answers {
 
 impl Answers {
     /// The messages, if no daemon replied with an error.
+    ///
+    /// # Errors
+    /// The first error of a daemon.
     pub fn complete(self) -> Result<Vec<(String, Vec<u8>)>, OperatorError> {
         self.errors.into_iter().next().map_or(Ok(self.messages), Err)
     }
 }
 
 /// Queries all daemons.
+///
+/// # Errors
+/// When zenoh refuses the query.
 pub async fn ask(
     session: &Session,
     selector: &str,

@@ -80,6 +80,7 @@ impl Outlet {
         Ok((Self { alarms, healths, counters }, OutletEnd([first, second])))
     }
 
+    /// Counters of published, dropped and refused messages, shared with the threads.
     pub(crate) fn counters(&self) -> Arc<OutletCounters> {
         Arc::clone(&self.counters)
     }

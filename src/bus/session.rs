@@ -5,6 +5,9 @@ use zenoh::{Config, Session, key_expr::keyexpr, liveliness::LivelinessToken};
 use super::error::BusError;
 
 /// Opens a zenoh session.
+///
+/// # Errors
+/// When zenoh cannot listen or connect as configured.
 pub async fn open(config: Config) -> Result<Session, BusError> {
     zenoh::open(config).await.map_err(BusError::new("open the session"))
 }

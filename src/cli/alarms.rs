@@ -123,6 +123,7 @@ fn is_requested(alarm: &Alarm, arguments: &Arguments) -> bool {
         && arguments.severity.is_none_or(|severity| severity == alarm.severity)
 }
 
+/// The key of a machine, or of all machines.
 fn key(machine: Option<&MachineId>, kind: Kind) -> String {
     machine.map_or_else(|| wire::every_key(kind), |machine| wire::machine_key(machine, kind))
 }

@@ -37,6 +37,7 @@ pub(super) fn machine_state(word: &str) -> Result<MachineState, String> {
     word.replace([' ', '-'], "_").parse().map_err(wrong)
 }
 
+/// The part that a simulated fault changes.
 pub(super) fn part(word: &str) -> Result<Part, String> {
     word.parse().map_err(|_| format!("{word:?} is not kt, friction, stiffness, rail_stiffness or inertia"))
 }

@@ -37,6 +37,7 @@ pub struct Failure {
 }
 
 impl Failure {
+    /// A failure with its exit code.
     pub(super) fn new(exit: Exit, error: impl Into<anyhow::Error>) -> Self {
         Self { exit, error: error.into() }
     }
@@ -48,6 +49,9 @@ pub type Outcome = Result<Exit, Failure>;
 /// Adds an exit code to an error.
 pub trait ResultExt<T> {
     /// Turns an error into a [`Failure`] with the code `exit`.
+    ///
+    /// # Errors
+    /// When `self` is an error.
     fn or_exit(self, exit: Exit) -> Result<T, Failure>;
 }
 

@@ -104,6 +104,7 @@ pub(super) fn width() -> u16 {
     terminal.or_else(asked).unwrap_or(WIDTH)
 }
 
+/// Writes a file.
 pub(super) fn file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), Failure> {
     fs::write(path, content)
         .with_context(|| format!("{} cannot be written", path.display()))

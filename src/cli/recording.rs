@@ -37,8 +37,9 @@ struct Columns {
 }
 
 /// Reads a recorded throw.
-/// Fails with [`Exit::NoInput`] when the file cannot be read, and with [`Exit::Data`], line and column when its content
-/// is invalid.
+///
+/// # Errors
+/// [`Exit::NoInput`] when the file cannot be read, [`Exit::Data`] with line and column when its content is invalid.
 pub(super) fn read(path: &Path) -> Result<Recording, Failure> {
     let bytes = fs::read(path).with_context(|| format!("cannot read {}", path.display())).or_exit(Exit::NoInput)?;
     parse(&bytes).and_then(Columns::evenly).with_context(|| path.display().to_string()).or_exit(Exit::Data)

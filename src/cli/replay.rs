@@ -50,6 +50,7 @@ pub(super) struct Arguments {
     json: bool,
 }
 
+/// One occurrence of an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 struct Occurrence {
     raised_at: Timestamp,

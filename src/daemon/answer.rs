@@ -19,6 +19,7 @@ async fn next(questions: &mut Questions) -> Option<Question> {
     question
 }
 
+/// Answers health queries.
 pub(super) async fn health(mut questions: Questions, reader: Reader) {
     while let Some(question) = next(&mut questions).await {
         let replies = health_replies(&question, &reader).await;
@@ -89,6 +90,7 @@ async fn command_reply(question: &Question, orders: &Orders, itself: &Commander)
     Ok(vec![(key, orders.carry_out(machine, command).await?.to_json())])
 }
 
+/// Answers status queries.
 pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges) {
     while let Some(question) = next(&mut questions).await {
         let mut report = gauges.report();

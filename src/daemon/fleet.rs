@@ -33,6 +33,7 @@ const TICKS_AN_HOUR: u64 = 3600 / TICK.as_secs();
 /// The first name in the order of names.
 const SMALLEST_NAME: &str = "-";
 
+/// The monitors of all machines.
 #[derive(Default)]
 pub(super) struct Fleet {
     /// In order, so that the machines of a site stand together. Boxed, as half of the places in the tree are empty.
@@ -43,6 +44,7 @@ pub(super) struct Fleet {
     witnesses: BTreeSet<MachineId>,
     /// Machines whose stored monitor may differ from that in memory; stored again at the next tick.
     to_store: HashSet<MachineId>,
+    /// Ticks in this hour.
     ticks: u64,
     /// The machines whose throws were judged last, at most [`WITNESSES`], and whether the last throw of each is dated more
     /// than a day after its reception.

@@ -13,6 +13,7 @@ use super::clock;
 /// and one batch of the judge: 256 throws or 2 million samples.
 const FRESH: Duration = Duration::from_secs(30);
 
+/// A loop with a heartbeat.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::AsRefStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub(crate) enum TaskName {
@@ -45,6 +46,7 @@ impl Default for Heartbeats {
 }
 
 impl Heartbeats {
+    /// Records a heartbeat.
     pub(crate) fn beat(&self, task: TaskName) {
         self.last_ms[task as usize].store(self.elapsed_ms(), Relaxed);
     }
@@ -59,6 +61,7 @@ impl Heartbeats {
         TaskName::VARIANTS.iter().copied().filter(|task| !is_copying && silent(task)).collect()
     }
 
+    /// Time since the start.
     pub(super) fn uptime(&self) -> Duration {
         clock::monotonic().duration_since(self.start)
     }

@@ -47,6 +47,9 @@ pub(super) struct Judge {
 
 impl Judge {
     /// Restores the judge from the database.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub(super) async fn restore(store: Store, config: watch::Receiver<Arc<Config>>) -> Result<Self, StoreError> {
         // Page by page: a snapshot as text needs more memory than the monitor.
         let (mut fleet, mut last) = (Fleet::default(), None);
@@ -61,17 +64,24 @@ impl Judge {
     }
 
     /// Takes over the open alarms that no monitor has; returns the outcomes to store.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub(super) async fn adopt(&mut self) -> Result<Vec<Outcome>, StoreError> {
         let open = self.store.reader().open_alarms(&Selector::default()).await?;
         Ok(self.fleet.adopt(open, clock::now()))
     }
 
+    /// The present configuration.
     pub(super) fn config(&self) -> Arc<Config> {
         Arc::clone(&self.config.borrow())
     }
 
     /// Judges the next batch; empty if no throw is pending. The monitors include these throws afterwards, so the result
     /// must be committed before the next call.
+    ///
+    /// # Errors
+    /// When the pending throws cannot be read.
     pub(super) async fn next(&mut self) -> Result<Arc<[Judgement]>, StoreError> {
         let wait = self.backlog_wait();
         let (throws, is_full) = self.store.reader().to_judge(self.last.as_ref(), BATCH, clock::now(), wait).await?;
@@ -99,6 +109,9 @@ impl Judge {
     }
 
     /// Commits a batch in one transaction: a burst of throws after a cut link costs one sync.
+    ///
+    /// # Errors
+    /// When it could not be stored; the same call may be repeated.
     pub(super) async fn commit(&self, judgements: &Arc<[Judgement]>) -> Result<(), StoreError> {
         self.store.judge_all(Arc::clone(judgements)).await.map(drop)
     }

@@ -48,6 +48,7 @@ const LONGEST_SILENCE: Duration = Duration::from_secs(10);
 struct PendingDaemonAlarm {
     outcome: Outcome,
     raised: Instant,
+    /// Whether it was published already.
     published: bool,
 }
 
@@ -55,8 +56,11 @@ struct PendingDaemonAlarm {
 pub(super) struct Links {
     pub(super) status: Arc<Status>,
     pub(super) outlet: Outlet,
+    /// Notified when a throw was stored.
     pub(super) spooled: Arc<Notify>,
+    /// Notified when the outbox has a new message.
     pub(super) outbox: Arc<Notify>,
+    /// The same for the webhook.
     pub(super) webhook: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
     pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
@@ -66,14 +70,17 @@ pub(super) struct Links {
     pub(super) give_up: CancellationToken,
 }
 
+/// The judge loop.
 pub(super) struct JudgeLoop {
     judge: Judge,
     links: Links,
+    /// Name of the daemon as a machine, for its alarms.
     own_machine: MachineId,
     /// Watched daemons that were away at the last tick, with the time since when.
     away: Option<Vec<(MachineId, Timestamp)>>,
     /// Queue of unstored events: at most a raise, an escalation and a clearance.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
+    /// Rate limit of commands.
     budget: Budget,
 }
 
@@ -90,6 +97,10 @@ impl JudgeLoop {
         }
     }
 
+    /// Runs until `stop`, then judges the throws that are still pending.
+    ///
+    /// # Errors
+    /// When the store is closed.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
         // Without this list the daemon does all the same what it is for.
         let adopted = self.judge.adopt().await.unwrap_or_else(|error| {

@@ -16,12 +16,21 @@ use std::{
 
 /// The lock of a database could not be taken.
 #[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
 pub enum LockError {
+    /// Another process has the lock.
     #[error("another pointsd works on {}: stop it first, or name another database in store.path", database.display())]
-    Taken { database: PathBuf },
+    Taken {
+        /// The database.
+        database: PathBuf,
+    },
+    /// The lock file cannot be used.
     #[error("cannot use the lock file {} of the database: may this user write to its folder?", path.display())]
-    File { path: PathBuf, source: std::io::Error },
+    File {
+        /// The lock file.
+        path: PathBuf,
+        /// Error of the system.
+        source: std::io::Error,
+    },
 }
 
 /// The lock of a database, held until it is dropped, which removes its file, or the process ends in any way.

@@ -18,16 +18,20 @@ use crate::{
 
 /// An error at the start of the daemon.
 #[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
 pub enum StartError {
+    /// The database cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// Zenoh cannot be used.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// Another process uses the database.
     #[error(transparent)]
     Lock(#[from] LockError),
+    /// The webhook cannot be used.
     #[error("[webhook]: {0}")]
     Webhook(String),
+    /// The operating system did not start a thread.
     #[error("cannot start the publishing thread: {0}")]
     Thread(#[from] std::io::Error),
 }
@@ -45,7 +49,9 @@ pub struct Offline {
 
 impl Offline {
     /// Opens the database of a configuration.
-    /// Fails when the database cannot be used, or a daemon uses it.
+    ///
+    /// # Errors
+    /// When the database cannot be used, or a daemon uses it.
     pub async fn open(mut config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         let store = Store::open(&config.store, clock::now()).await?.store;
@@ -58,6 +64,9 @@ impl Offline {
     }
 
     /// Stores a throw, and judges after every `GROUP`. Returns the result of storing it, and the throws judged now.
+    ///
+    /// # Errors
+    /// When the database cannot be written to.
     pub async fn take(&mut self, machine: &MachineId, throw: &Throw) -> Result<(Spooled, Vec<Judged>), StoreError> {
         let spooled = self.store.spool(machine, throw, clock::now()).await?;
         self.waiting += 1;
@@ -66,11 +75,17 @@ impl Offline {
     }
 
     /// Whether the database has a throw with this number of a machine.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
     pub async fn has(&self, machine: &MachineId, throw: &ThrowRef) -> Result<bool, StoreError> {
         Ok(self.store.reader().throw_of(machine, throw).await?.is_some())
     }
 
     /// Judges all pending throws.
+    ///
+    /// # Errors
+    /// When the database cannot be written to.
     pub async fn judge(&mut self) -> Result<Vec<Judged>, StoreError> {
         self.waiting = 0;
         let mut all = Vec::new();
@@ -85,7 +100,9 @@ impl Offline {
     }
 
     /// Closes the database.
-    /// Fails when it could not be closed cleanly; no data is lost.
+    ///
+    /// # Errors
+    /// When it could not be closed cleanly; no data is lost.
     pub async fn close(self) -> Result<(), StoreError> {
         self.store.close().await
     }

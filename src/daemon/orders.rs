@@ -14,6 +14,7 @@ const WAITING: usize = 16;
 /// Time until a command fails; the judge loop may be in the middle of a batch.
 const LIMIT: Duration = Duration::from_secs(20);
 
+/// A command with the channel for its answer.
 pub(super) struct Order {
     pub(super) machine: MachineId,
     pub(super) command: Command,
@@ -31,7 +32,9 @@ impl Orders {
     }
 
     /// Sends a command and waits until it is applied and committed.
-    /// Fails with a sentence if the loop does not answer in time. The command may still be applied later.
+    ///
+    /// # Errors
+    /// A sentence, if the loop does not answer in time. The command may still be applied later.
     pub(crate) async fn carry_out(&self, machine: MachineId, command: Command) -> Result<Reply, String> {
         let (reply, answer) = oneshot::channel();
         let busy = || "the daemon is busy: check whether the command was applied before you repeat it".to_owned();

@@ -19,6 +19,7 @@ use crate::{
 /// Absence after which there is an alarm: a restart takes seconds.
 const GRACE: Duration = Duration::from_secs(30);
 
+/// The watched daemons.
 #[derive(Debug)]
 pub(super) struct Peers {
     started: Instant,
@@ -47,6 +48,9 @@ impl Peers {
     }
 
     /// Follows the tokens of all daemons while the session is open.
+    ///
+    /// # Errors
+    /// When zenoh refuses the subscription.
     pub(super) async fn follow(self: Arc<Self>, session: &Session) -> Result<(), BusError> {
         let on_change = move |key: &str, is_there: bool| {
             if let Some(daemon) = parse_monitor_key(key) {

@@ -29,6 +29,7 @@ const AUDIENCE_LIMIT: Duration = Duration::from_secs(30);
 /// Time limit of a put; zenoh closes a stalled link after 5 s.
 const PUT_LIMIT: Duration = Duration::from_secs(20);
 
+/// The publishing loop.
 pub(super) struct Publisher {
     pub(super) store: Store,
     pub(super) session: Session,

@@ -27,7 +27,9 @@ const CLOSE_LIMIT: Duration = Duration::from_secs(10);
 impl Daemon {
     /// Stops in the order of the pipeline: stores the received messages, judges and publishes for a few seconds, closes
     /// the session and the database. Ends within 20 s in any case.
-    /// Fails when the database could not be closed cleanly; nothing acknowledged is lost.
+    ///
+    /// # Errors
+    /// When the database could not be closed cleanly; nothing acknowledged is lost.
     pub async fn stop(self) -> Result<(), StoreError> {
         let Self { session, store, mut tasks, stops, outlet_end, alive, gauges, lock, .. } = self;
         notify(&[NotifyState::Stopping, NotifyState::Status("storing received messages")]);

@@ -19,6 +19,7 @@ const EXTEND_EVERY: Duration = Duration::from_secs(10);
 const EXTEND_BY_USEC: u32 = 60_000_000;
 const EXTENSIONS: u32 = 360;
 
+/// Notifies systemd.
 pub(super) fn notify(states: &[NotifyState<'_>]) {
     // Without systemd this fails or does nothing.
     if let Err(error) = sd_notify::notify(states) {

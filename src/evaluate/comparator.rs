@@ -40,6 +40,7 @@ impl Baseline {
         self.normal
     }
 
+    /// The throws of the baseline.
     pub(super) fn throws(&self) -> &[Vector3<f64>] {
         &self.throws
     }
@@ -57,10 +58,12 @@ pub(super) trait Rule {
     ) -> Option<Cause>;
 }
 
+/// A rule on one machine.
 #[derive(Debug, Clone)]
 pub(super) struct Comparator<R> {
     rules: [R; 2],
     baselines: [Baseline; 2],
+    /// Present verdict of each direction.
     verdicts: [Option<Cause>; 2],
     /// The calls so far: one for each new cause, as long as no direction has it already.
     pub(super) calls: Vec<Call>,

@@ -8,6 +8,7 @@ use super::{
     weather::{Climate, WetSpells},
 };
 
+/// Weather of a fleet.
 #[derive(Debug, Clone, Copy)]
 enum Weather {
     Steady,
@@ -17,6 +18,7 @@ enum Weather {
     Wet,
 }
 
+/// A fleet of healthy machines.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fleet {
     pub(super) label: &'static str,

@@ -10,6 +10,7 @@ pub(super) struct Call {
     pub(super) at: usize,
     /// The named part, or [`Cause::Unattributed`].
     pub(super) cause: Cause,
+    /// Whether the severity is critical.
     pub(super) critical: bool,
     /// Whether the alarm names a sensor as equally possible.
     pub(super) or_sensor: bool,

@@ -14,6 +14,7 @@ use super::{
 };
 use crate::diagnose::{AlarmState, Command, MachineMonitor, Observation, Settings};
 
+/// Source of the throws of a life.
 #[derive(Debug)]
 pub(super) enum Source {
     /// Coefficients drawn from the calibrated scatter.

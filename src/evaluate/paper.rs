@@ -16,6 +16,7 @@ use super::{
 };
 use crate::diagnose::Cause;
 
+/// Number of tests in the paper's rule.
 const TESTS: usize = 6;
 /// Least pairwise correlation of the three inertia estimates for the cause inertia.
 const CORRELATED: f64 = 0.8;

@@ -115,6 +115,7 @@ pub struct Tally {
 }
 
 impl Healthy {
+    /// Results without any throws.
     pub(super) fn none(depth: Depth, fleet: Option<&'static str>) -> Self {
         Self { depth, throws: 0, false_alarms: 0, paper_false_alarms: 0, cusum_false_alarms: 0, fleet }
     }
@@ -195,6 +196,7 @@ impl Row {
     }
 
     /// The goals that this row does not meet, as sentences.
+    #[must_use]
     pub fn shortfalls(&self) -> Vec<String> {
         let mut shortfalls = Vec::new();
         let right = self.monitor.right as f64;
@@ -231,6 +233,7 @@ impl Budget {
     }
 
     /// Whether the ratio meets the goal [`GOAL_BUDGET_FACTOR`].
+    #[must_use]
     pub fn holds(&self) -> bool {
         (1.0 / GOAL_BUDGET_FACTOR..=GOAL_BUDGET_FACTOR).contains(&self.ratio)
     }
@@ -238,6 +241,7 @@ impl Budget {
 
 impl Report {
     /// The goals that the run did not meet, as sentences.
+    #[must_use]
     pub fn shortfalls(&self) -> Vec<String> {
         let healthy = self.healthy.iter().filter(|healthy| healthy.fleet.is_none() && healthy.false_alarms > 0);
         let healthy = healthy.map(|h| format!("{} false alarms in {} healthy throws", h.false_alarms, h.throws));

@@ -104,6 +104,7 @@ pub(super) enum Situation {
     Slow,
     /// Complete throws with a fault of sensor, clock or supply, with or without a published supply voltage.
     Instrument {
+        /// The faulty instrument.
         which: Instrument,
         /// Whether the throws contain the supply voltage.
         volts: bool,
@@ -116,6 +117,7 @@ pub(super) enum Instrument {
     Current,
     Position,
     Clock,
+    /// The supply voltage.
     Supply,
 }
 
@@ -152,6 +154,7 @@ impl Situation {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Scenario {
     pub(super) depth: Depth,
+    /// The conditions.
     pub(super) situation: Situation,
     /// The faulty parts with the size as a fraction of nominal; two for a pair.
     pub(super) faults: Vec<(Cause, f64)>,
@@ -159,6 +162,7 @@ pub(super) struct Scenario {
     pub(super) earlier: Option<(Cause, f64)>,
     pub(super) shape: Shape,
     pub(super) noise: Noise,
+    /// Whether the row is hard.
     pub(super) hard: bool,
 }
 

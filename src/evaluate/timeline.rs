@@ -24,8 +24,10 @@ const HEALTHY_THROWS: std::ops::Range<usize> = 20..80;
 /// nominal): the default warning limit of friction.
 const WORN: f64 = 0.15;
 
+/// A fault of one part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fault {
+    /// The part.
     pub(super) part: Cause,
     /// Final change, as a fraction of nominal.
     pub(super) size: f64,
@@ -48,11 +50,14 @@ impl Fault {
 /// Timeline of a life: its faults, their onset and its length.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Timeline {
+    /// All faults of the life.
     pub(super) faults: Vec<Fault>,
     /// First throw of the judged fault or faults.
     pub(super) onset: usize,
+    /// Throws of the life.
     pub(super) throws: usize,
     pub(super) climate: Option<Climate>,
+    /// Wet spells.
     pub(super) wet: WetSpells,
     /// Share of ln friction that moves ln b0 and ln a0 too.
     leakage: f64,

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
+/// Throws a day.
 pub(super) const THROWS_A_DAY: usize = 20;
 
 /// Change of ln b0, ln a1 and ln a0 per kelvin: warmth weakens the magnets, thins the grease, and softens the rails by

@@ -7,18 +7,23 @@ use crate::{
 
 /// An error that keeps a logger from publishing throws.
 #[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
 pub enum LoggerError {
+    /// A parameter of the simulated fleet is out of its range.
     #[error("the simulated fleet: {0}")]
     Simulation(#[from] OutOfRange),
+    /// Zenoh refused a session, a token or a query.
     #[error(transparent)]
     Bus(#[from] BusError),
+    /// Zenoh refused a publisher, a queryable or a publication.
     #[error("zenoh: {0}")]
     Zenoh(#[from] zenoh::Error),
+    /// A sample of a prepared trace is out of range.
     #[error("the prepared trace: {0}")]
     Trace(#[from] InvalidTrace),
+    /// The operating system did not start a thread.
     #[error("cannot start the publishing thread: {0}")]
     Spawn(#[from] std::io::Error),
+    /// The publishing thread ended without a result.
     #[error("the publishing thread died")]
     Thread,
 }

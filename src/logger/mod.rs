@@ -52,7 +52,9 @@ pub struct Logger {
 impl Logger {
     /// Starts to publish the throws of a fleet as one boot. Each machine gets a backlog, a liveliness token and a
     /// publisher.
-    /// Fails when a setting of the fleet is out of range, zenoh refuses a declaration, or no thread can be started.
+    ///
+    /// # Errors
+    /// When a setting of the fleet is out of range, zenoh refuses a declaration, or no thread can be started.
     pub async fn start(
         session: Session,
         settings: &LoggerSettings,
@@ -94,16 +96,21 @@ impl Logger {
     }
 
     /// The machines of the fleet, in the order of their index.
+    #[must_use]
     pub fn machines(&self) -> &[MachineId] {
         &self.machines
     }
 
     /// Number of throws published so far, of all machines.
+    #[must_use]
     pub fn published(&self) -> u64 {
         self.published.load(Relaxed)
     }
 
     /// Waits until all throws are published or the logger is stopped; returns the number of throws of each machine.
+    ///
+    /// # Errors
+    /// When publishing failed.
     pub async fn finished(&mut self) -> Result<u64, LoggerError> {
         (&mut self.done).await.unwrap_or(Err(LoggerError::Thread))
     }

@@ -116,6 +116,7 @@ impl Default for Climate {
 
 impl Climate {
     /// Temperature at a throw \[°C\]; throw 0 is on a spring morning, at the mean.
+    #[must_use]
     pub fn at(&self, throw_index: u64) -> f64 {
         let days = throw_index as f64 / self.throws_per_day;
         self.mean_c + self.daily_swing_k * (TAU * days).sin() + self.yearly_swing_k * (TAU * days / 365.25).sin()
@@ -187,6 +188,7 @@ pub struct SimulatedThrow {
 
 impl SimulatedThrow {
     /// The throw as its logger publishes it.
+    #[must_use]
     pub fn into_throw(self, boot_id: &str, started_at: Timestamp) -> Throw {
         Throw {
             id: ThrowRef { boot_id: boot_id.to_owned(), throw_no: self.throw_index + 1 },
@@ -235,7 +237,9 @@ pub struct SimulatedMachine {
 
 impl SimulatedMachine {
     /// Simulates the next throw; directions alternate, starting with normal to reverse.
-    /// Fails when wear and scatter have taken a parameter out of its range.
+    ///
+    /// # Errors
+    /// When wear and scatter have taken a parameter out of its range.
     pub fn next_throw(&mut self) -> Result<SimulatedThrow, OutOfRange> {
         let throw_index = self.throw_index;
         self.throw_index += 1;
@@ -313,7 +317,9 @@ impl Fleet {
     pub const MAX_MACHINES: usize = 10_000;
 
     /// A fleet with these settings; the same seed gives the same fleet and the same throws.
-    /// Fails when a setting is out of its range, or a fault or incident names a machine outside the fleet.
+    ///
+    /// # Errors
+    /// When a setting is out of its range, or a fault or incident names a machine outside the fleet.
     pub fn new(settings: &FleetSettings, seed: u64) -> Result<Self, OutOfRange> {
         settings.check()?;
         let machines = (0..settings.machines).map(|number| settings.build(number, seed)).collect::<Result<_, _>>()?;
@@ -321,6 +327,7 @@ impl Fleet {
     }
 
     /// The machines, in the order of their index.
+    #[must_use]
     pub fn into_machines(self) -> Vec<SimulatedMachine> {
         self.machines
     }
@@ -328,6 +335,9 @@ impl Fleet {
 
 impl FleetSettings {
     /// Checks that every setting is in its range.
+    ///
+    /// # Errors
+    /// The first setting out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         let Self { spread, scatter, climate, .. } = self;
         OutOfRange::check([("machines", self.machines as f64, 1.0, Fleet::MAX_MACHINES as f64, "machines")])?;

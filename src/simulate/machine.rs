@@ -160,6 +160,7 @@ pub struct Coefficients {
 
 impl Coefficients {
     /// b0, a1, a0.
+    #[must_use]
     pub fn values(&self) -> [f64; 3] {
         [self.b0, self.a1, self.a0]
     }
@@ -223,6 +224,9 @@ impl Parameters {
     /// Rails count with the mass, damping and stiffness of their quasi-static bending line. Equation (10) has no dry
     /// friction. It counts as the viscous friction with the same torque at running speed, as in an estimate from one
     /// throw.
+    ///
+    /// # Errors
+    /// When a parameter is out of its range.
     pub fn coefficients(&self) -> Result<Coefficients, OutOfRange> {
         self.check()?;
         let modes = self.rails.modes();
@@ -241,6 +245,9 @@ impl Parameters {
     }
 
     /// Checks that every parameter is finite and in its range.
+    ///
+    /// # Errors
+    /// The first parameter out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         let positive = [
             ("supply_v", self.supply_v),
@@ -289,6 +296,7 @@ impl Parameters {
 
     /// These parameters at `temperature_c`: magnets and back-EMF, copper resistance, grease, thermal thrust in the
     /// rails.
+    #[must_use]
     pub fn at_temperature(&self, temperature_c: f64) -> Self {
         const COPPER_PCT_PER_K: f64 = 0.39;
         let kelvin = temperature_c - 20.0;
@@ -307,6 +315,7 @@ impl Parameters {
     }
 
     /// A machine with a series-wound motor that throws in about 4 s.
+    #[must_use]
     pub fn series() -> Self {
         Self {
             motor: MotorKind::Series,

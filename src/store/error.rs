@@ -4,16 +4,37 @@ use std::path::PathBuf;
 
 /// An error of the database. `Display` is a sentence for people.
 #[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
 pub enum StoreError {
+    /// The database cannot be opened or created.
     #[error("cannot open the database {}: {source}; check that its folder exists and can be written to", path.display())]
-    Open { path: PathBuf, source: Box<sqlx::Error> },
+    Open {
+        /// The database file.
+        path: PathBuf,
+        /// Error of SQLite.
+        source: Box<sqlx::Error>,
+    },
+    /// The file belongs to another program.
     #[error("{} is the database of another program (it has the table {table}): name another file in store.path", path.display())]
-    Foreign { path: PathBuf, table: String },
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// One of its tables.
+        table: String,
+    },
+    /// The file is text, and so not a damaged database.
     #[error("{} is a text file, not a database: name another file in store.path", path.display())]
-    Text { path: PathBuf },
+    Text {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The schema cannot be migrated.
     #[error("cannot migrate the schema of {}: {source}", path.display())]
-    Migrate { path: PathBuf, source: Box<sqlx::migrate::MigrateError> },
+    Migrate {
+        /// The database file.
+        path: PathBuf,
+        /// Error of the migration.
+        source: Box<sqlx::migrate::MigrateError>,
+    },
     /// The disk is full. Nothing was stored; repeat the call when there is space.
     #[error("the disk of the database is full: free some space; nothing else is needed")]
     Full,
@@ -24,15 +45,18 @@ pub enum StoreError {
     /// SQLite refused the statement (constraint, type): its repetition fails too. Nothing was stored.
     #[error("writing to the database failed: {0}")]
     Refused(String),
+    /// A query failed.
     #[error("reading the database failed: {0}")]
     Read(#[source] Box<sqlx::Error>),
     /// A query took longer than [`Reader::TIME_LIMIT`](super::Reader::TIME_LIMIT).
     #[error("reading the database took too long and was aborted")]
     ReadTimeout,
+    /// The files could not be closed in time.
     #[error(
         "closing the database takes too long: does its disk hang? Nothing acknowledged is lost; the next start checks it"
     )]
     CloseTimeout,
+    /// The content of the file is broken.
     #[error("the database is broken; the next start sets it aside and creates a new one")]
     Broken,
     /// A newer version changed the database in a way that this version could damage.
@@ -41,11 +65,27 @@ pub enum StoreError {
          cannot read it: install the newer version again, or restore the backup from before the upgrade",
         path.display()
     )]
-    TooNew { path: PathBuf, needed: i64, known: i64 },
+    TooNew {
+        /// The database file.
+        path: PathBuf,
+        /// Oldest schema version that may use the database.
+        needed: i64,
+        /// Newest schema version of this program.
+        known: i64,
+    },
+    /// The store was closed, or its writer ended.
     #[error("the store is closed")]
     Closed,
+    /// A file of the database cannot be read, written or renamed.
     #[error("cannot {action} {}: {source}", path.display())]
-    File { action: &'static str, path: PathBuf, source: std::io::Error },
+    File {
+        /// The action, as a verb.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// Error of the system.
+        source: std::io::Error,
+    },
 }
 
 impl StoreError {

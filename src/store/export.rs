@@ -52,6 +52,7 @@ impl Export {
         Ok(Self { connection, machine, after, until_us: microseconds(until, i64::MAX) })
     }
 
+    /// The names of the columns.
     pub(crate) async fn columns(&mut self) -> Result<Vec<String>, StoreError> {
         let statement = self.connection.prepare(sql::EXPORT.into_sql_str()).await.map_err(StoreError::read)?;
         Ok(statement.columns().iter().skip(OWN).map(|column| column.name().to_owned()).collect())

@@ -68,10 +68,12 @@ pub(crate) struct Tally {
 }
 
 impl Tally {
+    /// Number of all machines.
     pub(crate) fn total(&self) -> u64 {
         self.states.iter().map(|(_, count)| count).sum()
     }
 
+    /// Number of the machines in a state.
     pub(crate) fn of(&self, state: MachineState) -> u64 {
         self.states.iter().filter(|(of, _)| *of == state).map(|(_, count)| count).sum()
     }
@@ -79,13 +81,17 @@ impl Tally {
 
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct FleetRow {
+    /// Name of the machine.
     #[serde(flatten)]
     pub machine: MachineId,
+    /// State of the machine.
     pub state: MachineState,
     /// Active drifts with their present size, the worst first.
     pub drifts: Vec<Drifting>,
+    /// Causes of all open alarms.
     pub causes: Vec<Cause>,
     pub started_at: Option<Timestamp>,
+    /// Quality of the last judged throw.
     pub quality: Option<String>,
     /// Throws in the baseline of the last throw's direction (or of normal to reverse), and throws that it needs.
     pub baseline: Option<(u64, u64)>,
@@ -96,6 +102,7 @@ pub(crate) struct FleetRow {
 /// How a machine is at present.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Present {
+    /// State of the machine.
     pub state: MachineState,
     /// Active drifts with their present size, the worst first.
     pub drifts: Vec<Drifting>,
@@ -106,6 +113,7 @@ pub(crate) struct Present {
 /// An open alarm about the condition of a machine, with its size when raised and the present drifts.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct Fault {
+    /// Last event of the alarm.
     #[serde(flatten)]
     pub alarm: Alarm,
     /// Size and standard deviation when raised \[%\].
@@ -116,19 +124,25 @@ pub(crate) struct Fault {
 /// An applied command of an operator.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct CommandRow {
+    /// Time of the command.
     pub at: Timestamp,
     /// Name of the command, as `ack`.
     pub command: String,
+    /// Cause of the alarm, for commands about an alarm.
     pub cause: Option<Cause>,
     pub until: Option<Timestamp>,
+    /// Name of the operator.
     pub by: String,
+    /// Reason given by the operator.
     pub why: Option<String>,
 }
 
 /// Open alarms of a system-wide cause (not monitored, lost data) at one site.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct CommonAlarm {
+    /// The cause.
     pub cause: Cause,
+    /// The site.
     pub site: String,
     /// One of the machines.
     pub machine: String,
@@ -167,6 +181,7 @@ pub(crate) const WORST_FIRST: [MachineState; 6] = [
 
 impl Window {
     /// The window of a shelved alarm, or of an alarm of a machine in maintenance.
+    #[must_use]
     pub fn of<'a>(alarm: &Alarm, windows: &'a [Self]) -> Option<&'a Self> {
         let cause = match alarm.state {
             AlarmState::Shelved => Some(alarm.cause),
@@ -177,6 +192,7 @@ impl Window {
     }
 
     /// "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
+    #[must_use]
     pub fn sentence(&self) -> String {
         let until = self.until.map(|until| until.strftime("until %Y-%m-%d %H:%M:%S UTC ").to_string());
         let why = self.why.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
@@ -342,6 +358,7 @@ impl Reader {
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
     }
 
+    /// The present state of a machine.
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
         let statement = sqlx::query_as(sql::STATE).bind(machine.site.as_str()).bind(machine.machine.as_str());
         let rows: Vec<Present> = self.asked(statement).await?;

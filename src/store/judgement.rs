@@ -73,6 +73,7 @@ pub struct MonitorRecord {
 impl Judgement {
     /// The judgement in the place of one that the database rejects: the throw counts as not evaluated. The first keeps the
     /// events and the monitor, the second nothing.
+    #[must_use]
     pub fn instead(&self, problem: &str) -> [Self; 2] {
         let health = Health {
             quality: NOT_STORABLE.to_owned(),
@@ -119,6 +120,7 @@ impl MonitorRecord {
     }
 }
 
+/// Judgements in order.
 pub(super) struct Judgements {
     pub(super) judgements: Arc<[Judgement]>,
     /// Whether to drop the traces because space is short.

@@ -107,6 +107,7 @@ pub(super) async fn continuing(
     Ok(writing(settings, false).pragma("temp_store", "memory"))
 }
 
+/// Options of reading connections.
 pub(super) fn reading(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
 }

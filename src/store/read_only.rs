@@ -49,7 +49,9 @@ pub(super) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreEr
 
 /// Queries the database at `path`, read-only, and calls `row` for every row; an error of `row` ends the query.
 /// `columns` is called with the names before the rows of each statement, also without rows.
-/// Fails when the database cannot be opened, or the SQL is invalid or would write; or the error of `columns` or `row`.
+///
+/// # Errors
+/// When the database cannot be opened, or the SQL is invalid or would write; or the error of `columns` or `row`.
 pub async fn ask<E: From<StoreError>>(
     path: &Path,
     question: &str,

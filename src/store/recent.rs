@@ -42,6 +42,7 @@ impl RecentThrows {
         }
     }
 
+    /// Removes and returns a throw.
     pub(super) fn take(&self, row: ThrowRow) -> Option<Throw> {
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let throw = kept.throws.remove(&row)?;

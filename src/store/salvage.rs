@@ -109,16 +109,19 @@ impl Salvaged {
     }
 
     /// Copied rows of a table.
+    #[must_use]
     pub fn saved(&self, table: &str) -> u64 {
         Self::of(&self.rows, table)
     }
 
     /// Lost rows of a table.
+    #[must_use]
     pub fn lost(&self, table: &str) -> u64 {
         Self::of(&self.lost, table)
     }
 
     /// One sentence for a person.
+    #[must_use]
     pub fn text(&self) -> String {
         if self.saved("machine") == 0 {
             return "nothing of it could be read: every machine learns a new baseline".to_owned();
@@ -141,6 +144,9 @@ impl Salvaged {
 }
 
 /// Copies the readable rows of the first `tables` tables of the database at `broken` into the new one of `connection`.
+///
+/// # Errors
+/// When the new database cannot be written.
 pub(super) async fn salvage(connection: &mut SqliteConnection, broken: &Path, tables: usize) -> sqlx::Result<Salvaged> {
     if attach(connection, broken).await {
         return copy_tables(connection, tables).await;
@@ -238,6 +244,7 @@ async fn columns(connection: &mut SqliteConnection, table: &str) -> sqlx::Result
     Ok((!to.is_empty()).then(|| (list(to), list(from))))
 }
 
+/// The copy of one table.
 struct Copy {
     table: &'static str,
     key: &'static str,

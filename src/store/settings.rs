@@ -72,6 +72,9 @@ impl Default for Settings {
 
 impl Settings {
     /// Checks every range.
+    ///
+    /// # Errors
+    /// The first setting out of its range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
         OutOfRange::check([
             ("max_size_mib", self.max_size_mib as f64, 16.0, f64::from(1 << 20), "MiB"),

@@ -25,6 +25,7 @@ pub enum Spooled {
     Duplicate,
 }
 
+/// A throw to store.
 pub(super) struct Spool {
     machine: MachineId,
     id: ThrowRef,

@@ -25,6 +25,7 @@ pub(super) type Answer<T> = oneshot::Receiver<Result<T, StoreError>>;
 
 type Running<'a> = Pin<Box<dyn Future<Output = sqlx::Result<()>> + Send + 'a>>;
 
+/// A [`Write`] with its caller.
 pub(super) trait Job: Send {
     fn run<'a>(&'a mut self, connection: &'a mut SqliteConnection, repeated: bool) -> Running<'a>;
     fn answer(self: Box<Self>, committed: Result<(), StoreError>);

@@ -25,6 +25,7 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Instructions of SQLite's virtual machine in one step of a copy: some hundred rows.
 const COPY_STEPS: i32 = 1_000;
 
+/// The writing connection.
 pub(super) struct WritingConnection {
     pub(super) options: SqliteConnectOptions,
     pub(super) connection: Option<SqliteConnection>,
@@ -251,6 +252,7 @@ fn answer(jobs: Vec<Box<dyn Job>>, committed: impl Fn() -> Result<(), StoreError
     }
 }
 
+/// Converts an error for the caller.
 fn store_error(error: &sqlx::Error) -> StoreError {
     if is_full(error) {
         StoreError::Full

@@ -13,6 +13,7 @@ pub struct OutOfRange {
 }
 
 /// A number for a sentence: a large or tiny one has an exponent, as 1e300 has 301 digits.
+#[must_use]
 pub fn brief(value: f64) -> String {
     let magnitude = value.abs();
     if magnitude == 0.0 || (1e-6..1e9).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
@@ -20,6 +21,9 @@ pub fn brief(value: f64) -> String {
 
 impl OutOfRange {
     /// Checks that `good` holds for each number; NaN and infinite values always fail.
+    ///
+    /// # Errors
+    /// The first number for which `good` does not hold.
     pub fn require(values: &[(&str, f64)], must: &str, good: impl Fn(f64) -> bool) -> Result<(), Self> {
         match values.iter().find(|(_, value)| !value.is_finite() || !good(*value)) {
             Some(&(key, value)) => Err(Self { key: key.to_owned(), value, must: must.to_owned() }),
@@ -28,6 +32,9 @@ impl OutOfRange {
     }
 
     /// Checks `(key, value, lowest, highest, unit)` of each number; the unit may be empty.
+    ///
+    /// # Errors
+    /// The first number outside its range.
     pub fn check<'a>(ranges: impl IntoIterator<Item = (&'a str, f64, f64, f64, &'a str)>) -> Result<(), Self> {
         for (key, value, low, high, unit) in ranges {
             if !(low..=high).contains(&value) {
@@ -39,11 +46,13 @@ impl OutOfRange {
     }
 
     /// Prefixes the key with a section of the configuration: `lead_mm` becomes `machine.lead_mm`.
+    #[must_use]
     pub fn within(self, section: &str) -> Self {
         Self { key: format!("{section}.{}", self.key), ..self }
     }
 
     /// The error text without the key, for a message that names the key elsewhere.
+    #[must_use]
     pub fn problem(&self) -> String {
         format!("is {}, must be {}", brief(self.value), self.must)
     }

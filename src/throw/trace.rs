@@ -24,20 +24,34 @@ pub struct Trace {
 
 /// Two channels that do not form a trace.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
 pub enum InvalidTrace {
+    /// The sampling rate is not finite or out of range.
     #[error("sample_rate_hz is {}, must be {MIN_SAMPLE_RATE_HZ} to {MAX_SAMPLE_RATE_HZ}", brief(*.rate_hz))]
-    SampleRate { rate_hz: f64 },
+    SampleRate {
+        /// The rate given \[Hz\].
+        rate_hz: f64,
+    },
+    /// The channels differ in length.
     #[error("current_a has {current} samples and position_mm {position}: they must be equally long")]
-    UnequalLengths { current: usize, position: usize },
+    UnequalLengths {
+        /// Samples of current.
+        current: usize,
+        /// Samples of position.
+        position: usize,
+    },
+    /// No sample, or more than [`MAX_SAMPLES`].
     #[error("{samples} samples a channel, must be 1 to {MAX_SAMPLES}")]
-    SampleCount { samples: usize },
+    SampleCount {
+        /// Samples of each channel.
+        samples: usize,
+    },
 }
 
 impl Trace {
     /// A trace of `current_a` \[A\] and `position_mm` \[mm\] at `sample_rate_hz` \[Hz\].
-    /// Fails when the rate is out of range, the channels differ in length, or their length is 0 or above
-    /// [`MAX_SAMPLES`].
+    ///
+    /// # Errors
+    /// When the rate is out of range, the channels differ in length, or their length is 0 or above [`MAX_SAMPLES`].
     pub fn new(sample_rate_hz: f64, current_a: Vec<f64>, position_mm: Vec<f64>) -> Result<Self, InvalidTrace> {
         if !(MIN_SAMPLE_RATE_HZ..=MAX_SAMPLE_RATE_HZ).contains(&sample_rate_hz) {
             return Err(InvalidTrace::SampleRate { rate_hz: sample_rate_hz });
@@ -52,33 +66,39 @@ impl Trace {
     }
 
     /// Sampling rate \[Hz\].
+    #[must_use]
     pub fn sample_rate_hz(&self) -> f64 {
         self.sample_rate_hz
     }
 
     /// Motor current \[A\], one value a sample.
+    #[must_use]
     pub fn current_a(&self) -> &[f64] {
         &self.current_a
     }
 
     /// Toe position \[mm\], one value a sample; 0 at normal, the stroke at reverse.
+    #[must_use]
     pub fn position_mm(&self) -> &[f64] {
         &self.position_mm
     }
 
     /// Whether the trace has a toe position. Loggers without a toe sensor send only missing samples (NaN) or only
     /// zeros.
+    #[must_use]
     pub fn has_position(&self) -> bool {
         self.position_mm.iter().any(|mm| mm.is_finite() && *mm != 0.0)
     }
 
     /// Samples of each channel, at least 1.
+    #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "a trace is never empty")]
     pub fn len(&self) -> usize {
         self.current_a.len()
     }
 
     /// The samples as CSV `time_s,current_a,position_mm`. A position that was not measured is an empty cell.
+    #[must_use]
     pub fn to_csv(&self) -> String {
         let mut text = "time_s,current_a,position_mm\n".to_owned();
         for (at, (current_a, position_mm)) in self.current_a.iter().zip(self.position_mm.iter()).enumerate() {
@@ -90,6 +110,7 @@ impl Trace {
     }
 
     /// The two channels, current \[A\] first, position \[mm\] second.
+    #[must_use]
     pub fn into_channels(self) -> (Vec<f64>, Vec<f64>) {
         (Arc::unwrap_or_clone(self.current_a), Arc::unwrap_or_clone(self.position_mm))
     }

@@ -11,6 +11,7 @@ use crate::{
     wire::Alarm,
 };
 
+/// One open alarm.
 pub(super) struct AlarmLine {
     pub(super) machine: MachineId,
     pub(super) badge: Badge,

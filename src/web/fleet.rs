@@ -50,6 +50,7 @@ struct Page {
     trouble: Vec<String>,
     /// Each state with its number of machines and the address of their list.
     tally: Vec<(Badge, String, String)>,
+    /// "12 machines".
     machines: String,
     common: Vec<Common>,
     alarms: Vec<AlarmLine>,

@@ -58,6 +58,7 @@ impl Span {
     }
 
     /// The span of the word `100`, `1000` or `all`.
+    #[must_use]
     pub fn from_word(word: &str) -> Option<Self> {
         Self::CHOICES.into_iter().find(|(_, choice, _)| *choice == word).map(|(span, ..)| span)
     }
@@ -141,6 +142,7 @@ struct LastThrow {
     without: String,
 }
 
+/// An alarm event or an operator's command.
 struct Event {
     at: String,
     badge: Option<Badge>,
@@ -187,6 +189,9 @@ async fn show(web: &Web, machine: &MachineId, span: Span, form: Form) -> Result<
 }
 
 /// The page of a machine as one HTML file without links, with the limits of `settings`. `None` for an unknown machine.
+///
+/// # Errors
+/// When the database cannot be read.
 pub async fn report(
     reader: &Reader,
     machine: &MachineId,

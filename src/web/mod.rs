@@ -77,7 +77,9 @@ pub struct Listening {
 
 impl Listening {
     /// Listens on an address.
-    /// Fails when the address is in use, or does not belong to this computer.
+    ///
+    /// # Errors
+    /// When the address is in use, or does not belong to this computer.
     pub async fn bind(address: SocketAddr) -> Result<Self, BindError> {
         let failed = |source| BindError { address, source };
         let listener = TcpListener::bind(address).await.map_err(failed)?;
@@ -86,6 +88,7 @@ impl Listening {
     }
 
     /// The address for a browser.
+    #[must_use]
     pub fn url(&self) -> String {
         format!("http://{}/", self.address)
     }

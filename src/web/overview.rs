@@ -93,6 +93,7 @@ impl Web {
     }
 }
 
+/// Selects one machine.
 pub(super) fn selector(machine: &MachineId) -> Selector {
     Selector { site: machine.site.to_string(), machine: machine.machine.to_string() }
 }

@@ -40,6 +40,7 @@ impl Alarm {
     pub const SCHEMA: &str = "points.alarm/1";
 
     /// The message of an event of an alarm of `machine`.
+    #[must_use]
     pub fn new(machine: &MachineId, event: &AlarmEvent) -> Self {
         Self {
             schema: Self::SCHEMA.to_owned(),
@@ -50,6 +51,7 @@ impl Alarm {
     }
 
     /// The message without operators and boots, which stay in the database.
+    #[must_use]
     pub fn published(mut self) -> Self {
         (self.event.by, self.event.why) = (None, None);
         for throw in [&mut self.event.first_throw, &mut self.event.last_throw].into_iter().flatten() {
@@ -59,6 +61,7 @@ impl Alarm {
     }
 
     /// The published message as JSON.
+    #[must_use]
     pub fn into_message(self) -> Vec<u8> {
         json(&self.published()).into_bytes()
     }
@@ -66,17 +69,20 @@ impl Alarm {
 
 /// The identity of an alarm: machine, cause and time of the raise. A daemon that judges a throw again after a crash
 /// makes the same identity.
+#[must_use]
 pub fn alarm_id(machine: &MachineId, cause: Cause, raised_at: Timestamp) -> String {
     format!("{}.{}.{}.{}", machine.site, machine.machine, cause.as_str(), raised_at.as_microsecond())
 }
 
 /// The text of an alarm without its subject, "Machine north/21B, normal to reverse: ".
+#[must_use]
 pub fn without_subject(text: &str) -> &str {
     text.split_once(": ").map_or(text, |(_, rest)| rest)
 }
 
 /// The text without its subject and its numbers. Lists group the alarms of many machines by it, as one cause has several
 /// kinds of alarms: lost throws and a wrong clock have the same cause.
+#[must_use]
 pub fn kind_of(text: &str) -> String {
     without_subject(text).replace(|character: char| character.is_ascii_digit(), "")
 }

@@ -9,6 +9,9 @@ use crate::diagnose::Command;
 const MAX_BYTES: usize = 8 * 1024;
 
 /// Decodes a command.
+///
+/// # Errors
+/// When the payload is empty, too large or not a command in JSON.
 pub fn decode_command(payload: &[u8]) -> Result<Command, Invalid> {
     if !(1..=MAX_BYTES).contains(&payload.len()) {
         return Err(Invalid(format!("the command has {} bytes, must be 1 to {MAX_BYTES}", payload.len())));
@@ -41,6 +44,7 @@ pub struct Commander {
 
 impl Reply {
     /// The reply as JSON.
+    #[must_use]
     pub fn to_json(&self) -> Vec<u8> {
         json(self).into_bytes()
     }

@@ -85,17 +85,20 @@ impl Health {
     pub const SCHEMA: &str = "points.health/1";
 
     /// Whether the throw has an estimate.
+    #[must_use]
     pub fn is_evaluated(&self) -> bool {
         self.a1_per_b0.is_some() || self.coefficients.is_some()
     }
 
     /// Whether the estimate was rejected. Throws with `current_only` may have no estimate: their features are
     /// monitored.
+    #[must_use]
     pub fn is_rejected(&self) -> bool {
         !self.is_evaluated() && self.quality != "current_only"
     }
 
     /// The message as JSON.
+    #[must_use]
     pub fn to_json(&self) -> Vec<u8> {
         json(self).into_bytes()
     }

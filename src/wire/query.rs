@@ -25,6 +25,9 @@ pub enum HistoryQuery {
 
 impl HistoryQuery {
     /// Parses the parameters of a selector (the part after `?`). Unknown parameters are ignored.
+    ///
+    /// # Errors
+    /// When `since` or `limit` is invalid.
     pub fn parse(parameters: &str) -> Result<Self, Invalid> {
         let pairs = || parameters.split(';').filter_map(|pair| pair.split_once('='));
         let value = |name: &str| pairs().find(|(key, _)| key.trim() == name).map(|(_, value)| value.trim());

@@ -208,12 +208,15 @@ pub struct Config {
 }
 
 impl Config {
+    /// The built-in configuration.
     pub(crate) fn built_in() -> Result<Self, ConfigError> {
         Self::from_document(&Document::parse(Path::new("built-in defaults"), String::new())?)
     }
 
     /// Loads and checks a file.
-    /// Fails with the first error, with file, line and key.
+    ///
+    /// # Errors
+    /// The first error, with file, line and key.
     pub fn load(file: &Path) -> Result<Self, ConfigError> {
         Self::from_document(&Document::read(file)?)
     }
@@ -224,7 +227,9 @@ impl Config {
     }
 
     /// Checks a document.
-    /// Fails with the first error, with file, line and key.
+    ///
+    /// # Errors
+    /// The first error, with file, line and key.
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
         let file: File = document.deserialize()?;
         let scope =
@@ -288,6 +293,9 @@ fn machines(file: &File, document: &Document) -> Result<Machines, ConfigError> {
 }
 
 /// The `[diagnosis]` section alone, for a reader of the database, who may have no right to the daemon's files.
+///
+/// # Errors
+/// The first error of this section.
 pub fn diagnosis(document: &Document) -> Result<diagnose::Settings, ConfigError> {
     #[derive(Deserialize)]
     struct Section {
@@ -328,6 +336,7 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
     Ok(())
 }
 
+/// Checks the `[log]` section.
 pub(crate) fn check_log(log: &Log, document: &Document) -> Result<(), ConfigError> {
     // The filter takes any other word for a module, of which everything is logged, and of all others nothing.
     let is_wrong =
@@ -380,6 +389,9 @@ fn monitor_session(document: &Document) -> Result<::zenoh::Config, ConfigError> 
 }
 
 /// The session of a logger or an operator: a client of the router on loopback, with the `[zenoh]` of the file.
+///
+/// # Errors
+/// When zenoh rejects the section.
 pub fn client_session(document: &Document) -> Result<::zenoh::Config, ConfigError> {
     zenoh::session_config(zenoh::CLIENT, section(document)?.as_ref(), document)
 }

@@ -34,6 +34,9 @@ pub struct OperatorSession {
 
 /// The session of an operator's command: a client of `connect`, or of the daemon or router in the file. The built-in
 /// endpoint is used only without a file.
+///
+/// # Errors
+/// When the file is invalid, or has no endpoint for a client.
 pub fn operator_session(file: Option<&Document>, connect: Option<&str>) -> Result<OperatorSession, ConfigError> {
     let none = Document::parse("built-in defaults".as_ref(), String::new())?;
     let document = file.unwrap_or(&none);

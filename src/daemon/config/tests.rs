@@ -14,6 +14,7 @@ fn shipped() -> String {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("config/pointsd.toml")).unwrap()
 }
 
+/// The keys of a table, as paths.
 fn keys(table: &toml::Table, prefix: &str) -> Vec<String> {
     let mut all = Vec::new();
     for (key, value) in table {

@@ -61,6 +61,7 @@ impl Webhook {
         self.url.as_ref()?.parse().ok()
     }
 
+    /// The authorities of `ca_file`.
     pub(crate) fn authorities(&self) -> Result<Option<Vec<CertificateDer<'static>>>, String> {
         let Some(file) = &self.ca_file else { return Ok(None) };
         let pem = fs::read(file).map_err(|error| format!("{} cannot be read: {error}", file.display()))?;
@@ -72,6 +73,10 @@ impl Webhook {
         }
     }
 
+    /// Checks the section.
+    ///
+    /// # Errors
+    /// The first wrong key.
     pub(super) fn check(&self, document: &Document) -> Result<(), ConfigError> {
         let complain = |key: &str, problem: String| Err(document.complain(&format!("webhook.{key}"), problem));
         if let Some(url) = &self.url {

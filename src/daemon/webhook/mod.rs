@@ -39,12 +39,14 @@ const BATCH: u32 = 64;
 /// Notifications read for a summary: all that are kept.
 const ALL: u32 = 10_000;
 
+/// The sending loop.
 pub(super) struct Notifier {
     store: Store,
     settings: Webhook,
     server: WebhookServer,
     monitor: MachineId,
     status: Arc<Status>,
+    /// Notified when the outbox has a new message.
     outbox: Arc<Notify>,
     /// Time in which at most `webhook.max_messages` are sent.
     period: Duration,
@@ -52,8 +54,10 @@ pub(super) struct Notifier {
     sent: (Instant, u32),
 }
 
+/// A message for the receiver.
 struct Message {
     body: Bytes,
+    /// Number of events that it reports.
     events: u64,
     /// The last of them; all notifications up to this row are done with the message.
     last: i64,
@@ -61,6 +65,9 @@ struct Message {
 
 impl Notifier {
     /// The loop of a configuration; `None` without a webhook.
+    ///
+    /// # Errors
+    /// When the database or the certificates cannot be used.
     pub(super) async fn new(
         store: Store,
         config: &Config,

@@ -26,11 +26,13 @@ pub(super) enum PostError {
     /// The receiver cannot use this message; it may accept others.
     #[error("the receiver refuses the message with status {0}")]
     Refused(StatusCode),
+    /// The receiver answered with another status than success.
     #[error("the receiver answers with status {0}{hint}", hint = redirect_hint(*.0))]
     Status(StatusCode),
     /// No answer within [`LIMIT`].
     #[error("the receiver does not answer within 10 s")]
     Timeout,
+    /// The connection failed.
     #[error(transparent)]
     Connection(#[from] std::io::Error),
     /// The receiver does not speak HTTP/1.1, or closes the connection.
@@ -42,6 +44,7 @@ const fn redirect_hint(status: StatusCode) -> &'static str {
     if status.as_u16() / 100 == 3 { "; redirects are not followed: set webhook.url to the final address" } else { "" }
 }
 
+/// The receiver.
 pub(super) struct WebhookServer {
     uri: Uri,
     host: String,
@@ -53,7 +56,9 @@ pub(super) struct WebhookServer {
 
 impl WebhookServer {
     /// The receiver of a checked configuration; `None` without an address.
-    /// Fails with a sentence when the authorities of its certificate cannot be used.
+    ///
+    /// # Errors
+    /// A sentence, when the authorities of its certificate cannot be used.
     pub(super) fn new(settings: &Webhook) -> Result<Option<Self>, String> {
         let Some(uri) = settings.uri() else { return Ok(None) };
         // An IPv6 address has brackets in a URL only.

@@ -18,12 +18,15 @@ const NAMED: usize = 20;
 #[derive(Debug, Serialize)]
 pub(super) struct Summary {
     schema: &'static str,
+    /// Name of the daemon.
     monitor: String,
+    /// Number of events.
     events: usize,
     first_event_at: Timestamp,
     last_event_at: Timestamp,
     /// Events of the same kind, the most frequent first.
     groups: Vec<Group>,
+    /// One sentence.
     text: String,
 }
 

@@ -28,6 +28,7 @@ pub enum Encoding {
 impl Encoding {
     /// The encoding of a payload. A first byte `{` after white space means JSON also without the content type, which
     /// many clients do not set: no CBOR map begins with this byte.
+    #[must_use]
     pub fn of(content_type: &str, payload: &[u8]) -> Self {
         let first = payload.iter().find(|byte| !byte.is_ascii_whitespace());
         if first == Some(&b'{') || content_type.contains("json") { Self::Json } else { Self::Cbor }
@@ -35,7 +36,9 @@ impl Encoding {
 }
 
 /// Decodes a throw.
-/// Fails when the payload is not well-formed, a required field is missing, or a value is invalid.
+///
+/// # Errors
+/// When the payload is not well-formed, a required field is missing, or a value is invalid.
 pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, InvalidThrow> {
     match encoding {
         Encoding::Cbor => cbor::decode(payload),
@@ -49,6 +52,7 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
 
 /// Encodes a throw: in CBOR with little-endian float32 typed arrays (RFC 8746), in JSON with the shortest decimal
 /// numbers.
+#[must_use]
 pub fn encode_throw(encoding: Encoding, throw: &Throw) -> Vec<u8> {
     match encoding {
         Encoding::Cbor => cbor::encode(throw),
