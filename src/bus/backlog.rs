@@ -36,11 +36,9 @@ pub(crate) enum Ending {
 /// The replies of a logger to a query for a page.
 #[derive(Debug)]
 pub(crate) struct Page {
-    /// The replies in the order of arrival.
     pub messages: Vec<Message>,
     /// Number of ignored replies: on another key, or beyond the limit of the query.
     pub ignored: u64,
-    /// Whether the page is complete.
     pub ending: Ending,
 }
 

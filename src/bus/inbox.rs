@@ -27,7 +27,6 @@ const DROPPED_KEYS: usize = 1_024;
 /// Counters of the inbox since its start, and its queue.
 #[derive(Debug, Default)]
 pub(crate) struct InboxCounters {
-    /// Messages received.
     pub received: AtomicU64,
     /// Messages dropped because the queue was full or their key had used its share.
     pub dropped: AtomicU64,

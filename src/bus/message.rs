@@ -5,7 +5,6 @@ use zenoh::sample::Sample;
 /// A received message, live or from a backlog.
 #[derive(Debug)]
 pub(crate) struct Message {
-    /// Key of the publication.
     pub key: String,
     /// Content type; empty if the sender gave none.
     pub content_type: String,

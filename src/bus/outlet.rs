@@ -35,7 +35,6 @@ type Keys = HashMap<String, HashMap<String, Option<KeyExpr<'static>>>>;
 /// Counters since the start.
 #[derive(Debug, Default)]
 pub(crate) struct OutletCounters {
-    /// Messages that zenoh accepted.
     pub published: AtomicU64,
     /// Health messages dropped because the queue was full. They are in the database.
     pub dropped: AtomicU64,

@@ -24,7 +24,6 @@ const LONGEST_STEP: f64 = 5.5;
 pub(super) struct Recording {
     /// The two channels on an even grid.
     pub(super) trace: Trace,
-    /// Whether the channels were interpolated.
     pub(super) resampled: bool,
     /// Line of each sample in the file, from 1; empty if resampled.
     pub(super) lines: Vec<u64>,

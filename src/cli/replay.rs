@@ -55,7 +55,6 @@ pub(super) struct Arguments {
 struct Occurrence {
     raised_at: Timestamp,
     throw_no: Option<u64>,
-    /// The highest severity of the alarm.
     severity: Severity,
 }
 

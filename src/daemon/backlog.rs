@@ -18,10 +18,10 @@ use tokio::{
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
-use super::{clock, receive::Intake, status::Status};
+use super::{clock, receive::Intake};
 use crate::{
     bus::{self, Ending, Limits},
-    store::{Cursor, Store, StoreError, seldom},
+    store::{Cursor, StoreError, seldom},
     throw::{MachineId, ThrowRef},
     wire::{self, BacklogQuery, Kind},
 };
@@ -62,14 +62,11 @@ const WITH_TOKEN: usize = 200_000;
 /// Machines with missing throws read in one query.
 const MISSING: u32 = 10_000;
 
-/// End of the query of one logger.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum QueryEnd {
-    /// No throw is missing.
     Complete,
     /// The turn of the logger is over; it has more throws.
     More,
-    /// Throws are missing that the logger did not send at a query with this cursor.
     Without(Cursor),
     /// The logger did not reply in time, or its replies could not be stored.
     Broken,
@@ -100,11 +97,8 @@ pub(super) struct Backlog {
     pub(super) alive: watch::Receiver<HashSet<MachineId>>,
     /// The value of `alive` before its last change.
     pub(super) seen: HashSet<MachineId>,
-    /// Machines whose loggers have had a token since the start.
     pub(super) with_token: HashSet<MachineId>,
-    /// Keys of messages that were dropped.
     pub(super) dropped: mpsc::Receiver<String>,
-    /// Notified when a throw may be missing.
     pub(super) missing: Arc<Notify>,
 }
 
@@ -168,7 +162,7 @@ impl Backlog {
 
     /// Schedules queries of the loggers with missing throws, except those that are paused.
     async fn look(&self, schedule: &mut Schedule) {
-        match self.asker.store.reader().backlogs(MISSING).await {
+        match self.asker.intake.store.reader().backlogs(MISSING).await {
             Ok(machines) => {
                 for machine in machines {
                     if schedule.turns.get(&machine).is_none_or(|turn| turn.was_away && self.is_there(&machine)) {
@@ -178,8 +172,8 @@ impl Backlog {
             }
             Err(error) => seldom!(warn, %error, "reading the missing throws failed; retrying"),
         }
-        if let Ok(awaited) = self.asker.store.reader().awaited().await {
-            self.asker.status.backlog.store(awaited, Relaxed);
+        if let Ok(awaited) = self.asker.intake.store.reader().awaited().await {
+            self.asker.intake.status.backlog.store(awaited, Relaxed);
         }
     }
 
@@ -200,7 +194,7 @@ impl Backlog {
             QueryEnd::Without(cursor) if is_there => {
                 let since = *turn.without_since.get_or_insert_with(Instant::now);
                 if since.elapsed() >= PATIENCE {
-                    match self.asker.store.write_off(machine, &cursor, clock::now()).await {
+                    match self.asker.intake.store.write_off(machine, &cursor, clock::now()).await {
                         Ok(()) => return schedule.done(machine),
                         Err(error) => seldom!(warn, %error, "storing a gap failed; retrying"),
                     }
@@ -227,7 +221,6 @@ struct Schedule {
     turns: HashMap<MachineId, Turn>,
     /// Of fast, and of slow loggers.
     due: [BTreeSet<(Instant, MachineId)>; 2],
-    /// Slow loggers that are queried now.
     slow_in_progress: usize,
 }
 
@@ -308,13 +301,9 @@ impl Schedule {
 /// Queries one logger.
 pub(super) struct Asker {
     pub(super) session: Session,
-    pub(super) store: Store,
-    pub(super) status: Arc<Status>,
     pub(super) intake: Arc<Intake>,
     pub(super) limits: Limits,
-    /// Whether the session is a client, connected only through a router.
     pub(super) is_client: bool,
-    /// Notified when throws were stored.
     pub(super) spooled: Arc<Notify>,
 }
 
@@ -333,7 +322,7 @@ impl Asker {
         if self.is_client && !bus::is_connected(&self.session).await {
             return Ok(QueryEnd::Broken);
         }
-        let mut cursor = self.store.reader().cursor(machine).await?;
+        let mut cursor = self.intake.store.reader().cursor(machine).await?;
         let (mut repeated, mut least, start) = (0, 1, Instant::now());
         for _ in 0..TURN {
             let limit = page_limit(&cursor, *size).max(least);
@@ -353,9 +342,9 @@ impl Asker {
                     Ending::Complete => QueryEnd::Complete,
                 });
             };
-            let stored = self.store.spool_page(machine, cursor.after.as_ref(), &page, clock::now()).await?;
-            self.status.stored.fetch_add(stored.new, Relaxed);
-            self.status.duplicates.fetch_add(stored.duplicates, Relaxed);
+            let stored = self.intake.store.spool_page(machine, cursor.after.as_ref(), &page, clock::now()).await?;
+            self.intake.status.stored.fetch_add(stored.new, Relaxed);
+            self.intake.status.duplicates.fetch_add(stored.duplicates, Relaxed);
             self.spooled.notify_one();
             cursor = stored.cursor;
             repeated = if stored.new == 0 { repeated + 1 } else { 0 };
@@ -386,14 +375,14 @@ impl Asker {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
         let came = answer.messages.len() as u64;
-        self.status.backlog_received.fetch_add(came, Relaxed);
+        self.intake.status.backlog_received.fetch_add(came, Relaxed);
         let mut throws: Vec<_> =
             self.intake.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
         let read = throws.len();
         keep_order(&mut throws, cursor.after.as_ref());
         let ignored = answer.ignored + (read - throws.len()) as u64;
-        self.status.duplicates.fetch_add((read - throws.len()) as u64, Relaxed);
-        self.status.ignored.fetch_add(ignored, Relaxed);
+        self.intake.status.duplicates.fetch_add((read - throws.len()) as u64, Relaxed);
+        self.intake.status.ignored.fetch_add(ignored, Relaxed);
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }

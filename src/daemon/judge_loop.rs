@@ -63,7 +63,6 @@ pub(super) struct Links {
     /// The same for the webhook.
     pub(super) webhook: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
-    /// The machines whose loggers have a liveliness token now.
     pub(super) loggers: watch::Receiver<HashSet<MachineId>>,
     pub(super) orders: mpsc::Receiver<Order>,
     pub(super) peers: Arc<Peers>,

@@ -29,7 +29,6 @@ mod running;
 mod status;
 mod stop;
 mod tasks;
-mod view;
 mod watchdog;
 mod webhook;
 
@@ -37,7 +36,6 @@ pub(crate) use heartbeat::TaskName;
 pub use judge::Judged;
 pub use lock::LockError;
 pub use offline::{Offline, StartError};
-pub use running::{DATABASE, Daemon};
+pub use running::{DATABASE, Daemon, View};
 pub use status::{Standing, StatusReport};
 pub use tasks::TaskEnded;
-pub use view::View;

@@ -36,11 +36,9 @@ pub(super) struct Publisher {
     pub(super) outlet: Outlet,
     pub(super) status: Arc<Status>,
     pub(super) outbox: Arc<Notify>,
-    /// Presence of subscribers to alarms.
     pub(super) audience: Audience,
     /// Whether the database is new, so that no subscriber knew an earlier process.
     pub(super) is_first: bool,
-    /// Whether the session is a client, connected only through a router.
     pub(super) is_client: bool,
 }
 

@@ -164,17 +164,12 @@ impl Intake {
 pub(super) struct ReceiveLoop {
     pub(super) inbox: Inbox,
     pub(super) intake: Arc<Intake>,
-    pub(super) store: Store,
-    pub(super) status: Arc<Status>,
-    /// Notified when throws were stored.
     pub(super) spooled: Arc<Notify>,
-    /// Notified when a throw may be missing.
     pub(super) missing: Arc<Notify>,
     /// Cancelled when the daemon must end: unstored throws are then lost, and logged as lost.
     pub(super) give_up: CancellationToken,
     /// Received messages that are not decoded yet.
     pub(super) undecoded: u64,
-    /// Decoded throws that are not stored yet.
     pub(super) unstored: Vec<Received>,
 }
 
@@ -203,7 +198,7 @@ impl ReceiveLoop {
                 }
                 count = self.inbox.receive(&mut batch, BATCH) => count,
                 _ = beat.tick() => {
-                    self.status.heartbeats.beat(TaskName::Receive);
+                    self.intake.status.heartbeats.beat(TaskName::Receive);
                     continue;
                 }
             };
@@ -216,7 +211,7 @@ impl ReceiveLoop {
             self.undecoded = 0;
             self.spool().await;
             self.missing.notify_one();
-            self.status.heartbeats.beat(TaskName::Receive);
+            self.intake.status.heartbeats.beat(TaskName::Receive);
             if open {
                 time::sleep_until(next).await;
             }
@@ -227,7 +222,7 @@ impl ReceiveLoop {
     async fn spool(&mut self) {
         let mut pause = FIRST_PAUSE;
         while !self.unstored.is_empty() {
-            let answers = self.store.spool_all(&self.unstored).await;
+            let answers = self.intake.store.spool_all(&self.unstored).await;
             let mut error = None;
             for (received, answer) in std::mem::take(&mut self.unstored).into_iter().zip(answers) {
                 match answer {
@@ -254,20 +249,20 @@ impl ReceiveLoop {
 
     fn count(&self, spooled: Spooled) {
         match spooled {
-            Spooled::New(_) => self.status.stored.fetch_add(1, Relaxed),
-            Spooled::Duplicate => self.status.duplicates.fetch_add(1, Relaxed),
+            Spooled::New(_) => self.intake.status.stored.fetch_add(1, Relaxed),
+            Spooled::Duplicate => self.intake.status.duplicates.fetch_add(1, Relaxed),
         };
     }
 
     fn storing_works(&self) {
-        if self.status.storing_fails.swap(false, Relaxed) {
+        if self.intake.status.storing_fails.swap(false, Relaxed) {
             tracing::info!("the database accepts throws again; waiting throws are stored");
         }
     }
 
     fn storing_fails(&self, error: &StoreError) {
-        self.status.heartbeats.beat(TaskName::Receive);
-        if !self.status.storing_fails.swap(true, Relaxed) {
+        self.intake.status.heartbeats.beat(TaskName::Receive);
+        if !self.intake.status.storing_fails.swap(true, Relaxed) {
             tracing::error!(%error, "storing throws failed; retrying");
         }
     }
@@ -277,11 +272,11 @@ impl ReceiveLoop {
         for (machine, throw, _) in &self.unstored {
             tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
         }
-        self.status.lost.fetch_add(self.undecoded + self.unstored.len() as u64, Relaxed);
+        self.intake.status.lost.fetch_add(self.undecoded + self.unstored.len() as u64, Relaxed);
         self.inbox.close().await;
         let mut queued = Vec::new();
         while self.inbox.receive(&mut queued, usize::MAX).await > 0 {}
-        self.status.lost.fetch_add(queued.len() as u64, Relaxed);
+        self.intake.status.lost.fetch_add(queued.len() as u64, Relaxed);
         let messages = self.undecoded + queued.len() as u64;
         if messages > 0 {
             tracing::error!(messages, "received messages could not be stored: they are LOST");
@@ -296,8 +291,8 @@ impl ReceiveLoop {
         }
         let mut at = 0;
         while let Some((machine, throw, received_at)) = self.unstored.get(at) {
-            self.status.heartbeats.beat(TaskName::Receive);
-            let is_done = match self.store.spool(machine, throw, *received_at).await {
+            self.intake.status.heartbeats.beat(TaskName::Receive);
+            let is_done = match self.intake.store.spool(machine, throw, *received_at).await {
                 Ok(spooled) => {
                     self.count(spooled);
                     true
@@ -305,8 +300,8 @@ impl ReceiveLoop {
                 Err(error @ StoreError::Refused(_)) => {
                     let reason = format!("the database rejects it: {error}");
                     let refused = Refused::throw(machine, throw, reason, *received_at);
-                    let is_kept = self.store.quarantine(vec![refused]).await.is_ok();
-                    self.status.quarantined.fetch_add(u64::from(is_kept), Relaxed);
+                    let is_kept = self.intake.store.quarantine(vec![refused]).await.is_ok();
+                    self.intake.status.quarantined.fetch_add(u64::from(is_kept), Relaxed);
                     is_kept
                 }
                 Err(_) => false,

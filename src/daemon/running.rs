@@ -27,7 +27,6 @@ use super::{
     retention,
     status::{Gauges, Status, StatusReport},
     tasks::{TaskEnded, Tasks},
-    view::View,
     watchdog,
     webhook::Notifier,
 };
@@ -63,6 +62,22 @@ pub struct Daemon {
     pub(super) lock: DatabaseLock,
 }
 
+/// The interface of a running daemon for the dashboard: status, reader of the database, configuration, operators'
+/// commands. Cheap to clone.
+#[derive(Clone)]
+pub struct View {
+    pub(crate) gauges: Gauges,
+    config: watch::Receiver<Arc<Config>>,
+    pub(crate) orders: Orders,
+}
+
+impl View {
+    /// The present configuration.
+    pub fn config(&self) -> Arc<Config> {
+        Arc::clone(&self.config.borrow())
+    }
+}
+
 /// Cancelled one after the other, so that each loop can finish the work of the previous one.
 #[derive(Default)]
 pub(super) struct Stops {
@@ -81,19 +96,13 @@ struct Starting {
     status: Arc<Status>,
     tasks: Tasks,
     stops: Stops,
-    /// Notified when a throw was stored.
     stored: Arc<Notify>,
-    /// Notified when the outbox has a new message.
     outbox: Arc<Notify>,
-    /// The same for the webhook.
     webhook: Arc<Notify>,
 }
 
 impl Daemon {
     /// Opens the database and zenoh, and starts every loop. Returns when all loops run.
-    ///
-    /// # Errors
-    /// When the database or zenoh cannot be used.
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         // Before the database: without a session the start fails, and the database stays closed.
@@ -158,7 +167,6 @@ impl Daemon {
     }
 
     /// Receiver of the throws judged from now on.
-    #[must_use]
     pub fn watch(&self) -> broadcast::Receiver<Judged> {
         self.watchers.subscribe()
     }
@@ -169,19 +177,16 @@ impl Daemon {
     }
 
     /// The database.
-    #[must_use]
     pub fn store(&self) -> &Store {
         &self.store
     }
 
     /// The status of the daemon.
-    #[must_use]
     pub fn report(&self) -> StatusReport {
         self.gauges.report()
     }
 
     /// A view of the daemon for the dashboard.
-    #[must_use]
     pub fn view(&self) -> View {
         View { gauges: self.gauges.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
     }
@@ -201,7 +206,6 @@ impl Daemon {
 
     /// Applies the settings that can change without a restart (diagnosis, machines). Returns the sections that differ and
     /// need a restart.
-    #[must_use]
     pub fn reload(&self, new: Config) -> Vec<&'static str> {
         let old = Arc::clone(&self.config.borrow());
         let needs_restart = [
@@ -316,8 +320,6 @@ impl Starting {
         let missing = Arc::<Notify>::default();
         let asker = Asker {
             session: self.session.clone(),
-            store: self.store.clone(),
-            status: Arc::clone(&self.status),
             intake: Arc::clone(&intake),
             limits,
             is_client: self.is_client(),
@@ -334,8 +336,6 @@ impl Starting {
         let receiver = ReceiveLoop {
             inbox,
             intake,
-            store: self.store.clone(),
-            status: Arc::clone(&self.status),
             spooled: Arc::clone(&self.stored),
             missing,
             give_up: self.stops.give_up.clone(),

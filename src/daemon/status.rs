@@ -21,28 +21,19 @@ use crate::{
 /// Invalid messages of a machine in a row that are an alarm; a few may be accidents.
 const INVALID_IN_A_ROW: u32 = 5;
 
-/// Counters and states, shared by all loops.
+/// Counters and states, shared by all loops. Fields without a comment are described at [`StatusReport`].
 #[derive(Debug, Default)]
 pub(crate) struct Status {
-    /// Heartbeats of the loops.
     pub heartbeats: Heartbeats,
-    /// Throws stored.
     pub stored: AtomicU64,
-    /// Repetitions of stored throws.
     pub duplicates: AtomicU64,
-    /// Messages in quarantine since the start.
     pub quarantined: AtomicU64,
-    /// Throws and messages received and not stored.
     pub lost: AtomicU64,
     /// Messages from the backlogs of loggers.
     pub backlog_received: AtomicU64,
-    /// Invalid replies of loggers.
     pub ignored: AtomicU64,
-    /// Throws that are missing and may be in a backlog.
     pub backlog: AtomicU64,
-    /// Throws identified and diagnosed since the start.
     pub judged: AtomicU64,
-    /// Of these, throws that gave no estimate.
     pub not_evaluated: AtomicU64,
     /// States of the machines, renewed every few seconds and after every command.
     standing: Mutex<Standing>,
@@ -50,19 +41,12 @@ pub(crate) struct Status {
     refused: Mutex<BTreeMap<String, u64>>,
     /// Of each known machine whose last messages were no valid throws, their number and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
-    /// Rejected throws of new machines beyond `max_machines`.
     pub(super) machines_refused: RecentCount,
-    /// Alarm events.
     pub alarm_events: AtomicU64,
-    /// Loggers that are connected now.
     pub loggers: AtomicUsize,
-    /// Whether a link to others is up.
     pub connected: AtomicBool,
-    /// Whether storing throws fails at present.
     pub storing_fails: AtomicBool,
-    /// Whether the webhook did not accept the last message.
     pub webhook_fails: AtomicBool,
-    /// Alarm events that the webhook refused.
     pub webhook_refused: AtomicU64,
 }
 

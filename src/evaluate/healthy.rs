@@ -21,9 +21,7 @@ enum Weather {
 /// A fleet of healthy machines.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fleet {
-    /// Name in the table.
     pub(super) label: &'static str,
-    /// Natural scatter of its machines.
     pub(super) scatter: Scatter,
     weather: Weather,
 }

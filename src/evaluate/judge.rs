@@ -36,7 +36,6 @@ pub(super) enum Judgement {
     Right(usize),
     /// Named wrong, or an alarm before the fault, or any alarm if the baseline has learned the fault.
     Wrong,
-    /// An alarm without a name.
     Ambiguous,
     /// No alarm, or only one of two causes named.
     Missed,

@@ -48,9 +48,7 @@ pub(super) struct Rules<'a> {
 /// The calls of the three rules over one life.
 #[derive(Debug, Default)]
 pub(super) struct Calls {
-    /// Drift calls of the monitor.
     pub(super) monitor: Vec<Call>,
-    /// Number of all alarms of the monitor.
     pub(super) raised: usize,
     /// First throw at which the monitor stated that its baseline has a trend.
     pub(super) trend: Option<usize>,

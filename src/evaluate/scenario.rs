@@ -77,9 +77,7 @@ pub enum Noise {
 /// The conditions of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Situation {
-    /// A complete baseline, steady weather.
     Plain,
-    /// Two causes at once.
     Pair,
     /// Temperature with a swing of 12 K, plus 3 K over a day.
     Temperature {
@@ -116,11 +114,8 @@ pub(super) enum Situation {
 /// An instrument that is faulty instead of a part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Instrument {
-    /// Gain of the current sensor.
     Current,
-    /// Gain of the position sensor.
     Position,
-    /// Rate of the logger's clock.
     Clock,
     /// The supply voltage.
     Supply,
@@ -158,7 +153,6 @@ impl Situation {
 /// Scenario of a row of the table.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Scenario {
-    /// Depth of the simulation of its lives.
     pub(super) depth: Depth,
     /// The conditions.
     pub(super) situation: Situation,
@@ -166,9 +160,7 @@ pub(super) struct Scenario {
     pub(super) faults: Vec<(Cause, f64)>,
     /// Part and size of a fault that begins earlier and still exists.
     pub(super) earlier: Option<(Cause, f64)>,
-    /// Development of the fault.
     pub(super) shape: Shape,
-    /// Noise of the current sensor.
     pub(super) noise: Noise,
     /// Whether the row is hard.
     pub(super) hard: bool,

@@ -33,9 +33,7 @@ pub(super) struct Fault {
     pub(super) size: f64,
     /// First throw with the fault, from 0.
     pub(super) onset: usize,
-    /// First throw after the repair.
     pub(super) repaired: Option<usize>,
-    /// Development over the throws.
     pub(super) shape: Shape,
 }
 
@@ -58,7 +56,6 @@ pub(super) struct Timeline {
     pub(super) onset: usize,
     /// Throws of the life.
     pub(super) throws: usize,
-    /// A varying temperature.
     pub(super) climate: Option<Climate>,
     /// Wet spells.
     pub(super) wet: WetSpells,

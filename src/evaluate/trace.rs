@@ -29,7 +29,6 @@ pub(super) struct TraceMachine {
     machine: Option<SimulatedMachine>,
     identifier: Identifier,
     settings: Settings,
-    /// Whether the throws contain the supply voltage.
     volts: bool,
     /// Faulty instrument, factor on its values, and the first throw with the fault.
     errs: Option<(Instrument, f64, usize)>,

@@ -40,7 +40,6 @@ enum Course {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Climate {
     course: Course,
-    /// Whether the throws contain the temperature.
     pub(super) measured: bool,
 }
 

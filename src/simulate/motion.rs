@@ -321,11 +321,8 @@ impl<'a> Machine<'a> {
 #[derive(Debug, Clone, Copy)]
 struct Decay {
     exponent: f64,
-    /// Factor of the current at the end of the step.
     left: f64,
-    /// Mean of the factor over the step.
     mean: f64,
-    /// Mean of the squared factor over the step.
     mean_square: f64,
 }
 

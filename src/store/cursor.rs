@@ -8,9 +8,8 @@ use sqlx::SqliteConnection;
 use super::statements as sql;
 
 /// A position in the order of a machine's throws.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, sqlx::FromRow)]
 pub(super) struct ThrowPosition {
-    /// Boot of the logger; `None` before the first boot.
     pub(super) boot_row: Option<i64>,
     /// Position of the boot among the boots.
     pub(super) position: i64,
@@ -33,12 +32,22 @@ impl Default for ThrowPosition {
 pub(super) struct Boot {
     pub(super) boot_row: i64,
     pub(super) position: i64,
-    /// Highest received throw number.
     pub(super) highest_no: i64,
-    /// Highest pruned throw number.
     pub(super) pruned_to_no: i64,
     /// Whether the backlog may have later throws of this boot.
     pub(super) tail_open: bool,
+}
+
+impl Boot {
+    /// The position of a throw of this boot.
+    pub(super) fn at(&self, throw_no: i64) -> ThrowPosition {
+        ThrowPosition { boot_row: Some(self.boot_row), position: self.position, throw_no }
+    }
+}
+
+/// The stored cursor of a machine; `None` without missing throws.
+pub(super) async fn stored(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<Option<ThrowPosition>> {
+    sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(connection).await
 }
 
 /// Opens the backlog of a machine after a position, unless it is open already.
@@ -71,12 +80,9 @@ pub(super) async fn awaited(connection: &mut SqliteConnection, boot_row: i64) ->
 /// Moves the cursor of a machine over stored and written-off throws; closes the backlog if no throw is awaited any
 /// more.
 pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64, at_us: i64) -> sqlx::Result<()> {
-    let row: Option<(Option<i64>, i64, i64)> =
-        sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(&mut *connection).await?;
-    let Some((boot_row, position, throw_no)) = row else { return Ok(()) };
-    let before = ThrowPosition { boot_row, position, throw_no };
+    let Some(before) = stored(connection, machine_row).await? else { return Ok(()) };
     let mut cursor = before;
-    let mut boot: Option<Boot> = match boot_row {
+    let mut boot: Option<Boot> = match before.boot_row {
         Some(row) => sqlx::query_as(sql::BOOT_OF_ROW).bind(row).fetch_optional(&mut *connection).await?,
         None => None,
     };
@@ -98,7 +104,7 @@ pub(super) async fn advance(connection: &mut SqliteConnection, machine_row: i64,
         if awaited(connection, next.boot_row).await?.is_some_and(|(first_no, _)| first_no <= 1) {
             break;
         }
-        cursor = ThrowPosition { boot_row: Some(next.boot_row), position: next.position, throw_no: -1 };
+        cursor = next.at(-1);
         boot = Some(next);
     }
     if cursor != before {

@@ -24,7 +24,7 @@ use super::{
 };
 use crate::throw::{MachineId, Throw, ThrowRef};
 
-/// The database of a running daemon. Cheap to clone.
+/// The database of a running daemon. Cheap to clone. A write that failed may be repeated.
 #[derive(Clone)]
 pub struct Store {
     pub(super) writer: Writer,

@@ -22,8 +22,8 @@ use super::{error::StoreError, pace::RecentCount, settings::MIB};
 /// webhook accepted them.
 const LOSSES: [&str; 3] = ["dropped_pending_throws", "dropped_messages", "dropped_notifications"];
 
-/// Time without a step after which a copy of the database hangs, as long as a loop may be without a heartbeat: a thousand
-/// rows, a step, are at most some seconds of reading from flash.
+/// Time without a step after which a copy of the database hangs, as long as a loop may be without a heartbeat: some
+/// hundred rows, a step, are at most some seconds of reading from flash.
 const COPY_HANGS: Duration = Duration::from_secs(30);
 
 /// State of the disk of the database, in the status as `ok`, `low`, `full` or `failing`.
@@ -192,7 +192,6 @@ impl Disk {
         if self.was_full.swap(false, Ordering::Relaxed) { DiskLevel::Full } else { self.level() }
     }
 
-    /// Removes the ballast.
     pub(super) fn release_ballast(&self) {
         match std::fs::remove_file(&self.ballast) {
             Ok(()) => tracing::error!(ballast = %self.ballast.display(), "the disk is full: ballast removed"),

@@ -32,9 +32,7 @@ pub(crate) struct FleetQuery {
     pub cause: Option<Cause>,
     /// A text in `site/machine`; `None` for all.
     pub search: Option<String>,
-    /// Number of machines to skip.
     pub offset: u32,
-    /// Largest number of machines.
     pub limit: u32,
     /// Throws of each machine for its small chart.
     pub spark: u32,
@@ -64,7 +62,6 @@ impl FleetQuery {
 /// Numbers of machines.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Tally {
-    /// Number of machines in each state.
     pub states: Vec<(MachineState, u64)>,
     /// Number of machines that are not monitored and have no other open alarm.
     pub silent: u64,
@@ -93,7 +90,6 @@ pub(crate) struct FleetRow {
     pub drifts: Vec<Drifting>,
     /// Causes of all open alarms.
     pub causes: Vec<Cause>,
-    /// Start of the last judged throw.
     pub started_at: Option<Timestamp>,
     /// Quality of the last judged throw.
     pub quality: Option<String>,
@@ -122,7 +118,6 @@ pub(crate) struct Fault {
     pub alarm: Alarm,
     /// Size and standard deviation when raised \[%\].
     pub raised: Option<(f64, f64)>,
-    /// Active drifts of the machine with their present size.
     pub drifts: Vec<Drifting>,
 }
 
@@ -135,7 +130,6 @@ pub(crate) struct CommandRow {
     pub command: String,
     /// Cause of the alarm, for commands about an alarm.
     pub cause: Option<Cause>,
-    /// End of the shelving or maintenance.
     pub until: Option<Timestamp>,
     /// Name of the operator.
     pub by: String,
@@ -152,11 +146,8 @@ pub(crate) struct CommonAlarm {
     pub site: String,
     /// One of the machines.
     pub machine: String,
-    /// Number of machines.
     pub count: u64,
-    /// Time of the first raise.
     pub first: Timestamp,
-    /// Time of the last raise.
     pub last: Timestamp,
     /// Text of an alarm about lost data, which has several kinds.
     pub text: Option<String>,

@@ -229,15 +229,10 @@ fn is_text(path: &Path) -> bool {
 }
 
 enum Trouble {
-    /// The content is broken.
     Broken(String),
-    /// The files cannot be accessed.
     Access(sqlx::Error),
     Migration(MigrateError),
-    TooNew {
-        needed: i64,
-        known: i64,
-    },
+    TooNew { needed: i64, known: i64 },
 }
 
 impl Trouble {

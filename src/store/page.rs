@@ -57,7 +57,7 @@ impl Write for Page {
             && let Some(boot) = boot(connection, machine_row, &after.boot_id).await?
         {
             let throw_no = i64::try_from(after.throw_no).unwrap_or(i64::MAX);
-            last = ThrowPosition { boot_row: Some(boot.boot_row), position: boot.position, throw_no };
+            last = boot.at(throw_no);
         }
         let mut stored = PageStored { new: 0, duplicates: 0, cursor: Cursor::default() };
         for throw in &self.throws {
@@ -120,11 +120,7 @@ async fn after(connection: &mut SqliteConnection, machine_row: i64, last: ThrowP
 /// The last throw of the last boot.
 async fn newest(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<ThrowPosition> {
     let boot: Option<Boot> = sqlx::query_as(sql::LAST_BOOT).bind(machine_row).fetch_optional(connection).await?;
-    Ok(boot.map_or(ThrowPosition::BEGINNING, |boot| ThrowPosition {
-        boot_row: Some(boot.boot_row),
-        position: boot.position,
-        throw_no: boot.highest_no,
-    }))
+    Ok(boot.map_or(ThrowPosition::BEGINNING, |boot| boot.at(boot.highest_no)))
 }
 
 /// The throws awaited at a query are in no backlog.
@@ -155,10 +151,9 @@ pub(super) async fn current(connection: &mut SqliteConnection, machine: &Machine
         .fetch_optional(&mut *connection)
         .await?;
     let Some((machine_row, is_read)) = row else { return Ok(Cursor::default()) };
-    let open: Option<(Option<i64>, i64, i64)> =
-        sqlx::query_as(sql::BACKLOG).bind(machine_row).fetch_optional(&mut *connection).await?;
+    let open = cursor::stored(connection, machine_row).await?;
     let place = match open {
-        Some((boot_row, position, throw_no)) => ThrowPosition { boot_row, position, throw_no },
+        Some(place) => place,
         None => newest(connection, machine_row).await?,
     };
     let cursor = Cursor { awaits: open.is_some(), ..after(connection, machine_row, place).await? };

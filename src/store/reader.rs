@@ -48,7 +48,6 @@ pub struct Reader {
     broken: CancellationToken,
     /// Cancelled when the store closes: external queries end.
     closing: CancellationToken,
-    /// The throws stored last.
     pub(super) recent: RecentThrows,
 }
 
@@ -64,9 +63,6 @@ impl Reader {
     pub const TIME_LIMIT: Duration = Duration::from_secs(10);
 
     /// Opens a database that another process may write.
-    ///
-    /// # Errors
-    /// When the database does not exist or cannot be read.
     pub async fn open(path: &Path) -> Result<Self, StoreError> {
         Self::with(path, open::reading(path)).await
     }
@@ -180,9 +176,6 @@ impl Reader {
     /// Up to `limit` throws to judge next: in order for each machine, the machines in turn, starting after `after`.
     /// Later throws of a machine with an open backlog are left out, for at most `wait` after the backlog last shrank.
     /// Also returns whether the batch is full.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn to_judge(
         &self,
         after: Option<&MachineId>,
@@ -225,9 +218,6 @@ impl Reader {
     }
 
     /// The cursor of a machine.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn cursor(&self, machine: &MachineId) -> Result<Cursor, StoreError> {
         let read = async {
             let mut connection = self.pool().acquire().await?;
@@ -249,23 +239,16 @@ impl Reader {
     }
 
     /// Up to `limit` throws after `after`, judged or pending, in the order of arrival.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn throws(&self, after: ThrowRow, limit: u32) -> Result<Vec<StoredThrow>, StoreError> {
         self.rows(sqlx::query_as(sql::THROWS).bind(after.0).bind(limit)).await
     }
 
     /// The stored monitors of the next `limit` machines after `after` (`None` for the first ones), in the order of names.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn monitors(&self, after: Option<&MachineId>, limit: u32) -> Result<Vec<StoredMonitor>, StoreError> {
         let (site, machine) = after.map_or(("", ""), |after| (after.site.as_str(), after.machine.as_str()));
         self.rows(sqlx::query_as(sql::MONITORS).bind(site).bind(machine).bind(limit)).await
     }
 
-    /// All machines in the database.
     pub(crate) async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
         let rows = self.limited(sqlx::query(sql::MACHINES).fetch_all(&self.pool())).await?;
         rows.iter().map(machine_id).collect::<sqlx::Result<_>>().map_err(StoreError::read)
@@ -278,17 +261,11 @@ impl Reader {
     }
 
     /// The latest health of each selected machine and direction, with the state of the machine now.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn latest_health(&self, which: &Selector) -> Result<Vec<Health>, StoreError> {
         self.asked(sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine)).await
     }
 
     /// The newest `limit` rows of the health history since `since`, oldest first. A time up to 1970 means no bound.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn health_history(
         &self,
         which: &Selector,
@@ -307,18 +284,12 @@ impl Reader {
     }
 
     /// The last event of every open alarm of the selected machines, oldest alarm first.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<Alarm>, StoreError> {
         let query = sqlx::query_as(sql::OPEN_ALARMS).bind(&which.site).bind(&which.machine);
         Ok(self.asked_alarms(query).await?.0)
     }
 
     /// The newest `limit` alarm events since `since`, oldest first.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn alarm_history(
         &self,
         which: &Selector,
@@ -334,9 +305,6 @@ impl Reader {
     }
 
     /// Up to `limit` messages of the outbox after the row `after` (0 for all), in order.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub async fn outbox_pending(&self, after: i64, limit: u32) -> Result<Vec<OutboxRow>, StoreError> {
         self.rows(sqlx::query_as(sql::MESSAGES).bind(after).bind(limit)).await
     }
@@ -389,8 +357,11 @@ mod tests {
         let store = Store::open(&settings, Timestamp::UNIX_EPOCH).await.unwrap().store;
         let reader = store.reader().clone();
         let endless = "WITH RECURSIVE c (x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT max(x) FROM c";
+        let questions = reader.pools().questions;
         let asked = tokio::spawn(async move { reader.asked::<(i64,)>(sqlx::query_as(endless)).await });
-        tokio::time::sleep(Duration::from_millis(300)).await;
+        while questions.size() == 0 {
+            tokio::task::yield_now().await;
+        }
         let start = Instant::now();
         store.close().await.unwrap();
         assert!(start.elapsed() < Reader::TIME_LIMIT / 4, "{:?}", start.elapsed());

@@ -57,7 +57,6 @@ enum Bound {
     Throws,
     /// Bytes, of machines that have traces.
     TraceBytes,
-    /// Bytes, of all machines.
     Bytes,
 }
 

@@ -248,7 +248,8 @@ statements! {
     // The backlog.
     OPEN_BACKLOG = "INSERT INTO backlog (machine_row, cursor_boot_row, cursor_position, cursor_no, since_us) \
         VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT DO NOTHING";
-    BACKLOG = "SELECT cursor_boot_row, cursor_position, cursor_no FROM backlog WHERE machine_row = ?1";
+    BACKLOG = "SELECT cursor_boot_row AS boot_row, cursor_position AS position, cursor_no AS throw_no FROM backlog \
+        WHERE machine_row = ?1";
     MOVE_CURSOR = "UPDATE backlog SET cursor_boot_row = ?2, cursor_position = ?3, cursor_no = ?4, since_us = ?5 WHERE machine_row = ?1";
     CLOSE_BACKLOG = "DELETE FROM backlog WHERE machine_row = ?1";
     FIRST_AWAITED = concat!("SELECT first_no, last_no FROM gap WHERE boot_row = ?1 AND ", awaited!(), " ORDER BY first_no LIMIT 1");

@@ -26,7 +26,6 @@ pub(super) struct AlarmLine {
     pub(super) now: Option<String>,
     pub(super) forecast: Option<String>,
     pub(super) text: String,
-    /// Address of the last throw in the evidence.
     pub(super) throw: Option<String>,
 }
 

@@ -11,20 +11,18 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use axum::{
     extract::{Path, RawQuery, State, rejection::PathRejection},
-    http::{HeaderValue, header},
-    response::{IntoResponse, Response},
+    response::Response,
 };
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::{
     fleet::Filters,
     overview::{Web, selector},
-    page::Failure,
+    page::{self, Failure},
 };
 use crate::{
     store::{FleetQuery, Present},
     throw::MachineId,
-    wire,
 };
 
 /// Largest number of throws in a response.
@@ -32,13 +30,8 @@ const THROWS: u32 = 100;
 /// Largest number of operators' commands in a response.
 const COMMANDS: u32 = 100;
 
-fn answer(value: &Value) -> Response {
-    let kind = HeaderValue::from_static("application/json");
-    ([(header::CONTENT_TYPE, kind)], wire::json(value)).into_response()
-}
-
 pub(super) async fn status(State(web): State<Arc<Web>>) -> Response {
-    answer(&json!(web.view.gauges.report()))
+    page::json(&json!(web.view.gauges.report()))
 }
 
 pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
@@ -48,7 +41,7 @@ pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQu
     let reader = web.view.gauges.store.reader();
     let tally = reader.tally(&query, &itself).await?;
     let tally: BTreeMap<&str, u64> = tally.states.into_iter().map(|(state, count)| (state.as_str(), count)).collect();
-    Ok(answer(&json!({"tally": tally, "machines": reader.fleet(&query, &itself).await?})))
+    Ok(page::json(&json!({"tally": tally, "machines": reader.fleet(&query, &itself).await?})))
 }
 
 pub(super) async fn machine(
@@ -63,7 +56,7 @@ pub(super) async fn machine(
         return Err(Failure::not_found(format!("No throw of a machine {machine} is known.")));
     }
     let Present { state, drifts, caveats } = reader.state_of(&machine).await?;
-    Ok(answer(&json!({
+    Ok(page::json(&json!({
         "site": machine.site, "machine": machine.machine, "state": state, "drifts": drifts, "caveats": caveats,
         "alarms": reader.open_alarms(&selector(&machine)).await?,
         "throws": throws, "commands": reader.commands_of(&machine, COMMANDS).await?,
@@ -72,7 +65,7 @@ pub(super) async fn machine(
 
 pub(super) async fn alarms(State(web): State<Arc<Web>>) -> Result<Response, Failure> {
     let overview = web.overview().await?;
-    Ok(answer(&json!({
+    Ok(page::json(&json!({
         "faults": overview.faults, "fault_count": overview.fault_count, "common": overview.common,
     })))
 }

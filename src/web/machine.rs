@@ -70,7 +70,6 @@ struct Page {
     trouble: Vec<String>,
     machine: MachineId,
     badge: Badge,
-    /// The open maintenance window.
     maintenance: Option<String>,
     /// Sentences about what the monitor cannot show at present.
     caveats: Vec<String>,
@@ -140,7 +139,6 @@ struct LastThrow {
     baseline: String,
     /// For each coefficient: change in the last throw, and scatter of the machine.
     changes: Option<[(String, String); 3]>,
-    /// Reason why the last throw has no changes.
     without: String,
 }
 

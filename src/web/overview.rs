@@ -34,11 +34,9 @@ pub(super) struct Overview {
     /// Numbers of open alarms of system-wide causes (not monitored, lost data), by cause and site.
     pub(super) common: Vec<CommonAlarm>,
     pub(super) sites: Vec<String>,
-    /// Open alarms about the daemon itself.
     pub(super) own_alarms: Vec<Alarm>,
     /// Number of open alarms of another version that this version cannot read.
     pub(super) unreadable: usize,
-    /// Numbers of open alarms by cause and severity.
     pub(super) alarms_by_kind: Vec<(String, String, u64)>,
     pub(super) statistics: Statistics,
 }

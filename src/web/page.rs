@@ -16,7 +16,6 @@ use crate::{
     wire,
 };
 
-/// The style sheet of all pages.
 pub(super) const STYLE: &str = include_str!("pages/style.css");
 
 /// A failure as response; `guard` turns it into a page.
@@ -77,9 +76,7 @@ impl From<PathRejection> for Failure {
 impl Failure {
     /// The failure in the JSON interface.
     pub(super) fn json(&self) -> Response {
-        let kind = HeaderValue::from_static("application/json");
-        let error = serde_json::json!({ "error": self.says });
-        (self.status, [(header::CONTENT_TYPE, kind)], wire::json(&error)).into_response()
+        (self.status, json(&serde_json::json!({ "error": self.says }))).into_response()
     }
 
     /// The page of the failure, with `trouble` as banner.
@@ -104,6 +101,10 @@ pub(super) fn html(page: &impl Template) -> Response {
 pub(super) fn rendered(page: &impl Template) -> String {
     // An error cannot happen: the template is checked at compile time and writes to memory.
     page.render().unwrap_or_else(|error| format!("the page cannot be written: {error}\n"))
+}
+
+pub(super) fn json(value: &serde_json::Value) -> Response {
+    ([(header::CONTENT_TYPE, HeaderValue::from_static("application/json"))], wire::json(value)).into_response()
 }
 
 pub(super) fn text(status: StatusCode, text: String) -> Response {

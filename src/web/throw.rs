@@ -45,10 +45,8 @@ struct Page {
     temperature: Option<String>,
     supply: Option<String>,
     pictures: Vec<Picture>,
-    /// Address and number of the typical throw of the baseline.
     typical: Option<(String, u64)>,
     csv: Option<String>,
-    /// Reason why the trace is not available.
     no_trace: Option<String>,
 }
 

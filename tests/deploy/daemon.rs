@@ -36,8 +36,7 @@ impl Drop for Running {
 }
 
 fn start(config: &Path) -> Running {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_pointsd"));
-    Running(command.arg("run").arg("--config").arg(config).stderr(Stdio::inherit()).spawn().unwrap())
+    Running(pointsd(&["run", "--config"]).arg(config).stderr(Stdio::inherit()).spawn().unwrap())
 }
 
 fn free_address() -> String {
@@ -137,9 +136,8 @@ fn pointsd_ack(folder: &Path, endpoint: &str) -> Option<i32> {
     let text = replaced(&text, "/root/pki/operator/", &format!("{}/", railway().folder("operator").display()));
     let config = folder.join("operator.toml");
     fs::write(&config, text).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_pointsd"));
-    command.args(["ack", "north/21A", "not_monitored", "--by", "test", "--config"]).arg(config);
-    command.output().unwrap().status.code()
+    let ack = ["ack", "north/21A", "not_monitored", "--by", "test", "--config"];
+    pointsd(&ack).arg(config).output().unwrap().status.code()
 }
 
 /// A throw without movement.
@@ -152,7 +150,7 @@ fn still_machine() -> Value {
 }
 
 fn check(config: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_pointsd")).arg("check").arg("--config").arg(config).output().unwrap()
+    pointsd(&["check", "--config"]).arg(config).output().unwrap()
 }
 
 #[test]

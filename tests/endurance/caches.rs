@@ -12,7 +12,7 @@ use zenoh::{Wait, qos::CongestionControl};
 use crate::{
     gauge::{peak_mib, status},
     logger::{Logger, Plan, throw},
-    rig::{Rig, matched, stub},
+    rig::{Rig, stub},
 };
 
 /// Machines, and throws of each: together more than the memory budget of the daemon.
@@ -53,7 +53,6 @@ async fn a_daemon_that_starts_behind_full_caches_takes_all_of_them() {
     assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
     assert!(now.duplicates < all / 20, "{now:?}");
     assert!(peak < MEMORY_MIB, "{peak:.0} MiB");
-    assert!(daemon.terminate().success());
 }
 
 /// A logger without a backlog leaves out a throw: later throws are stored at once, and no other machine waits.
@@ -62,17 +61,14 @@ async fn throws_behind_a_missing_one_are_stored_at_once_in_bounded_memory() {
     const THROWS: u64 = 4_000;
     const SAMPLES: usize = 2_500;
     const MEMORY_MIB: f64 = 200.0;
-    let rig = Rig::with("[subscribe]\nbacklog_wait_s = 86400\n");
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with("[subscribe]\nbacklog_wait_s = 86400\n");
     let session = daemon.client().await;
-    let (bad, good) =
-        (matched(&session, "points/v1/bad/1/throw").await, matched(&session, "points/v1/good/1/throw").await);
+    let (bad, good) = (daemon.logger("points/v1/bad/1/throw").await, daemon.logger("points/v1/good/1/throw").await);
     let trace = Trace::new(1000.0, vec![0.0; SAMPLES], vec![0.0; SAMPLES]).unwrap();
     for throw_no in (1..=THROWS).filter(|throw_no| *throw_no != 2) {
-        let throw = Throw { trace: trace.clone(), ..stub("b1", throw_no) };
-        bad.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
+        bad.send([Throw { trace: trace.clone(), ..stub("b1", throw_no) }]).await;
         if throw_no % 200 == 100 {
-            good.put(wire::encode_throw(Encoding::Cbor, &stub("b1", throw_no / 200 + 1))).await.unwrap();
+            good.send([stub("b1", throw_no / 200 + 1)]).await;
         }
     }
     let all = THROWS - 1 + THROWS / 200;
@@ -88,7 +84,6 @@ async fn throws_behind_a_missing_one_are_stored_at_once_in_bounded_memory() {
     let order = rig.sql("SELECT throw_no FROM health_history WHERE site = 'bad' AND throw_no < 5");
     assert_eq!(order.len(), 3);
     assert!(peak < MEMORY_MIB, "{peak:.0} MiB");
-    assert!(daemon.terminate().success());
 }
 
 /// A daemon that is repeatedly killed does not read the same page of a backlog again.
@@ -116,7 +111,6 @@ async fn a_daemon_that_is_started_twenty_times_gets_no_throw_twice() {
     duplicates += daemon.status()["duplicates"].as_u64().unwrap();
     println!("{STARTS} starts, {last} throws of each of {MACHINES} machines: {duplicates} came twice");
     assert!(duplicates <= PAGE * MACHINES as u64, "{duplicates} throws came twice");
-    assert!(daemon.terminate().success());
 }
 
 /// Loggers with endless backlogs, known throws, foreign names, or messages that are no throws harm only themselves.
@@ -124,8 +118,7 @@ async fn a_daemon_that_is_started_twenty_times_gets_no_throw_twice() {
 async fn loggers_that_lie_harm_only_themselves() {
     const REPLIES: u64 = 3_000;
     const MEMORY_MIB: f64 = 150.0;
-    let rig = Rig::with("[log]\nlevel = \"info,pointsd::daemon=error\"\n");
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with("[log]\nlevel = \"info,pointsd::daemon=error\"\n");
     let session = daemon.client().await;
     let throw_of = |throw_no| wire::encode_throw(Encoding::Cbor, &stub("b1", throw_no));
     for lie in ["endless", "known", "other", "noise"] {
@@ -168,5 +161,4 @@ async fn loggers_that_lie_harm_only_themselves() {
     );
     assert!(peak < MEMORY_MIB, "{peak:.0} MiB");
     drop(honest.stop());
-    assert!(daemon.terminate().success());
 }

@@ -35,7 +35,7 @@ async fn run_and_log(throws: usize) -> Option<(Vec<Record>, tempfile::TempDir)> 
     let all = usize::try_from(silent.published).unwrap() * 4;
     witness.until("the last throw", |heard| heard.health.len() >= all).await;
     assert!(!witness.heard().events.is_empty(), "no alarm was raised");
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     Some((read_log(&path), rig.into_folder()))
 }
 

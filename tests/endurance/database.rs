@@ -107,13 +107,42 @@ pub(crate) async fn events(reader: &Reader) -> BTreeSet<(String, u32)> {
 }
 
 /// Machine, boot id and numbers of each open gap.
-pub(crate) fn open_gaps(rig: &Rig) -> Vec<(String, String, RangeInclusive<u64>)> {
+fn open_gaps(rig: &Rig) -> Vec<(String, String, RangeInclusive<u64>)> {
     let gaps = rig.sql(
         "SELECT machine, boot_id, first_throw_no AS first, last_throw_no AS last FROM data_gaps WHERE filled_at IS NULL",
     );
     let text = |gap: &serde_json::Value, of: &str| gap[of].as_str().unwrap().to_owned();
     let numbers = |gap: &serde_json::Value| gap["first"].as_u64().unwrap()..=gap["last"].as_u64().unwrap();
     gaps.iter().map(|gap| (text(gap, "machine"), text(gap, "boot_id"), numbers(gap))).collect()
+}
+
+/// Stored and missing throw numbers of each machine and boot id.
+#[derive(Default)]
+pub(crate) struct Known {
+    pub(crate) stored: BTreeMap<(String, String), Vec<u64>>,
+    pub(crate) missing: BTreeMap<(String, String), Vec<u64>>,
+}
+
+impl Known {
+    pub(crate) async fn of(rig: &Rig, reader: &Reader) -> Self {
+        let mut known = Self::default();
+        for stored in reader.throws(ThrowRow::START, 1_000_000).await.unwrap() {
+            let who = (stored.machine.machine.to_string(), stored.id.boot_id);
+            known.stored.entry(who).or_default().push(stored.id.throw_no);
+        }
+        for (machine, boot_id, numbers) in open_gaps(rig) {
+            known.missing.entry((machine, boot_id)).or_default().extend(numbers);
+        }
+        known
+    }
+
+    /// All numbers of a machine and boot id, in order.
+    pub(crate) fn all(&self, who: &(String, String)) -> Vec<u64> {
+        let parts = [self.stored.get(who), self.missing.get(who)];
+        let mut all: Vec<u64> = parts.into_iter().flatten().flatten().copied().collect();
+        all.sort_unstable();
+        all
+    }
 }
 
 fn message(row: &OutboxRow) -> (String, u32) {

@@ -55,7 +55,7 @@ async fn fill_and_free(ballast_mib: u64) {
     let status = daemon.status();
     assert_eq!((&status["lost"], &status["dropped"]), (&0.into(), &0.into()), "{status}");
     drop(first);
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     assert!(rig.sql("SELECT * FROM data_gaps").is_empty());
     let mut verdict = Verdict::default();
     let acknowledged = witness.heard().acknowledged();

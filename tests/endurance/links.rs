@@ -6,16 +6,16 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    time::{Duration, Instant},
+    time::Duration,
 };
 
-use pointsd::store::{Reader, ThrowRow};
+use pointsd::store::Reader;
 
 use crate::{
     cable::Cable,
-    database::{events, open_gaps},
+    database::{Known, events},
     logger::{Logger, Plan, QUICK_ALARMS},
-    rig::{PATIENCE, Rig},
+    rig::{PATIENCE, Rig, until},
     size,
     witness::Witness,
 };
@@ -59,78 +59,48 @@ fn stop([remembers, forgets]: [Logger; 2], boot_id: &str, published: &mut Publis
     silent
 }
 
-/// Stored and missing numbers of each machine and boot id.
-#[derive(Default)]
-struct Known {
-    stored: BTreeMap<(String, String), Vec<u64>>,
-    missing: BTreeMap<(String, String), Vec<u64>>,
-}
-
-impl Known {
-    async fn of(rig: &Rig, reader: &Reader) -> Self {
-        let mut known = Self::default();
-        for stored in reader.throws(ThrowRow::START, 1_000_000).await.unwrap() {
-            let who = (stored.machine.machine.to_string(), stored.id.boot_id);
-            known.stored.entry(who).or_default().push(stored.id.throw_no);
-        }
-        for (machine, boot_id, numbers) in open_gaps(rig) {
-            known.missing.entry((machine, boot_id)).or_default().extend(numbers);
-        }
-        known
-    }
-
-    fn all(&self, who: &(String, String)) -> Vec<u64> {
-        let parts = [self.stored.get(who), self.missing.get(who)];
-        let mut all: Vec<u64> = parts.into_iter().flatten().flatten().copied().collect();
-        all.sort_unstable();
-        all
-    }
-
-    fn count(numbers: &BTreeMap<(String, String), Vec<u64>>, cached: bool) -> usize {
-        numbers.iter().filter(|((machine, _), _)| machine.starts_with('m') == cached).map(|(_, list)| list.len()).sum()
-    }
+fn count(numbers: &BTreeMap<(String, String), Vec<u64>>, cached: bool) -> usize {
+    numbers.iter().filter(|((machine, _), _)| machine.starts_with('m') == cached).map(|(_, list)| list.len()).sum()
 }
 
 /// Waits until all throws are stored or missing, judged and published; checks and prints the result.
 async fn settle(rig: &Rig, witness: &Witness, published: &Published, what: &str) {
     let reader = Reader::open(&rig.database()).await.unwrap();
-    let deadline = Instant::now() + 3 * PATIENCE;
-    let known = loop {
+    let known = until(3 * PATIENCE, async || {
         let known = Known::of(rig, &reader).await;
         let behind: Vec<_> = published.iter().filter(|(who, last)| known.all(who).last() < Some(last)).collect();
         let waiting = rig.sql("SELECT 1 AS n FROM throw WHERE judged_at_us IS NULL LIMIT 1").len();
         let unpublished = reader.outbox_pending(0, 1).await.unwrap().len();
         if behind.is_empty() && waiting + unpublished == 0 {
-            break known;
+            return Ok(known);
         }
-        assert!(Instant::now() < deadline, "behind: {behind:?}; {waiting} unjudged, {unpublished} unpublished");
-        tokio::time::sleep(Duration::from_millis(200)).await;
-    };
+        Err(format!("behind: {behind:?}; {waiting} unjudged, {unpublished} unpublished"))
+    })
+    .await;
     let events = events(&reader).await;
     witness.until("every alarm event", |heard| heard.events.len() >= events.len()).await;
     let heard = witness.heard();
     println!(
         "{what}: {} throws of {MACHINES} machines stored, {} missing; {} of one with backlog 1, {} missing; {} alarm \
          events, {} messages heard",
-        Known::count(&known.stored, true),
-        Known::count(&known.missing, true),
-        Known::count(&known.stored, false),
-        Known::count(&known.missing, false),
+        count(&known.stored, true),
+        count(&known.missing, true),
+        count(&known.stored, false),
+        count(&known.missing, false),
         events.len(),
         heard.messages
     );
     for (who, last) in published {
         assert_eq!(known.all(who), (1..=*last).collect::<Vec<_>>(), "{who:?}: each is stored once, or missing once");
     }
-    assert_eq!(Known::count(&known.missing, true), 0, "throws in the backlogs were not stored: {:?}", known.missing);
+    assert_eq!(count(&known.missing, true), 0, "throws in the backlogs were not stored: {:?}", known.missing);
     assert_eq!(heard.events.iter().cloned().collect::<BTreeSet<_>>(), events, "every event, and nothing else");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn cut_links_and_new_loggers_lose_nothing_that_a_cache_holds() {
     let (cut, rate) = scale();
-    let rig = Rig::with(QUICK_ALARMS);
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with(QUICK_ALARMS);
     let (field, control_room) = (Cable::to(&daemon.endpoint).await, Cable::to(&daemon.endpoint).await);
     let witness = Witness::listen(&control_room.endpoint, None).await;
     let mut published = Published::new();
@@ -150,7 +120,6 @@ async fn cut_links_and_new_loggers_lose_nothing_that_a_cache_holds() {
         settle(&rig, &witness, &published, &format!("a cut of {cut:?}, start {boot_id}")).await;
         silent.clear();
     }
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -161,18 +130,16 @@ async fn a_router_that_dies_loses_nothing_that_a_cache_holds() {
     let router = router_rig.start();
     let endpoint = router.endpoint.clone();
     let rig = Rig::with(QUICK_ALARMS).behind(&endpoint);
-    let daemon = rig.start();
+    let _daemon = rig.start();
     let witness = Witness::listen(&endpoint, None).await;
     let loggers = loggers(&endpoint, "b1", rate).await;
     tokio::time::sleep(cut).await;
     router.kill();
     tokio::time::sleep(cut).await;
-    let router = router_rig.start();
+    let _router = router_rig.start();
     tokio::time::sleep(cut / 2).await;
     let mut published = Published::new();
     let silent = stop(loggers, "b1", &mut published);
     settle(&rig, &witness, &published, &format!("a router down for {cut:?}")).await;
     drop(silent);
-    assert!(daemon.terminate().success());
-    assert!(router.terminate().success());
 }

@@ -1,18 +1,15 @@
 //! The running daemon keeps its database within its limits: it deletes traces first, then throws with their estimates,
 //! alarms last.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use pointsd::{
-    throw::{Throw, Trace},
-    wire::{self, Encoding},
-};
+use pointsd::throw::{Throw, Trace};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::{
     logger::{Logger, Plan, QUICK_ALARMS},
-    rig::{self, PATIENCE, Rig},
+    rig::{PATIENCE, Rig, stub, until},
 };
 
 /// Selects every alarm event.
@@ -40,15 +37,11 @@ impl Kept {
 
     /// Waits until the daemon has deleted enough.
     async fn until(rig: &Rig, is_enough: impl Fn(&Self) -> bool) -> Self {
-        let deadline = Instant::now() + PATIENCE;
-        loop {
+        until(PATIENCE, async || {
             let kept = Self::of(rig);
-            if is_enough(&kept) {
-                return kept;
-            }
-            assert!(Instant::now() < deadline, "{kept:?}");
-            tokio::time::sleep(Duration::from_millis(100)).await;
-        }
+            if is_enough(&kept) { Ok(kept) } else { Err(format!("{kept:?}")) }
+        })
+        .await
     }
 }
 
@@ -56,12 +49,11 @@ impl Kept {
 async fn rows_are_bounded_traces_before_throws_before_alarms() {
     // Without bounds until every throw is judged: a bound drops pending throws too, if throws arrive faster than they are
     // judged.
-    let rig = Rig::with(QUICK_ALARMS);
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with(QUICK_ALARMS);
     let plan = Plan { throws: 120, pace: Duration::from_millis(1), ..Plan::default() };
     let _logger = Logger::start(&daemon.endpoint, plan).await;
     rig.until_sql("SELECT 1 FROM (SELECT count(*) AS judged FROM health_history) WHERE judged = 240").await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let raised = rig.sql(ALARM_EVENTS);
     assert!(!raised.is_empty());
 
@@ -75,29 +67,25 @@ async fn rows_are_bounded_traces_before_throws_before_alarms() {
     let oldest = rig.sql("SELECT min(throw_no) AS oldest FROM health_history GROUP BY machine");
     assert_eq!(oldest, [46, 46].map(|oldest| serde_json::json!({"oldest": oldest})), "120 - 75 + 1");
     daemon.until_log("dropped the oldest");
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn bytes_are_bounded_and_estimates_outlive_their_traces() {
     let rig = Rig::with(QUICK_ALARMS).store("max_size_mib = 16\nballast_mib = 0\nlow_disk_mib = 0\n");
     let daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = rig::matched(&session, "points/v1/north/21B/throw").await;
+    let logger = daemon.logger("points/v1/north/21B/throw").await;
     // Noise cannot be compressed: each throw has two thirds of a megabyte.
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let mut noise = || (0..100_000).map(|_| rng.random_range(-1.0..1.0)).collect::<Vec<f64>>();
     for throw_no in 1..=40 {
         let trace = Trace::new(1000.0, noise(), noise()).unwrap();
-        let throw = Throw { trace, ..rig::stub("b1", throw_no) };
-        publisher.put(wire::encode_throw(Encoding::Cbor, &throw)).await.unwrap();
+        logger.send([Throw { trace, ..stub("b1", throw_no) }]).await;
     }
     rig.judged(40).await;
     let kept = Kept::until(&rig, |kept| kept.bytes <= 16 << 20).await;
     assert!(kept.traces > 0 && kept.traces < 40, "{kept:?}");
     assert_eq!(kept.throws, 40);
     assert!(kept.alarms > 0);
-    assert!(daemon.terminate().success());
 }
 
 /// Three hundred cleared alarms with two events each, written by SQL, as a machine would need weeks for them.
@@ -113,7 +101,7 @@ const OLD_ALARMS: &str = "
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn closed_alarms_are_bounded_and_go_with_their_events_and_open_ones_stay() {
     let rig = Rig::new().store("max_alarms = 100\nballast_mib = 0\nlow_disk_mib = 0\n");
-    assert!(rig.start().terminate().success());
+    rig.start().terminate();
     for statement in OLD_ALARMS.split(';') {
         rig.change(statement).await;
     }
@@ -126,5 +114,4 @@ async fn closed_alarms_are_bounded_and_go_with_their_events_and_open_ones_stay()
     assert_eq!((&left["alarms"], &left["oldest"], &left["events"]), (&101.into(), &1.into(), &202.into()), "{left}");
     let oldest_closed = &rig.sql("SELECT min(alarm_row) AS oldest FROM alarm WHERE state = 'normal'")[0];
     assert_eq!(oldest_closed["oldest"], 201);
-    assert!(daemon.terminate().success());
 }

@@ -4,7 +4,7 @@
 use std::{
     env, fs,
     io::{BufRead, BufReader, Lines},
-    process::{Child, ChildStdout, Command, Stdio},
+    process::{ChildStdout, Command, Stdio},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering::Relaxed},
@@ -23,7 +23,7 @@ use zenoh::{Session, pubsub::Publisher};
 
 use crate::{
     gauge::{Usage, mib, status},
-    rig::{self, PATIENCE, Rig, matched, throws},
+    rig::{self, PATIENCE, Program, Rig, matched, throws},
     size,
 };
 
@@ -46,7 +46,7 @@ const HEARS: &str = "it hears";
 /// A subscriber to all messages that stays in its first callback. It has its own process, because the sessions of a
 /// process share their threads.
 struct Hanging {
-    child: Child,
+    _program: Program,
     said: Lines<BufReader<ChildStdout>>,
 }
 
@@ -59,18 +59,11 @@ impl Hanging {
             .spawn()
             .unwrap();
         let said = BufReader::new(child.stdout.take().unwrap()).lines();
-        Self { child, said }
+        Self { _program: Program(child), said }
     }
 
     fn until(&mut self, said: &str) {
         assert!(self.said.any(|line| line.unwrap().contains(said)), "the subscriber ended before {said:?}");
-    }
-}
-
-impl Drop for Hanging {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
@@ -195,7 +188,7 @@ async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
     drop(hanging);
     transaction.rollback().await.unwrap();
     let end = status(&session).await.unwrap();
-    assert!(daemon.terminate().success());
+    daemon.terminate();
 
     let ratio = [with[0] / without[0], with[1] / without[1]];
     println!(

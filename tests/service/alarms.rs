@@ -5,51 +5,39 @@ use std::{os::unix::net::UnixDatagram, process::Stdio};
 
 use pointsd::{
     diagnose::{AlarmState, Cause, Severity},
-    wire::{Alarm, Encoding, encode_throw},
+    wire::Alarm,
 };
-use zenoh::{Session, handlers::FifoChannelHandler, pubsub::Subscriber, sample::Sample};
 
-use crate::rig::{PATIENCE, Rig, matched, pointsd, stub};
+use crate::{
+    http::KEY,
+    rig::{PATIENCE, Program, Rig, listen, next, pointsd, stub},
+};
 
-const KEY: &str = "points/v1/north/21B/throw";
 const ALIVE: &str = "points/v1/north/21B/alive";
 /// Configuration with an alarm 1.2 s after a logger is gone.
 const HASTY: &str = "[diagnosis]\nlogger_gone_minutes = 0.02\n";
 
-type Alarms = Subscriber<FifoChannelHandler<Sample>>;
-
-async fn next(alarms: &Alarms) -> Alarm {
-    let sample = tokio::time::timeout(PATIENCE, alarms.recv_async()).await.unwrap().unwrap();
-    serde_json::from_slice(&sample.payload().to_bytes()).unwrap()
-}
-
-async fn listen(session: &Session) -> Alarms {
-    session.declare_subscriber("points/v1/**/alarm").await.unwrap()
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_logger_that_goes_is_an_alarm_until_it_is_back() {
-    let rig = Rig::with(HASTY);
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with(HASTY);
     let session = daemon.client().await;
     let alarms = listen(&session).await;
-    let logger = daemon.client().await;
-    let token = logger.liveliness().declare_token(ALIVE).await.unwrap();
-    let publisher = matched(&logger, KEY).await;
-    publisher.put(encode_throw(Encoding::Cbor, &stub("boot", 1))).await.unwrap();
+    let logger = daemon.logger(KEY).await;
+    let token = logger.session.liveliness().declare_token(ALIVE).await.unwrap();
+    logger.send([stub("boot", 1)]).await;
     rig.judged(1).await;
     // The snapshot with the logger is stored, so it outlives a kill.
     rig.until_sql("SELECT 1 AS n FROM monitor WHERE snapshot LIKE '%\"logger\":\"there\"%'").await;
 
-    drop((token, publisher));
-    logger.close().await.unwrap();
-    let raised = next(&alarms).await;
+    drop(token);
+    logger.close().await;
+    let raised = next(&alarms).await.1;
     assert_eq!((raised.cause, raised.state), (Cause::NotMonitored, AlarmState::ActiveUnacknowledged));
     assert!(raised.text.contains("logger has been gone"), "{}", raised.text);
 
     let logger = daemon.client().await;
     let token = logger.liveliness().declare_token(ALIVE).await.unwrap();
-    let cleared = next(&alarms).await;
+    let cleared = next(&alarms).await.1;
     assert_eq!((&cleared.alarm_id, cleared.state), (&raised.alarm_id, AlarmState::ClearedUnacknowledged));
 
     // The logger ends while the daemon is down.
@@ -61,35 +49,33 @@ async fn a_logger_that_goes_is_an_alarm_until_it_is_back() {
     let alarms = listen(&session).await;
     // An event from just before the kill may be published again.
     let again = loop {
-        let alarm = next(&alarms).await;
+        let alarm = next(&alarms).await.1;
         if (&alarm.alarm_id, alarm.event_no) > (&cleared.alarm_id, cleared.event_no) {
             break alarm;
         }
     };
     assert_eq!((again.cause, again.state), (Cause::NotMonitored, AlarmState::ActiveUnacknowledged));
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn throws_that_were_missing_before_a_restart_are_an_alarm_after_it_and_only_once() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     logger.send([1, 5].map(|number| stub("boot", number))).await;
     rig.judged(2).await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     logger.close().await;
     // The minute for late throws passes while the daemon is down.
     rig.change("UPDATE gap SET detected_at_us = detected_at_us - 61000000").await;
 
     let daemon = rig.start();
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE cause = 'data_loss'").await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let daemon = rig.start();
     let logger = daemon.logger(KEY).await;
     logger.send([&stub("boot", 6)]).await;
     rig.judged(3).await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let events = rig.sql("SELECT machine, event_no, text FROM alarm_events WHERE cause = 'data_loss'");
     assert_eq!(events.len(), 1, "{events:?}");
     assert!(events[0]["text"].as_str().unwrap().contains("3 throws never arrived"), "{events:?}");
@@ -98,9 +84,9 @@ async fn throws_that_were_missing_before_a_restart_are_an_alarm_after_it_and_onl
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer() {
     // A daemon with its own name outside its part of the fleet.
-    let rig = Rig::with("[subscribe]\nkey = \"points/v1/north/**\"\n[monitor]\nsite = \"cabinets\"\nid = \"c7\"\n");
-    let daemon = rig.start();
-    assert!(daemon.terminate().success());
+    let (rig, daemon) =
+        Rig::running_with("[subscribe]\nkey = \"points/v1/north/**\"\n[monitor]\nsite = \"cabinets\"\nid = \"c7\"\n");
+    daemon.terminate();
     std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
 
     for start in 0..2 {
@@ -122,7 +108,7 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
         if start == 0 {
             daemon.says(0, &["ack", "cabinets/c7", "data_loss", "--by", "tester"]);
         }
-        assert!(daemon.terminate().success());
+        daemon.terminate();
     }
     let events = rig.sql("SELECT state FROM alarm_events ORDER BY event_no");
     let states: Vec<&str> = events.iter().map(|event| event["state"].as_str().unwrap()).collect();
@@ -137,12 +123,11 @@ async fn no_logger_speaks_in_the_name_of_the_daemon() {
     std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
     let daemon = rig.start();
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE machine = 'pointsd' AND cause = 'data_loss'").await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let daemon = rig.start();
     let logger = daemon.logger("points/v1/fleet/pointsd/throw").await;
     logger.send([&stub("boot", 1)]).await;
     rig.until_sql("SELECT 1 AS n FROM quarantine WHERE reason LIKE '%the name of pointsd itself%'").await;
-    assert!(daemon.terminate().success());
 }
 
 #[test]
@@ -154,15 +139,14 @@ fn while_it_starts_systemd_is_asked_for_more_time() {
     socket.set_read_timeout(Some(PATIENCE)).unwrap();
     let config = rig.config();
     let mut command = pointsd(&["run", "--config"]);
-    let mut child = command.arg(config).env("NOTIFY_SOCKET", &path).stderr(Stdio::null()).spawn().unwrap();
+    let child = command.arg(config).env("NOTIFY_SOCKET", &path).stderr(Stdio::null()).spawn().unwrap();
+    let _program = Program(child);
     let mut said = Vec::new();
     while !said.iter().any(|text: &String| text.contains("READY=1")) {
         let mut buffer = [0; 4096];
         let count = socket.recv(&mut buffer).expect("it becomes ready");
         said.push(String::from_utf8_lossy(&buffer[..count]).into_owned());
     }
-    child.kill().unwrap();
-    child.wait().unwrap();
     let more: u64 =
         said[0].lines().find_map(|line| line.strip_prefix("EXTEND_TIMEOUT_USEC=")).expect("asks").parse().unwrap();
     assert!(more >= 30_000_000, "{said:?}");

@@ -15,7 +15,10 @@ use pointsd::{
 use tokio::sync::mpsc;
 use zenoh::{Session, Wait, bytes::Encoding as ContentType};
 
-use crate::rig::{PATIENCE, Rig, matched, put, stub};
+use crate::{
+    http::KEY,
+    rig::{PATIENCE, Rig, matched, put, stub},
+};
 
 /// A logger whose backlog has these messages with their throw numbers, oldest first.
 async fn keep(session: &Session, key: &'static str, kept: Vec<(u64, Vec<u8>)>) {
@@ -34,8 +37,7 @@ async fn keep(session: &Session, key: &'static str, kept: Vec<(u64, Vec<u8>)>) {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
     const MACHINES: [(&str, usize); 2] = [("points/v1/north/short/throw", 20), ("points/v1/north/long/throw", 140_000)];
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
     for (key, samples) in MACHINES {
         let message = |throw_no, samples| {
@@ -59,16 +61,13 @@ async fn good_throws_behind_unusable_ones_come_from_the_backlog() {
     let stored =
         rig.sql("SELECT machine, count(*) AS throws FROM throw JOIN machine USING (machine_row) GROUP BY machine");
     assert!(stored.len() == 2 && stored.iter().all(|machine| machine["throws"] == 8), "{stored:?}");
-    assert!(daemon.terminate().success());
 }
 
 /// The logger declares its token before its backlog is ready, as after each cut of its link.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_outage_is_no_time_in_which_the_logger_replied_without_the_throws() {
-    const KEY: &str = "points/v1/north/21B/throw";
     const TOKEN: &str = "points/v1/north/21B/alive";
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
     let (asked, mut queries) = mpsc::channel(64);
     let is_ready = Arc::new(AtomicBool::new(false));
@@ -106,15 +105,12 @@ async fn an_outage_is_no_time_in_which_the_logger_replied_without_the_throws() {
     is_ready.store(true, Relaxed);
     rig.judged(4).await;
     assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
-    assert!(daemon.terminate().success());
 }
 
 /// The backlog ends with a message that is no throw, and every query gets it again.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_message_that_is_no_throw_is_in_quarantine_once() {
-    const KEY: &str = "points/v1/north/21B/throw";
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
     keep(&session, KEY, vec![(2, b"no throw".to_vec())]).await;
     drop(matched(&session, KEY).await);
@@ -125,5 +121,4 @@ async fn a_message_that_is_no_throw_is_in_quarantine_once() {
     assert_eq!(rig.sql("SELECT reason FROM quarantined_messages").len(), 1);
     let status = daemon.status();
     assert_eq!(status["quarantined"], 1, "{status}");
-    assert!(daemon.terminate().success());
 }

@@ -4,7 +4,7 @@
 use std::{
     io::{BufRead, BufReader, Write},
     path::Path,
-    process::{Child, ChildStdin, Command, Stdio},
+    process::{ChildStdin, Command, Stdio},
     sync::mpsc::{self, Receiver},
     thread,
     time::{Duration, Instant},
@@ -12,11 +12,15 @@ use std::{
 
 use serde_json::{Value, json};
 
-use crate::{http::address, operators::daemon_with_alarm, rig::PATIENCE};
+use crate::{
+    http::address,
+    operators::daemon_with_alarm,
+    rig::{PATIENCE, Program},
+};
 
 /// A running browser.
 struct Browser {
-    child: Child,
+    _program: Program,
     input: ChildStdin,
     messages: Receiver<Value>,
     last_id: u64,
@@ -51,7 +55,7 @@ impl Browser {
             }
         });
         let input = child.stdin.take().unwrap();
-        Some(Self { child, input, messages, last_id: 0 })
+        Some(Self { _program: Program(child), input, messages, last_id: 0 })
     }
 
     fn call(&mut self, tab: Option<&Tab>, method: &str, parameters: &Value) -> Value {
@@ -120,13 +124,6 @@ impl Browser {
     }
 }
 
-impl Drop for Browser {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     let web = "[web]\nlisten = \"127.0.0.1:0\"\ntoken = \"correct horse battery\"\n";
@@ -161,8 +158,6 @@ async fn a_maintainer_follows_an_alarm_to_its_throw_and_acknowledges_it() {
     browser.until(&fleet, "document.querySelector('ul.alarms').innerText.includes('acknowledged by A. Meyer')");
     assert_eq!(browser.value(&fleet, "window.untouched"), Some(true.into()));
     assert_eq!(rig.sql("SELECT by_whom FROM operator_commands")[0]["by_whom"], "A. Meyer");
-    drop(browser);
-    assert!(daemon.terminate().success());
 }
 
 /// The chart of friction, among those that the page's script made.
@@ -246,6 +241,4 @@ async fn the_charts_show_every_throw_zoom_and_lead_to_it_and_are_pictures_withou
     let is_seen = "[...document.querySelectorAll('figure svg')].every((it) => it.getBoundingClientRect().height > 100)";
     assert_eq!(browser.value(&tab, is_seen), Some(true.into()));
     assert_eq!(browser.value(&tab, "document.querySelector('.uplot')"), Some(Value::Null));
-    drop(browser);
-    assert!(daemon.terminate().success());
 }

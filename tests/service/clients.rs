@@ -106,7 +106,6 @@ async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
     println!("{CLIENTS} readers, {busy} of {} answers were busy; memory {before} KiB + {grown} KiB", 3 * CLIENTS);
     // 64 connections, each with a page and its buffers, and the throws.
     assert!(grown < 64 << 10, "{grown} KiB more");
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -150,7 +149,6 @@ async fn who_asks_slowly_or_without_end_is_cut_and_the_daemon_goes_on() {
         .find(|_| endless.write_all(b"X-Filler: aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa\r\n").is_err());
     assert!(cut.is_some(), "5 MB of headers were accepted");
     assert_eq!(get(&address, "/healthz").status, 200);
-    assert!(daemon.terminate().success());
 }
 
 /// Forwards requests to the dashboard, but only the first `pages` for the page of the fleet. Returns its address, and
@@ -189,7 +187,7 @@ async fn a_real_browser_shows_the_pages_and_keeps_them_fresh() {
         println!("skipped: chromium is not installed");
         return;
     }
-    let (rig, daemon, address) = small_history().await;
+    let (rig, _daemon, address) = small_history().await;
     let profile = rig.folder().join("browser");
     let browse = |address: &str, path: &str, time_ms: u32| {
         let mut command = Command::new("chromium");
@@ -211,5 +209,4 @@ async fn a_real_browser_shows_the_pages_and_keeps_them_fresh() {
     let (place, _) = relay(&address, 1);
     let old = browse(&place, "/", 12_000);
     assert!(old.contains("No answer since") && old.contains("baseline 1 of 50"), "{old}");
-    assert!(daemon.terminate().success());
 }

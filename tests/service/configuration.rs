@@ -68,8 +68,7 @@ fn a_wrong_fleet_is_named_too() {
 
 #[test]
 fn a_second_daemon_on_the_same_database_is_refused() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("second.toml");
     let text = format!("store.path = {:?}\nzenoh.listen.endpoints = [\"tcp/127.0.0.1:0\"]\n", rig.database());
@@ -94,21 +93,20 @@ fn a_start_that_fails_leaves_the_database_clean() {
     let rig = Rig::new().same_port();
     let daemon = rig.start();
     let port = daemon.endpoint.trim_start_matches("tcp/").to_owned();
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let taken = TcpListener::bind(port).unwrap();
     let failed = rig.try_start().err().unwrap();
     assert_eq!(failed.status.code(), Some(69), "{failed:?}");
     drop(taken);
     let daemon = rig.start();
     daemon.until_log("the database was closed cleanly");
-    assert!(daemon.terminate().success());
 }
 
 /// Another program locks the database, so that the start waits for it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stop_during_the_start_is_obeyed() {
     let rig = Rig::new();
-    assert!(rig.start().terminate().success());
+    rig.start().terminate();
     let mut other = rig.locked("BEGIN EXCLUSIVE").await;
     let (daemon, _) = rig.launch();
     let status = format!("/proc/{}/status", daemon.id());
@@ -122,6 +120,6 @@ async fn a_stop_during_the_start_is_obeyed() {
         assert!(Instant::now() < deadline, "{:?}", daemon.log());
         thread::sleep(Duration::from_millis(5));
     }
-    assert_eq!(daemon.terminate().code(), Some(0));
+    daemon.terminate();
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
 }

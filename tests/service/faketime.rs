@@ -1,6 +1,8 @@
 //! libfaketime, which changes the clocks of a process.
 
-use std::path::PathBuf;
+use std::{fs, path::PathBuf};
+
+use crate::rig::Rig;
 
 /// Paths of the library in Debian, Fedora and Arch.
 const LIBRARIES: [&str; 4] = [
@@ -10,11 +12,17 @@ const LIBRARIES: [&str; 4] = [
     "/usr/lib/faketime/libfaketimeMT.so.1",
 ];
 
-/// `None`, with a message, if it is not installed.
-pub(crate) fn library() -> Option<PathBuf> {
-    let library = LIBRARIES.iter().map(PathBuf::from).find(|path| path.exists());
-    if library.is_none() {
+/// Changes the clocks of the daemon by the text in the returned file, as `-30d`; `None`, with a message, if the
+/// library is not installed.
+pub(crate) fn clock_of(rig: &mut Rig) -> Option<PathBuf> {
+    let Some(library) = LIBRARIES.iter().map(PathBuf::from).find(|path| path.exists()) else {
         println!("skipped: libfaketime is not installed");
-    }
-    library
+        return None;
+    };
+    let clock = rig.folder().join("clock");
+    rig.set("LD_PRELOAD", library);
+    rig.set("FAKETIME_TIMESTAMP_FILE", &clock);
+    rig.set("FAKETIME_NO_CACHE", "1");
+    fs::write(&clock, "+0").unwrap();
+    Some(clock)
 }

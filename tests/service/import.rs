@@ -152,12 +152,10 @@ fn a_wrong_line_is_named_and_what_came_before_its_file_is_kept() {
 
 #[test]
 fn an_import_beside_the_running_daemon_is_refused() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, _daemon) = Rig::running();
     let file = rig.folder().join("one.json");
     fs::write(&file, encode_throw(Encoding::Json, &throws("recorded", 1)[0])).unwrap();
     let (code, _, error) = import(&rig, &[&file], &[]);
     assert_eq!(code, Some(69), "{error}");
     assert!(error.contains("another pointsd works on"), "{error}");
-    assert!(daemon.terminate().success());
 }

@@ -5,11 +5,10 @@ use pointsd::throw::{Throw, Trace};
 
 use crate::{
     faketime,
-    http::{address, get},
+    http::{KEY, WEB, address, get},
     rig::{Rig, stub, throws},
 };
 
-const KEY: &str = "points/v1/north/21B/throw";
 const DAY: SignedDuration = SignedDuration::from_hours(24);
 
 fn dated(throw_no: u64, started_at: Timestamp) -> Throw {
@@ -21,8 +20,7 @@ const ENOUGH: u64 = 12;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_clock_that_jumps_is_one_alarm_about_it_which_ends_when_the_clock_is_right() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     let mut throw_no = 0;
     let alarms = "SELECT state, text FROM alarm_history WHERE cause = 'sensor' AND channel = 'clock'";
@@ -46,21 +44,15 @@ async fn a_clock_that_jumps_is_one_alarm_about_it_which_ends_when_the_clock_is_r
         assert_eq!(events.len(), raised, "{events:?}");
     }
     assert!(rig.sql("SELECT * FROM alarm_history WHERE cause = 'data_loss'").is_empty());
-    assert!(daemon.terminate().success());
 }
 
 /// The clock of the daemon's computer stands in 1970, or some weeks back, after a loss of power.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_daemon_with_a_wrong_clock_accuses_no_logger() {
-    let Some(faketime) = faketime::library() else { return };
     for behind_days in [30, 20_000] {
         let mut rig = Rig::new();
-        let clock = rig.folder().join("clock");
-        rig.set("LD_PRELOAD", &faketime);
-        rig.set("FAKETIME_TIMESTAMP_FILE", &clock);
-        rig.set("FAKETIME_NO_CACHE", "1");
+        let Some(clock) = faketime::clock_of(&mut rig) else { return };
         rig.set("FAKETIME_DONT_FAKE_MONOTONIC", "1");
-        std::fs::write(&clock, "+0").unwrap();
         let daemon = rig.start();
         let loggers = [daemon.logger(KEY).await, daemon.logger("points/v1/north/22/throw").await];
         let mut sent = 0;
@@ -78,14 +70,13 @@ async fn a_daemon_with_a_wrong_clock_accuses_no_logger() {
         let earlier = Timestamp::now() - DAY * (behind_days - 1);
         assert!(received < earlier.as_microsecond(), "the clock of the daemon is right");
         assert!(rig.sql("SELECT * FROM alarm_history WHERE channel = 'clock'").is_empty());
-        assert!(daemon.terminate().success());
+        daemon.terminate();
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn fields_out_of_range_are_kept_not_used_and_stated() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     let made = throws("boot", 17);
     let with = |at: usize, change: &dyn Fn(&mut Throw)| {
@@ -143,15 +134,13 @@ async fn fields_out_of_range_are_kept_not_used_and_stated() {
     logger.send(&made[16..]).await;
     rig.judged(made.len()).await;
     assert!(rig.sql(caveats).is_empty());
-    assert!(daemon.terminate().success());
 }
 
 /// The database rejects the result of a throw, as after a change of it from outside: the throw is not evaluated, and the next
 /// ones are.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_judgement_that_the_database_rejects_holds_up_no_other() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     let made = throws("boot", 6);
     logger.send(&made[..2]).await;
@@ -169,13 +158,11 @@ async fn a_judgement_that_the_database_rejects_holds_up_no_other() {
     assert_eq!((rejected.len(), &rejected[0]["throw_no"]), (1, &4.into()), "{rejected:?}");
     assert!(rejected[0].to_string().contains("no such estimate"), "{rejected:?}");
     daemon.until_status("the rejection", |status| status["not_evaluated"] == 1).await;
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_new_baseline_shows_at_once() {
-    let rig = Rig::with("[web]\nlisten = \"127.0.0.1:0\"\n");
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with(WEB);
     let logger = daemon.logger(KEY).await;
     let made = throws("boot", 30);
     logger.send(&made).await;
@@ -186,5 +173,4 @@ async fn a_new_baseline_shows_at_once() {
     assert!(rig.sql(progress).is_empty());
     let page = get(&address(&daemon), "/machines/north/21B").body;
     assert_eq!(page.matches("0 of 50 throws").count(), 2, "{page}");
-    assert!(daemon.terminate().success());
 }

@@ -6,11 +6,14 @@ use pointsd::{
     bus,
     diagnose::{Cause, Command},
     throw::{Throw, Trace},
-    wire::{Alarm, Encoding, HistoryQuery, encode_throw},
+    wire::{Alarm, HistoryQuery},
 };
 use zenoh::Wait;
 
-use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsd, pointsim, stub, throws};
+use crate::{
+    http::KEY,
+    rig::{Daemon, PATIENCE, Rig, listen, next, pointsd, pointsim, stub, throws},
+};
 
 pub(crate) fn logger(endpoint: &str, arguments: &[&str]) {
     let mut child = pointsim(&["run", "--connect", endpoint, "--time-scale", "100000"])
@@ -23,17 +26,13 @@ pub(crate) fn logger(endpoint: &str, arguments: &[&str]) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
-    let alarms = session.declare_subscriber("points/v1/**/alarm").await.unwrap();
+    let alarms = listen(&session).await;
     logger(&daemon.endpoint, &["--machines", "2", "--throws", "50", "--fault", "1:kt:-25:36"]);
 
-    let sample = tokio::time::timeout(PATIENCE, alarms.recv_async()).await.unwrap().unwrap();
-    assert_eq!(sample.key_expr().as_str(), "points/v1/north/machine-1/alarm");
-    assert_eq!(sample.encoding(), &zenoh::bytes::Encoding::APPLICATION_JSON);
-    let alarm: Alarm = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-    assert_eq!((alarm.cause, alarm.event_no), (Cause::Kt, 1));
+    let (key, alarm) = next(&alarms).await;
+    assert_eq!((key.as_str(), alarm.cause, alarm.event_no), ("points/v1/north/machine-1/alarm", Cause::Kt, 1));
 
     let text = daemon.says(0, &["alarms", "--json"]);
     let open: Alarm = serde_json::from_str(text.lines().next().unwrap()).unwrap();
@@ -68,7 +67,7 @@ async fn a_fault_becomes_an_alarm_that_operators_see_and_handle() {
     assert_eq!(status["daemons"][0]["stored"], 100);
     assert_eq!(status["health"].as_array().unwrap().len(), 4, "two machines, two directions");
     maintenance_is_visible(&rig, &daemon);
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let rows = rig.sql("SELECT machine, count(*) AS n FROM health_history WHERE quality = 'good' GROUP BY machine");
     assert_eq!(rows.iter().map(|row| row["n"].as_i64().unwrap()).collect::<Vec<_>>(), [50, 50]);
 }
@@ -98,8 +97,7 @@ fn maintenance_is_visible(rig: &Rig, daemon: &Daemon) {
 /// A flood of commands cannot displace the record of other commands.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flood_of_commands_is_refused_after_the_first_two_hundred() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running();
     let session = daemon.client().await;
     let ack = serde_json::to_vec(&Command::Ack { cause: Cause::Kt, by: "tester".to_owned() }).unwrap();
     let mut carried_out = 0;
@@ -114,7 +112,6 @@ async fn a_flood_of_commands_is_refused_after_the_first_two_hundred() {
         assert!(carried_out < 400, "no command is refused");
     }
     assert!(carried_out >= 200, "only {carried_out} commands");
-    assert!(daemon.terminate().success());
 }
 
 /// Every operator command for a machine.
@@ -171,8 +168,7 @@ async fn without_a_daemon_operators_are_told_so() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_machine_that_no_daemon_serves_is_told_apart_from_no_daemon() {
-    let rig = Rig::with("[subscribe]\nkey = \"points/v1/south/**\"\n");
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running_with("[subscribe]\nkey = \"points/v1/south/**\"\n");
     let said = daemon.says(69, &["ack", "north/21B", "kt", "--by", "tester"]);
     assert!(said.contains("no daemon serves north/21B"), "{said}");
     let said = daemon.says(1, &["ack", "south/21B", "kt", "--by", "tester"]);
@@ -180,14 +176,12 @@ async fn a_machine_that_no_daemon_serves_is_told_apart_from_no_daemon() {
     // No reply is an error, not an empty list.
     let said = daemon.says(69, &["alarms", "north/21B"]);
     assert!(said.contains("no daemon knows north/21B"), "{said}");
-    assert!(daemon.terminate().success());
 }
 
 /// A daemon that cannot answer, or is of another version, hides neither the others nor itself.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_others() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running();
     assert_eq!(daemon.operate(&["status"]).0, Some(0));
     assert_eq!(daemon.operate(&["alarms", "--check"]).0, Some(0));
     let (code, said) = daemon.operate(&["alarms", "--limit", "0"]);
@@ -222,14 +216,12 @@ async fn an_error_or_an_unreadable_answer_of_one_daemon_is_shown_beside_the_othe
         );
     }
     answering.abort();
-    assert!(daemon.terminate().success());
 }
 
 /// Two daemons with three events at 10, 11 and 12 h, of which the first is critical.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_newest_events_of_several_daemons_are_in_order_and_selected_before_they_are_cut() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running();
     let session = daemon.client().await;
     let event = |hour: u8, severity: &str| {
         let at = format!("2026-05-04T{hour}:00:00Z");
@@ -266,19 +258,15 @@ async fn the_newest_events_of_several_daemons_are_in_order_and_selected_before_t
         assert_eq!(shown.iter().map(|line| &line[..1]).collect::<Vec<_>>(), expected, "{arguments:?}: {text}");
     }
     assert_eq!(daemon.operate(&["alarms", "--limit", "20000"]).0, Some(64), "a daemon sends 10,000 events");
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_key_with_wildcards_selects_its_machines_before_the_limit() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
     for (key, throws) in [("points/v1/north/21B/throw", 4), ("points/v1/south/21B/throw", 6)] {
-        let publisher = matched(&session, key).await;
-        for throw_no in 1..=throws {
-            publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
-        }
+        let logger = daemon.logger(key).await;
+        logger.send((1..=throws).map(|throw_no| stub("boot", throw_no))).await;
         rig.until_sql(&format!(
             "SELECT 1 FROM (SELECT count(*) AS n FROM health_history WHERE site = '{}') WHERE n = {throws}",
             &key[10..15]
@@ -295,22 +283,18 @@ async fn a_key_with_wildcards_selects_its_machines_before_the_limit() {
         let answers = bus::ask(&session, &format!("{key}?limit=3"), None, PATIENCE).await.unwrap();
         assert_eq!(answers.messages.len(), found, "{key}: {answers:?}");
     }
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn sighup_takes_over_what_is_safe() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running();
     daemon.signal("-HUP");
     daemon.until_log("configuration reloaded");
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn no_alarms_is_not_said_of_a_machine_that_nobody_knows() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running();
     logger(&daemon.endpoint, &["--machines", "1", "--throws", "2"]);
     for (machine, code, says) in [
         ("north/machine-1", 0, "no alarms"),
@@ -321,7 +305,6 @@ async fn no_alarms_is_not_said_of_a_machine_that_nobody_knows() {
         assert_eq!(exit, Some(code), "{machine}: {text}");
         assert!(text.contains(says), "{machine}: {text}");
     }
-    assert!(daemon.terminate().success());
 }
 
 /// A daemon with this name on its own port, with an open motor alarm on north/machine-1.
@@ -365,8 +348,8 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
     }
 
     // B has stopped, and A listens at its address: every command reports this and sends nothing.
-    assert!(b.terminate().success());
-    assert!(a.terminate().success());
+    b.terminate();
+    a.terminate();
     let moved = rig_a.listening_like(&rig_b);
     let a = moved.start();
     for arguments in COMMANDS {
@@ -375,7 +358,7 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
         assert!(text.contains("fleet/a answers there, and the configuration is that of fleet/b"), "{text}");
     }
     assert_eq!(state(&moved), ("active_unacknowledged".to_owned(), 0));
-    assert!(a.terminate().success());
+    a.terminate();
     for arguments in COMMANDS {
         let (code, text) = run(&[arguments, &["--config", &of_b]].concat());
         assert_eq!(code, Some(69), "{arguments:?}: {text}");
@@ -387,7 +370,7 @@ async fn a_command_with_a_daemons_configuration_reaches_that_daemon_and_no_other
 async fn a_machine_that_two_daemons_serve_takes_no_command() {
     let (rig_a, a) = daemon_with_alarm("a", "");
     // The second daemon is connected to the first, and serves the same machines.
-    let (rig_b, b) = daemon_with_alarm("b", &format!("[zenoh.connect]\nendpoints = [{:?}]\n", a.endpoint));
+    let (rig_b, _b) = daemon_with_alarm("b", &format!("[zenoh.connect]\nendpoints = [{:?}]\n", a.endpoint));
     a.until_status("link", |status| status["connected"] == true).await;
     for config in [rig_a.config(), rig_b.config()] {
         let config = config.display().to_string();
@@ -399,7 +382,6 @@ async fn a_machine_that_two_daemons_serve_takes_no_command() {
     for rig in [&rig_a, &rig_b] {
         assert!(rig.sql("SELECT * FROM operator_commands").is_empty(), "nothing was carried out");
     }
-    assert!(b.terminate().success() && a.terminate().success());
 }
 
 /// A closed pipe ends the command without an error.
@@ -449,16 +431,14 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
     let (code, text) =
         run(&["sql", "--database", &rig.database().display().to_string(), "SELECT b9 FROM health_history"]);
     assert_eq!((code, text.matches("no such column").count()), (Some(65), 1), "{text}");
-    assert!(daemon.terminate().success());
 }
 
 /// The daemon counts its machines every few seconds; an alarm counts at once.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_exit_code_of_status_knows_an_alarm_of_this_moment() {
-    let rig = Rig::with("[machines]\nstroke_mm = 115.0\n");
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running_with("[machines]\nstroke_mm = 115.0\n");
     let session = daemon.client().await;
-    let alarms = session.declare_subscriber("points/v1/**/alarm").await.unwrap();
+    let alarms = listen(&session).await;
     // The toe stops half way, and the motor runs on.
     let [whole] = &throws("boot", 1)[..] else { panic!("one throw") };
     let (current_a, mut position_mm) = whole.trace.clone().into_channels();
@@ -467,11 +447,8 @@ async fn the_exit_code_of_status_knows_an_alarm_of_this_moment() {
     position_mm[half_way..].fill(reached);
     let trace = Trace::new(whole.trace.sample_rate_hz(), current_a, position_mm).unwrap();
     let obstructed = Throw { trace, ..whole.clone() };
-    let logger = daemon.logger("points/v1/north/21B/throw").await;
+    let logger = daemon.logger(KEY).await;
     logger.send([obstructed]).await;
-    let alarm = tokio::time::timeout(PATIENCE, alarms.recv_async()).await.unwrap().unwrap();
-    let alarm: Alarm = serde_json::from_slice(&alarm.payload().to_bytes()).unwrap();
-    assert_eq!(alarm.cause, Cause::IncompleteThrow);
+    assert_eq!(next(&alarms).await.1.cause, Cause::IncompleteThrow);
     daemon.says(1, &["status"]);
-    assert!(daemon.terminate().success());
 }

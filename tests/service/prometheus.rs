@@ -12,13 +12,12 @@ use std::{
 };
 
 use crate::{
-    http::{address, exchange, get},
+    http::{KEY, WEB, address, exchange, get},
     operators::daemon_with_alarm,
-    rig::{PATIENCE, stub},
+    rig::{PATIENCE, Program, stub},
 };
 
 const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/grafana");
-const WEB: &str = "[web]\nlisten = \"127.0.0.1:0\"\n";
 
 /// Whether a program of the package exists; if not, says so.
 fn has(program: &str) -> bool {
@@ -40,7 +39,7 @@ fn names(text: &str) -> BTreeSet<String> {
 async fn promtool_accepts_the_metrics_and_dashboards_and_rules_name_existing_ones() {
     let (rig, daemon) = daemon_with_alarm("a", WEB);
     // Some families have samples only after a rejected throw, or with a forecast.
-    let logger = daemon.logger("points/v1/north/21B/throw").await;
+    let logger = daemon.logger(KEY).await;
     logger.send([&stub("boot", 1)]).await;
     daemon.until_status("rejected throw", |status| status["judged"] == 51).await;
     rig.change(
@@ -63,7 +62,7 @@ async fn promtool_accepts_the_metrics_and_dashboards_and_rules_name_existing_one
         let unknown: Vec<&String> = used.iter().filter(|name| !known.contains(name.as_str())).collect();
         assert!(unknown.is_empty(), "{}: {unknown:?}", path.display());
     }
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     if has("promtool") {
         let mut check = Command::new("promtool");
         let check = check.args(["check", "metrics"]).stdin(Stdio::piped()).stderr(Stdio::piped());
@@ -93,13 +92,14 @@ async fn a_real_prometheus_scrapes_the_daemon_and_fires_the_rule_of_a_critical_a
     );
     fs::write(&config, text).unwrap();
     let place = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-    let mut prometheus = Command::new("prometheus")
+    let prometheus = Command::new("prometheus")
         .arg(format!("--config.file={}", config.display()))
         .arg(format!("--storage.tsdb.path={}", rig.folder().join("tsdb").display()))
         .arg(format!("--web.listen-address={place}"))
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
+    let _prometheus = Program(prometheus);
     let deadline = Instant::now() + PATIENCE;
     let fired = loop {
         let rules = Command::new("promtool").args(["query", "instant", &format!("http://{place}"), "ALERTS"]).output();
@@ -112,10 +112,7 @@ async fn a_real_prometheus_scrapes_the_daemon_and_fires_the_rule_of_a_critical_a
     };
     let rules = format!("GET /api/v1/rules HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n");
     let rules = exchange(&place, &rules);
-    prometheus.kill().unwrap();
-    prometheus.wait().unwrap();
     let fired = fired.unwrap();
     assert!(fired.contains("cause=\"kt\"") && !fired.contains("PointsdDown"), "{fired}");
     assert!(rules.contains("\"health\":\"ok\"") && !rules.contains("\"health\":\"err\""), "{rules}");
-    assert!(daemon.terminate().success());
 }

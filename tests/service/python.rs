@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 
 use crate::{
     cable::Cable,
-    rig::{PATIENCE, Rig, matched, stub, throws},
+    rig::{PATIENCE, Program, Rig, matched, stub, throws, until},
 };
 
 /// Publishes throws in JSON from the lines of its input, and prints the received alarms.
@@ -60,15 +60,15 @@ async fn python_publishes_throws_and_receives_the_alarm() {
     if !has_python() {
         return;
     }
-    let rig = Rig::new();
-    let daemon = rig.start();
-    let mut client = Command::new("python3")
+    let (rig, daemon) = Rig::running();
+    let client = Command::new("python3")
         .args(["-c", CLIENT, &daemon.endpoint])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    let mut input = client.stdin.take().unwrap();
+    let mut client = Program(client);
+    let mut input = client.0.stdin.take().unwrap();
     for (number, throw) in throws("python", 60).iter().enumerate() {
         // A weak motor: it needs a third more current for the same torque.
         let more = if number < 40 { 1.0 } else { 1.33 };
@@ -83,15 +83,12 @@ async fn python_publishes_throws_and_receives_the_alarm() {
         writeln!(input, "{message}").unwrap();
     }
     drop(input);
-    let mut lines = BufReader::new(client.stdout.take().unwrap()).lines();
+    let mut lines = BufReader::new(client.0.stdout.take().unwrap()).lines();
     let alarm = lines.by_ref().map_while(Result::ok).find(|line| line.starts_with('{')).expect("an alarm");
     let alarm: Alarm = serde_json::from_str(&alarm).unwrap();
     assert_eq!((alarm.machine.site.as_str(), alarm.machine.machine.as_str(), alarm.cause), ("south", "7", Cause::Kt));
     let rows = rig.judged(60).await;
-    client.kill().unwrap();
-    client.wait().unwrap();
     assert!(rows.iter().all(|row| row.quality == "good"));
-    assert!(daemon.terminate().success());
 }
 
 /// Runs the Python program under a heading of the README, with this endpoint, in the folder of the rig.
@@ -109,19 +106,13 @@ fn readme(heading: &str, endpoint: &str, rig: &Rig) -> Child {
         .unwrap()
 }
 
-fn end(mut child: Child) {
-    child.kill().unwrap();
-    child.wait().unwrap();
-}
-
 /// The decoder of the README reads a channel of 32-bit floats, as from CBOR, and one of 64-bit floats, as from JSON.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_readme_decodes_the_traces_in_the_database() {
     if !has("import pcodec, numpy", "pip install pcodec numpy") {
         return;
     }
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let session = daemon.client().await;
     let publisher = matched(&session, "points/v1/north/21B/throw").await;
     let made = throws("boot", 2);
@@ -140,7 +131,6 @@ async fn the_readme_decodes_the_traces_in_the_database() {
         assert!((read - peak).abs() < 1e-5, "{line}: {peak}");
     }
     assert_eq!(printed.lines().count(), 2, "{printed}");
-    assert!(daemon.terminate().success());
 }
 
 /// Boot ids and numbers in rows, sorted.
@@ -160,7 +150,7 @@ async fn the_readmes_logger_loses_nothing_when_it_or_the_daemon_is_killed() {
     }
     let rig = Rig::new().same_port();
     let mut daemon = rig.start();
-    let mut logger = readme("A first logger in Python", &daemon.endpoint, &rig);
+    let mut logger = Program(readme("A first logger in Python", &daemon.endpoint, &rig));
     let mut rng = ChaCha8Rng::seed_from_u64(20);
     let mut recorded = 0;
     for kill in 0..2 * KILLS {
@@ -171,33 +161,29 @@ async fn the_readmes_logger_loses_nothing_when_it_or_the_daemon_is_killed() {
                 "started_at": format!("2026-01-01T06:{:02}:{:02}Z", recorded / 60 % 60, recorded % 60),
                 "sample_rate_hz": 100, "current_a": [0, 0, 0, 0], "position_mm": [0, 0, 0, 0],
             });
-            writeln!(logger.stdin.as_mut().unwrap(), "{throw}").unwrap();
+            writeln!(logger.0.stdin.as_mut().unwrap(), "{throw}").unwrap();
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
         if kill % 2 == 0 {
             daemon.kill();
             daemon = rig.launch().0;
         } else {
-            end(logger);
-            logger = readme("A first logger in Python", &daemon.endpoint, &rig);
+            drop(logger);
+            logger = Program(readme("A first logger in Python", &daemon.endpoint, &rig));
         }
     }
     daemon.kill();
     let daemon = rig.start();
-    let deadline = Instant::now() + 2 * PATIENCE;
-    let kept = loop {
+    let kept = until(2 * PATIENCE, async || {
         let file = fs::read_to_string(rig.folder().join("throws.jsonl")).unwrap();
         let kept: Vec<Value> = file.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
         let stored = rig.sql("SELECT boot_id, throw_no FROM throw JOIN boot USING (boot_row)");
-        if numbers(&stored) == numbers(&kept) {
-            break kept;
-        }
-        assert!(Instant::now() < deadline, "{} stored of {} kept", stored.len(), kept.len());
-        tokio::time::sleep(Duration::from_millis(200)).await;
-    };
+        let is_all = numbers(&stored) == numbers(&kept);
+        if is_all { Ok(kept) } else { Err(format!("{} stored of {} kept", stored.len(), kept.len())) }
+    })
+    .await;
     let status = daemon.status();
-    end(logger);
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     println!(
         "{KILLS} kills each of daemon and logger: {recorded} throws recorded, {} kept and stored; {status}",
         kept.len()
@@ -214,12 +200,11 @@ async fn the_readmes_subscriber_gets_every_alarm_over_its_own_cut_links() {
     if !has_python() {
         return;
     }
-    let rig = Rig::with("[diagnosis]\nnot_monitored_throws = 1\n");
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with("[diagnosis]\nnot_monitored_throws = 1\n");
     let cable = Cable::to(&daemon.endpoint).await;
     let session = daemon.client().await;
-    let mut subscriber = readme("A first subscriber in Python", &cable.endpoint, &rig);
-    let mut lines = BufReader::new(subscriber.stdout.take().unwrap()).lines().map_while(Result::ok);
+    let mut subscriber = Program(readme("A first subscriber in Python", &cable.endpoint, &rig));
+    let mut lines = BufReader::new(subscriber.0.stdout.take().unwrap()).lines().map_while(Result::ok);
     let mut alarms = 0;
     // Each new machine with a throw without an estimate raises an alarm.
     let raise = async |number: usize| {
@@ -251,7 +236,5 @@ async fn the_readmes_subscriber_gets_every_alarm_over_its_own_cut_links() {
         missing
     });
     let missing = tokio::time::timeout(PATIENCE, found).await.expect("every alarm in time").unwrap();
-    end(subscriber);
     assert_eq!(missing, Vec::<String>::new());
-    assert!(daemon.terminate().success());
 }

@@ -19,7 +19,7 @@ fn questions() -> Vec<String> {
 
 /// Fills a database with this number of machines and throws, with alarms, rejected throws, baselines and commands.
 pub(crate) async fn large(rig: &Rig, machines: u64, rows: u64) {
-    assert!(rig.start().terminate().success());
+    rig.start().terminate();
     for statement in [
         format!(
             "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < {machines})

@@ -1,11 +1,11 @@
 //! A region: a router, and four daemons behind it, each of which serves a site.
 
-use std::{fs, time::Duration};
+use std::fs;
 
-use pointsd::wire::{Alarm, Encoding, encode_throw};
+use pointsd::wire::{Encoding, encode_throw};
 use zenoh::Session;
 
-use crate::rig::{PATIENCE, Rig, client_of, matched, pointsd, throws};
+use crate::rig::{PATIENCE, Rig, client_of, listen, matched, next, pointsd, throws, until};
 
 const SITES: [&str; 4] = ["east", "north", "south", "west"];
 
@@ -37,12 +37,11 @@ async fn machines(session: &Session) -> Vec<String> {
 }
 
 async fn until_machines(session: &Session, expected: &[&str]) {
-    let reached = async {
-        while machines(session).await != expected {
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
-    };
-    tokio::time::timeout(PATIENCE, reached).await.unwrap_or_else(|_| panic!("not all of {expected:?} answer"));
+    until(PATIENCE, async || {
+        let machines = machines(session).await;
+        if machines == expected { Ok(()) } else { Err(format!("{machines:?} answer, not {expected:?}")) }
+    })
+    .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -54,7 +53,7 @@ async fn a_daemon_that_is_gone_is_missed_and_another_takes_over_from_its_backup(
     let rigs = SITES.map(|site| rig(site, &endpoint));
     let mut daemons: Vec<_> = rigs.iter().map(Rig::start).collect();
     let session = client_of(&endpoint).await;
-    let alarms = session.declare_subscriber("points/v1/**/alarm").await.unwrap();
+    let alarms = listen(&session).await;
     let send = async |site: &str, throw_no: usize| {
         let throw = throws("b", throw_no as u64).remove(throw_no - 1);
         let publisher = matched(&session, format!("points/v1/{site}/21B/throw")).await;
@@ -71,12 +70,7 @@ async fn a_daemon_that_is_gone_is_missed_and_another_takes_over_from_its_backup(
     let made = pointsd(&["backup", "--config"]).arg(rigs[2].config()).arg(&backup).output().unwrap();
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
     daemons.remove(2).kill();
-    let next = async || {
-        let sample = tokio::time::timeout(2 * PATIENCE, alarms.recv_async()).await.expect("an alarm event").unwrap();
-        let alarm: Alarm = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-        (sample.key_expr().to_string(), alarm)
-    };
-    let (key, alarm) = next().await;
+    let (key, alarm) = next(&alarms).await;
     assert_eq!(key, "points/v1/east/box/alarm");
     assert!(alarm.text.starts_with("The daemon cannot be reached: south/box since "), "{}", alarm.text);
     assert_eq!((alarm.cause.as_str(), alarm.severity.as_str()), ("not_monitored", "critical"));
@@ -89,13 +83,12 @@ async fn a_daemon_that_is_gone_is_missed_and_another_takes_over_from_its_backup(
     // Another computer takes over, with the configuration and the backup of the first.
     let other = rig("south", &endpoint);
     fs::copy(&backup, other.database()).unwrap();
-    let taken_over = other.start();
-    let (_, alarm) = next().await;
+    let _taken_over = other.start();
+    let (_, alarm) = next(&alarms).await;
     assert_eq!(alarm.text, "All watched daemons can be reached again.");
     send("south", 2).await;
     let history = other.judged(2).await;
     assert_eq!(history.iter().map(|health| health.throw.throw_no).collect::<Vec<_>>(), [1, 2]);
     until_machines(&session, &SITES).await;
     assert!(alarms.try_recv().unwrap().is_none(), "an alarm without a fault");
-    assert!(taken_over.terminate().success());
 }

@@ -5,6 +5,7 @@
 use std::{
     borrow::Borrow,
     ffi::OsString,
+    fmt::Display,
     fs,
     io::{BufRead, BufReader},
     net::TcpListener,
@@ -21,10 +22,12 @@ use pointsd::{
     simulate::{Fleet, FleetSettings},
     store::{Reader, Selector},
     throw::{Throw, ThrowRef, Trace},
-    wire::{self, encode_throw},
+    wire::{self, Alarm, encode_throw},
 };
 use sqlx::Connection as _;
-use zenoh::{Session, bytes::Encoding, qos::CongestionControl};
+use zenoh::{
+    Session, bytes::Encoding, handlers::FifoChannelHandler, pubsub::Subscriber, qos::CongestionControl, sample::Sample,
+};
 
 /// Longest wait for an event, sufficient on a loaded computer.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
@@ -138,6 +141,18 @@ impl Rig {
         path
     }
 
+    /// A rig with a daemon that is ready.
+    pub(crate) fn running() -> (Self, Daemon) {
+        Self::running_with("")
+    }
+
+    /// A rig with additional lines of configuration, and a daemon that is ready.
+    pub(crate) fn running_with(extra: &str) -> (Self, Daemon) {
+        let rig = Self::with(extra);
+        let daemon = rig.start();
+        (rig, daemon)
+    }
+
     /// Starts the daemon and waits until it is ready.
     pub(crate) fn start(&self) -> Daemon {
         self.try_start().unwrap_or_else(|failed| panic!("the daemon is not ready: {failed:?}"))
@@ -209,11 +224,7 @@ impl Rig {
 
     /// Waits until a query returns a row.
     pub(crate) async fn until_sql(&self, question: &str) {
-        let deadline = Instant::now() + PATIENCE;
-        while self.sql(question).is_empty() {
-            assert!(Instant::now() < deadline, "{question} returns no row");
-            tokio::time::sleep(Duration::from_millis(50)).await;
-        }
+        until(PATIENCE, async || if self.sql(question).is_empty() { Err(question) } else { Ok(()) }).await;
     }
 
     async fn connection(&self) -> sqlx::SqliteConnection {
@@ -237,10 +248,9 @@ impl Rig {
 }
 
 impl Daemon {
-    /// Sends SIGTERM, and waits for the exit within the time limit of the systemd unit.
-    pub(crate) fn terminate(mut self) -> ExitStatus {
-        self.signal("-TERM");
-        self.wait(Duration::from_secs(10))
+    /// Stops it cleanly, as at the end of each test.
+    pub(crate) fn terminate(self) {
+        drop(self);
     }
 
     pub(crate) fn kill(mut self) {
@@ -309,15 +319,11 @@ impl Daemon {
 
     /// Waits until its status fulfils a condition.
     pub(crate) async fn until_status(&self, what: &str, is_so: impl Fn(&serde_json::Value) -> bool) {
-        let deadline = Instant::now() + PATIENCE;
-        loop {
+        until(PATIENCE, async || {
             let status = self.status();
-            if is_so(&status) {
-                return;
-            }
-            assert!(Instant::now() < deadline, "no {what}: {status}; {:?}", self.log());
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
+            if is_so(&status) { Ok(()) } else { Err(format!("no {what}: {status}; {:?}", self.log())) }
+        })
+        .await;
     }
 
     /// Runs an operator's command, which ends with this exit code; returns what it printed.
@@ -336,6 +342,32 @@ impl Daemon {
     }
 }
 
+/// Looks again and again until there is a result; fails with the last problem after `limit`.
+pub(crate) async fn until<T, E: Display>(limit: Duration, mut look: impl AsyncFnMut() -> Result<T, E>) -> T {
+    let deadline = Instant::now() + limit;
+    loop {
+        match look().await {
+            Ok(result) => return result,
+            Err(problem) => assert!(Instant::now() < deadline, "{problem}"),
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+pub(crate) type Alarms = Subscriber<FifoChannelHandler<Sample>>;
+
+/// Subscribes to all alarms.
+pub(crate) async fn listen(session: &Session) -> Alarms {
+    session.declare_subscriber("points/v1/**/alarm").await.unwrap()
+}
+
+/// The next alarm event, with its key.
+pub(crate) async fn next(alarms: &Alarms) -> (String, Alarm) {
+    let sample = tokio::time::timeout(2 * PATIENCE, alarms.recv_async()).await.unwrap().unwrap();
+    assert_eq!(sample.encoding(), &Encoding::APPLICATION_JSON);
+    (sample.key_expr().to_string(), serde_json::from_slice(&sample.payload().to_bytes()).unwrap())
+}
+
 /// A client of this endpoint that connects again soon after a cut.
 pub(crate) async fn client_of(endpoint: &str) -> Session {
     client(&format!("endpoints = [{endpoint:?}], retry = {{ period_init_ms = 50, period_max_ms = 200 }}")).await
@@ -352,10 +384,26 @@ async fn client(connect: &str) -> Session {
 }
 
 impl Drop for Daemon {
+    /// Sends SIGTERM; the daemon ends without an error within the time limit of the systemd unit. A test that failed
+    /// must not leave it behind.
     fn drop(&mut self) {
-        // A test that failed must not leave it behind.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        if thread::panicking() || self.ended().is_some() {
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        } else {
+            self.signal("-TERM");
+            assert!(self.wait(Duration::from_secs(10)).success(), "{:?}", self.log());
+        }
+    }
+}
+
+/// Another program, which ends with the test.
+pub(crate) struct Program(pub(crate) Child);
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
     }
 }
 
@@ -405,7 +453,7 @@ pub(crate) fn stub(boot_id: &str, throw_no: u64) -> Throw {
 
 /// A connected logger of one machine, with its own session.
 pub(crate) struct Sender {
-    session: Session,
+    pub(crate) session: Session,
     publisher: zenoh::pubsub::Publisher<'static>,
 }
 

@@ -18,21 +18,21 @@ use pointsd::{
 };
 use zenoh::bytes::Encoding as ContentType;
 
-use crate::rig::{Daemon, PATIENCE, Rig, matched, pointsim, put, stub, throws, throws_of};
-
-const KEY: &str = "points/v1/north/21B/throw";
+use crate::{
+    http::KEY,
+    rig::{Daemon, PATIENCE, Rig, matched, pointsim, put, stub, throws, throws_of},
+};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_same_throw_three_times_is_one_row() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     let made = throws("boot", 3);
     for throw in &made {
         logger.send([throw; 3]).await;
     }
     let rows = rig.judged(3).await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     assert_eq!(rig.history().await.len(), 3);
     for (row, throw) in rows.iter().zip(&made) {
         assert_eq!((&row.throw, row.quality.as_str()), (&throw.id, "good"));
@@ -42,37 +42,25 @@ async fn the_same_throw_three_times_is_one_row() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     let made = throws("boot", 60);
     logger.send(&made).await;
-    // The daemon's status shows that it received all.
-    let received = async {
-        loop {
-            let text = daemon.says(0, &["status", "--json"]);
-            let status: serde_json::Value = serde_json::from_str(&text).unwrap();
-            if status["daemons"][0]["received"] == made.len() {
-                return;
-            }
-        }
-    };
-    tokio::time::timeout(crate::rig::PATIENCE, received).await.unwrap();
-    assert!(daemon.terminate().success());
+    daemon.until_status("every throw as received", |status| status["received"] == made.len()).await;
+    daemon.terminate();
     let waiting = rig.sql("SELECT count(*) AS n FROM throw")[0]["n"].clone();
     assert_eq!(waiting, made.len());
     // Pending throws are judged after the next start.
     let daemon = rig.start();
     let rows = rig.judged(made.len()).await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let numbers: Vec<u64> = rows.iter().map(|row| row.throw.throw_no).collect();
     assert_eq!(numbers, (1..=60).collect::<Vec<_>>());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_killed_daemon_goes_on_where_it_was() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     let made = throws("boot", 12);
     logger.send(&made[..6]).await;
@@ -84,7 +72,7 @@ async fn a_killed_daemon_goes_on_where_it_was() {
     let logger = daemon.logger(KEY).await;
     logger.send(&made).await;
     rig.judged(12).await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let rows = rig.history().await;
     assert_eq!(rows.len(), 12);
     // The baseline continues, so the monitor was restored.
@@ -93,8 +81,7 @@ async fn a_killed_daemon_goes_on_where_it_was() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn poison_goes_to_quarantine_and_good_throws_pass() {
-    let rig = Rig::with("[subscribe]\nmax_payload_bytes = 100000\nmax_machines = 2\n");
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with("[subscribe]\nmax_payload_bytes = 100000\nmax_machines = 2\n");
     let session = daemon.client().await;
     let publisher = matched(&session, KEY).await;
     let good = |throw_no| encode_throw(Encoding::Json, &stub("boot", throw_no));
@@ -116,7 +103,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
         .await;
     daemon.until_status("an alarm of its own", |status| status["own_alarms"] == 1).await;
     assert_eq!(daemon.operate(&["status"]).0, Some(1));
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let reasons = rig.sql("SELECT reason FROM quarantine ORDER BY quarantine_row");
     let reasons: Vec<&str> = reasons.iter().map(|row| row["reason"].as_str().unwrap()).collect();
     assert_eq!(reasons.len(), 7, "{reasons:?}");
@@ -141,8 +128,7 @@ async fn poison_goes_to_quarantine_and_good_throws_pass() {
 /// Another program locks the database for longer than two attempts to store a throw, then releases it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_locked_database_sends_no_valid_throw_to_quarantine() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     let mut other = rig.locked("BEGIN IMMEDIATE").await;
     logger.send([&stub("boot", 1)]).await;
@@ -154,20 +140,15 @@ async fn a_locked_database_sends_no_valid_throw_to_quarantine() {
     daemon.until_log("the database accepts throws again");
     assert_eq!(rig.sql("SELECT count(*) AS n FROM throw")[0]["n"], 1);
     assert!(rig.sql("SELECT * FROM quarantine").is_empty());
-    assert!(daemon.terminate().success());
 }
 
 /// Another program locks the database beyond the stop of the daemon.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn throws_that_a_stop_cannot_store_are_counted_as_lost() {
-    let rig = Rig::new();
-    let mut daemon = rig.start();
-    let session = daemon.client().await;
-    let publisher = matched(&session, KEY).await;
+    let (rig, mut daemon) = Rig::running();
+    let logger = daemon.logger(KEY).await;
     let mut other = rig.locked("BEGIN IMMEDIATE").await;
-    for throw_no in 1..=5 {
-        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
-    }
+    logger.send((1..=5).map(|throw_no| stub("boot", throw_no))).await;
     daemon.until_status("throws", |status| status["received"] == 5).await;
     daemon.signal("-TERM");
     daemon.until_log("a throw is LOST");
@@ -180,15 +161,14 @@ async fn throws_that_a_stop_cannot_store_are_counted_as_lost() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_flood_from_one_sender_leaves_room_for_the_throws_of_others() {
     const GOOD: u64 = 60;
-    let rig = Rig::new();
-    let daemon = rig.start();
-    let (mad, sound) = (daemon.client().await, daemon.client().await);
-    let (flood, publisher) = (matched(&mad, "points/v1/north/mad/throw").await, matched(&sound, KEY).await);
+    let (rig, daemon) = Rig::running();
+    let (mad, sound) = (daemon.client().await, daemon.logger(KEY).await);
+    let flood = matched(&mad, "points/v1/north/mad/throw").await;
     for throw_no in 1..=GOOD {
         for _ in 0..2_000 {
             flood.put(vec![0xff; 40]).await.unwrap();
         }
-        publisher.put(encode_throw(Encoding::Cbor, &stub("boot", throw_no))).await.unwrap();
+        sound.send([stub("boot", throw_no)]).await;
     }
     let rows = rig.judged(usize::try_from(GOOD).unwrap()).await;
     assert!(rows.iter().map(|row| row.throw.throw_no).eq(1..=GOOD));
@@ -200,17 +180,15 @@ async fn a_flood_from_one_sender_leaves_room_for_the_throws_of_others() {
             ["stored", "quarantined", "dropped"].iter().map(|what| count(status, what)).sum::<u64>() == sent
         })
         .await;
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_missing_throw_number_is_a_gap() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     logger.send([1, 2, 5, 6].map(|number| stub("boot", number))).await;
     rig.judged(4).await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     let gaps = rig.sql("SELECT first_throw_no, last_throw_no, missing_throws FROM data_gaps WHERE kind = 'missed'");
     assert_eq!(gaps.len(), 1, "{gaps:?}");
     assert_eq!((&gaps[0]["first_throw_no"], &gaps[0]["last_throw_no"]), (&3.into(), &4.into()));
@@ -241,8 +219,7 @@ fn texts(rig: &Rig, cause: &str) -> Vec<String> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn throws_under_taken_numbers_are_judged_and_the_logger_that_repeats_them_is_named() {
     const BEFORE: u64 = 40;
-    let rig = Rig::with(QUICK);
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with(QUICK);
     let mut all = weakened(2 * BEFORE, BEFORE, None);
     for throw in &mut all[usize::try_from(BEFORE).unwrap()..] {
         throw.id.throw_no -= BEFORE;
@@ -251,14 +228,12 @@ async fn throws_under_taken_numbers_are_judged_and_the_logger_that_repeats_them_
     assert!(!texts(&rig, "kt").is_empty(), "the weak motor is hidden");
     let texts = texts(&rig, "data_loss");
     assert!(texts.first().is_some_and(|text| text.contains("without a new boot_id")), "{texts:?}");
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_frozen_recorder_is_named_and_says_nothing_about_the_machine() {
     const FROZEN: u64 = 20;
-    let rig = Rig::with(QUICK);
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with(QUICK);
     let mut all = throws("boot", 30);
     for number in 0..FROZEN {
         let mut again = all[usize::try_from(10 + number % 2).unwrap()].clone();
@@ -272,13 +247,11 @@ async fn a_frozen_recorder_is_named_and_says_nothing_about_the_machine() {
     assert!(states.iter().all(|row| row["state"] != "healthy"), "{states:?}");
     let repeated = rig.sql("SELECT count(*) AS n FROM throws_not_evaluated WHERE quality = 'repeated_trace'");
     assert_eq!(repeated[0]["n"], FROZEN);
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_drift_is_seen_although_each_trace_comes_five_times() {
-    let rig = Rig::with(QUICK);
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running_with(QUICK);
     let mut all = Vec::new();
     for throw in weakened(110, 30, Some(60)) {
         for _ in 0..5 {
@@ -289,14 +262,12 @@ async fn a_drift_is_seen_although_each_trace_comes_five_times() {
     }
     send(&rig, &daemon, &all).await;
     assert!(!texts(&rig, "kt").is_empty(), "the weak motor is hidden");
-    assert!(daemon.terminate().success());
 }
 
 /// The load generator sends the requested throws, each different from all others, and counts the judged ones.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_load_is_judged_whole() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (rig, daemon) = Rig::running();
     let load = ["load", "--machines", "10", "--rate", "50", "--seconds", "2", "--json", "--connect", &daemon.endpoint];
     let output = pointsim(&load).output().unwrap();
     let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -305,7 +276,6 @@ async fn a_load_is_judged_whole() {
     let stored =
         rig.sql("SELECT machine, count(*) AS throws FROM health_history WHERE quality = 'good' GROUP BY machine");
     assert!(stored.len() == 10 && stored.iter().all(|machine| machine["throws"] == 10), "{stored:?}");
-    assert!(daemon.terminate().success());
 }
 
 /// A slow subscriber receives every health message, or the daemon counts it as dropped.
@@ -313,8 +283,7 @@ async fn a_load_is_judged_whole() {
 async fn no_health_is_lost_without_a_count() {
     const THROWS: u64 = 4_000;
     let small_buffers = "[zenoh.transport.link.tcp]\nso_sndbuf = 8192\nso_rcvbuf = 8192\n";
-    let rig = Rig::with(small_buffers);
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running_with(small_buffers);
     let client = format!("{small_buffers}[zenoh]\nconnect.endpoints = [{:?}]\n", daemon.endpoint);
     let client = client_session(&Document::parse("slow".as_ref(), client).unwrap()).unwrap();
     let slow = bus::open(client).await.unwrap();
@@ -337,5 +306,4 @@ async fn no_health_is_lost_without_a_count() {
     let dropped = daemon.status()["unpublished"].as_u64().unwrap();
     println!("{} received, {dropped} counted as dropped", received.load(Relaxed));
     assert_eq!(received.load(Relaxed) + dropped, THROWS);
-    assert!(daemon.terminate().success());
 }

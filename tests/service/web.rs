@@ -10,12 +10,12 @@ use std::{
 use crate::{
     faketime,
     http::{Answer, WEB, address, ask, check_nesting, exchange, get, history_in, small_history},
-    rig::{PATIENCE, Rig, pointsd},
+    rig::{PATIENCE, Program, Rig, pointsd},
 };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
-    let (_rig, daemon, address) = small_history().await;
+    let (_rig, _daemon, address) = small_history().await;
     let fleet = get(&address, "/");
     assert_eq!(fleet.status, 200, "{fleet:?}");
     assert!(
@@ -97,14 +97,13 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         }
         assert!(answer.header("content-security-policy").is_some(), "{path}");
     }
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_page_tells_what_is_wrong_with_the_daemon() {
     let rig = Rig::with(WEB);
     std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
-    let (rig, daemon, address) = history_in(rig).await;
+    let (rig, _daemon, address) = history_in(rig).await;
     rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE machine = 'pointsd' AND cause = 'data_loss'").await;
     // No logger has a liveliness token, so the pages must say so.
     let silence = "No logger is connected";
@@ -129,13 +128,12 @@ async fn every_page_tells_what_is_wrong_with_the_daemon() {
     assert!(failure.status == 404 && failure.body.contains(silence), "{failure:?}");
     let stranger = ask(&address, "GET", "/", "rebound.example");
     assert!(stranger.status == 421 && !stranger.body.contains(silence), "{stranger:?}");
-    assert!(daemon.terminate().success());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn hostile_names_and_reasons_are_text_and_lead_where_they_say() {
     let (rig, daemon, _) = small_history().await;
-    assert!(daemon.terminate().success());
+    daemon.terminate();
     rig.change("UPDATE estimate SET detail = '<img src=x onerror=alert(2)>' WHERE quality <> 'good'").await;
     let daemon = rig.start();
     let address = address(&daemon);
@@ -156,8 +154,7 @@ async fn hostile_names_and_reasons_are_text_and_lead_where_they_say() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_page_that_makes_its_name_lead_here_gets_nothing() {
-    let rig = Rig::with(&format!("{WEB}hosts = [\"cabinet.north\"]\n"));
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running_with(&format!("{WEB}hosts = [\"cabinet.north\"]\n"));
     let address = address(&daemon);
     for ours in [address.as_str(), "localhost", "[::1]:80", "cabinet.north:7480"] {
         assert_eq!(ask(&address, "GET", "/", ours).status, 200, "{ours}");
@@ -219,13 +216,8 @@ async fn the_metrics_count_what_the_daemon_did() {
 /// Another process locks the database while minutes pass on the daemon's clock.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
-    let Some(library) = faketime::library() else { return };
     let mut rig = Rig::with(WEB);
-    let clock = rig.folder().join("clock");
-    std::fs::write(&clock, "+0").unwrap();
-    rig.set("LD_PRELOAD", library);
-    rig.set("FAKETIME_TIMESTAMP_FILE", &clock);
-    rig.set("FAKETIME_NO_CACHE", "1");
+    let Some(clock) = faketime::clock_of(&mut rig) else { return };
     let daemon = rig.start();
     let address = address(&daemon);
     let until = |status: u16, says: &str, meanwhile: &mut dyn FnMut(&Answer)| {
@@ -258,13 +250,11 @@ async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
     assert!(is_told, "no page shows it");
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
     until(200, "every loop of the daemon beats\n", &mut |_| {});
-    assert!(daemon.terminate().success());
 }
 
 #[test]
 fn without_its_section_there_is_no_dashboard_and_a_taken_port_is_said() {
-    let rig = Rig::new();
-    let daemon = rig.start();
+    let (_rig, daemon) = Rig::running();
     assert!(!daemon.log().iter().any(|line| line.contains("dashboard")), "{:?}", daemon.log());
     drop(daemon);
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -347,13 +337,12 @@ async fn operators_act_from_the_page_with_the_token_and_from_nowhere_else() {
     let end = good.replace("command=maintenance", "command=maintenance_end");
     assert_eq!(post(&address, &origin, &end).status, 303);
     assert!(get(&address, "/machines/north/21B").body.contains(", learning · pointsd</title>"));
-    assert!(daemon.terminate().success());
 }
 
 /// Another program locks the database for longer than a page may take.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_command_from_a_page_waits_until_it_is_applied() {
-    let (rig, daemon, address) = history_in(Rig::with(&format!("{WEB}token = \"correct horse battery\"\n"))).await;
+    let (rig, _daemon, address) = history_in(Rig::with(&format!("{WEB}token = \"correct horse battery\"\n"))).await;
     let mut other = rig.locked("BEGIN IMMEDIATE").await;
     let origin = format!("Origin: http://{address}\r\n");
     let form = "command=rebaseline&why=greased&by=A.+Meyer&token=correct+horse+battery";
@@ -364,14 +353,14 @@ async fn a_command_from_a_page_waits_until_it_is_applied() {
     let done = answer.join().unwrap();
     assert_eq!(done.status, 303, "{done:?}");
     assert_eq!(rig.sql("SELECT * FROM operator_commands").len(), 1);
-    assert!(daemon.terminate().success());
 }
 
 #[test]
 fn the_demo_names_its_dashboard() {
     let folder = tempfile::tempdir().unwrap();
-    let mut demo = pointsd(&["demo", "--folder"]).arg(folder.path()).stdout(Stdio::piped()).spawn().unwrap();
-    let mut output = std::io::BufReader::new(demo.stdout.take().unwrap());
+    let demo = pointsd(&["demo", "--folder"]).arg(folder.path()).stdout(Stdio::piped()).spawn().unwrap();
+    let mut demo = Program(demo);
+    let mut output = std::io::BufReader::new(demo.0.stdout.take().unwrap());
     let mut line = String::new();
     while !line.starts_with("In a browser: ") {
         line.clear();
@@ -387,6 +376,4 @@ fn the_demo_names_its_dashboard() {
         assert!(Instant::now() < deadline, "no throw is shown");
         thread::sleep(Duration::from_millis(50));
     }
-    demo.kill().unwrap();
-    demo.wait().unwrap();
 }

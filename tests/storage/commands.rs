@@ -4,7 +4,7 @@ use std::{path::Path, process::Command};
 
 use pointsd::store::Found;
 
-use crate::given::{judge, judgement, open, spooled};
+use crate::given::{fresh, judged, open, spooled};
 
 fn pointsd(arguments: &[&str], database: &Path) -> (Option<i32>, String, String) {
     let output =
@@ -15,11 +15,9 @@ fn pointsd(arguments: &[&str], database: &Path) -> (Option<i32>, String, String)
 
 #[tokio::test]
 async fn sql_answers_in_three_forms_and_never_writes() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (folder, store) = fresh().await;
     for throw_no in 1..=2 {
-        let row = spooled(&store, "21B", "b1", throw_no).await;
-        judge(&store, judgement(row, "21B")).await.unwrap();
+        judged(&store, "21B", "b1", throw_no).await;
     }
     let question = "SELECT throw_no, b0 + 0.25 AS b0, NULL AS none, quality, x'00ff' AS bytes FROM health_history";
     let (code, json, _) = pointsd(&["sql", "--json", question], store.path());
@@ -62,8 +60,7 @@ async fn sql_answers_in_three_forms_and_never_writes() {
 
 #[tokio::test]
 async fn a_backup_is_complete_opens_and_never_overwrites() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     for throw_no in 1..=40 {
         spooled(&store, "21B", "b1", throw_no).await;
     }

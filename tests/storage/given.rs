@@ -11,6 +11,8 @@ use pointsd::{
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
     wire::Health,
 };
+use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+use tempfile::TempDir;
 
 pub(crate) fn settings(folder: &Path) -> Settings {
     Settings { path: folder.join("points.db"), ballast_mib: 1, low_disk_mib: 0, ..Settings::default() }
@@ -18,6 +20,18 @@ pub(crate) fn settings(folder: &Path) -> Settings {
 
 pub(crate) async fn open(folder: &Path) -> Opened {
     Store::open(&settings(folder), at(0)).await.unwrap()
+}
+
+/// A new store, in a folder that is removed when it is dropped.
+pub(crate) async fn fresh() -> (TempDir, Store) {
+    fresh_with(|settings| settings).await
+}
+
+/// A new store with some other settings.
+pub(crate) async fn fresh_with(change: impl FnOnce(Settings) -> Settings) -> (TempDir, Store) {
+    let folder = tempfile::tempdir().unwrap();
+    let opened = Store::open(&change(settings(folder.path())), at(0)).await.unwrap();
+    (folder, opened.store)
 }
 
 pub(crate) fn machine(name: &str) -> MachineId {
@@ -168,14 +182,33 @@ pub(crate) fn alarm(event_no: u32, state: AlarmState) -> Outcome {
     Outcome { monitor: Some(monitor), at: at(10 * i64::from(event_no)), ..outcome("21B", vec![event(event_no, state)]) }
 }
 
-/// Reads a view with a separate read-only connection.
+/// Stores and judges a throw.
+pub(crate) async fn judged(store: &Store, name: &str, boot_id: &str, throw_no: u64) {
+    let row = spooled(store, name, boot_id, throw_no).await;
+    assert!(judge(store, judgement(row, name)).await.unwrap());
+}
+
+/// The connection of another program to the database.
+pub(crate) async fn outsider(database: impl AsRef<Path>) -> SqliteConnection {
+    let options = SqliteConnectOptions::new().filename(database).create_if_missing(true);
+    SqliteConnection::connect_with(&options).await.unwrap()
+}
+
+/// Changes the database as another program.
+pub(crate) async fn change<const N: usize>(database: impl AsRef<Path>, statements: [&'static str; N]) {
+    let mut outsider = outsider(database).await;
+    for statement in statements {
+        sqlx::query(statement).execute(&mut outsider).await.unwrap();
+    }
+    outsider.close().await.unwrap();
+}
+
+/// Reads a view as another program.
 pub(crate) async fn query<T>(store: &Store, sql: &'static str) -> Vec<T>
 where
     T: for<'r> sqlx::FromRow<'r, sqlx::sqlite::SqliteRow> + Send + Unpin,
 {
-    use sqlx::Connection;
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path()).read_only(true);
-    let mut outsider = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+    let mut outsider = outsider(store.path()).await;
     let rows = sqlx::query_as(sql).fetch_all(&mut outsider).await.unwrap();
     outsider.close().await.unwrap();
     rows

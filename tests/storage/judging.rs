@@ -6,14 +6,14 @@ use pointsd::{
     store::{Found, Judgement, OutboxRow, Selector, StoredMonitor},
     wire::{Alarm, alarm_id},
 };
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
-use crate::given::{alarm, at, event, judge, judgement, machine, open, outcome, pending, query, spooled};
+use crate::given::{
+    alarm, at, change, event, fresh, judge, judgement, machine, open, outcome, pending, query, spooled,
+};
 
 #[tokio::test]
 async fn a_judgement_is_written_once_and_the_views_show_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let row = spooled(&store, "21B", "b1", 1).await;
     let judged = Judgement { outcome: alarm(1, AlarmState::ActiveUnacknowledged), ..judgement(row, "21B") };
     assert!(judge(&store, judged.clone()).await.unwrap());
@@ -59,8 +59,7 @@ async fn a_judgement_is_written_once_and_the_views_show_it() {
 
 #[tokio::test]
 async fn judgements_of_a_group_are_written_in_order_and_once_each() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let (first, second) = (spooled(&store, "21B", "b1", 1).await, spooled(&store, "21B", "b1", 2).await);
     let judged = |row, event_no| Judgement {
         outcome: alarm(event_no, AlarmState::ActiveUnacknowledged),
@@ -76,8 +75,7 @@ async fn judgements_of_a_group_are_written_in_order_and_once_each() {
 
 #[tokio::test]
 async fn a_throw_that_was_not_evaluated_shows_with_its_reason() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let row = spooled(&store, "21B", "b1", 1).await;
     let mut refused = Judgement { identification: None, ..judgement(row, "21B") };
     "no_movement".clone_into(&mut refused.health.quality);
@@ -92,8 +90,7 @@ async fn a_throw_that_was_not_evaluated_shows_with_its_reason() {
 
 #[tokio::test]
 async fn an_alarm_lives_through_its_events_and_each_is_published_once() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let id = machine("21B");
     let everything = Selector::default();
     store.record(alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
@@ -153,8 +150,7 @@ async fn a_restart_finds_snapshots_and_what_waits() {
 /// The clock of a logger that stands in 1970 dates its alarms, and hides none of them.
 #[tokio::test]
 async fn alarms_since_a_moment_include_those_that_a_wrong_clock_dates_before_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let in_1970 = jiff::Timestamp::from_second(100).unwrap();
     let early = AlarmEvent { event_at: in_1970, raised_at: in_1970, ..event(1, AlarmState::ActiveUnacknowledged) };
     store.record(outcome("21B", vec![early])).await.unwrap();
@@ -166,8 +162,7 @@ async fn alarms_since_a_moment_include_those_that_a_wrong_clock_dates_before_it(
 /// An alarm that nobody acknowledges is raised and cleared for ever.
 #[tokio::test]
 async fn the_events_of_an_alarm_are_bounded() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     for event_no in 1..=1_010 {
         store.record(outcome("21B", vec![event(event_no, AlarmState::ActiveUnacknowledged)])).await.unwrap();
     }
@@ -182,12 +177,9 @@ async fn the_events_of_an_alarm_are_bounded() {
 /// Retention deletes a pending throw of a flood while it is judged: the alarm that it raised is stored and published.
 #[tokio::test]
 async fn the_alarm_of_a_throw_that_was_deleted_meanwhile_is_not_lost() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let row = spooled(&store, "21B", "b1", 1).await;
-    let mut connection =
-        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(store.path())).await.unwrap();
-    sqlx::query("DELETE FROM throw").execute(&mut connection).await.unwrap();
+    change(store.path(), ["DELETE FROM throw"]).await;
     let outcome = alarm(1, AlarmState::ActiveUnacknowledged);
     assert!(judge(&store, Judgement { outcome, ..judgement(row, "21B") }).await.unwrap());
     assert_eq!(store.reader().open_alarms(&Selector::default()).await.unwrap().len(), 1);
@@ -198,8 +190,7 @@ async fn the_alarm_of_a_throw_that_was_deleted_meanwhile_is_not_lost() {
 /// Throws from a backlog arrive after later ones.
 #[tokio::test]
 async fn the_latest_throw_is_the_last_of_the_machine_and_not_the_last_that_arrived() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let live = [spooled(&store, "21B", "b1", 1).await, spooled(&store, "21B", "b1", 6).await];
     let backlog = [spooled(&store, "21B", "b1", 4).await, spooled(&store, "21B", "b1", 5).await];
     for row in [live[0], backlog[0], backlog[1], live[1]] {
@@ -211,8 +202,7 @@ async fn the_latest_throw_is_the_last_of_the_machine_and_not_the_last_that_arriv
 /// A throw that waits for an earlier one does not hide the judged ones.
 #[tokio::test]
 async fn pending_throws_take_no_place_in_a_limited_history() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let row = spooled(&store, "21B", "b1", 1).await;
     judge(&store, judgement(row, "21B")).await.unwrap();
     spooled(&store, "21B", "b1", 3).await;

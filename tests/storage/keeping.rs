@@ -1,15 +1,18 @@
 //! Long operation: bounds on rows, bytes, age and log; broken files; clock jumps.
 
-use std::{collections::BTreeMap, fs, os::unix::fs::FileExt, time::Duration};
+use std::{collections::BTreeMap, fs, os::unix::fs::FileExt, path::Path, time::Duration};
 
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     diagnose::AlarmState,
     store::{Dropped, Found, Settings, Spooled, Store, StoreError, ThrowRow},
 };
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+use sqlx::{Connection, SqliteConnection};
 
-use crate::given::{alarm, at, judge, judgement, machine, open, query, settings, spooled, throw};
+use crate::given::{
+    self, alarm, at, change, fresh, fresh_with, judge, judgement, machine, open, outsider, query, settings, spooled,
+    throw,
+};
 
 /// Spools and judges throws `first` to `last`, received one minute after another.
 async fn judged(store: &Store, first: u64, last: u64) {
@@ -23,9 +26,7 @@ async fn judged(store: &Store, first: u64, last: u64) {
 
 #[tokio::test]
 async fn traces_go_before_throws_and_what_waits_never_goes() {
-    let folder = tempfile::tempdir().unwrap();
-    let bounds = Settings { max_traces: 100, max_throws: 150, ..settings(folder.path()) };
-    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, max_throws: 150, ..settings }).await;
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
     // The bound includes the pending throw.
@@ -44,9 +45,7 @@ async fn traces_go_before_throws_and_what_waits_never_goes() {
 
 #[tokio::test]
 async fn bytes_are_bounded_and_alarms_outlive_throws() {
-    let folder = tempfile::tempdir().unwrap();
-    let bounds = Settings { max_size_mib: 1, ..settings(folder.path()) };
-    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let (_folder, store) = fresh_with(|settings| Settings { max_size_mib: 1, ..settings }).await;
     store.record(alarm(1, AlarmState::Normal)).await.unwrap();
     judged(&store, 1, 400).await;
     assert!(store.statistics().await.unwrap().data_bytes > 1 << 20, "the test writes too little");
@@ -61,9 +60,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
 /// Pending throws count too, so that no flood makes the database larger than its bound.
 #[tokio::test]
 async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_dropped() {
-    let folder = tempfile::tempdir().unwrap();
-    let bounds = Settings { max_size_mib: 1, ..settings(folder.path()) };
-    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let (_folder, store) = fresh_with(|settings| Settings { max_size_mib: 1, ..settings }).await;
     let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
     store.spool_all(&flood).await;
     assert!(store.statistics().await.unwrap().data_bytes > 2 << 20, "the test writes too little");
@@ -83,16 +80,13 @@ async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_droppe
 /// What is dropped by others too shows: the webhook's queue by a trigger, counts of an earlier start not at all.
 #[tokio::test]
 async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
-    let outside = SqliteConnectOptions::new().filename(store.path());
-    let mut outsider = SqliteConnection::connect_with(&outside).await.unwrap();
+    let (_folder, store) = fresh().await;
     let count = "INSERT INTO counter (name, value) VALUES ('dropped_notifications', 3), ('dropped_messages', 2) \
                  ON CONFLICT DO UPDATE SET value = value + excluded.value";
-    sqlx::query(count).execute(&mut outsider).await.unwrap();
+    change(store.path(), [count]).await;
     store.keep_bounds(at(0), true).await.unwrap();
     assert_eq!(store.trouble(None), None, "dropped before the start");
-    sqlx::query(count).execute(&mut outsider).await.unwrap();
+    change(store.path(), [count]).await;
     store.keep_bounds(at(0), true).await.unwrap();
     let (_, said) = store.trouble(None).unwrap();
     assert!(said.contains("3 alarm events were dropped before the webhook accepted them"), "{said}");
@@ -102,9 +96,7 @@ async fn dropped_alarm_events_are_a_problem_of_the_daemon() {
 /// A burst after a long life: the estimates of old throws, whose traces are gone, are not pending throws.
 #[tokio::test]
 async fn a_burst_of_pending_throws_costs_no_history() {
-    let folder = tempfile::tempdir().unwrap();
-    let bounds = Settings { max_traces: 100, ..settings(folder.path()) };
-    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, ..settings }).await;
     judged(&store, 1, 150).await;
     store.keep_bounds(at(0), true).await.unwrap();
     let burst: Vec<_> = (151..=400).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
@@ -118,9 +110,7 @@ async fn a_burst_of_pending_throws_costs_no_history() {
 /// Other programs fill the disk, and no trace is left to drop: the other bounds hold all the same.
 #[tokio::test]
 async fn a_disk_that_others_fill_does_not_end_the_retention() {
-    let folder = tempfile::tempdir().unwrap();
-    let bounds = Settings { low_disk_mib: 1 << 20, max_throws: 150, ..settings(folder.path()) };
-    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let (_folder, store) = fresh_with(|settings| Settings { low_disk_mib: 1 << 20, max_throws: 150, ..settings }).await;
     judged(&store, 1, 200).await;
     store.keep_bounds(at(0), true).await.unwrap();
     let statistics = store.statistics().await.unwrap();
@@ -164,8 +154,7 @@ async fn a_machine_that_floods_loses_its_own_history_and_no_others() {
 
 #[tokio::test]
 async fn age_counts_only_while_the_clock_is_trusted() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     judged(&store, 1, 20).await;
     let in_eleven_years: Timestamp = at(0) + SignedDuration::from_hours(24 * 365 * 11);
     assert!(store.keep_bounds(in_eleven_years, false).await.unwrap().is_empty());
@@ -177,8 +166,7 @@ async fn age_counts_only_while_the_clock_is_trusted() {
 /// Two throws were received while the daemon's clock was years ahead, two while it was not set yet, after a loss of power.
 #[tokio::test]
 async fn a_trace_received_with_a_wrong_clock_is_as_old_as_the_next_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = Store::open(&Settings { trace_days: 30, ..settings(folder.path()) }, at(0)).await.unwrap().store;
+    let (_folder, store) = fresh_with(|settings| Settings { trace_days: 30, ..settings }).await;
     let day = |days: i64| at(86_400 * days);
     let times = [day(4000), day(0), Timestamp::UNIX_EPOCH, day(10), day(4000), Timestamp::UNIX_EPOCH, day(50)];
     for (throw_no, received_at) in (1..).zip(times) {
@@ -203,11 +191,7 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
         opened.store.close().await.unwrap();
         let path = folder.path().join("points.db");
         // Overwrites pages in the middle or the first one, and clears the mark of the clean stop.
-        let outside = SqliteConnectOptions::new().filename(&path);
-        let mut outsider = SqliteConnection::connect_with(&outside).await.unwrap();
-        sqlx::query("UPDATE shutdown SET clean = 0").execute(&mut outsider).await.unwrap();
-        sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut outsider).await.unwrap();
-        outsider.close().await.unwrap();
+        change(&path, ["UPDATE shutdown SET clean = 0", "PRAGMA wal_checkpoint(TRUNCATE)"]).await;
         let mut bytes = fs::read(&path).unwrap();
         bytes[pages.start * 4096..pages.end * 4096].fill(0x5a);
         fs::write(&path, &bytes).unwrap();
@@ -245,10 +229,7 @@ async fn a_log_without_its_database_is_set_aside() {
 async fn the_database_of_another_program_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("points.db");
-    let outside = SqliteConnectOptions::new().filename(&path).create_if_missing(true);
-    let mut other = SqliteConnection::connect_with(&outside).await.unwrap();
-    sqlx::query("CREATE TABLE users (name TEXT)").execute(&mut other).await.unwrap();
-    other.close().await.unwrap();
+    change(&path, ["CREATE TABLE users (name TEXT)"]).await;
     let before = fs::read(&path).unwrap();
     let refused = Store::open(&settings(folder.path()), at(0)).await.err().unwrap();
     assert!(matches!(&refused, StoreError::Foreign { table, .. } if table == "users"), "{refused}");
@@ -273,8 +254,7 @@ async fn a_text_file_at_the_path_of_the_database_and_its_neighbours_are_left_alo
 
 /// A database with 1,500 throws after a clean stop.
 async fn stopped() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (folder, store) = fresh().await;
     let batch: Vec<_> = (1..=1500).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
     store.spool_all(&batch).await;
     store.close().await.unwrap();
@@ -291,7 +271,7 @@ async fn broken_under_way() -> (tempfile::TempDir, Store) {
     (folder, opened.store)
 }
 
-fn break_pages(folder: &std::path::Path) {
+fn break_pages(folder: &Path) {
     let file = fs::OpenOptions::new().write(true).open(folder.join("points.db")).unwrap();
     let pages = usize::try_from(file.metadata().unwrap().len() / 4096).unwrap();
     file.write_all_at(&vec![0x5a; (pages - 60) * 4096], 60 * 4096).unwrap();
@@ -322,17 +302,9 @@ async fn a_database_of_a_newer_version_opens_and_keeps_its_additions() {
     let opened = open(folder.path()).await;
     spooled(&opened.store, "21B", "b1", 1).await;
     opened.store.close().await.unwrap();
-    let outside = SqliteConnectOptions::new().filename(folder.path().join("points.db"));
-    let mut newer = SqliteConnection::connect_with(&outside).await.unwrap();
-    sqlx::query("ALTER TABLE throw ADD COLUMN wind_m_s REAL").execute(&mut newer).await.unwrap();
-    sqlx::query(
-        "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
-         VALUES (9999, 'wind', 1, x'00', 1)",
-    )
-    .execute(&mut newer)
-    .await
-    .unwrap();
-    newer.close().await.unwrap();
+    let migration = "INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) \
+                     VALUES (9999, 'wind', 1, x'00', 1)";
+    change(folder.path().join("points.db"), ["ALTER TABLE throw ADD COLUMN wind_m_s REAL", migration]).await;
     let opened = open(folder.path()).await;
     assert!(opened.report.newer_schema && opened.report.found == Found::Clean);
     spooled(&opened.store, "21B", "b1", 2).await;
@@ -344,11 +316,7 @@ async fn a_database_that_an_older_program_must_not_write_to_is_refused_and_left_
     let opened = open(folder.path()).await;
     spooled(&opened.store, "21B", "b1", 1).await;
     opened.store.close().await.unwrap();
-    let outside = SqliteConnectOptions::new().filename(folder.path().join("points.db"));
-    let mut newer = SqliteConnection::connect_with(&outside).await.unwrap();
-    sqlx::query("PRAGMA user_version = 9999").execute(&mut newer).await.unwrap();
-    sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut newer).await.unwrap();
-    newer.close().await.unwrap();
+    change(folder.path().join("points.db"), ["PRAGMA user_version = 9999", "PRAGMA wal_checkpoint(TRUNCATE)"]).await;
     let before = fs::read(folder.path().join("points.db")).unwrap();
     let error = Store::open(&settings(folder.path()), at(0)).await.err().unwrap().to_string();
     assert!(error.contains("newer version of pointsd (schema 9999)") && error.contains("backup"), "{error}");
@@ -365,18 +333,21 @@ async fn a_database_that_a_query_finds_broken_is_set_aside_at_the_next_start() {
     assert!(matches!(open(folder.path()).await.report.found, Found::SetAside { .. }));
 }
 
+fn remove_database(folder: &Path) {
+    for suffix in ["", "-wal", "-shm"] {
+        fs::remove_file(folder.join(format!("points.db{suffix}"))).unwrap();
+    }
+}
+
 /// All commits are in the open files without a name; they get a name again.
 #[tokio::test]
 async fn a_database_that_is_deleted_or_replaced_under_the_daemon_is_noticed_and_written_anew() {
     for replaced in [false, true] {
-        let folder = tempfile::tempdir().unwrap();
-        let store = open(folder.path()).await.store;
+        let (folder, store) = fresh().await;
         judged(&store, 1, 30).await;
         store.outbox_sent(&[]).await.unwrap();
         let path = folder.path().join("points.db");
-        for suffix in ["", "-wal", "-shm"] {
-            fs::remove_file(folder.path().join(format!("points.db{suffix}"))).unwrap();
-        }
+        remove_database(folder.path());
         if replaced {
             fs::write(&path, "a backup of the operator").unwrap();
         }
@@ -413,17 +384,13 @@ async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
         fs::copy(&path, &old).unwrap();
         let store = open(folder.path()).await.store;
         judged(&store, 1, 5).await;
-        let mut outsider = SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(&path)).await.unwrap();
         let refuse = "CREATE TRIGGER refuse BEFORE INSERT ON throw WHEN NEW.throw_no = 99 \
                       BEGIN SELECT RAISE(ABORT, 'refused'); END";
-        sqlx::query(refuse).execute(&mut outsider).await.unwrap();
-        outsider.close().await.unwrap();
+        change(&path, [refuse]).await;
         // The writer looks for its file at most once a second.
         tokio::time::sleep(Duration::from_millis(1_100)).await;
         store.outbox_sent(&[]).await.unwrap();
-        for suffix in ["", "-wal", "-shm"] {
-            fs::remove_file(folder.path().join(format!("points.db{suffix}"))).unwrap();
-        }
+        remove_database(folder.path());
         if replaced {
             fs::rename(&old, &path).unwrap();
         }
@@ -435,21 +402,20 @@ async fn a_failed_write_after_the_deletion_of_the_database_ends_the_writer() {
     }
 }
 
+/// A slow reader: a connection that keeps the present state.
+async fn reading(store: &Store) -> SqliteConnection {
+    let mut holder = outsider(store.path()).await;
+    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
+    sqlx::query("SELECT count(*) FROM throw").fetch_one(&mut holder).await.unwrap();
+    holder
+}
+
 /// After the end of a slow reader the log has its bound again, also if the database could not move away from it.
 #[tokio::test]
 async fn the_bound_of_the_log_holds_again_after_failed_moves() {
     const BOUND_MIB: u64 = 20;
-    let folder = tempfile::tempdir().unwrap();
-    let bounds = Settings { max_wal_mib: BOUND_MIB, ..settings(folder.path()) };
-    let store = Store::open(&bounds, at(0)).await.unwrap().store;
-    let outside = SqliteConnectOptions::new().filename(store.path());
-    let mut outsider = SqliteConnection::connect_with(&outside).await.unwrap();
-    let reading = async || {
-        let mut holder = SqliteConnection::connect_with(&outside.clone().read_only(true)).await.unwrap();
-        sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
-        sqlx::query("SELECT count(*) FROM throw").fetch_one(&mut holder).await.unwrap();
-        holder
-    };
+    let (folder, store) = fresh_with(|settings| Settings { max_wal_mib: BOUND_MIB, ..settings }).await;
+    let mut outsider = outsider(store.path()).await;
     let mut write_mib = async |mib: u64| {
         for _ in 0..mib {
             let large = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start) \
@@ -463,31 +429,26 @@ async fn the_bound_of_the_log_holds_again_after_failed_moves() {
     // The copy cannot have its name.
     let blocked = folder.path().join("points.db-1");
     fs::create_dir_all(blocked.join("in the way")).unwrap();
-    let holder = reading().await;
+    let holder = reading(&store).await;
     write_mib(BOUND_MIB + 1).await;
     write_mib(BOUND_MIB / 2).await;
     assert!(store.wal_bytes() > (BOUND_MIB * 5 / 4) << 20, "{} bytes", store.wal_bytes());
     holder.close().await.unwrap();
-    let mut other = SqliteConnection::connect_with(&outside).await.unwrap();
-    sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut other).await.unwrap();
+    change(store.path(), ["PRAGMA wal_checkpoint(TRUNCATE)"]).await;
     write_mib(0).await;
     assert!(store.wal_bytes() < BOUND_MIB << 20, "{} bytes", store.wal_bytes());
 
     fs::remove_dir_all(&blocked).unwrap();
-    let _holder = reading().await;
+    let _holder = reading(&store).await;
     write_mib(BOUND_MIB + 1).await;
     assert!(blocked.exists(), "the database did not move; the log has {} bytes", store.wal_bytes());
 }
 
 #[tokio::test]
 async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
-    let folder = tempfile::tempdir().unwrap();
-    let bounds = Settings { max_wal_mib: 1, ..settings(folder.path()) };
-    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let (folder, store) = fresh_with(|settings| Settings { max_wal_mib: 1, ..settings }).await;
     judged(&store, 1, 5).await;
-    let outside = SqliteConnectOptions::new().filename(store.path()).read_only(true);
-    let mut holder = SqliteConnection::connect_with(&outside).await.unwrap();
-    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
+    let mut holder = reading(&store).await;
     let count = "SELECT count(*) FROM throw";
     assert_eq!(sqlx::query_scalar::<_, i64>(count).fetch_one(&mut holder).await.unwrap(), 5);
 
@@ -504,7 +465,7 @@ async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
     holder.close().await.unwrap();
     store.close().await.unwrap();
 
-    let opened = Store::open(&bounds, at(0)).await.unwrap();
+    let opened = open(folder.path()).await;
     assert_eq!(opened.report.found, Found::Clean);
     assert_eq!(opened.store.reader().throws(ThrowRow::START, 1000).await.unwrap().len(), 605);
     let databases = fs::read_dir(folder.path()).unwrap().filter(|entry| {
@@ -517,15 +478,10 @@ async fn a_reader_that_never_closes_bounds_neither_the_writer_nor_the_log() {
 /// The copy of a large database takes minutes on flash; meanwhile the loops that wait for the writer do not hang.
 #[tokio::test]
 async fn a_copy_away_from_a_slow_reader_shows_its_progress() {
-    let folder = tempfile::tempdir().unwrap();
-    let bounds = Settings { max_wal_mib: 1, ..settings(folder.path()) };
-    let store = Store::open(&bounds, at(0)).await.unwrap().store;
+    let (_folder, store) = fresh_with(|settings| Settings { max_wal_mib: 1, ..settings }).await;
     judged(&store, 1, 5).await;
     assert!(!store.is_copying());
-    let outside = SqliteConnectOptions::new().filename(store.path()).read_only(true);
-    let mut holder = SqliteConnection::connect_with(&outside).await.unwrap();
-    sqlx::query("BEGIN").execute(&mut holder).await.unwrap();
-    sqlx::query("SELECT count(*) FROM throw").execute(&mut holder).await.unwrap();
+    let holder = reading(&store).await;
     let throws: Vec<_> = (6..600).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
     store.spool_all(&throws).await;
     // The writer copies after its answer; the next write waits for it.
@@ -547,22 +503,16 @@ fn settings_are_checked_and_unknown_keys_refused() {
 /// A logger that restarts at each throw, in a fleet of many quiet machines: its empty boots do not stay for ever.
 #[tokio::test]
 async fn empty_boots_are_deleted_also_behind_those_of_many_quiet_machines() {
-    let folder = tempfile::tempdir().unwrap();
-    let bounds = Settings { max_throws: 1_000, max_traces: 1_000, ..settings(folder.path()) };
-    let store = Store::open(&bounds, at(0)).await.unwrap().store;
-    let mut connection =
-        SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(store.path())).await.unwrap();
-    for statement in [
+    let (_folder, store) = fresh_with(|settings| Settings { max_throws: 1_000, max_traces: 1_000, ..settings }).await;
+    let statements = [
         "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 1500) \
          INSERT INTO machine (site, machine) SELECT 'north', 'quiet-' || i FROM n",
         "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no, position) \
          SELECT machine_row, 'b1', 0, 1, 1000000 FROM machine",
-    ] {
-        sqlx::query(statement).execute(&mut connection).await.unwrap();
-    }
+    ];
+    change(store.path(), statements).await;
     for boot in 0..1_100 {
-        let row = spooled(&store, "loud", &format!("b{boot}"), 1).await;
-        judge(&store, judgement(row, "loud")).await.unwrap();
+        given::judged(&store, "loud", &format!("b{boot}"), 1).await;
     }
     store.keep_bounds(at(0), true).await.unwrap();
     let loud = "SELECT count(*) FROM boot JOIN machine USING (machine_row) WHERE machine = 'loud'";

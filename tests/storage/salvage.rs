@@ -8,9 +8,11 @@ use pointsd::{
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+use sqlx::Connection;
 
-use crate::given::{alarm, at, event, judge, judgement, machine, open, outcome, settings, spooled};
+use crate::given::{
+    alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, outsider, settings, spooled,
+};
 
 const PAGE: u64 = 4096;
 const MACHINES: [&str; 10] = ["21B", "22", "23", "24", "25", "26", "27", "28", "29", "30"];
@@ -31,10 +33,7 @@ async fn database(folder: &Path) {
     }
     store.close().await.unwrap();
     // Clears the mark of the clean stop, so that the next start checks the whole file.
-    let options = SqliteConnectOptions::new().filename(folder.join("points.db"));
-    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
-    sqlx::query("UPDATE shutdown SET clean = 0").execute(&mut connection).await.unwrap();
-    connection.close().await.unwrap();
+    change(folder.join("points.db"), ["UPDATE shutdown SET clean = 0"]).await;
 }
 
 /// Overwrites `number` random pages, except the first.
@@ -108,15 +107,12 @@ async fn what_can_be_read_of_a_broken_database_is_kept() {
 
 #[tokio::test]
 async fn an_open_alarm_and_its_monitor_outlive_a_broken_page() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (folder, store) = fresh().await;
     for throw_no in 1..=200 {
-        let row = spooled(&store, "21B", "b1", throw_no).await;
-        judge(&store, judgement(row, "21B")).await.unwrap();
+        judged(&store, "21B", "b1", throw_no).await;
     }
     store.record(alarm(1, AlarmState::ActiveUnacknowledged)).await.unwrap();
-    let options = SqliteConnectOptions::new().filename(store.path()).read_only(true);
-    let mut outsider = SqliteConnection::connect_with(&options).await.unwrap();
+    let mut outsider = outsider(store.path()).await;
     let page: i64 = sqlx::query_scalar("SELECT max(pageno) FROM dbstat WHERE name = 'trace' AND pagetype = 'leaf'")
         .fetch_one(&mut outsider)
         .await
@@ -176,8 +172,7 @@ async fn without_its_schema_a_database_is_read_where_this_program_puts_its_table
         let path = folder.path().join("points.db");
         if moved {
             let copy = folder.path().join("copy.db");
-            let mut connection =
-                SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(&path)).await.unwrap();
+            let mut connection = outsider(&path).await;
             let to = format!("VACUUM INTO '{}'", copy.display());
             sqlx::query(sqlx::AssertSqlSafe(to)).execute(&mut connection).await.unwrap();
             connection.close().await.unwrap();

@@ -6,14 +6,12 @@ use pointsd::{
     store::{Spooled, Store, StoreError, ThrowRow},
     throw::ThrowRef,
 };
-use sqlx::{Connection, SqliteConnection};
 
-use crate::given::{at, gaps, machine, open, pending, query, spooled, throw};
+use crate::given::{at, change, fresh, gaps, machine, open, pending, query, spooled, throw};
 
 #[tokio::test]
 async fn a_throw_comes_back_as_it_went_in_and_a_repeat_is_one_row() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let mut sent = throw("b1", 1);
     let (mut current, position) = sent.trace.into_channels();
     current[7] = f64::NAN;
@@ -38,8 +36,7 @@ async fn a_throw_comes_back_as_it_went_in_and_a_repeat_is_one_row() {
 /// A logger that restarts without a new boot id counts from 1 again; a logger with a stuck counter repeats its number.
 #[tokio::test]
 async fn another_throw_under_a_taken_number_is_kept_once_under_a_free_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     for throw_no in 1..=3 {
         spooled(&store, "21B", "b1", throw_no).await;
     }
@@ -81,8 +78,7 @@ async fn write_off(store: &Store) {
 
 #[tokio::test]
 async fn a_gap_that_opens_after_the_query_is_not_written_off_with_the_others() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     for (boot_id, throw_no) in [("b1", 1), ("b1", 4)] {
         spooled(&store, "21B", boot_id, throw_no).await;
     }
@@ -98,8 +94,7 @@ async fn a_gap_that_opens_after_the_query_is_not_written_off_with_the_others() {
 
 #[tokio::test]
 async fn gaps_open_split_and_close() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     for throw_no in [1, 2, 8, 5, 3, 7, 6, 12] {
         spooled(&store, "21B", "b1", throw_no).await;
     }
@@ -116,8 +111,7 @@ async fn gaps_open_split_and_close() {
 
 #[tokio::test]
 async fn throws_before_the_first_one_heard_are_a_gap_of_their_own_kind() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     spooled(&store, "21B", "b1", 400).await;
     spooled(&store, "21B", "b2", 3).await;
     spooled(&store, "22A", "c1", 1).await;
@@ -129,8 +123,7 @@ async fn throws_before_the_first_one_heard_are_a_gap_of_their_own_kind() {
 
 #[tokio::test]
 async fn a_batch_is_answered_in_its_order() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let mut batch: Vec<_> = (1..=150).map(|no| (machine("21B"), throw("b1", no), at(0))).collect();
     batch.push((machine("21B"), throw("b1", 3), at(0)));
     let answers = store.spool_all(&batch).await;
@@ -173,8 +166,7 @@ async fn new_machines_in_a_batch_are_stored_like_single_ones() {
 /// Extreme numbers and times from a defective logger do not stop the writer.
 #[tokio::test]
 async fn the_largest_numbers_and_oddest_times_are_taken() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let largest = u64::try_from(i64::MAX).unwrap();
     for boot_id in ["b1", "b2", ""] {
         spooled(&store, "21B", boot_id, 1).await;
@@ -195,8 +187,7 @@ async fn the_largest_numbers_and_oddest_times_are_taken() {
 /// The number for a throw under a taken number is the next one of a separate boot, which may have no next one.
 #[tokio::test]
 async fn a_logger_that_uses_up_the_numbers_for_taken_numbers_does_not_stop_the_writer() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     spooled(&store, "21B", "b1", 1).await;
     let mut last = throw("b1~again", 2);
     last.id.throw_no = u64::try_from(i64::MAX).unwrap();
@@ -212,15 +203,12 @@ async fn a_logger_that_uses_up_the_numbers_for_taken_numbers_does_not_stop_the_w
 #[tokio::test]
 async fn the_cost_of_a_throw_does_not_grow_with_the_starts_of_its_logger() {
     const STARTS: u64 = 200;
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     spooled(&store, "21B", "b1", 1).await;
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path());
-    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
     let many = "INSERT INTO boot (machine_row, boot_id, first_seen_us, highest_no, position) \
                 WITH RECURSIVE number (n) AS (SELECT 2 UNION ALL SELECT n + 1 FROM number WHERE n < 20000) \
                 SELECT 1, 'old ' || n, 0, 1, n * 1048576 FROM number";
-    sqlx::query(many).execute(&mut connection).await.unwrap();
+    change(store.path(), [many]).await;
     let mut seconds = [Vec::new(), Vec::new()];
     for number in 0..STARTS {
         // Both in turn, so that other load on the computer slows both.
@@ -252,8 +240,7 @@ fn ids(list: &[(&str, u64)]) -> Vec<(String, u64)> {
 /// those, and all are judged in the order of their recording.
 #[tokio::test]
 async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     let id = |boot_id: &str, throw_no| ThrowRef { boot_id: boot_id.to_owned(), throw_no };
     for (boot_id, throw_no) in [("b1", 1), ("b1", 2), ("b3", 2), ("b3", 3), ("b3", 7)] {
         spooled(&store, "21B", boot_id, throw_no).await;
@@ -280,8 +267,7 @@ async fn pages_fill_what_is_missing_and_put_the_starts_of_a_logger_in_order() {
 /// The pending throws of one machine do not fill a batch while others have some.
 #[tokio::test]
 async fn machines_take_turns_in_the_batches_to_judge() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     for throw_no in 1..=30 {
         spooled(&store, "21B", "b1", throw_no).await;
     }
@@ -301,8 +287,7 @@ async fn machines_take_turns_in_the_batches_to_judge() {
 
 #[tokio::test]
 async fn a_missing_throw_holds_up_its_machine_for_a_time_and_no_other() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     for throw_no in [1, 3] {
         spooled(&store, "21B", "b1", throw_no).await;
     }

@@ -1,16 +1,14 @@
 //! SQLite can prepare every statement of the store.
 
 use pointsd::store::{Selector, statements};
-use sqlx::{Column, Connection, Executor, Row, SqlSafeStr, SqliteConnection};
+use sqlx::{Column, Executor, Row, SqlSafeStr};
 
-use crate::given::{at, judge, judgement, open, spooled};
+use crate::given::{at, fresh, judged, outsider};
 
 #[tokio::test]
 async fn every_statement_prepares_against_the_migrated_schema() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path());
-    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
+    let (_folder, store) = fresh().await;
+    let mut connection = outsider(store.path()).await;
     let mut wrong = Vec::new();
     for &(name, sql) in statements::ALL {
         if let Err(error) = connection.prepare(sql.into_sql_str()).await {
@@ -24,14 +22,11 @@ async fn every_statement_prepares_against_the_migrated_schema() {
 /// The statements for each throw do not read the whole history.
 #[tokio::test]
 async fn the_statements_of_every_throw_find_their_rows_by_index() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     for throw_no in 1..=50 {
-        let row = spooled(&store, "21B", "b1", throw_no).await;
-        judge(&store, judgement(row, "21B")).await.unwrap();
+        judged(&store, "21B", "b1", throw_no).await;
     }
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path()).read_only(true);
-    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
+    let mut connection = outsider(store.path()).await;
     // These are limited and ordered by row, so they end after a few rows, or they read a small table.
     let reads_from_the_start = ["THROWS", "NEWEST_HEALTH", "LAST_HEARD"];
     let single = statements::ALL.iter().flat_map(|(name, all)| all.split("; ").map(move |sql| (*name, sql)));
@@ -53,10 +48,8 @@ async fn the_statements_of_every_throw_find_their_rows_by_index() {
 /// A query of the history selects its rows in an index, without sorting the whole table.
 #[tokio::test]
 async fn a_question_about_the_history_chooses_its_rows_in_an_index() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path()).read_only(true);
-    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
+    let (_folder, store) = fresh().await;
+    let mut connection = outsider(store.path()).await;
     for (name, step) in [
         ("HEALTH_SINCE", "SEARCH throw USING COVERING INDEX throw_by_time"),
         ("HEALTH_SINCE", "SEARCH estimate USING INTEGER PRIMARY KEY"),
@@ -76,12 +69,10 @@ async fn a_question_about_the_history_chooses_its_rows_in_an_index() {
 /// All forms of a query of the history return the same rows.
 #[tokio::test]
 async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
+    let (_folder, store) = fresh().await;
     for throw_no in 1..=6 {
         for name in ["21B", "22A"] {
-            let row = spooled(&store, name, "b1", throw_no).await;
-            judge(&store, judgement(row, name)).await.unwrap();
+            judged(&store, name, "b1", throw_no).await;
         }
     }
     let numbers = async |which: &Selector, since, limit| {
@@ -106,12 +97,9 @@ async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
 /// The three views of alarms show the sensor of an alarm, as their last column.
 #[tokio::test]
 async fn the_views_of_alarms_show_the_channel_of_a_sensor() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
-    let row = spooled(&store, "21B", "b1", 1).await;
-    judge(&store, judgement(row, "21B")).await.unwrap();
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path());
-    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
+    let (_folder, store) = fresh().await;
+    judged(&store, "21B", "b1", 1).await;
+    let mut connection = outsider(store.path()).await;
     for statement in [
         "DELETE FROM alarm",
         "INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
@@ -132,10 +120,8 @@ async fn the_views_of_alarms_show_the_channel_of_a_sensor() {
 /// The deletion of a row does not search whole tables for rows that refer to it.
 #[tokio::test]
 async fn every_foreign_key_has_an_index() {
-    let folder = tempfile::tempdir().unwrap();
-    let store = open(folder.path()).await.store;
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(store.path()).read_only(true);
-    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
+    let (_folder, store) = fresh().await;
+    let mut connection = outsider(store.path()).await;
     let without: Vec<(String, String)> = sqlx::query_as(
         "SELECT child.name, key.\"from\" FROM sqlite_schema AS child, pragma_foreign_key_list(child.name) AS key
          WHERE child.type = 'table' AND NOT EXISTS (SELECT 1 FROM pragma_table_info(child.name) AS own

@@ -14,13 +14,12 @@ use pointsd::{
     store::{Found, Reader, Selector, Store},
     throw::{Direction, MachineId},
 };
-use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
+use sqlx::Connection;
 
-use crate::given::{at, query, settings};
+use crate::given::{at, outsider, query, settings};
 
 async fn released(folder: &Path) {
-    let options = SqliteConnectOptions::new().filename(folder.join("points.db")).create_if_missing(true);
-    let mut connection = SqliteConnection::connect_with(&options).await.unwrap();
+    let mut connection = outsider(folder.join("points.db")).await;
     sqlx::raw_sql(include_str!("released.sql")).execute(&mut connection).await.unwrap();
     connection.close().await.unwrap();
 }

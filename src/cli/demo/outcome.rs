@@ -32,7 +32,6 @@ pub(super) struct Row {
     injected: Option<Fault>,
     /// The first event of each alarm.
     alarms: Vec<Alarm>,
-    /// The present drift.
     drift: Option<Drifting>,
 }
 

@@ -57,9 +57,6 @@ pub struct Document {
 
 impl Document {
     /// Reads a file.
-    ///
-    /// # Errors
-    /// When the file cannot be read, or is not text or not TOML.
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
         let failed = |problem: String| ConfigError { file: file.to_owned(), line: None, key: None, problem };
         let size = fs::metadata(file).map_err(|error| failed(format!("cannot be read: {error}")))?.len();
@@ -71,9 +68,6 @@ impl Document {
     }
 
     /// Parses a text as the content of `file`.
-    ///
-    /// # Errors
-    /// When the text is not TOML.
     pub fn parse(file: &Path, text: String) -> Result<Self, ConfigError> {
         let mut document = Self { file: file.to_owned(), text, places: Vec::new() };
         let mut places = Vec::new();
@@ -86,17 +80,9 @@ impl Document {
     }
 
     /// Deserializes the whole text.
-    ///
-    /// # Errors
-    /// The first key that is unknown, missing or of the wrong type.
+    /// Fails with the first key that is unknown, missing or of the wrong type.
     pub fn deserialize<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
         toml::from_str(&self.text).map_err(|error| self.from_toml(&error))
-    }
-
-    /// Whether the text has this key.
-    #[must_use]
-    pub fn has(&self, key: &str) -> bool {
-        self.places.iter().any(|place| place.path == key)
     }
 
     /// An error about a key, with its line; for a key that is not in the text, with the line of its section.
@@ -209,6 +195,5 @@ mod tests {
         let document = Document::parse(Path::new("x.toml"), text.to_owned()).unwrap();
         assert_eq!(document.complain("machine[1].y", "bad").to_string(), "x.toml:5: machine[1].y: bad");
         assert_eq!(document.complain("machine[1].z", "bad").to_string(), "x.toml:4: machine[1].z: bad");
-        assert!(document.has("a") && !document.has("b"));
     }
 }

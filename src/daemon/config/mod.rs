@@ -161,6 +161,7 @@ impl Default for Log {
 }
 
 #[derive(Debug, Default, Deserialize)]
+#[cfg_attr(test, derive(Serialize))]
 #[serde(deny_unknown_fields, default)]
 struct File {
     monitor: Monitor,
@@ -169,12 +170,13 @@ struct File {
     store: store::Settings,
     diagnosis: diagnose::Settings,
     machines: estimate::Settings,
+    #[serde(skip_serializing)]
     machine: Vec<MachineEntry>,
     web: Web,
     webhook: Webhook,
     log: Log,
     // Parsed as the type of zenoh for errors with a position; used as a table, merged into our defaults.
-    #[serde(rename = "zenoh")]
+    #[serde(rename = "zenoh", skip_serializing)]
     _zenoh: Option<::zenoh::Config>,
 }
 

@@ -23,7 +23,6 @@ pub(super) struct Trial {
     pub directions: Vec<Direction>,
     /// Number of mains phases at the start of the motor, spread over half a period.
     pub phases: u32,
-    /// Number of throws in each direction and phase.
     pub repeats: usize,
     /// Reference of the errors; `None` for the true coefficients.
     pub reference: Option<[f64; 3]>,
