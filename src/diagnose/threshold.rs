@@ -48,13 +48,15 @@ impl Thresholds {
 
 /// The value that T exceeds with probability `alpha`, for a covariance with the uncertainty `doubt`.
 fn limit(alpha: f64, doubt: &Doubt) -> f64 {
-    let second = (doubt.degrees_of_freedom - DIMENSIONS + 1.0).max(2.0);
-    let nu = second + DIMENSIONS - 1.0;
-    let hotelling = |t: f64| {
+    let hotelling = |t: f64, degrees_of_freedom: f64| {
+        let second = (degrees_of_freedom - DIMENSIONS + 1.0).max(2.0);
+        let nu = second + DIMENSIONS - 1.0;
         let f = t * second / (DIMENSIONS * nu);
         checked_beta_reg(second / 2.0, DIMENSIONS / 2.0, second / (second + DIMENSIONS * f)).unwrap_or(0.0)
     };
-    let exceeds = |t: f64| doubt.factors.iter().map(|(factor, share)| share * hotelling(t / factor)).sum::<f64>();
+    let exceeds = |t: f64| -> f64 {
+        doubt.factors.iter().map(|(factor, share, freedom)| share * hotelling(t / factor, *freedom)).sum()
+    };
     let (mut low, mut high) = (0.0_f64, 12.0_f64);
     for _ in 0..18 {
         let middle = 0.5 * (low + high);
@@ -71,7 +73,7 @@ mod tests {
     fn with_many_degrees_of_freedom_the_limit_is_that_of_chi_square() {
         // Chi-square with three degrees of freedom, upper tails from a table.
         for (alpha, expected) in [(0.05, 7.815), (0.001, 16.266)] {
-            let limit = limit(alpha, &Doubt { degrees_of_freedom: 1e7, factors: vec![(1.0, 1.0)] });
+            let limit = limit(alpha, &Doubt { factors: vec![(1.0, 1.0, 1e7)] });
             assert!((limit - expected).abs() < 2e-3, "{limit}");
         }
     }
@@ -79,7 +81,7 @@ mod tests {
     #[test]
     fn with_few_it_is_that_of_f() {
         // F(3, 10), upper 1 %: 6.552 in the tables.
-        let limit = limit(0.01, &Doubt { degrees_of_freedom: 12.0, factors: vec![(1.0, 1.0)] });
+        let limit = limit(0.01, &Doubt { factors: vec![(1.0, 1.0, 12.0)] });
         assert!((limit - 3.0 * 12.0 / 10.0 * 6.552).abs() < 0.01);
     }
 }
