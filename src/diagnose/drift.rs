@@ -149,6 +149,8 @@ impl Drift {
         let latest = latest.map(|window| extent(cause, window, settings).0);
         let deadband = 1.0 - settings.deadband_pct / 100.0;
         let claim = match named {
+            // A step keeps its level in the next throw, an outlier does not.
+            Some(_) if self.matters() && !self.strongest.is_some_and(|window| window.confirmed) => Claim::Counts,
             Some(_) if self.matters() => Claim::Named,
             // The name is not stable yet, also if throws in between had one.
             _ if cause == Cause::Unattributed && self.matters() && !self.is_alarmed && !excused => Claim::Counts,

@@ -22,6 +22,7 @@ mod last;
 mod monitor;
 mod observation;
 mod operational;
+mod persistence;
 mod rare;
 mod robust;
 mod rule;

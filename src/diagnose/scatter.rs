@@ -16,7 +16,10 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use statrs::function::beta::ln_beta;
 
-use super::sym3::Sym3;
+use super::{
+    persistence::{Kind, Possible, phi_of, possible},
+    sym3::Sym3,
+};
 
 /// From this number of throws of a direction on the covariance is that of the baseline alone, and the lag-1 correlation
 /// nearly so. With fewer, both are weighted means with typical values: a dozen correlated throws hardly determine them.
@@ -27,6 +30,9 @@ const USUAL_LAG1: [(f64, f64); 2] = [(20.0, 0.35), (4.0, 0.2)];
 const TYPICAL_WORTH: (f64, f64) = (15.0, 2.0);
 /// Prior odds of a typical machine.
 const LIKE_MOST: f64 = 50.0;
+/// Standard deviation of the inverse hyperbolic tangent of the lag-1 correlation: of typical machines, from the weight of the
+/// typical one, and of others, of which one in seven has more than 0.8.
+const LAG1_SD: (f64, f64) = (0.22, 0.7);
 /// Typical standard deviations of ln b0, ln a1, ln a0 from weather and load.
 const TYPICAL_SD: [f64; 3] = [0.005, 0.03, 0.01];
 /// Range of lag-1 correlations. Above it the variance of a mean cannot be estimated from few throws. The negative lower
@@ -52,10 +58,9 @@ const GAUSSIAN_WEIGHT: f64 = 60.0;
 /// Uncertainty of the covariance of a mean.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Doubt {
-    /// Degrees of freedom of the variance of one throw.
-    pub(super) degrees_of_freedom: f64,
-    /// Possible factors of the serial correlation on the assumed covariance, with their probabilities.
-    pub(super) factors: Vec<(f64, f64)>,
+    /// Possible factors on the assumed covariance by the serial correlation, each with its probability and the degrees of
+    /// freedom of the variance of one throw.
+    pub(super) factors: Vec<(f64, f64, f64)>,
 }
 
 /// Noise of a series of throws along one direction of the logarithms.
@@ -87,6 +92,9 @@ pub(super) struct Scatter {
     /// Degrees of freedom of a variance from these throws, relative to Gaussian ones.
     #[serde(default = "gaussian")]
     tail_worth: f64,
+    /// Possible lag-1 correlations of each coefficient, one after the other; empty for a baseline of enough throws.
+    #[serde(default)]
+    possible: Box<[Possible]>,
 }
 
 impl Scatter {
@@ -125,6 +133,13 @@ impl Scatter {
         let typical = Matrix3::from_diagonal(&Vector3::from(TYPICAL_SD).map(|sd| sd * sd));
         let leaning = if few { worth_of_typical(total, typical + sensor, own) } else { 0.0 };
         let natural = (natural_part(total, sensor) * own + typical * leaning) / (own + leaning);
+        let tail_worth = tail_worth(residuals, own);
+        let possible = few.then(|| {
+            let like = Kind { ln_odds: 0.0, worth: TYPICAL_WORTH.0, phi_sd: LAG1_SD.0 };
+            let other = Kind { ln_odds: -LIKE_MOST.ln(), worth: TYPICAL_WORTH.1, phi_sd: LAG1_SD.1 };
+            let variances = [natural, sensor, typical].map(|covariance| covariance.diagonal());
+            possible(residuals, variances, tail_worth, [like, other]).into_iter().flatten().collect()
+        });
         Self {
             natural: natural.into(),
             sensor: sensor.into(),
@@ -132,7 +147,8 @@ impl Scatter {
             slow,
             throws,
             leaning,
-            tail_worth: tail_worth(residuals, own),
+            tail_worth,
+            possible: possible.unwrap_or_default(),
         }
     }
 
@@ -204,6 +220,23 @@ impl Scatter {
         share.component_mul(&Vector3::from(self.lag1))
     }
 
+    /// The highest plausible lag-1 correlations of throws: two standard deviations above the estimates.
+    pub(super) fn highest_lag1_of_one(&self, sensor: &Matrix3<f64>) -> Vector3<f64> {
+        let natural = Matrix3::from(self.natural).diagonal();
+        let (usual_weight, _) = usual_lag1(self.leaning > 0.0);
+        Vector3::from_fn(|i, _| {
+            let share = natural[i] / (natural[i] + sensor[(i, i)]).max(1e-12);
+            let sd = ((self.throws * share).max(1.0) + usual_weight).sqrt().recip();
+            share * (self.lag1[i].atanh() + 2.0 * sd).tanh().min(LAG1_RANGE.1)
+        })
+    }
+
+    /// Covariance of the innovation of a throw whose estimate has the covariance `sensor`.
+    pub(super) fn of_innovation(&self, sensor: &Matrix3<f64>) -> Matrix3<f64> {
+        let fresh = self.lag1_of_one(sensor).map(|rho| (1.0 - rho * rho).sqrt());
+        (Matrix3::from(self.natural) + sensor).component_mul(&(fresh * fresh.transpose()))
+    }
+
     /// Ratio of the covariance of the mean innovation of `w` throws, sum of (x - rho x before) / (w (1 - rho)), to
     /// [`Self::of_mean`]. The mean innovation differs from the mean only by the throws at both ends; for autoregressive
     /// scatter it has the variance of such a part of a long series.
@@ -225,7 +258,8 @@ impl Scatter {
     /// Uncertainty of `of_mean` of `w` throws, from the variance of the throws and the lag-1 correlation, both from a
     /// finite number of throws. The inverse hyperbolic tangent of a lag-1 correlation from n throws is nearly normal
     /// with variance 1/n (Fisher). With the measured variance of the innovations, a larger correlation also means a
-    /// larger variance of one throw. Each coefficient has a third of the probability.
+    /// larger variance of one throw. Each coefficient has a third of the probability. Few throws are not enough for this: see
+    /// [`super::persistence`].
     pub(super) fn doubt(&self, w: usize) -> Doubt {
         /// Standard deviations from the estimate, and between the nodes.
         const NODES: (i32, f64) = (6, 0.8);
@@ -234,6 +268,21 @@ impl Scatter {
         let of_natural = |phi: f64| {
             (inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws) / (1.0 - phi * phi)
         };
+        if !self.possible.is_empty() {
+            let nodes = self.possible.len() / 3;
+            let of = |phi: f64| inflation(phi, w as f64) / w as f64 + inflation(phi, self.throws) / self.throws;
+            let factor = |(at, possible): (usize, &Possible)| {
+                let i = at / nodes;
+                let fixed = sensor[(i, i)] * (1.0 / w as f64 + 1.0 / self.throws);
+                let natural_of_mean = f64::from(possible.variance) * of(phi_of(at % nodes));
+                let factor =
+                    (natural_of_mean + fixed) / (natural[(i, i)] * of(self.lag1[i]) + fixed).max(f64::MIN_POSITIVE);
+                (factor, possible.weight.into(), possible.freedom.into())
+            };
+            return Doubt { factors: self.possible.iter().enumerate().map(factor).collect() };
+        }
+        let independent = self.lag1.iter().map(|phi| effective(self.throws, *phi)).sum::<f64>() / 3.0;
+        let freedom = independent * self.tail_worth + self.leaning;
         let mut factors = Vec::new();
         for i in 0..3 {
             let phi = self.lag1[i];
@@ -246,15 +295,14 @@ impl Scatter {
                 let other = (phi.atanh() + z * sd).tanh().clamp(LAG1_RANGE.0, MOST_LAG1);
                 let natural = assumed * of_natural(other) / of_natural(phi);
                 let factor = (natural + fixed) / (assumed + fixed).max(f64::MIN_POSITIVE);
-                (factor, (-0.5 * z * z).exp())
+                (factor, (-0.5 * z * z).exp(), freedom)
             }));
         }
-        let total: f64 = factors.iter().map(|(_, weight)| weight).sum();
-        for (_, weight) in &mut factors {
+        let total: f64 = factors.iter().map(|(_, weight, _)| weight).sum();
+        for (_, weight, _) in &mut factors {
             *weight /= total;
         }
-        let independent = self.lag1.iter().map(|phi| effective(self.throws, *phi)).sum::<f64>() / 3.0;
-        Doubt { degrees_of_freedom: independent * self.tail_worth + self.leaning, factors }
+        Doubt { factors }
     }
 }
 

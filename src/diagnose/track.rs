@@ -28,11 +28,6 @@ use crate::{estimate::Grade, throw::Direction};
 /// Largest number of throws set aside in a direction: a longest window shows every relevant drift.
 const MOST_ASIDE: usize = WINDOWS[3];
 
-/// Largest part of the limit of T that a single innovation may have: two throws show a step.
-const MOST_OF_ONE: f64 = 0.4;
-/// The same with heavy tails: four throws show a step.
-const MOST_OF_ONE_WILD: f64 = 0.08;
-
 /// Largest difference of the drifts of both directions that counts as agreement, in standard deviations.
 const AGREE_SD: f64 = 2.0;
 
@@ -304,8 +299,7 @@ impl Tracks {
         let mixed = mixed.map(|mixed| (&mixed_tail, &mixed.scatter, &mixed.thresholds));
         let mut best: Option<(Window, &Scatter)> = None;
         for (tail, scatter, thresholds) in own.chain(mixed) {
-            let most_of_one = if wild { MOST_OF_ONE_WILD } else { MOST_OF_ONE };
-            if let Some(window) = tail.strongest(most_of_one, scatter, thresholds, baselines)
+            if let Some(window) = tail.strongest(wild, scatter, thresholds, baselines)
                 && best.is_none_or(|(best, _)| window.excess > best.excess)
             {
                 best = Some((window, scatter));

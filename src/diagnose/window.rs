@@ -18,6 +18,12 @@ use super::{
     threshold::{Thresholds, WINDOWS},
 };
 
+/// Largest part of the limit of T that a single innovation may have: two throws show a step.
+const MOST_OF_ONE: f64 = 0.4;
+/// The same with heavy tails: four throws show a step.
+const MOST_OF_ONE_WILD: f64 = 0.08;
+/// Least T of the innovations beside an outlier: 0.1 % of healthy ones have more (chi-square, three degrees of freedom).
+const CONFIRMED: f64 = 16.3;
 /// Number of stored throws of each direction: the longest window.
 const KEPT: usize = WINDOWS[3];
 /// Least number of throws with the common scale in a window that shows it: with fewer, a single outlier would count
@@ -118,6 +124,8 @@ pub(super) struct Window {
     pub(super) temperature_sd: Vector3<f64>,
     /// T relative to its limit; above 1 a drift is detected.
     pub(super) excess: f64,
+    /// Whether a drift above its limit is more than an outlier that fades over the throws after it.
+    pub(super) confirmed: bool,
     pub(super) scale: CommonScale,
 }
 
@@ -241,7 +249,7 @@ impl<'a> Stream<'a> {
             covariance = ratios * covariance * ratios.transpose() + Matrix3::repeat(of_scale);
         }
         covariance += doubt(temperature);
-        Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0, scale })
+        Some(Window { throws, mean, covariance, temperature_sd: temperature, excess: 0.0, confirmed: false, scale })
     }
 
     /// The common scale of the last throws with these residuals.
@@ -288,6 +296,35 @@ impl<'a> Stream<'a> {
         Some((level.transpose() * inverse * level).x)
     }
 
+    /// T of the innovations of `window` without the largest of them, with heavy tails without the two largest, at the highest
+    /// plausible serial correlation. An outlier that fades over the next throws has a level too, but only a drift keeps it.
+    fn confirmation(
+        &self,
+        window: &Window,
+        wild: bool,
+        scatter: &Scatter,
+        baselines: [Option<&Baseline>; 2],
+    ) -> Option<f64> {
+        let sensor = self.mean_sensor(window.throws);
+        let rho = scatter.highest_lag1_of_one(&sensor);
+        let inverse = scatter.of_innovation(&sensor).try_inverse()?;
+        let square = |x: &Vector3<f64>| (x.transpose() * inverse * x).x;
+        let residual = |at: usize| {
+            let (side, throw) = self.0.get(at)?;
+            Some(throw.scaled(baselines[*side]?.compensated(throw.raw()), &window.scale))
+        };
+        let mut innovations = Vec::with_capacity(KEPT);
+        let mut throw = residual(0)?;
+        for at in 1..=window.throws {
+            let before = residual(at).unwrap_or_default();
+            innovations.push(throw - rho.component_mul(&before));
+            throw = before;
+        }
+        innovations.sort_by(|a, b| square(a).total_cmp(&square(b)));
+        innovations.truncate(window.throws - if wild { 2 } else { 1 });
+        Some(square(&innovations.iter().sum()) / innovations.len() as f64)
+    }
+
     /// For each coefficient: the single innovation that would give `window` the score `t`.
     fn reach(&self, t: f64, window: &Window, scatter: &Scatter) -> Option<Vector3<f64>> {
         let (rho, inverse) = self.innovation(window, scatter)?;
@@ -307,11 +344,11 @@ impl<'a> Stream<'a> {
     }
 
     /// The window with the largest `excess`, also below the limit. Above a quarter of the limit, mean and mean
-    /// innovation must agree; a single innovation counts for at most the part `most_of_one` of the shortest window's
-    /// limit. So an outlier is no drift, however heavy the tails, and with high limits too a step shows.
+    /// innovation must agree; a single innovation counts for at most a part of the shortest window's limit. So an outlier is
+    /// no drift, however heavy the tails, and with high limits too a step shows. `wild`: the scatter has heavy tails.
     pub(super) fn strongest(
         &self,
-        most_of_one: f64,
+        wild: bool,
         scatter: &Scatter,
         thresholds: &Thresholds,
         baselines: [Option<&Baseline>; 2],
@@ -325,10 +362,13 @@ impl<'a> Stream<'a> {
             let t = (window.mean.transpose() * inverse * window.mean).x;
             let mut score = None;
             if t > 0.25 * thresholds.of(at) {
+                let most_of_one = if wild { MOST_OF_ONE_WILD } else { MOST_OF_ONE };
                 reach = reach.or_else(|| self.reach(most_of_one * thresholds.of(0), &shortest, scatter));
                 score = reach.and_then(|reach| self.score(&window, &reach, scatter, baselines));
             }
             window.excess = t.min(score.unwrap_or(t)) / thresholds.of(at);
+            window.confirmed = window.excess > 1.0
+                && self.confirmation(&window, wild, scatter, baselines).is_some_and(|t| t > CONFIRMED);
             if best.is_none_or(|best| window.excess > best.excess) {
                 best = Some(window);
             }
