@@ -9,7 +9,7 @@ use super::{
     explain::{direction_of, percent, relevance, single},
     scatter::Scatter,
     settings::Settings,
-    testimony::Testimony,
+    testimony::{Awaited, Testimony},
     verdict::Blindness,
     window::Window,
 };
@@ -163,7 +163,7 @@ impl Drift {
                 Naming::One(_) => attribution.relevance.max(size),
                 _ => attribution.relevance,
             }),
-            patience: if matches!(self.testimony, Testimony::Either { waits: true, .. }) {
+            patience: if matches!(self.testimony, Testimony::Either { waits: Awaited::Throws, .. }) {
                 TOO_CLOSE_PATIENCE
             } else {
                 0

@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    found::Found,
+    found::{Found, count_over},
     gauges::{Change, Gauge, Gauges, sd_of_mean},
     last::Last,
     operational::Context,
@@ -46,13 +46,13 @@ impl FeatureWatch {
     ) -> Found {
         let recent = &mut self.sides[direction.side()];
         recent.push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
-        let changes = self.changes();
+        let levels = self.levels();
+        count_over(&mut self.calm, levels.iter().map(|(size, _)| *size).max_by(f64::total_cmp));
+        let changes: Vec<Change> =
+            levels.into_iter().filter_map(|(size, change)| (size > 1.0).then_some(change)).collect();
         if !changes.is_empty() {
-            self.calm = 0;
-            let text = text::features(context.name, &changes, LEVEL);
-            return Found::unnamed(context.throw, text);
+            return Found::unnamed(context.throw, text::features(context.name, &changes, LEVEL));
         }
-        self.calm = self.calm.saturating_add(1);
         if self.calm >= context.settings.off_delay_throws { Found::Nothing } else { Found::Unclear }
     }
 
@@ -74,8 +74,9 @@ impl FeatureWatch {
         *self = Self::default();
     }
 
-    /// The features that changed significantly and relevantly in a direction, the largest change of each.
-    fn changes(&self) -> Vec<Change> {
+    /// The change of each feature that is known, in the direction with the larger one, and its size relative to what is
+    /// significant and relevant.
+    fn levels(&self) -> Vec<(f64, Change)> {
         let in_side = |side: usize, at: usize| {
             let (gauge, limit) = WATCHED[at];
             let of = |part: fn(&(f32, f32)) -> f32| -> Vec<f64> {
@@ -89,11 +90,10 @@ impl FeatureWatch {
             let size = median(&mut values);
             let sd = median(&mut of(|(_, sd)| *sd)).max(gauge.floor());
             let size_sd = sd_of_mean(gauge, sd, LEVEL as f64);
-            (size.abs() > limit.max(SIGNIFICANT_SD * sd)).then_some(Change { gauge, size, size_sd })
+            Some((size.abs() / limit.max(SIGNIFICANT_SD * sd), Change { gauge, size, size_sd }))
         };
-        let largest = |at: usize| {
-            [0, 1].into_iter().filter_map(|side| in_side(side, at)).max_by(|a, b| a.size.abs().total_cmp(&b.size.abs()))
-        };
+        let largest =
+            |at: usize| [0, 1].into_iter().filter_map(|side| in_side(side, at)).max_by(|a, b| a.0.total_cmp(&b.0));
         (0..WATCHED.len()).filter_map(largest).collect()
     }
 }

@@ -9,6 +9,20 @@ use super::{
 };
 use crate::throw::ThrowRef;
 
+/// Part of its limit below which a fault has ended. One that is raised above its limit stays between the two, so its alarm
+/// does not alternate.
+const OVER_BELOW: f64 = 0.5;
+
+/// Counts the consecutive throws in which a fault has ended; `size` is that of the measured quantity, as part of its limit.
+/// What is unknown is neither there nor over.
+pub(super) fn count_over(over: &mut u32, size: Option<f64>) {
+    *over = match size {
+        Some(size) if size < OVER_BELOW => over.saturating_add(1),
+        Some(_) => 0,
+        None => *over,
+    };
+}
+
 /// What a rule finds in the last throws.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Found {

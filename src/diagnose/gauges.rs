@@ -71,6 +71,9 @@ const HEATED_K: f64 = 60.0;
 const WEATHER_K: f64 = 30.0;
 /// Significance of a changed resistance, in standard deviations of a level.
 const CIRCUIT_SD: f64 = 4.0;
+/// Change of the logarithm of the resistance with the delay of the start \[1/ms\]: play of 1 mm, 36 ms, changes it by 0.2.
+/// That of a light drive, whose whole inrush the play hides, is larger.
+const OHMS_OF_DELAY: f64 = 0.01;
 /// Largest uncertainty of a resistance that is judged, as a logarithm: one whose inrush hardly shows it may be anything.
 const CIRCUIT_UNCERTAINTY: f64 = 0.4;
 /// Least error of a published voltage, as a logarithm, and its significance.
@@ -135,6 +138,8 @@ pub(super) struct Circuit {
     pub(super) level: Level,
     /// Size relative to what heat explains, and to the scatter.
     pub(super) size: f64,
+    /// Whether it may be something else that changed, as the motor or the play.
+    pub(super) is_doubtful: bool,
 }
 
 /// A changed gauge.
@@ -255,7 +260,8 @@ impl Gauges {
             .collect();
         let count = departures.len() as f64;
         let mean = |values: fn(&(f64, f64)) -> f64| departures.iter().map(values).sum::<f64>() / count;
-        (2 * departures.len() > throws.min(self.recent.len()))
+        // The throws of one direction may all be without it.
+        (!departures.is_empty() && 2 * departures.len() >= throws.min(self.recent.len()))
             .then(|| Level { value: mean(|(value, _)| *value), sd: sd_of_mean(gauge, mean(|(_, sd)| *sd), count) })
     }
 
@@ -268,14 +274,20 @@ impl Gauges {
         self.voltage_error_in(WINDOWS[1]).and_then(|_| self.voltage_error_in(WINDOWS[0]))
     }
 
+    /// Size of the back-EMF, in which an error of the voltage shows, relative to the least error that is named; `None` if it
+    /// is unknown.
+    pub(super) fn voltage_error_size(&self) -> Option<f64> {
+        let [back_emf, ohms] = [Gauge::BackEmf, Gauge::Resistance].map(|gauge| self.level(gauge, WINDOWS[0]));
+        Some(error_size(back_emf?, ohms?))
+    }
+
     /// The same over the last `throws`.
     pub(super) fn voltage_error_in(&self, throws: usize) -> Option<Level> {
         let level = |gauge| self.level(gauge, throws);
         let (back_emf, ohms, volts) = (level(Gauge::BackEmf)?, level(Gauge::Resistance)?, level(Gauge::Volts)?);
         let is_like = |of: f64, sd: f64| (of - back_emf.value).abs() < ALIKE * back_emf.value.abs() + sd;
         let size = back_emf.value.abs();
-        let is_shown =
-            size > VOLTAGE_ERROR.max(VOLTAGE_ERROR_SD * back_emf.sd.max(ohms.sd)) && is_like(ohms.value, 0.0);
+        let is_shown = error_size(back_emf, ohms) > 1.0 && is_like(ohms.value, 0.0);
         let is_alone = is_like(volts.value, volts.sd) || size.min(ohms.value.abs()) > heat(HEATED_K + WEATHER_K);
         let running = level(Gauge::Running).map_or(0.0, |running| running.value.abs() - running.sd);
         (is_shown && is_alone && running < ALIKE * size).then_some(back_emf)
@@ -283,7 +295,7 @@ impl Gauges {
 
     /// Change of the resistance between supply and motor that heat does not explain; `knows_weather`: the resistance is
     /// known at the temperature of the air. The level is that of the last few throws; the longer window must show it too, so
-    /// that a single throw does not. `None` if it is unknown, or the voltage is wrong.
+    /// that a single throw does not. A wrong voltage explains it. `None` if it is unknown.
     pub(super) fn circuit(&self, knows_weather: bool) -> Option<Circuit> {
         let [level, longer] = [WINDOWS[0], WINDOWS[1]].map(|throws| self.level(Gauge::Resistance, throws));
         let (level, longer) = (level?, longer?);
@@ -291,9 +303,12 @@ impl Gauges {
         let is_motor =
             self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
         let size_of = |level: Level| level.value.abs() / heat.max(CIRCUIT_SD * level.sd);
-        let size = size_of(level).min(size_of(longer));
+        let size = if self.voltage_error().is_some() { 0.0 } else { size_of(level).min(size_of(longer)) };
+        // The motor turns, and its back-EMF counts as resistance, while the toe stands still.
+        let idle = self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
+        let is_idle = idle > ALIKE * level.value.abs();
         let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
-        (is_measured && !is_motor && self.voltage_error().is_none()).then_some(Circuit { level, size })
+        is_measured.then_some(Circuit { level, size, is_doubtful: is_motor || is_idle })
     }
 
     /// Change of the back-EMF: from its constant, without a supply voltage from the no-load speed, and without both, as with
@@ -317,6 +332,11 @@ impl Gauges {
 /// throw.
 pub(super) fn sd_of_mean(gauge: Gauge, sd: f64, count: f64) -> f64 {
     (CORRELATED * sd * (1.0 / count + 1.0 / LEARNED.0 as f64).sqrt()).hypot(gauge.floor())
+}
+
+/// Size of an error of the voltage relative to the least one that is named.
+fn error_size(back_emf: Level, ohms: Level) -> f64 {
+    back_emf.value.abs() / VOLTAGE_ERROR.max(VOLTAGE_ERROR_SD * back_emf.sd.max(ohms.sd))
 }
 
 impl Normal {

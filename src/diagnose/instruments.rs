@@ -24,15 +24,16 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
-    cause::Attribution,
+    cause::{Attribution, Naming},
     drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel, Severity},
-    explain::{PLAIN_LEAKS, fit, fit_along, percent, single},
+    explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
+    found::count_over,
     gauges::{Circuit, Gauge, Gauges, Level},
     operational::Context,
     rule::Rule,
     settings::Settings,
-    testimony::{Fault, Testimony},
+    testimony::{Awaited, Fault, Testimony},
     text,
     threshold::WINDOWS,
     window::Window,
@@ -62,6 +63,9 @@ const LINGERS: u32 = 48;
 struct Streaks {
     named: u32,
     over: u32,
+    /// Throws since the fault was last seen.
+    #[serde(default)]
+    unseen: u32,
     lingers: bool,
 }
 
@@ -71,6 +75,9 @@ pub(super) struct Instruments {
     pub(super) gauges: Gauges,
     /// The sensor that explains the drift of the last throw.
     channel: Option<SensorChannel>,
+    /// Its size.
+    #[serde(default)]
+    size: f64,
     sensor: Streaks,
     supply: Streaks,
     #[serde(default)]
@@ -104,12 +111,7 @@ impl Instruments {
         if self.supply_explains(attribution, window, settings) {
             return Testimony::Supply;
         }
-        let is_wrong = self.gauges.voltage_error().is_some();
-        let is_of_voltage = |gauge: Gauge| matches!(gauge, Gauge::BackEmf | Gauge::Resistance);
-        let levels = TELLING
-            .map(|gauge| self.gauges.level(gauge, window.throws).filter(|_| !(is_wrong && is_of_voltage(gauge))));
-        // With a supply voltage the back-EMF replaces the duration, which has the scatter of the supply.
-        let levels = if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels };
+        let levels = self.telling(window.throws);
         let (part, score) = best_part(window, &levels, settings);
         let judged = SUSPECTS.iter().filter_map(|suspect| {
             let Suspect { channel, effect, gauges, gain } = suspect;
@@ -129,10 +131,20 @@ impl Instruments {
             Some((lead, channel, true, size, size_sd)) if lead >= DECIDES => {
                 Testimony::Sensor(Fault { channel, size, size_sd, runner_up: RunnerUp { cause: part, margin: lead } })
             }
-            Some((lead, channel, waits, ..)) if lead > -EXCLUDES && !self.sensor.lingers => {
+            Some((lead, channel, is_told, ..)) if lead > -EXCLUDES && !self.sensor.lingers => {
+                let waits = match self.gauges.level(Gauge::Volts, WINDOWS[0]) {
+                    _ if is_told => Awaited::Throws,
+                    Some(_) => Awaited::Resistance,
+                    None => Awaited::Voltage,
+                };
                 Testimony::Either { channel, waits }
             }
-            _ if self.sensor.lingers || self.supply.lingers && self.supply.over > 0 => Testimony::Lingers,
+            _ if self.sensor.lingers || self.supply.lingers && self.supply.unseen > 0 => {
+                let is_alike = |(lead, channel, ..): (f64, SensorChannel, bool, f64, f64)| {
+                    lead > -EXCLUDES && self.channel == Some(channel)
+                };
+                Testimony::Lingers { is_alike: best.is_some_and(is_alike) }
+            }
             _ => Testimony::Machine,
         }
     }
@@ -147,25 +159,64 @@ impl Instruments {
         window.shows(Cause::Inertia) && !has_changed
     }
 
-    /// Whether the supply explains a change of friction.
+    /// Whether the supply explains a change of friction, alone or with a small change of the motor beside it: the model has
+    /// no dry friction, whose effect on its coefficients depends on the speed.
     fn supply_explains(&self, attribution: &Attribution, window: &Window, settings: &Settings) -> bool {
         let Some(lost) = self.supply_lost(window.throws) else { return false };
         let friction = single(Cause::Friction, &window.mean, &window.covariance, settings);
         let share = friction.size / lost.value;
         let slack = 2.0 * friction.size_sd / lost.value.abs();
-        attribution.main().is_some_and(|main| main.cause == Cause::Friction) && (-slack..DRIER + slack).contains(&share)
+        let is_friction = |found: &Explanation| found.cause == Cause::Friction;
+        let is_of_friction = attribution.main().is_some_and(is_friction)
+            || match &attribution.naming {
+                Naming::Either(_, second) => is_friction(second),
+                Naming::Both(main, second) => {
+                    is_friction(second) && main.size.abs() < settings.model_error * lost.value.abs()
+                }
+                _ => false,
+            };
+        is_of_friction && (-slack..DRIER + slack).contains(&share)
     }
 
     /// Loss of supply voltage, as a logarithm, from the voltage without its error, or the inrush; `None` unless it is
     /// significant and the duration agrees.
     fn supply_lost(&self, throws: usize) -> Option<Level> {
-        let gauge = self.gauges.level(Gauge::Volts, throws).or_else(|| self.gauges.level(Gauge::Inrush, throws))?;
+        let lost = self.supply_change(throws)?;
         let longer = self.gauges.level(Gauge::Duration, throws)?;
-        let is_wrong = self.gauges.voltage_error_in(WINDOWS[0]).is_some();
-        let error = self.gauges.level(Gauge::BackEmf, throws).filter(|_| is_wrong);
-        let lost = Level { value: error.map_or(0.0, |error| error.value) - gauge.value, ..gauge };
         let changed = lost.value.abs() > SUPPLY_CHANGE.max(SUPPLY_SD * lost.sd);
         (changed && LONGER.contains(&(longer.value / lost.value))).then_some(lost)
+    }
+
+    /// The same without a condition; `None` if it is unknown.
+    fn supply_change(&self, throws: usize) -> Option<Level> {
+        let gauge = self.gauges.level(Gauge::Volts, throws).or_else(|| self.gauges.level(Gauge::Inrush, throws))?;
+        let is_wrong = self.gauges.voltage_error_in(WINDOWS[0]).is_some();
+        let error = self.gauges.level(Gauge::BackEmf, throws).filter(|_| is_wrong);
+        Some(Level { value: error.map_or(0.0, |error| error.value) - gauge.value, ..gauge })
+    }
+
+    /// What is left of the fault of a sensor, by the gauges that it changes, as part of its size when it was named; `None` if
+    /// they are unknown, or another was named since.
+    fn left_of(&self, sensor: Option<SensorChannel>) -> Option<f64> {
+        if sensor == Some(SensorChannel::Supply) {
+            return self.gauges.voltage_error_size();
+        }
+        let sensor = sensor.filter(|_| sensor == self.channel);
+        let suspect = SUSPECTS.iter().find(|suspect| sensor == Some(suspect.channel))?;
+        let levels = self.telling(WINDOWS[1]);
+        let (left, left_sd) = weighed((0.0, f64::INFINITY), &levels, &suspect.gauges);
+        let named = self.size / suspect.gain;
+        (left_sd.is_finite() && named != 0.0).then_some(left / named)
+    }
+
+    /// The levels of the gauges that distinguish sensors from parts.
+    fn telling(&self, throws: usize) -> [Option<Level>; 4] {
+        let is_wrong = self.gauges.voltage_error().is_some();
+        let is_of_voltage = |gauge: Gauge| matches!(gauge, Gauge::BackEmf | Gauge::Resistance);
+        let levels =
+            TELLING.map(|gauge| self.gauges.level(gauge, throws).filter(|_| !(is_wrong && is_of_voltage(gauge))));
+        // With a supply voltage the back-EMF replaces the duration, which has the scatter of the supply.
+        if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels }
     }
 
     /// Updates the alarm about a sensor after a throw with this drift, and its testimony.
@@ -182,8 +233,13 @@ impl Instruments {
         if fault.is_some() && !same {
             self.sensor.named = 0;
         }
-        self.channel = fault.map_or(self.channel, |fault| Some(fault.channel));
-        self.sensor.follow(fault.is_some(), of_drift.is_none() || drift.matters());
+        if let Some(Fault { channel, size, .. }) = fault {
+            (self.channel, self.size) = (Some(channel), size);
+        }
+        let is_alike = drift.testimony == Testimony::Lingers { is_alike: true };
+        let open = alarms.faulty_sensor().filter(|_| alarms.owned_by(Rule::Gauges).is_some());
+        let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
+        self.sensor.follow(fault.is_some(), of_drift.is_none() || drift.matters(), is_alike, left);
         // A wrong voltage changes no coefficient, so it cannot explain a drift.
         self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
         if let Some(fault) = fault.filter(|_| self.sensor.named >= settings.on_delay_throws) {
@@ -218,11 +274,14 @@ impl Instruments {
         let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
         let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
         let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
-        self.supply.follow(lost.is_some() || explained.is_some(), matters || explained == Some(true));
+        let left = self.supply_change(WINDOWS[0]).map(|lost| percent(-lost.value).abs() / SUPPLY_LIMIT_PCT);
+        self.supply.follow(lost.is_some() || explained.is_some(), matters || explained == Some(true), false, left);
         // A wrong current changes the resistance too.
-        let circuit = circuit.filter(|_| self.sensor.named == 0 && !self.sensor.lingers);
-        let size = circuit.map_or(0.0, |circuit| circuit.size);
-        self.circuit.follow(size > 1.0 - settings.deadband_pct / 100.0, size > 1.0);
+        let is_doubtful = self.sensor.named > 0 || self.sensor.lingers;
+        let is_explained = is_doubtful && self.channel == Some(SensorChannel::Current);
+        let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
+        let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
+        self.circuit.follow(circuit.is_some(), true, false, left);
         let evidence = |rule: Rule, Level { value, sd }: Level, text: String| Evidence {
             rule,
             change_pct: Some(percent(value)),
@@ -257,10 +316,15 @@ impl Instruments {
 }
 
 impl Streaks {
-    fn follow(&mut self, holds: bool, matters: bool) {
+    /// `holds`: the fault is seen; `is_alike`: it may be; `left`: what is left of the measured quantity, as part of its
+    /// limit.
+    fn follow(&mut self, holds: bool, matters: bool, is_alike: bool, left: Option<f64>) {
         let count = |streak: u32, holds: bool| if holds { streak.saturating_add(1) } else { 0 };
-        let (named, over) = (count(self.named, holds && matters), count(self.over, !holds));
-        *self = Self { named, over, lingers: holds && matters || self.lingers && over < LINGERS };
+        self.named = count(self.named, holds && matters);
+        self.unseen = count(self.unseen, !holds && !is_alike);
+        count_over(&mut self.over, if holds { Some(1.0) } else { left });
+        let is_recent = self.unseen < LINGERS && self.over < LINGERS;
+        self.lingers = holds && matters || self.lingers && is_recent;
     }
 }
 

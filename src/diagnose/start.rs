@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    found::Found,
+    found::{Found, count_over},
     gauges::{Gauge, Gauges, Level},
     operational::Context,
     text,
@@ -24,8 +24,6 @@ const GAIN: f64 = 0.1;
 const SIGNIFICANT_SD: f64 = 4.0;
 /// Consecutive throws with the change: a fault of a part shows in the coefficients within fewer, and has a name there.
 const NAMED_THROWS: u32 = 8;
-/// Part of its limit below which a change has ended.
-const OVER_BELOW: f64 = 0.5;
 
 /// The alarm about a changed start.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -66,9 +64,10 @@ impl StartWatch {
     /// of a part can change the start too, as stiffness does in an elastic drive.
     pub(super) fn judge(&mut self, gauges: &Gauges, excused: bool, context: Context) -> Found {
         let change = Change::of(gauges);
-        let size = change.map_or(0.0, |change| change.size());
-        self.named = if size > 1.0 && !excused { self.named.saturating_add(1) } else { 0 };
-        self.calm = if size < OVER_BELOW { self.calm.saturating_add(1) } else { 0 };
+        let size = change.map(|change| change.size());
+        let is_changed = size.is_some_and(|size| size > 1.0);
+        self.named = if is_changed && !excused { self.named.saturating_add(1) } else { 0 };
+        count_over(&mut self.calm, size);
         match change {
             Some(change) if self.named >= NAMED_THROWS => {
                 let text = text::start(context.name, &change, WINDOWS[2]);

@@ -8,14 +8,26 @@ pub(super) enum Testimony {
     /// A part of the machine.
     #[default]
     Machine,
-    /// Part and sensor explain the drift equally well; `waits`: more throws may decide.
-    Either { channel: SensorChannel, waits: bool },
+    /// Part and sensor explain the drift equally well, and what they wait for.
+    Either { channel: SensorChannel, waits: Awaited },
     /// A sensor.
     Sensor(Fault),
     /// The supply.
     Supply,
-    /// A past fault of sensor or supply, whose throws are still in the windows.
-    Lingers,
+    /// A past fault of sensor or supply, whose throws are still in the windows; `is_alike`: the sensor may explain this
+    /// drift too.
+    Lingers { is_alike: bool },
+}
+
+/// What would distinguish part and sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Awaited {
+    /// More throws.
+    Throws,
+    /// The resistance of the motor, which is not known although the voltage is published.
+    Resistance,
+    /// A published voltage.
+    Voltage,
 }
 
 /// A fault of a sensor.
@@ -32,6 +44,6 @@ pub(super) struct Fault {
 impl Testimony {
     /// Whether no part is faulty.
     pub(super) fn excuses(self) -> bool {
-        matches!(self, Self::Sensor(_) | Self::Supply | Self::Lingers)
+        matches!(self, Self::Sensor(_) | Self::Supply | Self::Lingers { .. })
     }
 }

@@ -10,7 +10,7 @@ use super::{
     gauges::{Change, Gauge, Level},
     intermittent::Departures,
     start,
-    testimony::Fault,
+    testimony::{Awaited, Fault},
     thermometer::Disbelief,
     verdict::{Blindness, HidingTemperature},
 };
@@ -28,11 +28,11 @@ pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
 const MOTOR_OR_GEAR: &str = "motor or gear";
 
 /// Text of a drift: causes with sizes, what to check, and the forecast of the critical limit. `alike` is a sensor that
-/// explains the drift equally well, and whether more throws may decide.
+/// explains the drift equally well, and what would decide.
 pub(super) fn drift(
     subject: &str,
     attribution: &Attribution,
-    alike: Option<(SensorChannel, bool)>,
+    alike: Option<(SensorChannel, Awaited)>,
     throws: u64,
     forecast: Option<&LimitForecast>,
 ) -> String {
@@ -68,7 +68,13 @@ pub(super) fn drift(
         format!(" Reaches the critical limit in about {} throws ({} to {}).", round(f.mid), round(f.low), round(f.high))
     });
     let sensor = alike.map_or_else(String::new, |(sensor, waits)| {
-        let more = if waits { "" } else { " A published supply_v would distinguish them." };
+        let more = match waits {
+            Awaited::Throws => "",
+            Awaited::Resistance => {
+                " The motor's resistance would distinguish them, but most of these throws do not show it."
+            }
+            Awaited::Voltage => " With a permanent-magnet motor, a published supply_v would distinguish them.",
+        };
         format!(" {}{more}", look_at_sensor(sensor))
     });
     format!("{subject}: {what}.{rule} {}{sensor}{when}", advice(attribution))

@@ -54,6 +54,24 @@ fn a_machine_with_a_current_sensor_only_is_monitored_by_its_features() {
     }
 }
 
+/// The running current is near the limit, and scatters around it.
+#[test]
+fn an_alarm_of_features_stays_as_long_as_they_are_changed() {
+    let settings = Settings::default();
+    let (mut raised, mut ended) = (0, 0);
+    for seed in 10..14 {
+        for torque in [0.86, 0.85] {
+            let mut drive = current_only(seed, &settings);
+            let weak = State { torque, ..State::SOUND };
+            let events: Vec<_> = (0..300).flat_map(|_| drive.feed(weak, &settings).events).collect();
+            raised += events.iter().filter(|event| event.state == AlarmState::ActiveUnacknowledged).count();
+            ended += events.iter().filter(|event| event.state == AlarmState::ClearedUnacknowledged).count();
+            assert!(events.len() < 2, "seed {seed}, {torque}: {events:#?}");
+        }
+    }
+    assert!(raised >= 6 && ended == 0, "{raised}, {ended}");
+}
+
 #[test]
 fn throws_that_are_rejected_one_after_the_other_show_by_their_features_that_the_machine_changed() {
     let settings = Settings::default();

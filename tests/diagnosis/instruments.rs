@@ -163,6 +163,50 @@ fn a_sensor_that_is_mended_clears_its_alarm_also_after_a_restart() {
 }
 
 #[test]
+fn a_voltage_that_is_published_is_not_asked_for() {
+    let settings = Settings::default();
+    for (publishes, seed) in [(true, 320), (false, 320), (true, 321), (false, 321)] {
+        let mut drive = Drive::new(seed, publishes);
+        let mut texts = Vec::new();
+        for throw in 0..160 {
+            let current_gain = if throw < 100 { 1.0 } else { 1.1 };
+            let mut observation = drive.observe(State { current_gain, ..State::SOUND });
+            // As of a motor whose inrush does not show the resistance.
+            observation.features.resistance_ohm = None;
+            observation.features.back_emf_v_s_per_rad = None;
+            texts.extend(drive.monitor.observe(&observation, &settings).events.into_iter().map(|event| event.text));
+        }
+        let asks = texts.iter().any(|text| text.contains("published supply_v would"));
+        let is_open = texts.iter().any(|text| text.contains("current sensor"));
+        assert!(is_open && asks != publishes, "{publishes}: {texts:#?}");
+    }
+}
+
+/// Its gauges are too weak to decide in each throw, and do not show that it was mended.
+#[test]
+fn the_alarm_about_a_sensor_stays_as_long_as_it_is_wrong() {
+    let settings = Settings::default();
+    let wrong = [
+        ("current", State { current_gain: 1.08, ..State::SOUND }),
+        ("current", State { current_gain: 0.93, ..State::SOUND }),
+        ("position", State { position_gain: 1.06, ..State::SOUND }),
+        ("clock", State { clock: 1.05, ..State::SOUND }),
+    ];
+    for seed in 310..313 {
+        for (what, state) in wrong {
+            let mut drive = Drive::new(seed, true);
+            for _ in 0..100 {
+                assert_eq!(drive.feed(State::SOUND, &settings).events, [], "seed {seed}");
+            }
+            let events: Vec<_> = (0..200).flat_map(|_| drive.feed(state, &settings).events).collect();
+            let of_sensor: Vec<_> = events.iter().filter(|event| event.cause == Cause::Sensor).collect();
+            let parts: Vec<_> = events.iter().filter(|event| Cause::PHYSICAL.contains(&event.cause)).collect();
+            assert!(of_sensor.len() <= 1 && parts.len() <= 2, "{what}, seed {seed}: {events:#?}");
+        }
+    }
+}
+
+#[test]
 fn a_noisy_position_sensor_is_named_and_sends_nobody_to_the_track() {
     let settings = Settings::default();
     for (noise_mm, seed) in [1.0, 2.5, 6.0, 15.0].into_iter().zip(77_000..) {

@@ -10,6 +10,7 @@ use super::{
         event::{Cause, SensorChannel},
         explain::percent,
         found,
+        gauges::Circuit,
         observation::{Evaluated, Observation},
         operational::Context,
         rule::Rule,
@@ -197,8 +198,11 @@ impl MachineMonitor {
         let testimony = drift.as_ref().map(|drift| drift.testimony);
         let excused = testimony.is_some_and(Testimony::excuses);
         let explained = drift.as_ref().filter(|drift| drift.testimony == Testimony::Supply).map(Drift::matters);
+        // A sensor that explains a resistance explains a drift that matters, too.
+        let is_doubtful =
+            matches!(testimony, Some(Testimony::Either { .. })) && drift.as_ref().is_some_and(Drift::matters);
         let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());
-        let circuit = circuit.filter(|_| !matches!(testimony, Some(Testimony::Either { .. })));
+        let circuit = circuit.map(|found| Circuit { is_doubtful: found.is_doubtful || is_doubtful, ..found });
         verdict.events.extend(self.instruments.judge_supply(explained, circuit, &mut self.alarms, context));
         // The inrush, which accelerates the machine, depends on the supply.
         let excused_start = excused || self.alarms.is_active(Cause::Supply);
