@@ -24,8 +24,20 @@ const LEVEL: usize = 6;
 /// or two, and consecutive throws are correlated.
 const SIGNIFICANT_SD: f64 = 4.0;
 
+/// A change that has grown by this factor since it was last reported is reported again.
+const LARGER: f64 = 1.5;
+
 /// Departures of the watched features from normal, beyond what the supply explains, and their standard deviations.
 type Departures = [Option<(f32, f32)>; WATCHED.len()];
+
+/// The largest of the changes, as multiple of the change that matters.
+fn largest(changes: &[Change]) -> f64 {
+    let of = |change: &Change| {
+        let limit = WATCHED.iter().find(|(gauge, _)| *gauge == change.gauge).map_or(1.0, |(_, limit)| *limit);
+        change.size.abs() / limit
+    };
+    changes.iter().map(of).fold(0.0, f64::max)
+}
 
 /// The features of the last throws without an estimate.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -33,6 +45,9 @@ pub(super) struct FeatureWatch {
     /// The throws of each direction, the newest last.
     sides: [Last<Departures, LEVEL>; 2],
     calm: u32,
+    /// Largest change when it was last reported, as multiple of the change that matters.
+    #[serde(default)]
+    reported: f64,
 }
 
 impl FeatureWatch {
@@ -50,10 +65,21 @@ impl FeatureWatch {
         if !changes.is_empty() {
             self.calm = 0;
             let text = text::features(context.name, &changes, LEVEL);
-            return Found::unnamed(context.throw, text);
+            let is_larger = self.reported > 0.0 && largest(&changes) > LARGER * self.reported;
+            if is_larger || self.reported == 0.0 {
+                self.reported = largest(&changes);
+            }
+            return match Found::unnamed(context.throw, text) {
+                Found::Fault(cause, evidence) if is_larger => Found::Larger(cause, evidence),
+                found => found,
+            };
         }
         self.calm = self.calm.saturating_add(1);
-        if self.calm >= context.settings.off_delay_throws { Found::Nothing } else { Found::Unclear }
+        if self.calm < context.settings.off_delay_throws {
+            return Found::Unclear;
+        }
+        self.reported = 0.0;
+        Found::Nothing
     }
 
     /// Applies a throw with an estimate: the drift rule judges its direction again.
@@ -61,7 +87,11 @@ impl FeatureWatch {
         if let Some(direction) = direction {
             self.sides[direction.side()].pop_oldest();
         }
-        if self.sides.iter().all(|side| side.is_empty()) { Found::Nothing } else { Found::Unclear }
+        if !self.sides.iter().all(|side| side.is_empty()) {
+            return Found::Unclear;
+        }
+        self.reported = 0.0;
+        Found::Nothing
     }
 
     /// Whether features of the last throws were compared with normal values.
