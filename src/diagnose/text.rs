@@ -200,7 +200,8 @@ pub(super) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
     // A misfit of all throws is nearly always the load of the machine, and seldom a setting.
     let check = match reason {
         Some("misfit") => {
-            "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether current and              position are of the same moment, and neutral_mm"
+            "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether current and \
+             position are of the same moment, and neutral_mm"
         }
         _ => "the machine and its sensors",
     };

@@ -101,7 +101,7 @@ fn the_pulse_of_a_contact_before_the_inrush_is_no_noise() {
 /// The current of a motor that stalls at the end of the stroke for 35 ms, and is turned back by the drive after its cut-off.
 fn with_stall(machine: &Parameters, current: &mut Vec<f64>, rate_hz: f64) {
     let peak = current.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap();
-    let cut_off = current.iter().rposition(|i| i.abs() > 0.02 * peak.abs()).unwrap() - 8;
+    let cut_off = current.iter().rposition(|i| i.abs() > 0.15).unwrap() - 8;
     let (from_a, rest) = (current[cut_off].abs(), current[current.len() - 1]);
     current.truncate(cut_off);
     let stall_a = machine.supply_v / machine.resistance_ohm;
