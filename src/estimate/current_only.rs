@@ -47,8 +47,9 @@ const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 const STALL_FACTOR: f64 = 2.0;
 /// The stalled motor is on while its current is above this share of the peak.
 const STALLED_SHARE: f64 = 0.95;
-/// Largest mean current in the second half of the time after that, as share of the median: a current that goes on is a load
-/// in the movement, and no stall at its end.
+/// Longest time of the current after that \[s\], and largest mean of its second half as share of that of its first: a current
+/// that goes on for longer, or does not decay, is that of a movement after a load.
+const FREEWHEEL_S: f64 = 0.3;
 const FREEWHEEL_SHARE: f64 = 0.5;
 
 /// Why there are no coefficients.
@@ -78,7 +79,7 @@ pub(super) fn estimate(
         return Err("the coefficients need at least 500 samples/s");
     }
     let start = movement.start();
-    let off = end_of_voltage(movement, current).ok_or(NOT_ENDED)?;
+    let off = end_of_voltage(movement, current, interval_s).ok_or(NOT_ENDED)?;
     let drive = movement.drive(current);
     let amperes: Vec<f64> =
         current.get(start..=off).ok_or(NOT_ENDED)?.iter().map(|i| drive * (i - movement.current.mean)).collect();
@@ -166,15 +167,15 @@ pub(super) fn estimate(
 
 /// The last sample with the supply voltage at the motor. A motor that stalls at the end of the stroke winds up the drive,
 /// which turns it back after the cut-off: then a current flows for a tenth of a second without a voltage.
-fn end_of_voltage(movement: &Movement, current: &[f64]) -> Option<usize> {
+fn end_of_voltage(movement: &Movement, current: &[f64], interval_s: f64) -> Option<usize> {
     let off = movement.motor_off?;
     let from = movement.start().midpoint(off);
     let mut late: Vec<f64> = current.get(from..=off)?.iter().map(|i| (i - movement.current.mean).abs()).collect();
     let peak = late.iter().copied().fold(0.0, f64::max);
     let stalled = late.iter().rposition(|i| *i >= STALLED_SHARE * peak)?;
-    let after = &late[stalled.midpoint(late.len())..];
-    let after_a = mean(after.iter().copied());
-    let running_a = median_of_magnitudes(&mut late);
-    let stalls = peak > STALL_FACTOR * running_a && after_a < FREEWHEEL_SHARE * running_a;
+    let (first, second) = late[stalled..].split_at((late.len() - stalled) / 2);
+    let decays = mean(second.iter().copied()) < FREEWHEEL_SHARE * mean(first.iter().copied());
+    let is_short = (late.len() - stalled) as f64 * interval_s <= FREEWHEEL_S;
+    let stalls = is_short && decays && peak > STALL_FACTOR * median_of_magnitudes(&mut late);
     Some(if stalls { from + stalled } else { off })
 }
