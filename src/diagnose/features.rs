@@ -24,6 +24,9 @@ const LEVEL: usize = 6;
 /// or two, and consecutive throws are correlated.
 const SIGNIFICANT_SD: f64 = 4.0;
 
+/// A change that has grown by this factor since it was last reported is reported again.
+const LARGER: f64 = 1.5;
+
 /// Departures of the watched features from normal, beyond what the supply explains, and their standard deviations.
 type Departures = [Option<(f32, f32)>; WATCHED.len()];
 
@@ -33,6 +36,9 @@ pub(super) struct FeatureWatch {
     /// The throws of each direction, the newest last.
     sides: [Last<Departures, LEVEL>; 2],
     calm: u32,
+    /// Largest change when it was last reported, as multiple of the change that matters.
+    #[serde(default)]
+    reported: f64,
 }
 
 impl FeatureWatch {
@@ -47,13 +53,26 @@ impl FeatureWatch {
         let recent = &mut self.sides[direction.side()];
         recent.push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
         let levels = self.levels();
-        count_over(&mut self.calm, levels.iter().map(|(size, _)| *size).max_by(f64::total_cmp));
+        let largest = levels.iter().map(|(size, _)| *size).max_by(f64::total_cmp);
+        count_over(&mut self.calm, largest);
         let changes: Vec<Change> =
             levels.into_iter().filter_map(|(size, change)| (size > 1.0).then_some(change)).collect();
-        if !changes.is_empty() {
-            return Found::unnamed(context.throw, text::features(context.name, &changes, LEVEL));
+        if let Some(largest) = largest.filter(|_| !changes.is_empty()) {
+            let text = text::features(context.name, &changes, LEVEL);
+            let is_larger = self.reported > 0.0 && largest > LARGER * self.reported;
+            if is_larger || self.reported == 0.0 {
+                self.reported = largest;
+            }
+            return match Found::unnamed(context.throw, text) {
+                Found::Fault(cause, evidence) if is_larger => Found::Larger(cause, evidence),
+                found => found,
+            };
         }
-        if self.calm >= context.settings.off_delay_throws { Found::Nothing } else { Found::Unclear }
+        if self.calm < context.settings.off_delay_throws {
+            return Found::Unclear;
+        }
+        self.reported = 0.0;
+        Found::Nothing
     }
 
     /// Applies a throw with an estimate: the drift rule judges its direction again.
@@ -61,7 +80,11 @@ impl FeatureWatch {
         if let Some(direction) = direction {
             self.sides[direction.side()].pop_oldest();
         }
-        if self.sides.iter().all(|side| side.is_empty()) { Found::Nothing } else { Found::Unclear }
+        if !self.sides.iter().all(|side| side.is_empty()) {
+            return Found::Unclear;
+        }
+        self.reported = 0.0;
+        Found::Nothing
     }
 
     /// Whether features of the last throws were compared with normal values.

@@ -28,6 +28,8 @@ pub(super) fn count_over(over: &mut u32, size: Option<f64>) {
 pub(super) enum Found {
     /// A fault.
     Fault(Cause, Box<Evidence>),
+    /// A fault that is much larger than when it was last reported.
+    Larger(Cause, Box<Evidence>),
     /// No fault, for long enough to end an alarm.
     Nothing,
     /// Neither.
@@ -54,7 +56,8 @@ impl Found {
                     if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, false) };
                 alarms.clear(cause, text, at)
             }
-            (None, Self::Fault(cause, evidence))
+            (Some(cause), Self::Larger(_, evidence)) => alarms.remark(cause, evidence.text, at),
+            (None, Self::Fault(cause, evidence) | Self::Larger(cause, evidence))
                 if !alarms.active().any(|event| event.cause == Cause::Unattributed || explains(event)) =>
             {
                 alarms.raise(cause, Evidence { rule, ..*evidence }, at)

@@ -44,6 +44,8 @@ pub struct Observation {
     pub rejected: Option<&'static str>,
     /// A sentence about the fields of the message whose values are not possible.
     pub unused_fields: Option<String>,
+    /// The configured stroke \[mm\], if the travel is too short for it although the throw ended as a complete one.
+    pub short_of_stroke_mm: Option<f64>,
 }
 
 impl Observation {
@@ -66,6 +68,7 @@ impl Observation {
             temperature_c: None,
             rejected: None,
             unused_fields: None,
+            short_of_stroke_mm: None,
         }
     }
 
@@ -86,6 +89,7 @@ impl Observation {
             temperature_c: throw.temperature_c,
             rejected: rejection.map(Rejection::code),
             unused_fields: found.unused_fields.clone(),
+            short_of_stroke_mm: found.short_of_stroke_mm,
             ..Self::without_trace(throw.id.clone(), throw.started_at)
         }
     }

@@ -37,6 +37,10 @@ const CONTRADICTED_IN_A_ROW: u32 = 5;
 /// Throws in a row with unused fields until this is stated, and rejected ones of the last 32 of a direction.
 const UNUSED_IN_A_ROW: u32 = 5;
 const OFTEN_REJECTED: u32 = 8;
+/// Throws in a row that end before the configured stroke until this is stated.
+const SHORT_IN_A_ROW: u32 = 5;
+/// Throws in a row without coefficients, of a machine without a toe position that had them, until this is stated.
+const WITHOUT_COEFFICIENTS_IN_A_ROW: u32 = 20;
 
 /// Liveliness of the logger.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -94,6 +98,12 @@ pub(super) struct Operation {
     /// The sentence about the unused fields of the last throw, and the number of throws with any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     unused_fields: Option<(String, u32)>,
+    /// Travel and configured stroke of the last throw that ended before it \[mm\], and the number of such throws.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    short: Option<([f64; 2], u32)>,
+    /// Throws of which only the features of the current are known.
+    #[serde(default)]
+    without_coefficients: u32,
     /// Throws with a rejected, and with an accepted temperature.
     #[serde(default)]
     disbelieved: u32,
@@ -149,11 +159,12 @@ impl Operation {
     /// of the logger.
     pub(super) fn on_throw(
         &mut self,
-        &Observation { incomplete, direction, received_at, rejected, ref unused_fields, .. }: &Observation,
+        observation: &Observation,
         alarms: &mut Alarms,
         context: Context,
     ) -> Vec<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
+        let &Observation { incomplete, direction, received_at, rejected, ref unused_fields, .. } = observation;
         self.silence_s = 0.0;
         self.logger = match self.logger {
             gone @ Logger::Gone { since: Some(since), .. } if received_at.is_some_and(|at| at < since) => gone,
@@ -174,6 +185,13 @@ impl Operation {
         }
         let before = self.unused_fields.take().map_or(0, |(_, throws)| throws);
         self.unused_fields = unused_fields.clone().map(|sentence| (sentence, before.saturating_add(1)));
+        let before = self.short.take().map_or(0, |(_, throws)| throws);
+        self.short = observation
+            .features
+            .travel_mm
+            .zip(observation.short_of_stroke_mm)
+            .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm], before.saturating_add(1)));
+        streak(&mut self.without_coefficients, observation.features_only);
         streak(&mut self.complete, !incomplete);
         self.since_gap = self.since_gap.saturating_add(1);
         let mut events = Vec::new();
@@ -255,10 +273,14 @@ impl Operation {
         if let Some(blind) = blind.filter(|_| is_blind) {
             alarms.raise(Cause::NotMonitored, context.warning(text::blind(name, blind)), at)
         } else if self.unevaluated >= enough {
-            alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, None, self.unevaluated)), at)
+            let reasons = self.sides.each_ref().map(|side| side.rejected.as_deref());
+            let reason = reasons[0].filter(|_| reasons[0] == reasons[1]);
+            let text = text::unevaluated(name, None, self.unevaluated, reason);
+            alarms.raise(Cause::NotMonitored, context.warning(text), at)
         } else if let Some(unseen) = unseen {
-            let in_a_row = self.sides[unseen.side()].unevaluated;
-            alarms.raise(Cause::NotMonitored, context.warning(text::unevaluated(name, Some(unseen), in_a_row)), at)
+            let Streaks { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
+            let text = text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref());
+            alarms.raise(Cause::NotMonitored, context.warning(text), at)
         } else if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
             alarms.clear(Cause::NotMonitored, text::evaluated_again(name), at)
         } else {
@@ -281,16 +303,23 @@ impl Operation {
         self.contradicted >= CONTRADICTED_IN_A_ROW
     }
 
-    /// Sentences about rejected throws among evaluated ones, and about unused fields unless `of_sensor`: an alarm about a
-    /// sensor tells of them already.
-    pub(super) fn caveats(&self, name: &str, of_sensor: bool) -> Vec<String> {
+    /// Sentences about rejected throws among evaluated ones, about lost coefficients of a machine that `had_coefficients`, and
+    /// about unused fields and a short travel unless `of_sensor`: an alarm about a sensor tells of them already.
+    pub(super) fn caveats(&self, name: &str, of_sensor: bool, had_coefficients: bool) -> Vec<String> {
         let unused = self.unused_fields.as_ref().filter(|(_, throws)| *throws >= UNUSED_IN_A_ROW && !of_sensor);
         let often = Direction::BOTH.into_iter().filter_map(|direction| {
             let Streaks { lost, rejected, .. } = &self.sides[direction.side()];
             let count = Some(lost.count_ones()).filter(|count| *count >= OFTEN_REJECTED)?;
             Some(text::often_rejected(name, direction, count, u32::BITS, rejected.as_ref()?))
         });
-        unused.map(|(sentence, _)| text::unused_fields(name, sentence)).into_iter().chain(often).collect()
+        let short = self.short.filter(|(_, throws)| *throws >= SHORT_IN_A_ROW && !of_sensor);
+        let lost = had_coefficients && self.without_coefficients >= WITHOUT_COEFFICIENTS_IN_A_ROW;
+        let sentences = [
+            unused.map(|(sentence, _)| text::unused_fields(name, sentence)),
+            short.map(|([travel_mm, stroke_mm], _)| text::short_of_stroke(name, travel_mm, stroke_mm)),
+            lost.then(|| text::lost_coefficients(name, self.without_coefficients)),
+        ];
+        sentences.into_iter().flatten().chain(often).collect()
     }
 
     /// Applies the plausibility of temperature and supply voltage of a throw.

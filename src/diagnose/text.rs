@@ -65,7 +65,11 @@ pub(super) fn drift(
         String::new()
     };
     let when = forecast.map_or_else(String::new, |f| {
-        format!(" Reaches the critical limit in about {} throws ({} to {}).", round(f.mid), round(f.low), round(f.high))
+        let [low, mid, high] = [f.low, f.mid, f.high].map(round);
+        if mid < 1.0 {
+            return " The critical limit is reached about now.".to_owned();
+        }
+        format!(" Reaches the critical limit in about {mid} throws ({low} to {high}).")
     });
     let sensor = alike.map_or_else(String::new, |(sensor, waits)| {
         let more = match waits {
@@ -193,14 +197,19 @@ pub(super) fn fast_again(name: &str) -> String {
     format!("Machine {name}: throws are as fast as the baseline's again.")
 }
 
-/// Text for throws without an estimate, of one direction or of both.
-pub(super) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u32) -> String {
-    let (throws, what, check) = match direction {
-        None => (String::new(), "the machine is", "the machine and its sensors"),
-        Some(direction) => {
-            let check = "the zero of the position, neutral_mm, and the machine";
-            (format!(" {direction}"), "this direction is", check)
+/// Text for throws without an estimate, of one direction or of both, with the code of the last reason.
+pub(super) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u32, reason: Option<&str>) -> String {
+    let (throws, what) = match direction {
+        None => (String::new(), "the machine is"),
+        Some(direction) => (format!(" {direction}"), "this direction is"),
+    };
+    // A misfit of all throws is nearly always the load of the machine, and seldom a setting.
+    let check = match reason {
+        Some("misfit") => {
+            "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether current and \
+             position are of the same moment, and neutral_mm"
         }
+        _ => "the machine and its sensors",
     };
     format!(
         "Machine {name}: the last {in_a_row} throws{throws} could not be evaluated, so {what} not monitored. See the \
@@ -279,18 +288,37 @@ pub(super) fn features(name: &str, changes: &[Change], throws: usize) -> String 
 /// Text for throws whose start has changed, over the last `throws`.
 pub(super) fn start(name: &str, change: &start::Change, throws: usize) -> String {
     let start::Change { delay, gain, running } = change;
-    let later = if delay.value < 0.0 { "earlier" } else { "later" };
+    let moves = if delay.value.abs() < 0.05 {
+        format!("the toe moves as soon as usual (±{:.1} ms)", 1.96 * delay.sd)
+    } else {
+        let later = if delay.value < 0.0 { "earlier" } else { "later" };
+        format!("the toe moves {:.1} ms (±{:.1} ms) {later}", delay.value.abs(), 1.96 * delay.sd)
+    };
     let more = if gain.value < 0.0 { "less" } else { "more" };
     format!(
-        "Machine {name}: the start of the movement has changed, over {throws} throws: the toe moves {:.1} ms (±{:.1} ms) {later} \
-         after the start of the current, and accelerates {:.0} % (±{:.0} %) {more}. The running current ({:+.0} %) does not explain this, so \
+        "Machine {name}: the start of the movement has changed, over {throws} throws: {moves} after the start \
+         of the current, and accelerates {:.0} % (±{:.0} %) {more}. The running current ({:+.0} %) does not explain this, so \
          no running part is named. Check the brake, which may release late, play and lost motion in drive and rods, and whether \
          the position sensor is loose or its values are late. Then look for added load.",
-        delay.value.abs(),
-        1.96 * delay.sd,
         percent(gain.value).abs(),
         196.0 * gain.sd * gain.value.exp(),
         percent(running.value)
+    )
+}
+
+/// Text for a machine whose throws end before the configured stroke.
+pub(super) fn short_of_stroke(name: &str, travel_mm: f64, stroke_mm: f64) -> String {
+    format!(
+        "Machine {name}: its throws end at {travel_mm:.1} mm of a stroke of {stroke_mm:.1} mm, without an obstruction. Correct \
+         stroke_mm if this is the whole stroke; else check the gain of the position sensor."
+    )
+}
+
+/// Text for a machine without a toe position whose throws no longer give the coefficients of its baseline.
+pub(super) fn lost_coefficients(name: &str, throws: u32) -> String {
+    format!(
+        "Machine {name}: its last {throws} throws give no coefficients, as those of its baseline did, so only duration, running \
+         current and charge are monitored. The reasons are in throws_not_evaluated; a fault may be one: inspect the machine."
     )
 }
 
@@ -612,4 +640,21 @@ fn look_at(cause: Cause, size: f64) -> &'static str {
 fn round(throws: f64) -> f64 {
     let scale = 10_f64.powf((throws.max(1.0).log10().floor() - 1.0).max(0.0));
     (throws / scale).round() * scale
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_delay_that_rounds_to_zero_is_not_earlier_or_later() {
+        let of = |delay_ms: f64| {
+            let level = |value: f64, sd: f64| Level { value, sd };
+            let change =
+                start::Change { delay: level(delay_ms, 0.2), gain: level(-0.3, 0.02), running: level(0.0, 0.01) };
+            start("21B", &change, 12)
+        };
+        assert!(of(-0.04).contains("the toe moves as soon as usual (±0.4 ms) after the start"), "{}", of(-0.04));
+        assert!(of(-2.0).contains("the toe moves 2.0 ms (±0.4 ms) earlier after the start"), "{}", of(-2.0));
+    }
 }

@@ -31,6 +31,23 @@ const USUAL_STROKES_MM: (f64, f64) = (50.0, 500.0);
 const METRES_RESOLUTION: f64 = 400.0;
 /// Least and largest travel of a complete throw, as share of the stroke.
 const COMPLETE_SHARE: f64 = 0.95;
+/// A shorter travel, down to this share of the stroke, is that of a complete throw behind a sensor with a wrong gain (or a
+/// wrong `stroke_mm`), if the end of the throw is that of a complete one.
+const WRONG_GAIN_SHARE: f64 = 0.85;
+/// Time from the arrival of the toe to the end of the motor of a complete throw behind a wrong gain \[s\]: the motor pushes
+/// the toe against the stock rail until the detection ends the throw. A motor that lost its supply pushes for no time. Before
+/// an obstruction it slips its clutch, or stalls, until a time-out of seconds or an overload protection, which lets an inrush
+/// of 0.1 s pass.
+const PUSH_S: (f64, f64) = (0.01, 0.1);
+/// Least peak of the current of a pushing motor, as multiple of the running current.
+const PUSH_FACTOR: f64 = 1.5;
+/// Least mean speed of a toe over its last movement before the arrival, as share of its mean speed before that: a toe at its
+/// stock rail stops at once, before a soft obstruction it slows down.
+const SHARP_STOP_SHARE: f64 = 0.7;
+/// Length of that last movement, as share of the travel.
+const LAST_SHARE: f64 = 0.01;
+/// Largest movement after the end of a throw \[mm\], beyond the noise: an obstruction pushes the toe back.
+const LARGEST_REBOUND_MM: f64 = 1.0;
 const TOO_LONG_SHARE: f64 = 1.15;
 /// Least travel, as share of the stroke, of a complete throw whose motor runs on after the toe has stopped: the scale of the
 /// sensor may be wrong by 1.5 %, and the configured stroke by 0.5 %. A shorter throw is obstructed. The travel is known to
@@ -105,7 +122,10 @@ pub(super) fn course(
         return Err(if is_noise { noisy } else { Rejection::MovedBackwards { back_mm: furthest - travel_mm } });
     }
     if let Some(stroke_mm) = settings.stroke_mm {
-        if travel_mm + noise_mm < COMPLETE_SHARE * stroke_mm {
+        if is_short(travel_mm, stroke_mm, noise_mm)
+            && !(travel_mm > WRONG_GAIN_SHARE * stroke_mm
+                && ends_complete(movement, (current, position), interval_s, noise_mm, scratch))
+        {
             return Err(Rejection::Incomplete { travel_mm, stroke_mm });
         }
         if travel_mm - noise_mm > TOO_LONG_SHARE * stroke_mm {
@@ -165,6 +185,38 @@ fn whole_noise(movement: &Movement, position: &[f64], noise_mm: f64, scratch: &m
     scratch.clear();
     scratch.extend(position[..samples].iter().map(|x| (x - centre).abs()));
     noise_mm.max(SD_PER_MEDIAN * median_of_magnitudes(scratch))
+}
+
+/// Whether a travel is shorter than that of a complete throw.
+pub(super) fn is_short(travel_mm: f64, stroke_mm: f64, noise_mm: f64) -> bool {
+    travel_mm + noise_mm < COMPLETE_SHARE * stroke_mm
+}
+
+/// Whether the throw ends as a complete one: the toe stops at once and stays there, and the motor pushes it for a moment.
+/// A motor that is switched off before would leave the same trace if it had lost its supply, and is no evidence.
+fn ends_complete(
+    movement: &Movement,
+    (current, position): (&[f64], &[f64]),
+    interval_s: f64,
+    noise_mm: f64,
+    scratch: &mut Vec<f64>,
+) -> bool {
+    let Movement { sign, travel_mm, arrived, .. } = *movement;
+    let start = movement.start();
+    let Some(off) = movement.motor_off.filter(|off| *off > arrived) else { return false };
+    let progress = |k: usize| sign * (position[k] - movement.position.mean);
+    let reach = |share: f64| (start..arrived).find(|&k| progress(k) >= share * travel_mm);
+    let (Some(before), Some(last)) = (reach(1.0 - 10.0 * LAST_SHARE), reach(1.0 - LAST_SHARE)) else { return false };
+    let speed = |from: usize, to: usize| (progress(to) - progress(from)) / to.saturating_sub(from).max(1) as f64;
+    let rebound_mm = travel_mm - sign * (movement.end_mm - movement.position.mean);
+    let push_s = (off - arrived) as f64 * interval_s;
+    let push_a = peak(&current[arrived..=off], movement.current.mean);
+    scratch.clear();
+    scratch.extend(current[start.midpoint(arrived)..arrived].iter().map(|i| (i - movement.current.mean).abs()));
+    (PUSH_S.0..=PUSH_S.1).contains(&push_s)
+        && push_a > PUSH_FACTOR * median_of_magnitudes(scratch)
+        && speed(last, arrived) >= SHARP_STOP_SHARE * speed(before, last)
+        && rebound_mm < LARGEST_REBOUND_MM + WHOLE_SIGMAS * noise_mm
 }
 
 /// Whether the toe still moves before the end of the motor: in a noisy position the first sample near the end of the

@@ -20,7 +20,7 @@ use super::{
     brake,
     features::Features,
     identification::{Estimate, Grade},
-    movement::{Movement, NEAR_END_SHARE},
+    movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes},
     ratios,
     rejection::Channel,
     settings::Settings,
@@ -41,6 +41,16 @@ const RATIO_SD: f64 = 0.003;
 /// Standard deviation of the logarithms of the ratios by errors that are equal in every throw of a machine: with dry
 /// friction, or a filter, the inrush gives the armature's constants to some per cent.
 const SYSTEMATIC_RATIO_SD: f64 = 0.04;
+
+/// Least peak of the current in the second half of a throw, as multiple of its median there, of a motor that stalls at the
+/// end of the stroke until it is switched off.
+const STALL_FACTOR: f64 = 2.0;
+/// The stalled motor is on while its current is above this share of the peak.
+const STALLED_SHARE: f64 = 0.95;
+/// Longest time of the current after that \[s\], and largest mean of its second half as share of that of its first: a current
+/// that goes on for longer, or does not decay, is that of a movement after a load.
+const FREEWHEEL_S: f64 = 0.3;
+const FREEWHEEL_SHARE: f64 = 0.5;
 
 /// Why there are no coefficients.
 const NOT_ENDED: &str = "the recording does not show that the motor is switched off at the end of the throw";
@@ -68,7 +78,8 @@ pub(super) fn estimate(
     if interval_s * LEAST_RATE_HZ > 1.0001 {
         return Err("the coefficients need at least 500 samples/s");
     }
-    let (start, off) = (movement.start(), movement.motor_off.ok_or(NOT_ENDED)?);
+    let start = movement.start();
+    let off = end_of_voltage(movement, current, interval_s).ok_or(NOT_ENDED)?;
     let drive = movement.drive(current);
     let amperes: Vec<f64> =
         current.get(start..=off).ok_or(NOT_ENDED)?.iter().map(|i| drive * (i - movement.current.mean)).collect();
@@ -152,4 +163,19 @@ pub(super) fn estimate(
     estimate.grade = Grade::CurrentOnly;
     estimate.ratios_only = false;
     Ok(estimate)
+}
+
+/// The last sample with the supply voltage at the motor. A motor that stalls at the end of the stroke winds up the drive,
+/// which turns it back after the cut-off: then a current flows for a tenth of a second without a voltage.
+fn end_of_voltage(movement: &Movement, current: &[f64], interval_s: f64) -> Option<usize> {
+    let off = movement.motor_off?;
+    let from = movement.start().midpoint(off);
+    let mut late: Vec<f64> = current.get(from..=off)?.iter().map(|i| (i - movement.current.mean).abs()).collect();
+    let peak = late.iter().copied().fold(0.0, f64::max);
+    let stalled = late.iter().rposition(|i| *i >= STALLED_SHARE * peak)?;
+    let (first, second) = late[stalled..].split_at((late.len() - stalled) / 2);
+    let decays = mean(second.iter().copied()) < FREEWHEEL_SHARE * mean(first.iter().copied());
+    let is_short = (late.len() - stalled) as f64 * interval_s <= FREEWHEEL_S;
+    let stalls = is_short && decays && peak > STALL_FACTOR * median_of_magnitudes(&mut late);
+    Some(if stalls { from + stalled } else { off })
 }

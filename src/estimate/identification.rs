@@ -142,6 +142,10 @@ pub struct Identification {
     /// A sentence about the fields of the message whose values are not possible.
     #[serde(default)]
     pub unused_fields: Option<String>,
+    /// The configured stroke \[mm\], if the travel is below 95 % of it although the throw ended as a complete one: the gain
+    /// of the position sensor, or the configured stroke, is wrong.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub short_of_stroke_mm: Option<f64>,
 }
 
 impl Identification {
@@ -155,8 +159,11 @@ impl Identification {
     #[must_use]
     pub fn detail(&self) -> Option<String> {
         let reason = self.outcome.as_ref().map_or_else(Some, |estimate| estimate.reason.as_ref());
+        let short = self.short_of_stroke_mm.map(|stroke_mm| {
+            format!("the throw ended as a complete one before the stroke of {stroke_mm} mm: position gain or stroke_mm is wrong")
+        });
         let parts: Vec<String> =
-            reason.map(ToString::to_string).into_iter().chain(self.unused_fields.clone()).collect();
+            reason.map(ToString::to_string).into_iter().chain(short).chain(self.unused_fields.clone()).collect();
         (!parts.is_empty()).then(|| parts.join("; "))
     }
 }
@@ -206,6 +213,7 @@ mod tests {
                 features: Features { duration_s: Some(4.1), ..Features::default() },
                 outcome,
                 unused_fields: None,
+                short_of_stroke_mm: None,
             };
             let json = serde_json::to_value(&found).unwrap();
             assert_eq!(serde_json::from_value::<Identification>(json.clone()).unwrap(), found);

@@ -134,12 +134,16 @@ impl Identifier {
         if let Ok(estimate) = &outcome {
             self.add_start(&mut features, estimate, &movement, interval_s);
         }
+        let short_of_stroke_mm = settings
+            .stroke_mm
+            .filter(|stroke_mm| outcome.is_ok() && course::is_short(movement.travel_mm, *stroke_mm, noise_mm));
         Identification {
             direction: moved.or(throw.direction),
             direction_contradicted: moved.is_some() && throw.direction.is_some() && moved != throw.direction,
             features,
             outcome,
             unused_fields: throw.unused_fields(),
+            short_of_stroke_mm,
         }
     }
 
@@ -197,6 +201,7 @@ impl Identifier {
             features,
             outcome,
             unused_fields: throw.unused_fields(),
+            short_of_stroke_mm: None,
         }
     }
 

@@ -23,7 +23,8 @@ pub struct Settings {
     pub lead_mm: f64,
     /// Toe position at which the rails are unstressed \[mm from normal\], -1,000 to 1,000.
     pub neutral_mm: f64,
-    /// Nominal stroke \[mm\], 1 to 1,000; `None` if unknown. A throw below 95 % of it is incomplete. A motor that drives a
+    /// Nominal stroke \[mm\], 1 to 1,000; `None` if unknown. A throw below 95 % of it is incomplete, unless it
+    /// ends as a complete one (above 85 %): then the gain of the sensor, or this stroke, is wrong. A motor that drives a
     /// standing toe for half a second is an obstruction, unless 98 % of a known stroke are done.
     pub stroke_mm: Option<f64>,
     /// Kind of motor.

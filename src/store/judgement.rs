@@ -186,13 +186,12 @@ impl Judgements {
 impl Judgement {
     /// Writes baselines and events, which few throws have.
     async fn write_rare(&self, connection: &mut SqliteConnection) -> sqlx::Result<()> {
-        let at_us = self.outcome.at.as_microsecond();
         let machine_row: i64 = sqlx::query_scalar(sql::MACHINE_OF).bind(self.row.0).fetch_one(&mut *connection).await?;
         for baseline in &self.baselines {
             sqlx::query(sql::ADD_BASELINE)
                 .bind(machine_row)
                 .bind(baseline.direction.as_str())
-                .bind(at_us)
+                .bind(baseline.taken_at.as_microsecond())
                 .bind(json(baseline))
                 .execute(&mut *connection)
                 .await?;

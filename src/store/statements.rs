@@ -308,7 +308,7 @@ statements! {
     SET_MONITORS_OF = set_monitor!("SELECT throw.machine_row, column2, column3, column4, column5, column6 \
         FROM (VALUES (?, ?, ?, ?, ?, ?)) AS new CROSS JOIN throw ON throw.throw_row = column1 WHERE TRUE");
     ADD_BASELINE = "INSERT INTO baseline (machine_row, direction, taken_at_us, payload) VALUES (?1, ?2, ?3, ?4) \
-        ON CONFLICT DO NOTHING";
+        ON CONFLICT DO UPDATE SET payload = excluded.payload";
     SET_MONITOR = set_monitor!("VALUES (?1, ?2, ?3, ?4, ?5, ?6)");
     MONITORS = "SELECT site, machine, snapshot, state FROM machine CROSS JOIN monitor USING (machine_row) \
         WHERE (site, machine) > (?1, ?2) ORDER BY site, machine LIMIT ?3";

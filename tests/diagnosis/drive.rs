@@ -75,6 +75,10 @@ pub(crate) struct Drive {
     /// Whether the logger publishes the supply voltage.
     pub(crate) publishes_volts: bool,
     pub(crate) has_toe_sensor: bool,
+    /// The stroke in the configuration \[mm\].
+    pub(crate) stroke_mm: Option<f64>,
+    /// Time of the motor after the arrival of the toe \[s\].
+    pub(crate) push_s: f64,
 }
 
 impl Drive {
@@ -93,6 +97,8 @@ impl Drive {
             throws: 0,
             publishes_volts,
             has_toe_sensor: true,
+            stroke_mm: None,
+            push_s: 0.0,
         }
     }
 
@@ -121,7 +127,8 @@ impl Drive {
             supply_v: self.publishes_volts.then_some(volts),
             ..Throw::recorded(trace)
         };
-        let found = self.identifier.identify(&throw, &estimate::Settings::default());
+        let settings = estimate::Settings { stroke_mm: self.stroke_mm, ..estimate::Settings::default() };
+        let found = self.identifier.identify(&throw, &settings);
         Observation::of(&throw, &found)
     }
 
@@ -139,7 +146,7 @@ impl Drive {
         let travel = STROKE_MM * state.stroke / MM_PER_RADIAN;
         let rest = if direction == Direction::NormalToReverse { 0.0 } else { travel };
         let (mut amperes, mut speed, mut angle) = (0.0_f64, 0.0_f64, 0.0_f64);
-        let (mut on, mut since_off) = (true, 0.0);
+        let (mut on, mut since_off, mut pushed_s) = (true, 0.0, 0.0);
         let (mut current, mut toe) = (Vec::new(), Vec::new());
         while since_off < 0.2 {
             current.push(amperes);
@@ -152,14 +159,16 @@ impl Drive {
                 since_off += STEP_S;
             }
             let drive = torque * amperes - viscous * speed - spring * (angle - rest);
-            let held = time < state.brake_s || (speed == 0.0 && drive <= dry);
+            let has_arrived = angle >= travel;
+            let held = has_arrived || time < state.brake_s || (speed == 0.0 && drive <= dry);
             if on && !held {
                 speed = (speed + STEP_S / inertia * (drive - dry)).max(0.0);
                 angle += STEP_S * speed;
-            } else if !on {
+            } else if !on || has_arrived {
                 speed = 0.0;
             }
-            on &= angle < travel;
+            pushed_s += if has_arrived { STEP_S } else { 0.0 };
+            on &= angle < travel || pushed_s < self.push_s;
         }
         let phase = self.rng.random::<f64>() * 1e-3;
         let (mut recorded_a, mut recorded_mm) = (Vec::new(), Vec::new());

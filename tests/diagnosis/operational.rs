@@ -11,7 +11,10 @@ use pointsd::{
     throw::Direction,
 };
 
-use crate::fleet::{Machine, Nature, shift};
+use crate::{
+    drive::{Drive, State},
+    fleet::{Machine, Nature, shift},
+};
 
 fn machine() -> (Machine, MachineMonitor) {
     let mut machine = Machine::new(21, Nature::default());
@@ -52,6 +55,77 @@ fn an_incomplete_throw_is_told_at_once_and_a_second_is_critical() {
     );
     let well = feed(&mut machine, &mut monitor, 20, |_| {});
     assert_eq!(summary(&well), [(Cause::IncompleteThrow, Severity::Critical, ClearedUnacknowledged)]);
+}
+
+/// With a configured stroke a weak gain makes whole throws shorter than 95 % of it.
+#[test]
+fn a_weak_gain_of_the_position_is_an_alarm_about_its_sensor_and_no_incomplete_throw() {
+    let settings = Settings::default();
+    for publishes_volts in [true, false] {
+        let mut drive = Drive::new(71, publishes_volts);
+        (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
+        let healthy: Vec<_> = (0..120).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        assert_eq!(healthy, []);
+        let weak = State { position_gain: 0.94, ..State::SOUND };
+        let events: Vec<_> = (0..30).flat_map(|_| drive.feed(weak, &settings).events).collect();
+        let named: Vec<_> = events.iter().map(|event| (event.cause, event.channel)).collect();
+        assert_eq!(named, [(Cause::Sensor, Some(SensorChannel::Position))], "{events:?}");
+    }
+}
+
+/// The toe ends at the same place as behind a weak gain: before an obstruction, where the motor stalls for longer than the
+/// detection needs, or because the supply of the motor is lost.
+#[test]
+fn an_obstruction_shortly_before_the_end_is_an_incomplete_throw() {
+    let settings = Settings::default();
+    for push_s in [0.0, 0.15, 0.3, 1.0, 4.0] {
+        let mut drive = Drive::new(74, true);
+        (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
+        let healthy: Vec<_> = (0..40).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        assert_eq!(healthy, []);
+        drive.push_s = push_s;
+        let blocked = State { stroke: 0.94, ..State::SOUND };
+        let events: Vec<_> = (0..2).flat_map(|_| drive.feed(blocked, &settings).events).collect();
+        let named: Vec<_> = events.iter().map(|event| (event.cause, event.severity)).collect();
+        let expected = [Severity::Warning, Severity::Critical].map(|severity| (Cause::IncompleteThrow, severity));
+        assert_eq!(named, expected, "{push_s} s: {events:?}");
+    }
+}
+
+#[test]
+fn a_machine_that_never_reaches_the_configured_stroke_has_a_caveat() {
+    let settings = Settings::default();
+    let mut drive = Drive::new(72, true);
+    (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
+    let short = State { stroke: 0.91, ..State::SOUND };
+    let events: Vec<_> = (0..60).flat_map(|_| drive.feed(short, &settings).events).collect();
+    assert_eq!(events, []);
+    let caveats = drive.monitor.caveats();
+    assert!(
+        matches!(&caveats[..], [one] if one.contains("mm of a stroke of 115.0 mm, without an obstruction")),
+        "{caveats:?}"
+    );
+    assert_eq!(drive.monitor.state(), MachineState::Healthy);
+}
+
+/// A machine without a toe sensor that had coefficients, and whose throws give none any more.
+#[test]
+fn lost_coefficients_of_a_machine_without_a_toe_sensor_are_a_caveat() {
+    let settings = Settings::default();
+    let mut drive = Drive::new(73, true);
+    (drive.stroke_mm, drive.has_toe_sensor) = (Some(115.0), false);
+    let events: Vec<_> = (0..120).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+    assert_eq!((events, drive.monitor.caveats()), (vec![], vec![]));
+    // The logger no longer publishes the voltage.
+    drive.publishes_volts = false;
+    for throws in 1..=20 {
+        assert_eq!(drive.feed(State::SOUND, &settings).events, []);
+        let is_said = drive.monitor.caveats().iter().any(|caveat| caveat.contains("give no coefficients"));
+        assert_eq!(is_said, throws == 20, "after {throws} throws");
+    }
+    drive.publishes_volts = true;
+    drive.feed(State::SOUND, &settings);
+    assert_eq!(drive.monitor.caveats(), Vec::<String>::new());
 }
 
 #[test]
@@ -251,11 +325,14 @@ fn nonsense_in_an_estimate_neither_panics_nor_teaches() {
 #[test]
 fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
     let (mut machine, mut monitor) = machine();
-    let back =
-        |o: &mut Observation| o.estimate = o.estimate.filter(|_| o.direction == Some(Direction::NormalToReverse));
+    let back = |o: &mut Observation| {
+        o.estimate = o.estimate.filter(|_| o.direction == Some(Direction::NormalToReverse));
+        o.rejected = o.estimate.is_none().then_some("misfit");
+    };
     let events = feed(&mut machine, &mut monitor, 60, back);
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
-    assert!(events[0].text.contains("reverse to normal"), "{}", events[0].text);
+    let text = &events[0].text;
+    assert!(text.contains("reverse to normal") && text.contains("check for a load that varies"), "{text}");
     assert_eq!(monitor.state(), MachineState::NotMonitored);
     let events = feed(&mut machine, &mut monitor, 8, |_| {});
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);

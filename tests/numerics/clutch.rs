@@ -174,6 +174,48 @@ fn an_obstruction_in_the_last_part_of_a_known_stroke_is_seen() {
     }
 }
 
+/// A throw that ends early is incomplete also close to the end of the stroke, however the motor ends.
+#[test]
+fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
+    let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
+    let sensors = Sensors::default();
+    let identify = |machine: &Parameters, direction, conditions: &Conditions| {
+        let motion = machine.simulate(direction, conditions, sensors.step_s()).unwrap();
+        let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(7)).unwrap().trace;
+        let throw = Throw { direction: Some(direction), ..Throw::recorded(trace) };
+        Identifier::default().identify(&throw, &settings)
+    };
+    let free = Conditions::default();
+    for direction in Direction::BOTH {
+        for at_pct in [86.0, 88.0, 90.0, 92.0, 93.0, 94.0] {
+            let far_mm = match direction {
+                Direction::NormalToReverse => 1.15 * at_pct,
+                Direction::ReverseToNormal => 115.0 - 1.15 * at_pct,
+            };
+            // An obstruction: the motor slips its clutch until the controller gives up, or a protection ends it before.
+            let blocked = Conditions { obstruction_mm: Some(far_mm), ..free };
+            let whole_s = identify(&Parameters::default(), direction, &free).features.duration_s.unwrap();
+            for cut_off_after_s in [None, Some(whole_s + 0.2), Some(whole_s + 1.0)] {
+                let found = identify(&Parameters::default(), direction, &Conditions { cut_off_after_s, ..blocked });
+                let refused = found.outcome.unwrap_err();
+                assert!(refused.is_incomplete(), "{direction}, {at_pct} %, {cut_off_after_s:?}: {refused}");
+            }
+            // The motor loses its supply in the movement.
+            for late_s in [-0.06, -0.03, 0.0] {
+                let lost = Conditions { cut_off_after_s: Some(whole_s * at_pct / 100.0 + late_s), ..free };
+                let found = identify(&Parameters::default(), direction, &lost);
+                let travel_mm = found.features.travel_mm.unwrap();
+                let is_short = travel_mm < 0.945 * 115.0;
+                assert!(
+                    !is_short || found.outcome.as_ref().is_err_and(|refused| refused.is_incomplete()),
+                    "{direction}, {at_pct} %, {late_s} s, {travel_mm} mm: {:?}",
+                    found.outcome
+                );
+            }
+        }
+    }
+}
+
 /// The code of a converter whose step is larger than the noise flickers in one place and stands still in another.
 #[test]
 fn an_obstruction_before_a_quiet_converter_is_no_stuck_sensor() {

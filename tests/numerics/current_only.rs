@@ -38,7 +38,7 @@ fn with_the_voltage_every_part_shows_in_the_current_alone() {
             assert!((found / known - 1.0).abs() < 0.04, "{direction}: {found} for {known}");
         }
         for (part, size_pct, expected) in [
-            (Part::Kt, -10.0, [-10.0, 0.0, 0.0]),
+            (Part::Kt, -10.0, [-10.0, -2.0, 0.0]),
             (Part::Friction, 30.0, [3.0, 34.0, 4.0]),
             (Part::Stiffness, 15.0, [0.0, 0.0, 15.0]),
             (Part::Inertia, 10.0, [-9.1; 3]),
@@ -95,5 +95,57 @@ fn the_pulse_of_a_contact_before_the_inrush_is_no_noise() {
         assert!((duration_s.unwrap() - expected_s).abs() < 0.13, "{before:?}: {duration_s:?} for {expected_s} s");
         assert!((running_current_a.unwrap() - 2.1).abs() < 0.05, "{before:?}: {running_current_a:?}");
         assert_eq!(quiet_current_a, None, "{before:?}");
+    }
+}
+
+/// The current of a motor that stalls at the end of the stroke for 35 ms, and is turned back by the drive after its cut-off.
+fn with_stall(machine: &Parameters, current: &mut Vec<f64>, rate_hz: f64) {
+    let peak = current.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap();
+    let cut_off = current.iter().rposition(|i| i.abs() > 0.15).unwrap() - 8;
+    let (from_a, rest) = (current[cut_off].abs(), current[current.len() - 1]);
+    current.truncate(cut_off);
+    let stall_a = machine.supply_v / machine.resistance_ohm;
+    let armature_s = machine.inductance_h / machine.resistance_ohm;
+    let time_s = |k: i32| f64::from(k) / rate_hz;
+    current.extend((1..=35).map(|k| peak.signum() * (stall_a + (from_a - stall_a) * (-time_s(k) / armature_s).exp())));
+    let end_a = current[current.len() - 1];
+    let back_a = 1.5 * from_a * peak.signum();
+    current.extend(
+        (1..=800)
+            .map(|k| rest + (end_a - back_a) * (-time_s(k) / armature_s).exp() + back_a * (-time_s(k) / 0.1).exp()),
+    );
+}
+
+/// The voltage ends with the cut-off, and the current of the drive that turns the motor back does not count.
+#[test]
+fn a_stall_at_the_end_of_the_stroke_neither_hides_nor_changes_a_fault() {
+    let machine = Parameters::default();
+    for direction in Direction::BOTH {
+        let coefficients = |machine: &Parameters| {
+            let sensors = Sensors::default();
+            let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
+            let recorded = sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(4)).unwrap().trace;
+            let (mut current, _) = recorded.into_channels();
+            with_stall(machine, &mut current, 1000.0);
+            let nothing = vec![f64::NAN; current.len()];
+            let trace = Trace::new(1000.0, current, nothing).unwrap();
+            let throw = Throw { direction: Some(direction), supply_v: Some(110.0), ..Throw::recorded(trace) };
+            let settings = Settings { stroke_mm: Some(115.0), ..Settings::default() };
+            Identifier::default().identify(&throw, &settings).outcome.unwrap().coefficients()
+        };
+        let new = coefficients(&machine);
+        for (part, size_pct, expected) in [
+            (Part::Kt, -15.0, [-15.0, -3.0, 0.0]),
+            (Part::Inertia, 20.0, [-16.7; 3]),
+            (Part::Stiffness, 30.0, [0.0, 0.0, 30.0]),
+        ] {
+            let mut condition = Condition::default();
+            condition.worsen(part, size_pct);
+            let worn = coefficients(&machine.in_condition(&condition).unwrap());
+            for at in 0..3 {
+                let change = 100.0 * (worn[at] / new[at] - 1.0);
+                assert!((change - expected[at]).abs() < 3.0, "{direction}, {part:?}: coefficient {at} by {change} %");
+            }
+        }
     }
 }

@@ -387,7 +387,7 @@ impl MachineMonitor {
             .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))
             .chain(only_features.then(|| text::only_features(&self.name)))
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
-            .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor)))
+            .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()
     }
