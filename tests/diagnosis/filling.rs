@@ -25,11 +25,12 @@ fn a_fault_while_the_baseline_fills_is_named_and_not_learned() {
             }
             let sign = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
             let fault = shift(cause, sign * 2.0 * settings.limit_pct(cause).unwrap());
-            let mut named = Vec::new();
+            let mut events = Vec::new();
             for _ in 0..120 {
-                named.extend(machine.feed(&mut monitor, fault, &settings).events.into_iter().map(|event| event.cause));
+                events.extend(machine.feed(&mut monitor, fault, &settings).events);
             }
-            assert_eq!(named.first(), Some(&cause), "seed {seed}");
+            let first = events.first().unwrap();
+            assert_eq!(first.cause, cause, "seed {seed}: {}", first.text);
             assert!(!is_complete(&monitor), "{cause}: the fault was learned");
         }
     }

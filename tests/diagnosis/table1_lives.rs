@@ -12,7 +12,7 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 
 /// Throws of the baseline in each direction, and throws of each test.
-const THROWS: (usize, usize) = (20, 8);
+const THROWS: (usize, usize) = (50, 8);
 
 /// A machine and its monitor.
 struct Life {
