@@ -127,7 +127,7 @@ async fn a_report_is_one_file_with_everything_that_it_shows() {
         ">friction (a1)</text>",
         ">Mean current</text>",
         "Alarm history",
-        "brushes and commutator",
+        "Check the motor: magnets, brushes",
     ] {
         assert!(page.contains(part), "{part}: {page:.2000}");
     }
