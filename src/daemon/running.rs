@@ -73,6 +73,7 @@ pub struct View {
 
 impl View {
     /// The present configuration.
+    #[must_use]
     pub fn config(&self) -> Arc<Config> {
         Arc::clone(&self.config.borrow())
     }
@@ -103,6 +104,9 @@ struct Starting {
 
 impl Daemon {
     /// Opens the database and zenoh, and starts every loop. Returns when all loops run.
+    ///
+    /// # Errors
+    /// When the database or zenoh cannot be used.
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         // Before the database: without a session the start fails, and the database stays closed.
@@ -167,6 +171,7 @@ impl Daemon {
     }
 
     /// Receiver of the throws judged from now on.
+    #[must_use]
     pub fn watch(&self) -> broadcast::Receiver<Judged> {
         self.watchers.subscribe()
     }
@@ -177,16 +182,19 @@ impl Daemon {
     }
 
     /// The database.
+    #[must_use]
     pub fn store(&self) -> &Store {
         &self.store
     }
 
     /// The status of the daemon.
+    #[must_use]
     pub fn report(&self) -> StatusReport {
         self.gauges.report()
     }
 
     /// A view of the daemon for the dashboard.
+    #[must_use]
     pub fn view(&self) -> View {
         View { gauges: self.gauges.clone(), config: self.config.subscribe(), orders: self.orders.clone() }
     }
@@ -206,6 +214,7 @@ impl Daemon {
 
     /// Applies the settings that can change without a restart (diagnosis, machines). Returns the sections that differ and
     /// need a restart.
+    #[must_use]
     pub fn reload(&self, new: Config) -> Vec<&'static str> {
         let old = Arc::clone(&self.config.borrow());
         let needs_restart = [

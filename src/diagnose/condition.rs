@@ -42,6 +42,7 @@ pub(super) enum Claim {
 
 /// Evidence of a throw for and against an alarm about a cause.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[expect(clippy::struct_excessive_bools, reason = "independent findings about one throw")]
 pub(super) struct Reading {
     /// Evidence for the alarm.
     pub(super) claim: Claim,

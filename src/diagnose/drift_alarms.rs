@@ -353,7 +353,7 @@ impl DriftAlarms {
         let throws = self.throws_since_onset(order);
         let direction = drift.direction(cause, throws, context.settings);
         let now = self.named_now(severity, drift, direction, order, tracks, context.settings);
-        let limit_in_throws = now.as_ref().and_then(|(_, forecast)| forecast.clone());
+        let limit_in_throws = now.as_ref().and_then(|(_, forecast)| *forecast);
         if let (Naming::One(main) | Naming::Another { new: main, .. }, Some((now, _))) = (&mut attribution.naming, now)
         {
             *main = now;

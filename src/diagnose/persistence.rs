@@ -106,7 +106,9 @@ const LARGEST_ERROR: f64 = 50.0;
 fn normalise(nodes: &mut [(f64, f64)]) -> f64 {
     let best = nodes.iter().map(|(evidence, _)| *evidence).fold(f64::MIN, f64::max);
     let sum: f64 = nodes.iter().map(|(evidence, _)| (evidence - best).exp()).sum();
-    nodes.iter_mut().for_each(|(evidence, _)| *evidence = (*evidence - best).exp() / sum);
+    for (evidence, _) in nodes {
+        *evidence = (*evidence - best).exp() / sum;
+    }
     best + sum.ln()
 }
 

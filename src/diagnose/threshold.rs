@@ -16,7 +16,7 @@ use super::scatter::{Doubt, Scatter};
 pub(super) const WINDOWS: [usize; 4] = [3, 6, 12, 24];
 /// Crossings of a limit per alarm: the others end within the on delay, or have no stable name. Measured on simulated
 /// healthy fleets without warning limits.
-const CROSSINGS_PER_ALARM: f64 = 30.0;
+const CROSSINGS_PER_ALARM: f64 = 48.0;
 /// Coefficients in a residual.
 const DIMENSIONS: f64 = 3.0;
 
@@ -112,7 +112,9 @@ mod tests {
     #[test]
     fn an_impossible_budget_has_the_nearest_limit() {
         let doubt = Doubt { factors: vec![(1.0, 1.0, 12.0)] };
-        assert_eq!([2.0, 1e-300].map(|alpha| limit(alpha, &doubt).ln().round()), [0.0, 12.0]);
+        for (alpha, expected) in [(2.0, 0.0), (1e-300, 12.0)] {
+            assert!((limit(alpha, &doubt).ln() - expected).abs() < 1e-9, "{alpha}");
+        }
     }
 
     #[test]

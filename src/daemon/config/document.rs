@@ -57,6 +57,9 @@ pub struct Document {
 
 impl Document {
     /// Reads a file.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or is not text or not TOML.
     pub fn read(file: &Path) -> Result<Self, ConfigError> {
         let failed = |problem: String| ConfigError { file: file.to_owned(), line: None, key: None, problem };
         let size = fs::metadata(file).map_err(|error| failed(format!("cannot be read: {error}")))?.len();
@@ -68,6 +71,9 @@ impl Document {
     }
 
     /// Parses a text as the content of `file`.
+    ///
+    /// # Errors
+    /// When the text is not TOML.
     pub fn parse(file: &Path, text: String) -> Result<Self, ConfigError> {
         let mut document = Self { file: file.to_owned(), text, places: Vec::new() };
         let mut places = Vec::new();
@@ -80,7 +86,9 @@ impl Document {
     }
 
     /// Deserializes the whole text.
-    /// Fails with the first key that is unknown, missing or of the wrong type.
+    ///
+    /// # Errors
+    /// The first key that is unknown, missing or of the wrong type.
     pub fn deserialize<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
         toml::from_str(&self.text).map_err(|error| self.from_toml(&error))
     }
