@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use pointsd::estimate::{Identifier, Motor, Settings};
+use pointsd::estimate::{Identifier, Motor, Rejection, Settings};
 use pointsd::simulate::{Channel, Conditions, Parameters, Rails, STEP_S, Sensors, Waveform};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
@@ -207,7 +207,7 @@ fn a_throw_that_ends_before_its_stroke_is_incomplete_however_the_motor_ends() {
                 let travel_mm = found.features.travel_mm.unwrap();
                 let is_short = travel_mm < 0.945 * 115.0;
                 assert!(
-                    !is_short || found.outcome.as_ref().is_err_and(|refused| refused.is_incomplete()),
+                    !is_short || found.outcome.as_ref().is_err_and(Rejection::is_incomplete),
                     "{direction}, {at_pct} %, {late_s} s, {travel_mm} mm: {:?}",
                     found.outcome
                 );
