@@ -157,7 +157,7 @@ fn a_voltage_sensor_that_lies_is_named_and_nothing_else() {
 fn feed_one_sided(drive: &mut Drive, gain: f64, state: State, settings: &Settings) -> Vec<AlarmEvent> {
     let observation = read_with(gain, drive.observe(state));
     let is_rejected = observation.direction == Some(Direction::ReverseToNormal);
-    let estimate = observation.estimate.clone().filter(|_| !is_rejected);
+    let estimate = observation.estimate.filter(|_| !is_rejected);
     drive.monitor.observe(&Observation { estimate, ..observation }, settings).events
 }
 
