@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use statrs::function::erf::erf;
 
 use super::{
+    autoregression::ln_sum,
     robust::median,
     scatter::{Noise, SLOW_LAG1, inflation},
 };
@@ -245,8 +246,7 @@ impl Stage {
 
 /// Logarithm of the sum of the evidences.
 fn total_evidence(stages: &[Stage]) -> f64 {
-    let best = stages.iter().map(|stage| stage.evidence).fold(f64::MIN, f64::max);
-    best + stages.iter().map(|stage| (stage.evidence - best).exp()).sum::<f64>().ln()
+    ln_sum(stages.iter().map(|stage| stage.evidence))
 }
 
 /// First number of throws ahead at which `share` is reached, by growing steps and bisection.

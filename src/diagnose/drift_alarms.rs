@@ -10,7 +10,7 @@ use super::{
     alarm::{Alarms, Evidence},
     cause::{Attribution, Known, Naming},
     condition::{Claim, Condition, LEVELS_FOLLOW, LONGEST_WINDOW, Transition},
-    course::LimitForecast,
+    course::{Course, LimitForecast},
     drift::{Drift, FrictionChange},
     event::{AlarmEvent, Cause, RunnerUp, Severity},
     explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor, percent, relevance},
@@ -110,9 +110,9 @@ impl DriftAlarms {
             }
             let knows_no_part = alarms.rule(cause).is_some_and(Rule::knows_no_part);
             let active = alarms.severity(cause).filter(|_| !knows_no_part);
-            let direction = drift.direction(cause, self.throws_since_onset(order), settings);
+            let direction = || drift.direction(cause, self.throws_since_onset(order), settings);
             if reading.claim == Claim::Named
-                && let Some((now, _)) = self.named_now(Severity::Warning, drift, direction, order, tracks, settings)
+                && let Some((now, _)) = self.named_now(drift, direction(), order, tracks)
             {
                 let size = now.relevance(settings);
                 let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
@@ -276,13 +276,13 @@ impl DriftAlarms {
                 continue;
             };
             let direction = drift.direction(alarm.cause, self.throws_since_onset(order), settings);
-            let (size, forecast) = self.present(&largest, alarm.severity, drift, direction, order, tracks, settings);
+            let (size, course) = self.present(&largest, drift, direction, order, tracks);
             let drifting = Drifting {
                 cause: alarm.cause,
                 change_pct: percent(size.size),
                 change_pct_sd: text::sd_pct(&size),
                 direction,
-                limit_in_throws: forecast,
+                limit_in_throws: course.and_then(|course| forecast(&size, &course, alarm.severity, settings)),
             };
             now.push((alarm.severity, size.relevance(settings), drifting));
         }
@@ -352,10 +352,11 @@ impl DriftAlarms {
         let mut attribution = *drift.attribution.as_ref()?;
         let throws = self.throws_since_onset(order);
         let direction = drift.direction(cause, throws, context.settings);
-        let now = self.named_now(severity, drift, direction, order, tracks, context.settings);
-        let limit_in_throws = now.as_ref().and_then(|(_, forecast)| *forecast);
-        if let (Naming::One(main) | Naming::Another { new: main, .. }, Some((now, _))) = (&mut attribution.naming, now)
+        let mut limit_in_throws = None;
+        if let Some((now, course)) = self.named_now(drift, direction, order, tracks)
+            && let Naming::One(main) | Naming::Another { new: main, .. } = &mut attribution.naming
         {
+            limit_in_throws = course.and_then(|course| forecast(&now, &course, severity, context.settings));
             *main = now;
         }
         let alike = match drift.testimony {
@@ -380,36 +381,31 @@ impl DriftAlarms {
         })
     }
 
-    /// The single named part with its size at this throw, and the forecast of the critical limit for an alarm below it.
+    /// The single named part with its size at this throw, and its course.
     fn named_now(
         &self,
-        severity: Severity,
         drift: &Drift,
         direction: Option<Direction>,
         order: u64,
         tracks: &Tracks,
-        settings: &Settings,
-    ) -> Option<(Explanation, Option<LimitForecast>)> {
+    ) -> Option<(Explanation, Option<Course>)> {
         let attribution = drift.attribution.as_ref()?;
         let (Naming::One(main) | Naming::Another { new: main, .. }) = attribution.naming else { return None };
         let is_beside_sound_motor = attribution.has_sound_motor() && main.cause == Cause::Friction;
         let of_friction = drift.strongest.as_ref().filter(|_| is_beside_sound_motor);
         let part = of_friction.map_or(main, |window| friction_of_sound_motor(&window.mean, &window.covariance));
-        Some(self.present(&part, severity, drift, direction, order, tracks, settings))
+        Some(self.present(&part, drift, direction, order, tracks))
     }
 
-    /// The explanation with its size at this throw, and the forecast of the critical limit for an alarm below it.
-    #[expect(clippy::too_many_arguments, reason = "each part of the evidence has another source")]
+    /// The explanation with its size at this throw, and its course.
     fn present(
         &self,
         part: &Explanation,
-        severity: Severity,
         drift: &Drift,
         direction: Option<Direction>,
         order: u64,
         tracks: &Tracks,
-        settings: &Settings,
-    ) -> (Explanation, Option<LimitForecast>) {
+    ) -> (Explanation, Option<Course>) {
         let temperature_sd =
             drift.levels.iter().flatten().map(|window| window.temperature_sd).next().unwrap_or_default();
         let Some(course) = tracks.course(&part.weights, &temperature_sd, direction, &self.history, order) else {
@@ -417,11 +413,15 @@ impl DriftAlarms {
         };
         let (size, size_sd) = course.now();
         let whole = (1.0 + size).max(LEAST_LEFT);
-        let limit = settings.limit_pct(part.cause).filter(|_| severity == Severity::Warning);
-        let limit = limit.map(|limit_pct| size.signum() * settings.critical_factor * limit_pct / 100.0);
-        let forecast = limit.filter(|limit| *limit > -1.0).and_then(|limit| course.reaches(limit));
-        (Explanation { size: whole.ln(), size_sd: size_sd / whole, ..*part }, forecast)
+        (Explanation { size: whole.ln(), size_sd: size_sd / whole, ..*part }, Some(course))
     }
+}
+
+/// The forecast of the critical limit for an alarm below it.
+fn forecast(now: &Explanation, course: &Course, severity: Severity, settings: &Settings) -> Option<LimitForecast> {
+    let limit_pct = settings.limit_pct(now.cause).filter(|_| severity == Severity::Warning)?;
+    let limit = now.size.signum() * settings.critical_factor * limit_pct / 100.0;
+    if limit > -1.0 { course.reaches(limit) } else { None }
 }
 
 /// Drifts with their severity and size relative to the limit, in the order in which they are shown: named parts before

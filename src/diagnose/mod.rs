@@ -1,6 +1,7 @@
 //! The diagnosis: from the estimates of a machine to alarms with one named cause. Time is a parameter.
 
 mod alarm;
+mod autoregression;
 mod baseline;
 mod cause;
 mod clock;

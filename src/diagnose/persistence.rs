@@ -18,6 +18,8 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use statrs::function::gamma::ln_gamma;
 
+use super::autoregression::{Autoregression, dot, ln_sum};
+
 /// Inverse hyperbolic tangent of the first phi, and their distance: phi from -0.3 to 0.97.
 const NODES: (usize, f64, f64) = (9, -0.3, 0.3);
 /// Inverse hyperbolic tangent of the typical phi of 0.35.
@@ -48,7 +50,12 @@ pub(super) struct Possible {
 
 /// The lag-1 correlation of a node.
 pub(super) fn phi_of(node: usize) -> f64 {
-    (NODES.1 + NODES.2 * node as f64).tanh()
+    z_of(node).tanh()
+}
+
+/// Its inverse hyperbolic tangent.
+fn z_of(node: usize) -> f64 {
+    NODES.1 + NODES.2 * node as f64
 }
 
 /// The possible lag-1 correlations of each coefficient, each with a third of the probability. `natural` and `sensor` are the
@@ -60,6 +67,12 @@ pub(super) fn possible(
     kinds: [Kind; 2],
 ) -> [[Possible; NODES.0]; 3] {
     let own = residuals.len() as f64 - 1.0;
+    let whitened: [[Whitened; NODES.0]; 3] = std::array::from_fn(|i| {
+        let series: Vec<f64> = residuals.iter().map(|residual| residual[i]).collect();
+        // Errors of the estimates relative to the natural scatter; those of ratios have a coefficient without scatter.
+        let error = (sensor[i] / natural[i].max(f64::MIN_POSITIVE)).min(LARGEST_ERROR);
+        std::array::from_fn(|at| Whitened::of(&series, &Autoregression { phi: phi_of(at), natural: 1.0, error }))
+    });
     let mut found = [[[(0.0, 0.0); NODES.0]; 3]; 2];
     let mut totals = [0.0; 2];
     for (kind, (found, total)) in kinds.iter().zip(found.iter_mut().zip(&mut totals)) {
@@ -68,23 +81,24 @@ pub(super) fn possible(
             0.5 * kind.worth * (kind.worth * v0).ln() - ln_gamma(0.5 * kind.worth) + ln_gamma(0.5 * (own + kind.worth))
         };
         for (i, nodes) in found.iter_mut().enumerate() {
-            // Errors of the estimates relative to the natural scatter; those of ratios have a coefficient without scatter.
-            let error = (sensor[i] / natural[i].max(f64::MIN_POSITIVE)).min(LARGEST_ERROR);
             for (at, (evidence, variance)) in nodes.iter_mut().enumerate() {
-                let z = NODES.1 + NODES.2 * at as f64;
-                let whitened = Whitened::of(residuals.iter().map(|residual| residual[i]), z.tanh(), error);
-                let squares = whitened.squares + kind.worth * typical[i];
+                let Whitened { squares, ln_determinant, information } = whitened[i][at];
+                let squares = squares + kind.worth * typical[i];
                 *evidence = of_prior(typical[i])
-                    - 0.5 * ((z - USUAL_PHI) / kind.phi_sd).powi(2)
+                    - 0.5 * ((z_of(at) - USUAL_PHI) / kind.phi_sd).powi(2)
                     - kind.phi_sd.ln()
-                    - 0.5 * (whitened.ln_determinant + whitened.information.ln() + (own + kind.worth) * squares.ln());
+                    - 0.5 * (ln_determinant + information.ln() + (own + kind.worth) * squares.ln());
                 *variance = squares / (own + kind.worth);
             }
-            *total += normalise(nodes);
+            let of_nodes = ln_sum(nodes.iter().map(|(evidence, _)| *evidence));
+            for (evidence, _) in nodes {
+                *evidence = (*evidence - of_nodes).exp();
+            }
+            *total += of_nodes;
         }
     }
-    let best = totals[0].max(totals[1]);
-    let share = totals.map(|total| (total - best).exp() / totals.iter().map(|total| (total - best).exp()).sum::<f64>());
+    let of_kinds = ln_sum(totals.into_iter());
+    let share = totals.map(|total| (total - of_kinds).exp());
     let mean = |i: usize, at: usize| {
         let weight: f64 = (0..2).map(|kind| share[kind] * found[kind][i][at].0).sum();
         let mean = |of: &dyn Fn(usize) -> f64| -> f64 {
@@ -102,17 +116,8 @@ pub(super) fn possible(
 /// Largest variance of the errors of the estimates, in natural variances.
 const LARGEST_ERROR: f64 = 50.0;
 
-/// Changes the logarithms of the evidence to weights that sum to 1; returns the logarithm of their mean.
-fn normalise(nodes: &mut [(f64, f64)]) -> f64 {
-    let best = nodes.iter().map(|(evidence, _)| *evidence).fold(f64::MIN, f64::max);
-    let sum: f64 = nodes.iter().map(|(evidence, _)| (evidence - best).exp()).sum();
-    for (evidence, _) in nodes {
-        *evidence = (*evidence - best).exp() / sum;
-    }
-    best + sum.ln()
-}
-
 /// A series with independent values of equal variance.
+#[derive(Clone, Copy)]
 struct Whitened {
     /// Sum of squares around the best mean.
     squares: f64,
@@ -122,23 +127,12 @@ struct Whitened {
 }
 
 impl Whitened {
-    /// An autoregression with the lag-1 correlation `phi` and variance 1 beside independent errors of variance `error`. The
-    /// filter runs on the series and on a constant, so the mean is that of least squares.
-    fn of(series: impl Iterator<Item = f64>, phi: f64, error: f64) -> Self {
-        let (mut value, mut one, mut variance) = (0.0, 0.0, 1.0);
-        let (mut squares, mut product, mut information, mut ln_determinant) = (0.0, 0.0, 0.0, 0.0);
-        for x in series {
-            let expected: f64 = variance + error;
-            let (off, of_one) = (x - value, 1.0 - one);
-            squares += off * off / expected;
-            product += off * of_one / expected;
-            information += of_one * of_one / expected;
-            ln_determinant += expected.ln();
-            let gain = variance / expected;
-            value = phi * (value + gain * off);
-            one = phi * (one + gain * of_one);
-            variance = phi * phi * variance * (1.0 - gain) + 1.0 - phi * phi;
-        }
-        Self { squares: (squares - product * product / information).max(0.0), ln_determinant, information }
+    /// The filter runs on the series and on a constant, so the mean is that of least squares.
+    fn of(series: &[f64], noise: &Autoregression) -> Self {
+        let (values, ln_determinant) = noise.whitened(series);
+        let (ones, _) = noise.whitened(&vec![1.0; series.len()]);
+        let information = dot(&ones, &ones);
+        let squares = (dot(&values, &values) - dot(&values, &ones).powi(2) / information).max(0.0);
+        Self { squares, ln_determinant, information }
     }
 }

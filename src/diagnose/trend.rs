@@ -9,6 +9,8 @@
 
 use nalgebra::Vector3;
 
+use super::autoregression::{Autoregression, dot, ln_sum};
+
 /// Throws from which a trend can be found.
 const LEAST_THROWS: usize = 24;
 /// Number of values of phi.
@@ -79,8 +81,8 @@ fn slope(values: &[f64], time: &[f64], levels: &[Vec<f64>], error_part: f64, evi
         return None;
     }
     let step = |at: usize| -> Vec<f64> { (0..values.len()).map(|t| if t < at { -0.5 } else { 0.5 }).collect() };
-    let steps = (1..STEPS).map(|at| series.with(&step(at * values.len() / STEPS)).evidence);
-    let stepped = ln_sum(&steps.collect::<Vec<_>>()) - (STEPS as f64 - 1.0).ln();
+    let steps: Vec<f64> = (1..STEPS).map(|at| series.with(&step(at * values.len() / STEPS)).evidence).collect();
+    let stepped = ln_sum(steps.into_iter()) - (STEPS as f64 - 1.0).ln();
     (sloped.evidence - stepped > STEP_BOUND).then_some(sloped.change)
 }
 
@@ -89,7 +91,7 @@ struct Series(Vec<Whitened>);
 
 /// A series for a given phi.
 struct Whitened {
-    noise: Noise,
+    noise: Autoregression,
     /// Orthonormal columns of the levels.
     basis: Vec<Vec<f64>>,
     /// The innovations of the series without levels.
@@ -109,25 +111,26 @@ struct Regression {
 impl Series {
     fn new(values: &[f64], levels: &[Vec<f64>], error_part: f64) -> Self {
         let phis = (0..PHIS).map(|step| (f64::from(step) + 0.5) / f64::from(PHIS));
-        Self(phis.map(|phi| Whitened::new(Noise { phi, error_part }, values, levels)).collect())
+        let noise = |phi: f64| Autoregression { phi, natural: 1.0 - error_part, error: error_part };
+        Self(phis.map(|phi| Whitened::new(noise(phi), values, levels)).collect())
     }
 
     /// Logarithm of the evidence for levels alone.
     fn evidence(&self) -> f64 {
         let of = |part: &Whitened| part.of_levels - part.half_freedom * dot(&part.rest, &part.rest).ln();
-        ln_sum(&self.0.iter().map(of).collect::<Vec<_>>())
+        ln_sum(self.0.iter().map(of))
     }
 
     fn with(&self, regressor: &[f64]) -> Regression {
         let parts: Vec<Regression> = self.0.iter().map(|part| part.with(regressor)).collect();
-        let evidence = ln_sum(&parts.iter().map(|part| part.evidence).collect::<Vec<_>>());
+        let evidence = ln_sum(parts.iter().map(|part| part.evidence));
         let change = parts.iter().map(|part| (part.evidence - evidence).exp() * part.change).sum();
         Regression { evidence, change }
     }
 }
 
 impl Whitened {
-    fn new(noise: Noise, values: &[f64], levels: &[Vec<f64>]) -> Self {
+    fn new(noise: Autoregression, values: &[f64], levels: &[Vec<f64>]) -> Self {
         let (mut rest, ln_determinant) = noise.whitened(values);
         let mut of_levels = -0.5 * ln_determinant;
         let mut basis: Vec<Vec<f64>> = Vec::new();
@@ -160,46 +163,10 @@ impl Whitened {
     }
 }
 
-/// Noise of variance 1: an autoregression of first order, and independent errors.
-struct Noise {
-    phi: f64,
-    /// Part of the errors.
-    error_part: f64,
-}
-
-impl Noise {
-    /// The innovations of a series relative to their standard deviations (Kalman filter), and the logarithm of the
-    /// determinant of its covariance.
-    fn whitened(&self, series: &[f64]) -> (Vec<f64>, f64) {
-        let natural = 1.0 - self.error_part;
-        let (mut mean, mut variance, mut ln_determinant) = (0.0, natural, 0.0);
-        let innovation = |value: &f64| {
-            let of_innovation = variance + self.error_part;
-            let (innovation, gain) = (value - mean, variance / of_innovation);
-            mean = self.phi * (mean + gain * innovation);
-            variance = self.phi * self.phi * variance * (1.0 - gain) + natural * (1.0 - self.phi * self.phi);
-            ln_determinant += of_innovation.ln();
-            innovation / of_innovation.sqrt()
-        };
-        let white = series.iter().map(innovation).collect();
-        (white, ln_determinant)
-    }
-}
-
 /// Removes the parts along orthonormal columns.
 fn remove(column: &mut [f64], basis: &[Vec<f64>]) {
     for unit in basis {
         let part = dot(column, unit);
         column.iter_mut().zip(unit).for_each(|(x, u)| *x -= part * u);
     }
-}
-
-/// Logarithm of the sum of numbers with these logarithms.
-fn ln_sum(logarithms: &[f64]) -> f64 {
-    let largest = logarithms.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    largest + logarithms.iter().map(|l| (l - largest).exp()).sum::<f64>().ln()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

@@ -367,13 +367,14 @@ impl<'a> Stream<'a> {
                 score = reach.and_then(|reach| self.score(&window, &reach, scatter, baselines));
             }
             window.excess = t.min(score.unwrap_or(t)) / thresholds.of(at);
-            window.confirmed = window.excess > 1.0
-                && self.confirmation(&window, wild, scatter, baselines).is_some_and(|t| t > CONFIRMED);
             if best.is_none_or(|best| window.excess > best.excess) {
                 best = Some(window);
             }
         }
-        best
+        let mut best = best?;
+        best.confirmed =
+            best.excess > 1.0 && self.confirmation(&best, wild, scatter, baselines).is_some_and(|t| t > CONFIRMED);
+        Some(best)
     }
 
     /// The throws along `weights` with temperature compensation, oldest first; ages count the throws of the machine
