@@ -12,7 +12,8 @@ use super::{
     settings::Settings,
     sym3::Sym3,
     temperature::{Temperature, TemperatureSource},
-    trend::{self, TrendThrow},
+    trend::{self, Filling, TrendThrow},
+    wet::WetSpell,
 };
 use crate::throw::Direction;
 
@@ -75,6 +76,14 @@ pub(super) struct Baseline {
     slopes: Option<[f64; 3]>,
 }
 
+/// Known changes over the throws of a baseline, which are no part of its scatter.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Changes<'a> {
+    /// Slopes of a trend, per throw of the machine.
+    pub(super) slopes: Option<[f64; 3]>,
+    pub(super) wet: &'a [WetSpell],
+}
+
 impl BaselineThrow {
     #[expect(
         clippy::cast_possible_truncation,
@@ -88,21 +97,27 @@ impl BaselineThrow {
             duration_s: throw.duration_s.map(|d| d as f32),
         }
     }
+
+    /// The logarithms in dry weather.
+    fn dry(&self, wet: &[WetSpell]) -> Vector3<f64> {
+        let change: f64 = wet.iter().map(|spell| spell.change_at(self.order)).sum();
+        Vector3::from(self.log.map(f64::from)) - Vector3::y() * change
+    }
 }
 
 impl Baseline {
     /// Computes a baseline from at least a dozen throws of a direction; `sensor` is the mean covariance of their
-    /// estimates. With the `slopes` of a trend the centre is that of the first throw, when the machine was least worn.
+    /// estimates. With the slopes of a trend the centre is that of the first throw, when the machine was least worn.
     pub(super) fn learn(
         throws: &[BaselineThrow],
         sensor: Sym3,
-        slopes: Option<[f64; 3]>,
+        changes: Changes,
         taken_at: Timestamp,
         settings: &Settings,
     ) -> Self {
         let raw: Vec<_> = throws
             .iter()
-            .zip(detrended(throws, slopes))
+            .zip(unchanged(throws, changes))
             .map(|(throw, log)| (log, throw.temperature_c.map(f64::from)))
             .collect();
         let temperature = Temperature::learn(&raw, settings);
@@ -115,12 +130,12 @@ impl Baseline {
         Self {
             centre,
             throws: throws.len(),
-            complete: throws.len() >= settings.baseline_throws && slopes.is_none(),
+            complete: throws.len() >= settings.baseline_throws && changes.slopes.is_none(),
             taken_at,
             temperature,
             duration_s: (!durations.is_empty()).then(|| median(&mut durations)),
             scatter: Scatter::learn(&residuals, sensor.into(), 1),
-            slopes,
+            slopes: changes.slopes,
         }
     }
 
@@ -202,12 +217,12 @@ impl Baseline {
 }
 
 /// Scatter of the throws of both directions together, in their order.
-pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline; 2]) -> Scatter {
+pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline; 2], wet: &[WetSpell]) -> Scatter {
     let mut residuals: Vec<(u32, Vector3<f64>)> = Vec::new();
     let mut sensor = Matrix3::zeros();
     for (throws, baseline) in learned.into_iter().zip(baselines) {
         let sd = baseline.scatter.of_one_throw().diagonal().map(f64::sqrt);
-        for (throw, log) in throws.iter().zip(detrended(throws, baseline.slopes)) {
+        for (throw, log) in throws.iter().zip(unchanged(throws, Changes { slopes: baseline.slopes, wet })) {
             let r = baseline.compensated(baseline.residual(&log.into(), throw.temperature_c.map(f64::from)));
             residuals.push((throw.order, clip(r, [0, 1, 2].map(|i| (0.0, sd[i])))));
         }
@@ -219,50 +234,52 @@ pub(super) fn learn_mixed(learned: [&[BaselineThrow]; 2], baselines: [&Baseline;
     Scatter::learn(&ordered, sensor, 2)
 }
 
-/// The logarithms of the throws without the change since the first of them.
-fn detrended(throws: &[BaselineThrow], slopes: Option<[f64; 3]>) -> impl Iterator<Item = Vector3<f64>> {
+/// The logarithms of the throws without the changes since the first of them.
+fn unchanged(throws: &[BaselineThrow], changes: Changes) -> impl Iterator<Item = Vector3<f64>> {
     let first = throws.first().map_or(0, |throw| throw.order);
-    let slopes = Vector3::from(slopes.unwrap_or_default());
-    throws.iter().map(move |throw| Vector3::from(throw.log.map(f64::from)) - slopes * f64::from(throw.order - first))
+    let slopes = Vector3::from(changes.slopes.unwrap_or_default());
+    throws.iter().map(move |throw| throw.dry(changes.wet) - slopes * f64::from(throw.order - first))
 }
 
-/// Slopes of the logarithms over the throws of both directions, 0 without a trend that matters; `sensor` is the mean
-/// covariance of their estimates.
-pub(super) fn trend<'a>(
+/// The throws of both directions while the baselines fill, as in dry weather; `sensor` is the mean covariance of their
+/// estimates.
+pub(super) fn filling<'a>(
     sides: [impl Iterator<Item = &'a BaselineThrow>; 2],
     sensor: Matrix3<f64>,
-    settings: &Settings,
-) -> [f64; 3] {
+    wet: &[WetSpell],
+) -> Filling {
+    let mut throws: Vec<TrendThrow> = Vec::new();
+    let mut variance = [0.0; 3];
+    for (side, series) in sides.into_iter().enumerate() {
+        let series: Vec<(&BaselineThrow, Vector3<f64>)> = series.map(|throw| (throw, throw.dry(wet))).collect();
+        if series.is_empty() {
+            continue;
+        }
+        let robust = [0, 1, 2].map(|i| centre_and_sd(&series.iter().map(|(_, log)| log[i]).collect::<Vec<_>>()));
+        variance = std::array::from_fn(|i| robust[i].1.powi(2).max(variance[i]));
+        throws.extend(series.into_iter().map(|(throw, log)| TrendThrow {
+            order: throw.order,
+            side,
+            residual: log - Vector3::from(robust.map(|(centre, _)| centre)),
+            temperature_c: throw.temperature_c.map(f64::from),
+        }));
+    }
+    Filling::new(throws, variance, [0, 1, 2].map(|i| sensor[(i, i)]))
+}
+
+/// Slopes of the logarithms over the throws of both directions, 0 without a trend that matters.
+pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
     /// The stricter bound applies to this many last throws of both baselines together: one direction may complete its
     /// baseline two throws before the other.
     const LAST: usize = 4;
     /// Sign of wear: a weaker motor, more friction, more stiffness.
     const WEAR_SIGN: [f64; 3] = [-1.0, 1.0, 1.0];
-    let mut throws: Vec<TrendThrow> = Vec::new();
-    let mut variance = [0.0; 3];
-    for (side, series) in sides.into_iter().enumerate() {
-        let series: Vec<&BaselineThrow> = series.collect();
-        if series.is_empty() {
-            continue;
-        }
-        let robust =
-            [0, 1, 2].map(|i| centre_and_sd(&series.iter().map(|throw| throw.log[i].into()).collect::<Vec<_>>()));
-        variance = std::array::from_fn(|i| robust[i].1.powi(2).max(variance[i]));
-        throws.extend(series.into_iter().map(|throw| TrendThrow {
-            order: throw.order.into(),
-            side,
-            residual: Vector3::from_fn(|i, _| f64::from(throw.log[i]) - robust[i].0),
-            temperature_c: throw.temperature_c.map(f64::from),
-        }));
-    }
-    throws.sort_unstable_by_key(|throw| throw.order);
-    let error_part = std::array::from_fn(|i| (sensor[(i, i)] / variance[i].max(f64::MIN_POSITIVE)).min(0.9));
-    let is_end = throws.len() + LAST > 2 * settings.baseline_throws;
+    let is_end = filling.len() + LAST > 2 * settings.baseline_throws;
     let bound = if is_end { trend::AT_THE_END } else { trend::WHILE_FILLING };
-    let slopes = trend::slopes(&throws, variance.map(f64::sqrt), error_part, bound.evidence);
+    let slopes = filling.slopes(bound.evidence);
     let limits = [Cause::Kt, Cause::Friction, Cause::Stiffness].map(|cause| settings.limit_pct(cause));
     let matters = |i: usize| {
-        let change_pct = 100.0 * slopes[i] * throws.len() as f64;
+        let change_pct = 100.0 * slopes[i] * filling.len() as f64;
         limits[i].is_some_and(|limit| change_pct.abs() > bound.part_of_limit * limit)
             && (is_end || change_pct * WEAR_SIGN[i] > 0.0)
     };

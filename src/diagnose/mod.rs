@@ -25,6 +25,7 @@ mod observation;
 mod operational;
 mod persistence;
 mod rare;
+mod regression;
 mod robust;
 mod rule;
 mod scatter;
@@ -41,6 +42,7 @@ mod threshold;
 mod track;
 mod trend;
 mod verdict;
+mod wet;
 mod window;
 
 pub use baseline::BaselineRecord;

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    baseline::{Baseline, BaselineRecord, BaselineThrow, learn_mixed, trend},
+    baseline::{Baseline, BaselineRecord, BaselineThrow, Changes, filling, learn_mixed, trend},
     cause::Known,
     course::{Course, Point},
     drift::{Drift, visible_pct},
@@ -20,7 +20,9 @@ use super::{
     sym3::Sym3,
     temperature::doubt,
     threshold::{Thresholds, WINDOWS},
+    trend::Filling,
     verdict::{Blindness, HidingTemperature},
+    wet::{WetSpell, wet_spells},
     window::{RecentThrow, RecentThrows, Stream, Window, with_middle_kept},
 };
 use crate::{estimate::Grade, throw::Direction};
@@ -71,15 +73,9 @@ struct Track {
 }
 
 impl Track {
-    /// Takes the baseline from the learned throws, with the `slopes` of a trend.
-    fn take(
-        &mut self,
-        direction: Direction,
-        slopes: Option<[f64; 3]>,
-        at: Timestamp,
-        settings: &Settings,
-    ) -> BaselineRecord {
-        let baseline = Baseline::learn(&self.learned, self.sensor, slopes, at, settings);
+    /// Takes the baseline from the learned throws without their known `changes`.
+    fn take(&mut self, direction: Direction, changes: Changes, at: Timestamp, settings: &Settings) -> BaselineRecord {
+        let baseline = Baseline::learn(&self.learned, self.sensor, changes, at, settings);
         let record = baseline.record(direction, self.of_ratios);
         (self.baseline, self.thresholds, self.since_baseline) = (Some(baseline), None, 0);
         self.recent.clear();
@@ -121,6 +117,9 @@ pub(super) struct Tracks {
     /// Slopes of the logarithms over the throws of the baselines, per throw of the machine; `None` without a trend.
     #[serde(default)]
     slopes: Option<[f64; 3]>,
+    /// Wet spells in the throws of incomplete baselines.
+    #[serde(default, skip_serializing_if = "<[WetSpell]>::is_empty")]
+    wet: Box<[WetSpell]>,
 }
 
 impl Tracks {
@@ -407,7 +406,6 @@ impl Tracks {
         let count = track.learned.len() + track.aside.len();
         track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
         self.follow_trend(settings);
-        let slopes = self.slopes;
         let track = &mut self.sides[throw.direction.side()];
         if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
             track.aside.remove(0);
@@ -423,14 +421,18 @@ impl Tracks {
         if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
             return Vec::new();
         }
-        let mut records = vec![track.take(throw.direction, slopes, at, settings)];
+        self.follow_wet_spells();
+        self.follow_trend(settings);
+        let changes = Changes { slopes: self.slopes, wet: &self.wet };
+        let track = &mut self.sides[throw.direction.side()];
+        let mut records = vec![track.take(throw.direction, changes, at, settings)];
         // A trend that the last throws end was chance in the other baseline too, which would stay provisional.
         let is_final = track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
         let direction = Direction::BOTH[1 - throw.direction.side()];
         let other = &mut self.sides[direction.side()];
         let had_trend = |baseline: &Baseline| baseline.is_final(settings) && baseline.has_trend();
-        if is_final && slopes.is_none() && other.baseline.as_ref().is_some_and(had_trend) {
-            records.push(other.take(direction, None, at, settings));
+        if is_final && changes.slopes.is_none() && other.baseline.as_ref().is_some_and(had_trend) {
+            records.push(other.take(direction, changes, at, settings));
         }
         self.learn_mixed(settings);
         self.refresh_thresholds(settings);
@@ -439,12 +441,21 @@ impl Tracks {
 
     /// Looks for a trend in the throws of the baselines, also those set aside.
     fn follow_trend(&mut self, settings: &Settings) {
+        // Wear changes all three logarithms without their mean, and none has the sign of wear alone.
+        let slopes = if self.any_of_ratios() { [0.0; 3] } else { trend(&self.filling(&self.wet), settings) };
+        self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
+    }
+
+    /// Looks for wet spells in the same throws.
+    fn follow_wet_spells(&mut self) {
+        self.wet = if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[])).into() };
+    }
+
+    /// The throws of the baselines, also those set aside, as in dry weather.
+    fn filling(&self, wet: &[WetSpell]) -> Filling {
         let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
         let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
-        // Wear changes all three logarithms without their mean, and none has the sign of wear alone.
-        let slopes =
-            if self.any_of_ratios() { [0.0; 3] } else { trend(throws, 0.5 * (sensor[0] + sensor[1]), settings) };
-        self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
+        filling(throws, 0.5 * (sensor[0] + sensor[1]), wet)
     }
 
     /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without a
@@ -459,12 +470,13 @@ impl Tracks {
         let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
         let done = first.is_final(settings) && second.is_final(settings);
         if normal.of_ratios == reverse.of_ratios {
-            let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second]);
+            let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second], &self.wet);
             let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
             self.mixed = Some(Mixed { scatter, thresholds });
         }
         if done {
             self.sides.iter_mut().for_each(|track| track.learned = Box::default());
+            self.wet = Box::default();
         }
     }
 

@@ -2,7 +2,10 @@
 
 use jiff::SignedDuration;
 use nalgebra::Vector3;
-use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Settings, Severity, Verdict};
+use pointsd::{
+    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Settings, Severity, Verdict},
+    throw::Direction,
+};
 
 use crate::{
     field::{Climate, Machine, PER_KELVIN, Scatter},
@@ -220,5 +223,65 @@ fn a_cold_season_raises_no_alarm_but_is_stated_and_a_critical_rise_is_one() {
             let first = (0..40).flat_map(|_| feed(worn).events).find(|event| event.cause.is_drift());
             assert!(first.as_ref().is_some_and(|event| event.cause == Cause::Friction), "seed {seed}: {first:?}");
         }
+    }
+}
+
+/// Rain while the baseline fills is no part of the scatter, so later wear shows as on other machines.
+#[test]
+fn rain_in_the_baseline_does_not_hide_later_wear() {
+    let settings = Settings::default();
+    // Loss of friction \[%\]; throws of drying; distance of a second spell.
+    for (pct, drying, second) in [(-20.0, 0, None), (-12.0, 0, None), (-20.0, 8, None), (-18.0, 3, Some(24))] {
+        let (mut named, mut lives) = (0, 0);
+        for seed in 0..40_u64 {
+            let start = 8 + 2 * (seed % 25);
+            let length = if second.is_some() { 10 } else { 15 + seed % 13 };
+            let wetness = |throw: u64| {
+                let of = |start: u64| match throw.checked_sub(start) {
+                    Some(since) if since < length => 1.0,
+                    Some(since) => (1.0 - (since - length + 1) as f64 / (drying as f64 + 1.0)).max(0.0),
+                    None => 0.0,
+                };
+                of(start) + second.map_or(0.0, |later| of(start + later))
+            };
+            let mut machine = Machine::new(49_000 + seed, Scatter::USUAL);
+            let mut monitor = MachineMonitor::new("21B");
+            for throw in 0..160 {
+                let rain = shift(Cause::Friction, pct) * wetness(throw);
+                machine.feed(&mut monitor, rain, None, &settings);
+            }
+            let worn = shift(Cause::Friction, 30.0);
+            let mut events = (0..24).flat_map(|_| machine.feed(&mut monitor, worn, None, &settings).events);
+            let found = events.find(|event| event.cause.is_drift()).map(|event| event.cause);
+            named += u32::from(found == Some(Cause::Friction));
+            lives += 1;
+        }
+        println!("rain {pct} %, drying {drying}, second {second:?}: friction named in {named} of {lives}");
+        assert!(named >= 38, "{named} of {lives}");
+    }
+}
+
+/// Machines that wander have no wet spells: with one taken out of each baseline they would have false alarms.
+#[test]
+#[ignore = "prints a table, in some minutes"]
+fn table_of_spells_in_wandering_baselines() {
+    let settings = Settings::default();
+    for (phi, scale, tail) in
+        [(0.0, 1.0, None), (0.5, 3.0, None), (0.8, 1.0, None), (0.8, 3.0, None), (0.9, 3.0, None), (0.8, 3.0, Some(3))]
+    {
+        let scatter = Scatter { sd: Scatter::USUAL.sd.map(|sd| scale * sd), phi, tail };
+        let mut ratios = Vec::new();
+        for seed in 0..400 {
+            let mut machine = Machine::new(60_000 + seed, scatter);
+            let mut monitor = MachineMonitor::new("21B");
+            for _ in 0..110 {
+                machine.feed(&mut monitor, Vector3::zeros(), None, &settings);
+            }
+            let Some(record) = monitor.baseline(Direction::BOTH[0]).filter(|record| record.complete) else { continue };
+            ratios.push(record.log_covariance[1][1].sqrt() / scatter.sd[1]);
+        }
+        ratios.sort_by(f64::total_cmp);
+        let at = |share: f64| ratios[(share * (ratios.len() - 1) as f64) as usize];
+        println!("| {phi} | {scale} | {tail:?} | {} | {:.3} {:.3} {:.3} |", ratios.len(), at(0.01), at(0.05), at(0.5));
     }
 }

@@ -1,0 +1,100 @@
+//! Regression of a series of throws whose scatter is an autoregression of unknown variance and unknown lag-1 correlation.
+//!
+//! The evidence for a regressor is integrated over its coefficient, the levels, the variance and the lag-1 correlation phi,
+//! any from 0 to 1 with the same probability, so that a machine whose throws wander is not taken for one that changes.
+//! Levels and variance have flat priors (Zellner, An Introduction to Bayesian Inference in Econometrics, 1971, 3.1); the
+//! coefficient has a normal prior.
+
+use super::autoregression::{Autoregression, dot, ln_sum};
+
+/// Number of values of phi.
+const PHIS: u32 = 16;
+/// Prior standard deviation of a coefficient, in standard deviations of one throw.
+const CHANGE_SD: f64 = 4.0;
+
+/// A series without its levels, for each phi.
+pub(super) struct Series(Vec<Whitened>);
+
+/// A series for a given phi.
+struct Whitened {
+    noise: Autoregression,
+    /// Orthonormal columns of the levels.
+    basis: Vec<Vec<f64>>,
+    /// The innovations of the series without levels.
+    rest: Vec<f64>,
+    half_freedom: f64,
+    /// Logarithm of the evidence, without the part of `rest`.
+    of_levels: f64,
+}
+
+/// Evidence for a regressor, and its coefficient.
+pub(super) struct Regression {
+    /// Logarithm of the evidence.
+    pub(super) evidence: f64,
+    pub(super) change: f64,
+}
+
+impl Series {
+    /// A series with its levels; `error_part` is the part of the estimates' errors in its variance.
+    pub(super) fn new(values: &[f64], levels: &[Vec<f64>], error_part: f64) -> Self {
+        let phis = (0..PHIS).map(|step| (f64::from(step) + 0.5) / f64::from(PHIS));
+        let noise = |phi: f64| Autoregression { phi, natural: 1.0 - error_part, error: error_part };
+        Self(phis.map(|phi| Whitened::new(noise(phi), values, levels)).collect())
+    }
+
+    /// Logarithm of the evidence for levels alone.
+    pub(super) fn evidence(&self) -> f64 {
+        let of = |part: &Whitened| part.of_levels - part.half_freedom * dot(&part.rest, &part.rest).ln();
+        ln_sum(self.0.iter().map(of))
+    }
+
+    /// The regression on levels and a regressor.
+    pub(super) fn with(&self, regressor: &[f64]) -> Regression {
+        let parts: Vec<Regression> = self.0.iter().map(|part| part.with(regressor)).collect();
+        let evidence = ln_sum(parts.iter().map(|part| part.evidence));
+        let change = parts.iter().map(|part| (part.evidence - evidence).exp() * part.change).sum();
+        Regression { evidence, change }
+    }
+}
+
+impl Whitened {
+    fn new(noise: Autoregression, values: &[f64], levels: &[Vec<f64>]) -> Self {
+        let (mut rest, ln_determinant) = noise.whitened(values);
+        let mut of_levels = -0.5 * ln_determinant;
+        let mut basis: Vec<Vec<f64>> = Vec::new();
+        for level in levels {
+            let (mut column, _) = noise.whitened(level);
+            remove(&mut column, &basis);
+            let norm = dot(&column, &column).sqrt();
+            // Otherwise the temperature differs between the directions only.
+            if norm > 1e-6 {
+                of_levels -= norm.ln();
+                for x in &mut column {
+                    *x /= norm;
+                }
+                basis.push(column);
+            }
+        }
+        remove(&mut rest, &basis);
+        let half_freedom = (values.len() - basis.len()) as f64 / 2.0;
+        Self { noise, basis, rest, half_freedom, of_levels }
+    }
+
+    fn with(&self, regressor: &[f64]) -> Regression {
+        let (mut x, _) = self.noise.whitened(regressor);
+        remove(&mut x, &self.basis);
+        let precision = dot(&x, &x) + CHANGE_SD.powi(-2);
+        let change = dot(&x, &self.rest) / precision;
+        let square = (dot(&self.rest, &self.rest) - change * change * precision).max(f64::MIN_POSITIVE);
+        let evidence = self.of_levels - self.half_freedom * square.ln() - 0.5 * (precision * CHANGE_SD.powi(2)).ln();
+        Regression { evidence, change }
+    }
+}
+
+/// Removes the parts along orthonormal columns.
+fn remove(column: &mut [f64], basis: &[Vec<f64>]) {
+    for unit in basis {
+        let part = dot(column, unit);
+        column.iter_mut().zip(unit).for_each(|(x, u)| *x -= part * u);
+    }
+}

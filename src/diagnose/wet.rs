@@ -1,0 +1,124 @@
+//! Wet spells in the throws of a baseline.
+//!
+//! Rain lowers the friction of the slide chairs for some hours or days. In the scatter of a baseline it would hide wear for
+//! good, so a spell that begins and ends within the throws is taken out. Two models of the friction's logarithm are
+//! compared: levels, effect of the temperature and slope; and the same with a spell, any of those that fit into the throws.
+//! The evidence is that of [`super::regression`], in which a machine whose throws wander needs no spells.
+
+use std::ops::{Range, RangeInclusive};
+
+use serde::{Deserialize, Serialize};
+
+use super::{regression::Series, trend::Filling};
+
+/// Change of the friction's logarithm in a spell: some per cent more and less than the 10 to 25 % of rain, as the edges of a
+/// spell are not sharp.
+const CHANGE: Range<f64> = -0.34..-0.07;
+/// Number of throws of a spell.
+const LENGTH: RangeInclusive<usize> = 6..=48;
+/// Least number of throws before a spell, and after it: a step down or up is not rain.
+const DRY: usize = 6;
+/// Logarithm of the Bayes factor of spells against none.
+const EVIDENCE: f64 = 4.0;
+/// Largest number of spells in a baseline.
+const MOST: usize = 3;
+/// Throws before an edge and after it whose means show it.
+const BESIDE: usize = 3;
+/// Number of the most prominent edges of each kind between which spells are compared: some for every spell.
+const EDGES: usize = 10;
+
+/// A wet spell.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct WetSpell {
+    /// Numbers of its first and last throw among those of the machine.
+    first: u32,
+    last: u32,
+    /// Change of ln a1.
+    change: f64,
+}
+
+impl WetSpell {
+    /// Change of ln a1 in the throw with this number.
+    pub(super) fn change_at(&self, order: u32) -> f64 {
+        if (self.first..=self.last).contains(&order) { self.change } else { 0.0 }
+    }
+}
+
+/// The wet spells in the throws of both directions.
+pub(super) fn wet_spells(filling: &Filling) -> Vec<WetSpell> {
+    /// Coefficient of the friction.
+    const A1: usize = 1;
+    let values = filling.values(A1, CHANGE.start.abs());
+    if !values.windows(*LENGTH.start()).any(|few| few.iter().sum::<f64>() < CHANGE.end * few.len() as f64) {
+        return Vec::new();
+    }
+    let mut levels = filling.levels();
+    levels.push(filling.time());
+    let spells = likeliest(&values, &Series::new(&values, &levels, filling.error_part(A1)));
+    let columns: Vec<Vec<f64>> = spells.iter().map(|spell| column(std::slice::from_ref(spell), values.len())).collect();
+    let with_change = |(at, spell): (usize, &Range<usize>)| {
+        let mut others = columns.clone();
+        let own = others.remove(at);
+        others.extend(levels.iter().cloned());
+        let change = Series::new(&values, &others, filling.error_part(A1)).with(&own).change;
+        let [first, last] = [spell.start, spell.end - 1].map(|index| filling.order(index));
+        WetSpell { first, last, change }
+    };
+    spells.iter().enumerate().map(with_change).filter(|spell| CHANGE.contains(&spell.change)).collect()
+}
+
+/// The likeliest spells with one common change; none without enough evidence. All spells that fit are equally probable
+/// before. The search starts with the likeliest single spell between two prominent edges, and makes the throws between two
+/// edges wet or dry as long as the evidence grows.
+fn likeliest(values: &[f64], series: &Series) -> Vec<Range<usize>> {
+    let throws = values.len();
+    let Some(latest) = throws.checked_sub(DRY) else { return Vec::new() };
+    let fits = |spell: &Range<usize>| DRY <= spell.start && spell.end <= latest && LENGTH.contains(&spell.len());
+    let possible = (DRY..=latest).flat_map(|start| (start..=latest).map(move |end| start..end)).filter(fits).count();
+    let gain = |spells: &[Range<usize>]| -> f64 {
+        let of_chance = spells.len() as f64 * (possible as f64).ln();
+        series.with(&column(spells, throws)).evidence - series.evidence() - of_chance
+    };
+    let rise = |at: usize| -> f64 {
+        values[at..at + BESIDE].iter().sum::<f64>() - values[at - BESIDE..at].iter().sum::<f64>()
+    };
+    let mut edges: Vec<usize> = (DRY..=latest).collect();
+    edges.sort_by(|a, b| rise(*a).total_cmp(&rise(*b)));
+    let falls = edges.iter().take(EDGES);
+    let rises = edges.iter().rev().take(EDGES);
+    let pairs: Vec<(usize, usize)> = falls.flat_map(|fall| rises.clone().map(move |rise| (*fall, *rise))).collect();
+    let (mut best, mut spells) = (f64::NEG_INFINITY, Vec::new());
+    loop {
+        let changed = pairs.iter().map(|&(fall, rise)| {
+            let is_wet = |at: usize| match fall < rise {
+                true if (fall..rise).contains(&at) => true,
+                false if (rise..fall).contains(&at) => false,
+                _ => spells.iter().any(|spell: &Range<usize>| spell.contains(&at)),
+            };
+            runs(throws, is_wet)
+        });
+        let allowed = changed.filter(|spells| (1..=MOST).contains(&spells.len()) && spells.iter().all(fits));
+        let next = allowed.map(|spells| (gain(&spells), spells)).max_by(|a, b| a.0.total_cmp(&b.0));
+        match next {
+            Some((more, next)) if more > best => (best, spells) = (more, next),
+            _ => return if best > EVIDENCE { spells } else { Vec::new() },
+        }
+    }
+}
+
+/// The ranges of consecutive throws that are wet.
+fn runs(throws: usize, is_wet: impl Fn(usize) -> bool) -> Vec<Range<usize>> {
+    let mut runs: Vec<Range<usize>> = Vec::new();
+    for at in (0..throws).filter(|at| is_wet(*at)) {
+        match runs.last_mut() {
+            Some(run) if run.end == at => run.end += 1,
+            _ => runs.push(at..at + 1),
+        }
+    }
+    runs
+}
+
+/// 1 in the throws of the spells, 0 in the others.
+fn column(spells: &[Range<usize>], throws: usize) -> Vec<f64> {
+    (0..throws).map(|at| f64::from(u8::from(spells.iter().any(|spell| spell.contains(&at))))).collect()
+}
