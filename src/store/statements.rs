@@ -103,7 +103,7 @@ macro_rules! history {
 /// Boots of loggers, for [`Boot`](super::cursor::Boot).
 macro_rules! boots {
     () => {
-        "boot_row, position, highest_no, pruned_to_no, tail_open FROM boot"
+        "machine_row, boot_row, position, highest_no, pruned_to_no, tail_open FROM boot"
     };
 }
 
