@@ -83,7 +83,7 @@ impl Monitor {
 #[serde(deny_unknown_fields, default)]
 pub struct Subscribe {
     /// The monitored part of the fleet: `points/v1/**`, `points/v1/{site}/**` or `points/v1/{site}/{machine}/**`.
-    pub key: String,
+    pub key: Scope,
     /// Largest throw message \[bytes\], 1,024 to 33,554,432. Larger ones go to quarantine.
     pub max_payload_bytes: usize,
     /// Largest number of machines, 1 to 100,000. Throws of more machines go to quarantine, as an attacker could use any
@@ -144,7 +144,7 @@ impl Default for Monitor {
 
 impl Default for Subscribe {
     fn default() -> Self {
-        Self { key: "points/v1/**".to_owned(), max_payload_bytes: 16 << 20, max_machines: 10_000, backlog_wait_s: 60.0 }
+        Self { key: Scope::default(), max_payload_bytes: 16 << 20, max_machines: 10_000, backlog_wait_s: 60.0 }
     }
 }
 
@@ -160,42 +160,30 @@ impl Default for Log {
     }
 }
 
-#[derive(Debug, Default, Deserialize)]
+/// The configuration of `pointsd`, with the sections of its file. `Default` is for missing sections only: it has no
+/// session of a daemon.
+#[derive(Debug, Clone, Default, Deserialize)]
 #[cfg_attr(test, derive(Serialize))]
 #[serde(deny_unknown_fields, default)]
-struct File {
-    monitor: Monitor,
-    subscribe: Subscribe,
-    identify: Identify,
-    store: store::Settings,
-    diagnosis: diagnose::Settings,
-    machines: estimate::Settings,
-    #[serde(skip_serializing)]
-    machine: Vec<MachineEntry>,
-    web: Web,
-    webhook: Webhook,
-    log: Log,
-    // Parsed as the type of zenoh for errors with a position; used as a table, merged into our defaults.
-    #[serde(rename = "zenoh", skip_serializing)]
-    _zenoh: Option<::zenoh::Config>,
-}
-
-/// The configuration of `pointsd`.
-#[derive(Debug, Clone)]
 pub struct Config {
     /// Name of this daemon.
     pub monitor: Monitor,
     /// Received throws.
     pub subscribe: Subscribe,
-    /// The monitored part of the fleet, from `subscribe.key`.
-    pub scope: Scope,
     /// Threads of the estimator.
     pub identify: Identify,
     /// The database.
     pub store: store::Settings,
     /// Limits of the diagnosis.
     pub diagnosis: diagnose::Settings,
-    /// Settings of the estimator for each machine.
+    /// The section `[machines]`.
+    #[serde(rename = "machines")]
+    pub(super) machine_defaults: estimate::Settings,
+    /// The sections `[[machine]]`.
+    #[serde(rename = "machine", skip_serializing)]
+    pub(super) machine_entries: Vec<MachineEntry>,
+    /// Settings of the estimator for each machine, from these sections.
+    #[serde(skip)]
     pub machines: Machines,
     /// The dashboard.
     pub web: Web,
@@ -203,7 +191,9 @@ pub struct Config {
     pub webhook: Webhook,
     /// Log lines.
     pub log: Log,
-    /// The zenoh session.
+    /// The zenoh session. Parsed as the type of zenoh for errors with a position; then the section is merged into the
+    /// defaults of a daemon.
+    #[serde(skip_serializing)]
     pub zenoh: ::zenoh::Config,
 }
 
@@ -231,43 +221,29 @@ impl Config {
     /// # Errors
     /// The first error, with file, line and key.
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
-        let file: File = document.deserialize()?;
-        let scope =
-            Scope::parse(&file.subscribe.key).map_err(|error| document.complain("subscribe.key", error.to_string()))?;
-        check_ranges(&file, document)?;
-        check_peers(&file.monitor, document)?;
-        let machines = machines(&file, document)?;
-        check_web(&file.web, document)?;
-        file.webhook.check(document)?;
-        check_log(&file.log, document)?;
-        check_database_path(&file.store.path, document)?;
-        Ok(Self {
-            scope,
-            machines,
-            zenoh: monitor_session(document)?,
-            monitor: file.monitor,
-            subscribe: file.subscribe,
-            identify: file.identify,
-            store: file.store,
-            diagnosis: file.diagnosis,
-            web: file.web,
-            webhook: file.webhook,
-            log: file.log,
-        })
+        let config: Self = document.deserialize()?;
+        check_ranges(&config, document)?;
+        check_peers(&config.monitor, document)?;
+        let machines = machines(&config, document)?;
+        check_web(&config.web, document)?;
+        config.webhook.check(document)?;
+        check_log(&config.log, document)?;
+        check_database_path(&config.store.path, document)?;
+        Ok(Self { machines, zenoh: monitor_session(document)?, ..config })
     }
 }
 
-fn check_ranges(file: &File, document: &Document) -> Result<(), ConfigError> {
-    let Subscribe { max_payload_bytes, max_machines, backlog_wait_s, .. } = file.subscribe;
+fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError> {
+    let &Subscribe { max_payload_bytes, max_machines, backlog_wait_s, .. } = &config.subscribe;
     OutOfRange::check([
         ("subscribe.max_payload_bytes", max_payload_bytes as f64, 1024.0, f64::from(32 << 20), "bytes"),
         ("subscribe.max_machines", max_machines as f64, 1.0, 100_000.0, "machines"),
         ("subscribe.backlog_wait_s", backlog_wait_s, 0.0, 86_400.0, "s"),
-        ("identify.threads", file.identify.threads as f64, 0.0, 64.0, "threads"),
+        ("identify.threads", config.identify.threads as f64, 0.0, 64.0, "threads"),
     ])
-    .and_then(|()| file.store.validate().map_err(|error| error.within("store")))
-    .and_then(|()| file.diagnosis.validate().map_err(|error| error.within("diagnosis")))
-    .and_then(|()| file.machines.check().map_err(|error| error.within("machines")))
+    .and_then(|()| config.store.validate().map_err(|error| error.within("store")))
+    .and_then(|()| config.diagnosis.validate().map_err(|error| error.within("diagnosis")))
+    .and_then(|()| config.machine_defaults.check().map_err(|error| error.within("machines")))
     .map_err(|error| document.complain(&error.key, error.problem()))
 }
 
@@ -278,18 +254,18 @@ fn check_peers(monitor: &Monitor, document: &Document) -> Result<(), ConfigError
     }
 }
 
-fn machines(file: &File, document: &Document) -> Result<Machines, ConfigError> {
+fn machines(config: &Config, document: &Document) -> Result<Machines, ConfigError> {
     let mut own = HashMap::new();
-    for (index, entry) in file.machine.iter().enumerate() {
+    for (index, entry) in config.machine_entries.iter().enumerate() {
         let settings = entry
-            .over(&file.machines)
+            .over(&config.machine_defaults)
             .map_err(|(key, problem)| document.complain(&format!("machine[{index}].{key}"), problem))?;
         if own.insert(entry.id(), settings).is_some() {
             let problem = format!("{} is described a second time", entry.id());
             return Err(document.complain(&format!("machine[{index}].machine"), problem));
         }
     }
-    Ok(Machines::new(file.machines.clone(), own))
+    Ok(Machines::new(config.machine_defaults.clone(), own))
 }
 
 /// The `[diagnosis]` section alone, for a reader of the database, who may have no right to the daemon's files.
