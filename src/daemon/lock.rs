@@ -14,6 +14,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use crate::store::beside;
+
 /// The lock of a database could not be taken.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
@@ -45,9 +47,7 @@ pub(crate) struct DatabaseLock {
 impl DatabaseLock {
     /// Takes the lock of a database.
     pub(crate) fn take(database: &Path) -> Result<Self, LockError> {
-        let mut path = database.as_os_str().to_owned();
-        path.push(".lock");
-        let path = PathBuf::from(path);
+        let path = beside(database, ".lock");
         let failed = |source| LockError::File { path: path.clone(), source };
         let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
         match file.try_lock() {
