@@ -28,7 +28,7 @@ pub(crate) use zenoh::overlay;
 
 use crate::{
     diagnose, estimate, store,
-    throw::{MachineId, Name, OutOfRange},
+    throw::{MachineId, Name, OutOfRange, Range::Within, settings},
     wire::Scope,
 };
 
@@ -78,20 +78,22 @@ impl Monitor {
     }
 }
 
-/// The `[subscribe]` section: the received throws.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Subscribe {
-    /// The monitored part of the fleet: `points/v1/**`, `points/v1/{site}/**` or `points/v1/{site}/{machine}/**`.
-    pub key: Scope,
-    /// Largest throw message \[bytes\], 1,024 to 33,554,432. Larger ones go to quarantine.
-    pub max_payload_bytes: usize,
-    /// Largest number of machines, 1 to 100,000. Throws of more machines go to quarantine, as an attacker could use any
-    /// number of keys.
-    pub max_machines: usize,
-    /// Time that later throws of a machine wait for missing ones in the backlog, since the last of these arrived \[s\],
-    /// 0 to 86,400.
-    pub backlog_wait_s: f64,
+settings! {
+    /// The `[subscribe]` section: the received throws.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Subscribe {
+        /// The monitored part of the fleet: `points/v1/**`, `points/v1/{site}/**` or `points/v1/{site}/{machine}/**`.
+        pub key: Scope = Scope::default();
+        /// Largest throw message \[bytes\], 1,024 to 33,554,432. Larger ones go to quarantine.
+        pub max_payload_bytes: usize = 16 << 20, Within(1024.0, f64::from(32 << 20), "bytes");
+        /// Largest number of machines, 1 to 100,000. Throws of more machines go to quarantine, as an attacker could use
+        /// any number of keys.
+        pub max_machines: usize = 10_000, Within(1.0, 100_000.0, "machines");
+        /// Time that later throws of a machine wait for missing ones in the backlog, since the last of these arrived
+        /// \[s\], 0 to 86,400.
+        pub backlog_wait_s: f64 = 60.0, Within(0.0, 86_400.0, "s");
+    }
 }
 
 /// The `[identify]` section: threads of the estimator.
@@ -139,12 +141,6 @@ pub struct Log {
 impl Default for Monitor {
     fn default() -> Self {
         Self { site: Name::fixed("fleet"), id: Name::fixed("pointsd"), peers: Vec::new() }
-    }
-}
-
-impl Default for Subscribe {
-    fn default() -> Self {
-        Self { key: Scope::default(), max_payload_bytes: 16 << 20, max_machines: 10_000, backlog_wait_s: 60.0 }
     }
 }
 
@@ -234,17 +230,13 @@ impl Config {
 }
 
 fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError> {
-    let &Subscribe { max_payload_bytes, max_machines, backlog_wait_s, .. } = &config.subscribe;
-    OutOfRange::check([
-        ("subscribe.max_payload_bytes", max_payload_bytes as f64, 1024.0, f64::from(32 << 20), "bytes"),
-        ("subscribe.max_machines", max_machines as f64, 1.0, 100_000.0, "machines"),
-        ("subscribe.backlog_wait_s", backlog_wait_s, 0.0, 86_400.0, "s"),
-        ("identify.threads", config.identify.threads as f64, 0.0, 64.0, "threads"),
-    ])
-    .and_then(|()| config.store.validate().map_err(|error| error.within("store")))
-    .and_then(|()| config.diagnosis.validate().map_err(|error| error.within("diagnosis")))
-    .and_then(|()| config.machine_defaults.check().map_err(|error| error.within("machines")))
-    .map_err(|error| document.complain(&error.key, error.problem()))
+    let threads = config.identify.threads as f64;
+    OutOfRange::check([("identify.threads", threads, 0.0, 64.0, "threads")])
+        .and_then(|()| config.subscribe.check_ranges().map_err(|error| error.within("subscribe")))
+        .and_then(|()| config.store.check_ranges().map_err(|error| error.within("store")))
+        .and_then(|()| config.diagnosis.validate().map_err(|error| error.within("diagnosis")))
+        .and_then(|()| config.machine_defaults.check().map_err(|error| error.within("machines")))
+        .map_err(|error| document.complain(&error.key, error.problem()))
 }
 
 fn check_peers(monitor: &Monitor, document: &Document) -> Result<(), ConfigError> {
