@@ -54,7 +54,7 @@ async fn health_replies(question: &Question, reader: &Reader) -> Replies {
         HistoryQuery::Current => reader.latest_health(&selector(question)).await,
         HistoryQuery::History { since, limit } => reader.health_history(&selector(question), since, limit).await,
     };
-    let message = |health: Health| (wire::machine_key(&health.machine, Kind::Health), health.to_json());
+    let message = |health: Health| (wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(&health));
     messages(question, rows, message)
 }
 
@@ -82,11 +82,10 @@ async fn command_reply(question: &Question, orders: &Orders, itself: &Commander)
     let key = wire::machine_key(&machine, Kind::Command);
     let payload = question.payload();
     if payload.is_empty() {
-        let reply = serde_json::to_vec(itself).map_err(|error| error.to_string())?;
-        return Ok(vec![(key, reply)]);
+        return Ok(vec![(key, wire::json_bytes(itself))]);
     }
     let command = wire::decode_command(&payload).map_err(|error| error.to_string())?;
-    Ok(vec![(key, orders.carry_out(machine, command).await?.to_json())])
+    Ok(vec![(key, wire::json_bytes(&orders.carry_out(machine, command).await?))])
 }
 
 async fn status(gauges: &Gauges) -> Vec<u8> {
@@ -96,7 +95,7 @@ async fn status(gauges: &Gauges) -> Vec<u8> {
         // The rest of the status is most important when the database does not answer.
         Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
     }
-    wire::json(&report).into_bytes()
+    wire::json_bytes(&report)
 }
 
 /// The machines of the question. A key expression that cannot be a pattern of SQLite selects all machines, and their

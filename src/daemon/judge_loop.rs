@@ -120,7 +120,7 @@ impl JudgeLoop {
     /// # Errors
     /// When the store is closed.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
-        // Without this list the daemon does all the same what it is for.
+        // The daemon can work without this list.
         let adopted = self.judge.adopt().await.unwrap_or_else(|error| {
             tracing::warn!(%error, "the open alarms cannot be read; those without a monitor stay open");
             Vec::new()
@@ -263,7 +263,7 @@ impl JudgeLoop {
         if !health.is_evaluated() {
             status.refuse(&health.quality);
         }
-        self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), health.to_json());
+        self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(health));
         self.announce(&judgement.outcome);
         // Fails without observers.
         let _ = self.links.watchers.send(Judged::from(judgement));

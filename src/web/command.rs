@@ -38,7 +38,7 @@ pub(super) async fn post(
             .map_err(|_| Failure::bad_request("The name of the machine cannot be used."))?;
         return Ok((StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response());
     };
-    // The form again, with what was typed; an error of the page itself hides the first one.
+    // The form again, with the values typed. If its page cannot be made, the refusal alone is the response.
     let form = Form::refused(&fields, refused.says.clone());
     let page = time::timeout(LIMIT, machine::page_with(&web, &machine, form)).await;
     let Ok(Ok(page)) = page else { return Err(refused) };

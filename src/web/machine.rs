@@ -95,7 +95,7 @@ struct Page {
     volatile: String,
 }
 
-/// The form for commands: after a refusal with the reason and what was typed, except the token.
+/// The form for commands; after a refusal with the reason and the values typed, except the token.
 #[derive(Default)]
 pub(super) struct Form {
     refused: Option<String>,
