@@ -14,7 +14,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::store::beside;
+use crate::store::{beside, folder_of};
 
 /// The lock of a database could not be taken.
 #[derive(Debug, thiserror::Error)]
@@ -83,8 +83,7 @@ fn is_at(file: &File, path: &Path) -> bool {
 
 /// A name in the abstract namespace of Linux, the same for all paths to the same database.
 fn name_of(database: &Path) -> io::Result<SocketAddr> {
-    let folder = database.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let path = std::fs::canonicalize(folder)?.join(database.file_name().unwrap_or_default());
+    let path = std::fs::canonicalize(folder_of(database))?.join(database.file_name().unwrap_or_default());
     // A path may be too long for a name, so two checksums of it are used.
     let (bytes, reversed) = (path.as_os_str().as_bytes(), path.as_os_str().as_bytes().iter().rev().copied());
     let checksums = (crc32fast::hash(bytes), crc32fast::hash(&reversed.collect::<Vec<_>>()));

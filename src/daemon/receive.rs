@@ -174,7 +174,7 @@ pub(super) struct ReceiveLoop {
 }
 
 impl ReceiveLoop {
-    /// Runs until `stop`, then stores the rest of the queue. At `give_up` what is not stored by then is lost.
+    /// Runs until `stop`, then stores the rest of the queue. Messages that are not stored at `give_up` are lost.
     pub(super) async fn run(mut self, stop: CancellationToken) {
         let give_up = self.give_up.clone();
         tokio::select! {
@@ -267,7 +267,7 @@ impl ReceiveLoop {
         }
     }
 
-    /// Logs and counts what is not stored. A write in progress may still be committed, so this is an upper bound.
+    /// Logs and counts the messages that are not stored. A write in progress may still be committed, so this is an upper bound.
     async fn lose(&mut self) {
         for (machine, throw, _) in &self.unstored {
             tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");

@@ -7,13 +7,7 @@ mod token;
 mod webhook;
 mod zenoh;
 
-use std::{
-    collections::HashMap,
-    fs,
-    net::SocketAddr,
-    ops::RangeInclusive,
-    path::{Path, PathBuf},
-};
+use std::{collections::HashMap, fs, net::SocketAddr, ops::RangeInclusive, path::Path};
 
 use rustix::fs::Access;
 use serde::{Deserialize, Serialize};
@@ -104,18 +98,20 @@ pub struct Identify {
     pub threads: usize,
 }
 
-/// The `[web]` section: the dashboard and the metrics.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Web {
-    /// Address and port; without it there is no dashboard. Every client that reaches it can read.
-    pub listen: Option<SocketAddr>,
-    /// Host names for browsers, in addition to IP addresses and `localhost`.
-    pub hosts: Vec<String>,
-    /// Largest fleet with a series for each machine in `/metrics`, 0 to 20,000; larger fleets have only totals.
-    pub machine_metrics: u32,
-    /// Secret for operators' commands from pages, 16 to 256 characters; without it the pages are read-only.
-    pub token: Option<Token>,
+settings! {
+    /// The `[web]` section: the dashboard and the metrics.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Web {
+        /// Address and port; without it there is no dashboard. Every client that reaches it can read.
+        pub listen: Option<SocketAddr> = None;
+        /// Host names for browsers, in addition to IP addresses and `localhost`.
+        pub hosts: Vec<String> = Vec::new();
+        /// Largest fleet with a series for each machine in `/metrics`, 0 to 20,000; larger fleets have only totals.
+        pub machine_metrics: u32 = 1_000, Within(0.0, f64::from(MOST_SERIES), "");
+        /// Secret for operators' commands from pages, 16 to 256 characters; without it the pages are read-only.
+        pub token: Option<Token> = None;
+    }
 }
 
 /// Format of log lines.
@@ -141,12 +137,6 @@ pub struct Log {
 impl Default for Monitor {
     fn default() -> Self {
         Self { site: Name::fixed("fleet"), id: Name::fixed("pointsd"), peers: Vec::new() }
-    }
-}
-
-impl Default for Web {
-    fn default() -> Self {
-        Self { listen: None, hosts: Vec::new(), machine_metrics: 1_000, token: None }
     }
 }
 
@@ -292,11 +282,7 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
             return Err(document.complain(&format!("web.hosts[{index}]"), problem));
         }
     }
-    if web.machine_metrics > MOST_SERIES {
-        return Err(
-            document.complain("web.machine_metrics", format!("is {}, must be 0 to {MOST_SERIES}", web.machine_metrics))
-        );
-    }
+    web.check_ranges().map_err(|error| document.complain(&format!("web.{}", error.key), error.problem()))?;
     let token = web.token.as_ref().map(|token| token.secret().chars().count());
     if token.is_some_and(|length| !TOKEN_LENGTH.contains(&length)) {
         return Err(document.complain("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
@@ -327,14 +313,13 @@ fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigErr
     if path.is_dir() {
         return complain(format!("{} is a folder, must be a file", path.display()));
     }
-    let parent = match path.parent() {
-        Some(parent) if parent.as_os_str().is_empty() => PathBuf::from("."),
-        Some(parent) => parent.to_owned(),
-        None => return complain(format!("{} is not a file name", path.display())),
-    };
-    match fs::metadata(&parent) {
+    if path.file_name().is_none() {
+        return complain(format!("{} is not a file name", path.display()));
+    }
+    let parent = store::folder_of(path);
+    match fs::metadata(parent) {
         Ok(folder) if !folder.is_dir() => complain(format!("{} is not a folder", parent.display())),
-        Ok(_) if rustix::fs::access(&parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
+        Ok(_) if rustix::fs::access(parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
             complain(format!("this user cannot write to the folder {}", parent.display()))
         }
         Ok(_) => Ok(()),
