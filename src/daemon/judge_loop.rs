@@ -4,7 +4,7 @@
 use std::{
     collections::{HashMap, HashSet, VecDeque},
     future,
-    sync::{Arc, atomic::Ordering::Relaxed},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -259,7 +259,7 @@ impl JudgeLoop {
 
     fn publish(&self, judgement: &Judgement) {
         let (status, health) = (&self.links.status, &judgement.health);
-        status.judged.fetch_add(1, Relaxed);
+        status.edit().judged += 1;
         if !health.is_evaluated() {
             status.refuse(&health.quality);
         }
@@ -274,7 +274,7 @@ impl JudgeLoop {
             tracing::warn!(%machine, cause = event.cause.as_str(), state = event.state.as_str(), "{}", event.text);
         }
         if !events.is_empty() {
-            self.links.status.alarm_events.fetch_add(events.len() as u64, Relaxed);
+            self.links.status.edit().alarm_events += events.len() as u64;
             self.links.outbox.notify_one();
             self.links.webhook.notify_one();
         }
@@ -314,7 +314,7 @@ impl JudgeLoop {
     }
 
     fn update_standing(&self) {
-        self.links.status.set_standing(self.judge.fleet.standing(&self.own_machine));
+        self.links.status.edit().standing = self.judge.fleet.standing(&self.own_machine);
     }
 
     /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is
