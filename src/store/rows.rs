@@ -50,6 +50,13 @@ impl Default for Selector {
     }
 }
 
+/// Selects one machine.
+impl From<&MachineId> for Selector {
+    fn from(machine: &MachineId) -> Self {
+        Self { site: machine.site.to_string(), machine: machine.machine.to_string() }
+    }
+}
+
 /// A stored throw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredThrow {
