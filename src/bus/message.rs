@@ -1,6 +1,6 @@
 //! A received message, and its size limits.
 
-use zenoh::sample::Sample;
+use zenoh::{bytes::ZBytes, sample::Sample};
 
 /// A received message, live or from a backlog.
 #[derive(Debug)]
@@ -37,13 +37,18 @@ impl Message {
 
     pub(super) fn of(sample: &Sample, limits: Limits) -> Self {
         let bytes = sample.payload().len();
-        let kept = limits.kept(bytes);
-        let mut payload = Vec::with_capacity(kept);
-        for slice in sample.payload().slices() {
-            let left = kept - payload.len();
-            payload.extend_from_slice(&slice[..slice.len().min(left)]);
-        }
+        let payload = beginning(sample.payload(), limits.kept(bytes));
         let key = sample.key_expr().as_str().to_owned();
         Self { key, content_type: sample.encoding().to_string(), payload, bytes }
     }
+}
+
+/// The first `limit` bytes of a payload, or all of it.
+pub(super) fn beginning(payload: &ZBytes, limit: usize) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(payload.len().min(limit));
+    for slice in payload.slices() {
+        let left = limit - bytes.len();
+        bytes.extend_from_slice(&slice[..slice.len().min(left)]);
+    }
+    bytes
 }

@@ -18,7 +18,7 @@ use zenoh::{
     query::{Query, Queryable},
 };
 
-use super::{error::BusError, session::intersect};
+use super::{error::BusError, message::beginning, session::intersect};
 
 /// Capacity of the queue: a dashboard sends a few queries a second.
 const QUEUE: usize = 64;
@@ -53,13 +53,7 @@ impl Question {
 
     /// The payload, cut to `MAX_PAYLOAD`.
     pub(crate) fn payload(&self) -> Vec<u8> {
-        let Some(payload) = self.query.payload() else { return Vec::new() };
-        let mut bytes = Vec::new();
-        for slice in payload.slices() {
-            let left = MAX_PAYLOAD - bytes.len();
-            bytes.extend_from_slice(&slice[..slice.len().min(left)]);
-        }
-        bytes
+        self.query.payload().map(|payload| beginning(payload, MAX_PAYLOAD)).unwrap_or_default()
     }
 
     /// Whether the key expression of the query includes `key`.

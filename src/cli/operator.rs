@@ -12,7 +12,7 @@ use crate::{
     daemon::config::{Document, OperatorSession, operator_session},
     diagnose::Command,
     throw::MachineId,
-    wire::{Reply, parse_monitor_key},
+    wire::{Reply, json, json_bytes, parse_monitor_key},
 };
 
 /// Time until a query fails; longer than a daemon needs for a batch of throws.
@@ -147,14 +147,14 @@ impl Sender {
     /// Sends a command to the daemon of the machine and prints the reply.
     pub(super) fn send(&self, command: &Command) -> Outcome {
         runtime::block_on(async {
-            let payload = serde_json::to_vec(command).or_exit(Exit::Software)?;
+            let payload = json_bytes(command);
             let Client { session, monitor } = self.connection.open().await?;
             let answer = bus::command(&session, &self.machine, monitor.as_ref(), payload, ANSWER_TIMEOUT).await;
             close(session).await;
             let answer = answer.map_err(failure)?;
             let reply: Reply = serde_json::from_slice(&answer).or_exit(Exit::Unavailable)?;
             if self.json {
-                output::line(String::from_utf8_lossy(&reply.to_json()))?;
+                output::line(json(&reply))?;
             } else {
                 output::line(format_args!("{}: {}", reply.monitor, reply.text))?;
             }

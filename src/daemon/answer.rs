@@ -9,21 +9,43 @@ use crate::{
 
 type Replies = Result<Vec<(String, Vec<u8>)>, String>;
 
-/// The next query; `None` when the session is closed.
-async fn next(questions: &mut Questions) -> Option<Question> {
-    let question = questions.next().await;
-    let dropped = questions.take_dropped();
-    if dropped > 0 {
-        seldom!(warn, dropped, "queue of queries full: queries refused");
-    }
-    question
+/// The answers to one kind of queries.
+pub(super) enum Answers {
+    /// To health queries.
+    Health(Reader),
+    /// To alarm queries, except those that the queryable `elsewhere` receives and answers too.
+    Alarms { reader: Reader, elsewhere: Option<String> },
+    /// To operators' commands, and to queries for the name of the daemon, `itself`. A command for another daemon gets
+    /// no reply.
+    Commands { orders: Orders, itself: Commander },
+    /// To status queries.
+    Status { key: String, gauges: Gauges },
 }
 
-/// Answers health queries.
-pub(super) async fn health(mut questions: Questions, reader: Reader) {
-    while let Some(question) = next(&mut questions).await {
-        let replies = health_replies(&question, &reader).await;
-        questions.answer(question, replies).await;
+impl Answers {
+    /// Answers until the session is closed.
+    pub(super) async fn run(self, mut questions: Questions) {
+        while let Some(question) = questions.next().await {
+            let dropped = questions.take_dropped();
+            if dropped > 0 {
+                seldom!(warn, dropped, "queue of queries full: queries refused");
+            }
+            let replies = self.replies(&question).await;
+            questions.answer(question, replies).await;
+        }
+    }
+
+    async fn replies(&self, question: &Question) -> Replies {
+        match self {
+            Self::Health(reader) => health_replies(question, reader).await,
+            Self::Alarms { elsewhere: Some(elsewhere), .. } if question.asks_about(elsewhere) => Ok(Vec::new()),
+            Self::Alarms { reader, .. } => alarm_replies(question, reader).await,
+            Self::Commands { orders, itself } => match question.parameter("session") {
+                Some(other) if other != itself.session => Ok(Vec::new()),
+                _ => command_reply(question, orders, itself).await,
+            },
+            Self::Status { key, gauges } => Ok(vec![(key.clone(), status(gauges).await)]),
+        }
     }
 }
 
@@ -32,19 +54,8 @@ async fn health_replies(question: &Question, reader: &Reader) -> Replies {
         HistoryQuery::Current => reader.latest_health(&selector(question)).await,
         HistoryQuery::History { since, limit } => reader.health_history(&selector(question), since, limit).await,
     };
-    let message = |health: Health| (wire::machine_key(&health.machine, Kind::Health), health.to_json());
+    let message = |health: Health| (wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(&health));
     messages(question, rows, message)
-}
-
-/// Answers alarm queries, except those that the queryable `elsewhere` receives and answers too.
-pub(super) async fn alarms(mut questions: Questions, reader: Reader, elsewhere: Option<String>) {
-    while let Some(question) = next(&mut questions).await {
-        if elsewhere.as_ref().is_some_and(|elsewhere| question.asks_about(elsewhere)) {
-            continue;
-        }
-        let replies = alarm_replies(&question, &reader).await;
-        questions.answer(question, replies).await;
-    }
 }
 
 async fn alarm_replies(question: &Question, reader: &Reader) -> Replies {
@@ -65,42 +76,26 @@ fn messages<T>(
     Ok(rows.into_iter().map(message).filter(|(key, _)| question.asks_about(key)).collect())
 }
 
-/// Receives operators' commands, and answers queries for the name of the daemon, `itself`. A command for another daemon
-/// gets no reply.
-pub(super) async fn commands(mut questions: Questions, orders: Orders, itself: Commander) {
-    while let Some(question) = next(&mut questions).await {
-        let replies = match question.parameter("session") {
-            Some(other) if other != itself.session => Ok(Vec::new()),
-            _ => command_reply(&question, &orders, &itself).await,
-        };
-        questions.answer(question, replies).await;
-    }
-}
-
 async fn command_reply(question: &Question, orders: &Orders, itself: &Commander) -> Replies {
     let (machine, _) = wire::parse_key(question.key())
         .map_err(|error| format!("a command goes to one machine, so its key has no wildcard: {error}"))?;
     let key = wire::machine_key(&machine, Kind::Command);
     let payload = question.payload();
     if payload.is_empty() {
-        let reply = serde_json::to_vec(itself).map_err(|error| error.to_string())?;
-        return Ok(vec![(key, reply)]);
+        return Ok(vec![(key, wire::json_bytes(itself))]);
     }
     let command = wire::decode_command(&payload).map_err(|error| error.to_string())?;
-    Ok(vec![(key, orders.carry_out(machine, command).await?.to_json())])
+    Ok(vec![(key, wire::json_bytes(&orders.carry_out(machine, command).await?))])
 }
 
-/// Answers status queries.
-pub(super) async fn status(mut questions: Questions, key: String, gauges: Gauges) {
-    while let Some(question) = next(&mut questions).await {
-        let mut report = gauges.report();
-        match gauges.store.reader().windows(None).await {
-            Ok(windows) => report.windows = windows,
-            // The rest of the status is most important when the database does not answer.
-            Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
-        }
-        questions.answer(question, Ok(vec![(key.clone(), wire::json(&report).into_bytes())])).await;
+async fn status(gauges: &Gauges) -> Vec<u8> {
+    let mut report = gauges.report();
+    match gauges.store.reader().windows(None).await {
+        Ok(windows) => report.windows = windows,
+        // The rest of the status is most important when the database does not answer.
+        Err(error) => seldom!(warn, %error, "the database does not answer: status without maintenance windows"),
     }
+    wire::json_bytes(&report)
 }
 
 /// The machines of the question. A key expression that cannot be a pattern of SQLite selects all machines, and their

@@ -6,7 +6,7 @@
 
 use std::{
     collections::{BTreeSet, HashMap, HashSet},
-    sync::{Arc, atomic::Ordering::Relaxed},
+    sync::Arc,
     time::Duration,
 };
 
@@ -173,7 +173,7 @@ impl Backlog {
             Err(error) => seldom!(warn, %error, "reading the missing throws failed; retrying"),
         }
         if let Ok(awaited) = self.asker.intake.store.reader().awaited().await {
-            self.asker.intake.status.backlog.store(awaited, Relaxed);
+            self.asker.intake.status.edit().backlog = awaited;
         }
     }
 
@@ -343,8 +343,8 @@ impl Asker {
                 });
             };
             let stored = self.intake.store.spool_page(machine, cursor.after.as_ref(), &page, clock::now()).await?;
-            self.intake.status.stored.fetch_add(stored.new, Relaxed);
-            self.intake.status.duplicates.fetch_add(stored.duplicates, Relaxed);
+            self.intake.status.edit().stored += stored.new;
+            self.intake.status.edit().duplicates += stored.duplicates;
             self.spooled.notify_one();
             cursor = stored.cursor;
             repeated = if stored.new == 0 { repeated + 1 } else { 0 };
@@ -375,14 +375,14 @@ impl Asker {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
         let came = answer.messages.len() as u64;
-        self.intake.status.backlog_received.fetch_add(came, Relaxed);
+        self.intake.status.edit().received += came;
         let mut throws: Vec<_> =
             self.intake.read(answer.messages, false).await.into_iter().map(|(_, throw, _)| throw).collect();
         let read = throws.len();
         keep_order(&mut throws, cursor.after.as_ref());
         let ignored = answer.ignored + (read - throws.len()) as u64;
-        self.intake.status.duplicates.fetch_add((read - throws.len()) as u64, Relaxed);
-        self.intake.status.ignored.fetch_add(ignored, Relaxed);
+        self.intake.status.edit().duplicates += (read - throws.len()) as u64;
+        self.intake.status.edit().ignored += ignored;
         if ignored > 0 {
             seldom!(warn, %machine, ignored, "replies of a logger do not match the query: ignored");
         }

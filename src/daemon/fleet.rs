@@ -55,8 +55,8 @@ pub(super) struct Fleet {
 const WITNESSES: usize = 32;
 
 impl Fleet {
-    /// Restores monitors from the database. In the place of one that cannot be read, as after a return to an earlier
-    /// version, a new one keeps its text and says so.
+    /// Restores monitors from the database. A snapshot that cannot be read, as after a return to an earlier version, is
+    /// replaced by a new monitor, which keeps the text of the snapshot and has a caveat about it.
     pub(super) fn restore(&mut self, stored: Vec<StoredMonitor>) {
         for StoredMonitor { machine, snapshot, state } in stored {
             let name = name_of(&machine);

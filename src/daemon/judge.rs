@@ -107,12 +107,4 @@ impl Judge {
     pub(super) fn backlog_wait(&self) -> Duration {
         Duration::from_secs_f64(self.config.borrow().subscribe.backlog_wait_s)
     }
-
-    /// Commits a batch in one transaction: a burst of throws after a cut link costs one sync.
-    ///
-    /// # Errors
-    /// When it could not be stored; the same call may be repeated.
-    pub(super) async fn commit(&self, judgements: &Arc<[Judgement]>) -> Result<(), StoreError> {
-        self.store.judge_all(Arc::clone(judgements)).await.map(drop)
-    }
 }

@@ -4,7 +4,7 @@
 use std::{
     collections::{HashMap, HashSet, VecDeque},
     future,
-    sync::{Arc, atomic::Ordering::Relaxed},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -50,6 +50,24 @@ struct PendingDaemonAlarm {
     raised: Instant,
     /// Whether it was published already.
     published: bool,
+}
+
+/// A write that is retried; all of it is one transaction.
+#[derive(strum::AsRefStr)]
+enum Changes {
+    #[strum(serialize = "judgements")]
+    Judgements(Arc<[Judgement]>),
+    #[strum(serialize = "changes of monitors")]
+    Outcomes(Arc<[Outcome]>),
+}
+
+impl Changes {
+    async fn store(&self, store: &Store) -> Result<(), StoreError> {
+        match self {
+            Self::Judgements(judgements) => store.judge_all(Arc::clone(judgements)).await.map(drop),
+            Self::Outcomes(outcomes) => store.record_all(Arc::clone(outcomes)).await,
+        }
+    }
 }
 
 /// Channels and handles to the other loops of the daemon.
@@ -102,7 +120,7 @@ impl JudgeLoop {
     /// # Errors
     /// When the store is closed.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
-        // Without this list the daemon does all the same what it is for.
+        // The daemon can work without this list.
         let adopted = self.judge.adopt().await.unwrap_or_else(|error| {
             tracing::warn!(%error, "the open alarms cannot be read; those without a monitor stay open");
             Vec::new()
@@ -146,11 +164,7 @@ impl JudgeLoop {
             }
         };
         self.links.status.heartbeats.beat(TaskName::Identify);
-        let commit = |store: Store| {
-            let judgements = Arc::clone(&judgements);
-            async move { store.judge_all(judgements).await.map(drop) }
-        };
-        match self.until_stored("judgements", commit).await {
+        match self.until_stored(&Changes::Judgements(Arc::clone(&judgements))).await {
             Ok(true) => judgements.iter().for_each(|judgement| self.publish(judgement)),
             Ok(false) => {}
             Err(StoreError::Refused(_)) => self.judge_one_by_one(&judgements).await?,
@@ -187,11 +201,7 @@ impl JudgeLoop {
 
     async fn judge_alone(&mut self, judgement: Judgement) -> Result<(), StoreError> {
         let alone: Arc<[Judgement]> = Arc::new([judgement]);
-        let commit = |store: Store| {
-            let alone = Arc::clone(&alone);
-            async move { store.judge_all(alone).await.map(drop) }
-        };
-        if self.until_stored("a judgement", commit).await? {
+        if self.until_stored(&Changes::Judgements(Arc::clone(&alone))).await? {
             self.publish(&alone[0]);
         }
         Ok(())
@@ -199,16 +209,13 @@ impl JudgeLoop {
 
     /// Repeats a write until it is stored, or the database rejects it. Returns false if the daemon must end first; the next
     /// start continues from the database, whose monitors are then older than those in memory.
-    async fn until_stored<W>(&mut self, what: &str, write: impl Fn(Store) -> W) -> Result<bool, StoreError>
-    where
-        W: Future<Output = Result<(), StoreError>>,
-    {
+    async fn until_stored(&mut self, changes: &Changes) -> Result<bool, StoreError> {
         loop {
             self.links.status.heartbeats.beat(TaskName::Identify);
-            match write(self.judge.store.clone()).await {
+            match changes.store(&self.judge.store).await {
                 Ok(()) => return Ok(true),
                 Err(error @ (StoreError::Closed | StoreError::Refused(_))) => return Err(error),
-                Err(error) => seldom!(warn, %error, what, "storing failed; retrying"),
+                Err(error) => seldom!(warn, %error, what = changes.as_ref(), "storing failed; retrying"),
             }
             // May store a newer monitor of the daemon, which a repeated write then replaces by an older one.
             self.judge.fleet.store_again(&self.own_machine);
@@ -227,11 +234,7 @@ impl JudgeLoop {
 
     /// Stores outcomes in one transaction, like [`Self::record`].
     async fn record_all(&mut self, outcomes: Arc<[Outcome]>) -> Result<bool, StoreError> {
-        let write = |store: Store| {
-            let outcomes = Arc::clone(&outcomes);
-            async move { store.record_all(outcomes).await }
-        };
-        match self.until_stored("changes of monitors", write).await {
+        match self.until_stored(&Changes::Outcomes(Arc::clone(&outcomes))).await {
             Ok(stored) => {
                 outcomes.iter().filter(|_| stored).for_each(|outcome| self.announce(outcome));
                 Ok(stored)
@@ -256,11 +259,11 @@ impl JudgeLoop {
 
     fn publish(&self, judgement: &Judgement) {
         let (status, health) = (&self.links.status, &judgement.health);
-        status.judged.fetch_add(1, Relaxed);
+        status.edit().judged += 1;
         if !health.is_evaluated() {
             status.refuse(&health.quality);
         }
-        self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), health.to_json());
+        self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(health));
         self.announce(&judgement.outcome);
         // Fails without observers.
         let _ = self.links.watchers.send(Judged::from(judgement));
@@ -271,7 +274,7 @@ impl JudgeLoop {
             tracing::warn!(%machine, cause = event.cause.as_str(), state = event.state.as_str(), "{}", event.text);
         }
         if !events.is_empty() {
-            self.links.status.alarm_events.fetch_add(events.len() as u64, Relaxed);
+            self.links.status.edit().alarm_events += events.len() as u64;
             self.links.outbox.notify_one();
             self.links.webhook.notify_one();
         }
@@ -311,7 +314,7 @@ impl JudgeLoop {
     }
 
     fn update_standing(&self) {
-        self.links.status.set_standing(self.judge.fleet.standing(&self.own_machine));
+        self.links.status.edit().standing = self.judge.fleet.standing(&self.own_machine);
     }
 
     /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is

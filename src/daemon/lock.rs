@@ -14,6 +14,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use crate::store::{beside, folder_of};
+
 /// The lock of a database could not be taken.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
@@ -45,9 +47,7 @@ pub(crate) struct DatabaseLock {
 impl DatabaseLock {
     /// Takes the lock of a database.
     pub(crate) fn take(database: &Path) -> Result<Self, LockError> {
-        let mut path = database.as_os_str().to_owned();
-        path.push(".lock");
-        let path = PathBuf::from(path);
+        let path = beside(database, ".lock");
         let failed = |source| LockError::File { path: path.clone(), source };
         let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
         match file.try_lock() {
@@ -83,8 +83,7 @@ fn is_at(file: &File, path: &Path) -> bool {
 
 /// A name in the abstract namespace of Linux, the same for all paths to the same database.
 fn name_of(database: &Path) -> io::Result<SocketAddr> {
-    let folder = database.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let path = std::fs::canonicalize(folder)?.join(database.file_name().unwrap_or_default());
+    let path = std::fs::canonicalize(folder_of(database))?.join(database.file_name().unwrap_or_default());
     // A path may be too long for a name, so two checksums of it are used.
     let (bytes, reversed) = (path.as_os_str().as_bytes(), path.as_os_str().as_bytes().iter().rev().copied());
     let checksums = (crc32fast::hash(bytes), crc32fast::hash(&reversed.collect::<Vec<_>>()));

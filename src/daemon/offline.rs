@@ -94,7 +94,7 @@ impl Offline {
             if judgements.is_empty() {
                 return Ok(all);
             }
-            self.judge.commit(&judgements).await?;
+            self.store.judge_all(Arc::clone(&judgements)).await?;
             all.extend(judgements.iter().map(Judged::from));
         }
     }

@@ -1,9 +1,6 @@
 //! Liveliness of the loggers, for the status and for the monitors, which raise an alarm without a logger.
 
-use std::{
-    collections::HashSet,
-    sync::{Arc, atomic::Ordering::Relaxed},
-};
+use std::{collections::HashSet, sync::Arc};
 
 use tokio::sync::watch;
 use zenoh::Session;
@@ -39,7 +36,7 @@ pub(super) async fn watch(
             } else if alive.len() < MOST && alive.insert(machine.clone()) {
                 seldom!(info, %machine, "logger connected");
             }
-            status.loggers.store(alive.len(), Relaxed);
+            status.edit().loggers = alive.len();
         });
     };
     bus::watch_tokens(session, key_expression, on_change).await

@@ -2,7 +2,7 @@
 
 use std::{
     collections::VecDeque,
-    sync::{Arc, atomic::Ordering::Relaxed},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -52,7 +52,7 @@ impl Publisher {
         loop {
             let stopping = stop.is_cancelled();
             let connected = bus::is_connected(&self.session).await;
-            self.status.connected.store(connected, Relaxed);
+            self.status.edit().connected = connected;
             // A client without its router reaches no subscriber.
             let reaches = connected || !self.is_client;
             let since = clock::monotonic().duration_since(start);

@@ -72,7 +72,7 @@ impl Intake {
             Ok(decoded) => decoded,
             Err(error) => {
                 tracing::error!(%error, messages = count, "decoding failed: a batch of messages is LOST");
-                self.status.lost.fetch_add(count, Relaxed);
+                self.status.edit().lost += count;
                 return Vec::new();
             }
         };
@@ -94,7 +94,7 @@ impl Intake {
         } else {
             let all = refused.len();
             refused.retain(|refused| self.is_first_refusal(refused));
-            self.status.duplicates.fetch_add((all - refused.len()) as u64, Relaxed);
+            self.status.edit().duplicates += (all - refused.len()) as u64;
         }
         self.quarantine(refused).await;
         throws
@@ -151,12 +151,12 @@ impl Intake {
         let count = refused.len() as u64;
         seldom!(warn, key, reason, bytes, and_others = count - 1, "message quarantined");
         match self.store.quarantine(refused).await {
-            Ok(()) => self.status.quarantined.fetch_add(count, Relaxed),
+            Ok(()) => self.status.edit().quarantined += count,
             Err(error) => {
                 seldom!(error, %error, messages = count, "storing messages in quarantine failed: they are LOST");
-                self.status.lost.fetch_add(count, Relaxed)
+                self.status.edit().lost += count;
             }
-        };
+        }
     }
 }
 
@@ -174,7 +174,7 @@ pub(super) struct ReceiveLoop {
 }
 
 impl ReceiveLoop {
-    /// Runs until `stop`, then stores the rest of the queue. At `give_up` what is not stored by then is lost.
+    /// Runs until `stop`, then stores the rest of the queue. Messages that are not stored at `give_up` are lost.
     pub(super) async fn run(mut self, stop: CancellationToken) {
         let give_up = self.give_up.clone();
         tokio::select! {
@@ -249,9 +249,9 @@ impl ReceiveLoop {
 
     fn count(&self, spooled: Spooled) {
         match spooled {
-            Spooled::New(_) => self.intake.status.stored.fetch_add(1, Relaxed),
-            Spooled::Duplicate => self.intake.status.duplicates.fetch_add(1, Relaxed),
-        };
+            Spooled::New(_) => self.intake.status.edit().stored += 1,
+            Spooled::Duplicate => self.intake.status.edit().duplicates += 1,
+        }
     }
 
     fn storing_works(&self) {
@@ -267,16 +267,16 @@ impl ReceiveLoop {
         }
     }
 
-    /// Logs and counts what is not stored. A write in progress may still be committed, so this is an upper bound.
+    /// Logs and counts the messages that are not stored. A write in progress may still be committed, so this is an upper bound.
     async fn lose(&mut self) {
         for (machine, throw, _) in &self.unstored {
             tracing::error!(%machine, boot_id = throw.id.boot_id, throw_no = throw.id.throw_no, "a throw is LOST");
         }
-        self.intake.status.lost.fetch_add(self.undecoded + self.unstored.len() as u64, Relaxed);
+        self.intake.status.edit().lost += self.undecoded + self.unstored.len() as u64;
         self.inbox.close().await;
         let mut queued = Vec::new();
         while self.inbox.receive(&mut queued, usize::MAX).await > 0 {}
-        self.intake.status.lost.fetch_add(queued.len() as u64, Relaxed);
+        self.intake.status.edit().lost += queued.len() as u64;
         let messages = self.undecoded + queued.len() as u64;
         if messages > 0 {
             tracing::error!(messages, "received messages could not be stored: they are LOST");
@@ -301,7 +301,7 @@ impl ReceiveLoop {
                     let reason = format!("the database rejects it: {error}");
                     let refused = Refused::throw(machine, throw, reason, *received_at);
                     let is_kept = self.intake.store.quarantine(vec![refused]).await.is_ok();
-                    self.intake.status.quarantined.fetch_add(u64::from(is_kept), Relaxed);
+                    self.intake.status.edit().quarantined += u64::from(is_kept);
                     is_kept
                 }
                 Err(_) => false,

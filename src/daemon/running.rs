@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 use zenoh::{Session, liveliness::LivelinessToken};
 
 use super::{
-    answer,
+    answer::Answers,
     backlog::{Asker, Backlog},
     clock,
     config::Config,
@@ -236,7 +236,7 @@ impl Daemon {
 impl Starting {
     /// The key expression of the part of the fleet that this daemon serves.
     fn scope(&self, kind: Kind) -> String {
-        self.config.scope.key_expression(kind)
+        self.config.subscribe.key.key_expression(kind)
     }
 
     /// Whether the session is a leaf, which reaches others through a router only.
@@ -359,31 +359,30 @@ impl Starting {
 
     /// Starts the answers to queries and commands.
     async fn answer(&mut self, orders: &Orders, gauges: &Gauges) -> Result<(), BusError> {
-        let (session, monitor) = (self.session.clone(), &self.config.monitor);
+        let monitor = &self.config.monitor;
         let own_machine = monitor.as_machine();
-        let status_key = monitor_status_key(&monitor.site, &monitor.id);
-        let questions = Questions::declare(&session, &status_key).await?;
-        self.tasks.spawn("answer status", answer::status(questions, status_key, gauges.clone()));
-
+        let key = monitor_status_key(&monitor.site, &monitor.id);
         let reader = self.store.reader().clone();
-        let questions = Questions::declare(&session, &self.scope(Kind::Health)).await?;
-        self.tasks.spawn("answer health", answer::health(questions, reader.clone()));
-        let questions = Questions::declare(&session, &self.scope(Kind::Alarm)).await?;
-        self.tasks.spawn("answer alarms", answer::alarms(questions, reader.clone(), None));
-        let commander = Commander { monitor: own_machine.to_string(), session: session.zid().to_string() };
-        let questions = Questions::declare(&session, &self.scope(Kind::Command)).await?;
-        self.tasks.spawn("answer commands", answer::commands(questions, orders.clone(), commander.clone()));
-
+        let itself = Commander { monitor: own_machine.to_string(), session: self.session.zid().to_string() };
+        let alarms = |elsewhere| Answers::Alarms { reader: reader.clone(), elsewhere };
+        let commands = || Answers::Commands { orders: orders.clone(), itself: itself.clone() };
+        let mut all = vec![
+            ("answer status", key.clone(), Answers::Status { key, gauges: gauges.clone() }),
+            ("answer health", self.scope(Kind::Health), Answers::Health(reader.clone())),
+            ("answer alarms", self.scope(Kind::Alarm), alarms(None)),
+            ("answer commands", self.scope(Kind::Command), commands()),
+        ];
         // The name of the daemon, for alarms about itself, may be outside of its part of the fleet.
         let own = |kind| machine_key(&own_machine, kind);
-        if bus::intersect(&self.scope(Kind::Alarm), &own(Kind::Alarm)) {
-            return Ok(());
+        if !bus::intersect(&self.scope(Kind::Alarm), &own(Kind::Alarm)) {
+            let elsewhere = Some(self.scope(Kind::Alarm));
+            all.push(("answer own alarms", own(Kind::Alarm), alarms(elsewhere)));
+            all.push(("answer own commands", own(Kind::Command), commands()));
         }
-        let questions = Questions::declare(&session, &own(Kind::Alarm)).await?;
-        let elsewhere = Some(self.scope(Kind::Alarm));
-        self.tasks.spawn("answer own alarms", answer::alarms(questions, reader, elsewhere));
-        let questions = Questions::declare(&session, &own(Kind::Command)).await?;
-        self.tasks.spawn("answer own commands", answer::commands(questions, orders.clone(), commander));
+        for (name, key, answers) in all {
+            let questions = Questions::declare(&self.session, &key).await?;
+            self.tasks.spawn(name, answers.run(questions));
+        }
         Ok(())
     }
 }

@@ -3,8 +3,8 @@
 use std::{
     collections::{BTreeMap, HashMap},
     sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::Relaxed},
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, Ordering::Relaxed},
     },
 };
 
@@ -21,33 +21,19 @@ use crate::{
 /// Invalid messages of a machine in a row that are an alarm; a few may be accidents.
 const INVALID_IN_A_ROW: u32 = 5;
 
-/// Counters and states, shared by all loops. Fields without a comment are described at [`StatusReport`].
+/// Counters and states, shared by all loops.
 #[derive(Debug, Default)]
 pub(crate) struct Status {
     pub heartbeats: Heartbeats,
-    pub stored: AtomicU64,
-    pub duplicates: AtomicU64,
-    pub quarantined: AtomicU64,
-    pub lost: AtomicU64,
-    /// Messages from the backlogs of loggers.
-    pub backlog_received: AtomicU64,
-    pub ignored: AtomicU64,
-    pub backlog: AtomicU64,
-    pub judged: AtomicU64,
-    pub not_evaluated: AtomicU64,
-    /// States of the machines, renewed every few seconds and after every command.
-    standing: Mutex<Standing>,
+    /// The part of the report that the loops write. `received` has only the messages from the backlogs of loggers;
+    /// `standing` is renewed every few seconds and after every command.
+    report: Mutex<StatusReport>,
     /// Throws without an estimate, by the code of the reason.
     refused: Mutex<BTreeMap<String, u64>>,
     /// Of each known machine whose last messages were no valid throws, their number and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
     pub(super) machines_refused: RecentCount,
-    pub alarm_events: AtomicU64,
-    pub loggers: AtomicUsize,
-    pub connected: AtomicBool,
     pub storing_fails: AtomicBool,
-    pub webhook_fails: AtomicBool,
-    pub webhook_refused: AtomicU64,
 }
 
 /// Number of machines in each state, and of shelved alarms.
@@ -77,7 +63,7 @@ impl Standing {
 }
 
 /// The status, as in `pointsd status --json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct StatusReport {
     /// Program version.
     pub version: String,
@@ -144,9 +130,14 @@ pub struct StatusReport {
 }
 
 impl Status {
+    /// The report, for a loop to change; locked until the end of the statement.
+    pub(super) fn edit(&self) -> MutexGuard<'_, StatusReport> {
+        self.report.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Counts a throw without an estimate.
     pub(super) fn refuse(&self, reason: &str) {
-        self.not_evaluated.fetch_add(1, Relaxed);
+        self.edit().not_evaluated += 1;
         *self.refused.lock().unwrap_or_else(PoisonError::into_inner).entry(reason.to_owned()).or_default() += 1;
     }
 
@@ -168,10 +159,6 @@ impl Status {
     pub(super) fn invalid_in_a_row(&self) -> Vec<(MachineId, (u32, String))> {
         let mut invalid = self.invalid.lock().unwrap_or_else(PoisonError::into_inner);
         invalid.extract_if(|_, (count, _)| *count >= INVALID_IN_A_ROW).collect()
-    }
-
-    pub(super) fn set_standing(&self, standing: Standing) {
-        *self.standing.lock().unwrap_or_else(PoisonError::into_inner) = standing;
     }
 
     /// Rejected data, for the alarm about the daemon.
@@ -203,6 +190,7 @@ impl Gauges {
     pub(crate) fn report(&self) -> StatusReport {
         let status = &self.status;
         let copying = self.store.is_copying();
+        let report = status.edit().clone();
         StatusReport {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             uptime_s: status.heartbeats.uptime().as_secs(),
@@ -210,27 +198,13 @@ impl Gauges {
             disk: self.store.disk_level(),
             copying,
             wal_bytes: self.store.wal_bytes(),
-            connected: status.connected.load(Relaxed),
-            loggers: status.loggers.load(Relaxed),
-            received: self.inbox.received.load(Relaxed) + status.backlog_received.load(Relaxed),
+            received: self.inbox.received.load(Relaxed) + report.received,
             dropped: self.inbox.dropped.load(Relaxed),
-            ignored: status.ignored.load(Relaxed),
-            backlog: status.backlog.load(Relaxed),
-            stored: status.stored.load(Relaxed),
-            duplicates: status.duplicates.load(Relaxed),
-            quarantined: status.quarantined.load(Relaxed),
-            lost: status.lost.load(Relaxed),
             machines_refused: status.machines_refused.count(),
-            judged: status.judged.load(Relaxed),
-            not_evaluated: status.not_evaluated.load(Relaxed),
-            alarm_events: status.alarm_events.load(Relaxed),
             published: self.outlet.published.load(Relaxed),
             unpublished: self.outlet.dropped.load(Relaxed),
-            webhook_fails: status.webhook_fails.load(Relaxed),
-            webhook_refused: status.webhook_refused.load(Relaxed),
             silent: status.heartbeats.silent(copying).into_iter().map(|task| task.as_ref().to_owned()).collect(),
-            standing: status.standing.lock().unwrap_or_else(PoisonError::into_inner).clone(),
-            windows: Vec::new(),
+            ..report
         }
     }
 }

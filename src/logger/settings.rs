@@ -3,49 +3,34 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{MachineId, Name, OutOfRange};
+use crate::throw::{MachineId, Name, OutOfRange, Range::Within, settings};
 
-/// The `[logger]` section of `pointsim`'s configuration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LoggerSettings {
-    /// Site of the machines.
-    pub site: Name,
-    /// Prefix of the machines' names, followed by a number from 1: `machine-1`.
-    pub machine: Name,
-    /// Seed of all random numbers.
-    pub seed: u64,
-    /// Throws of each machine, 1 to 1,000,000,000; `None` for an unlimited number.
-    pub throws: Option<u64>,
-    /// Time between two throws of a machine \[s\], 1 to 1,000,000.
-    pub interval_s: f64,
-    /// Ratio of simulated to real time, 0.001 to 1,000,000. Time stamps are simulated time.
-    pub time_scale: f64,
-    /// Largest backlog of each machine \[throws\], 1 to 100,000.
-    #[serde(alias = "cache")]
-    pub backlog_throws: usize,
-    /// Largest backlog of each machine \[MiB\], 1 to 4,096.
-    pub backlog_mib: usize,
-    /// Whether the first throw waits until a daemon has subscribed.
-    pub wait_for_monitor: bool,
-    /// Time of the first throw; `None` for the time of the start.
-    pub started_at: Option<Timestamp>,
-}
-
-impl Default for LoggerSettings {
-    fn default() -> Self {
-        Self {
-            site: Name::fixed("north"),
-            machine: Name::fixed("machine"),
-            seed: 1,
-            throws: None,
-            interval_s: 600.0,
-            time_scale: 1.0,
-            backlog_throws: 1_000,
-            backlog_mib: 64,
-            wait_for_monitor: true,
-            started_at: None,
-        }
+settings! {
+    /// The `[logger]` section of `pointsim`'s configuration.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct LoggerSettings {
+        /// Site of the machines.
+        pub site: Name = Name::fixed("north");
+        /// Prefix of the machines' names, followed by a number from 1: `machine-1`.
+        pub machine: Name = Name::fixed("machine");
+        /// Seed of all random numbers.
+        pub seed: u64 = 1;
+        /// Throws of each machine, 1 to 1,000,000,000; `None` for an unlimited number.
+        pub throws: Option<u64> = None, Within(1.0, 1e9, "");
+        /// Time between two throws of a machine \[s\], 1 to 1,000,000.
+        pub interval_s: f64 = 600.0, Within(1.0, 1e6, "s");
+        /// Ratio of simulated to real time, 0.001 to 1,000,000. Time stamps are simulated time.
+        pub time_scale: f64 = 1.0, Within(1e-3, 1e6, "");
+        /// Largest backlog of each machine \[throws\], 1 to 100,000.
+        #[serde(alias = "cache")]
+        pub backlog_throws: usize = 1_000, Within(1.0, 1e5, "throws");
+        /// Largest backlog of each machine \[MiB\], 1 to 4,096.
+        pub backlog_mib: usize = 64, Within(1.0, 4096.0, "MiB");
+        /// Whether the first throw waits until a daemon has subscribed.
+        pub wait_for_monitor: bool = true;
+        /// Time of the first throw; `None` for the time of the start.
+        pub started_at: Option<Timestamp> = None;
     }
 }
 
@@ -53,19 +38,13 @@ impl LoggerSettings {
     /// Longest prefix that leaves room for the number.
     const MAX_NAME: usize = Name::MAX_LEN - 7;
 
-    /// Checks every range.
+    /// Checks every setting.
     ///
     /// # Errors
     /// The first setting that is out of range.
     pub fn validate(&self) -> Result<(), OutOfRange> {
-        OutOfRange::check([
-            ("machine", self.machine.as_str().len() as f64, 1.0, Self::MAX_NAME as f64, "characters"),
-            ("throws", self.throws.unwrap_or(1) as f64, 1.0, 1e9, ""),
-            ("interval_s", self.interval_s, 1.0, 1e6, "s"),
-            ("time_scale", self.time_scale, 1e-3, 1e6, ""),
-            ("backlog_throws", self.backlog_throws as f64, 1.0, 1e5, "throws"),
-            ("backlog_mib", self.backlog_mib as f64, 1.0, 4096.0, "MiB"),
-        ])
+        Within(1.0, Self::MAX_NAME as f64, "characters").check("machine", self.machine.as_str().len() as f64)?;
+        self.check_ranges()
     }
 
     /// The machine with index `number`, from 0.

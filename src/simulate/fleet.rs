@@ -8,109 +8,88 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha12Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{Direction, OutOfRange, Throw, ThrowRef, Trace};
+use crate::throw::{
+    Direction, OutOfRange,
+    Range::{Above, Within},
+    Throw, ThrowRef, Trace, settings,
+};
 
 use super::fault::{Condition, Fault, Part, Shape};
 use super::machine::{Coefficients, Parameters};
 use super::motion::Conditions;
 use super::sensors::{Sensors, Stuck, normal};
 
-/// Settings of a simulated fleet.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FleetSettings {
-    /// Number of machines.
-    pub machines: usize,
-    /// Nominal parameters; each machine differs from them by the spread.
-    pub machine: Parameters,
-    /// Sensors and loggers of the machines.
-    pub sensors: Sensors,
-    /// Differences between machines.
-    pub spread: Spread,
-    /// Differences between throws of one machine.
-    pub scatter: Scatter,
-    /// Temperature over the throws.
-    pub climate: Climate,
-    /// Faults, each on one machine; several faults on the same machine add up.
-    pub faults: Vec<FleetFault>,
-    /// Incidents, each in some throws of one machine.
-    pub incidents: Vec<Incident>,
-}
-
-impl Default for FleetSettings {
-    fn default() -> Self {
-        Self {
-            machines: 5,
-            machine: Parameters::default(),
-            sensors: Sensors::default(),
-            spread: Spread::default(),
-            scatter: Scatter::default(),
-            climate: Climate::default(),
-            faults: Vec::new(),
-            incidents: Vec::new(),
-        }
+settings! {
+    /// Settings of a simulated fleet.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct FleetSettings {
+        /// Number of machines.
+        pub machines: usize = 5, Within(1.0, Fleet::MAX_MACHINES as f64, "machines");
+        /// Nominal parameters; each machine differs from them by the spread.
+        pub machine: Parameters = Parameters::default();
+        /// Sensors and loggers of the machines.
+        pub sensors: Sensors = Sensors::default();
+        /// Differences between machines.
+        pub spread: Spread = Spread::default();
+        /// Differences between throws of one machine.
+        pub scatter: Scatter = Scatter::default();
+        /// Temperature over the throws.
+        pub climate: Climate = Climate::default();
+        /// Faults, each on one machine; several faults on the same machine add up.
+        pub faults: Vec<FleetFault> = Vec::new();
+        /// Incidents, each in some throws of one machine.
+        pub incidents: Vec<Incident> = Vec::new();
     }
 }
 
-/// Natural spread between machines of one type: standard deviations \[%\].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Spread {
-    /// Spread of KT and KV, by magnets and windings.
-    pub kt_pct: f64,
-    /// Spread of viscous and dry friction.
-    pub friction_pct: f64,
-    /// Spread of the rails' stiffness.
-    pub stiffness_pct: f64,
-    /// Spread of the total inertia at the screw.
-    pub inertia_pct: f64,
-}
-
-impl Default for Spread {
-    fn default() -> Self {
-        Self { kt_pct: 3.0, friction_pct: 10.0, stiffness_pct: 5.0, inertia_pct: 2.0 }
+settings! {
+    /// Natural spread between machines of one type: standard deviations \[%\].
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct Spread {
+        /// Spread of KT and KV, by magnets and windings.
+        pub kt_pct: f64 = 3.0, Within(0.0, 30.0, "%");
+        /// Spread of viscous and dry friction.
+        pub friction_pct: f64 = 10.0, Within(0.0, 30.0, "%");
+        /// Spread of the rails' stiffness.
+        pub stiffness_pct: f64 = 5.0, Within(0.0, 30.0, "%");
+        /// Spread of the total inertia at the screw.
+        pub inertia_pct: f64 = 2.0, Within(0.0, 30.0, "%");
     }
 }
 
-/// Natural scatter from throw to throw: standard deviations \[%\] of first-order autoregressive processes.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Scatter {
-    /// Scatter of the torque per ampere.
-    pub kt_pct: f64,
-    /// Scatter of all friction, by moisture, dirt and grease.
-    pub friction_pct: f64,
-    /// Scatter of the rails' stiffness.
-    pub stiffness_pct: f64,
-    /// Scatter of the supply voltage.
-    pub supply_pct: f64,
-    /// Correlation of one throw with the next, 0 to below 1.
-    pub correlation: f64,
-}
-
-impl Default for Scatter {
-    fn default() -> Self {
-        Self { kt_pct: 0.5, friction_pct: 3.0, stiffness_pct: 1.0, supply_pct: 1.0, correlation: 0.5 }
+settings! {
+    /// Natural scatter from throw to throw: standard deviations \[%\] of first-order autoregressive processes.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct Scatter {
+        /// Scatter of the torque per ampere.
+        pub kt_pct: f64 = 0.5, Within(0.0, 30.0, "%");
+        /// Scatter of all friction, by moisture, dirt and grease.
+        pub friction_pct: f64 = 3.0, Within(0.0, 30.0, "%");
+        /// Scatter of the rails' stiffness.
+        pub stiffness_pct: f64 = 1.0, Within(0.0, 30.0, "%");
+        /// Scatter of the supply voltage.
+        pub supply_pct: f64 = 1.0, Within(0.0, 30.0, "%");
+        /// Correlation of one throw with the next, 0 to below 1.
+        pub correlation: f64 = 0.5, Within(0.0, 0.99, "");
     }
 }
 
-/// Temperature over the throws of a machine.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Climate {
-    /// Mean \[°C\].
-    pub mean_c: f64,
-    /// Half the difference between day and night \[K\].
-    pub daily_swing_k: f64,
-    /// Half the difference between summer and winter \[K\].
-    pub yearly_swing_k: f64,
-    /// Number of throws in a day.
-    pub throws_per_day: f64,
-}
-
-impl Default for Climate {
-    fn default() -> Self {
-        Self { mean_c: 20.0, daily_swing_k: 0.0, yearly_swing_k: 0.0, throws_per_day: 40.0 }
+settings! {
+    /// Temperature over the throws of a machine.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct Climate {
+        /// Mean \[°C\].
+        pub mean_c: f64 = 20.0, Within(-50.0, 60.0, "°C");
+        /// Half the difference between day and night \[K\].
+        pub daily_swing_k: f64 = 0.0, Within(0.0, 40.0, "K");
+        /// Half the difference between summer and winter \[K\].
+        pub yearly_swing_k: f64 = 0.0, Within(0.0, 40.0, "K");
+        /// Number of throws in a day.
+        pub throws_per_day: f64 = 40.0, Above(0.0);
     }
 }
 
@@ -339,25 +318,12 @@ impl FleetSettings {
     /// # Errors
     /// The first setting out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
-        let Self { spread, scatter, climate, .. } = self;
-        OutOfRange::check([("machines", self.machines as f64, 1.0, Fleet::MAX_MACHINES as f64, "machines")])?;
+        self.check_ranges()?;
         self.machine.check().map_err(|error| error.within("machine"))?;
         self.sensors.check().map_err(|error| error.within("sensors"))?;
-        OutOfRange::check([
-            ("spread.kt_pct", spread.kt_pct, 0.0, 30.0, "%"),
-            ("spread.friction_pct", spread.friction_pct, 0.0, 30.0, "%"),
-            ("spread.stiffness_pct", spread.stiffness_pct, 0.0, 30.0, "%"),
-            ("spread.inertia_pct", spread.inertia_pct, 0.0, 30.0, "%"),
-            ("scatter.kt_pct", scatter.kt_pct, 0.0, 30.0, "%"),
-            ("scatter.friction_pct", scatter.friction_pct, 0.0, 30.0, "%"),
-            ("scatter.stiffness_pct", scatter.stiffness_pct, 0.0, 30.0, "%"),
-            ("scatter.supply_pct", scatter.supply_pct, 0.0, 30.0, "%"),
-            ("scatter.correlation", scatter.correlation, 0.0, 0.99, ""),
-            ("climate.mean_c", climate.mean_c, -50.0, 60.0, "°C"),
-            ("climate.daily_swing_k", climate.daily_swing_k, 0.0, 40.0, "K"),
-            ("climate.yearly_swing_k", climate.yearly_swing_k, 0.0, 40.0, "K"),
-        ])?;
-        OutOfRange::require(&[("climate.throws_per_day", climate.throws_per_day)], "above 0", |throws| throws > 0.0)?;
+        self.spread.check_ranges().map_err(|error| error.within("spread"))?;
+        self.scatter.check_ranges().map_err(|error| error.within("scatter"))?;
+        self.climate.check_ranges().map_err(|error| error.within("climate"))?;
         for FleetFault { machine, fault } in &self.faults {
             self.check_machine("faults.machine", *machine)?;
             OutOfRange::check([("faults.fault.size_pct", fault.size_pct, -90.0, 2000.0, "%")])?;

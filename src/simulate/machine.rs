@@ -6,7 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use super::rails::{Modes, Rails};
 use super::supply::Waveform;
-use crate::throw::OutOfRange;
+use crate::throw::{
+    OutOfRange,
+    Range::{Above, AtLeast, Finite, Within},
+    settings,
+};
 
 /// Torque law of the motor: permanent magnet or series wound.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -19,124 +23,85 @@ pub enum MotorKind {
     Series,
 }
 
-/// Parameters of a point machine: motor, gearbox, ball screw, toe drive and switch rails. Values of rotating parts
-/// refer to their own shaft.
-///
-/// The default is a plausible machine: 4.3 s a throw, 13 A of inrush, about 1 A running.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Parameters {
-    /// Kind of motor.
-    pub motor: MotorKind,
-    /// Mean supply voltage \[V\].
-    pub supply_v: f64,
-    /// Shape of the supply voltage over time.
-    pub supply: Waveform,
-    /// Share of the ripple of |sin| that is left after smoothing; 1 without smoothing. With 0.17 the current of the
-    /// default machine ripples by ±1 A, as recorded on a real machine; without smoothing it would ripple by ±6 A
-    /// through 20 mH.
-    pub rectifier_ripple: f64,
-    /// Armature resistance R at 20 °C, with the leads \[ohm\].
-    pub resistance_ohm: f64,
-    /// Armature inductance L \[H\].
-    pub inductance_h: f64,
-    /// Torque constant KT \[N m/A\]; of a series motor k \[N m/A²\].
-    pub torque_constant: f64,
-    /// Back-EMF constant KV \[V s/rad\]; of a series motor k \[V s/(rad A)\].
-    pub back_emf_constant: f64,
-    /// Rotor inertia `J_M` \[kg m²\].
-    pub rotor_inertia_kg_m2: f64,
-    /// Inertia of coupling and gears `J_L`, on the motor shaft \[kg m²\].
-    pub load_inertia_kg_m2: f64,
-    /// Viscous friction of the motor `B_M` \[N m s\].
-    pub motor_viscous_nms: f64,
-    /// Dry friction of the motor \[N m\].
-    pub motor_dry_nm: f64,
-    /// Dry friction that the holding brake adds while the motor is off \[N m on the motor shaft\].
-    pub brake_nm: f64,
-    /// Gear ratio n, motor turns per screw turn.
-    pub gear_ratio: f64,
-    /// Torsional stiffness of the gearhead `K_gh` \[N m/rad on the screw\].
-    pub gear_stiffness_nm: f64,
-    /// Torsional damping of the gearhead `C_gh` \[N m s on the screw\].
-    pub gear_damping_nms: f64,
-    /// Inertia of the ball screw `J_bs` \[kg m²\].
-    pub screw_inertia_kg_m2: f64,
-    /// Viscous friction of the ball screw `B_bs` \[N m s\].
-    pub screw_viscous_nms: f64,
-    /// Restoring stiffness on the screw angle `K_bs` \[N m/rad\].
-    pub screw_stiffness_nm: f64,
-    /// Dry friction of the ball screw \[N m\].
-    pub screw_dry_nm: f64,
-    /// Lead of the ball screw l \[mm per revolution\].
-    pub lead_mm: f64,
-    /// Stiffness of the drive between nut and toe `K_fs` \[N/m\].
-    pub drive_stiffness_n_m: f64,
-    /// Damping of the drive between nut and toe `C_fs` \[N s/m\].
-    pub drive_damping_ns_m: f64,
-    /// Force at which the friction clutch in the toe drive slips \[N\]. Clutches of point machines are set to 4 to 10
-    /// kN. A throw of the default machine needs 2.4 kN, or 3.0 kN with a slide-chair friction of 0.3 at -40 °C.
-    pub clutch_n: f64,
-    /// Travel of the toe between the stock rails \[mm\].
-    pub stroke_mm: f64,
-    /// Toe position at which rails and screw spring are unstressed \[mm from normal\].
-    pub neutral_mm: f64,
-    /// Distance before the end of the stroke at which the motor is cut off \[mm\].
-    pub cut_off_mm: f64,
-    /// Longest time the controller leaves the motor on \[s\].
-    pub timeout_s: f64,
-    /// The switch rails.
-    pub rails: Rails,
-    /// Ratio of break-away friction to sliding friction (Stribeck); 1 for no excess.
-    pub breakaway_ratio: f64,
-    /// Toe speed at which the excess of break-away over sliding friction has fallen to 1/e \[m/s\].
-    pub stribeck_speed_m_s: f64,
-    /// Change of KT and KV with temperature \[%/K\].
-    pub magnet_pct_per_k: f64,
-    /// Change of viscous friction with temperature \[%/K\].
-    pub viscous_pct_per_k: f64,
-    /// Change of the rails' stiffness with temperature \[%/K\]: thermal thrust softens them.
-    pub rail_pct_per_k: f64,
-}
-
-impl Default for Parameters {
-    fn default() -> Self {
-        Self {
-            motor: MotorKind::PermanentMagnet,
-            supply_v: 110.0,
-            supply: Waveform::Constant,
-            rectifier_ripple: 0.17,
-            resistance_ohm: 4.0,
-            inductance_h: 0.02,
-            torque_constant: 0.7983,
-            back_emf_constant: 0.7983,
-            rotor_inertia_kg_m2: 4e-4,
-            load_inertia_kg_m2: 0.8e-4,
-            motor_viscous_nms: 2e-3,
-            motor_dry_nm: 0.05,
-            brake_nm: 6.0,
-            gear_ratio: 8.0,
-            gear_stiffness_nm: 4000.0,
-            gear_damping_nms: 2.0,
-            screw_inertia_kg_m2: 2e-4,
-            screw_viscous_nms: 0.02,
-            screw_stiffness_nm: 1e-4,
-            screw_dry_nm: 0.2,
-            lead_mm: 10.0,
-            drive_stiffness_n_m: 1e8,
-            drive_damping_ns_m: 1e5,
-            clutch_n: 8000.0,
-            stroke_mm: 115.0,
-            neutral_mm: 0.0,
-            cut_off_mm: 0.5,
-            timeout_s: 12.0,
-            rails: Rails::default(),
-            breakaway_ratio: 1.0,
-            stribeck_speed_m_s: 1e-3,
-            magnet_pct_per_k: -0.15,
-            viscous_pct_per_k: -1.0,
-            rail_pct_per_k: -0.1,
-        }
+settings! {
+    /// Parameters of a point machine: motor, gearbox, ball screw, toe drive and switch rails. Values of rotating parts
+    /// refer to their own shaft.
+    ///
+    /// The default is a plausible machine: 4.3 s a throw, 13 A of inrush, about 1 A running.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct Parameters {
+        /// Kind of motor.
+        pub motor: MotorKind = MotorKind::PermanentMagnet;
+        /// Mean supply voltage \[V\].
+        pub supply_v: f64 = 110.0, Above(0.0);
+        /// Shape of the supply voltage over time.
+        pub supply: Waveform = Waveform::Constant;
+        /// Share of the ripple of |sin| that is left after smoothing; 1 without smoothing. With 0.17 the current of the
+        /// default machine ripples by ±1 A, as recorded on a real machine; without smoothing it would ripple by ±6 A
+        /// through 20 mH.
+        pub rectifier_ripple: f64 = 0.17, Within(0.0, 1.0, "");
+        /// Armature resistance R at 20 °C, with the leads \[ohm\].
+        pub resistance_ohm: f64 = 4.0, Above(0.0);
+        /// Armature inductance L \[H\].
+        pub inductance_h: f64 = 0.02, Above(0.0);
+        /// Torque constant KT \[N m/A\]; of a series motor k \[N m/A²\].
+        pub torque_constant: f64 = 0.7983, Above(0.0);
+        /// Back-EMF constant KV \[V s/rad\]; of a series motor k \[V s/(rad A)\].
+        pub back_emf_constant: f64 = 0.7983, Above(0.0);
+        /// Rotor inertia `J_M` \[kg m²\].
+        pub rotor_inertia_kg_m2: f64 = 4e-4, Above(0.0);
+        /// Inertia of coupling and gears `J_L`, on the motor shaft \[kg m²\].
+        pub load_inertia_kg_m2: f64 = 0.8e-4, AtLeast(0.0);
+        /// Viscous friction of the motor `B_M` \[N m s\].
+        pub motor_viscous_nms: f64 = 2e-3, AtLeast(0.0);
+        /// Dry friction of the motor \[N m\].
+        pub motor_dry_nm: f64 = 0.05, AtLeast(0.0);
+        /// Dry friction that the holding brake adds while the motor is off \[N m on the motor shaft\].
+        pub brake_nm: f64 = 6.0, AtLeast(0.0);
+        /// Gear ratio n, motor turns per screw turn.
+        pub gear_ratio: f64 = 8.0, Above(0.0);
+        /// Torsional stiffness of the gearhead `K_gh` \[N m/rad on the screw\].
+        pub gear_stiffness_nm: f64 = 4000.0, Above(0.0);
+        /// Torsional damping of the gearhead `C_gh` \[N m s on the screw\].
+        pub gear_damping_nms: f64 = 2.0, AtLeast(0.0);
+        /// Inertia of the ball screw `J_bs` \[kg m²\].
+        pub screw_inertia_kg_m2: f64 = 2e-4, Above(0.0);
+        /// Viscous friction of the ball screw `B_bs` \[N m s\].
+        pub screw_viscous_nms: f64 = 0.02, AtLeast(0.0);
+        /// Restoring stiffness on the screw angle `K_bs` \[N m/rad\].
+        pub screw_stiffness_nm: f64 = 1e-4, Finite;
+        /// Dry friction of the ball screw \[N m\].
+        pub screw_dry_nm: f64 = 0.2, AtLeast(0.0);
+        /// Lead of the ball screw l \[mm per revolution\].
+        pub lead_mm: f64 = 10.0, Above(0.0);
+        /// Stiffness of the drive between nut and toe `K_fs` \[N/m\].
+        pub drive_stiffness_n_m: f64 = 1e8, Above(0.0);
+        /// Damping of the drive between nut and toe `C_fs` \[N s/m\].
+        pub drive_damping_ns_m: f64 = 1e5, AtLeast(0.0);
+        /// Force at which the friction clutch in the toe drive slips \[N\]. Clutches of point machines are set to 4 to
+        /// 10 kN. A throw of the default machine needs 2.4 kN, or 3.0 kN with a slide-chair friction of 0.3 at -40 °C.
+        pub clutch_n: f64 = 8000.0, Above(0.0);
+        /// Travel of the toe between the stock rails \[mm\].
+        pub stroke_mm: f64 = 115.0, Above(0.0);
+        /// Toe position at which rails and screw spring are unstressed \[mm from normal\].
+        pub neutral_mm: f64 = 0.0, Finite;
+        /// Distance before the end of the stroke at which the motor is cut off \[mm\].
+        pub cut_off_mm: f64 = 0.5, Above(0.0);
+        /// Longest time the controller leaves the motor on \[s\].
+        pub timeout_s: f64 = 12.0;
+        /// The switch rails.
+        pub rails: Rails = Rails::default();
+        /// Ratio of break-away friction to sliding friction (Stribeck); 1 for no excess.
+        pub breakaway_ratio: f64 = 1.0, AtLeast(1.0);
+        /// Toe speed at which the excess of break-away over sliding friction has fallen to 1/e \[m/s\].
+        pub stribeck_speed_m_s: f64 = 1e-3, Above(0.0);
+        /// Change of KT and KV with temperature \[%/K\].
+        pub magnet_pct_per_k: f64 = -0.15, Finite;
+        /// Change of viscous friction with temperature \[%/K\].
+        pub viscous_pct_per_k: f64 = -1.0, Finite;
+        /// Change of the rails' stiffness with temperature \[%/K\]: thermal thrust softens them.
+        pub rail_pct_per_k: f64 = -0.1, Finite;
     }
 }
 
@@ -249,49 +214,11 @@ impl Parameters {
     /// # Errors
     /// The first parameter out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
-        let positive = [
-            ("supply_v", self.supply_v),
-            ("resistance_ohm", self.resistance_ohm),
-            ("inductance_h", self.inductance_h),
-            ("torque_constant", self.torque_constant),
-            ("back_emf_constant", self.back_emf_constant),
-            ("rotor_inertia_kg_m2", self.rotor_inertia_kg_m2),
-            ("gear_ratio", self.gear_ratio),
-            ("gear_stiffness_nm", self.gear_stiffness_nm),
-            ("screw_inertia_kg_m2", self.screw_inertia_kg_m2),
-            ("lead_mm", self.lead_mm),
-            ("drive_stiffness_n_m", self.drive_stiffness_n_m),
-            ("clutch_n", self.clutch_n),
-            ("stroke_mm", self.stroke_mm),
-            ("cut_off_mm", self.cut_off_mm),
-            ("stribeck_speed_m_s", self.stribeck_speed_m_s),
-        ];
-        let not_negative = [
-            ("load_inertia_kg_m2", self.load_inertia_kg_m2),
-            ("motor_viscous_nms", self.motor_viscous_nms),
-            ("motor_dry_nm", self.motor_dry_nm),
-            ("brake_nm", self.brake_nm),
-            ("gear_damping_nms", self.gear_damping_nms),
-            ("screw_viscous_nms", self.screw_viscous_nms),
-            ("screw_dry_nm", self.screw_dry_nm),
-            ("drive_damping_ns_m", self.drive_damping_ns_m),
-        ];
-        let finite = [
-            ("screw_stiffness_nm", self.screw_stiffness_nm),
-            ("neutral_mm", self.neutral_mm),
-            ("magnet_pct_per_k", self.magnet_pct_per_k),
-            ("viscous_pct_per_k", self.viscous_pct_per_k),
-            ("rail_pct_per_k", self.rail_pct_per_k),
-        ];
-        OutOfRange::require(&positive, "above 0", |value| value > 0.0)?;
-        OutOfRange::require(&not_negative, "0 or more", |value| value >= 0.0)?;
-        OutOfRange::require(&finite, "a finite number", |_| true)?;
-        OutOfRange::require(&[("breakaway_ratio", self.breakaway_ratio)], "1 or more", |ratio| ratio >= 1.0)?;
+        self.check_ranges()?;
         OutOfRange::require(&[("timeout_s", self.timeout_s)], "above 0 and at most 40", |s| s > 0.0 && s <= 40.0)?;
-        OutOfRange::check([("rectifier_ripple", self.rectifier_ripple, 0.0, 1.0, "")])?;
         OutOfRange::require(&[("cut_off_mm", self.cut_off_mm)], "less than the stroke", |mm| mm < self.stroke_mm)?;
         self.supply.check().map_err(|error| error.within("supply.rectified_mains"))?;
-        self.rails.check().map_err(|error| error.within("rails"))
+        self.rails.check_ranges().map_err(|error| error.within("rails"))
     }
 
     /// These parameters at `temperature_c`: magnets and back-EMF, copper resistance, grease, thermal thrust in the

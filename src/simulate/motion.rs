@@ -4,7 +4,11 @@
 //! the mechanics, which are exact for constant forces; see [`super::dynamics`]. The scheme is of second order in the
 //! step while no contact sticks and no stop is touched.
 
-use crate::throw::{Direction, OutOfRange};
+use crate::throw::{
+    Direction, OutOfRange,
+    Range::{Above, Finite, Within},
+    settings,
+};
 
 use super::drive::Drive;
 use super::dynamics::{MOTOR_SPEED, Phase, State, Step, Toe, add_scaled, at_rest};
@@ -19,45 +23,27 @@ const ARC_TIME_S: f64 = 1e-3;
 /// Time simulated after the motor was cut off \[s\].
 const SETTLE_S: f64 = 0.4;
 
-/// Conditions of a throw: temperature, supply, obstruction, cut-off.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Conditions {
-    /// Temperature of the machine \[°C\].
-    pub temperature_c: f64,
-    /// Ratio of the supply voltage to the nominal voltage.
-    pub supply_ratio: f64,
-    /// Position of an obstacle between rail and stock rail \[mm from normal\].
-    pub obstruction_mm: Option<f64>,
-    /// Time after which the controller cuts the motor off before the end of the stroke \[s\].
-    pub cut_off_after_s: Option<f64>,
-    /// Phase of a rectified supply when the motor is switched on \[rad\].
-    pub supply_phase_rad: f64,
-}
-
-impl Default for Conditions {
-    fn default() -> Self {
-        Self {
-            temperature_c: 20.0,
-            supply_ratio: 1.0,
-            obstruction_mm: None,
-            cut_off_after_s: None,
-            supply_phase_rad: 0.0,
-        }
+settings! {
+    /// Conditions of a throw: temperature, supply, obstruction, cut-off.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct Conditions {
+        /// Temperature of the machine \[°C\].
+        pub temperature_c: f64 = 20.0, Within(-60.0, 80.0, "°C");
+        /// Ratio of the supply voltage to the nominal voltage.
+        pub supply_ratio: f64 = 1.0, Within(0.0, 3.0, "");
+        /// Position of an obstacle between rail and stock rail \[mm from normal\].
+        pub obstruction_mm: Option<f64> = None;
+        /// Time after which the controller cuts the motor off before the end of the stroke \[s\].
+        pub cut_off_after_s: Option<f64> = None, Above(0.0);
+        /// Phase of a rectified supply when the motor is switched on \[rad\].
+        pub supply_phase_rad: f64 = 0.0, Finite;
     }
 }
 
 impl Conditions {
     fn check(&self, stroke_mm: f64) -> Result<(), OutOfRange> {
-        OutOfRange::check([
-            ("temperature_c", self.temperature_c, -60.0, 80.0, "°C"),
-            ("supply_ratio", self.supply_ratio, 0.0, 3.0, ""),
-            ("obstruction_mm", self.obstruction_mm.unwrap_or(0.0), 0.0, stroke_mm, "mm"),
-        ])?;
-        OutOfRange::require(&[("supply_phase_rad", self.supply_phase_rad)], "a finite number", |_| true)?;
-        match self.cut_off_after_s {
-            Some(s) => OutOfRange::require(&[("cut_off_after_s", s)], "above 0", |s| s > 0.0),
-            None => Ok(()),
-        }
+        self.check_ranges()?;
+        OutOfRange::check([("obstruction_mm", self.obstruction_mm.unwrap_or(0.0), 0.0, stroke_mm, "mm")])
     }
 }
 

@@ -8,7 +8,10 @@
 use nalgebra::{Cholesky, DMatrix, SymmetricEigen};
 use serde::{Deserialize, Serialize};
 
-use crate::throw::OutOfRange;
+use crate::throw::{
+    Range::{Above, AtLeast, Within},
+    settings,
+};
 
 /// Acceleration of free fall \[m s⁻²\].
 const GRAVITY: f64 = 9.81;
@@ -28,43 +31,29 @@ pub enum RailModel {
     Beam,
 }
 
-/// The two switch rails and their slide chairs.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Rails {
-    /// The model of their bending.
-    pub model: RailModel,
-    /// Length from heel to toe \[m\].
-    pub length_m: f64,
-    /// Mass of one rail per length \[kg/m\].
-    pub mass_kg_m: f64,
-    /// Lateral bending stiffness EI of one rail \[N m²\].
-    pub bending_stiffness_n_m2: f64,
-    /// Mass of stretcher bar and fittings at the toe \[kg\].
-    pub toe_mass_kg: f64,
-    /// Damping ratio of every mode.
-    pub damping_ratio: f64,
-    /// Coefficient of dry friction mu of rail on slide chair.
-    pub slide_friction: f64,
-    /// Number of finite elements, with a chair at the end of each (beam only).
-    pub elements: usize,
-    /// Number of modes, 1 to 6 (beam only).
-    pub modes: usize,
-}
-
-impl Default for Rails {
-    fn default() -> Self {
-        Self {
-            model: RailModel::Beam,
-            length_m: 6.5,
-            mass_kg_m: 56.0,
-            bending_stiffness_n_m2: 8.8e5,
-            toe_mass_kg: 40.0,
-            damping_ratio: 0.02,
-            slide_friction: 0.0,
-            elements: 13,
-            modes: 5,
-        }
+settings! {
+    /// The two switch rails and their slide chairs.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct Rails {
+        /// The model of their bending.
+        pub model: RailModel = RailModel::Beam;
+        /// Length from heel to toe \[m\].
+        pub length_m: f64 = 6.5, Above(0.0);
+        /// Mass of one rail per length \[kg/m\].
+        pub mass_kg_m: f64 = 56.0, Above(0.0);
+        /// Lateral bending stiffness EI of one rail \[N m²\].
+        pub bending_stiffness_n_m2: f64 = 8.8e5, Above(0.0);
+        /// Mass of stretcher bar and fittings at the toe \[kg\].
+        pub toe_mass_kg: f64 = 40.0, AtLeast(0.0);
+        /// Damping ratio of every mode.
+        pub damping_ratio: f64 = 0.02, AtLeast(0.0);
+        /// Coefficient of dry friction mu of rail on slide chair.
+        pub slide_friction: f64 = 0.0, AtLeast(0.0);
+        /// Number of finite elements, with a chair at the end of each (beam only).
+        pub elements: usize = 13, Within(3.0, MAX_ELEMENTS as f64, "");
+        /// Number of modes, 1 to 6 (beam only).
+        pub modes: usize = 5, Within(1.0, MAX_MODES as f64, "");
     }
 }
 
@@ -97,26 +86,7 @@ pub(super) struct QuasiStatic {
 }
 
 impl Rails {
-    pub(super) fn check(&self) -> Result<(), OutOfRange> {
-        let positive = [
-            ("length_m", self.length_m),
-            ("mass_kg_m", self.mass_kg_m),
-            ("bending_stiffness_n_m2", self.bending_stiffness_n_m2),
-        ];
-        let not_negative = [
-            ("toe_mass_kg", self.toe_mass_kg),
-            ("damping_ratio", self.damping_ratio),
-            ("slide_friction", self.slide_friction),
-        ];
-        OutOfRange::require(&positive, "above 0", |value| value > 0.0)?;
-        OutOfRange::require(&not_negative, "0 or more", |value| value >= 0.0)?;
-        OutOfRange::check([
-            ("modes", self.modes as f64, 1.0, MAX_MODES as f64, ""),
-            ("elements", self.elements as f64, 3.0, MAX_ELEMENTS as f64, ""),
-        ])
-    }
-
-    /// The modes of the rails. The parameters must have passed [`Rails::check`].
+    /// The modes of the rails. The parameters must have passed [`Rails::check_ranges`].
     pub(super) fn modes(&self) -> Modes {
         match self.model {
             RailModel::Lumped => self.lumped(),

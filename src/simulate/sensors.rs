@@ -7,30 +7,30 @@ use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{Direction, OutOfRange, Trace};
+use crate::throw::{
+    Direction, OutOfRange,
+    Range::{Above, AtLeast, Finite, Within},
+    Trace, settings,
+};
 
 use super::filter::Butterworth;
 use super::motion::{Motion, STEP_S};
 
-/// Sensor of a channel; all values in the unit of the channel (A or mm).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Channel {
-    /// Standard deviation of white noise.
-    pub noise: f64,
-    /// Constant error.
-    pub offset: f64,
-    /// Error of the gain \[%\].
-    pub gain_pct: f64,
-    /// Largest magnitude; larger values are clipped. `None` for no limit.
-    pub full_scale: Option<f64>,
-    /// Resolution of the converter over plus and minus full scale \[bits\]; needs `full_scale`.
-    pub bits: Option<u32>,
-}
-
-impl Default for Channel {
-    fn default() -> Self {
-        Self { noise: 0.02, offset: 0.0, gain_pct: 0.0, full_scale: None, bits: None }
+settings! {
+    /// Sensor of a channel; all values in the unit of the channel (A or mm).
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct Channel {
+        /// Standard deviation of white noise.
+        pub noise: f64 = 0.02, AtLeast(0.0);
+        /// Constant error.
+        pub offset: f64 = 0.0, Finite;
+        /// Error of the gain \[%\].
+        pub gain_pct: f64 = 0.0, Within(-90.0, 900.0, "%");
+        /// Largest magnitude; larger values are clipped. `None` for no limit.
+        pub full_scale: Option<f64> = None, Above(0.0);
+        /// Resolution of the converter over plus and minus full scale \[bits\]; needs `full_scale`.
+        pub bits: Option<u32> = None, Within(4.0, 24.0, "bits");
     }
 }
 
@@ -44,30 +44,32 @@ pub enum Which {
     Position,
 }
 
-/// Sensors and logger of one machine. The defaults are good sensors: 1 kHz, 20 mA and 20 um of noise.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Sensors {
-    /// Sampling rate \[Hz\], 25 to 20,000.
-    pub sample_rate_hz: f64,
-    /// Recording before the motor starts \[s\].
-    pub before_s: f64,
-    /// Recording after the motor is cut off \[s\].
-    pub after_s: f64,
-    /// Motor current \[A\].
-    pub current: Channel,
-    /// Toe position \[mm\].
-    pub position: Channel,
-    /// Whether the current has the sign of the motor's polarity: negative from reverse to normal.
-    pub signed_current: bool,
-    /// Standard deviation of the sampling instants \[s\].
-    pub jitter_s: f64,
-    /// Share of samples that the logger drops \[%\].
-    pub dropped_pct: f64,
-    /// Cut-off of the 4th-order Butterworth filter in both channels \[Hz\]; `None` for no filter.
-    pub anti_alias_hz: Option<f64>,
-    /// A stuck channel; `None` if both work.
-    pub stuck: Option<Stuck>,
+settings! {
+    /// Sensors and logger of one machine. The defaults are good sensors: 1 kHz, 20 mA and 20 um of noise.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(default, deny_unknown_fields)]
+    pub struct Sensors {
+        /// Sampling rate \[Hz\], 25 to 20,000.
+        pub sample_rate_hz: f64 = 1000.0, Within(25.0, 20_000.0, "Hz");
+        /// Recording before the motor starts \[s\].
+        pub before_s: f64 = 0.2, Within(0.0, 5.0, "s");
+        /// Recording after the motor is cut off \[s\].
+        pub after_s: f64 = 0.2, Within(0.0, 5.0, "s");
+        /// Motor current \[A\].
+        pub current: Channel = Channel::default();
+        /// Toe position \[mm\].
+        pub position: Channel = Channel::default();
+        /// Whether the current has the sign of the motor's polarity: negative from reverse to normal.
+        pub signed_current: bool = false;
+        /// Standard deviation of the sampling instants \[s\].
+        pub jitter_s: f64 = 0.0, Within(0.0, 1.0, "s");
+        /// Share of samples that the logger drops \[%\].
+        pub dropped_pct: f64 = 0.0, Within(0.0, 50.0, "%");
+        /// Cut-off of the 4th-order Butterworth filter in both channels \[Hz\]; `None` for no filter.
+        pub anti_alias_hz: Option<f64> = None;
+        /// A stuck channel; `None` if both work.
+        pub stuck: Option<Stuck> = None;
+    }
 }
 
 /// A channel that repeats one value from a given time on.
@@ -89,23 +91,6 @@ pub struct Recording {
     pub trace: Trace,
 }
 
-impl Default for Sensors {
-    fn default() -> Self {
-        Self {
-            sample_rate_hz: 1000.0,
-            before_s: 0.2,
-            after_s: 0.2,
-            current: Channel::default(),
-            position: Channel::default(),
-            signed_current: false,
-            jitter_s: 0.0,
-            dropped_pct: 0.0,
-            anti_alias_hz: None,
-            stuck: None,
-        }
-    }
-}
-
 impl Sensors {
     /// Sensors without noise and errors, sampled at `sample_rate_hz`.
     #[must_use]
@@ -119,13 +104,7 @@ impl Sensors {
     /// # Errors
     /// The first value out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
-        OutOfRange::check([
-            ("sample_rate_hz", self.sample_rate_hz, 25.0, 20_000.0, "Hz"),
-            ("before_s", self.before_s, 0.0, 5.0, "s"),
-            ("after_s", self.after_s, 0.0, 5.0, "s"),
-            ("jitter_s", self.jitter_s, 0.0, 1.0, "s"),
-            ("dropped_pct", self.dropped_pct, 0.0, 50.0, "%"),
-        ])?;
+        self.check_ranges()?;
         self.current.check().map_err(|error| error.within("current"))?;
         self.position.check().map_err(|error| error.within("position"))?;
         if let Some(stuck) = self.stuck {
@@ -206,20 +185,9 @@ impl Stuck {
 
 impl Channel {
     fn check(&self) -> Result<(), OutOfRange> {
-        OutOfRange::require(&[("noise", self.noise)], "0 or more", |sd| sd >= 0.0)?;
-        OutOfRange::require(&[("offset", self.offset)], "a finite number", |_| true)?;
-        OutOfRange::check([("gain_pct", self.gain_pct, -90.0, 900.0, "%")])?;
-        if let Some(scale) = self.full_scale {
-            OutOfRange::require(&[("full_scale", scale)], "above 0", |value| value > 0.0)?;
-        }
-        match self.bits {
-            Some(bits) => {
-                OutOfRange::check([("bits", f64::from(bits), 4.0, 24.0, "bits")])?;
-                let scale = [("full_scale", self.full_scale.unwrap_or(f64::NAN))];
-                OutOfRange::require(&scale, "given with bits: the converter's range", |_| true)
-            }
-            None => Ok(()),
-        }
+        self.check_ranges()?;
+        let scale = [("full_scale", self.full_scale.filter(|_| self.bits.is_some()).unwrap_or(0.0))];
+        OutOfRange::require(&scale, "given with bits: the converter's range", |_| true)
     }
 
     fn reading<R: Rng>(&self, truth: f64, rng: &mut R) -> f64 {

@@ -27,9 +27,11 @@ impl Default for ThrowPosition {
     }
 }
 
+/// A boot of a logger.
 #[derive(Debug, Clone, Copy, sqlx::FromRow)]
 #[expect(clippy::struct_field_names, reason = "the name of the column")]
 pub(super) struct Boot {
+    pub(super) machine_row: i64,
     pub(super) boot_row: i64,
     pub(super) position: i64,
     pub(super) highest_no: i64,
@@ -42,6 +44,11 @@ impl Boot {
     /// The position of a throw of this boot.
     pub(super) fn at(&self, throw_no: i64) -> ThrowPosition {
         ThrowPosition { boot_row: Some(self.boot_row), position: self.position, throw_no }
+    }
+
+    /// The position of the throw with the highest number.
+    pub(super) fn last(&self) -> ThrowPosition {
+        self.at(self.highest_no)
     }
 }
 

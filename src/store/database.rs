@@ -202,7 +202,7 @@ impl Store {
         self.writer.write(Statement(sql::DROP_MESSAGES, serde_json::Value::from(rows).to_string())).await
     }
 
-    /// Tells whether alarm events are kept for a webhook from now on.
+    /// Sets whether alarm events are kept for a webhook from now on.
     pub(crate) async fn set_webhook(&self, is_on: bool) -> Result<(), StoreError> {
         self.writer.write(Statement(sql::SET_WEBHOOK, i64::from(is_on))).await
     }

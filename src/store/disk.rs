@@ -58,7 +58,7 @@ pub enum DiskLevel {
 }
 
 /// Measures the free space and owns the ballast file.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Disk {
     database: PathBuf,
     ballast: PathBuf,
@@ -88,22 +88,13 @@ impl Disk {
             ballast: beside(database, "-ballast"),
             ballast_bytes: ballast_mib * MIB,
             low_bytes: low_disk_mib * MIB,
-            full: AtomicBool::new(false),
-            was_full: AtomicBool::new(false),
-            failing: AtomicBool::new(false),
-            failures: AtomicU64::new(0),
-            replaced: RecentCount::default(),
-            replacement_fails: AtomicBool::new(false),
-            copied: Mutex::new(None),
-            counters: Mutex::default(),
-            lost: Default::default(),
+            ..Self::default()
         }
     }
 
     /// Free space for an unprivileged process, and size of the disk \[bytes\]; `None` if unknown.
     fn space(&self) -> Option<(u64, u64)> {
-        let folder = self.database.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let space = rustix::fs::statvfs(folder).ok()?;
+        let space = rustix::fs::statvfs(folder_of(&self.database)).ok()?;
         let bytes = |blocks: u64| blocks.saturating_mul(space.f_frsize);
         Some((bytes(space.f_bavail), bytes(space.f_blocks)))
     }
@@ -229,6 +220,11 @@ impl Disk {
             }
         }
     }
+}
+
+/// The folder of a file; the present folder for a name alone.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// The path with `suffix` appended to its file name.

@@ -1,6 +1,6 @@
 //! Errors of the database.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// An error of the database. `Display` is a sentence for people.
 #[derive(Debug, thiserror::Error)]
@@ -89,6 +89,11 @@ pub enum StoreError {
 }
 
 impl StoreError {
+    /// Turns an error of SQLite into that of opening the database at `path`.
+    pub(super) fn open(path: &Path) -> impl Fn(sqlx::Error) -> Self {
+        |source| Self::Open { path: path.to_owned(), source: Box::new(source) }
+    }
+
     pub(super) fn read(source: sqlx::Error) -> Self {
         Self::Read(Box::new(source))
     }

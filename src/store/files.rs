@@ -16,7 +16,7 @@ use std::{
 use jiff::Timestamp;
 
 use super::{
-    disk::beside,
+    disk::{beside, folder_of},
     error::StoreError,
     graft::{GRAFTED, LAYOUT},
 };
@@ -217,16 +217,12 @@ impl DatabaseFiles {
         let mark = mark.file_name().unwrap_or_default().as_encoded_bytes();
         let is_wanted =
             |name: &[u8]| name.starts_with(mark) && !without.iter().any(|suffix| name.ends_with(suffix.as_bytes()));
-        let files = std::fs::read_dir(self.folder()).into_iter().flatten().filter_map(Result::ok);
+        let files = std::fs::read_dir(folder_of(&self.path)).into_iter().flatten().filter_map(Result::ok);
         files.filter(|file| is_wanted(file.file_name().as_encoded_bytes())).map(|file| file.path()).collect()
     }
 
-    fn folder(&self) -> &Path {
-        self.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
-    }
-
     pub(super) fn sync_folder(&self) -> io::Result<()> {
-        File::open(self.folder())?.sync_all()
+        File::open(folder_of(&self.path))?.sync_all()
     }
 }
 

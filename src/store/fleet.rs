@@ -11,8 +11,8 @@ use sqlx::{
 
 use super::{
     error::StoreError,
-    reader::Reader,
-    rows::{json, machine_id, time, timestamp, word},
+    reader::{Reader, about},
+    rows::{json, time, timestamp, word},
     statements as sql,
 };
 use crate::{
@@ -222,7 +222,7 @@ impl FromRow<'_, SqliteRow> for FleetRow {
         let spark = spark.into_iter().flatten().filter(|_| is_picture).collect();
         let count = |column| row.try_get::<Option<i64>, _>(column).map(|count| count.map(i64::cast_unsigned));
         Ok(Self {
-            machine: machine_id(row)?,
+            machine: MachineId::from_row(row)?,
             state: word(row, "state")?.unwrap_or_default(),
             drifts: json(row, "drifts")?.unwrap_or_default(),
             causes: causes.into_iter().flat_map(|causes| causes.split(',')).filter_map(|it| it.parse().ok()).collect(),
@@ -275,7 +275,7 @@ impl FromRow<'_, SqliteRow> for CommandRow {
 impl FromRow<'_, SqliteRow> for Window {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
         let CommandRow { cause, until, by, why, .. } = CommandRow::from_row(row)?;
-        Ok(Self { machine: machine_id(row)?, cause, until, by, why })
+        Ok(Self { machine: MachineId::from_row(row)?, cause, until, by, why })
     }
 }
 
@@ -311,9 +311,7 @@ impl Reader {
     /// Up to `limit` open alarms about the condition of machines, the critical first; and the number of those that this
     /// version cannot read.
     pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
-        let statement =
-            sqlx::query_as(sql::FAULTS).bind(itself.site.as_str()).bind(itself.machine.as_str()).bind(limit);
-        let rows: Vec<FaultRow> = self.asked(statement).await?;
+        let rows: Vec<FaultRow> = self.asked(about(sql::FAULTS, itself).bind(limit)).await?;
         let found = rows.len();
         let faults: Vec<Fault> = rows.into_iter().filter_map(|FaultRow(fault)| fault).collect();
         let unreadable = found - faults.len();
@@ -322,14 +320,13 @@ impl Reader {
 
     /// Number of open alarms about the condition of machines.
     pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
-        let statement = sqlx::query_as(sql::FAULT_COUNT).bind(itself.site.as_str()).bind(itself.machine.as_str());
-        let rows: Vec<(i64,)> = self.asked(statement).await?;
+        let rows: Vec<(i64,)> = self.asked(about(sql::FAULT_COUNT, itself)).await?;
         Ok(rows.first().map_or(0, |(count,)| count.cast_unsigned()))
     }
 
     /// Numbers of open alarms of system-wide causes, by cause, site and text.
     pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
-        self.asked(sqlx::query_as(sql::COMMON).bind(itself.site.as_str()).bind(itself.machine.as_str())).await
+        self.asked(about(sql::COMMON, itself)).await
     }
 
     /// The open windows of one machine or of all.
@@ -342,8 +339,7 @@ impl Reader {
 
     /// The newest `limit` commands for a machine, newest first.
     pub(crate) async fn commands_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<CommandRow>, StoreError> {
-        let statement = sqlx::query_as(sql::COMMANDS).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        self.asked(statement.bind(limit)).await
+        self.asked(about(sql::COMMANDS, machine).bind(limit)).await
     }
 
     /// The newest `limit` baselines of a machine, newest first.
@@ -352,16 +348,14 @@ impl Reader {
         machine: &MachineId,
         limit: u32,
     ) -> Result<Vec<BaselineRecord>, StoreError> {
-        let statement = sqlx::query_as(sql::BASELINES).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        let rows: Vec<(String,)> = self.asked(statement.bind(limit)).await?;
+        let rows: Vec<(String,)> = self.asked(about(sql::BASELINES, machine).bind(limit)).await?;
         // Baselines of another version that cannot be read are left out.
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
     }
 
     /// The present state of a machine.
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
-        let statement = sqlx::query_as(sql::STATE).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        let rows: Vec<Present> = self.asked(statement).await?;
+        let rows: Vec<Present> = self.asked(about(sql::STATE, machine)).await?;
         Ok(rows.into_iter().next().unwrap_or_default())
     }
 
@@ -371,8 +365,7 @@ impl Reader {
         machine: &MachineId,
         throw: &ThrowRef,
     ) -> Result<[Option<ThrowRef>; 2], StoreError> {
-        let statement =
-            sqlx::query_as(sql::THROW_NEIGHBOURS).bind(machine.site.as_str()).bind(machine.machine.as_str());
+        let statement = about(sql::THROW_NEIGHBOURS, machine);
         let statement = statement.bind(throw.boot_id.as_str()).bind(throw.throw_no.cast_signed());
         let rows: Vec<(String, i64, bool)> = self.asked(statement).await?;
         let mut neighbours = [None, None];
@@ -389,9 +382,7 @@ impl Reader {
         direction: Direction,
         at: Timestamp,
     ) -> Result<Option<ThrowRef>, StoreError> {
-        let statement = sqlx::query_as(sql::TYPICAL).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        let rows: Vec<(String, i64)> = self.asked(statement.bind(direction.as_str()).bind(at.as_microsecond())).await?;
-        let throw = |(boot_id, throw_no): (String, i64)| ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() };
-        Ok(rows.into_iter().next().map(throw))
+        let statement = about(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
+        Ok(self.asked(statement).await?.into_iter().next())
     }
 }

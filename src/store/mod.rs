@@ -37,7 +37,7 @@ mod writing;
 pub use codec::UnreadableTrace;
 pub use database::{Opened, Store};
 pub use disk::DiskLevel;
-pub(crate) use disk::beside;
+pub(crate) use disk::{beside, folder_of};
 pub use error::StoreError;
 pub(crate) use export::{Export, Exported};
 pub use fleet::Window;

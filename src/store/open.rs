@@ -102,8 +102,8 @@ pub(super) async fn continuing(
     settings: &Settings,
     connection: &mut SqliteConnection,
 ) -> Result<SqliteConnectOptions, StoreError> {
-    let failed = |source| StoreError::Open { path: settings.path.clone(), source: Box::new(source) };
-    sqlx::query("PRAGMA temp_store = memory").execute(connection).await.map_err(failed)?;
+    let set = sqlx::query("PRAGMA temp_store = memory").execute(connection).await;
+    set.map_err(StoreError::open(&settings.path))?;
     Ok(writing(settings, false).pragma("temp_store", "memory"))
 }
 
@@ -135,7 +135,7 @@ pub(super) async fn open(
             let found = Found::SetAside { to, why, salvaged: Salvaged::default() };
             Ok((connection, Report { found, ..report }))
         }
-        Err(trouble) => Err(trouble.told(settings)),
+        Err(trouble) => Err(trouble.of(settings)),
     }
 }
 
@@ -161,7 +161,7 @@ async fn recover(
                 break;
             }
             Err(trouble) => {
-                let error = trouble.told(&copy);
+                let error = trouble.of(&copy);
                 tracing::error!(%error, tables, "copying rows from the broken database failed");
                 disk.note_failure(matches!(error, StoreError::Full));
             }
@@ -169,7 +169,7 @@ async fn recover(
     }
     files.salvage_path()?;
     let (connection, report) =
-        prepare(settings, disk, files.is_fresh()).await.map_err(|trouble| trouble.told(settings))?;
+        prepare(settings, disk, files.is_fresh()).await.map_err(|trouble| trouble.of(settings))?;
     tracing::warn!(saved = ?salvaged.rows, lost = ?salvaged.lost, "rows copied from the broken database");
     if let Err(error) = DatabaseFiles::describe_set_aside(&to, &salvaged.text()) {
         tracing::warn!(%error, "the summary of the copied rows is in this log only");
@@ -236,12 +236,13 @@ enum Trouble {
 }
 
 impl Trouble {
-    fn told(self, settings: &Settings) -> StoreError {
+    /// The error of opening the database at the path of `settings`.
+    fn of(self, settings: &Settings) -> StoreError {
         let path = settings.path.clone();
         match self {
-            Self::Broken(why) => StoreError::Open { path, source: Box::new(sqlx::Error::Protocol(why)) },
+            Self::Broken(why) => StoreError::open(&path)(sqlx::Error::Protocol(why)),
             Self::Access(error) if is_full(&error) => StoreError::Full,
-            Self::Access(source) => StoreError::Open { path, source: Box::new(source) },
+            Self::Access(source) => StoreError::open(&path)(source),
             Self::Migration(source) => StoreError::Migrate { path, source: Box::new(source) },
             Self::TooNew { needed, known } => StoreError::TooNew { path, needed, known },
         }
@@ -354,15 +355,21 @@ async fn check(connection: &mut SqliteConnection, limit: Option<Duration>) -> Re
         let end = Instant::now() + limit;
         connection.lock_handle().await?.set_progress_handler(CHECK_STEPS, move || Instant::now() < end);
     }
-    let findings = sqlx::query_scalar::<_, String>("PRAGMA quick_check(5)").fetch_all(&mut *connection).await;
+    let damage = damage(&mut *connection).await;
     connection.lock_handle().await?.remove_progress_handler();
-    match findings {
-        Ok(findings) if findings == ["ok"] => Ok(()),
-        Ok(findings) => Err(Trouble::Broken(findings.join("; "))),
+    match damage {
+        Ok(None) => Ok(()),
+        Ok(Some(damage)) => Err(Trouble::Broken(damage)),
         Err(error) if is_interrupted(&error) => {
             tracing::info!(?limit, "large database: checked in part, no damage found");
             Ok(())
         }
         Err(error) => Err(error.into()),
     }
+}
+
+/// The damage that SQLite finds in the pages of a database; `None` without damage.
+pub(super) async fn damage(connection: &mut SqliteConnection) -> sqlx::Result<Option<String>> {
+    let findings: Vec<String> = sqlx::query_scalar("PRAGMA quick_check(5)").fetch_all(connection).await?;
+    Ok((findings != ["ok"]).then(|| findings.join("; ")))
 }

@@ -2,7 +2,7 @@
 
 use super::{
     error::StoreError,
-    reader::Reader,
+    reader::{Reader, about},
     rows::{StoredThrow, ThrowRow},
     statements as sql,
 };
@@ -45,22 +45,19 @@ impl Reader {
         direction: Direction,
         limit: u32,
     ) -> Result<Vec<Health>, StoreError> {
-        let query = sqlx::query_as(statement).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        let mut rows = self.asked(query.bind(direction.as_str()).bind(limit)).await?;
+        let mut rows = self.asked(about(statement, machine).bind(direction.as_str()).bind(limit)).await?;
         rows.reverse();
         Ok(rows)
     }
 
     /// The newest `limit` throws of a machine, those of unknown direction too, newest first.
     pub(crate) async fn newest_throws_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<Health>, StoreError> {
-        let query = sqlx::query_as(sql::MACHINE_NEWEST).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        self.asked(query.bind(limit)).await
+        self.asked(about(sql::MACHINE_NEWEST, machine).bind(limit)).await
     }
 
     /// The newest `limit` alarm events of a machine, of its newest `limit` alarms, newest first.
     pub(crate) async fn alarm_events_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<Alarm>, StoreError> {
-        let query = sqlx::query_as(sql::MACHINE_ALARM_EVENTS).bind(machine.site.as_str());
-        Ok(self.asked_alarms(query.bind(machine.machine.as_str()).bind(limit)).await?.0)
+        Ok(self.asked_alarms(about(sql::MACHINE_ALARM_EVENTS, machine).bind(limit)).await?.0)
     }
 
     /// A throw of a machine with its health; the health is `None` while the throw is pending. `None` if the throw does
@@ -72,8 +69,8 @@ impl Reader {
     ) -> Result<Option<(StoredThrow, Option<Health>)>, StoreError> {
         // SQLite has no larger numbers, so the throw does not exist.
         let Ok(throw_no) = i64::try_from(throw.throw_no) else { return Ok(None) };
-        let query = sqlx::query_as(sql::THROW_AT).bind(machine.site.as_str()).bind(machine.machine.as_str());
-        let stored: Vec<StoredThrow> = self.asked(query.bind(throw.boot_id.as_str()).bind(throw_no)).await?;
+        let query = about(sql::THROW_AT, machine).bind(throw.boot_id.as_str()).bind(throw_no);
+        let stored: Vec<StoredThrow> = self.asked(query).await?;
         let Some(stored) = stored.into_iter().next() else { return Ok(None) };
         let health = self.asked(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0)).await?;
         Ok(Some((stored, health.into_iter().next())))

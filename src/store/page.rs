@@ -69,7 +69,7 @@ impl Write for Page {
             if last.boot_row != Some(boot.boot_row) {
                 write_off_boots(connection, machine_row, (last.position, boot.position), at_us).await?;
             }
-            last = ThrowPosition { boot_row: Some(boot.boot_row), position: boot.position, throw_no: throw.throw_no() };
+            last = boot.at(throw.throw_no());
             let gone = sqlx::query(sql::WRITE_OFF_BEFORE).bind(boot.boot_row).bind(last.throw_no).bind(at_us);
             gone.execute(&mut *connection).await?;
         }
@@ -120,7 +120,7 @@ async fn after(connection: &mut SqliteConnection, machine_row: i64, last: ThrowP
 /// The last throw of the last boot.
 async fn newest(connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<ThrowPosition> {
     let boot: Option<Boot> = sqlx::query_as(sql::LAST_BOOT).bind(machine_row).fetch_optional(connection).await?;
-    Ok(boot.map_or(ThrowPosition::BEGINNING, |boot| boot.at(boot.highest_no)))
+    Ok(boot.as_ref().map_or(ThrowPosition::BEGINNING, Boot::last))
 }
 
 /// The throws awaited at a query are in no backlog.

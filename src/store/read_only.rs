@@ -28,16 +28,15 @@ pub enum Value {
 
 /// Connects read-only.
 pub(super) async fn connect(path: &Path) -> Result<SqliteConnection, StoreError> {
-    let error = |source| StoreError::Open { path: path.to_owned(), source: Box::new(source) };
-    SqliteConnection::connect_with(&options(path).await?).await.map_err(error)
+    SqliteConnection::connect_with(&options(path).await?).await.map_err(StoreError::open(path))
 }
 
 /// Options of a read-only connection that can be used. A closed database in a read-only folder is opened as immutable.
 pub(super) async fn options(path: &Path) -> Result<SqliteConnectOptions, StoreError> {
     let file = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    let error = |source| StoreError::Open { path: path.to_owned(), source: Box::new(source) };
+    let error = StoreError::open(path);
     let options = open::reading(&file);
-    let mut first = SqliteConnection::connect_with(&options).await.map_err(error)?;
+    let mut first = SqliteConnection::connect_with(&options).await.map_err(&error)?;
     match sqlx::query("SELECT 1 FROM sqlite_schema").execute(&mut first).await {
         Ok(_) => Ok(options),
         Err(_) if std::fs::metadata(beside(&file, "-wal")).map_or(0, |log| log.len()) == 0 => {
@@ -161,16 +160,11 @@ impl Backup {
         let vacuum = sqlx::query("VACUUM INTO ?1").bind(self.partial.to_string_lossy());
         vacuum.execute(&mut connection).await.map_err(StoreError::read)?;
         let mut copy = connect(&self.partial).await?;
-        let findings: Vec<String> =
-            sqlx::query_scalar("PRAGMA quick_check(5)").fetch_all(&mut copy).await.map_err(StoreError::read)?;
+        let damage = open::damage(&mut copy).await.map_err(StoreError::read)?;
         copy.close().await.map_err(StoreError::read)?;
-        if findings == ["ok"] {
-            Ok(())
-        } else {
-            Err(StoreError::Read(Box::new(sqlx::Error::Protocol(format!(
-                "the copy is broken: {}",
-                findings.join("; ")
-            )))))
+        match damage {
+            None => Ok(()),
+            Some(damage) => Err(StoreError::read(sqlx::Error::Protocol(format!("the copy is broken: {damage}")))),
         }
     }
 }

@@ -22,7 +22,7 @@ use super::{
     page::{self, Cursor},
     read_only,
     recent::RecentThrows,
-    rows::{Gap, OutboxRow, PendingRow, Selector, StoredMonitor, StoredThrow, ThrowRow, machine_id, timestamp},
+    rows::{Gap, OutboxRow, PendingRow, Selector, StoredMonitor, StoredThrow, ThrowRow, timestamp},
     statements as sql,
 };
 use crate::{
@@ -77,11 +77,7 @@ impl Reader {
 
     async fn with(path: &Path, options: SqliteConnectOptions) -> Result<Self, StoreError> {
         let pools = Pools::new(&options);
-        pools
-            .own
-            .acquire()
-            .await
-            .map_err(|source| StoreError::Open { path: path.to_owned(), source: Box::new(source) })?;
+        pools.own.acquire().await.map_err(StoreError::open(path))?;
         Ok(Self {
             pools: Arc::new(RwLock::new(pools)),
             broken: CancellationToken::new(),
@@ -237,8 +233,7 @@ impl Reader {
 
     /// Up to `limit` machines with throws that may be in their backlog, the longest waiting first.
     pub(crate) async fn backlogs(&self, limit: u32) -> Result<Vec<MachineId>, StoreError> {
-        let rows = self.limited(sqlx::query(sql::BACKLOGS).bind(limit).fetch_all(&self.pool())).await?;
-        rows.iter().map(machine_id).collect::<sqlx::Result<_>>().map_err(StoreError::read)
+        self.rows(sqlx::query_as(sql::BACKLOGS).bind(limit)).await
     }
 
     /// Number of missing throws that may be in a backlog.
@@ -265,8 +260,7 @@ impl Reader {
     }
 
     pub(crate) async fn machines(&self) -> Result<Vec<MachineId>, StoreError> {
-        let rows = self.limited(sqlx::query(sql::MACHINES).fetch_all(&self.pool())).await?;
-        rows.iter().map(machine_id).collect::<sqlx::Result<_>>().map_err(StoreError::read)
+        self.rows(sqlx::query_as(sql::MACHINES)).await
     }
 
     /// Time of reception of the newest throw.
@@ -355,6 +349,17 @@ impl Reader {
         let (from_us, to_us) = waiting(now, wait);
         self.rows(sqlx::query_as(sql::UNREPORTED_GAPS).bind(limit).bind(from_us).bind(to_us)).await
     }
+}
+
+/// A query about one machine, whose site and name are the first two parameters.
+pub(super) fn about<'q, Row>(
+    statement: &'static str,
+    machine: &'q MachineId,
+) -> QueryAs<'q, Sqlite, Row, SqliteArguments>
+where
+    Row: for<'r> FromRow<'r, SqliteRow>,
+{
+    sqlx::query_as(statement).bind(machine.site.as_str()).bind(machine.machine.as_str())
 }
 
 /// The judge waits for a backlog that was opened or last became smaller within this range of times \[µs\]. The upper

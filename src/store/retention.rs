@@ -30,7 +30,8 @@ const OUTBOX: u64 = 100_000;
 /// Drops throws: boots remember up to which number, so that a repeat is not stored again.
 const THROWS: &[&str] = &[sql::MARK_PRUNED, sql::DROP_OLD_GAPS, sql::DROP_THROWS, sql::DROP_EMPTY_BOOTS];
 
-/// What is dropped to keep the database within its bounds. The word, after `dropped_`, names a counter in the database.
+/// Rows that are dropped to keep the database within its bounds. The word, after `dropped_`, names a counter in the
+/// database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::AsRefStr, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Dropped {

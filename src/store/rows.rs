@@ -50,6 +50,13 @@ impl Default for Selector {
     }
 }
 
+/// Selects one machine.
+impl From<&MachineId> for Selector {
+    fn from(machine: &MachineId) -> Self {
+        Self { site: machine.site.to_string(), machine: machine.machine.to_string() }
+    }
+}
+
 /// A stored throw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredThrow {
@@ -132,12 +139,16 @@ pub(super) fn timestamp(at_us: i64) -> Timestamp {
     Timestamp::from_microsecond(at_us).unwrap_or(nearest)
 }
 
-pub(super) fn machine_id(row: &SqliteRow) -> sqlx::Result<MachineId> {
-    MachineId::new(row.try_get("site")?, row.try_get("machine")?).map_err(decode_error)
+impl FromRow<'_, SqliteRow> for MachineId {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Self::new(row.try_get("site")?, row.try_get("machine")?).map_err(decode_error)
+    }
 }
 
-fn throw_ref(row: &SqliteRow) -> sqlx::Result<ThrowRef> {
-    Ok(ThrowRef { boot_id: row.try_get("boot_id")?, throw_no: unsigned(row, "throw_no")? })
+impl FromRow<'_, SqliteRow> for ThrowRef {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self { boot_id: row.try_get("boot_id")?, throw_no: unsigned(row, "throw_no")? })
+    }
 }
 
 pub(super) fn time(row: &SqliteRow, column: &str) -> sqlx::Result<Timestamp> {
@@ -200,7 +211,7 @@ impl StoredThrow {
 
 impl FromRow<'_, SqliteRow> for StoredThrow {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        let (id, started_at) = (throw_ref(row)?, time(row, "started_at_us")?);
+        let (id, started_at) = (ThrowRef::from_row(row)?, time(row, "started_at_us")?);
         let throw = match trace(row)? {
             Ok(trace) => Ok(Throw {
                 id: id.clone(),
@@ -215,7 +226,7 @@ impl FromRow<'_, SqliteRow> for StoredThrow {
         };
         Ok(Self {
             row: ThrowRow(row.try_get("throw_row")?),
-            machine: machine_id(row)?,
+            machine: MachineId::from_row(row)?,
             renumbered: is_renumbered(&id, row.try_get("moved")?),
             id,
             started_at,
@@ -232,8 +243,8 @@ impl FromRow<'_, SqliteRow> for Health {
         let [so_far, needed] = baseline.map(|count: Option<i64>| count.map(i64::cast_unsigned));
         Ok(Self {
             schema: Self::SCHEMA.to_owned(),
-            machine: machine_id(row)?,
-            throw: throw_ref(row)?,
+            machine: MachineId::from_row(row)?,
+            throw: ThrowRef::from_row(row)?,
             started_at: time(row, "started_at_us")?,
             direction: word(row, "direction")?,
             quality: row.try_get("quality")?,
@@ -261,7 +272,7 @@ impl FromRow<'_, SqliteRow> for Health {
 
 impl FromRow<'_, SqliteRow> for StoredMonitor {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        Ok(Self { machine: machine_id(row)?, snapshot: row.try_get("snapshot")?, state: word(row, "state")? })
+        Ok(Self { machine: MachineId::from_row(row)?, snapshot: row.try_get("snapshot")?, state: word(row, "state")? })
     }
 }
 
@@ -269,7 +280,7 @@ impl FromRow<'_, SqliteRow> for Gap {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
         Ok(Self {
             row: GapRow(row.try_get("gap_row")?),
-            machine: machine_id(row)?,
+            machine: MachineId::from_row(row)?,
             first_no: unsigned(row, "first_no")?,
             last_no: unsigned(row, "last_no")?,
         })

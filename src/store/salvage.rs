@@ -4,7 +4,10 @@
 //! key; a failing range is halved down to single keys, and only these are lost. At the end rows without their parent
 //! are removed.
 
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 use sqlx::{AssertSqlSafe, Connection, SqliteConnection};
 
@@ -98,26 +101,22 @@ const ORPHANS: [&str; 13] = [
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Salvaged {
     /// Copied rows of each table.
-    pub rows: Vec<(&'static str, u64)>,
+    pub rows: BTreeMap<&'static str, u64>,
     /// Keys of each table whose rows could not be read; for a table without readable rows its whole range.
-    pub lost: Vec<(&'static str, u64)>,
+    pub lost: BTreeMap<&'static str, u64>,
 }
 
 impl Salvaged {
-    fn of(list: &[(&'static str, u64)], table: &str) -> u64 {
-        list.iter().find(|(name, _)| *name == table).map_or(0, |(_, count)| *count)
-    }
-
     /// Copied rows of a table.
     #[must_use]
     pub fn saved(&self, table: &str) -> u64 {
-        Self::of(&self.rows, table)
+        self.rows.get(table).copied().unwrap_or(0)
     }
 
     /// Lost rows of a table.
     #[must_use]
     pub fn lost(&self, table: &str) -> u64 {
-        Self::of(&self.lost, table)
+        self.lost.get(table).copied().unwrap_or(0)
     }
 
     /// One sentence for a person.
@@ -165,7 +164,7 @@ async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::
     for &Table(table, key, sound) in &TABLES[..tables] {
         if let Some(columns) = columns(connection, table).await? {
             let lost = Copy { table, key, sound, columns }.all(connection).await?;
-            salvaged.lost.push((table, lost));
+            salvaged.lost.insert(table, lost);
         }
     }
     for copy in FROM_INDEX {
@@ -183,7 +182,7 @@ async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::
     for Table(table, ..) in TABLES {
         let count = AssertSqlSafe(format!("SELECT count(*) FROM {table}"));
         let rows: i64 = sqlx::query_scalar(count).fetch_one(&mut *connection).await?;
-        salvaged.rows.push((table, rows.cast_unsigned()));
+        salvaged.rows.insert(table, rows.cast_unsigned());
     }
     Ok(salvaged)
 }

@@ -14,7 +14,7 @@ use super::{
     statements as sql,
     write::Write,
 };
-use crate::throw::{Direction, MachineId, Throw, ThrowRef};
+use crate::throw::{Direction, MachineId, Throw};
 
 /// The result of storing a throw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,16 +28,8 @@ pub enum Spooled {
 /// A throw to store.
 pub(super) struct Spool {
     machine: MachineId,
-    id: ThrowRef,
-    throw_no: i64,
-    started_at_us: i64,
+    throw: Throw,
     received_at_us: i64,
-    direction: Option<Direction>,
-    sample_rate_hz: f64,
-    samples: i64,
-    temperature_c: Option<f64>,
-    supply_v: Option<f64>,
-    anti_alias_hz: Option<f64>,
     content_crc32: u32,
     current: Channel,
     position: Channel,
@@ -59,17 +51,8 @@ impl Spool {
         let second = if has_position { checksums.channels[1] } else { reverse_checksum(throw.trace.current_a()) };
         Self {
             machine: machine.clone(),
-            id: throw.id.clone(),
-            // The wire admits no number above `i64::MAX`.
-            throw_no: throw.id.throw_no.cast_signed(),
-            started_at_us: throw.started_at.as_microsecond(),
+            throw: throw.clone(),
             received_at_us: received_at.as_microsecond(),
-            direction: throw.direction,
-            sample_rate_hz: throw.trace.sample_rate_hz(),
-            samples: i64::try_from(throw.trace.len()).unwrap_or(i64::MAX),
-            temperature_c: throw.temperature_c,
-            supply_v: throw.supply_v,
-            anti_alias_hz: throw.anti_alias_hz,
             content_crc32: content_checksum(throw, checksums.both),
             current: codec::encode(throw.trace.current_a()),
             position: codec::encode(throw.trace.position_mm()),
@@ -78,14 +61,9 @@ impl Spool {
         }
     }
 
-    async fn insert(
-        &self,
-        connection: &mut SqliteConnection,
-        machine_row: i64,
-        boot: Boot,
-        throw_no: i64,
-    ) -> sqlx::Result<ThrowRow> {
-        let place = Placed { throw: self, machine_row, boot_row: boot.boot_row, position: boot.position, throw_no };
+    async fn insert(&self, connection: &mut SqliteConnection, boot: Boot, throw_no: i64) -> sqlx::Result<ThrowRow> {
+        let Boot { machine_row, boot_row, position, .. } = boot;
+        let place = Placed { throw: self, machine_row, boot_row, position, throw_no };
         insert(connection, &[place]).await
     }
 
@@ -94,7 +72,6 @@ impl Spool {
     async fn store_again(
         &self,
         connection: &mut SqliteConnection,
-        machine_row: i64,
         taken: Stored,
         boot: Boot,
         repeated: bool,
@@ -104,17 +81,17 @@ impl Spool {
             let is_own = repeated && taken.received_at_us == self.received_at_us;
             return Ok(if is_own { Spooled::New(ThrowRow(taken.throw_row)) } else { Spooled::Duplicate });
         }
-        let boot_id = format!("{}{RENUMBERED}", self.id.boot_id);
-        let again = if let Some(again) = self::boot(connection, machine_row, &boot_id).await? {
+        let boot_id = format!("{}{RENUMBERED}", self.throw.id.boot_id);
+        let again = if let Some(again) = self::boot(connection, boot.machine_row, &boot_id).await? {
             again
         } else {
             // The separate boot gets a position before that of the real boot: backlog queries take the boot with the
             // highest position as the last one.
             let new = (boot_id.as_str(), boot.position.saturating_sub(SPACING / 2), 0, false);
-            add_boot(connection, machine_row, new, self.received_at_us).await?
+            add_boot(connection, boot.machine_row, new, self.received_at_us).await?
         };
         let same = sqlx::query_scalar(sql::SAME_CONTENT)
-            .bind(machine_row)
+            .bind(boot.machine_row)
             .bind(self.trace_hash)
             .bind(self.content_crc32)
             .bind(again.boot_row);
@@ -126,7 +103,7 @@ impl Spool {
         let throw_no = again.highest_no.saturating_add(1);
         // It was made after the stored throws of the boot, so it is judged after them.
         let judged_as = Boot { position: boot.position.saturating_add(SPACING / 2), ..again };
-        self.insert(connection, machine_row, judged_as, throw_no).await.map(Spooled::New)
+        self.insert(connection, judged_as, throw_no).await.map(Spooled::New)
     }
 }
 
@@ -163,22 +140,23 @@ struct Placed<'a> {
 /// first; the rows of the others follow it without gaps, as there is one writer and no row number is used again.
 async fn insert(connection: &mut SqliteConnection, places: &[Placed<'_>]) -> sqlx::Result<ThrowRow> {
     let mut add = many::query(sql::ADD_THROWS, places.len());
-    for &Placed { throw, machine_row, boot_row, position, throw_no } in places {
+    for &Placed { throw: spool, machine_row, boot_row, position, throw_no } in places {
+        let throw = &spool.throw;
         add = add
             .bind(machine_row)
             .bind(boot_row)
             .bind(position)
             .bind(throw_no)
-            .bind(throw.started_at_us)
-            .bind(throw.received_at_us)
+            .bind(throw.started_at.as_microsecond())
+            .bind(spool.received_at_us)
             .bind(throw.direction.map(Direction::as_str))
-            .bind(throw.sample_rate_hz)
-            .bind(throw.samples)
+            .bind(throw.trace.sample_rate_hz())
+            .bind(i64::try_from(throw.trace.len()).unwrap_or(i64::MAX))
             .bind(throw.temperature_c)
             .bind(throw.supply_v)
             .bind(throw.anti_alias_hz)
-            .bind(throw.content_crc32)
-            .bind(throw.trace_hash);
+            .bind(spool.content_crc32)
+            .bind(spool.trace_hash);
     }
     let added = add.execute(&mut *connection).await?;
     let count = places.len() as u64;
@@ -238,7 +216,7 @@ impl Spools {
         let mut found = self.next(connection).await?;
         let is_found = |throw: &Spool| found.iter().any(|place| std::ptr::eq(place.throw, throw));
         let first: Vec<&Spool> =
-            self.throws.iter().filter(|throw| throw.throw_no == FIRST_NO && !is_found(throw)).collect();
+            self.throws.iter().filter(|throw| throw.throw_no() == FIRST_NO && !is_found(throw)).collect();
         if !first.is_empty() && add_new_machines(connection, &first).await? > 0 {
             found = self.next(connection).await?;
         }
@@ -251,7 +229,7 @@ impl Spools {
         for (at, throw) in (0_i64..).zip(&self.throws) {
             let MachineId { site, machine } = &throw.machine;
             find = find.bind(at).bind(site.as_str()).bind(machine.as_str());
-            find = find.bind(&throw.id.boot_id).bind(throw.throw_no);
+            find = find.bind(&throw.throw.id.boot_id).bind(throw.throw_no());
         }
         let found: String = find.fetch_one(connection).await?.try_get(0)?;
         let found: Vec<(usize, i64, i64, i64)> =
@@ -261,7 +239,7 @@ impl Spools {
         Ok(first
             .map(|(at, machine_row, boot_row, position)| {
                 let throw = &self.throws[at];
-                Placed { throw, machine_row, boot_row, position, throw_no: throw.throw_no }
+                Placed { throw, machine_row, boot_row, position, throw_no: throw.throw_no() }
             })
             .collect())
     }
@@ -279,7 +257,7 @@ async fn add_new_machines(connection: &mut SqliteConnection, first: &[&Spool]) -
         let mut boots = many::query(sql::ADD_FIRST_BOOTS, first.len());
         for throw in first {
             boots = boots.bind(throw.machine.site.as_str()).bind(throw.machine.machine.as_str());
-            boots = boots.bind(&throw.id.boot_id).bind(throw.received_at_us).bind(SPACING);
+            boots = boots.bind(&throw.throw.id.boot_id).bind(throw.received_at_us).bind(SPACING);
         }
         boots.execute(connection).await?;
     }
@@ -295,68 +273,51 @@ pub(super) enum Follows {
     Boot(i64),
 }
 
-/// The result of storing a throw.
-pub(super) struct StoredAt {
-    pub(super) machine_row: i64,
-    pub(super) boot_row: i64,
-    pub(super) position: i64,
-}
-
 impl Spool {
+    /// Sequence number of the throw; the wire admits none above `i64::MAX`.
     pub(super) fn throw_no(&self) -> i64 {
-        self.throw_no
+        self.throw.id.throw_no.cast_signed()
     }
 
-    /// Stores the throw, and a gap for the missing numbers before it.
+    /// Stores the throw, and a gap for the missing numbers before it; also returns the boot of the throw.
     pub(super) async fn store(
         &self,
         connection: &mut SqliteConnection,
         repeated: bool,
         follows: Follows,
-    ) -> sqlx::Result<(Spooled, StoredAt)> {
+    ) -> sqlx::Result<(Spooled, Boot)> {
         let (machine_row, known) = machine_row(connection, &self.machine).await?;
-        let known_boot = boot(connection, machine_row, &self.id.boot_id).await?;
-        let (spooled, boot) = if let Some(boot) = known_boot {
-            (self.store_in(connection, machine_row, boot, repeated).await?, boot)
+        let boot_id = &self.throw.id.boot_id;
+        let (spooled, boot) = if let Some(boot) = boot(connection, machine_row, boot_id).await? {
+            (self.store_in(connection, boot, repeated).await?, boot)
         } else {
-            let new = NewBoot { machine_row, known, boot_id: &self.id.boot_id, at_us: self.received_at_us, follows };
-            let boot = new.begin(connection, self.throw_no).await?;
-            (Spooled::New(self.insert(connection, machine_row, boot, self.throw_no).await?), boot)
+            let new = NewBoot { machine_row, known, boot_id, at_us: self.received_at_us, follows };
+            let boot = new.begin(connection, self.throw_no()).await?;
+            (Spooled::New(self.insert(connection, boot, self.throw_no()).await?), boot)
         };
-        if self.throw_no == 0 {
+        if self.throw_no() == 0 {
             sqlx::query(sql::SET_COUNTS_FROM_ZERO).bind(machine_row).execute(connection).await?;
         }
-        Ok((spooled, StoredAt { machine_row, boot_row: boot.boot_row, position: boot.position }))
+        Ok((spooled, boot))
     }
 
-    async fn store_in(
-        &self,
-        connection: &mut SqliteConnection,
-        machine_row: i64,
-        boot: Boot,
-        repeated: bool,
-    ) -> sqlx::Result<Spooled> {
-        let stored: Option<Stored> = sqlx::query_as(sql::STORED)
-            .bind(boot.boot_row)
-            .bind(self.throw_no)
-            .fetch_optional(&mut *connection)
-            .await?;
-        if let Some(stored) = stored {
-            return self.store_again(connection, machine_row, stored, boot, repeated).await;
+    async fn store_in(&self, connection: &mut SqliteConnection, boot: Boot, repeated: bool) -> sqlx::Result<Spooled> {
+        let throw_no = self.throw_no();
+        let stored = sqlx::query_as(sql::STORED).bind(boot.boot_row).bind(throw_no);
+        if let Some(stored) = stored.fetch_optional(&mut *connection).await? {
+            return self.store_again(connection, stored, boot, repeated).await;
         }
-        if self.throw_no > boot.highest_no {
-            let missing = (boot.highest_no + 1, self.throw_no - 1);
+        if throw_no > boot.highest_no {
+            let missing = (boot.highest_no + 1, throw_no - 1);
             if add_gap(connection, boot.boot_row, missing, GapKind::Missed, self.received_at_us).await? {
-                let Boot { boot_row, position, highest_no, .. } = boot;
-                let after = ThrowPosition { boot_row: Some(boot_row), position, throw_no: highest_no };
-                cursor::open(connection, machine_row, after, self.received_at_us).await?;
+                cursor::open(connection, boot.machine_row, boot.last(), self.received_at_us).await?;
             }
-        } else if !fill_gap(connection, boot.boot_row, self.throw_no, self.received_at_us).await?
-            && self.throw_no <= boot.pruned_to_no
+        } else if !fill_gap(connection, boot.boot_row, throw_no, self.received_at_us).await?
+            && throw_no <= boot.pruned_to_no
         {
             return Ok(Spooled::Duplicate);
         }
-        self.insert(connection, machine_row, boot, self.throw_no).await.map(Spooled::New)
+        self.insert(connection, boot, throw_no).await.map(Spooled::New)
     }
 }
 
@@ -417,11 +378,10 @@ impl NewBoot<'_> {
         let kind = if self.known && before.is_some() { GapKind::Missed } else { GapKind::BeforeFirstContact };
         let begins_later =
             add_gap(connection, boot.boot_row, (i64::from(!from_zero), first_no - 1), kind, self.at_us).await?;
-        if let Some(Boot { boot_row, position, highest_no, .. }) = before {
+        if let Some(before) = before {
             // The backlog may have more throws of the previous boot, and boots in between.
-            sqlx::query(sql::OPEN_TAIL).bind(boot_row).execute(&mut *connection).await?;
-            let after = ThrowPosition { boot_row: Some(boot_row), position, throw_no: highest_no };
-            cursor::open(connection, self.machine_row, after, self.at_us).await?;
+            sqlx::query(sql::OPEN_TAIL).bind(before.boot_row).execute(&mut *connection).await?;
+            cursor::open(connection, self.machine_row, before.last(), self.at_us).await?;
         } else if begins_later || !is_last {
             cursor::open(connection, self.machine_row, ThrowPosition::BEGINNING, self.at_us).await?;
         }
@@ -460,7 +420,7 @@ async fn add_boot(
         .bind(tail_open)
         .fetch_one(connection)
         .await?;
-    Ok(Boot { boot_row, position, highest_no, pruned_to_no: -1, tail_open })
+    Ok(Boot { machine_row, boot_row, position, highest_no, pruned_to_no: -1, tail_open })
 }
 
 /// Adds the gap from the first to the last number, inclusive; false if it is empty.

@@ -103,7 +103,7 @@ macro_rules! history {
 /// Boots of loggers, for [`Boot`](super::cursor::Boot).
 macro_rules! boots {
     () => {
-        "boot_row, position, highest_no, pruned_to_no, tail_open FROM boot"
+        "machine_row, boot_row, position, highest_no, pruned_to_no, tail_open FROM boot"
     };
 }
 
@@ -540,8 +540,8 @@ statements! {
     OLDEST_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw JOIN trace USING (throw_row) \
         WHERE machine_row = ?2 AND throw_row >= (SELECT traces_from FROM machine WHERE machine_row = ?2) \
         ORDER BY throw_row LIMIT 4096) WHERE judged_at_us IS NOT NULL LIMIT ?1";
-    // Rows stand in the order of reception. A time before 2020, as of a clock that was not set yet, or after the present one
-    // (?4) says nothing; such a trace is as old as the next one with a usable time. None is older than the first young one.
+    // Rows are in the order of reception. A time before 2020 (a clock that was not set yet) or after the present time ?4 is
+    // not usable: such a trace is as old as the next one with a usable time. No trace after the first young one is aged.
     AGED_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM trace JOIN throw USING (throw_row) \
         WHERE throw_row <= (SELECT max(throw_row) FROM trace JOIN throw USING (throw_row) \
             WHERE received_at_us >= ?3 AND received_at_us < ?2 AND throw_row < coalesce( \

@@ -5,6 +5,7 @@
 
 mod machine;
 mod range;
+mod settings;
 mod trace;
 
 use std::fmt;
@@ -13,7 +14,9 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 pub use machine::{InvalidName, MachineId, Name};
+pub(crate) use range::Range;
 pub use range::{OutOfRange, brief};
+pub(crate) use settings::{Number, settings};
 pub use trace::{InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
 
 /// Direction of a throw.

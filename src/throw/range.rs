@@ -12,6 +12,41 @@ pub struct OutOfRange {
     pub must: String,
 }
 
+/// The allowed values of a number. NaN and infinite values are never allowed.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Range {
+    /// Every finite number.
+    Finite,
+    /// Values above this one.
+    Above(f64),
+    /// This value or more.
+    AtLeast(f64),
+    /// From the first to the second value, with their unit, which may be empty.
+    Within(f64, f64, &'static str),
+}
+
+impl Range {
+    /// Checks the number with this key.
+    pub(crate) fn check(self, key: &str, value: f64) -> Result<(), OutOfRange> {
+        let is_inside = match self {
+            Self::Finite => true,
+            Self::Above(low) => value > low,
+            Self::AtLeast(low) => value >= low,
+            Self::Within(low, high, _) => (low..=high).contains(&value),
+        };
+        if is_inside && value.is_finite() {
+            return Ok(());
+        }
+        let must = match self {
+            Self::Finite => "a finite number".to_owned(),
+            Self::Above(low) => format!("above {low}"),
+            Self::AtLeast(low) => format!("{low} or more"),
+            Self::Within(low, high, unit) => format!("{low} to {high} {unit}").trim_end().to_owned(),
+        };
+        Err(OutOfRange { key: key.to_owned(), value, must })
+    }
+}
+
 /// A number for a sentence: a large or tiny one has an exponent, as 1e300 has 301 digits.
 #[must_use]
 pub fn brief(value: f64) -> String {

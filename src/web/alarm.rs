@@ -5,7 +5,7 @@ use super::{
     state::{self, Badge},
 };
 use crate::{
-    diagnose::{AlarmState, Drifting},
+    diagnose::{AlarmState, Cause, Drifting},
     store::Window,
     throw::MachineId,
     wire::Alarm,
@@ -15,9 +15,7 @@ use crate::{
 pub(super) struct AlarmLine {
     pub(super) machine: MachineId,
     pub(super) badge: Badge,
-    pub(super) cause: String,
-    /// The word of the cause in forms.
-    pub(super) word: &'static str,
+    pub(super) cause: Cause,
     pub(super) state: String,
     pub(super) raised_at: String,
     /// Size when raised, as "+28 % ± 4"; `None` for a cause without a size.
@@ -45,8 +43,7 @@ impl AlarmLine {
         Self {
             machine: alarm.machine.clone(),
             badge: Badge::of(alarm),
-            cause: alarm.cause.to_string(),
-            word: alarm.cause.as_str(),
+            cause: alarm.cause,
             state,
             raised_at: page::time(alarm.raised_at),
             raised: raised.map(|(size, sd)| state::size(size, sd)),

@@ -17,7 +17,7 @@ use serde_json::json;
 
 use super::{
     fleet::Filters,
-    overview::{Web, selector},
+    overview::Web,
     page::{self, Failure},
 };
 use crate::{
@@ -58,7 +58,7 @@ pub(super) async fn machine(
     let Present { state, drifts, caveats } = reader.state_of(&machine).await?;
     Ok(page::json(&json!({
         "site": machine.site, "machine": machine.machine, "state": state, "drifts": drifts, "caveats": caveats,
-        "alarms": reader.open_alarms(&selector(&machine)).await?,
+        "alarms": reader.open_alarms(&(&machine).into()).await?,
         "throws": throws, "commands": reader.commands_of(&machine, COMMANDS).await?,
     })))
 }

@@ -38,8 +38,8 @@ pub(super) async fn post(
             .map_err(|_| Failure::bad_request("The name of the machine cannot be used."))?;
         return Ok((StatusCode::SEE_OTHER, [(header::LOCATION, place)]).into_response());
     };
-    // The form again, with what was typed; an error of the page itself hides the first one.
-    let form = Form::refused(&fields, refused.says.clone());
+    // The form again, with the values typed. If its page cannot be made, the refusal alone is the response.
+    let form = Form { refused: Some(refused.says.clone()), fields };
     let page = time::timeout(LIMIT, machine::page_with(&web, &machine, form)).await;
     let Ok(Ok(page)) = page else { return Err(refused) };
     Ok((refused.status, page).into_response())
@@ -58,16 +58,12 @@ async fn apply(web: &Web, machine: &MachineId, fields: &HashMap<String, String>)
     }
     let command = command(fields, clock::now()).map_err(Failure::bad_request)?;
     let reply = web.view.orders.carry_out(machine.clone(), command).await;
-    let reply = reply.map_err(|problem| Failure::new(StatusCode::SERVICE_UNAVAILABLE, sentence(&problem)))?;
+    let reply = reply.map_err(|problem| Failure::new(StatusCode::SERVICE_UNAVAILABLE, format!("{problem}.")))?;
     if !reply.done {
         return Err(Failure::new(StatusCode::CONFLICT, format!("Nothing was done: {}.", reply.text)));
     }
     web.forget().await;
     Ok(())
-}
-
-fn sentence(problem: &str) -> String {
-    format!("{problem}.")
 }
 
 /// Makes a command from the fields of the form.

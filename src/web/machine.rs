@@ -13,7 +13,7 @@ use axum::{
 
 use super::{
     alarm::AlarmLine,
-    overview::{Web, selector},
+    overview::Web,
     page::{self, Failure},
     state::{self, Badge},
     trend::{self, Directions, Mark, Picture},
@@ -95,28 +95,18 @@ struct Page {
     volatile: String,
 }
 
-/// The form for commands: after a refusal with the reason and what was typed, except the token.
+/// The form for commands.
 #[derive(Default)]
 pub(super) struct Form {
-    refused: Option<String>,
-    command: String,
-    cause: String,
-    hours: String,
-    why: String,
-    by: String,
+    /// Reason of a refusal.
+    pub(super) refused: Option<String>,
+    /// The values typed before a refusal; the page repeats them, except the token.
+    pub(super) fields: HashMap<String, String>,
 }
 
 impl Form {
-    pub(super) fn refused(fields: &HashMap<String, String>, why_refused: String) -> Self {
-        let typed = |name: &str| fields.get(name).cloned().unwrap_or_default();
-        Self {
-            refused: Some(why_refused),
-            command: typed("command"),
-            cause: typed("cause"),
-            hours: typed("hours"),
-            why: typed("why"),
-            by: typed("by"),
-        }
+    fn typed(&self, name: &str) -> &str {
+        self.fields.get(name).map(String::as_str).unwrap_or_default()
     }
 
     /// The word, the text, and whether it is chosen, of each command; those of alarms only with alarms.
@@ -129,7 +119,7 @@ impl Form {
             ("rebaseline", "take a new baseline"),
         ];
         let all = of_alarms.into_iter().filter(|_| !alarms.is_empty()).chain(of_machine);
-        all.map(|(word, says)| (word, says, self.command == word)).collect()
+        all.map(|(word, says)| (word, says, self.typed("command") == word)).collect()
     }
 }
 
@@ -225,7 +215,7 @@ async fn read(
     let baselines = reader.baselines_of(machine, BASELINES).await?;
     let commands = reader.commands_of(machine, COMMANDS).await?;
     let windows = reader.windows(Some(machine)).await?;
-    let mut open = reader.open_alarms(&selector(machine)).await?;
+    let mut open = reader.open_alarms(&machine.into()).await?;
     open.sort_by_key(|alarm| alarm.severity != Severity::Critical);
     let raised = |alarm: &Alarm| {
         let first = events.iter().find(|event| event.alarm_id == alarm.alarm_id && event.event_no == 1)?;

@@ -9,8 +9,7 @@ use tokio::sync::{Mutex, Semaphore, SemaphorePermit};
 
 use crate::{
     daemon::{View, clock},
-    store::{CommonAlarm, Fault, FleetQuery, Selector, Statistics, StoreError, Tally},
-    throw::MachineId,
+    store::{CommonAlarm, Fault, FleetQuery, Statistics, StoreError, Tally},
     wire::Alarm,
 };
 
@@ -78,7 +77,7 @@ impl Web {
             fault_count: reader.fault_count(&itself).await?,
             common: reader.common_alarms(&itself).await?,
             sites: reader.sites(SITES).await?,
-            own_alarms: reader.open_alarms(&selector(&itself)).await?,
+            own_alarms: reader.open_alarms(&(&itself).into()).await?,
             unreadable,
             alarms_by_kind: reader.open_alarms_by_kind().await?,
             statistics: self.view.gauges.store.statistics().await?,
@@ -91,9 +90,4 @@ impl Web {
     pub(super) async fn forget(&self) {
         *self.cache.lock().await = None;
     }
-}
-
-/// Selects one machine.
-pub(super) fn selector(machine: &MachineId) -> Selector {
-    Selector { site: machine.site.to_string(), machine: machine.machine.to_string() }
 }

@@ -245,14 +245,18 @@ fn constants(health: &Health, motor: [Option<f64>; 3]) -> Vec<(&'static str, Str
 
 /// A constant of the motor, which scatters by about one per cent from throw to throw.
 fn three_digits(value: f64) -> String {
-    let decimals = (0..9).find(|decimals| value.abs() * 10.0_f64.powi(*decimals) >= 99.5).unwrap_or(9);
-    format!("{value:.0$}", usize::try_from(decimals).unwrap_or_default())
+    format!("{value:.0$}", decimals(value.abs(), 99.5))
 }
 
 fn rounded(value: f64, reach: f64) -> String {
-    let enough = |decimals: &u8| reach * 10.0_f64.powi(i32::from(*decimals)) >= 9.95;
-    let decimals = usize::from((0..9).find(enough).unwrap_or(9));
+    let decimals = decimals(reach, 9.95);
     format!("{value:.decimals$} ± {reach:.decimals$}").replace('-', "−")
+}
+
+/// Decimals after which the digits of `value`, read without the point, are at least `least`; 9 at most.
+fn decimals(value: f64, least: f64) -> usize {
+    let enough = |decimals: &u8| value * 10.0_f64.powi(i32::from(*decimals)) >= least;
+    usize::from((0..9).find(enough).unwrap_or(9))
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::ops::Deref;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::json;
+use super::json_bytes;
 use crate::{
     diagnose::{AlarmEvent, Cause},
     throw::MachineId,
@@ -63,7 +63,7 @@ impl Alarm {
     /// The published message as JSON.
     #[must_use]
     pub fn into_message(self) -> Vec<u8> {
-        json(&self.published()).into_bytes()
+        json_bytes(&self.published())
     }
 }
 
@@ -93,6 +93,7 @@ mod tests {
     use crate::{
         diagnose::{AlarmState, Correlation, LimitForecast, RunnerUp, Severity},
         throw::{Direction, ThrowRef},
+        wire::json,
     };
 
     #[test]

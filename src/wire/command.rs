@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Invalid, json};
+use super::Invalid;
 use crate::diagnose::Command;
 
 /// Largest command \[bytes\]: room for names and a reason.
@@ -40,12 +40,4 @@ pub struct Commander {
     pub monitor: String,
     /// Identifier of its zenoh session; differs between two daemons of the same name.
     pub session: String,
-}
-
-impl Reply {
-    /// The reply as JSON.
-    #[must_use]
-    pub fn to_json(&self) -> Vec<u8> {
-        json(self).into_bytes()
-    }
 }

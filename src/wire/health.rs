@@ -3,7 +3,6 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::json;
 use crate::{
     diagnose::{Drifting, MachineState},
     throw::{Direction, MachineId, ThrowRef},
@@ -96,12 +95,6 @@ impl Health {
     pub fn is_rejected(&self) -> bool {
         !self.is_evaluated() && self.quality != "current_only"
     }
-
-    /// The message as JSON.
-    #[must_use]
-    pub fn to_json(&self) -> Vec<u8> {
-        json(self).into_bytes()
-    }
 }
 
 /// JSON of a direction; `None` is `unknown`.
@@ -162,6 +155,7 @@ three!(change_pct, "b0_pct", "a1_pct", "a0_pct");
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::json_bytes;
 
     #[test]
     fn the_message_has_exactly_the_promised_fields() {
@@ -176,7 +170,7 @@ mod tests {
         let promised: serde_json::Value = serde_json::from_str(text).unwrap();
         let health: Health = serde_json::from_str(text).unwrap();
         assert_eq!(health.change_pct, Some([0.5, -1.5, 2.0]));
-        let written: serde_json::Value = serde_json::from_slice(&health.to_json()).unwrap();
+        let written: serde_json::Value = serde_json::from_slice(&json_bytes(&health)).unwrap();
         assert_eq!(written, promised);
     }
 }

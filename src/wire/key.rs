@@ -1,5 +1,7 @@
 //! Key expressions: `points/v1/{site}/{machine}/{kind}`. The site and machine of a message are those of its key.
 
+use serde::{Deserialize, Serialize};
+
 use super::Invalid;
 use crate::throw::{MachineId, Name};
 
@@ -91,19 +93,30 @@ pub fn machine_patterns(key_expression: &str) -> Option<[String; 2]> {
 }
 
 /// The part of the fleet that one daemon serves: `points/v1/**`, `points/v1/{site}/**` or
-/// `points/v1/{site}/{machine}/**`, where a name may be `*` or contain `$*`.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// `points/v1/{site}/{machine}/**`, where a name may be `*` or contain `$*`. The default is the whole fleet.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
 pub struct Scope {
     site: String,
     machine: String,
 }
 
-impl Scope {
-    /// Parses a scope.
-    ///
-    /// # Errors
-    /// When the text has none of the three forms.
-    pub fn parse(text: &str) -> Result<Self, Invalid> {
+impl Default for Scope {
+    fn default() -> Self {
+        Self { site: "*".to_owned(), machine: "*".to_owned() }
+    }
+}
+
+impl From<Scope> for String {
+    fn from(Scope { site, machine }: Scope) -> Self {
+        format!("{PREFIX}{site}/{machine}/**")
+    }
+}
+
+impl TryFrom<String> for Scope {
+    type Error = Invalid;
+
+    fn try_from(text: String) -> Result<Self, Invalid> {
         let invalid = || {
             let text: String = text.chars().take(200).collect();
             let forms = "points/v1/**, points/v1/{site}/** or points/v1/{site}/{machine}/**";
@@ -124,7 +137,9 @@ impl Scope {
             Err(invalid())
         }
     }
+}
 
+impl Scope {
     /// The key expression of all keys of one kind in the scope.
     #[must_use]
     pub fn key_expression(&self, kind: Kind) -> String {
@@ -203,13 +218,13 @@ mod tests {
             ("points/v1/north-$*/**", "points/v1/north-$*/*/throw"),
             ("points/v1/*/21B/**", "points/v1/*/21B/throw"),
         ] {
-            let parsed = Scope::parse(scope).unwrap();
+            let parsed = Scope::try_from(scope.to_owned()).unwrap();
             assert_eq!(parsed.key_expression(Kind::Throw), throws);
         }
         for bad in
             ["", "**", "points/v1/", "points/v1/north", "points/v1/north**", "points/v1/a/b/c/**", "points/v1/a b/**"]
         {
-            assert!(Scope::parse(bad).is_err(), "{bad:?} was taken");
+            assert!(Scope::try_from(bad.to_owned()).is_err(), "{bad:?} was taken");
         }
     }
 }

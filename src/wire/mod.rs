@@ -21,5 +21,5 @@ pub use key::{
     parse_key, parse_monitor_key,
 };
 pub use query::{HistoryQuery, MAX_HISTORY};
-pub use text::{Invalid, json};
+pub use text::{Invalid, json, json_bytes};
 pub use throw::{Encoding, InvalidThrow, MAX_BOOT_ID_BYTES, decode_throw, encode_throw, is_boot_id};

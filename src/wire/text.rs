@@ -17,3 +17,9 @@ pub struct Invalid(pub(super) String);
 pub fn json<T: Serialize + ?Sized>(value: &T) -> String {
     serde_json::to_string(value).expect("every message of this program has a JSON form")
 }
+
+/// A message in JSON, by [`json`].
+#[must_use]
+pub fn json_bytes<T: Serialize + ?Sized>(value: &T) -> Vec<u8> {
+    json(value).into_bytes()
+}

@@ -233,6 +233,13 @@ impl<'ast> Visit<'ast> for Reader<'_> {
     }
 
     fn visit_macro(&mut self, call: &'ast syn::Macro) {
+        // `settings!` defines a struct.
+        let tokens: Vec<String> = call.tokens.clone().into_iter().map(|token| token.to_string()).collect();
+        if call.path.is_ident("settings")
+            && let Some(at) = tokens.iter().position(|token| token == "struct")
+        {
+            self.0.items.insert(tokens[at + 1].clone());
+        }
         self.add_tokens(call.tokens.clone());
         visit::visit_macro(self, call);
     }

@@ -57,7 +57,7 @@ fn the_page_of_messages_has_every_field() {
         "drifts": [{"cause": "kt", "change_pct": -7.0, "change_pct_sd": 0.5, "direction": null, "limit_in_throws": null}]
     }))
     .unwrap();
-    let health: Value = serde_json::from_slice(&health.to_json()).unwrap();
+    let health: Value = serde_json::from_slice(&pointsd::wire::json_bytes(&health)).unwrap();
     assert_eq!(first_cells(&page, "Health").into_iter().collect::<HashSet<_>>(), keys(&health));
 }
 

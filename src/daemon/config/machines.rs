@@ -20,7 +20,7 @@ pub struct MachineEntry {
 }
 
 /// Settings of the estimator for all machines.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Machines {
     default: Settings,
     own: HashMap<MachineId, Settings>,

@@ -7,13 +7,7 @@ mod token;
 mod webhook;
 mod zenoh;
 
-use std::{
-    collections::HashMap,
-    fs,
-    net::SocketAddr,
-    ops::RangeInclusive,
-    path::{Path, PathBuf},
-};
+use std::{collections::HashMap, fs, net::SocketAddr, ops::RangeInclusive, path::Path};
 
 use rustix::fs::Access;
 use serde::{Deserialize, Serialize};
@@ -28,7 +22,7 @@ pub(crate) use zenoh::overlay;
 
 use crate::{
     diagnose, estimate, store,
-    throw::{MachineId, Name, OutOfRange},
+    throw::{MachineId, Name, OutOfRange, Range::Within, settings},
     wire::Scope,
 };
 
@@ -78,20 +72,22 @@ impl Monitor {
     }
 }
 
-/// The `[subscribe]` section: the received throws.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Subscribe {
-    /// The monitored part of the fleet: `points/v1/**`, `points/v1/{site}/**` or `points/v1/{site}/{machine}/**`.
-    pub key: String,
-    /// Largest throw message \[bytes\], 1,024 to 33,554,432. Larger ones go to quarantine.
-    pub max_payload_bytes: usize,
-    /// Largest number of machines, 1 to 100,000. Throws of more machines go to quarantine, as an attacker could use any
-    /// number of keys.
-    pub max_machines: usize,
-    /// Time that later throws of a machine wait for missing ones in the backlog, since the last of these arrived \[s\],
-    /// 0 to 86,400.
-    pub backlog_wait_s: f64,
+settings! {
+    /// The `[subscribe]` section: the received throws.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Subscribe {
+        /// The monitored part of the fleet: `points/v1/**`, `points/v1/{site}/**` or `points/v1/{site}/{machine}/**`.
+        pub key: Scope = Scope::default();
+        /// Largest throw message \[bytes\], 1,024 to 33,554,432. Larger ones go to quarantine.
+        pub max_payload_bytes: usize = 16 << 20, Within(1024.0, f64::from(32 << 20), "bytes");
+        /// Largest number of machines, 1 to 100,000. Throws of more machines go to quarantine, as an attacker could use
+        /// any number of keys.
+        pub max_machines: usize = 10_000, Within(1.0, 100_000.0, "machines");
+        /// Time that later throws of a machine wait for missing ones in the backlog, since the last of these arrived
+        /// \[s\], 0 to 86,400.
+        pub backlog_wait_s: f64 = 60.0, Within(0.0, 86_400.0, "s");
+    }
 }
 
 /// The `[identify]` section: threads of the estimator.
@@ -102,18 +98,20 @@ pub struct Identify {
     pub threads: usize,
 }
 
-/// The `[web]` section: the dashboard and the metrics.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Web {
-    /// Address and port; without it there is no dashboard. Every client that reaches it can read.
-    pub listen: Option<SocketAddr>,
-    /// Host names for browsers, in addition to IP addresses and `localhost`.
-    pub hosts: Vec<String>,
-    /// Largest fleet with a series for each machine in `/metrics`, 0 to 20,000; larger fleets have only totals.
-    pub machine_metrics: u32,
-    /// Secret for operators' commands from pages, 16 to 256 characters; without it the pages are read-only.
-    pub token: Option<Token>,
+settings! {
+    /// The `[web]` section: the dashboard and the metrics.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Web {
+        /// Address and port; without it there is no dashboard. Every client that reaches it can read.
+        pub listen: Option<SocketAddr> = None;
+        /// Host names for browsers, in addition to IP addresses and `localhost`.
+        pub hosts: Vec<String> = Vec::new();
+        /// Largest fleet with a series for each machine in `/metrics`, 0 to 20,000; larger fleets have only totals.
+        pub machine_metrics: u32 = 1_000, Within(0.0, f64::from(MOST_SERIES), "");
+        /// Secret for operators' commands from pages, 16 to 256 characters; without it the pages are read-only.
+        pub token: Option<Token> = None;
+    }
 }
 
 /// Format of log lines.
@@ -142,60 +140,36 @@ impl Default for Monitor {
     }
 }
 
-impl Default for Subscribe {
-    fn default() -> Self {
-        Self { key: "points/v1/**".to_owned(), max_payload_bytes: 16 << 20, max_machines: 10_000, backlog_wait_s: 60.0 }
-    }
-}
-
-impl Default for Web {
-    fn default() -> Self {
-        Self { listen: None, hosts: Vec::new(), machine_metrics: 1_000, token: None }
-    }
-}
-
 impl Default for Log {
     fn default() -> Self {
         Self { level: "info,zenoh=warn".to_owned(), format: LogFormat::Text }
     }
 }
 
-#[derive(Debug, Default, Deserialize)]
+/// The configuration of `pointsd`, with the sections of its file. `Default` is for missing sections only: it has no
+/// session of a daemon.
+#[derive(Debug, Clone, Default, Deserialize)]
 #[cfg_attr(test, derive(Serialize))]
 #[serde(deny_unknown_fields, default)]
-struct File {
-    monitor: Monitor,
-    subscribe: Subscribe,
-    identify: Identify,
-    store: store::Settings,
-    diagnosis: diagnose::Settings,
-    machines: estimate::Settings,
-    #[serde(skip_serializing)]
-    machine: Vec<MachineEntry>,
-    web: Web,
-    webhook: Webhook,
-    log: Log,
-    // Parsed as the type of zenoh for errors with a position; used as a table, merged into our defaults.
-    #[serde(rename = "zenoh", skip_serializing)]
-    _zenoh: Option<::zenoh::Config>,
-}
-
-/// The configuration of `pointsd`.
-#[derive(Debug, Clone)]
 pub struct Config {
     /// Name of this daemon.
     pub monitor: Monitor,
     /// Received throws.
     pub subscribe: Subscribe,
-    /// The monitored part of the fleet, from `subscribe.key`.
-    pub scope: Scope,
     /// Threads of the estimator.
     pub identify: Identify,
     /// The database.
     pub store: store::Settings,
     /// Limits of the diagnosis.
     pub diagnosis: diagnose::Settings,
-    /// Settings of the estimator for each machine.
+    /// The section `[machines]`.
+    #[serde(rename = "machines")]
+    pub(super) machine_defaults: estimate::Settings,
+    /// The sections `[[machine]]`.
+    #[serde(rename = "machine", skip_serializing)]
+    pub(super) machine_entries: Vec<MachineEntry>,
+    /// Settings of the estimator for each machine, from these sections.
+    #[serde(skip)]
     pub machines: Machines,
     /// The dashboard.
     pub web: Web,
@@ -203,7 +177,9 @@ pub struct Config {
     pub webhook: Webhook,
     /// Log lines.
     pub log: Log,
-    /// The zenoh session.
+    /// The zenoh session. Parsed as the type of zenoh for errors with a position; then the section is merged into the
+    /// defaults of a daemon.
+    #[serde(skip_serializing)]
     pub zenoh: ::zenoh::Config,
 }
 
@@ -231,44 +207,26 @@ impl Config {
     /// # Errors
     /// The first error, with file, line and key.
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
-        let file: File = document.deserialize()?;
-        let scope =
-            Scope::parse(&file.subscribe.key).map_err(|error| document.complain("subscribe.key", error.to_string()))?;
-        check_ranges(&file, document)?;
-        check_peers(&file.monitor, document)?;
-        let machines = machines(&file, document)?;
-        check_web(&file.web, document)?;
-        file.webhook.check(document)?;
-        check_log(&file.log, document)?;
-        check_database_path(&file.store.path, document)?;
-        Ok(Self {
-            scope,
-            machines,
-            zenoh: monitor_session(document)?,
-            monitor: file.monitor,
-            subscribe: file.subscribe,
-            identify: file.identify,
-            store: file.store,
-            diagnosis: file.diagnosis,
-            web: file.web,
-            webhook: file.webhook,
-            log: file.log,
-        })
+        let config: Self = document.deserialize()?;
+        check_ranges(&config, document)?;
+        check_peers(&config.monitor, document)?;
+        let machines = machines(&config, document)?;
+        check_web(&config.web, document)?;
+        config.webhook.check(document)?;
+        check_log(&config.log, document)?;
+        check_database_path(&config.store.path, document)?;
+        Ok(Self { machines, zenoh: monitor_session(document)?, ..config })
     }
 }
 
-fn check_ranges(file: &File, document: &Document) -> Result<(), ConfigError> {
-    let Subscribe { max_payload_bytes, max_machines, backlog_wait_s, .. } = file.subscribe;
-    OutOfRange::check([
-        ("subscribe.max_payload_bytes", max_payload_bytes as f64, 1024.0, f64::from(32 << 20), "bytes"),
-        ("subscribe.max_machines", max_machines as f64, 1.0, 100_000.0, "machines"),
-        ("subscribe.backlog_wait_s", backlog_wait_s, 0.0, 86_400.0, "s"),
-        ("identify.threads", file.identify.threads as f64, 0.0, 64.0, "threads"),
-    ])
-    .and_then(|()| file.store.validate().map_err(|error| error.within("store")))
-    .and_then(|()| file.diagnosis.validate().map_err(|error| error.within("diagnosis")))
-    .and_then(|()| file.machines.check().map_err(|error| error.within("machines")))
-    .map_err(|error| document.complain(&error.key, error.problem()))
+fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError> {
+    let threads = config.identify.threads as f64;
+    OutOfRange::check([("identify.threads", threads, 0.0, 64.0, "threads")])
+        .and_then(|()| config.subscribe.check_ranges().map_err(|error| error.within("subscribe")))
+        .and_then(|()| config.store.check_ranges().map_err(|error| error.within("store")))
+        .and_then(|()| config.diagnosis.validate().map_err(|error| error.within("diagnosis")))
+        .and_then(|()| config.machine_defaults.check().map_err(|error| error.within("machines")))
+        .map_err(|error| document.complain(&error.key, error.problem()))
 }
 
 fn check_peers(monitor: &Monitor, document: &Document) -> Result<(), ConfigError> {
@@ -278,18 +236,18 @@ fn check_peers(monitor: &Monitor, document: &Document) -> Result<(), ConfigError
     }
 }
 
-fn machines(file: &File, document: &Document) -> Result<Machines, ConfigError> {
+fn machines(config: &Config, document: &Document) -> Result<Machines, ConfigError> {
     let mut own = HashMap::new();
-    for (index, entry) in file.machine.iter().enumerate() {
+    for (index, entry) in config.machine_entries.iter().enumerate() {
         let settings = entry
-            .over(&file.machines)
+            .over(&config.machine_defaults)
             .map_err(|(key, problem)| document.complain(&format!("machine[{index}].{key}"), problem))?;
         if own.insert(entry.id(), settings).is_some() {
             let problem = format!("{} is described a second time", entry.id());
             return Err(document.complain(&format!("machine[{index}].machine"), problem));
         }
     }
-    Ok(Machines::new(file.machines.clone(), own))
+    Ok(Machines::new(config.machine_defaults.clone(), own))
 }
 
 /// The `[diagnosis]` section alone, for a reader of the database, who may have no right to the daemon's files.
@@ -324,11 +282,7 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
             return Err(document.complain(&format!("web.hosts[{index}]"), problem));
         }
     }
-    if web.machine_metrics > MOST_SERIES {
-        return Err(
-            document.complain("web.machine_metrics", format!("is {}, must be 0 to {MOST_SERIES}", web.machine_metrics))
-        );
-    }
+    web.check_ranges().map_err(|error| document.complain(&format!("web.{}", error.key), error.problem()))?;
     let token = web.token.as_ref().map(|token| token.secret().chars().count());
     if token.is_some_and(|length| !TOKEN_LENGTH.contains(&length)) {
         return Err(document.complain("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
@@ -359,14 +313,13 @@ fn check_database_path(path: &Path, document: &Document) -> Result<(), ConfigErr
     if path.is_dir() {
         return complain(format!("{} is a folder, must be a file", path.display()));
     }
-    let parent = match path.parent() {
-        Some(parent) if parent.as_os_str().is_empty() => PathBuf::from("."),
-        Some(parent) => parent.to_owned(),
-        None => return complain(format!("{} is not a file name", path.display())),
-    };
-    match fs::metadata(&parent) {
+    if path.file_name().is_none() {
+        return complain(format!("{} is not a file name", path.display()));
+    }
+    let parent = store::folder_of(path);
+    match fs::metadata(parent) {
         Ok(folder) if !folder.is_dir() => complain(format!("{} is not a folder", parent.display())),
-        Ok(_) if rustix::fs::access(&parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
+        Ok(_) if rustix::fs::access(parent, Access::WRITE_OK | Access::EXEC_OK).is_err() => {
             complain(format!("this user cannot write to the folder {}", parent.display()))
         }
         Ok(_) => Ok(()),

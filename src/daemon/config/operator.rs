@@ -2,7 +2,7 @@
 
 use toml::{Table, Value};
 
-use super::{ConfigError, Document, File, section, zenoh as sessions};
+use super::{Config, ConfigError, Document, section, zenoh as sessions};
 use crate::throw::MachineId;
 
 /// Sections of a daemon's file.
@@ -44,7 +44,7 @@ pub fn operator_session(file: Option<&Document>, connect: Option<&str>) -> Resul
     let zenoh = section(document)?.unwrap_or_default();
     let monitor = match file {
         Some(document) if describes_daemon(&table, &zenoh) => {
-            Some(document.deserialize::<File>()?.monitor.as_machine())
+            Some(document.deserialize::<Config>()?.monitor.as_machine())
         }
         _ => None,
     };

@@ -30,10 +30,10 @@ fn keys(table: &toml::Table, prefix: &str) -> Vec<String> {
 #[test]
 fn the_shipped_file_is_the_built_in_defaults() {
     let document = Document::parse(Path::new("config/pointsd.toml"), shipped()).unwrap();
-    let shipped: File = document.deserialize().unwrap();
-    let built_in = File::default();
+    let shipped: Config = document.deserialize().unwrap();
+    let built_in = Config::default();
     assert_eq!(toml::Table::try_from(&shipped).unwrap(), toml::Table::try_from(&built_in).unwrap());
-    assert_eq!(shipped.machine, []);
+    assert_eq!(shipped.machine_entries, []);
     let empty = Document::parse(Path::new("empty"), String::new()).unwrap();
     assert_eq!(monitor_session(&document).unwrap().to_string(), monitor_session(&empty).unwrap().to_string());
 }
@@ -44,19 +44,19 @@ fn token(secret: &str) -> Token {
 
 #[test]
 fn the_shipped_file_shows_every_key() {
-    let mut file = File::default();
-    file.machines.stroke_mm = Some(115.0);
-    file.web.listen = Some("127.0.0.1:7480".parse().unwrap());
-    file.web.token = Some(token("0123456789abcdef"));
-    file.webhook.url = Some("http://a".to_owned());
-    file.webhook.authorization = Some(token("secret"));
-    file.webhook.ca_file = Some("ca.pem".into());
+    let mut config = Config::default();
+    config.machine_defaults.stroke_mm = Some(115.0);
+    config.web.listen = Some("127.0.0.1:7480".parse().unwrap());
+    config.web.token = Some(token("0123456789abcdef"));
+    config.webhook.url = Some("http://a".to_owned());
+    config.webhook.authorization = Some(token("secret"));
+    config.webhook.ca_file = Some("ca.pem".into());
     // Keys without a default are shown as comments.
     let hidden = ["stroke_mm", "listen", "token", "url", "authorization", "ca_file"];
     let text = hidden.iter().fold(shipped(), |text, key| text.replace(&format!("# {key} ="), &format!("{key} =")));
     let table: toml::Table = toml::from_str(&text).unwrap();
     let shown = keys(&table, "");
-    for key in keys(&toml::Table::try_from(file).unwrap(), "") {
+    for key in keys(&toml::Table::try_from(config).unwrap(), "") {
         assert!(shown.contains(&key), "config/pointsd.toml does not show {key}");
     }
     for key in keys(&zenoh::base(zenoh::MONITOR).unwrap(), "zenoh") {

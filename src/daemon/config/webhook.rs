@@ -9,46 +9,34 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, pem::PemObject as _};
 use super::{ConfigError, Document, Token};
 use crate::{
     diagnose::{Cause, Severity},
-    throw::OutOfRange,
+    throw::{Range::Within, settings},
     wire::Alarm,
 };
 
-/// The `[webhook]` section: alarm events to a server of the operator.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Webhook {
-    /// Address of the receiver, `http://…` or `https://…`; without it nothing is sent.
-    pub url: Option<String>,
-    /// Least severity of the alarms that are sent.
-    pub severity: Severity,
-    /// Causes of the alarms that are sent; empty for all.
-    pub causes: Vec<Cause>,
-    /// Messages in a period, 1 to 1,000. Further events are sent at its end, as one summary.
-    pub max_messages: u32,
-    /// The period \[s\], 1 to 86,400.
-    pub period_s: f64,
-    /// Value of the header `Authorization`, up to 1,024 characters.
-    pub authorization: Option<Token>,
-    /// File with the authorities of the receiver's certificate (PEM); without it those of Mozilla.
-    pub ca_file: Option<PathBuf>,
+settings! {
+    /// The `[webhook]` section: alarm events to a server of the operator.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Webhook {
+        /// Address of the receiver, `http://…` or `https://…`; without it nothing is sent.
+        pub url: Option<String> = None;
+        /// Least severity of the alarms that are sent.
+        pub severity: Severity = Severity::Warning;
+        /// Causes of the alarms that are sent; empty for all.
+        pub causes: Vec<Cause> = Vec::new();
+        /// Messages in a period, 1 to 1,000. Further events are sent at its end, as one summary.
+        pub max_messages: u32 = 10, Within(1.0, 1_000.0, "messages");
+        /// The period \[s\], 1 to 86,400.
+        pub period_s: f64 = 60.0, Within(1.0, 86_400.0, "s");
+        /// Value of the header `Authorization`, up to 1,024 characters.
+        pub authorization: Option<Token> = None;
+        /// File with the authorities of the receiver's certificate (PEM); without it those of Mozilla.
+        pub ca_file: Option<PathBuf> = None;
+    }
 }
 
 /// Longest `Authorization` header \[bytes\].
 const AUTHORIZATION: usize = 1_024;
-
-impl Default for Webhook {
-    fn default() -> Self {
-        Self {
-            url: None,
-            severity: Severity::Warning,
-            causes: Vec::new(),
-            max_messages: 10,
-            period_s: 60.0,
-            authorization: None,
-            ca_file: None,
-        }
-    }
-}
 
 impl Webhook {
     /// Whether the filters let an alarm pass.
@@ -89,11 +77,7 @@ impl Webhook {
                 return complain("url", problem);
             }
         }
-        OutOfRange::check([
-            ("webhook.max_messages", f64::from(self.max_messages), 1.0, 1_000.0, "messages"),
-            ("webhook.period_s", self.period_s, 1.0, 86_400.0, "s"),
-        ])
-        .map_err(|error| document.complain(&error.key, error.problem()))?;
+        self.check_ranges().or_else(|error| complain(&error.key, error.problem()))?;
         if let Some(token) = &self.authorization
             && (token.secret().len() > AUTHORIZATION || HeaderValue::from_str(token.secret()).is_err())
         {

@@ -6,7 +6,7 @@ mod summary;
 
 use std::{
     pin::pin,
-    sync::{Arc, atomic::Ordering::Relaxed},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -158,18 +158,18 @@ impl Notifier {
                 Err(error @ PostError::Refused(_)) => {
                     let body = String::from_utf8_lossy(&message.body);
                     tracing::error!(%error, events = message.events, %body, "webhook: alarm events are not sent");
-                    self.status.webhook_refused.fetch_add(message.events, Relaxed);
+                    self.status.edit().webhook_refused += message.events;
                     break;
                 }
                 Err(error) => {
-                    self.status.webhook_fails.store(true, Relaxed);
+                    self.status.edit().webhook_fails = true;
                     seldom!(warn, %error, "webhook: sending an alarm failed; retrying");
                 }
             }
             self.wait(time::sleep(pause)).await;
             pause = (2 * pause).min(LONGEST_PAUSE);
         }
-        self.status.webhook_fails.store(false, Relaxed);
+        self.status.edit().webhook_fails = false;
         self.remove(message.last).await;
     }
 

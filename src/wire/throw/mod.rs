@@ -12,7 +12,7 @@ mod values;
 pub use error::InvalidThrow;
 pub use fields::{MAX_BOOT_ID_BYTES, is_boot_id};
 
-use super::json;
+use super::json_bytes;
 use crate::throw::Throw;
 use fields::Fields;
 
@@ -56,7 +56,7 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
 pub fn encode_throw(encoding: Encoding, throw: &Throw) -> Vec<u8> {
     match encoding {
         Encoding::Cbor => cbor::encode(throw),
-        Encoding::Json => json(&Fields::from(throw)).into_bytes(),
+        Encoding::Json => json_bytes(&Fields::from(throw)),
     }
 }
 
