@@ -186,7 +186,10 @@ impl Stuck {
 impl Channel {
     fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
-        let scale = [("full_scale", self.full_scale.filter(|_| self.bits.is_some()).unwrap_or(0.0))];
+        if self.bits.is_none() {
+            return Ok(());
+        }
+        let scale = [("full_scale", self.full_scale.unwrap_or(f64::NAN))];
         OutOfRange::require(&scale, "given with bits: the converter's range", |_| true)
     }
 
