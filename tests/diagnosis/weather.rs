@@ -239,7 +239,7 @@ fn rain_in_the_baseline_does_not_hide_later_wear() {
             let wetness = |throw: u64| {
                 let of = |start: u64| match throw.checked_sub(start) {
                     Some(since) if since < length => 1.0,
-                    Some(since) => (1.0 - (since - length + 1) as f64 / (drying as f64 + 1.0)).max(0.0),
+                    Some(since) => (1.0 - (since - length + 1) as f64 / (f64::from(drying) + 1.0)).max(0.0),
                     None => 0.0,
                 };
                 of(start) + second.map_or(0.0, |later| of(start + later))
@@ -281,7 +281,7 @@ fn table_of_spells_in_wandering_baselines() {
             ratios.push(record.log_covariance[1][1].sqrt() / scatter.sd[1]);
         }
         ratios.sort_by(f64::total_cmp);
-        let at = |share: f64| ratios[(share * (ratios.len() - 1) as f64) as usize];
-        println!("| {phi} | {scale} | {tail:?} | {} | {:.3} {:.3} {:.3} |", ratios.len(), at(0.01), at(0.05), at(0.5));
+        let at = |percent: usize| ratios[percent * (ratios.len() - 1) / 100];
+        println!("| {phi} | {scale} | {tail:?} | {} | {:.3} {:.3} {:.3} |", ratios.len(), at(1), at(5), at(50));
     }
 }
