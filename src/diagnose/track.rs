@@ -421,8 +421,9 @@ impl Tracks {
         if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
             return Vec::new();
         }
-        self.follow_wet_spells();
-        self.follow_trend(settings);
+        if self.follow_wet_spells() {
+            self.follow_trend(settings);
+        }
         let changes = Changes { slopes: self.slopes, wet: &self.wet };
         let track = &mut self.sides[throw.direction.side()];
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
@@ -446,9 +447,12 @@ impl Tracks {
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
-    /// Looks for wet spells in the same throws.
-    fn follow_wet_spells(&mut self) {
-        self.wet = if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[])).into() };
+    /// Looks for wet spells in the same throws; returns whether they changed.
+    fn follow_wet_spells(&mut self) -> bool {
+        let wet = if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[])).into() };
+        let is_changed = wet != self.wet;
+        self.wet = wet;
+        is_changed
     }
 
     /// The throws of the baselines, also those set aside, as in dry weather.

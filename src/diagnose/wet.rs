@@ -75,9 +75,9 @@ fn likeliest(values: &[f64], series: &Series) -> Vec<Range<usize>> {
     let Some(latest) = throws.checked_sub(DRY) else { return Vec::new() };
     let fits = |spell: &Range<usize>| DRY <= spell.start && spell.end <= latest && LENGTH.contains(&spell.len());
     let possible = (DRY..=latest).flat_map(|start| (start..=latest).map(move |end| start..end)).filter(fits).count();
+    let (without, of_chance) = (series.evidence(), (possible as f64).ln());
     let gain = |spells: &[Range<usize>]| -> f64 {
-        let of_chance = spells.len() as f64 * (possible as f64).ln();
-        series.with(&column(spells, throws)).evidence - series.evidence() - of_chance
+        series.with(&column(spells, throws)).evidence - without - spells.len() as f64 * of_chance
     };
     let rise = |at: usize| -> f64 {
         values[at..at + BESIDE].iter().sum::<f64>() - values[at - BESIDE..at].iter().sum::<f64>()

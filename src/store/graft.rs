@@ -48,6 +48,7 @@ pub(super) async fn graft(fresh: &mut SqliteConnection, broken: &Path) -> sqlx::
             best = (sound, Some(layout));
         }
     }
+    // In a wrong layout a few tables fit by chance.
     match best {
         (sound, Some(layout)) if 2 * sound > layout.iter().filter(|entry| entry.is_table()).count() => {
             apply(&copy, pages, &layout).await?;

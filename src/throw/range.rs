@@ -70,14 +70,10 @@ impl OutOfRange {
     ///
     /// # Errors
     /// The first number outside its range.
-    pub fn check<'a>(ranges: impl IntoIterator<Item = (&'a str, f64, f64, f64, &'a str)>) -> Result<(), Self> {
-        for (key, value, low, high, unit) in ranges {
-            if !(low..=high).contains(&value) {
-                let must = format!("{low} to {high} {unit}").trim_end().to_owned();
-                return Err(Self { key: key.to_owned(), value, must });
-            }
-        }
-        Ok(())
+    pub fn check<'a>(ranges: impl IntoIterator<Item = (&'a str, f64, f64, f64, &'static str)>) -> Result<(), Self> {
+        ranges
+            .into_iter()
+            .try_for_each(|(key, value, low, high, unit)| Range::Within(low, high, unit).check(key, value))
     }
 
     /// Prefixes the key with a section of the configuration: `lead_mm` becomes `machine.lead_mm`.
