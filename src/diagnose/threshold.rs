@@ -8,7 +8,7 @@
 //! lasts some throws and counts once.
 
 use serde::{Deserialize, Serialize};
-use statrs::function::beta::checked_beta_reg;
+use statrs::function::beta::ln_beta;
 
 use super::scatter::{Doubt, Scatter};
 
@@ -54,15 +54,9 @@ fn limit(alpha: f64, doubt: &Doubt) -> f64 {
     const PRECISION: f64 = 1e-4;
     /// Steps, of which five or six are needed.
     const MOST_STEPS: usize = 30;
-    let hotelling = |t: f64, degrees_of_freedom: f64| {
-        let second = (degrees_of_freedom - DIMENSIONS + 1.0).max(2.0);
-        let nu = second + DIMENSIONS - 1.0;
-        let f = t * second / (DIMENSIONS * nu);
-        checked_beta_reg(second / 2.0, DIMENSIONS / 2.0, second / (second + DIMENSIONS * f)).unwrap_or(0.0)
-    };
-    let exceeds = |t: f64| -> f64 {
-        doubt.factors.iter().map(|(factor, share, freedom)| share * hotelling(t / factor, *freedom)).sum()
-    };
+    let laws: Vec<_> =
+        doubt.factors.iter().map(|(factor, share, freedom)| (factor, share, Hotelling::new(*freedom))).collect();
+    let exceeds = |t: f64| -> f64 { laws.iter().map(|(factor, share, law)| *share * law.exceeds(t / *factor)).sum() };
     let above = |log: f64| (exceeds(log.exp()).max(f64::MIN_POSITIVE) / alpha).ln();
     let (mut low, mut at_low) = (0.0, above(0.0));
     let (mut high, mut at_high) = (1.0, above(1.0));
@@ -96,8 +90,66 @@ fn limit(alpha: f64, doubt: &Doubt) -> f64 {
     high.exp()
 }
 
+/// Hotelling's law of T: its tail is `I_x`(a, 3/2), the regularised incomplete beta function, at x = 1 / (1 + T / nu). The
+/// logarithm of B(a, 3/2) is most of the work, and is the same for every T.
+struct Hotelling {
+    /// Half of the second degrees of freedom of F.
+    a: f64,
+    /// Logarithm of B(a, 3/2).
+    ln_beta: f64,
+}
+
+impl Hotelling {
+    const B: f64 = DIMENSIONS / 2.0;
+
+    fn new(degrees_of_freedom: f64) -> Self {
+        let a = (degrees_of_freedom - DIMENSIONS + 1.0).max(2.0) / 2.0;
+        Self { a, ln_beta: ln_beta(a, Self::B) }
+    }
+
+    /// Probability of a larger value than `t`.
+    fn exceeds(&self, t: f64) -> f64 {
+        let Self { a, ln_beta } = *self;
+        let y = 1.0 / (1.0 + (2.0 * a + DIMENSIONS - 1.0) / t);
+        let x = 1.0 - y;
+        let front = (a * (-y).ln_1p() + Self::B * y.ln() - ln_beta).exp();
+        // The fraction converges fast on this side of the mean, and by symmetry on the other.
+        if x < (a + 1.0) / (a + Self::B + 2.0) {
+            front * continued_fraction(a, Self::B, x) / a
+        } else {
+            1.0 - front * continued_fraction(Self::B, a, y) / Self::B
+        }
+    }
+}
+
+/// The continued fraction of the incomplete beta function (Lentz; Press et al., Numerical Recipes, 6.4).
+fn continued_fraction(a: f64, b: f64, x: f64) -> f64 {
+    const MOST_STEPS: u32 = 140;
+    /// Relative error of the probability.
+    const PRECISION: f64 = 1e-12;
+    let away_from_0 = |v: f64| if v.abs() < f64::MIN_POSITIVE { f64::MIN_POSITIVE } else { v };
+    let (mut c, mut d) = (1.0, 1.0 / away_from_0(1.0 - (a + b) * x / (a + 1.0)));
+    let mut value = d;
+    for m in (1..MOST_STEPS).map(f64::from) {
+        let last = value;
+        let even = m * (b - m) * x / ((a + 2.0 * m - 1.0) * (a + 2.0 * m));
+        let odd = -(a + m) * (a + b + m) * x / ((a + 2.0 * m) * (a + 2.0 * m + 1.0));
+        for term in [even, odd] {
+            d = 1.0 / away_from_0(1.0 + term * d);
+            c = away_from_0(1.0 + term / c);
+            value *= c * d;
+        }
+        if (value - last).abs() < PRECISION * value.abs() {
+            break;
+        }
+    }
+    value
+}
+
 #[cfg(test)]
 mod tests {
+    use statrs::function::beta::beta_reg;
+
     use super::*;
 
     #[test]
@@ -114,6 +166,19 @@ mod tests {
         let doubt = Doubt { factors: vec![(1.0, 1.0, 12.0)] };
         for (alpha, expected) in [(2.0, 0.0), (1e-300, 12.0)] {
             assert!((limit(alpha, &doubt).ln() - expected).abs() < 1e-9, "{alpha}");
+        }
+    }
+
+    #[test]
+    fn the_tail_is_that_of_the_regularised_beta_function() {
+        for freedom in [1.0, 4.5, 12.0, 60.0, 3_000.0] {
+            let law = Hotelling::new(freedom);
+            for t in [1e-3, 0.5, 3.0, 16.0, 200.0, 1e5] {
+                let f = t * law.a / (3.0 * (law.a + 1.0));
+                let expected = beta_reg(law.a, 1.5, law.a / (law.a + 1.5 * f));
+                let tail = law.exceeds(t);
+                assert!((tail - expected).abs() <= 1e-9 * expected, "{freedom} {t}: {tail} {expected}");
+            }
         }
     }
 
