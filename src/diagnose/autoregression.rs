@@ -10,21 +10,40 @@ pub(super) struct Autoregression {
     pub(super) error: f64,
 }
 
+/// The Kalman filter of an autoregression with errors; it is the same for all series of a length.
+pub(super) struct Whitening {
+    /// For each value the weights of mean and value in the next mean, and the standard deviation of the innovation.
+    steps: Vec<[f64; 3]>,
+    /// Logarithm of the determinant of the covariance of a series.
+    pub(super) ln_determinant: f64,
+}
+
 impl Autoregression {
-    /// The innovations of a series relative to their standard deviations (Kalman filter), and the logarithm of the
-    /// determinant of its covariance.
-    pub(super) fn whitened(&self, series: &[f64]) -> (Vec<f64>, f64) {
-        let (mut mean, mut variance, mut ln_determinant) = (0.0, self.natural, 0.0);
-        let innovation = |value: &f64| {
+    /// The filter for series of this length.
+    pub(super) fn whitening(&self, len: usize) -> Whitening {
+        let (mut variance, mut ln_determinant) = (self.natural, 0.0);
+        let step = |_| {
             let of_innovation = variance + self.error;
-            let (innovation, gain) = (value - mean, variance / of_innovation);
-            mean = self.phi * (mean + gain * innovation);
+            let gain = variance / of_innovation;
             variance = self.phi * self.phi * variance * (1.0 - gain) + self.natural * (1.0 - self.phi * self.phi);
             ln_determinant += of_innovation.ln();
-            innovation / of_innovation.sqrt()
+            [self.phi * (1.0 - gain), self.phi * gain, of_innovation.sqrt()]
         };
-        let white = series.iter().map(innovation).collect();
-        (white, ln_determinant)
+        let steps = (0..len).map(step).collect();
+        Whitening { steps, ln_determinant }
+    }
+}
+
+impl Whitening {
+    /// The innovations of a series relative to their standard deviations.
+    pub(super) fn of(&self, series: &[f64]) -> Vec<f64> {
+        let mut mean = 0.0;
+        let innovation = |(value, [of_mean, of_value, sd]): (&f64, &[f64; 3])| {
+            let innovation = (value - mean) / sd;
+            mean = of_mean * mean + of_value * value;
+            innovation
+        };
+        series.iter().zip(&self.steps).map(innovation).collect()
     }
 }
 

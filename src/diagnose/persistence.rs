@@ -129,10 +129,10 @@ struct Whitened {
 impl Whitened {
     /// The filter runs on the series and on a constant, so the mean is that of least squares.
     fn of(series: &[f64], noise: &Autoregression) -> Self {
-        let (values, ln_determinant) = noise.whitened(series);
-        let (ones, _) = noise.whitened(&vec![1.0; series.len()]);
+        let noise = noise.whitening(series.len());
+        let (values, ones) = (noise.of(series), noise.of(&vec![1.0; series.len()]));
         let information = dot(&ones, &ones);
         let squares = (dot(&values, &values) - dot(&values, &ones).powi(2) / information).max(0.0);
-        Self { squares, ln_determinant, information }
+        Self { squares, ln_determinant: noise.ln_determinant, information }
     }
 }

@@ -5,7 +5,7 @@
 //! Levels and variance have flat priors (Zellner, An Introduction to Bayesian Inference in Econometrics, 1971, 3.1); the
 //! coefficient has a normal prior.
 
-use super::autoregression::{Autoregression, dot, ln_sum};
+use super::autoregression::{Autoregression, Whitening, dot, ln_sum};
 
 /// Number of values of phi.
 const PHIS: u32 = 16;
@@ -17,7 +17,7 @@ pub(super) struct Series(Vec<Whitened>);
 
 /// A series for a given phi.
 struct Whitened {
-    noise: Autoregression,
+    noise: Whitening,
     /// Orthonormal columns of the levels.
     basis: Vec<Vec<f64>>,
     /// The innovations of the series without levels.
@@ -39,7 +39,7 @@ impl Series {
     pub(super) fn new(values: &[f64], levels: &[Vec<f64>], error_part: f64) -> Self {
         let phis = (0..PHIS).map(|step| (f64::from(step) + 0.5) / f64::from(PHIS));
         let noise = |phi: f64| Autoregression { phi, natural: 1.0 - error_part, error: error_part };
-        Self(phis.map(|phi| Whitened::new(noise(phi), values, levels)).collect())
+        Self(phis.map(|phi| Whitened::new(&noise(phi), values, levels)).collect())
     }
 
     /// Logarithm of the evidence for levels alone.
@@ -58,12 +58,13 @@ impl Series {
 }
 
 impl Whitened {
-    fn new(noise: Autoregression, values: &[f64], levels: &[Vec<f64>]) -> Self {
-        let (mut rest, ln_determinant) = noise.whitened(values);
-        let mut of_levels = -0.5 * ln_determinant;
+    fn new(noise: &Autoregression, values: &[f64], levels: &[Vec<f64>]) -> Self {
+        let noise = noise.whitening(values.len());
+        let mut rest = noise.of(values);
+        let mut of_levels = -0.5 * noise.ln_determinant;
         let mut basis: Vec<Vec<f64>> = Vec::new();
         for level in levels {
-            let (mut column, _) = noise.whitened(level);
+            let mut column = noise.of(level);
             remove(&mut column, &basis);
             let norm = dot(&column, &column).sqrt();
             // Otherwise the temperature differs between the directions only.
@@ -81,7 +82,7 @@ impl Whitened {
     }
 
     fn with(&self, regressor: &[f64]) -> Regression {
-        let (mut x, _) = self.noise.whitened(regressor);
+        let mut x = self.noise.of(regressor);
         remove(&mut x, &self.basis);
         let precision = dot(&x, &x) + CHANGE_SD.powi(-2);
         let change = dot(&x, &self.rest) / precision;

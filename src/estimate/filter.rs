@@ -101,14 +101,14 @@ impl<const N: usize> Discrete<N> {
 
     #[inline]
     pub(super) fn advance(&self, s: &mut [f64; N], v: f64) {
-        let mut last = v;
+        let mut back = -v;
         for i in 0..N - 1 {
-            last -= self.feedback[i] * s[i];
+            back += self.feedback[i] * s[i];
         }
         for i in 0..N - 1 {
             s[i] += s[i + 1];
         }
-        s[N - 1] = self.feedback[N - 1] * s[N - 1] + last;
+        s[N - 1] = self.feedback[N - 1] * s[N - 1] - back;
     }
 }
 

@@ -36,9 +36,7 @@ pub(super) struct Auxiliary<'a, const N: usize, const P: usize> {
 
 /// Sums over the raw signals: rows are (numerator columns, states of x̂), columns (numerator columns, states of y).
 struct Raw<const P: usize> {
-    cross: [[f64; P]; P],
-    /// Σ row · y.
-    output: [f64; P],
+    rows: [Row<P>; P],
     /// Σ row · `y_eq,f`, Σ `y_eq,f` · column.
     shift_rows: [f64; P],
     shift_columns: [f64; P],
@@ -49,6 +47,13 @@ struct Raw<const P: usize> {
     model: [f64; P],
     model_output: f64,
     model_shift: f64,
+}
+
+/// Sums of a row with the columns, and with y; together, as they are computed two at a time.
+#[derive(Clone, Copy)]
+struct Row<const P: usize> {
+    columns: [f64; P],
+    output: f64,
 }
 
 /// Weights of the numerator columns on the states of the input filters.
@@ -127,90 +132,49 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
         workspace: &mut Workspace<P>,
     ) -> Option<Sums<P>> {
         let stride = workspace.stride;
-        let step = if IV { 1 } else { (stride / 2).min(problem.output.len() / START_SAMPLES).max(1) };
+        let len = problem.output.len();
+        let step = if IV { 1 } else { (stride / 2).min(len / START_SAMPLES).max(1) };
         let filter = Discrete::new(c, problem.interval_s * step as f64)?;
         let own_filter = if APART { Some(Discrete::new(a, problem.interval_s)?) } else { None };
         let model_filter = own_filter.as_ref().unwrap_or(&filter);
-        let len = problem.output.len();
+        let Workspace { instruments, model_output, ones, .. } = workspace;
         let output = &problem.output[..len];
-        let mut kept = workspace.instruments.iter_mut();
-        let mut until_kept = stride / 2;
-        let model_output = &mut workspace.model_output[..len];
-        let holds: [Hold; S] = problem.inputs.map(|input| match input {
-            Signal::Sampled(_, hold) => hold,
-            Signal::Constant => Hold::Zero,
-        });
-        // A signal without samples is an empty slice and a constant.
-        let sampled: [&[f64]; S] = problem.inputs.map(|input| match input {
-            Signal::Sampled(u, _) => u,
-            Signal::Constant => &[],
-        });
-        let constants: [f64; S] = problem.inputs.map(|input| f64::from(u8::from(matches!(input, Signal::Constant))));
-        let value = |s: usize, k: usize| sampled[s].get(k).copied().unwrap_or(constants[s]);
-        // Every filter starts at rest.
-        let start = |filter: &Discrete<N>, s: usize| filter.readout(holds[s]).start(&[0.0; N], value(s, 0));
-        let linear = filter.readout(Hold::First);
-        let columns = Columns::new(self, &holds, &filter);
-        let model_columns = Columns::new(self, &holds, model_filter);
-        let shift_row = filter.readout(Hold::Zero).state[0];
-        let model_shift_row = model_filter.readout(Hold::Zero).state[0];
+        let model_output = &mut model_output[..len];
         let equilibrium = &problem.equilibrium.unwrap_or(output)[..len];
+        if problem.inputs.iter().any(|input| matches!(input, Signal::Constant)) {
+            ones.resize(len, 1.0);
+        }
+        let inputs = problem.inputs.map(|input| match input {
+            Signal::Sampled(u, _) => &u[..len],
+            Signal::Constant => &ones[..len],
+        });
+        let at = |k: usize| -> [f64; S] { std::array::from_fn(|s| inputs[s][k]) };
 
-        let mut input_states: [[f64; N]; S] = std::array::from_fn(|s| start(&filter, s));
-        let mut model_states: [[f64; N]; S] = std::array::from_fn(|s| start(model_filter, s));
-        let mut output_state = linear.start(&[0.0; N], output[0]);
-        let (mut shift_state, mut model_shift_state) = ([0.0; N], [0.0; N]);
-        let first = std::array::from_fn(|s| value(s, 0));
-        let mut auxiliary_state =
-            linear.start(&[0.0; N], combined::<N, P>(theta, &model_columns.read(&model_states, &first)));
+        let filters = Filters::new(self, problem, [&filter, model_filter], theta, a[N - 1]);
+        let mut states = filters.start(at(0), output[0]);
+        let linear = filter.readout(Hold::First);
         let mut raw = Raw::new();
-        for k in (0..len).step_by(step) {
-            let u: [f64; S] = std::array::from_fn(|s| value(s, k));
-            let y = output[k];
-            let mut phi = columns.read(&input_states, &u);
-            let mut z = phi;
-            let shift = if SHIFTED { dot(&shift_row, &shift_state) } else { 0.0 };
-            let mut model = y;
-            if IV {
-                let own = if APART { model_columns.read(&model_states, &u) } else { phi };
-                model = combined::<N, P>(theta, &own);
-                if SHIFTED {
-                    let own = if APART { dot(&model_shift_row, &model_shift_state) } else { shift };
-                    model += a[N - 1] * own;
+        let (mut from, mut to) = (0, if IV { (stride / 2).min(len) } else { len });
+        let mut kept = instruments.iter_mut();
+        // Between two kept instruments there is no branch.
+        loop {
+            for k in (from..to).step_by(step) {
+                let (u, y) = (at(k), output[k]);
+                let Sample { phi, z, shift, model } = filters.read::<IV, APART, SHIFTED>(&states, &u, y);
+                if IV {
+                    model_output[k] = model;
                 }
-                model_output[k] = model;
+                raw.add::<IV, APART, SHIFTED>(&z, &phi, y, shift, model);
+                filters.advance::<IV, APART, SHIFTED>(&mut states, &u, [y, model, equilibrium[k]]);
             }
-            let auxiliary = if IV { &auxiliary_state } else { &output_state };
-            for i in 0..N {
-                phi[P - N + i] = output_state[i];
-                z[P - N + i] = auxiliary[i];
+            if to == len {
+                break;
             }
-            raw.add::<IV, APART, SHIFTED>(&z, &phi, y, shift, model);
-            if IV {
-                if until_kept == 0 {
-                    until_kept = stride;
-                    if let Some(kept) = kept.next() {
-                        *kept = regressor(&z, linear, model, shift);
-                    }
-                }
-                until_kept -= 1;
+            if let Some(kept) = kept.next() {
+                let Sample { z, shift, model, .. } = filters.read::<IV, APART, SHIFTED>(&states, &at(to), output[to]);
+                *kept = regressor(&z, linear, model, shift);
             }
-            for s in 0..S {
-                filter.advance(&mut input_states[s], u[s]);
-                if APART {
-                    model_filter.advance(&mut model_states[s], u[s]);
-                }
-            }
-            filter.advance(&mut output_state, y);
-            if IV {
-                filter.advance(&mut auxiliary_state, model);
-            }
-            if SHIFTED {
-                filter.advance(&mut shift_state, equilibrium[k]);
-                if APART {
-                    model_filter.advance(&mut model_shift_state, equilibrium[k]);
-                }
-            }
+            (from, to) = (to, (to + stride).min(len));
         }
         if IV && !APART {
             raw.model_from_columns(&theta[..P - N], a[N - 1]);
@@ -221,11 +185,121 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     }
 }
 
+/// The filters of a pass; those of the auxiliary model are the second.
+struct Filters<'a, const N: usize, const S: usize, const P: usize> {
+    each: [&'a Discrete<N>; 2],
+    columns: [Columns<N, P>; 2],
+    shift_rows: [[f64; N]; 2],
+    holds: [Hold; S],
+    theta: &'a [f64; P],
+    /// Last coefficient of the denominator of the auxiliary model.
+    a_last: f64,
+}
+
+/// States of the filters before a sample.
+struct States<const N: usize, const S: usize> {
+    inputs: [[f64; N]; S],
+    model: [[f64; N]; S],
+    output: [f64; N],
+    auxiliary: [f64; N],
+    shift: [f64; N],
+    model_shift: [f64; N],
+}
+
+/// Columns of the regressor and of the instrument at a sample, with `y_eq,f` and x̂.
+struct Sample<const P: usize> {
+    phi: [f64; P],
+    z: [f64; P],
+    shift: f64,
+    model: f64,
+}
+
+impl<'a, const N: usize, const S: usize, const P: usize> Filters<'a, N, S, P> {
+    fn new(
+        sriv: &Sriv<N, S, P>,
+        problem: &Problem<S>,
+        filters: [&'a Discrete<N>; 2],
+        theta: &'a [f64; P],
+        a_last: f64,
+    ) -> Self {
+        let holds: [Hold; S] = problem.inputs.map(|input| match input {
+            Signal::Sampled(_, hold) => hold,
+            Signal::Constant => Hold::Zero,
+        });
+        let columns = filters.map(|filter| Columns::new(sriv, &holds, filter));
+        let shift_rows = filters.map(|filter| filter.readout(Hold::Zero).state[0]);
+        Self { each: filters, columns, shift_rows, holds, theta, a_last }
+    }
+
+    /// Every filter starts at rest.
+    fn start(&self, u: [f64; S], y: f64) -> States<N, S> {
+        let start =
+            |filter: &Discrete<N>| std::array::from_fn(|s| filter.readout(self.holds[s]).start(&[0.0; N], u[s]));
+        let [inputs, model] = self.each.map(start);
+        let linear = self.each[0].readout(Hold::First);
+        let first = combined::<N, P>(self.theta, &self.columns[1].read(&model, &u));
+        let [output, auxiliary] = [y, first].map(|first| linear.start(&[0.0; N], first));
+        States { inputs, model, output, auxiliary, shift: [0.0; N], model_shift: [0.0; N] }
+    }
+
+    #[inline]
+    fn read<const IV: bool, const APART: bool, const SHIFTED: bool>(
+        &self,
+        states: &States<N, S>,
+        u: &[f64; S],
+        y: f64,
+    ) -> Sample<P> {
+        let mut phi = self.columns[0].read(&states.inputs, u);
+        let mut z = phi;
+        let shift = if SHIFTED { dot(&self.shift_rows[0], &states.shift) } else { 0.0 };
+        let mut model = y;
+        if IV {
+            let own = if APART { self.columns[1].read(&states.model, u) } else { phi };
+            model = combined::<N, P>(self.theta, &own);
+            if SHIFTED {
+                let own = if APART { dot(&self.shift_rows[1], &states.model_shift) } else { shift };
+                model += self.a_last * own;
+            }
+        }
+        let auxiliary = if IV { &states.auxiliary } else { &states.output };
+        for i in 0..N {
+            phi[P - N + i] = states.output[i];
+            z[P - N + i] = auxiliary[i];
+        }
+        Sample { phi, z, shift, model }
+    }
+
+    #[inline]
+    fn advance<const IV: bool, const APART: bool, const SHIFTED: bool>(
+        &self,
+        states: &mut States<N, S>,
+        u: &[f64; S],
+        [y, model, equilibrium]: [f64; 3],
+    ) {
+        let [filter, model_filter] = self.each;
+        for s in 0..S {
+            filter.advance(&mut states.inputs[s], u[s]);
+            if APART {
+                model_filter.advance(&mut states.model[s], u[s]);
+            }
+        }
+        filter.advance(&mut states.output, y);
+        if IV {
+            filter.advance(&mut states.auxiliary, model);
+        }
+        if SHIFTED {
+            filter.advance(&mut states.shift, equilibrium);
+            if APART {
+                model_filter.advance(&mut states.model_shift, equilibrium);
+            }
+        }
+    }
+}
+
 impl<const P: usize> Raw<P> {
     fn new() -> Self {
         Self {
-            cross: [[0.0; P]; P],
-            output: [0.0; P],
+            rows: [Row { columns: [0.0; P], output: 0.0 }; P],
             shift_rows: [0.0; P],
             shift_columns: [0.0; P],
             shift_output: 0.0,
@@ -246,10 +320,11 @@ impl<const P: usize> Raw<P> {
         model: f64,
     ) {
         for i in 0..P {
+            let Row { columns, output } = &mut self.rows[i];
             for j in 0..P {
-                self.cross[i][j] += z[i] * phi[j];
+                columns[j] += z[i] * phi[j];
             }
-            self.output[i] += z[i] * y;
+            *output += z[i] * y;
         }
         if !IV || APART {
             self.model_output += model * y;
@@ -279,26 +354,27 @@ impl<const P: usize> Raw<P> {
         self.model_shift = a_last * self.shift_square;
         for (at, numerator) in numerators.iter().enumerate() {
             for j in 0..P {
-                self.model[j] += numerator * self.cross[at][j];
+                self.model[j] += numerator * self.rows[at].columns[j];
             }
-            self.model_output += numerator * self.output[at];
+            self.model_output += numerator * self.rows[at].output;
             self.model_shift += numerator * self.shift_rows[at];
         }
     }
 
     /// Least squares: y replaces x̂.
     fn model_is_output(&mut self) {
-        self.model = self.output;
+        self.model = self.rows.map(|row| row.output);
         self.model_shift = self.shift_output;
     }
 
     /// Converts the sums from states to derivatives.
     fn sums<const N: usize>(&self, linear: &Readout<N>, c_last: f64) -> Sums<P> {
         let by_row = |row: &[f64; P], output: f64, shift: f64| regressor(row, linear, output, shift);
-        let rows: [[f64; P]; P] = std::array::from_fn(|i| by_row(&self.cross[i], self.output[i], self.shift_rows[i]));
+        let rows: [[f64; P]; P] =
+            std::array::from_fn(|i| by_row(&self.rows[i].columns, self.rows[i].output, self.shift_rows[i]));
         let model_row = by_row(&self.model, self.model_output, self.model_shift);
         let shift_row = by_row(&self.shift_columns, self.shift_output, self.shift_square);
-        let right: [f64; P] = std::array::from_fn(|i| self.output[i] - c_last * self.shift_rows[i]);
+        let right: [f64; P] = std::array::from_fn(|i| self.rows[i].output - c_last * self.shift_rows[i]);
         let model_right = self.model_output - c_last * self.model_shift;
         let shift_right = self.shift_output - c_last * self.shift_square;
         let mut normal = [[0.0; P]; P];

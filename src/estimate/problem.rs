@@ -45,6 +45,8 @@ pub struct Workspace<const P: usize> {
     pub(super) instruments: Vec<[f64; P]>,
     pub(super) stride: usize,
     pub(super) model_output: Vec<f64>,
+    /// The samples of [`Signal::Constant`].
+    pub(super) ones: Vec<f64>,
 }
 
 /// Longest distance of stored instruments, in units of 1 / root radius of the filter.
