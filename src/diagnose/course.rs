@@ -119,6 +119,12 @@ impl Course {
         (mean, (self.offset_variance + self.last.iter().map(spread).sum::<f64>()).sqrt())
     }
 
+    /// Size of the drift at an age, 0 before its last stage began.
+    pub(super) fn at(&self, age: f64) -> f64 {
+        let begun = self.last.iter().filter(|(_, stage)| stage.age >= age);
+        begun.map(|(weight, stage)| weight * stage.level(age).0).sum()
+    }
+
     /// Throws until the drift reaches `limit`, a part of nominal with the sign of the drift, if the drift goes on.
     /// `None` if it probably does not, or has reached the limit.
     pub(super) fn reaches(&self, limit: f64) -> Option<LimitForecast> {

@@ -1,6 +1,6 @@
 //! The drift in the last throws of a machine: detection, attribution, and evidence for each alarm.
 
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 
 use super::{
     cause::{Attribution, DECISIVE, Known, Naming, Rival},
@@ -30,13 +30,6 @@ const PROVISIONAL_WIDENING: f64 = 1.5;
 
 /// Part of the warning limit below which a size plus two standard deviations is plain health.
 const HEALTHY_BELOW: f64 = 0.5;
-/// A drift concerns one direction only if the other direction has less than this part of its size.
-const ONE_SIDED: f64 = 0.5;
-/// Least difference of the directions for this, in standard deviations.
-const ONE_SIDED_SD: f64 = 3.0;
-/// Throws with the drift, six of each direction, before its direction is decided.
-const ONE_SIDED_THROWS: u64 = 12;
-
 /// Largest change of another coefficient as part of a change of friction by weather.
 const BESIDE_WEATHER: f64 = 0.67;
 /// Part of a change that the last few throws have while it lasts.
@@ -181,36 +174,23 @@ impl Drift {
         }
     }
 
-    /// The direction of `cause`, `throws` throws after the drift was first suspected; `None` for both, and with too few
-    /// throws.
-    pub(super) fn direction(&self, cause: Cause, throws: u64, settings: &Settings) -> Option<Direction> {
-        let of = |window: &Window| {
-            let parts = alarm_causes(cause).filter(|part| window.shows(*part));
-            let parts = parts.map(|part| single(part, &window.mean, &window.covariance, settings));
-            parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)))
-        };
-        if self.levels.iter().chain(&self.last_few).flatten().any(|window| !window.shows(cause)) {
-            return None;
-        }
-        let side = self.leaning(cause, settings)?;
-        let [Some(normal), Some(reverse)] = self.last_few.each_ref().map(|window| window.as_ref().and_then(of)) else {
-            return Some(side);
-        };
-        let difference = (normal.size.abs() - reverse.size.abs()).abs();
-        let clear = difference > ONE_SIDED_SD * normal.size_sd.hypot(reverse.size_sd);
-        (throws >= ONE_SIDED_THROWS && clear).then_some(side)
+    /// Standard deviation of the effect of the temperature.
+    pub(super) fn temperature_sd(&self) -> Vector3<f64> {
+        self.levels.iter().flatten().map(|window| window.temperature_sd).next().unwrap_or_default()
     }
 
-    /// The direction with more than twice as much of `cause` as the other.
-    fn leaning(&self, cause: Cause, settings: &Settings) -> Option<Direction> {
-        let size = |at: usize| self.levels[at].as_ref().map(|window| extent(cause, window, settings).0);
-        match (size(0), size(1)) {
-            (Some(_), None) => Some(Direction::NormalToReverse),
-            (None, Some(_)) => Some(Direction::ReverseToNormal),
-            (Some(normal), Some(reverse)) if reverse < ONE_SIDED * normal => Some(Direction::NormalToReverse),
-            (Some(normal), Some(reverse)) if normal < ONE_SIDED * reverse => Some(Direction::ReverseToNormal),
-            _ => None,
+    /// Weights of the three logarithms in the size of `cause`; `None` if a window does not show it.
+    pub(super) fn weights(&self, cause: Cause, settings: &Settings) -> Option<Vector3<f64>> {
+        let windows = self.levels.iter().chain(&self.last_few).flatten();
+        if windows.clone().any(|window| !window.shows(cause)) {
+            return None;
         }
+        let parts = windows.flat_map(|window| {
+            let shown = alarm_causes(cause).filter(|part| window.shows(*part));
+            shown.map(|part| single(part, &window.mean, &window.covariance, settings))
+        });
+        let largest = parts.max_by(|a, b| a.relevance(settings).total_cmp(&b.relevance(settings)))?;
+        Some(largest.weights)
     }
 }
 

@@ -110,9 +110,9 @@ impl DriftAlarms {
             }
             let knows_no_part = alarms.rule(cause).is_some_and(Rule::knows_no_part);
             let active = alarms.severity(cause).filter(|_| !knows_no_part);
-            let direction = || drift.direction(cause, self.throws_since_onset(order), settings);
+            let concerned = || direction(cause, drift, order, tracks, settings);
             if reading.claim == Claim::Named
-                && let Some((now, _)) = self.named_now(drift, direction(), order, tracks)
+                && let Some((now, _)) = self.named_now(drift, concerned(), order, tracks)
             {
                 let size = now.relevance(settings);
                 let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
@@ -275,7 +275,7 @@ impl DriftAlarms {
                 now.extend(known.map(|known| (alarm.severity, 0.0, *known)));
                 continue;
             };
-            let direction = drift.direction(alarm.cause, self.throws_since_onset(order), settings);
+            let direction = direction(alarm.cause, drift, order, tracks, settings);
             let (size, course) = self.present(&largest, drift, direction, order, tracks);
             let drifting = Drifting {
                 cause: alarm.cause,
@@ -351,7 +351,7 @@ impl DriftAlarms {
     ) -> Option<Evidence> {
         let mut attribution = *drift.attribution.as_ref()?;
         let throws = self.throws_since_onset(order);
-        let direction = drift.direction(cause, throws, context.settings);
+        let direction = direction(cause, drift, order, tracks, context.settings);
         let mut limit_in_throws = None;
         if let Some((now, course)) = self.named_now(drift, direction, order, tracks)
             && let Naming::One(main) | Naming::Another { new: main, .. } = &mut attribution.naming
@@ -406,15 +406,19 @@ impl DriftAlarms {
         order: u64,
         tracks: &Tracks,
     ) -> (Explanation, Option<Course>) {
-        let temperature_sd =
-            drift.levels.iter().flatten().map(|window| window.temperature_sd).next().unwrap_or_default();
-        let Some(course) = tracks.course(&part.weights, &temperature_sd, direction, &self.history, order) else {
+        let Some(course) = tracks.course(&part.weights, &drift.temperature_sd(), direction, &self.history, order)
+        else {
             return (*part, None);
         };
         let (size, size_sd) = course.now();
         let whole = (1.0 + size).max(LEAST_LEFT);
         (Explanation { size: whole.ln(), size_sd: size_sd / whole, ..*part }, Some(course))
     }
+}
+
+/// The direction that a drift of `cause` concerns; `None` for both, and while it is not known.
+fn direction(cause: Cause, drift: &Drift, order: u64, tracks: &Tracks, settings: &Settings) -> Option<Direction> {
+    tracks.one_sided(&drift.weights(cause, settings)?, &drift.temperature_sd(), order)
 }
 
 /// The forecast of the critical limit for an alarm below it.

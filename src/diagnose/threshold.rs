@@ -16,7 +16,7 @@ use super::scatter::{Doubt, Scatter};
 pub(super) const WINDOWS: [usize; 4] = [3, 6, 12, 24];
 /// Crossings of a limit per alarm: the others end within the on delay, or have no stable name. Measured on simulated
 /// healthy fleets without warning limits.
-const CROSSINGS_PER_ALARM: f64 = 30.0;
+const CROSSINGS_PER_ALARM: f64 = 48.0;
 /// Coefficients in a residual.
 const DIMENSIONS: f64 = 3.0;
 
