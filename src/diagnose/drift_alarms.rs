@@ -412,7 +412,8 @@ impl DriftAlarms {
         };
         let (size, size_sd) = course.now();
         let whole = (1.0 + size).max(LEAST_LEFT);
-        (Explanation { size: whole.ln(), size_sd: size_sd / whole, ..*part }, Some(course))
+        let size_sd = part.model_sd.hypot(size_sd / whole);
+        (Explanation { size: whole.ln(), size_sd, ..*part }, Some(course))
     }
 }
 

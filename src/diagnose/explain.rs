@@ -60,6 +60,8 @@ pub(super) struct Explanation {
     pub(super) size_sd: f64,
     /// Weights of the three logarithms in the size.
     pub(super) weights: Vector3<f64>,
+    /// Standard deviation of the size because of the unknown leaks and the error of the model; more throws do not change it.
+    pub(super) model_sd: f64,
 }
 
 /// The explanation of a drift by K causes together.
@@ -123,7 +125,13 @@ pub(super) fn single(cause: Cause, m: &Vector3<f64>, v: &Matrix3<f64>, settings:
 pub(super) fn friction_of_sound_motor(m: &Vector3<f64>, v: &Matrix3<f64>) -> Explanation {
     let weights = Vector3::new(-1.0, 1.0, 0.0);
     let variance = (weights.transpose() * v * weights).x;
-    Explanation { cause: Cause::Friction, size: weights.dot(m), size_sd: variance.max(0.0).sqrt(), weights }
+    Explanation {
+        cause: Cause::Friction,
+        size: weights.dot(m),
+        size_sd: variance.max(0.0).sqrt(),
+        weights,
+        model_sd: 0.0,
+    }
 }
 
 impl Explanation {
@@ -174,8 +182,10 @@ pub(super) fn fit<const K: usize>(
             fits.iter().zip(&odds).map(|(fit, odds)| odds / total * of(&fit.parts[at])).sum()
         };
         let size = average(&|part| part.size);
-        let variance = average(&|part| part.size_sd.powi(2) + (part.size - size).powi(2));
-        (part.size, part.size_sd) = (size, variance.sqrt());
+        let between = average(&|part| (part.size - size).powi(2));
+        let variance = average(&|part| part.size_sd.powi(2)) + between;
+        let of_model = average(&|part| part.model_sd.powi(2)) + between;
+        (part.size, part.size_sd, part.model_sd) = (size, variance.sqrt(), of_model.sqrt());
         part.weights = Vector3::from_fn(|i, _| average(&|part| part.weights[i]));
     }
     mean
@@ -190,7 +200,13 @@ fn fit_with_leaks<const K: usize>(
     settings: &Settings,
 ) -> Fit<K> {
     const ROUNDS: usize = 3;
-    let parts = causes.map(|cause| Explanation { cause, size: 0.0, size_sd: f64::INFINITY, weights: Vector3::zeros() });
+    let parts = causes.map(|cause| Explanation {
+        cause,
+        size: 0.0,
+        size_sd: f64::INFINITY,
+        weights: Vector3::zeros(),
+        model_sd: 0.0,
+    });
     let mut fit = Fit { parts, score: f64::INFINITY };
     for _ in 0..ROUNDS {
         let mut u = *v;
@@ -214,9 +230,10 @@ fn fit_with_leaks<const K: usize>(
         let sizes = gain * m;
         let rest = m - d * sizes;
         let misfit = (rest.transpose() * inverse * rest).x;
-        let sd = (gain * v * gain.transpose()).diagonal().map(|variance| variance.max(0.0).sqrt());
+        let sd = |of: Matrix3<f64>| (gain * of * gain.transpose()).diagonal().map(|variance| variance.max(0.0).sqrt());
+        let (of_noise, of_model) = (sd(*v), sd(u - v));
         for (at, part) in fit.parts.iter_mut().enumerate() {
-            (part.size, part.size_sd) = (sizes[at], sd[at]);
+            (part.size, part.size_sd, part.model_sd) = (sizes[at], of_noise[at], of_model[at]);
             part.weights = gain.row(at).transpose();
         }
         let prior = 2.0 * K as f64 * SIZE_SCALE.ln() + SECOND_CAUSE * (K as f64 - 1.0);

@@ -107,6 +107,43 @@ fn a_second_fault_is_named_beside_the_first() {
     assert!(10 * named >= 9 * lives && wrong == 0);
 }
 
+/// The sizes of two faults, also of dry friction that leaks into the other coefficients, as the present drifts say them.
+#[test]
+fn the_sizes_of_two_faults_hold() {
+    let settings = Settings::default();
+    let (mut said, mut held) = (0_u32, 0_u32);
+    for first in Cause::PHYSICAL {
+        for second in Cause::PHYSICAL.into_iter().filter(|second| *second != first) {
+            let (mut of_pair, mut held_pair) = (0_u32, 0_u32);
+            for (seed, leak) in (0..12).zip([0.0, 0.1, 0.25, 0.5].into_iter().cycle()) {
+                let mut machine = Machine::new(460 + seed, Nature::default());
+                let mut monitor = machine.learned(&settings);
+                let size = |cause: Cause| {
+                    let sign = if cause == Cause::Kt { -1.0 } else { 1.0 };
+                    sign * [2.0, 3.0, 4.0][seed as usize % 3] * settings.limit_pct(cause).unwrap()
+                };
+                let effect = |cause: Cause| {
+                    let plain = shift(cause, size(cause));
+                    if cause == Cause::Friction { plain + Vector3::repeat(leak * plain.y) } else { plain }
+                };
+                run(&mut machine, &mut monitor, 60, effect(first));
+                for _ in 0..10 {
+                    run(&mut machine, &mut monitor, 10, effect(first) + effect(second));
+                    for now in monitor.drifts().iter().filter(|now| [first, second].contains(&now.cause)) {
+                        of_pair += 1;
+                        held_pair += u32::from((now.change_pct - size(now.cause)).abs() < 2.0 * now.change_pct_sd);
+                    }
+                }
+            }
+            println!("{first}, then {second}: {held_pair} of {of_pair}");
+            said += of_pair;
+            held += held_pair;
+        }
+    }
+    let share = 100.0 * f64::from(held) / f64::from(said);
+    assert!((90.0..=99.0).contains(&share), "{share:.1} % of {said} sizes hold");
+}
+
 /// A leak of the first friction fault and the motor together look like friction without a leak and stiffness; the level
 /// before the second fault shows the leak.
 #[test]
