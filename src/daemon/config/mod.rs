@@ -22,7 +22,7 @@ pub(crate) use zenoh::overlay;
 
 use crate::{
     diagnose, estimate, store,
-    throw::{MachineId, Name, OutOfRange, Range::Within, settings},
+    throw::{MachineId, Name, Range::Within, settings},
     wire::Scope,
 };
 
@@ -90,12 +90,14 @@ settings! {
     }
 }
 
-/// The `[identify]` section: threads of the estimator.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Identify {
-    /// Number of threads, 0 to 64; 0 for the number of processors, at most 8.
-    pub threads: usize,
+settings! {
+    /// The `[identify]` section: threads of the estimator.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Identify {
+        /// Number of threads, 0 to 64; 0 for the number of processors, at most 8.
+        pub threads: usize = 0, Within(0.0, 64.0, "threads");
+    }
 }
 
 settings! {
@@ -220,8 +222,8 @@ impl Config {
 }
 
 fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError> {
-    let threads = config.identify.threads as f64;
-    OutOfRange::check([("identify.threads", threads, 0.0, 64.0, "threads")])
+    let identify = config.identify.check_ranges().map_err(|error| error.within("identify"));
+    identify
         .and_then(|()| config.subscribe.check_ranges().map_err(|error| error.within("subscribe")))
         .and_then(|()| config.store.check_ranges().map_err(|error| error.within("store")))
         .and_then(|()| config.diagnosis.validate().map_err(|error| error.within("diagnosis")))
