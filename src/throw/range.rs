@@ -1,5 +1,7 @@
 //! Range checks of numbers in configurations and in parameters of machines.
 
+use super::text::brief;
+
 /// A number outside its range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key} is {}, must be {must}", brief(*.value))]
@@ -49,13 +51,6 @@ impl Range {
         };
         Err(OutOfRange { key: key.to_owned(), value, must })
     }
-}
-
-/// A number for a sentence: a large or tiny one has an exponent, as 1e300 has 301 digits.
-#[must_use]
-pub fn brief(value: f64) -> String {
-    let magnitude = value.abs();
-    if magnitude == 0.0 || (1e-6..1e9).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
 }
 
 impl OutOfRange {

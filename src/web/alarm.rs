@@ -7,7 +7,7 @@ use super::{
 use crate::{
     diagnose::{AlarmState, Cause, Drifting},
     store::Window,
-    throw::MachineId,
+    throw::{MachineId, utc},
     wire::Alarm,
 };
 
@@ -45,7 +45,7 @@ impl AlarmLine {
             badge: Badge::of(alarm),
             cause: alarm.cause,
             state,
-            raised_at: page::time(alarm.raised_at),
+            raised_at: utc(alarm.raised_at),
             raised: raised.map(|(size, sd)| state::size(size, sd)),
             now: drift.map(|drift| state::size(drift.change_pct, drift.change_pct_sd)),
             forecast: drift.and_then(state::forecast),

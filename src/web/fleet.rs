@@ -25,7 +25,7 @@ use crate::{
     daemon::{View, clock},
     diagnose::{Cause, MachineState},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, WORST_FIRST, Window},
-    throw::MachineId,
+    throw::{MachineId, utc},
     wire,
 };
 
@@ -201,7 +201,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         daemon: daemon(&web.view, &overview),
         volatile: format!(
             "As of {}; running for {}.",
-            page::time(clock::now()),
+            utc(clock::now()),
             page::duration(web.view.gauges.report().uptime_s)
         ),
         filters,
@@ -247,7 +247,7 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
         let count: u64 = sites.values().map(|(count, _)| count).sum();
         let (first, last) = (alarms.iter().map(|alarm| alarm.first).min(), alarms.iter().map(|alarm| alarm.last).max());
         let times = first.zip(last).map(|(first, last)| {
-            let (first_time, last_time) = (page::time(first), page::time(last));
+            let (first_time, last_time) = (utc(first), utc(last));
             if first == last {
                 format!("since {first_time}")
             } else {
@@ -318,7 +318,7 @@ fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
         drift,
         notes,
         spark: spark(row.spark.iter().map(|change| sign * change[coefficient]), limit_pct),
-        last_throw: row.started_at.map(page::time).unwrap_or_default(),
+        last_throw: row.started_at.map(utc).unwrap_or_default(),
         machine: row.machine.clone(),
     }
 }

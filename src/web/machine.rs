@@ -22,7 +22,7 @@ use crate::{
     daemon::clock,
     diagnose::{AlarmState, BaselineRecord, MachineState, Settings, Severity},
     store::{CommandRow, Present, Reader, StoreError, Window},
-    throw::{Direction, MachineId},
+    throw::{Direction, MachineId, utc},
     wire::{Alarm, Health},
 };
 
@@ -242,7 +242,7 @@ async fn read(
         takes_commands: false,
         form: Form::default(),
         file_style: None,
-        volatile: format!("As of {}.", page::time(clock::now())),
+        volatile: format!("As of {}.", utc(clock::now())),
         machine: machine.clone(),
     }))
 }
@@ -352,11 +352,7 @@ fn drawn(directions: &Directions) -> String {
         return "No throw with a known direction.".to_owned();
     };
     let [there, back] = directions.each_ref().map(|(_, rows)| rows.len());
-    format!(
-        "{} to {}; drawn are {there} throws normal to reverse and {back} back.",
-        page::time(first),
-        page::time(last)
-    )
+    format!("{} to {}; drawn are {there} throws normal to reverse and {back} back.", utc(first), utc(last))
 }
 
 fn drawn_throws(directions: &Directions) -> String {
@@ -410,7 +406,7 @@ fn by_whom(by: Option<&String>, why: Option<&String>) -> String {
 
 fn event(alarm: &Alarm) -> Event {
     Event {
-        at: page::time(alarm.event_at),
+        at: utc(alarm.event_at),
         badge: Some(Badge::of(alarm)),
         what: alarm.cause.to_string(),
         state: alarm.state.words().to_owned(),
@@ -420,10 +416,10 @@ fn event(alarm: &Alarm) -> Event {
 }
 
 fn command(row: &CommandRow) -> Event {
-    let until = row.until.map(|until| format!("until {}", page::time(until)));
+    let until = row.until.map(|until| format!("until {}", utc(until)));
     let cause = row.cause.map(|cause| format!(" {cause}")).unwrap_or_default();
     Event {
-        at: page::time(row.at),
+        at: utc(row.at),
         badge: None,
         what: format!("{}{cause}", row.command.replace('_', " ")),
         state: until.unwrap_or_default(),
@@ -438,7 +434,7 @@ pub(super) fn row(health: &Health) -> Row {
     Row {
         address: page::throw_address(&health.machine, &health.throw),
         throw_no: health.throw.throw_no,
-        at: page::time(health.started_at),
+        at: utc(health.started_at),
         direction: health.direction.map_or_else(|| "unknown".to_owned(), |direction| direction.to_string()),
         changes: health.change_pct.map(|change| change.map(|change| state::signed(change, 1))),
         duration: with(health.duration_s, 2),
