@@ -4,8 +4,9 @@
 use std::{
     collections::VecDeque,
     hash::{BuildHasher, RandomState},
-    sync::{Mutex, MutexGuard, PoisonError},
 };
+
+use parking_lot::{Mutex, MutexGuard};
 
 use super::message::Message;
 
@@ -98,7 +99,7 @@ impl FairQueue {
     }
 
     fn queues(&self) -> MutexGuard<'_, Queues> {
-        self.queues.lock().unwrap_or_else(PoisonError::into_inner)
+        self.queues.lock()
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "a remainder below SLOTS")]

@@ -5,11 +5,12 @@ use std::{
     collections::{HashMap, HashSet},
     hash::{DefaultHasher, Hash, Hasher},
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::Ordering::Relaxed},
+    sync::{Arc, atomic::Ordering::Relaxed},
     time::Duration,
 };
 
 use jiff::Timestamp;
+use parking_lot::{Mutex, MutexGuard};
 use tokio::{sync::Notify, task, time};
 use tokio_util::sync::CancellationToken;
 
@@ -107,7 +108,7 @@ impl Intake {
 
     /// Whether a message from a backlog was not refused before.
     fn is_first_refusal(&self, Refused { key, bytes, beginning, .. }: &Refused) -> bool {
-        let mut before = self.refused_before.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut before = self.refused_before.lock();
         if before.len() >= REFUSED_BEFORE {
             before.clear();
         }
@@ -122,7 +123,7 @@ impl Intake {
     }
 
     fn known(&self) -> MutexGuard<'_, HashMap<MachineId, Option<time::Instant>>> {
-        self.machines.lock().unwrap_or_else(PoisonError::into_inner)
+        self.machines.lock()
     }
 
     /// Accepts a throw of a known or new machine.

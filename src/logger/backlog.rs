@@ -2,10 +2,11 @@
 
 use std::{
     collections::VecDeque,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc},
+    sync::{Arc, mpsc},
     thread,
 };
 
+use parking_lot::{Mutex, MutexGuard};
 use zenoh::{
     Session, Wait,
     bytes::{Encoding, ZBytes},
@@ -90,7 +91,7 @@ impl Backlog {
 }
 
 fn lock(kept: &Mutex<Kept>) -> MutexGuard<'_, Kept> {
-    kept.lock().unwrap_or_else(PoisonError::into_inner)
+    kept.lock()
 }
 
 fn answer(query: &Query, kept: &Mutex<Kept>) {

@@ -5,11 +5,12 @@
 
 use std::{
     collections::HashMap,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
     thread,
     time::{Duration, Instant},
 };
 
+use parking_lot::{Mutex, MutexGuard};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -205,7 +206,7 @@ fn index(number: u64, count: usize) -> usize {
 }
 
 fn lock(tracking: &Shared) -> MutexGuard<'_, Tracking> {
-    tracking.lock().unwrap_or_else(PoisonError::into_inner)
+    tracking.lock()
 }
 
 fn message(

@@ -1,13 +1,9 @@
 //! The reader: short queries on read-only connections.
 
-use std::{
-    future::Future,
-    path::Path,
-    sync::{Arc, PoisonError, RwLock},
-    time::Duration,
-};
+use std::{future::Future, path::Path, sync::Arc, time::Duration};
 
 use jiff::Timestamp;
+use parking_lot::RwLock;
 use sqlx::{
     FromRow, Row as _, Sqlite, SqlitePool,
     query::QueryAs,
@@ -96,7 +92,7 @@ impl Reader {
     /// Opens the file now at `path`. Running queries keep the old file until they end: its pool is dropped, not closed,
     /// so that they do not fail.
     pub(super) fn reopen(&self, path: &Path) {
-        *self.pools.write().unwrap_or_else(PoisonError::into_inner) = Pools::new(&open::reading(path));
+        *self.pools.write() = Pools::new(&open::reading(path));
     }
 
     pub(super) async fn limited<T>(&self, query: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
@@ -126,7 +122,7 @@ impl Reader {
     }
 
     fn pools(&self) -> Pools {
-        self.pools.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.pools.read().clone()
     }
 
     /// Runs a query of the daemon.
