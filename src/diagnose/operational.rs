@@ -34,12 +34,13 @@ const USUAL_TICK_S: f64 = 60.0;
 const CALM_S: f64 = 600.0;
 /// Consecutive throws that contradict the logger's direction until this is stated; a label may be wrong for once.
 const CONTRADICTED_IN_A_ROW: u32 = 5;
-/// Throws in a row with unused fields until this is stated, and rejected ones of the last 32 of a direction.
+/// Consecutive throws with unused fields until this is stated; a field may be wrong for once.
 const UNUSED_IN_A_ROW: u32 = 5;
+/// Rejected throws among the last 32 of a direction until this is stated: a quarter, which delays the detection of a fault.
 const OFTEN_REJECTED: u32 = 8;
-/// Throws in a row that end before the configured stroke until this is stated.
+/// Consecutive throws that end before the configured stroke until this is stated.
 const SHORT_IN_A_ROW: u32 = 5;
-/// Throws in a row without coefficients, of a machine without a toe position that had them, until this is stated.
+/// Consecutive throws without coefficients, of a machine without a toe position that had them, until this is stated.
 const WITHOUT_COEFFICIENTS_IN_A_ROW: u32 = 20;
 
 /// Liveliness of the logger.
@@ -304,7 +305,7 @@ impl Operation {
     }
 
     /// Sentences about rejected throws among evaluated ones, about lost coefficients of a machine that `had_coefficients`, and
-    /// about unused fields and a short travel unless `of_sensor`: an alarm about a sensor tells of them already.
+    /// about unused fields and a short travel unless `of_sensor`: an alarm about a sensor reports them already.
     pub(super) fn caveats(&self, name: &str, of_sensor: bool, had_coefficients: bool) -> Vec<String> {
         let unused = self.unused_fields.as_ref().filter(|(_, throws)| *throws >= UNUSED_IN_A_ROW && !of_sensor);
         let often = Direction::BOTH.into_iter().filter_map(|direction| {

@@ -136,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_size_whose_interval_says_nothing_is_none() {
+    fn a_size_with_a_useless_interval_is_none() {
         let has_size = |change_pct: f64, change_pct_sd: f64| {
             let cause = Cause::Unattributed;
             Drifting { cause, change_pct, change_pct_sd, direction: None, limit_in_throws: None }.has_size()

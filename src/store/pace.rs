@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_due_every_thirty_seconds_and_says_what_was_left_out() {
+    fn a_line_is_due_every_thirty_seconds_with_the_number_of_omitted_ones() {
         let (line, start) = (Seldom::new(), Instant::now());
         assert_eq!([line.due(start), line.due(start), line.due(start)], [Some(0), None, None]);
         assert_eq!([line.due(start + SAID), line.due(start + SAID)], [Some(2), None]);

@@ -97,7 +97,7 @@ mod tests {
     };
 
     #[test]
-    fn the_message_has_exactly_the_promised_fields() {
+    fn the_message_has_exactly_the_fields_of_the_contract() {
         let at: Timestamp = "2026-05-04T10:11:12Z".parse().unwrap();
         let event = AlarmEvent {
             cause: Cause::IncompleteThrow,

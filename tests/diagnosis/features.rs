@@ -120,7 +120,7 @@ fn throws_that_are_rejected_one_after_the_other_show_by_their_features_that_the_
 
 /// The throws of one direction are rejected, as with a wrong `neutral_mm`, until a fault makes them acceptable.
 #[test]
-fn what_follows_a_row_of_rejections_is_not_learned_unseen() {
+fn throws_after_a_row_of_rejections_are_not_learned_unchecked() {
     let settings = Settings::default();
     let mut machine = Machine::new(57_000, Scatter::USUAL);
     let mut monitor = MachineMonitor::new("21B");

@@ -30,11 +30,11 @@ async fn run_and_log(throws: usize) -> Option<(Vec<Record>, tempfile::TempDir)> 
     let witness = Witness::listen(&daemon.endpoint, Some(&path)).await;
     let plan = Plan { machines: 4, pace: Duration::from_millis(5), ..Plan::default() };
     let logger = Logger::start(&daemon.endpoint, plan).await;
-    witness.until("every throw", |heard| heard.health.len() >= throws).await;
+    witness.until("every throw", |received| received.health.len() >= throws).await;
     let silent = logger.stop();
     let all = usize::try_from(silent.published).unwrap() * 4;
-    witness.until("the last throw", |heard| heard.health.len() >= all).await;
-    assert!(!witness.heard().events.is_empty(), "no alarm was raised");
+    witness.until("the last throw", |received| received.health.len() >= all).await;
+    assert!(!witness.received().events.is_empty(), "no alarm was raised");
     daemon.terminate();
     Some((read_log(&path), rig.into_folder()))
 }
@@ -58,7 +58,7 @@ async fn cut(records: &[Record], was: &Path, cuts: usize, seed: u64) -> Verdict 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn power_cuts_lose_nothing_that_the_daemon_had_told() {
+async fn power_cuts_lose_nothing_that_the_daemon_had_published() {
     let cuts = size("POINTSD_CUTS", 25);
     let Some((records, folder)) = run_and_log(if cuts > 100 { 1000 } else { 100 }).await else { return };
     let acknowledged = records.iter().filter(|record| record.is_acknowledgement()).count();

@@ -25,7 +25,7 @@ async fn judged(store: &Store, first: u64, last: u64) {
 }
 
 #[tokio::test]
-async fn traces_go_before_throws_and_what_waits_never_goes() {
+async fn traces_are_dropped_before_throws_and_pending_throws_never() {
     let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, max_throws: 150, ..settings }).await;
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
@@ -59,7 +59,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
 
 /// Pending throws count too, so that no flood makes the database larger than its bound.
 #[tokio::test]
-async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_dropped() {
+async fn pending_throws_are_bounded_too_and_an_alarm_reports_dropped_ones() {
     let (_folder, store) = fresh_with(|settings| Settings { max_size_mib: 1, ..settings }).await;
     let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
     store.spool_all(&flood).await;
