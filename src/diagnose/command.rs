@@ -148,7 +148,7 @@ impl Command {
         match self {
             Self::Ack { cause, by } => format!("the {cause} alarm of {machine} is acknowledged by {by}"),
             Self::Shelve { cause, until, by, why } => {
-                format!("the {cause} alarm of {machine} is shelved until {} by {by}: {why}", utc(*until))
+                format!("the {cause} alarm of {machine} is shelved until {} by {by}: {why}", utc(until))
             }
             Self::Unshelve { cause, by } => {
                 format!("the {cause} alarm of {machine} is no longer shelved, ended by {by}")
@@ -157,7 +157,7 @@ impl Command {
                 format!("{machine} takes a new baseline from its next throws, ordered by {by}: {why}")
             }
             Self::MaintenanceStart { until, by, why } => {
-                format!("{machine} is in maintenance until {} by {by}: {why}", utc(*until))
+                format!("{machine} is in maintenance until {} by {by}: {why}", utc(until))
             }
             Self::MaintenanceEnd { by } => format!("{machine} is in service again, ended by {by}"),
         }

@@ -194,7 +194,7 @@ impl Window {
     /// "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
     #[must_use]
     pub fn sentence(&self) -> String {
-        let until = self.until.map(|until| format!("until {} ", utc(until)));
+        let until = self.until.map(|until| format!("until {} ", utc(&until)));
         let why = self.why.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
         format!("{}by {}{why}", until.unwrap_or_default(), self.by)
     }

@@ -11,6 +11,6 @@ pub fn brief(value: f64) -> String {
 
 /// A time for a sentence: "2026-11-21 19:30:12 UTC".
 #[must_use]
-pub fn utc(at: Timestamp) -> String {
+pub fn utc(at: &Timestamp) -> String {
     at.strftime("%Y-%m-%d %H:%M:%S UTC").to_string()
 }

@@ -26,16 +26,18 @@ use crate::{
     wire::Scope,
 };
 
-/// The `[monitor]` section: the name of this daemon.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Monitor {
-    /// Site in the name of this daemon.
-    pub site: Name,
-    /// Identifier at the site; the liveliness token is `points/v1/{site}/monitor/{id}/alive`.
-    pub id: Name,
-    /// Other daemons that this one watches.
-    pub peers: Vec<Peer>,
+settings! {
+    /// The `[monitor]` section: the name of this daemon.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Monitor {
+        /// Site in the name of this daemon.
+        pub site: Name = Name::fixed("fleet");
+        /// Identifier at the site; the liveliness token is `points/v1/{site}/monitor/{id}/alive`.
+        pub id: Name = Name::fixed("pointsd");
+        /// Other daemons that this one watches.
+        pub peers: Vec<Peer> = Vec::new();
+    }
 }
 
 /// The name of another daemon.
@@ -126,25 +128,15 @@ pub enum LogFormat {
     Json,
 }
 
-/// The `[log]` section.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Log {
-    /// `error`, `warn`, `info`, `debug`, `trace`, or directives by module as `info,zenoh=debug`.
-    pub level: String,
-    /// Format of the lines.
-    pub format: LogFormat,
-}
-
-impl Default for Monitor {
-    fn default() -> Self {
-        Self { site: Name::fixed("fleet"), id: Name::fixed("pointsd"), peers: Vec::new() }
-    }
-}
-
-impl Default for Log {
-    fn default() -> Self {
-        Self { level: "info,zenoh=warn".to_owned(), format: LogFormat::Text }
+settings! {
+    /// The `[log]` section.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Log {
+        /// `error`, `warn`, `info`, `debug`, `trace`, or directives by module as `info,zenoh=debug`.
+        pub level: String = "info,zenoh=warn".to_owned();
+        /// Format of the lines.
+        pub format: LogFormat = LogFormat::Text;
     }
 }
 

@@ -34,7 +34,7 @@ pub(crate) fn daemon_calm() -> String {
 }
 
 pub(crate) fn peers_away(away: &[(String, Timestamp)]) -> String {
-    let daemons: Vec<String> = away.iter().map(|(name, since)| format!("{name} since {}", utc(*since))).collect();
+    let daemons: Vec<String> = away.iter().map(|(name, since)| format!("{name} since {}", utc(since))).collect();
     let (daemons_are, their, those) = if away.len() == 1 {
         ("The daemon", "Its", "that computer and its link")
     } else {

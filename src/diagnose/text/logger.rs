@@ -17,8 +17,8 @@ pub(crate) fn wrong_clock(name: &str, started_at: Timestamp, received_at: Timest
     format!(
         "Machine {name}: the clock of the logger is wrong: it dates a throw {}, received {}. Set the clock; until then the \
          times of alarms are those of reception.",
-        utc(started_at),
-        utc(received_at)
+        utc(&started_at),
+        utc(&received_at)
     )
 }
 

@@ -71,7 +71,7 @@ pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
         ),
         Disbelief::Missing(since) => format!(
             "temperature is missing since {}. The last one is used, so weather can look like a fault",
-            utc(since)
+            utc(&since)
         ),
         Disbelief::Supply(volts) => {
             let volts = brief(volts);
