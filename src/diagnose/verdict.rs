@@ -108,6 +108,17 @@ pub struct HidingTemperature {
     pub baseline_c: f64,
 }
 
+/// How a machine is at present.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Present {
+    /// State of the machine.
+    pub state: MachineState,
+    /// Drifts with an active alarm and their present size, named parts first, then the most severe.
+    pub drifts: Vec<Drifting>,
+    /// Sentences about what the monitor cannot show: blindness, a baseline with a trend.
+    pub caveats: Vec<String>,
+}
+
 /// The verdict of the monitor on an observation.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Verdict {

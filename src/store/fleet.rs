@@ -16,7 +16,7 @@ use super::{
     statements as sql,
 };
 use crate::{
-    diagnose::{AlarmState, BaselineRecord, Cause, Drifting, MachineState},
+    diagnose::{AlarmState, BaselineRecord, Cause, Drifting, MachineState, Present},
     throw::{Direction, MachineId, Name, ThrowRef, utc},
     wire::Alarm,
 };
@@ -97,17 +97,6 @@ pub(crate) struct FleetRow {
     pub baseline: Option<(u64, u64)>,
     /// Change of b0, a1 and a0 \[%\] in the newest throws of one direction, oldest first.
     pub spark: Vec<[f64; 3]>,
-}
-
-/// How a machine is at present.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Present {
-    /// State of the machine.
-    pub state: MachineState,
-    /// Active drifts with their present size, the worst first.
-    pub drifts: Vec<Drifting>,
-    /// Sentences about what the monitor cannot show.
-    pub caveats: Vec<String>,
 }
 
 /// An open alarm about the condition of a machine, with its size when raised and the present drifts.

@@ -20,8 +20,8 @@ use super::{
 };
 use crate::{
     daemon::clock,
-    diagnose::{AlarmState, BaselineRecord, MachineState, Settings, Severity},
-    store::{CommandRow, Present, Reader, StoreError, Window},
+    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity},
+    store::{CommandRow, Reader, StoreError, Window},
     throw::{Direction, MachineId, utc},
     wire::{Alarm, Health},
 };
