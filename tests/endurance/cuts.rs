@@ -5,13 +5,10 @@
 
 use std::{path::Path, time::Duration};
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
 use crate::{
     database::{Verdict, inspect},
     logger::{Logger, Plan, QUICK_ALARMS},
-    replay::{Disk, Record, read_log, without_commit_syncs},
+    replay::{Disk, Record, cut_at_random, read_log, without_commit_syncs},
     rig::Rig,
     shim, size,
     witness::Witness,
@@ -41,19 +38,9 @@ async fn run_and_log(throws: usize) -> Option<(Vec<Record>, tempfile::TempDir)> 
 
 /// Checks the disk after a power cut at `cuts` points of the log.
 async fn cut(records: &[Record], was: &Path, cuts: usize, seed: u64) -> Verdict {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut points: Vec<usize> = (0..cuts).map(|_| rng.random_range(0..=records.len())).collect();
-    points.sort_unstable();
-    let mut disk = Disk::default();
-    let mut followed = 0;
     let mut verdict = Verdict::default();
-    for point in points {
-        records[followed..point].iter().for_each(|record| disk.follow(record));
-        followed = point;
-        let folder = tempfile::tempdir().unwrap();
-        disk.after_cut(was, folder.path(), &mut rng);
-        inspect(folder.path(), &disk.acknowledged, &mut verdict).await;
-    }
+    let check = async |disk: &Disk, folder: &Path| inspect(folder, &disk.acknowledged, &mut verdict).await;
+    cut_at_random(records, was, cuts, seed, check).await;
     verdict
 }
 
