@@ -25,6 +25,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     alarm::{Alarms, Evidence},
     cause::{Attribution, Naming},
+    condition::streak,
     drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel, Severity},
     explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
@@ -320,9 +321,8 @@ impl Streaks {
     /// `holds`: the fault is seen; `is_alike`: it may be; `left`: what is left of the measured quantity, as part of its
     /// limit.
     fn follow(&mut self, holds: bool, matters: bool, is_alike: bool, left: Option<f64>) {
-        let count = |streak: u32, holds: bool| if holds { streak.saturating_add(1) } else { 0 };
-        self.named = count(self.named, holds && matters);
-        self.unseen = count(self.unseen, !holds && !is_alike);
+        streak(&mut self.named, holds && matters);
+        streak(&mut self.unseen, !holds && !is_alike);
         count_over(&mut self.over, if holds { Some(1.0) } else { left });
         let is_recent = self.unseen < LINGERS && self.over < LINGERS;
         self.lingers = holds && matters || self.lingers && is_recent;

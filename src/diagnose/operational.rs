@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
+    condition::streak,
     event::{AlarmEvent, Cause, SensorChannel, Severity},
     observation::{Irregularity, Observation},
     rule::Rule,
@@ -13,7 +14,7 @@ use super::{
     thermometer::Disbelief,
     verdict::Blindness,
 };
-use crate::throw::{Direction, ThrowRef};
+use crate::throw::{Direction, ThrowRef, without_digits};
 
 /// Consecutive slow throws that raise the alarm: a single one may be an animal between the rails or a dip of the
 /// supply.
@@ -144,15 +145,6 @@ impl Context<'_> {
     fn critical(self, text: String) -> Evidence {
         Evidence::plain(Severity::Critical, self.throw, text)
     }
-}
-
-/// The text without its numbers.
-fn words(text: &str) -> String {
-    text.replace(|character: char| character.is_ascii_digit(), "")
-}
-
-fn streak(count: &mut u32, holds: bool) {
-    *count = if holds { count.saturating_add(1) } else { 0 };
 }
 
 impl Operation {
@@ -448,7 +440,7 @@ impl Operation {
             // A disk at its limit must not make an event of each change.
             let is_new = before.is_some_and(|event| {
                 let quiet_s = context.at.duration_since(event.event_at).as_secs_f64().abs();
-                quiet_s >= CALM_S && words(&event.text) != words(text)
+                quiet_s >= CALM_S && without_digits(&event.text) != without_digits(text)
             });
             let evidence = Evidence::plain(severity, None, text.to_owned());
             let event = alarms.raise_or_escalate(Cause::DataLoss, evidence, context.at);

@@ -18,6 +18,7 @@ pub use machine::{InvalidName, MachineId, Name};
 pub use range::OutOfRange;
 pub(crate) use range::Range;
 pub(crate) use settings::{Number, settings};
+pub(crate) use text::without_digits;
 pub use text::{brief, utc};
 pub use trace::{InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
 

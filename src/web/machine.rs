@@ -22,7 +22,7 @@ use crate::{
     daemon::clock,
     diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity},
     store::{CommandRow, Reader, StoreError, Window},
-    throw::{Direction, MachineId, utc},
+    throw::{Direction, MachineId, utc, without_digits},
     wire::{Alarm, Health},
 };
 
@@ -321,7 +321,7 @@ fn rows_of(throws: &[Health]) -> Vec<Row> {
     let mut of = |health: &Health| {
         let mut row = row(health);
         if row.quality.chars().count() > LONG {
-            let words = row.quality.replace(|character: char| character.is_ascii_digit(), "");
+            let words = without_digits(&row.quality);
             match before.get(&words) {
                 Some(throw_no) => {
                     let word = row.quality.split(':').next().unwrap_or_default();

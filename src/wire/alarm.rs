@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::json_bytes;
 use crate::{
     diagnose::{AlarmEvent, Cause},
-    throw::MachineId,
+    throw::{MachineId, without_digits},
 };
 
 /// An alarm event with its alarm and machine. Consumers deduplicate on (`alarm_id`, `event_no`).
@@ -84,7 +84,7 @@ pub fn without_subject(text: &str) -> &str {
 /// kinds of alarms: lost throws and a wrong clock have the same cause.
 #[must_use]
 pub fn kind_of(text: &str) -> String {
-    without_subject(text).replace(|character: char| character.is_ascii_digit(), "")
+    without_digits(without_subject(text))
 }
 
 #[cfg(test)]
