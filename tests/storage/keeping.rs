@@ -500,6 +500,29 @@ fn settings_are_checked_and_unknown_keys_refused() {
     assert!(unknown.contains("max_sise_mib"), "{unknown}");
 }
 
+/// Three hundred alarms with two events each; all but the first are closed.
+const OLD_ALARMS: [&str; 3] = [
+    "INSERT INTO machine (site, machine) VALUES ('north', '21B')",
+    "WITH RECURSIVE number (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM number WHERE n < 300)
+     INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
+     SELECT 'north.21B.friction.' || n, 1, 'friction', n, 2, CASE n WHEN 1 THEN 'active_unacknowledged' ELSE 'normal' END
+       FROM number",
+    "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload)
+     SELECT alarm_row, event_no, raised_at_us, 'warning', state, '{}'
+       FROM alarm, (SELECT 1 AS event_no UNION ALL SELECT 2)",
+];
+
+#[tokio::test]
+async fn closed_alarms_are_bounded_and_go_with_their_events_and_open_ones_stay() {
+    let (_folder, store) = fresh_with(|settings| Settings { max_alarms: 100, ..settings }).await;
+    change(store.path(), OLD_ALARMS).await;
+    store.keep_bounds(at(0), true).await.unwrap();
+    let left = "SELECT count(*), min(alarm_row), (SELECT count(*) FROM alarm_event) FROM alarm";
+    assert_eq!(query::<(i64, i64, i64)>(&store, left).await, [(101, 1, 202)]);
+    let oldest_closed = "SELECT min(alarm_row) FROM alarm WHERE state = 'normal'";
+    assert_eq!(query::<(i64,)>(&store, oldest_closed).await, [(201,)]);
+}
+
 /// A logger that restarts at each throw, in a fleet of many quiet machines: its empty boots do not stay for ever.
 #[tokio::test]
 async fn empty_boots_are_deleted_also_behind_those_of_many_quiet_machines() {
