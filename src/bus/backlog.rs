@@ -2,12 +2,13 @@
 
 use std::{
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc,
         atomic::{AtomicBool, Ordering::Relaxed},
     },
     time::Duration,
 };
 
+use parking_lot::Mutex;
 use tokio::{sync::oneshot, task, time};
 use zenoh::{
     Session, Wait,
@@ -59,7 +60,7 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
     let on_reply = move |reply: Reply| {
         let _open = &open;
         let Ok(sample) = reply.into_result() else { return failing.store(true, Relaxed) };
-        let mut collecting = collecting.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut collecting = collecting.lock();
         let Collected { page, bytes } = &mut *collecting;
         let is_wanted = sample.kind() == SampleKind::Put && sample.key_expr().as_str() == asked_key;
         if !is_wanted || page.messages.len() >= limit {
@@ -81,7 +82,7 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
     });
     let is_sent = matches!(sent.await, Ok(Ok(())));
     let has_ended = is_sent && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
-    let mut collected = collected.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut collected = collected.lock();
     let ending = if has_ended && !failed.load(Relaxed) { Ending::Complete } else { Ending::Broken };
     Page { messages: std::mem::take(&mut collected.page.messages), ignored: collected.page.ignored, ending }
 }

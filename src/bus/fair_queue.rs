@@ -4,8 +4,9 @@
 use std::{
     collections::VecDeque,
     hash::{BuildHasher, RandomState},
-    sync::{Mutex, MutexGuard, PoisonError},
 };
+
+use parking_lot::Mutex;
 
 use super::message::Message;
 
@@ -63,18 +64,18 @@ impl Queues {
 impl FairQueue {
     /// Memory of the queued messages \[bytes\].
     pub(super) fn bytes(&self) -> usize {
-        self.queues().reserved
+        self.queues.lock().reserved
     }
 
     /// Queues a message of this key and size; false if the capacity or the share of the key is used up.
     pub(super) fn push(&self, key: &str, memory: usize, message: impl FnOnce() -> Message) -> bool {
         let slot = self.slot(key);
-        if !self.queues().reserve(slot, memory.max(LEAST_COST)) {
+        if !self.queues.lock().reserve(slot, memory.max(LEAST_COST)) {
             return false;
         }
         // Copied without the lock.
         let message = message();
-        let mut queues = self.queues();
+        let mut queues = self.queues.lock();
         if queues.slots[slot].messages.is_empty() {
             queues.turns.push_back(slot);
         }
@@ -84,7 +85,7 @@ impl FairQueue {
 
     /// Removes the oldest message of the next slot.
     pub(super) fn pop(&self) -> Option<Message> {
-        let mut queues = self.queues();
+        let mut queues = self.queues.lock();
         let at = queues.turns.pop_front()?;
         let slot = &mut queues.slots[at];
         let message = slot.messages.pop_front()?;
@@ -95,10 +96,6 @@ impl FairQueue {
         }
         queues.reserved -= cost;
         Some(message)
-    }
-
-    fn queues(&self) -> MutexGuard<'_, Queues> {
-        self.queues.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "a remainder below SLOTS")]

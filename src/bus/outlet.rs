@@ -22,8 +22,9 @@ use zenoh::{
 
 use super::error::BusError;
 
-/// Capacity of the queue of health: a burst of throws. Alarms are few, and each waits for its result.
+/// Capacity of the queue of health messages: a burst of throws.
 const QUEUE: usize = 1_024;
+/// Capacity of the queue of alarms: they are few, and each waits for its result.
 const ALARMS: usize = 16;
 /// Number of machines of a site from which their keys are declared. Of a declared key zenoh keeps 2.6 kB with its route,
 /// as long as the session is open. It compares any other key with every key of the site at each put: 0.2 µs for each.

@@ -14,7 +14,7 @@ use crate::{
     daemon::StatusReport,
     diagnose::{Cause, Severity},
     store::Window,
-    throw::MachineId,
+    throw::{MachineId, utc},
     web,
     wire::{self, Alarm, Health, Kind, MAX_HISTORY},
 };
@@ -183,7 +183,7 @@ fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(
     let machine = &alarm.machine;
     output::line(format_args!("{:8}  {machine}  {}", alarm.severity.as_str().to_uppercase(), alarm.cause))?;
     let window = Window::of(alarm, windows).map(|window| format!(" {}", window.sentence())).unwrap_or_default();
-    indented(&format!("raised {}, {}{window}", web::time(alarm.raised_at), alarm.state.words()))?;
+    indented(&format!("raised {}, {}{window}", utc(&alarm.raised_at), alarm.state.words()))?;
     let of_machine = health.iter().filter(|health| health.machine == alarm.machine);
     // A daemon of an earlier version sends only the worst drift.
     let mut drifts = of_machine.flat_map(|health| health.drifts.iter().chain(&health.drift));
@@ -207,7 +207,7 @@ fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
     let severity = newest.severity.as_str().to_uppercase();
     output::line(format_args!("{severity:8}  {} machines  {}", alarms.len(), newest.cause))?;
     let (first, last) = (raised().min().unwrap_or(newest.raised_at), raised().max().unwrap_or(newest.raised_at));
-    indented(&format!("raised {} to {}; by site: {}", web::time(first), web::time(last), sites.join(", ")))?;
+    indented(&format!("raised {} to {}; by site: {}", utc(&first), utc(&last), sites.join(", ")))?;
     indented(&format!("for example: {}", newest.text))?;
     indented("pointsd alarms --all lists all of them")
 }
@@ -220,7 +220,7 @@ fn print_events(alarms: &[Alarm]) -> Result<(), Failure> {
     for alarm in alarms {
         output::line(format_args!(
             "{}  {}  {}, {}: {}",
-            web::time(alarm.event_at),
+            utc(&alarm.event_at),
             alarm.machine,
             alarm.cause,
             alarm.severity.as_str(),

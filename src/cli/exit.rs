@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_is_one_sentence_that_says_nothing_twice() {
+    fn an_error_is_one_sentence_without_repetition() {
         let error = anyhow::anyhow!("no such column: b9 at /root/.cargo/registry/x-1.0/src/orchestrator.rs:12. (x)")
             .context("reading the database failed: no such column: b9 at /root/.cargo/registry/x-1.0/src/orchestrator.rs:12. (x)")
             .context("the question\n  cannot be answered");

@@ -91,7 +91,7 @@ pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)
     (values, problems)
 }
 
-/// The values of the messages, without their messages.
+/// As [`read`], without the keys and payloads.
 pub(super) fn values<T: DeserializeOwned>(answers: &Answers) -> (Vec<T>, usize) {
     let (values, problems) = read(answers);
     (values.into_iter().map(|(_, value)| value).collect(), problems)

@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn its_examples_of_faults_and_incidents_are_read() {
+    fn the_shipped_examples_of_faults_and_incidents_are_read() {
         let text = shipped();
         let examples = text.split("# [[fleet.faults]]").skip(1).collect::<Vec<_>>().join("# [[fleet.faults]]");
         let examples: String = format!("# [[fleet.faults]]{examples}")

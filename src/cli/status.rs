@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn an_age_has_one_unit_and_says_when_a_clock_is_ahead() {
+    fn an_age_has_one_unit_and_shows_when_a_clock_is_ahead() {
         let said = [0, 119, 120, 7_200, 172_800, -36_000].map(|seconds| age(SignedDuration::from_secs(seconds)));
         assert_eq!(said, ["0 s ago", "119 s ago", "2 min ago", "2 h ago", "2 d ago", "10 h ahead"]);
     }

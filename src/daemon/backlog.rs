@@ -32,8 +32,9 @@ const AT_A_TIME: usize = 8;
 const SLOW_AT_A_TIME: usize = AT_A_TIME / 2;
 /// Time after which a turn ends and counts as slow: a page of 1 MiB on a link with 500 kB/s.
 const LONG_TURN: Duration = Duration::from_secs(2);
-/// Throws in the first page, while neither their size nor the link is known, and in the largest page.
+/// Throws in the first page, while neither their size nor the link is known.
 const FIRST_PAGE: usize = 4;
+/// Throws in the largest page.
 const LARGEST_PAGE: usize = 32;
 /// Target size of a page \[bytes\]: a link with 70 kB/s delivers it before the timeout.
 const PAGE_BYTES: u64 = 1 << 20;
@@ -92,7 +93,7 @@ struct Turn {
 
 /// The task that queries the loggers.
 pub(super) struct Backlog {
-    pub(super) asker: Arc<Asker>,
+    pub(super) querier: Arc<Querier>,
     /// Machines whose loggers have a liveliness token now.
     pub(super) alive: watch::Receiver<HashSet<MachineId>>,
     /// The value of `alive` before its last change.
@@ -105,28 +106,28 @@ pub(super) struct Backlog {
 impl Backlog {
     pub(super) async fn run(mut self, stop: CancellationToken) {
         let mut schedule = Schedule::default();
-        let mut asked = JoinSet::new();
+        let mut queries = JoinSet::new();
         let mut round = time::interval(ROUND);
         let mut look = time::interval(LOOK);
         look.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let mut may_miss = true;
         loop {
-            while asked.len() < AT_A_TIME
+            while queries.len() < AT_A_TIME
                 && let Some((machine, page)) = schedule.next()
             {
-                let asker = Arc::clone(&self.asker);
-                asked.spawn(async move {
+                let querier = Arc::clone(&self.querier);
+                queries.spawn(async move {
                     let start = Instant::now();
-                    let (ended, page) = asker.ask(&machine, page).await;
+                    let (ended, page) = querier.query(&machine, page).await;
                     (machine, ended, page, start.elapsed() >= LONG_TURN)
                 });
             }
-            let wakes_at = schedule.wakes_at().filter(|_| asked.len() < AT_A_TIME);
+            let wakes_at = schedule.wakes_at().filter(|_| queries.len() < AT_A_TIME);
             tokio::select! {
-                () = stop.cancelled() => return asked.shutdown().await,
+                () = stop.cancelled() => return queries.shutdown().await,
                 Ok(()) = self.alive.changed() => {
                     let alive = self.alive.borrow_and_update().clone();
-                    alive.difference(&self.seen).for_each(|machine| schedule.ask(machine));
+                    alive.difference(&self.seen).for_each(|machine| schedule.request(machine));
                     if self.with_token.len() >= WITH_TOKEN {
                         self.with_token.clear();
                     }
@@ -136,9 +137,9 @@ impl Backlog {
                 Some(key) = self.dropped.recv() => {
                     // Only known machines, as a flood may have any number of keys.
                     if let Ok((machine, Kind::Throw)) = wire::parse_key(&key)
-                        && (self.seen.contains(&machine) || self.asker.intake.knows(&machine))
+                        && (self.seen.contains(&machine) || self.querier.intake.knows(&machine))
                     {
-                        schedule.ask(&machine);
+                        schedule.request(&machine);
                     }
                 }
                 () = self.missing.notified() => may_miss = true,
@@ -146,8 +147,8 @@ impl Backlog {
                     may_miss = false;
                     self.look(&mut schedule).await;
                 }
-                _ = round.tick() => self.seen.iter().for_each(|machine| schedule.ask(machine)),
-                Some(asked) = asked.join_next() => match asked {
+                _ = round.tick() => self.seen.iter().for_each(|machine| schedule.request(machine)),
+                Some(ended) = queries.join_next() => match ended {
                     Ok((machine, ended, page, was_slow)) => {
                         schedule.paced(&machine, was_slow);
                         self.ended(&mut schedule, &machine, ended, page).await;
@@ -162,24 +163,24 @@ impl Backlog {
 
     /// Schedules queries of the loggers with missing throws, except those that are paused.
     async fn look(&self, schedule: &mut Schedule) {
-        match self.asker.intake.store.reader().backlogs(MISSING).await {
+        match self.querier.intake.store.reader().backlogs(MISSING).await {
             Ok(machines) => {
                 for machine in machines {
                     if schedule.turns.get(&machine).is_none_or(|turn| turn.was_away && self.is_there(&machine)) {
-                        schedule.ask(&machine);
+                        schedule.request(&machine);
                     }
                 }
             }
             Err(error) => seldom!(warn, %error, "reading the missing throws failed; retrying"),
         }
-        if let Ok(awaited) = self.asker.intake.store.reader().awaited().await {
-            self.asker.intake.status.edit().backlog = awaited;
+        if let Ok(awaited) = self.querier.intake.store.reader().awaited().await {
+            self.querier.intake.status.edit().backlog = awaited;
         }
     }
 
     /// Whether a logger is connected: it has a token or, if it never had one, has just sent a live throw.
     fn is_there(&self, machine: &MachineId) -> bool {
-        self.seen.contains(machine) || (!self.with_token.contains(machine) && self.asker.intake.is_live(machine))
+        self.seen.contains(machine) || (!self.with_token.contains(machine) && self.querier.intake.is_live(machine))
     }
 
     async fn ended(&self, schedule: &mut Schedule, machine: &MachineId, ended: QueryEnd, page: usize) {
@@ -194,7 +195,7 @@ impl Backlog {
             QueryEnd::Without(cursor) if is_there => {
                 let since = *turn.without_since.get_or_insert_with(Instant::now);
                 if since.elapsed() >= PATIENCE {
-                    match self.asker.intake.store.write_off(machine, &cursor, clock::now()).await {
+                    match self.querier.intake.store.write_off(machine, &cursor, clock::now()).await {
                         Ok(()) => return schedule.done(machine),
                         Err(error) => seldom!(warn, %error, "storing a gap failed; retrying"),
                     }
@@ -226,7 +227,7 @@ struct Schedule {
 
 impl Schedule {
     /// Schedules a query as soon as possible.
-    fn ask(&mut self, machine: &MachineId) {
+    fn request(&mut self, machine: &MachineId) {
         let now = Instant::now();
         match self.turns.get_mut(machine) {
             Some(turn) if turn.in_progress => turn.again = true,
@@ -293,13 +294,13 @@ impl Schedule {
     /// Removes a logger without missing throws.
     fn done(&mut self, machine: &MachineId) {
         if self.turns.remove(machine).is_some_and(|turn| turn.again) {
-            self.ask(machine);
+            self.request(machine);
         }
     }
 }
 
 /// Queries one logger.
-pub(super) struct Asker {
+pub(super) struct Querier {
     pub(super) session: Session,
     pub(super) intake: Arc<Intake>,
     pub(super) limits: Limits,
@@ -307,9 +308,9 @@ pub(super) struct Asker {
     pub(super) spooled: Arc<Notify>,
 }
 
-impl Asker {
+impl Querier {
     /// Queries a logger page by page. Returns the size of its next page.
-    async fn ask(&self, machine: &MachineId, mut page: usize) -> (QueryEnd, usize) {
+    async fn query(&self, machine: &MachineId, mut page: usize) -> (QueryEnd, usize) {
         let ended = self.pages(machine, &mut page).await.unwrap_or_else(|error| {
             seldom!(warn, %machine, %error, "storing a page of a backlog failed; retrying");
             QueryEnd::Broken
@@ -422,7 +423,7 @@ mod tests {
         let slow: Vec<MachineId> = (0..2 * AT_A_TIME).map(|number| named(format!("slow-{number}"))).collect();
         // Nobody knows yet that they are slow.
         for machine in &slow {
-            schedule.ask(machine);
+            schedule.request(machine);
         }
         while let Some((machine, _)) = schedule.next() {
             schedule.paced(&machine, true);
@@ -435,7 +436,7 @@ mod tests {
         assert_eq!(taken.len(), SLOW_AT_A_TIME);
         assert_eq!(schedule.wakes_at(), None, "it would wait without a pause");
         let fast = named("fast".to_owned());
-        schedule.ask(&fast);
+        schedule.request(&fast);
         assert_eq!(schedule.next().unwrap().0, fast);
         // A place of a slow one becomes free.
         schedule.paced(&taken[0].0, false);

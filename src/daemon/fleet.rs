@@ -389,12 +389,7 @@ fn health(
 
 /// The outcome with the present monitor, if it is to be stored, and the new events.
 fn outcome(machine: &MachineId, monitor: Option<&MachineMonitor>, at: Timestamp, events: Vec<AlarmEvent>) -> Outcome {
-    let record = monitor.map(|monitor| MonitorRecord {
-        snapshot: json(monitor),
-        state: monitor.state(),
-        drifts: monitor.drifts(),
-        caveats: monitor.caveats(),
-    });
+    let record = monitor.map(|monitor| MonitorRecord { snapshot: json(monitor), present: monitor.present() });
     Outcome { machine: machine.clone(), at, monitor: record, events, reported_gaps: Vec::new(), command: None }
 }
 
@@ -412,7 +407,8 @@ mod tests {
         let stored = |snapshot| vec![StoredMonitor { machine: machine.clone(), snapshot, state: None }];
         fleet.restore(stored(newer.clone()));
         let record = fleet.outcome(&machine, Timestamp::UNIX_EPOCH, Vec::new()).monitor.unwrap();
-        assert!(record.caveats.iter().any(|caveat| caveat.contains("cannot read")), "{:?}", record.caveats);
+        let caveats = &record.present.caveats;
+        assert!(caveats.iter().any(|caveat| caveat.contains("cannot read")), "{caveats:?}");
         // The newer version would read it; here it is this one.
         let again =
             MachineMonitor::from_snapshot(&record.snapshot.replace("\\\"version\\\":3", "\\\"version\\\":2")).unwrap();

@@ -2,11 +2,12 @@
 
 use std::{
     collections::BTreeMap,
-    sync::{Arc, Mutex, PoisonError},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use jiff::Timestamp;
+use parking_lot::Mutex;
 use zenoh::Session;
 
 use super::clock;
@@ -61,7 +62,7 @@ impl Peers {
     }
 
     fn change(&self, daemon: &MachineId, is_there: bool) {
-        let mut peers = self.away.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut peers = self.away.lock();
         match peers.get_mut(daemon) {
             Some(away) if is_there => {
                 tracing::info!(%daemon, "watched daemon connected");
@@ -78,7 +79,7 @@ impl Peers {
     /// The daemons that have been away for at least [`GRACE`], each with the time when it left. `None` in the first
     /// [`GRACE`] after the start, unless all daemons are present: the tokens may still arrive.
     pub(super) fn away(&self) -> Option<Vec<(MachineId, Timestamp)>> {
-        let peers = self.away.lock().unwrap_or_else(PoisonError::into_inner);
+        let peers = self.away.lock();
         let now = clock::monotonic();
         let is_known = now.duration_since(self.started) >= GRACE || peers.values().all(Option::is_none);
         let away = peers.iter().filter_map(|(peer, away)| Some((peer, (*away)?)));

@@ -5,11 +5,12 @@ use std::{
     collections::{HashMap, HashSet},
     hash::{DefaultHasher, Hash, Hasher},
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::Ordering::Relaxed},
+    sync::{Arc, atomic::Ordering::Relaxed},
     time::Duration,
 };
 
 use jiff::Timestamp;
+use parking_lot::Mutex;
 use tokio::{sync::Notify, task, time};
 use tokio_util::sync::CancellationToken;
 
@@ -102,12 +103,12 @@ impl Intake {
 
     /// Whether a live throw of a machine was received in the last minute.
     pub(super) fn is_live(&self, machine: &MachineId) -> bool {
-        self.known().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
+        self.machines.lock().get(machine).copied().flatten().is_some_and(|last| last.elapsed() < LIVE)
     }
 
     /// Whether a message from a backlog was not refused before.
     fn is_first_refusal(&self, Refused { key, bytes, beginning, .. }: &Refused) -> bool {
-        let mut before = self.refused_before.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut before = self.refused_before.lock();
         if before.len() >= REFUSED_BEFORE {
             before.clear();
         }
@@ -118,16 +119,12 @@ impl Intake {
 
     /// Whether a throw of a machine was ever received.
     pub(super) fn knows(&self, machine: &MachineId) -> bool {
-        self.known().contains_key(machine)
-    }
-
-    fn known(&self) -> MutexGuard<'_, HashMap<MachineId, Option<time::Instant>>> {
-        self.machines.lock().unwrap_or_else(PoisonError::into_inner)
+        self.machines.lock().contains_key(machine)
     }
 
     /// Accepts a throw of a known or new machine.
     fn admit(&self, (machine, throw, received_at): Received, live: bool) -> Result<Received, Refused> {
-        let mut known = self.known();
+        let mut known = self.machines.lock();
         // Checked first: the daemon itself is in the database as a machine after its first alarm.
         let reason = if let Some(reason) = self.monitor.reserves(&machine) {
             reason

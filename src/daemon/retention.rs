@@ -27,11 +27,11 @@ const STEADY: Duration = Duration::from_hours(24);
 /// milliseconds.
 const JUMP: SignedDuration = SignedDuration::from_secs(1);
 
-/// Runs until the store is closed; `last_heard` is the newest time in the database.
-pub(super) async fn run(store: Store, last_heard: Option<Timestamp>) {
+/// Runs until the store is closed; `last_received` is the newest time in the database.
+pub(super) async fn run(store: Store, last_received: Option<Timestamp>) {
     let mut pace = time::interval(PACE);
     pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut clocks = Clocks::new(clock::now(), clock::monotonic(), last_heard);
+    let mut clocks = Clocks::new(clock::now(), clock::monotonic(), last_received);
     loop {
         pace.tick().await;
         let now = clock::now();
@@ -57,8 +57,8 @@ struct Clocks {
 }
 
 impl Clocks {
-    fn new(wall: Timestamp, monotonic: Instant, last_heard: Option<Timestamp>) -> Self {
-        let continue_time = last_heard.is_none_or(|last| wall.duration_since(last) <= CONTINUES);
+    fn new(wall: Timestamp, monotonic: Instant, last_received: Option<Timestamp>) -> Self {
+        let continue_time = last_received.is_none_or(|last| wall.duration_since(last) <= CONTINUES);
         Self { wall, monotonic, since: monotonic, continue_time }
     }
 
@@ -102,10 +102,10 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_does_not_go_on_from_the_newest_throw_is_not_believed() {
+    fn a_clock_that_does_not_continue_from_the_newest_throw_is_not_trusted() {
         let (start, now) = (clock::monotonic(), Timestamp::UNIX_EPOCH + SignedDuration::from_hours(24 * 20_000));
         let days = |days: i64| SignedDuration::from_hours(24 * days);
-        let continues = |last_heard| Clocks::new(now, start, last_heard).continue_time;
+        let continues = |last_received| Clocks::new(now, start, last_received).continue_time;
         assert!(continues(None) && continues(Some(now - days(30))) && continues(Some(now + days(3650))));
         assert!(!continues(Some(now - days(32))) && !continues(Some(now - days(3650))));
 

@@ -1,10 +1,8 @@
 //! The running daemon: start, and interface for other parts of the process.
 
-use std::{
-    collections::HashSet,
-    sync::{Arc, Mutex},
-};
+use std::{collections::HashSet, sync::Arc};
 
+use parking_lot::Mutex;
 use sd_notify::NotifyState;
 use tokio::sync::{Notify, broadcast, mpsc, watch};
 use tokio_util::sync::CancellationToken;
@@ -12,7 +10,7 @@ use zenoh::{Session, liveliness::LivelinessToken};
 
 use super::{
     answer::Answers,
-    backlog::{Asker, Backlog},
+    backlog::{Backlog, Querier},
     clock,
     config::Config,
     judge::{Judge, Judged},
@@ -157,7 +155,7 @@ impl Daemon {
         start.answer(&orders, &gauges).await?;
         start
             .tasks
-            .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_heard().await?));
+            .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_received().await?));
         start.tasks.spawn("watchdog", watchdog::watch(gauges.clone()));
         let monitor = &start.config.monitor;
         let alive = bus::declare_alive(&start.session, &monitor_alive_key(&monitor.site, &monitor.id)).await?;
@@ -327,7 +325,7 @@ impl Starting {
             refused_before: Mutex::default(),
         });
         let missing = Arc::<Notify>::default();
-        let asker = Asker {
+        let querier = Querier {
             session: self.session.clone(),
             intake: Arc::clone(&intake),
             limits,
@@ -335,7 +333,7 @@ impl Starting {
             spooled: Arc::clone(&self.stored),
         };
         let backlog = Backlog {
-            asker: Arc::new(asker),
+            querier: Arc::new(querier),
             alive,
             seen: HashSet::new(),
             with_token: HashSet::new(),

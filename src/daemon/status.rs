@@ -3,11 +3,12 @@
 use std::{
     collections::{BTreeMap, HashMap},
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc,
         atomic::{AtomicBool, Ordering::Relaxed},
     },
 };
 
+use parking_lot::{Mutex, MutexGuard};
 use serde::{Deserialize, Serialize};
 
 use super::heartbeat::Heartbeats;
@@ -132,18 +133,18 @@ pub struct StatusReport {
 impl Status {
     /// The report, for a loop to change; locked until the end of the statement.
     pub(super) fn edit(&self) -> MutexGuard<'_, StatusReport> {
-        self.report.lock().unwrap_or_else(PoisonError::into_inner)
+        self.report.lock()
     }
 
     /// Counts a throw without an estimate.
     pub(super) fn refuse(&self, reason: &str) {
         self.edit().not_evaluated += 1;
-        *self.refused.lock().unwrap_or_else(PoisonError::into_inner).entry(reason.to_owned()).or_default() += 1;
+        *self.refused.lock().entry(reason.to_owned()).or_default() += 1;
     }
 
     /// Counts a message of a known machine that is no valid throw.
     pub(super) fn count_invalid(&self, machine: MachineId, reason: &str) {
-        let mut invalid = self.invalid.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut invalid = self.invalid.lock();
         let (count, last) = invalid.entry(machine).or_default();
         *count = count.saturating_add(1);
         reason.clone_into(last);
@@ -151,13 +152,13 @@ impl Status {
 
     /// Notes a valid throw of a machine.
     pub(super) fn count_valid(&self, machine: &MachineId) {
-        self.invalid.lock().unwrap_or_else(PoisonError::into_inner).remove(machine);
+        self.invalid.lock().remove(machine);
     }
 
     /// Machines of which [`INVALID_IN_A_ROW`] messages or more were no valid throws since the last call or the last valid
     /// one, with their number and the last reason.
     pub(super) fn invalid_in_a_row(&self) -> Vec<(MachineId, (u32, String))> {
-        let mut invalid = self.invalid.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut invalid = self.invalid.lock();
         invalid.extract_if(|_, (count, _)| *count >= INVALID_IN_A_ROW).collect()
     }
 
@@ -173,7 +174,7 @@ impl Status {
 
     /// Number of throws without an estimate, by the code of the reason.
     pub(crate) fn refused(&self) -> BTreeMap<String, u64> {
-        self.refused.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.refused.lock().clone()
     }
 }
 

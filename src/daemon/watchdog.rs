@@ -13,10 +13,11 @@ const LOOK: Duration = Duration::from_secs(5);
 /// Time between two status lines in the log without problems.
 const ROUTINE: Duration = Duration::from_mins(10);
 
-/// Extensions of the start timeout of systemd: interval, time of each, and largest number. After an hour the start
-/// hangs, and a restart may help.
+/// Time between two extensions of the start timeout of systemd.
 const EXTEND_EVERY: Duration = Duration::from_secs(10);
+/// Time of each extension \[µs\].
 const EXTEND_BY_USEC: u32 = 60_000_000;
+/// Largest number of extensions: after an hour the start hangs, and a restart may help.
 const EXTENSIONS: u32 = 360;
 
 /// Notifies systemd.

@@ -202,7 +202,7 @@ impl Alarms {
             return None;
         }
         let index = self.find(cause).unwrap_or_else(|| {
-            let last = blank(cause, self.unique(at));
+            let last = occurrence(cause, self.unique(at), evidence.clone());
             self.open.push(Alarm { state: State::Cleared, rule: evidence.rule, last });
             self.open.len() - 1
         });
@@ -254,8 +254,9 @@ impl Alarms {
         let alarm = &mut self.open[index];
         *alarm.state.beneath_mut() = State::Active { acknowledged: None };
         alarm.rule = evidence.rule;
-        let text = take_evidence(&mut alarm.last, evidence);
-        self.event(index, at, Actor::default(), Some(text))
+        let AlarmEvent { cause, raised_at, event_no, .. } = alarm.last;
+        alarm.last = AlarmEvent { event_no, ..occurrence(cause, raised_at, evidence) };
+        self.event(index, at, Actor::default(), None)
     }
 
     /// Takes over an open alarm of a lost monitor, as cleared; ends it if `cause` has an alarm already.
@@ -394,40 +395,26 @@ impl Alarms {
     }
 }
 
-fn blank(cause: Cause, raised_at: Timestamp) -> AlarmEvent {
+/// The event of an occurrence, before its number, time and state are set.
+fn occurrence(cause: Cause, raised_at: Timestamp, evidence: Evidence) -> AlarmEvent {
     AlarmEvent {
         cause,
         raised_at,
         event_no: 0,
-        severity: Severity::Warning,
+        severity: evidence.severity,
         state: AlarmState::Normal,
         event_at: raised_at,
-        change_pct: None,
-        change_pct_sd: None,
-        direction: None,
-        channel: None,
-        runner_up: None,
-        correlation: None,
-        first_throw: None,
-        last_throw: None,
-        text: String::new(),
-        limit_in_throws: None,
+        change_pct: evidence.change_pct,
+        change_pct_sd: evidence.change_pct_sd,
+        direction: evidence.direction,
+        channel: evidence.channel,
+        runner_up: evidence.runner_up,
+        correlation: evidence.correlation,
+        first_throw: evidence.first_throw,
+        last_throw: evidence.last_throw,
+        text: evidence.text,
+        limit_in_throws: evidence.limit_in_throws,
         by: None,
         why: None,
     }
-}
-
-/// Moves the evidence into the event; returns the text.
-fn take_evidence(event: &mut AlarmEvent, evidence: Evidence) -> String {
-    event.severity = evidence.severity;
-    event.change_pct = evidence.change_pct;
-    event.change_pct_sd = evidence.change_pct_sd;
-    event.direction = evidence.direction;
-    event.channel = evidence.channel;
-    event.runner_up = evidence.runner_up;
-    event.correlation = evidence.correlation;
-    event.first_throw = evidence.first_throw;
-    event.last_throw = evidence.last_throw;
-    event.limit_in_throws = evidence.limit_in_throws;
-    evidence.text
 }

@@ -28,7 +28,7 @@ pub struct BaselineRecord {
     pub throws: usize,
     /// Whether it is complete; an incomplete one has wider limits. It is replaced, unless its throws have a trend.
     pub complete: bool,
-    /// Centre of b0, a1, a0, in their units; of a baseline of ratios 1, a1/b0, a0/b0.
+    /// Centre of b0, a1 and a0, in their units. For a baseline of ratios it is (1, a1/b0, a0/b0).
     pub center: [f64; 3],
     /// Whether the baseline has the ratios of the coefficients only.
     #[serde(default)]

@@ -29,15 +29,15 @@ const STICKY: f64 = 4.0;
 const KNOWN: f64 = 20.0;
 /// Change of b0 since the level of the known drifts from which it is a new fault, as part of the motor's warning limit.
 const NEW_MOTOR_FAULT: f64 = 0.5;
-/// Least change of the back-EMF that counts beside a known or new fault of the motor, as part of the change of the motor and
-/// in standard deviations.
+/// Least change of the back-EMF beside a known or new fault of the motor, as part of the change of the motor.
 const CHANGED: f64 = 0.5;
+/// Least significance of this change \[standard deviations\].
 const CHANGED_SD: f64 = 3.0;
 /// Largest misfit of the back-EMF, so that a change of the supply does not decide alone.
 const MOST_OF_GAUGE: f64 = 40.0;
-/// Penalty of a motor that loses torque alone: odds of 1 to 5 against weak magnets. Commutation loses a part of the torque,
-/// not most of it: standard deviation of such a loss, as a logarithm.
+/// Penalty of a motor that loses torque without back-EMF: odds of 1 to 5 against weak magnets.
 const TORQUE_ALONE: f64 = 3.0;
+/// Standard deviation of such a loss, as a logarithm: commutation loses a part of the torque, not most of it.
 const TORQUE_ALONE_SD: f64 = 0.3;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
@@ -51,7 +51,7 @@ pub(super) struct Known<'a> {
     pub(super) causes: Vec<Cause>,
     /// Changes of (ln b0, ln a1, ln a0) with these alarms, before the last throws; `None` if too short.
     pub(super) level: Option<Vector3<f64>>,
-    /// The gauges, which tell dry friction from a weak motor.
+    /// The gauges, which distinguish dry friction from a weak motor.
     pub(super) gauges: Option<&'a Gauges>,
 }
 

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{event::Cause, settings::Settings};
-use crate::throw::MachineId;
+use crate::throw::{MachineId, utc};
 
 /// A command of an operator to the monitor of a machine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
@@ -145,11 +145,10 @@ impl Command {
     /// One sentence for the operator after the command: the new state, its end, operator and reason.
     #[must_use]
     pub fn confirmation(&self, machine: &MachineId) -> String {
-        let time = |at: &Timestamp| at.strftime("%Y-%m-%d %H:%M:%S UTC").to_string();
         match self {
             Self::Ack { cause, by } => format!("the {cause} alarm of {machine} is acknowledged by {by}"),
             Self::Shelve { cause, until, by, why } => {
-                format!("the {cause} alarm of {machine} is shelved until {} by {by}: {why}", time(until))
+                format!("the {cause} alarm of {machine} is shelved until {} by {by}: {why}", utc(until))
             }
             Self::Unshelve { cause, by } => {
                 format!("the {cause} alarm of {machine} is no longer shelved, ended by {by}")
@@ -158,7 +157,7 @@ impl Command {
                 format!("{machine} takes a new baseline from its next throws, ordered by {by}: {why}")
             }
             Self::MaintenanceStart { until, by, why } => {
-                format!("{machine} is in maintenance until {} by {by}: {why}", time(until))
+                format!("{machine} is in maintenance until {} by {by}: {why}", utc(until))
             }
             Self::MaintenanceEnd { by } => format!("{machine} is in service again, ended by {by}"),
         }

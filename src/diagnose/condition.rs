@@ -134,8 +134,9 @@ impl Default for Condition {
     }
 }
 
-fn count(streak: &mut u32, holds: bool) {
-    *streak = if holds { streak.saturating_add(1) } else { 0 };
+/// Counts consecutive throws in which something holds.
+pub(super) fn streak(count: &mut u32, holds: bool) {
+    *count = if holds { count.saturating_add(1) } else { 0 };
 }
 
 impl Condition {
@@ -196,18 +197,18 @@ impl Condition {
 
 impl Onset {
     fn after(mut self, reading: Reading, settings: &Settings) -> Self {
-        count(&mut self.named, reading.claim != Claim::None);
-        count(&mut self.critical, reading.undoubted > settings.critical_factor);
+        streak(&mut self.named, reading.claim != Claim::None);
+        streak(&mut self.critical, reading.undoubted > settings.critical_factor);
         self
     }
 }
 
 impl Ending {
     fn after(mut self, reading: Reading) -> Self {
-        count(&mut self.healthy, reading.plain_health);
-        count(&mut self.below, reading.below);
-        count(&mut self.other, reading.other_name);
-        count(&mut self.turned, reading.turned);
+        streak(&mut self.healthy, reading.plain_health);
+        streak(&mut self.below, reading.below);
+        streak(&mut self.other, reading.other_name);
+        streak(&mut self.turned, reading.turned);
         self
     }
 

@@ -94,7 +94,7 @@ impl Leaks {
     }
 }
 
-/// The direction of a cause.
+/// The change of (ln b0, ln a1, ln a0) by a physical cause of size 1; `None` for other causes.
 pub(super) fn direction_of(cause: Cause) -> Option<Vector3<f64>> {
     match cause {
         Cause::Kt => Some(Vector3::new(1.0, 0.0, 0.0)),

@@ -1,6 +1,6 @@
 //! The features of throws whose coefficients cannot be judged: of machines with a current sensor only, of machines
 //! whose throws are rejected one after the other, and of machines whose throws are all rough, so that they have no
-//! baseline. A refusal is a verdict on the data: what the features still show is said.
+//! baseline. A rejection concerns the data: the features may still show a fault.
 
 use serde::{Deserialize, Serialize};
 

@@ -14,7 +14,7 @@ use crate::throw::ThrowRef;
 const OVER_BELOW: f64 = 0.5;
 
 /// Counts the consecutive throws in which a fault has ended; `size` is that of the measured quantity, as part of its limit.
-/// What is unknown is neither there nor over.
+/// Without a size the count stays.
 pub(super) fn count_over(over: &mut u32, size: Option<f64>) {
     *over = match size {
         Some(size) if size < OVER_BELOW => over.saturating_add(1),

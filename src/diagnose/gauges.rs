@@ -65,9 +65,10 @@ const RECENT: usize = WINDOWS[2];
 const EXPECTED_ERROR: f64 = 0.15;
 /// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
 const COPPER: (f64, f64) = (0.0039, 20.0);
-/// Temperatures that change the resistance \[K\]: of a winding above the air, in a yard with a throw every few minutes (80 K is
-/// the limit of its insulation), and of the air above that of the baseline, where it is not measured.
+/// Largest temperature of a winding above the air \[K\]: in a yard with a throw every few minutes. The limit of its
+/// insulation is 80 K.
 const HEATED_K: f64 = 60.0;
+/// Largest temperature of the air above that of the baseline \[K\], where it is not measured.
 const WEATHER_K: f64 = 30.0;
 /// Significance of a changed resistance, in standard deviations of a level.
 const CIRCUIT_SD: f64 = 4.0;
@@ -76,8 +77,9 @@ const CIRCUIT_SD: f64 = 4.0;
 const OHMS_OF_DELAY: f64 = 0.01;
 /// Largest uncertainty of a resistance that is judged, as a logarithm: one whose inrush hardly shows it may be anything.
 const CIRCUIT_UNCERTAINTY: f64 = 0.4;
-/// Least error of a published voltage, as a logarithm, and its significance.
+/// Least reported error of a published voltage, as a logarithm.
 const VOLTAGE_ERROR: f64 = 0.08;
+/// Least significance of such an error \[standard deviations\].
 const VOLTAGE_ERROR_SD: f64 = 4.0;
 /// Largest difference of two changes that are the same, as part of them.
 const ALIKE: f64 = 0.5;

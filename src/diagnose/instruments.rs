@@ -13,7 +13,7 @@
 //! | clock | 0 | 1 | 0 | 1 |
 //!
 //! Dry friction lowers b0 too, as it takes its part of the torque when the machine starts; b0 and a1 alone show motor and
-//! friction together. The back-EMF, or without a supply voltage the no-load speed, tells whether the motor changed.
+//! friction together. The back-EMF, or without a supply voltage the no-load speed, shows whether the motor changed.
 //!
 //! Without a supply voltage, motor and current sensor look the same, and the alarm names both. A weak supply changes no
 //! coefficient of the model, except that the effect of dry friction, which is viscous in the model, increases at a
@@ -25,6 +25,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     alarm::{Alarms, Evidence},
     cause::{Attribution, Naming},
+    condition::streak,
     drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel, Severity},
     explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
@@ -45,8 +46,9 @@ const DECIDES: f64 = 10.0;
 const EXCLUDES: f64 = 6.0;
 /// Bound of the score of one gauge, so that a gauge that changes for another reason cannot decide alone.
 const MOST: f64 = 40.0;
-/// Significance of a supply change \[standard deviations\], and the least relevant change, as a logarithm.
+/// Least significance of a change of the supply \[standard deviations\].
 const SUPPLY_SD: f64 = 4.0;
+/// Least relevant change of the supply, as a logarithm.
 const SUPPLY_CHANGE: f64 = 0.05;
 /// Change of the supply voltage that raises an alarm \[%\]: more than that of a battery or mains in service.
 const SUPPLY_LIMIT_PCT: f64 = 15.0;
@@ -100,7 +102,7 @@ const SUSPECTS: [Suspect; 3] = [
 ];
 
 /// The gauges that distinguish sensors from parts.
-const TELLING: [Gauge; 4] = [Gauge::Travel, Gauge::BackEmf, Gauge::Resistance, Gauge::Duration];
+const DISTINGUISHING: [Gauge; 4] = [Gauge::Travel, Gauge::BackEmf, Gauge::Resistance, Gauge::Duration];
 
 impl Instruments {
     /// Verdict of the gauges on a drift.
@@ -111,11 +113,11 @@ impl Instruments {
         if self.supply_explains(attribution, window, settings) {
             return Testimony::Supply;
         }
-        let levels = self.telling(window.throws);
+        let levels = self.levels(window.throws);
         let (part, score) = best_part(window, &levels, settings);
         let judged = SUSPECTS.iter().filter_map(|suspect| {
             let Suspect { channel, effect, gauges, gain } = suspect;
-            let told = levels.iter().zip(gauges).any(|(level, effect)| level.is_some() && *effect != 0.0);
+            let is_known = levels.iter().zip(gauges).any(|(level, effect)| level.is_some() && *effect != 0.0);
             let alone = fit_along(&Vector3::from(*effect), &window.mean, &window.covariance, settings);
             let (size, size_sd, own) = alone?;
             if *channel == SensorChannel::Clock && !self.may_be_clock(size, window) {
@@ -124,16 +126,16 @@ impl Instruments {
             let lead = score - own - misfit(&levels, &gauges.map(|gauge| gauge * size));
             // Without a supply voltage the current sensor is always possible.
             let (size, size_sd) = weighed((size, size_sd), &levels, gauges);
-            (told || *channel == SensorChannel::Current).then_some((lead, *channel, told, gain * size, size_sd))
+            (is_known || *channel == SensorChannel::Current).then_some((lead, *channel, is_known, gain * size, size_sd))
         });
         let best = judged.max_by(|a, b| a.0.total_cmp(&b.0));
         match best {
             Some((lead, channel, true, size, size_sd)) if lead >= DECIDES => {
                 Testimony::Sensor(Fault { channel, size, size_sd, runner_up: RunnerUp { cause: part, margin: lead } })
             }
-            Some((lead, channel, is_told, ..)) if lead > -EXCLUDES && !self.sensor.lingers => {
+            Some((lead, channel, is_known, ..)) if lead > -EXCLUDES && !self.sensor.lingers => {
                 let waits = match self.gauges.level(Gauge::Volts, WINDOWS[0]) {
-                    _ if is_told => Awaited::Throws,
+                    _ if is_known => Awaited::Throws,
                     Some(_) => Awaited::Resistance,
                     None => Awaited::Voltage,
                 };
@@ -203,18 +205,18 @@ impl Instruments {
         }
         let sensor = sensor.filter(|_| sensor == self.channel);
         let suspect = SUSPECTS.iter().find(|suspect| sensor == Some(suspect.channel))?;
-        let levels = self.telling(WINDOWS[1]);
+        let levels = self.levels(WINDOWS[1]);
         let (left, left_sd) = weighed((0.0, f64::INFINITY), &levels, &suspect.gauges);
         let named = self.size / suspect.gain;
         (left_sd.is_finite() && named != 0.0).then_some(left / named)
     }
 
     /// The levels of the gauges that distinguish sensors from parts.
-    fn telling(&self, throws: usize) -> [Option<Level>; 4] {
+    fn levels(&self, throws: usize) -> [Option<Level>; 4] {
         let is_wrong = self.gauges.voltage_error().is_some();
         let is_of_voltage = |gauge: Gauge| matches!(gauge, Gauge::BackEmf | Gauge::Resistance);
-        let levels =
-            TELLING.map(|gauge| self.gauges.level(gauge, throws).filter(|_| !(is_wrong && is_of_voltage(gauge))));
+        let levels = DISTINGUISHING
+            .map(|gauge| self.gauges.level(gauge, throws).filter(|_| !(is_wrong && is_of_voltage(gauge))));
         // With a supply voltage the back-EMF replaces the duration, which has the scatter of the supply.
         if levels[1].is_some() { [levels[0], levels[1], levels[2], None] } else { levels }
     }
@@ -319,9 +321,8 @@ impl Streaks {
     /// `holds`: the fault is seen; `is_alike`: it may be; `left`: what is left of the measured quantity, as part of its
     /// limit.
     fn follow(&mut self, holds: bool, matters: bool, is_alike: bool, left: Option<f64>) {
-        let count = |streak: u32, holds: bool| if holds { streak.saturating_add(1) } else { 0 };
-        self.named = count(self.named, holds && matters);
-        self.unseen = count(self.unseen, !holds && !is_alike);
+        streak(&mut self.named, holds && matters);
+        streak(&mut self.unseen, !holds && !is_alike);
         count_over(&mut self.over, if holds { Some(1.0) } else { left });
         let is_recent = self.unseen < LINGERS && self.over < LINGERS;
         self.lingers = holds && matters || self.lingers && is_recent;

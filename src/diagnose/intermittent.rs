@@ -40,13 +40,14 @@ const LONGEST_RUN: u32 = 2;
 /// Least squared distance of a throw far out: 5 in 10,000 throws of Gaussian scatter, 2 in 100 of Student's t with
 /// three degrees of freedom.
 const FAR_OUT: f64 = 20.0;
-/// Rate of throws far out from which the tails are heavy, and number of usual throws added as prior.
+/// Rate of throws far out from which the tails are heavy: between the rates at [`FAR_OUT`].
 const HEAVY_FROM: f64 = 0.006;
-const TAIL_PRIOR_THROWS: f64 = 100.0;
 /// A throw far out counts as part of the tails of the scatter after this many further throws without a fault.
 const DECIDED_AFTER: usize = 24;
 /// Throws far out added as prior.
 const TAIL_PRIOR: f64 = 0.5;
+/// Number of all throws added as prior.
+const TAIL_PRIOR_THROWS: f64 = 100.0;
 /// Throws of a machine before its rate counts: a baseline of one direction.
 const KNOWN_FROM: f64 = 50.0;
 /// Counts of overlapping windows are nearly equal; this many consecutive ones count as one test.

@@ -55,4 +55,4 @@ pub use observation::{Irregularity, Observation, Parameters};
 pub use settings::{Settings, TemperatureCoefficients};
 pub use site::Common;
 pub use temperature::TemperatureSource;
-pub use verdict::{Blindness, Drifting, HidingTemperature, MachineState, Verdict};
+pub use verdict::{Blindness, Drifting, HidingTemperature, MachineState, Present, Verdict};

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
+    condition::streak,
     event::{AlarmEvent, Cause, SensorChannel, Severity},
     observation::{Irregularity, Observation},
     rule::Rule,
@@ -13,7 +14,7 @@ use super::{
     thermometer::Disbelief,
     verdict::Blindness,
 };
-use crate::throw::{Direction, ThrowRef};
+use crate::throw::{Direction, ThrowRef, without_digits};
 
 /// Consecutive slow throws that raise the alarm: a single one may be an animal between the rails or a dip of the
 /// supply.
@@ -34,12 +35,13 @@ const USUAL_TICK_S: f64 = 60.0;
 const CALM_S: f64 = 600.0;
 /// Consecutive throws that contradict the logger's direction until this is stated; a label may be wrong for once.
 const CONTRADICTED_IN_A_ROW: u32 = 5;
-/// Throws in a row with unused fields until this is stated, and rejected ones of the last 32 of a direction.
+/// Consecutive throws with unused fields until this is stated; a field may be wrong for once.
 const UNUSED_IN_A_ROW: u32 = 5;
+/// Rejected throws among the last 32 of a direction until this is stated: a quarter, which delays the detection of a fault.
 const OFTEN_REJECTED: u32 = 8;
-/// Throws in a row that end before the configured stroke until this is stated.
+/// Consecutive throws that end before the configured stroke until this is stated.
 const SHORT_IN_A_ROW: u32 = 5;
-/// Throws in a row without coefficients, of a machine without a toe position that had them, until this is stated.
+/// Consecutive throws without coefficients, of a machine without a toe position that had them, until this is stated.
 const WITHOUT_COEFFICIENTS_IN_A_ROW: u32 = 20;
 
 /// Liveliness of the logger.
@@ -143,15 +145,6 @@ impl Context<'_> {
     fn critical(self, text: String) -> Evidence {
         Evidence::plain(Severity::Critical, self.throw, text)
     }
-}
-
-/// The text without its numbers.
-fn words(text: &str) -> String {
-    text.replace(|character: char| character.is_ascii_digit(), "")
-}
-
-fn streak(count: &mut u32, holds: bool) {
-    *count = if holds { count.saturating_add(1) } else { 0 };
 }
 
 impl Operation {
@@ -304,7 +297,7 @@ impl Operation {
     }
 
     /// Sentences about rejected throws among evaluated ones, about lost coefficients of a machine that `had_coefficients`, and
-    /// about unused fields and a short travel unless `of_sensor`: an alarm about a sensor tells of them already.
+    /// about unused fields and a short travel unless `of_sensor`: an alarm about a sensor reports them already.
     pub(super) fn caveats(&self, name: &str, of_sensor: bool, had_coefficients: bool) -> Vec<String> {
         let unused = self.unused_fields.as_ref().filter(|(_, throws)| *throws >= UNUSED_IN_A_ROW && !of_sensor);
         let often = Direction::BOTH.into_iter().filter_map(|direction| {
@@ -447,7 +440,7 @@ impl Operation {
             // A disk at its limit must not make an event of each change.
             let is_new = before.is_some_and(|event| {
                 let quiet_s = context.at.duration_since(event.event_at).as_secs_f64().abs();
-                quiet_s >= CALM_S && words(&event.text) != words(text)
+                quiet_s >= CALM_S && without_digits(&event.text) != without_digits(text)
             });
             let evidence = Evidence::plain(severity, None, text.to_owned());
             let event = alarms.raise_or_escalate(Cause::DataLoss, evidence, context.at);

@@ -11,7 +11,7 @@
 //! ln L = -1/2 ln det - 1/2 ln info + n0/2 ln(n0 v0) + ln G((m + n0)/2) - ln G(n0/2) - (m + n0)/2 ln(Q + n0 v0)
 //! ```
 //!
-//! Most machines have a typical variance (n0 large) and a typical phi. A few have neither, and the throws tell which of
+//! Most machines have a typical variance (n0 large) and a typical phi. A few have neither, and the throws show which of
 //! the two kinds a machine is.
 
 use nalgebra::Vector3;

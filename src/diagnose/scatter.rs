@@ -52,7 +52,8 @@ const DISCOUNT_SD: f64 = 0.5;
 const MOST_SLOW: f64 = 0.9;
 /// Fourth moment of a Gaussian variable relative to the square of its variance.
 const GAUSSIAN_KURTOSIS: f64 = 3.0;
-/// Weight of Gaussian tails in the kurtosis of a baseline, in values of independent throws.
+/// Prior weight of Gaussian tails against the measured kurtosis of a baseline \[values, three of each independent throw\]:
+/// that of 20 throws.
 const GAUSSIAN_WEIGHT: f64 = 60.0;
 
 /// Uncertainty of the covariance of a mean.

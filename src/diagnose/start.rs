@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
+    condition::streak,
     found::{Found, count_over},
     gauges::{Gauge, Gauges, Level},
     operational::Context,
@@ -66,7 +67,7 @@ impl StartWatch {
         let change = Change::of(gauges);
         let size = change.map(|change| change.size());
         let is_changed = size.is_some_and(|size| size > 1.0);
-        self.named = if is_changed && !excused { self.named.saturating_add(1) } else { 0 };
+        streak(&mut self.named, is_changed && !excused);
         count_over(&mut self.calm, size);
         match change {
             Some(change) if self.named >= NAMED_THROWS => {

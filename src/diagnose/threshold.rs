@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn with_few_it_is_that_of_f() {
+    fn with_few_degrees_of_freedom_the_limit_is_that_of_f() {
         // F(3, 10), upper 1 %: 6.552 in the tables.
         let limit = limit(0.01, &Doubt { factors: vec![(1.0, 1.0, 12.0)] });
         assert!((limit - 3.0 * 12.0 / 10.0 * 6.552).abs() < 0.01);

@@ -108,6 +108,17 @@ pub struct HidingTemperature {
     pub baseline_c: f64,
 }
 
+/// How a machine is at present.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Present {
+    /// State of the machine.
+    pub state: MachineState,
+    /// Drifts with an active alarm and their present size, named parts first, then the most severe.
+    pub drifts: Vec<Drifting>,
+    /// Sentences about what the monitor cannot show: blindness, a baseline with a trend.
+    pub caveats: Vec<String>,
+}
+
 /// The verdict of the monitor on an observation.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Verdict {
@@ -136,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_size_whose_interval_says_nothing_is_none() {
+    fn a_size_with_a_useless_interval_is_none() {
         let has_size = |change_pct: f64, change_pct_sd: f64| {
             let cause = Cause::Unattributed;
             Drifting { cause, change_pct, change_pct_sd, direction: None, limit_in_throws: None }.has_size()

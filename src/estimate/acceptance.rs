@@ -42,7 +42,7 @@ pub(super) struct Departure {
     pub(super) slow_mm: f64,
     /// Delay of the start \[s\].
     pub(super) delay_s: f64,
-    /// Relative standard deviation of the common scale by possible brakes.
+    /// Relative standard deviation of the common scale of b0, a1 and a0, by a brake that may drag at the start.
     pub(super) brake_sd: f64,
 }
 

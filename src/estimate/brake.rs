@@ -9,8 +9,9 @@
 
 use super::{rejection::Rejection, start::free_movement};
 
-/// Length of the start, and latest release \[s\].
+/// Length of the start \[s\].
 const START_S: f64 = 0.06;
+/// Latest release of a brake after the start of the motor \[s\].
 const LATEST_S: f64 = 0.04;
 /// Tried torques, as a share of the motor's largest.
 const TORQUES: [f64; 8] = [0.06, 0.1, 0.17, 0.25, 0.35, 0.5, 0.7, 1.0];

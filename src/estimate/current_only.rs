@@ -47,9 +47,10 @@ const SYSTEMATIC_RATIO_SD: f64 = 0.04;
 const STALL_FACTOR: f64 = 2.0;
 /// The stalled motor is on while its current is above this share of the peak.
 const STALLED_SHARE: f64 = 0.95;
-/// Longest time of the current after that \[s\], and largest mean of its second half as share of that of its first: a current
-/// that goes on for longer, or does not decay, is that of a movement after a load.
+/// Longest time of the current after that \[s\]: a longer current is that of a movement after a load.
 const FREEWHEEL_S: f64 = 0.3;
+/// Largest mean of the second half of this current, as share of that of its first half: one that does not decay is that of a
+/// movement too.
 const FREEWHEEL_SHARE: f64 = 0.5;
 
 /// Why there are no coefficients.
@@ -155,7 +156,7 @@ pub(super) fn estimate(
         scale * log * scale
     };
     estimate.covariance = log(SCALE_SD, RATIO_SD, ratios.log_covariance);
-    // Without a position a brake that drags while the motor starts cannot be told from inertia.
+    // Without a position a brake that drags while the motor starts cannot be distinguished from inertia.
     estimate.systematic = log(brake::LARGEST_SD, SYSTEMATIC_RATIO_SD, ratios.log_systematic);
     // The errors of the ratios were for b0 = 1.
     estimate.offset = estimate.offset.map(|error| b0 * error);

@@ -9,17 +9,18 @@ use super::{
     rejection::{Channel, Rejection},
 };
 
-/// Largest plausible current \[A\] and position \[mm\]; public recordings contain 188,776 A.
+/// Largest plausible current \[A\]; public recordings contain 188,776 A.
 const LARGEST_CURRENT_A: f64 = 1000.0;
+/// Largest plausible position \[mm\].
 const LARGEST_POSITION_MM: f64 = 10_000.0;
 /// A plateau of the largest value counts as clipped from this many samples on, if its flanks are at least this high
 /// \[steps of the converter\]. A smooth crest has lower flanks: one plateau width outside the plateau it has fallen by
 /// nine times its depth within the plateau, which is at most one step.
 const CLIPPED_SAMPLES: usize = 3;
 const CLIPPED_FLANK: f64 = 30.0;
-/// Least number of equal consecutive samples of a stuck channel, and chance of a longer stretch in a working channel at a
-/// sample: a throw at 20 kHz has 90,000 samples.
+/// Least number of equal consecutive samples of a stuck channel.
 const REPEATED_SAMPLES: f64 = 25.0;
+/// Allowed chance at each sample that a working channel repeats for longer: a throw at 20 kHz has 90,000 samples.
 const REPEATED_CHANCE: f64 = 1e-9;
 /// The search first compares the two ends of parts of this length: every stretch of more than [`REPEATED_SAMPLES`]
 /// equal samples contains one whole part.

@@ -12,8 +12,9 @@ use super::movement::Level;
 
 /// Mains frequencies \[Hz\]: most of the world, the Americas, railways.
 const MAINS_HZ: [f64; 3] = [50.0, 60.0, 50.0 / 3.0];
-/// Least number of periods in the quiet samples, and number of periods in a stretch.
+/// Least number of periods in the quiet samples.
 const LEAST_PERIODS: f64 = 3.0;
+/// Number of periods in a stretch.
 const STRETCH_PERIODS: f64 = 5.0;
 /// Least number of samples in a period; with fewer, aliasing changes the frequency.
 const LEAST_RATE: f64 = 4.0;

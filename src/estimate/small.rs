@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_inverse_undoes_its_matrix_and_knows_its_condition() {
+    fn an_inverse_undoes_its_matrix_and_has_its_condition_number() {
         let m = [[1e6, 2.0, 0.0], [3.0, 1e-6, 1.0], [0.0, 5.0, 2e3]];
         let inverse = invert(&m).unwrap().inverse;
         for i in 0..3 {

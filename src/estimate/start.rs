@@ -18,8 +18,9 @@ const SHARE: f64 = 0.03;
 const LONGEST_S: f64 = 0.6;
 /// Movement beyond the start that a negative delay needs \[s\].
 const AHEAD_S: f64 = 0.03;
-/// Largest change of the delay in a step of the iteration \[s\], and number of steps.
+/// Largest change of the delay in a step of the iteration \[s\].
 const STEP_S: f64 = 0.01;
+/// Number of steps of the iteration.
 const STEPS: usize = 60;
 /// Change of the delay at which the iteration ends \[s\]: far below the scatter of 0.2 ms.
 const CONVERGED_S: f64 = 2e-6;

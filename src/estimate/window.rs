@@ -28,8 +28,9 @@ pub(super) struct Window {
     /// Standard deviation of the part of the current at rest that the machine does not draw in motion \[A\]: electronics,
     /// a brake, a detection circuit. It is subtracted as an offset of the sensor. Equal in every throw.
     pub(super) rest_a: f64,
-    /// Whether the input is I |I|; mean magnitude of I.
+    /// Whether the motor is series-wound, so that the input is I |I|.
     pub(super) series: bool,
+    /// Mean magnitude of the current I \[A\].
     pub(super) running: f64,
     /// Departure of the current's rise from that of an armature beyond noise, as share of the peak.
     pub(super) rise: f64,

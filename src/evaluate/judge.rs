@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sound_part_at_critical_severity_is_told_apart_from_a_warning() {
+    fn a_sound_part_at_critical_severity_is_distinguished_from_a_warning() {
         let life = life(Situation::Pair, &[Cause::Kt, Cause::Friction]);
         let call = |cause, critical| [Call { at: life.onset + 5, cause, critical, or_sensor: false }];
         assert!(names_wrongly(&call(Cause::Inertia, true), &life));
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn two_causes_want_both_names_or_none() {
+    fn two_causes_need_both_names_or_none() {
         use Cause::{Friction, Inertia, Kt, Unattributed};
         let life = life(Situation::Pair, &[Kt, Friction]);
         let cases: &[Case] = &[
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_fault_wants_its_own_name_beside_the_first() {
+    fn a_second_fault_needs_its_own_name_beside_the_first() {
         use Cause::{Friction, Inertia, Kt, Unattributed};
         let life = life(Situation::OnTop, &[Kt]);
         let cases: &[Case] = &[
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn wear_from_the_first_throw_wants_a_name_or_a_trend_in_time() {
+    fn wear_from_the_first_throw_needs_a_name_or_a_trend_in_time() {
         let life = life(Situation::Wear, &[Cause::Friction]);
         let deadline = life.deadline().unwrap();
         let friction = |at| Call { at, cause: Cause::Friction, critical: false, or_sensor: false };

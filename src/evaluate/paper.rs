@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn the_four_cases_of_the_study_are_told_apart() {
+    fn the_four_cases_of_the_study_are_distinguished() {
         let kt = [1.0, 0.626, 0.752, 0.877, 1.127, 1.253];
         assert_eq!(named(&kt, Vector3::x()), Some(Cause::Kt));
         assert_eq!(named(&[1.0, 1.01, 1.05, 1.2, 1.5, 1.99], Vector3::y()), Some(Cause::Friction));

@@ -2,10 +2,11 @@
 
 use std::{
     collections::VecDeque,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc},
+    sync::{Arc, mpsc},
     thread,
 };
 
+use parking_lot::Mutex;
 use zenoh::{
     Session, Wait,
     bytes::{Encoding, ZBytes},
@@ -79,7 +80,7 @@ impl AnswerThread {
 impl Backlog {
     /// Adds a published message; drops the oldest beyond the limits.
     pub(super) fn keep(&self, throw: ThrowRef, message: ZBytes) {
-        let mut kept = lock(&self.kept);
+        let mut kept = self.kept.lock();
         kept.bytes += message.len();
         kept.throws.push_back((throw, message));
         while kept.throws.len() > kept.max_throws || (kept.bytes > kept.max_bytes && kept.throws.len() > 1) {
@@ -89,14 +90,10 @@ impl Backlog {
     }
 }
 
-fn lock(kept: &Mutex<Kept>) -> MutexGuard<'_, Kept> {
-    kept.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 fn answer(query: &Query, kept: &Mutex<Kept>) {
     let wanted = BacklogQuery::parse(query.parameters().as_str());
     let page: Vec<ZBytes> = {
-        let kept = lock(kept);
+        let kept = kept.lock();
         let start = wanted.start(kept.throws.iter().map(|(throw, _)| throw));
         kept.throws.iter().skip(start).take(wanted.limit).map(|(_, message)| message.clone()).collect()
     };

@@ -5,11 +5,12 @@
 
 use std::{
     collections::HashMap,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
     thread,
     time::{Duration, Instant},
 };
 
+use parking_lot::Mutex;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -30,8 +31,9 @@ use crate::{
 const MODELS: usize = 16;
 /// Prepared throws of a simulated machine, half of them in each direction.
 const THROWS: usize = 4;
-/// Standard deviation of the added noise: a step of a 14-bit converter over 40 A \[A\] and over 160 mm \[mm\].
+/// Standard deviation of the noise added to the current \[A\]: a step of a 14-bit converter over 40 A.
 const CURRENT_A: f64 = 0.0025;
+/// The same of the position \[mm\]: over 160 mm.
 const POSITION_MM: f64 = 0.01;
 /// Number of prepared noise values; each throw uses a stretch of them.
 const NOISE_VALUES: usize = 1 << 17;
@@ -118,9 +120,9 @@ impl Load {
             let due = start + Duration::from_secs_f64(number as f64 / self.rate);
             thread::sleep(due.saturating_duration_since(clock::monotonic()));
             if is_blocked {
-                lock(&alarms).published.insert(throw.clone(), clock::monotonic());
+                alarms.lock().published.insert(throw.clone(), clock::monotonic());
             }
-            lock(&healths).published.insert(throw, clock::monotonic());
+            healths.lock().published.insert(throw, clock::monotonic());
             session
                 .put(&keys[at], message)
                 .encoding(ContentType::APPLICATION_CBOR)
@@ -128,10 +130,10 @@ impl Load {
                 .wait()?;
         }
         let end = clock::monotonic();
-        let judged_meanwhile = lock(&healths).latencies.len() as u64;
+        let judged_meanwhile = healths.lock().latencies.len() as u64;
         let last = wait_for_all(&healths, end, patience);
         wait_for_all(&alarms, clock::monotonic(), patience);
-        let [latencies, alarm_latencies] = [healths, alarms].map(|tracking| lock(&tracking).sorted());
+        let [latencies, alarm_latencies] = [healths, alarms].map(|tracking| tracking.lock().sorted());
         Ok(Loaded { publishing: end - start, judged_meanwhile, latencies, alarm_latencies, behind: last - end })
     }
 
@@ -169,7 +171,7 @@ fn subscribe(
         if let Ok(Health { machine, throw, .. }) = serde_json::from_slice(&sample.payload().to_bytes())
             && throw.boot_id == boot_id
         {
-            lock(&healths).on_message(&(machine, throw.throw_no), now);
+            healths.lock().on_message(&(machine, throw.throw_no), now);
         }
     };
     let on_alarm = move |sample: Sample| {
@@ -177,7 +179,7 @@ fn subscribe(
         if let Ok(Alarm { machine, event, .. }) = serde_json::from_slice(&sample.payload().to_bytes())
             && let Some(throw) = event.last_throw
         {
-            lock(&alarms).on_message(&(machine, throw.throw_no), now);
+            alarms.lock().on_message(&(machine, throw.throw_no), now);
         }
     };
     Ok([
@@ -189,10 +191,10 @@ fn subscribe(
 /// Waits until every published throw has its message, or no message has arrived for `patience`. Returns the time of
 /// the last message, or `start` without one.
 fn wait_for_all(tracking: &Shared, start: Instant, patience: Duration) -> Instant {
-    let (mut awaited, mut last) = (lock(tracking).published.len(), start);
+    let (mut awaited, mut last) = (tracking.lock().published.len(), start);
     while awaited > 0 && last.elapsed() < patience {
         thread::sleep(Duration::from_millis(20));
-        let now = lock(tracking).published.len();
+        let now = tracking.lock().published.len();
         if now < awaited {
             (awaited, last) = (now, clock::monotonic());
         }
@@ -202,10 +204,6 @@ fn wait_for_all(tracking: &Shared, start: Instant, patience: Duration) -> Instan
 
 fn index(number: u64, count: usize) -> usize {
     usize::try_from(number % count as u64).unwrap_or(0)
-}
-
-fn lock(tracking: &Shared) -> MutexGuard<'_, Tracking> {
-    tracking.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn message(

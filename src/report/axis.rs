@@ -89,7 +89,7 @@ impl Axis {
         (0..40).map(tick).take_while(|value| *value <= self.high + step * 1e-9).collect()
     }
 
-    /// Label of a tick, with enough decimals to tell neighbouring ticks apart.
+    /// Label of a tick, with enough decimals to distinguish neighbouring ticks.
     fn label(&self, tick: f64) -> String {
         if self.log {
             return format!("{tick}");

@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_never_overlap_and_always_tell_the_date() {
+    fn labels_never_overlap_and_always_show_the_date() {
         // Spans from a minute to eight hundred years, with different starts.
         for power in 0..110 {
             for shift in 0..40 {
@@ -167,8 +167,8 @@ mod tests {
                 assert!(apart(ticks.iter().map(|tick| (place(tick), tick.label.len())).collect()), "{span}: {ticks:?}");
                 let below: Vec<_> =
                     ticks.iter().filter_map(|tick| Some((place(tick), tick.below.as_ref()?.len()))).collect();
-                let tells = ticks[0].label.len() == 4 || !below.is_empty();
-                assert!(tells && apart(below), "{span} s from {low}: {ticks:?}");
+                let has_year = ticks[0].label.len() == 4 || !below.is_empty();
+                assert!(has_year && apart(below), "{span} s from {low}: {ticks:?}");
             }
         }
     }

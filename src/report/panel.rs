@@ -5,16 +5,19 @@ use serde::{Serialize, Serializer};
 use super::axis::Axis;
 use super::svg::{Anchor, Canvas};
 
-/// Colours that people with colour blindness can tell apart (Okabe and Ito, 2008).
+/// Colours that people with colour blindness can distinguish (Okabe and Ito, 2008).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555"];
 /// Typical width of a character of 12 px \[px\]; the true width of SVG text is known only to the viewer.
 const CHARACTER: f64 = 6.8;
 /// Least space between neighbouring names \[px\].
 const GAP: f64 = 10.0;
-/// Space left and right of the axes \[px\].
+/// Space left of the axes \[px\].
 const LEFT: f64 = 72.0;
+/// Space right of the axes \[px\].
 const MARGIN: f64 = 24.0;
+/// Colour of the grid.
 const GRID: &str = "#dddddd";
+/// Colour of the axes.
 const FRAME: &str = "#444444";
 
 #[derive(Debug, Clone, Serialize)]

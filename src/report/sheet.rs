@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_history_tells_the_date_of_even_one_point() {
+    fn a_history_shows_the_date_of_even_one_point() {
         let chart = |points: &[(f64, f64)]| {
             Sheet::new("").panel(Panel::history("", "y").line("one", points.iter().copied())).to_svg()
         };

@@ -209,7 +209,8 @@ impl Toe {
         STOP_STIFFNESS_N_M * (stop_m - self.position(state)) - STOP_DAMPING_NS_M * self.speed(state)
     }
 
-    /// The constant part of the stop's force, from its rest position; the part that depends on the state is in A \[N\].
+    /// The constant part of the force of a stop at `stop_m` from neutral \[N\]. The matrix A contains the part that depends on
+    /// the state.
     pub(super) fn stop_offset_force(stop_m: f64) -> f64 {
         STOP_STIFFNESS_N_M * stop_m
     }

@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_passes_a_constant_and_halves_the_power_at_its_cut_off() {
+    fn the_filter_passes_a_constant_and_halves_the_power_at_its_cut_off() {
         let filter = Butterworth::new(40.0, 5000.0);
         let mut constant = vec![115.0; 100];
         filter.run(&mut constant);

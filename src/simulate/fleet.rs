@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::throw::{
     Direction, OutOfRange,
-    Range::{Above, Within},
+    Range::{Above, If, Within},
     Throw, ThrowRef, Trace, settings,
 };
 
@@ -326,7 +326,7 @@ impl FleetSettings {
         self.climate.check_ranges().map_err(|error| error.within("climate"))?;
         for FleetFault { machine, fault } in &self.faults {
             self.check_machine("faults.machine", *machine)?;
-            OutOfRange::check([("faults.fault.size_pct", fault.size_pct, -90.0, 2000.0, "%")])?;
+            Within(-90.0, 2000.0, "%").check("faults.fault.size_pct", fault.size_pct)?;
         }
         self.incidents.iter().try_for_each(|incident| self.check_incident(incident))
     }
@@ -335,10 +335,10 @@ impl FleetSettings {
         self.check_machine("incidents.machine", incident.machine)?;
         match incident.kind {
             IncidentKind::Obstruction { at_mm } => {
-                OutOfRange::check([("incidents.kind.obstruction.at_mm", at_mm, 0.0, self.machine.stroke_mm, "mm")])
+                Within(0.0, self.machine.stroke_mm, "mm").check("incidents.kind.obstruction.at_mm", at_mm)
             }
             IncidentKind::WeakSupply { loss_pct } => {
-                OutOfRange::check([("incidents.kind.weak_supply.loss_pct", loss_pct, 0.0, 100.0, "%")])
+                Within(0.0, 100.0, "%").check("incidents.kind.weak_supply.loss_pct", loss_pct)
             }
             IncidentKind::StuckSensor(stuck) => {
                 stuck.check().map_err(|error| error.within("incidents.kind.stuck_sensor"))
@@ -347,9 +347,7 @@ impl FleetSettings {
     }
 
     fn check_machine(&self, name: &'static str, machine: usize) -> Result<(), OutOfRange> {
-        OutOfRange::require(&[(name, machine as f64)], "the number of a machine, counted from 0", |number| {
-            number < self.machines as f64
-        })
+        If(machine < self.machines, "the number of a machine, counted from 0").check(name, machine as f64)
     }
 
     fn build(&self, number: usize, seed: u64) -> Result<SimulatedMachine, OutOfRange> {

@@ -8,7 +8,7 @@ use super::rails::{Modes, Rails};
 use super::supply::Waveform;
 use crate::throw::{
     OutOfRange,
-    Range::{Above, AtLeast, Finite, Within},
+    Range::{Above, AtLeast, Finite, If, Within},
     settings,
 };
 
@@ -215,8 +215,9 @@ impl Parameters {
     /// The first parameter out of its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
         self.check_ranges()?;
-        OutOfRange::require(&[("timeout_s", self.timeout_s)], "above 0 and at most 40", |s| s > 0.0 && s <= 40.0)?;
-        OutOfRange::require(&[("cut_off_mm", self.cut_off_mm)], "less than the stroke", |mm| mm < self.stroke_mm)?;
+        let is_short = self.timeout_s > 0.0 && self.timeout_s <= 40.0;
+        If(is_short, "above 0 and at most 40").check("timeout_s", self.timeout_s)?;
+        If(self.cut_off_mm < self.stroke_mm, "less than the stroke").check("cut_off_mm", self.cut_off_mm)?;
         self.supply.check().map_err(|error| error.within("supply.rectified_mains"))?;
         self.rails.check_ranges().map_err(|error| error.within("rails"))
     }

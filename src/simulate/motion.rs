@@ -6,7 +6,7 @@
 
 use crate::throw::{
     Direction, OutOfRange,
-    Range::{Above, Finite, Within},
+    Range::{Above, Finite, If, Within},
     settings,
 };
 
@@ -43,7 +43,7 @@ settings! {
 impl Conditions {
     fn check(&self, stroke_mm: f64) -> Result<(), OutOfRange> {
         self.check_ranges()?;
-        OutOfRange::check([("obstruction_mm", self.obstruction_mm.unwrap_or(0.0), 0.0, stroke_mm, "mm")])
+        Within(0.0, stroke_mm, "mm").check("obstruction_mm", self.obstruction_mm.unwrap_or(0.0))
     }
 }
 
@@ -75,11 +75,10 @@ impl Parameters {
         let machine = self.at_temperature(conditions.temperature_c);
         let motion = Machine::new(&machine, &modes, direction, conditions, step_s).run();
         // Some combinations of valid parameters cannot be integrated.
-        let ends = [
-            ("current_a", motion.current_a[motion.current_a.len() - 1]),
-            ("toe_mm", motion.toe_mm[motion.toe_mm.len() - 1]),
-        ];
-        OutOfRange::require(&ends, "finite: these parameters together cannot be simulated", |_| true)?;
+        for (key, values) in [("current_a", &motion.current_a), ("toe_mm", &motion.toe_mm)] {
+            let last = values[values.len() - 1];
+            If(last.is_finite(), "finite: these parameters together cannot be simulated").check(key, last)?;
+        }
         Ok(motion)
     }
 }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::throw::{
     Direction, OutOfRange,
-    Range::{Above, AtLeast, Finite, Within},
+    Range::{Above, AtLeast, Finite, If, Within},
     Trace, settings,
 };
 
@@ -112,9 +112,8 @@ impl Sensors {
         }
         match self.anti_alias_hz {
             Some(hz) => {
-                OutOfRange::require(&[("anti_alias_hz", hz)], "above 0 and below half the sampling rate", |hz| {
-                    hz > 0.0 && hz < self.sample_rate_hz / 2.0
-                })
+                let is_low = hz > 0.0 && hz < self.sample_rate_hz / 2.0;
+                If(is_low, "above 0 and below half the sampling rate").check("anti_alias_hz", hz)
             }
             None => Ok(()),
         }
@@ -179,7 +178,7 @@ impl Sensors {
 
 impl Stuck {
     pub(super) fn check(&self) -> Result<(), OutOfRange> {
-        OutOfRange::check([("from_s", self.from_s, 0.0, 40.0, "s")])
+        Within(0.0, 40.0, "s").check("from_s", self.from_s)
     }
 }
 
@@ -189,8 +188,8 @@ impl Channel {
         if self.bits.is_none() {
             return Ok(());
         }
-        let scale = [("full_scale", self.full_scale.unwrap_or(f64::NAN))];
-        OutOfRange::require(&scale, "given with bits: the converter's range", |_| true)
+        let must = "given with bits: the converter's range";
+        If(self.full_scale.is_some(), must).check("full_scale", self.full_scale.unwrap_or(f64::NAN))
     }
 
     fn reading<R: Rng>(&self, truth: f64, rng: &mut R) -> f64 {

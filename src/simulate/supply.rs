@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use serde::{Deserialize, Serialize};
 
-use crate::throw::OutOfRange;
+use crate::throw::{OutOfRange, Range::Within};
 
 /// Shape of the supply voltage; its mean is `Parameters::supply_v`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -43,7 +43,7 @@ impl Waveform {
     pub(super) fn check(self) -> Result<(), OutOfRange> {
         match self {
             Self::Constant => Ok(()),
-            Self::RectifiedMains { mains_hz } => OutOfRange::check([("mains_hz", mains_hz, 10.0, 100.0, "Hz")]),
+            Self::RectifiedMains { mains_hz } => Within(10.0, 100.0, "Hz").check("mains_hz", mains_hz),
         }
     }
 }

@@ -6,13 +6,11 @@ use std::{
     fs::{File, OpenOptions},
     io,
     path::{Path, PathBuf},
-    sync::{
-        Mutex, PoisonError,
-        atomic::{AtomicBool, AtomicU64, Ordering},
-    },
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
     time::Duration,
 };
 
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
@@ -135,7 +133,7 @@ impl Disk {
 
     /// Records the counters of the database. Their values at the first look are from before the start.
     pub(super) fn note_dropped(&self, now: &BTreeMap<String, u64>) {
-        let mut before = self.counters.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut before = self.counters.lock();
         let before = before.replace(now.clone()).unwrap_or_else(|| now.clone());
         for (name, lost) in LOSSES.iter().zip(&self.lost) {
             let of = |counters: &BTreeMap<String, u64>| counters.get(*name).copied().unwrap_or(0);
@@ -152,12 +150,12 @@ impl Disk {
 
     /// Records a step of a copy of the database.
     pub(super) fn note_copying(&self) {
-        *self.copied.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+        *self.copied.lock() = Some(Instant::now());
     }
 
     /// Whether a copy of the database makes progress, or did in the last 30 s.
     pub(super) fn is_copying(&self) -> bool {
-        self.copied.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|at| at.elapsed() < COPY_HANGS)
+        self.copied.lock().is_some_and(|at| at.elapsed() < COPY_HANGS)
     }
 
     /// Failed write transactions since the start.

@@ -63,7 +63,7 @@ impl DatabaseFiles {
         std::fs::metadata(beside(&self.file(), suffix)).map_or(0, |file| file.len())
     }
 
-    /// Whether the database does not exist yet.
+    /// Whether there is no database yet, or an empty file.
     pub(super) fn is_fresh(&self) -> bool {
         self.size("") == 0
     }

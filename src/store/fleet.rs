@@ -16,8 +16,8 @@ use super::{
     statements as sql,
 };
 use crate::{
-    diagnose::{AlarmState, BaselineRecord, Cause, Drifting, MachineState},
-    throw::{Direction, MachineId, Name, ThrowRef},
+    diagnose::{AlarmState, BaselineRecord, Cause, Drifting, MachineState, Present},
+    throw::{Direction, MachineId, Name, ThrowRef, utc},
     wire::Alarm,
 };
 
@@ -97,17 +97,6 @@ pub(crate) struct FleetRow {
     pub baseline: Option<(u64, u64)>,
     /// Change of b0, a1 and a0 \[%\] in the newest throws of one direction, oldest first.
     pub spark: Vec<[f64; 3]>,
-}
-
-/// How a machine is at present.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Present {
-    /// State of the machine.
-    pub state: MachineState,
-    /// Active drifts with their present size, the worst first.
-    pub drifts: Vec<Drifting>,
-    /// Sentences about what the monitor cannot show.
-    pub caveats: Vec<String>,
 }
 
 /// An open alarm about the condition of a machine, with its size when raised and the present drifts.
@@ -194,7 +183,7 @@ impl Window {
     /// "until 2026-11-21 19:30:12 UTC by A. Meyer: greased".
     #[must_use]
     pub fn sentence(&self) -> String {
-        let until = self.until.map(|until| until.strftime("until %Y-%m-%d %H:%M:%S UTC ").to_string());
+        let until = self.until.map(|until| format!("until {} ", utc(&until)));
         let why = self.why.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
         format!("{}by {}{why}", until.unwrap_or_default(), self.by)
     }
@@ -290,12 +279,12 @@ impl Reader {
             .bind(query.offset)
             .bind(query.spark)
             .bind(WORST_FIRST.map(MachineState::as_str).join(" "));
-        self.asked(statement).await
+        self.external(statement).await
     }
 
     /// Number of machines in each state; the filter of the state is ignored.
     pub(crate) async fn tally(&self, query: &FleetQuery, itself: &MachineId) -> Result<Tally, StoreError> {
-        let rows: Vec<(String, i64, i64)> = self.asked(query.matching(sql::TALLY, itself)).await?;
+        let rows: Vec<(String, i64, i64)> = self.external(query.matching(sql::TALLY, itself)).await?;
         let silent = rows.iter().map(|(_, _, silent)| silent.cast_unsigned()).sum();
         let states =
             rows.into_iter().map(|(state, count, _)| (state.parse().unwrap_or_default(), count.cast_unsigned()));
@@ -304,14 +293,14 @@ impl Reader {
 
     /// The first `limit` sites by name.
     pub(crate) async fn sites(&self, limit: u32) -> Result<Vec<String>, StoreError> {
-        let rows: Vec<(String,)> = self.asked(sqlx::query_as(sql::SITES).bind(limit)).await?;
+        let rows: Vec<(String,)> = self.external(sqlx::query_as(sql::SITES).bind(limit)).await?;
         Ok(rows.into_iter().map(|(site,)| site).collect())
     }
 
     /// Up to `limit` open alarms about the condition of machines, the critical first; and the number of those that this
     /// version cannot read.
     pub(crate) async fn faults(&self, limit: u32, itself: &MachineId) -> Result<(Vec<Fault>, usize), StoreError> {
-        let rows: Vec<FaultRow> = self.asked(about(sql::FAULTS, itself).bind(limit)).await?;
+        let rows: Vec<FaultRow> = self.external(about(sql::FAULTS, itself).bind(limit)).await?;
         let found = rows.len();
         let faults: Vec<Fault> = rows.into_iter().filter_map(|FaultRow(fault)| fault).collect();
         let unreadable = found - faults.len();
@@ -320,13 +309,13 @@ impl Reader {
 
     /// Number of open alarms about the condition of machines.
     pub(crate) async fn fault_count(&self, itself: &MachineId) -> Result<u64, StoreError> {
-        let rows: Vec<(i64,)> = self.asked(about(sql::FAULT_COUNT, itself)).await?;
+        let rows: Vec<(i64,)> = self.external(about(sql::FAULT_COUNT, itself)).await?;
         Ok(rows.first().map_or(0, |(count,)| count.cast_unsigned()))
     }
 
     /// Numbers of open alarms of system-wide causes, by cause, site and text.
     pub(crate) async fn common_alarms(&self, itself: &MachineId) -> Result<Vec<CommonAlarm>, StoreError> {
-        self.asked(about(sql::COMMON, itself)).await
+        self.external(about(sql::COMMON, itself)).await
     }
 
     /// The open windows of one machine or of all.
@@ -334,12 +323,12 @@ impl Reader {
         let statement = sqlx::query_as(sql::WINDOWS)
             .bind(machine.map(|machine| machine.site.as_str()))
             .bind(machine.map(|machine| machine.machine.as_str()));
-        self.asked(statement).await
+        self.external(statement).await
     }
 
     /// The newest `limit` commands for a machine, newest first.
     pub(crate) async fn commands_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<CommandRow>, StoreError> {
-        self.asked(about(sql::COMMANDS, machine).bind(limit)).await
+        self.external(about(sql::COMMANDS, machine).bind(limit)).await
     }
 
     /// The newest `limit` baselines of a machine, newest first.
@@ -348,14 +337,14 @@ impl Reader {
         machine: &MachineId,
         limit: u32,
     ) -> Result<Vec<BaselineRecord>, StoreError> {
-        let rows: Vec<(String,)> = self.asked(about(sql::BASELINES, machine).bind(limit)).await?;
+        let rows: Vec<(String,)> = self.external(about(sql::BASELINES, machine).bind(limit)).await?;
         // Baselines of another version that cannot be read are left out.
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
     }
 
     /// The present state of a machine.
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
-        let rows: Vec<Present> = self.asked(about(sql::STATE, machine)).await?;
+        let rows: Vec<Present> = self.external(about(sql::STATE, machine)).await?;
         Ok(rows.into_iter().next().unwrap_or_default())
     }
 
@@ -367,7 +356,7 @@ impl Reader {
     ) -> Result<[Option<ThrowRef>; 2], StoreError> {
         let statement = about(sql::THROW_NEIGHBOURS, machine);
         let statement = statement.bind(throw.boot_id.as_str()).bind(throw.throw_no.cast_signed());
-        let rows: Vec<(String, i64, bool)> = self.asked(statement).await?;
+        let rows: Vec<(String, i64, bool)> = self.external(statement).await?;
         let mut neighbours = [None, None];
         for (boot_id, throw_no, is_later) in rows {
             neighbours[usize::from(is_later)] = Some(ThrowRef { boot_id, throw_no: throw_no.cast_unsigned() });
@@ -383,6 +372,6 @@ impl Reader {
         at: Timestamp,
     ) -> Result<Option<ThrowRef>, StoreError> {
         let statement = about(sql::TYPICAL, machine).bind(direction.as_str()).bind(at.as_microsecond());
-        Ok(self.asked(statement).await?.into_iter().next())
+        Ok(self.external(statement).await?.into_iter().next())
     }
 }

@@ -13,7 +13,7 @@ use super::{
     write::Write,
 };
 use crate::{
-    diagnose::{AlarmEvent, BaselineRecord, Command, Drifting, MachineState},
+    diagnose::{AlarmEvent, BaselineRecord, Command, MachineState, Present},
     estimate::{Estimate, Identification},
     throw::{Direction, MachineId},
     wire::{Alarm, Health, Kind, json, machine_key},
@@ -62,12 +62,8 @@ pub struct Outcome {
 pub struct MonitorRecord {
     /// Snapshot of the monitor as JSON.
     pub snapshot: String,
-    /// State of the machine.
-    pub state: MachineState,
-    /// Active drifts with their present size, the worst first.
-    pub drifts: Vec<Drifting>,
-    /// Sentences about what the monitor cannot show at present.
-    pub caveats: Vec<String>,
+    /// State, drifts and caveats of the machine, for queries.
+    pub present: Present,
 }
 
 impl Judgement {
@@ -112,11 +108,12 @@ type Statements<'q> = Query<'q, Sqlite, SqliteArguments>;
 
 impl MonitorRecord {
     fn bind<'q>(&'q self, query: Statements<'q>) -> Statements<'q> {
+        let Present { state, drifts, caveats } = &self.present;
         query
             .bind(&self.snapshot)
-            .bind(self.state.as_str())
-            .bind((!self.drifts.is_empty()).then(|| json(&self.drifts)))
-            .bind((!self.caveats.is_empty()).then(|| json(&self.caveats)))
+            .bind(state.as_str())
+            .bind((!drifts.is_empty()).then(|| json(drifts)))
+            .bind((!caveats.is_empty()).then(|| json(caveats)))
     }
 }
 

@@ -41,7 +41,7 @@ pub(crate) use disk::{beside, folder_of};
 pub use error::StoreError;
 pub(crate) use export::{Export, Exported};
 pub use fleet::Window;
-pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Present, Tally, WORST_FIRST};
+pub(crate) use fleet::{CommandRow, CommonAlarm, Fault, FleetQuery, FleetRow, Tally, WORST_FIRST};
 pub use judgement::{COMMANDS_KEPT, Judgement, MonitorRecord, Outcome};
 pub(crate) use open::refuse_foreign;
 pub use open::{Found, Report};

@@ -38,7 +38,7 @@ const LOG_KEPT: u64 = 16 * MIB;
 const CHECK_LIMIT: Duration = Duration::from_secs(3);
 /// Instructions of SQLite's virtual machine between two checks of the clock.
 const CHECK_STEPS: i32 = 10_000;
-/// Bytes at the start of a file that tell text from a database: sixteen pages, as single ones may be damaged.
+/// Bytes at the start of a file that show whether it is text or a database: sixteen pages, as single ones may be damaged.
 const TEXT_BYTES: u64 = 64 * 1024;
 /// Start of the header of SQLite's files.
 const HEADER: &str = "SQLite format 3";

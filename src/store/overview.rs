@@ -14,7 +14,7 @@ use crate::{
 impl Reader {
     /// Number of open alarms for each cause and severity.
     pub(crate) async fn open_alarms_by_kind(&self) -> Result<Vec<(String, String, u64)>, StoreError> {
-        let kinds: Vec<(String, String, i64)> = self.asked(sqlx::query_as(sql::OPEN_ALARMS_BY_KIND)).await?;
+        let kinds: Vec<(String, String, i64)> = self.external(sqlx::query_as(sql::OPEN_ALARMS_BY_KIND)).await?;
         Ok(kinds.into_iter().map(|(cause, severity, count)| (cause, severity, count.cast_unsigned())).collect())
     }
 
@@ -45,19 +45,19 @@ impl Reader {
         direction: Direction,
         limit: u32,
     ) -> Result<Vec<Health>, StoreError> {
-        let mut rows = self.asked(about(statement, machine).bind(direction.as_str()).bind(limit)).await?;
+        let mut rows = self.external(about(statement, machine).bind(direction.as_str()).bind(limit)).await?;
         rows.reverse();
         Ok(rows)
     }
 
     /// The newest `limit` throws of a machine, those of unknown direction too, newest first.
     pub(crate) async fn newest_throws_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<Health>, StoreError> {
-        self.asked(about(sql::MACHINE_NEWEST, machine).bind(limit)).await
+        self.external(about(sql::MACHINE_NEWEST, machine).bind(limit)).await
     }
 
     /// The newest `limit` alarm events of a machine, of its newest `limit` alarms, newest first.
     pub(crate) async fn alarm_events_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<Alarm>, StoreError> {
-        Ok(self.asked_alarms(about(sql::MACHINE_ALARM_EVENTS, machine).bind(limit)).await?.0)
+        Ok(self.external_alarms(about(sql::MACHINE_ALARM_EVENTS, machine).bind(limit)).await?.0)
     }
 
     /// A throw of a machine with its health; the health is `None` while the throw is pending. `None` if the throw does
@@ -70,16 +70,16 @@ impl Reader {
         // SQLite has no larger numbers, so the throw does not exist.
         let Ok(throw_no) = i64::try_from(throw.throw_no) else { return Ok(None) };
         let query = about(sql::THROW_AT, machine).bind(throw.boot_id.as_str()).bind(throw_no);
-        let stored: Vec<StoredThrow> = self.asked(query).await?;
+        let stored: Vec<StoredThrow> = self.external(query).await?;
         let Some(stored) = stored.into_iter().next() else { return Ok(None) };
-        let health = self.asked(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0)).await?;
+        let health = self.external(sqlx::query_as(sql::HEALTH_AT).bind(stored.row.0)).await?;
         Ok(Some((stored, health.into_iter().next())))
     }
 
     /// Resistance \[Ω\], back-EMF constant \[V s/rad\] and no-load speed \[rad/s\] of the motor in a throw, as far as known.
     pub(crate) async fn motor_of(&self, row: ThrowRow) -> Result<[Option<f64>; 3], StoreError> {
         let rows: Vec<(Option<f64>, Option<f64>, Option<f64>)> =
-            self.asked(sqlx::query_as(sql::MOTOR_AT).bind(row.0)).await?;
+            self.external(sqlx::query_as(sql::MOTOR_AT).bind(row.0)).await?;
         Ok(rows.into_iter().next().map(Into::into).unwrap_or_default())
     }
 }

@@ -1,10 +1,8 @@
 //! Rate limit for log lines about a continuous problem, and counters that show a problem for an hour.
 
-use std::{
-    sync::{Mutex, PoisonError},
-    time::Duration,
-};
+use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::time::Instant;
 
 /// Least time between two log lines about the same problem: a full disk fails ten writes per second.
@@ -22,7 +20,7 @@ impl Seldom {
 
     /// The number of omitted lines if a line is due; `None` to omit it.
     pub(crate) fn due(&self, now: Instant) -> Option<u64> {
-        let mut said = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut said = self.0.lock();
         match &mut *said {
             Some((at, left_out)) if now.duration_since(*at) < SAID => {
                 *left_out += 1;
@@ -50,18 +48,18 @@ pub(crate) struct RecentCount(Mutex<(u64, Option<Instant>)>);
 
 impl RecentCount {
     pub(crate) fn add(&self, more: u64) {
-        let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.0.lock();
         *state = (state.0 + more, Some(Instant::now()));
     }
 
     /// The value since the start.
     pub(crate) fn count(&self) -> u64 {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).0
+        self.0.lock().0
     }
 
     /// The value, if it grew in the last hour.
     pub(crate) fn shown(&self) -> Option<u64> {
-        let (count, at) = *self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (count, at) = *self.0.lock();
         at.filter(|at| at.elapsed() < SHOWN).map(|_| count)
     }
 }
@@ -71,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_due_every_thirty_seconds_and_says_what_was_left_out() {
+    fn a_line_is_due_every_thirty_seconds_with_the_number_of_omitted_ones() {
         let (line, start) = (Seldom::new(), Instant::now());
         assert_eq!([line.due(start), line.due(start), line.due(start)], [Some(0), None, None]);
         assert_eq!([line.due(start + SAID), line.due(start + SAID)], [Some(2), None]);

@@ -1,13 +1,9 @@
 //! The reader: short queries on read-only connections.
 
-use std::{
-    future::Future,
-    path::Path,
-    sync::{Arc, PoisonError, RwLock},
-    time::Duration,
-};
+use std::{future::Future, path::Path, sync::Arc, time::Duration};
 
 use jiff::Timestamp;
+use parking_lot::RwLock;
 use sqlx::{
     FromRow, Row as _, Sqlite, SqlitePool,
     query::QueryAs,
@@ -96,7 +92,7 @@ impl Reader {
     /// Opens the file now at `path`. Running queries keep the old file until they end: its pool is dropped, not closed,
     /// so that they do not fail.
     pub(super) fn reopen(&self, path: &Path) {
-        *self.pools.write().unwrap_or_else(PoisonError::into_inner) = Pools::new(&open::reading(path));
+        *self.pools.write() = Pools::new(&open::reading(path));
     }
 
     pub(super) async fn limited<T>(&self, query: impl Future<Output = sqlx::Result<T>>) -> Result<T, StoreError> {
@@ -126,7 +122,7 @@ impl Reader {
     }
 
     fn pools(&self) -> Pools {
-        self.pools.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.pools.read().clone()
     }
 
     /// Runs a query of the daemon.
@@ -139,7 +135,7 @@ impl Reader {
 
     /// Runs an external query. SQLite itself aborts a slow query, as it would otherwise continue without its caller and
     /// occupy the connection.
-    pub(super) async fn asked<Row>(
+    pub(super) async fn external<Row>(
         &self,
         query: QueryAs<'_, Sqlite, Row, SqliteArguments>,
     ) -> Result<Vec<Row>, StoreError>
@@ -158,11 +154,11 @@ impl Reader {
     }
 
     /// Runs an external query for alarms; also returns the number of alarms of a newer version that cannot be read.
-    pub(super) async fn asked_alarms(
+    pub(super) async fn external_alarms(
         &self,
         query: QueryAs<'_, Sqlite, (String,), SqliteArguments>,
     ) -> Result<(Vec<Alarm>, usize), StoreError> {
-        let payloads = self.asked(query).await?;
+        let payloads = self.external(query).await?;
         let found = payloads.len();
         let alarms: Vec<Alarm> = payloads.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect();
         let unreadable = found - alarms.len();
@@ -264,8 +260,8 @@ impl Reader {
     }
 
     /// Time of reception of the newest throw.
-    pub(crate) async fn last_heard(&self) -> Result<Option<Timestamp>, StoreError> {
-        let at_us = self.limited(sqlx::query_scalar(sql::LAST_HEARD).fetch_optional(&self.pool())).await?;
+    pub(crate) async fn last_received(&self) -> Result<Option<Timestamp>, StoreError> {
+        let at_us = self.limited(sqlx::query_scalar(sql::LAST_RECEIVED).fetch_optional(&self.pool())).await?;
         Ok(at_us.map(timestamp))
     }
 
@@ -274,7 +270,7 @@ impl Reader {
     /// # Errors
     /// When the database cannot be read.
     pub async fn latest_health(&self, which: &Selector) -> Result<Vec<Health>, StoreError> {
-        self.asked(sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine)).await
+        self.external(sqlx::query_as(sql::LATEST_HEALTH).bind(&which.site).bind(&which.machine)).await
     }
 
     /// The newest `limit` rows of the health history since `since`, oldest first. A time up to 1970 means no bound.
@@ -293,7 +289,7 @@ impl Reader {
         } else {
             sqlx::query_as(sql::HEALTH_SINCE).bind(limit).bind(&which.site).bind(&which.machine).bind(since_us)
         };
-        let mut rows = self.asked(query).await?;
+        let mut rows = self.external(query).await?;
         rows.reverse();
         Ok(rows)
     }
@@ -304,7 +300,7 @@ impl Reader {
     /// When the database cannot be read.
     pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<Alarm>, StoreError> {
         let query = sqlx::query_as(sql::OPEN_ALARMS).bind(&which.site).bind(&which.machine);
-        Ok(self.asked_alarms(query).await?.0)
+        Ok(self.external_alarms(query).await?.0)
     }
 
     /// The newest `limit` alarm events since `since`, oldest first.
@@ -320,7 +316,7 @@ impl Reader {
         let of_machine = !which.machine.contains('*');
         let statement = if of_machine { sql::ALARM_HISTORY_OF_MACHINE } else { sql::ALARM_HISTORY };
         let query = sqlx::query_as(statement).bind(&which.site).bind(&which.machine);
-        let (mut alarms, _) = self.asked_alarms(query.bind(since.as_microsecond()).bind(limit)).await?;
+        let (mut alarms, _) = self.external_alarms(query.bind(since.as_microsecond()).bind(limit)).await?;
         alarms.reverse();
         Ok(alarms)
     }
@@ -393,13 +389,13 @@ mod tests {
         let reader = store.reader().clone();
         let endless = "WITH RECURSIVE c (x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT max(x) FROM c";
         let questions = reader.pools().questions;
-        let asked = tokio::spawn(async move { reader.asked::<(i64,)>(sqlx::query_as(endless)).await });
+        let query = tokio::spawn(async move { reader.external::<(i64,)>(sqlx::query_as(endless)).await });
         while questions.size() == 0 {
             tokio::task::yield_now().await;
         }
         let start = Instant::now();
         store.close().await.unwrap();
         assert!(start.elapsed() < Reader::TIME_LIMIT / 4, "{:?}", start.elapsed());
-        assert!(asked.await.unwrap().is_err());
+        assert!(query.await.unwrap().is_err());
     }
 }

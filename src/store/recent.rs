@@ -1,10 +1,9 @@
 //! The throws stored last, in memory: the judge loop gets most throws from here, without reading and decompressing
 //! their traces.
 
-use std::{
-    collections::BTreeMap,
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::{collections::BTreeMap, sync::Arc};
+
+use parking_lot::Mutex;
 
 use super::rows::ThrowRow;
 use crate::throw::Throw;
@@ -31,7 +30,7 @@ impl RecentThrows {
     /// read from the database later. A throw that retention deletes is never judged, so the oldest is dropped at a
     /// distance of [`STALE`].
     pub(super) fn keep(&self, row: ThrowRow, throw: &Throw) {
-        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.0.lock();
         if let Some(oldest) = kept.throws.first_entry().filter(|oldest| row.0 - oldest.key().0 > STALE) {
             let stale = oldest.remove();
             kept.samples -= 2 * stale.trace.len();
@@ -44,7 +43,7 @@ impl RecentThrows {
 
     /// Removes and returns a throw.
     pub(super) fn take(&self, row: ThrowRow) -> Option<Throw> {
-        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.0.lock();
         let throw = kept.throws.remove(&row)?;
         kept.samples -= 2 * throw.trace.len();
         Some(throw)

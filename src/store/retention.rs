@@ -225,7 +225,7 @@ impl Write for DropRows {
 
 impl Store {
     /// Brings the database within its bounds and restores the ballast; returns the number of dropped rows. Called every
-    /// few seconds; the work of a call is bounded. `clock_trusted` tells whether `now` is correct.
+    /// few seconds; the work of a call is bounded. `clock_trusted`: whether `now` is correct.
     ///
     /// # Errors
     /// When the database cannot be read or written.

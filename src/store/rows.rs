@@ -21,7 +21,8 @@ impl ThrowRow {
 }
 
 /// Row number of a gap.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, sqlx::Type)]
+#[sqlx(transparent)]
 pub struct GapRow(pub(super) i64);
 
 /// Reason why throws are missing.
@@ -104,11 +105,13 @@ pub struct StoredMonitor {
 }
 
 /// A gap of missing throws.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, FromRow)]
 pub struct Gap {
     /// Row of the gap.
+    #[sqlx(rename = "gap_row")]
     pub row: GapRow,
     /// Which machine.
+    #[sqlx(flatten)]
     pub machine: MachineId,
     /// First missing throw number.
     pub first_no: u64,
@@ -273,16 +276,5 @@ impl FromRow<'_, SqliteRow> for Health {
 impl FromRow<'_, SqliteRow> for StoredMonitor {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
         Ok(Self { machine: MachineId::from_row(row)?, snapshot: row.try_get("snapshot")?, state: word(row, "state")? })
-    }
-}
-
-impl FromRow<'_, SqliteRow> for Gap {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        Ok(Self {
-            row: GapRow(row.try_get("gap_row")?),
-            machine: MachineId::from_row(row)?,
-            first_no: unsigned(row, "first_no")?,
-            last_no: unsigned(row, "last_no")?,
-        })
     }
 }

@@ -15,15 +15,15 @@ use super::{error::is_full, graft::graft};
 
 /// Keys in one statement.
 const RANGE: i64 = 1024;
-/// Highest tried key if the table does not tell its bounds: these tables have far fewer rows.
+/// Highest tried key of a table whose bounds cannot be read: these tables have far fewer rows.
 const FEW: i64 = 1 << 20;
 /// Failed statements after which the rest of a table is skipped: at most a minute in a completely damaged table.
 const MOST_FAILURES: u32 = 50_000;
 /// Keys tried before the whole table counts as lost.
 const PROBES: i64 = 64;
 
-/// A table: name, key, and a condition for valid rows. SQLite also returns garbage with plausible lengths; a text with
-/// a NUL is longer than its `length`.
+/// A table: name, key, and a condition for valid rows, as SQLite also returns rows of garbage. Such texts often contain a NUL
+/// byte. Then `length`, which counts up to the NUL, is smaller than `octet_length`.
 struct Table(&'static str, &'static str, &'static str);
 
 /// The tables in the order of their references. The traces are last: they are large, and the diagnosis does not need

@@ -477,7 +477,7 @@ statements! {
     SELECT count(*) FROM alarm JOIN machine USING (machine_row)
     WHERE alarm.state <> 'normal' AND cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)";
 
-    // The text tells the kinds of data loss apart: few machines have it, while a lost link makes thousands not monitored.
+    // The text distinguishes the kinds of data loss. Few machines have it, while a lost link makes thousands not monitored.
     COMMON = "
     SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us,
            CASE alarm.cause WHEN 'data_loss' THEN (SELECT payload ->> 'text' FROM alarm_event AS last
@@ -527,7 +527,7 @@ statements! {
         WHERE baseline_throws IS NOT NULL AND throw_row IN (SELECT throw_row FROM latest WHERE machine_row = ?1)";
 
     // Retention.
-    LAST_HEARD = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";
+    LAST_RECEIVED = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";
     TRACE_HOLDINGS = "SELECT traces AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \
         ORDER BY size DESC LIMIT ?1";
     TRACE_BYTE_HOLDINGS = "SELECT stored_bytes AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \

@@ -57,7 +57,7 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub async fn statistics(&self) -> Result<Statistics, StoreError> {
-        let read: Vec<Statistics> = self.reader.asked(sqlx::query_as(sql::STATISTICS)).await?;
+        let read: Vec<Statistics> = self.reader.external(sqlx::query_as(sql::STATISTICS)).await?;
         Ok(Statistics {
             wal_bytes: self.wal_bytes(),
             free_disk_bytes: self.disk.free_bytes(),

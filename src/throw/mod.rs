@@ -6,6 +6,7 @@
 mod machine;
 mod range;
 mod settings;
+mod text;
 mod trace;
 
 use std::fmt;
@@ -14,9 +15,11 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 pub use machine::{InvalidName, MachineId, Name};
+pub use range::OutOfRange;
 pub(crate) use range::Range;
-pub use range::{OutOfRange, brief};
 pub(crate) use settings::{Number, settings};
+pub(crate) use text::without_digits;
+pub use text::{brief, utc};
 pub use trace::{InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
 
 /// Direction of a throw.

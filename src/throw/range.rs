@@ -1,5 +1,7 @@
 //! Range checks of numbers in configurations and in parameters of machines.
 
+use super::text::brief;
+
 /// A number outside its range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key} is {}, must be {must}", brief(*.value))]
@@ -23,6 +25,8 @@ pub(crate) enum Range {
     AtLeast(f64),
     /// From the first to the second value, with their unit, which may be empty.
     Within(f64, f64, &'static str),
+    /// Values for which a condition holds that involves other numbers: the condition, and its text after "must be".
+    If(bool, &'static str),
 }
 
 impl Range {
@@ -33,6 +37,7 @@ impl Range {
             Self::Above(low) => value > low,
             Self::AtLeast(low) => value >= low,
             Self::Within(low, high, _) => (low..=high).contains(&value),
+            Self::If(holds, _) => holds,
         };
         if is_inside && value.is_finite() {
             return Ok(());
@@ -42,40 +47,13 @@ impl Range {
             Self::Above(low) => format!("above {low}"),
             Self::AtLeast(low) => format!("{low} or more"),
             Self::Within(low, high, unit) => format!("{low} to {high} {unit}").trim_end().to_owned(),
+            Self::If(_, must) => must.to_owned(),
         };
         Err(OutOfRange { key: key.to_owned(), value, must })
     }
 }
 
-/// A number for a sentence: a large or tiny one has an exponent, as 1e300 has 301 digits.
-#[must_use]
-pub fn brief(value: f64) -> String {
-    let magnitude = value.abs();
-    if magnitude == 0.0 || (1e-6..1e9).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
-}
-
 impl OutOfRange {
-    /// Checks that `good` holds for each number; NaN and infinite values always fail.
-    ///
-    /// # Errors
-    /// The first number for which `good` does not hold.
-    pub fn require(values: &[(&str, f64)], must: &str, good: impl Fn(f64) -> bool) -> Result<(), Self> {
-        match values.iter().find(|(_, value)| !value.is_finite() || !good(*value)) {
-            Some(&(key, value)) => Err(Self { key: key.to_owned(), value, must: must.to_owned() }),
-            None => Ok(()),
-        }
-    }
-
-    /// Checks `(key, value, lowest, highest, unit)` of each number; the unit may be empty.
-    ///
-    /// # Errors
-    /// The first number outside its range.
-    pub fn check<'a>(ranges: impl IntoIterator<Item = (&'a str, f64, f64, f64, &'static str)>) -> Result<(), Self> {
-        ranges
-            .into_iter()
-            .try_for_each(|(key, value, low, high, unit)| Range::Within(low, high, unit).check(key, value))
-    }
-
     /// Prefixes the key with a section of the configuration: `lead_mm` becomes `machine.lead_mm`.
     #[must_use]
     pub fn within(self, section: &str) -> Self {

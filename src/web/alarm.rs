@@ -1,29 +1,21 @@
 //! An open alarm on a page: size when raised and now, acknowledgement or shelving, text, link to the throw.
 
-use super::{
-    page,
-    state::{self, Badge},
-};
+use super::{page, state};
 use crate::{
-    diagnose::{AlarmState, Cause, Drifting},
+    diagnose::{AlarmState, Drifting},
     store::Window,
-    throw::MachineId,
     wire::Alarm,
 };
 
 /// One open alarm.
 pub(super) struct AlarmLine {
-    pub(super) machine: MachineId,
-    pub(super) badge: Badge,
-    pub(super) cause: Cause,
+    pub(super) alarm: Alarm,
     pub(super) state: String,
-    pub(super) raised_at: String,
     /// Size when raised, as "+28 % ± 4"; `None` for a cause without a size.
     pub(super) raised: Option<String>,
     /// Present size; `None` if the drift has ended.
     pub(super) now: Option<String>,
     pub(super) forecast: Option<String>,
-    pub(super) text: String,
     pub(super) throw: Option<String>,
 }
 
@@ -41,15 +33,11 @@ impl AlarmLine {
         };
         let throw = alarm.last_throw.as_ref().filter(|throw| !throw.boot_id.is_empty());
         Self {
-            machine: alarm.machine.clone(),
-            badge: Badge::of(alarm),
-            cause: alarm.cause,
+            alarm: alarm.clone(),
             state,
-            raised_at: page::time(alarm.raised_at),
             raised: raised.map(|(size, sd)| state::size(size, sd)),
             now: drift.map(|drift| state::size(drift.change_pct, drift.change_pct_sd)),
             forecast: drift.and_then(state::forecast),
-            text: alarm.text.clone(),
             throw: throw.map(|throw| page::throw_address(&alarm.machine, throw)),
         }
     }

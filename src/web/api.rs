@@ -20,10 +20,7 @@ use super::{
     overview::Web,
     page::{self, Failure},
 };
-use crate::{
-    store::{FleetQuery, Present},
-    throw::MachineId,
-};
+use crate::{diagnose::Present, store::FleetQuery, throw::MachineId};
 
 /// Largest number of throws in a response.
 const THROWS: u32 = 100;

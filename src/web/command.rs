@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_form_makes_one_command_or_says_what_is_missing() {
+    fn a_form_makes_one_command_or_an_error_that_names_the_missing_field() {
         let by = "A. Meyer".to_owned();
         assert_eq!(
             made("command=ack&cause=kt&by=A.+Meyer").unwrap(),

@@ -25,7 +25,7 @@ use crate::{
     daemon::{View, clock},
     diagnose::{Cause, MachineState},
     store::{CommonAlarm, Fault, FleetQuery, FleetRow, Reader, Tally, WORST_FIRST, Window},
-    throw::MachineId,
+    throw::{MachineId, utc},
     wire,
 };
 
@@ -183,7 +183,11 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         tally: tally_links(&tally, &filters),
         machines: format!("{} machine{}", page::count(tally.total()), if tally.total() == 1 { "" } else { "s" }),
         common: common(&overview.common),
-        alarms: overview.faults.iter().map(|fault| fault_line(fault, &windows)).collect(),
+        alarms: overview
+            .faults
+            .iter()
+            .map(|Fault { alarm, raised, drifts }| AlarmLine::new(alarm, *raised, drifts, &windows))
+            .collect(),
         more_alarms: if more_alarms > 0 { page::count(more_alarms) } else { String::new() },
         sites: overview.sites.iter().map(|site| (site.clone(), *site == filters.site)).collect(),
         causes: Cause::VARIANTS.iter().map(|cause| choice(cause.as_str(), cause.to_string(), &filters.cause)).collect(),
@@ -201,7 +205,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         daemon: daemon(&web.view, &overview),
         volatile: format!(
             "As of {}; running for {}.",
-            page::time(clock::now()),
+            utc(&clock::now()),
             page::duration(web.view.gauges.report().uptime_s)
         ),
         filters,
@@ -229,10 +233,6 @@ fn tally_links(tally: &Tally, filters: &Filters) -> Vec<(Badge, String, String)>
     WORST_FIRST.into_iter().filter(|state| tally.of(*state) > 0).map(link).collect()
 }
 
-fn fault_line(fault: &Fault, windows: &[Window]) -> AlarmLine {
-    AlarmLine::new(&fault.alarm, fault.raised, &fault.drifts, windows)
-}
-
 /// Groups the alarms of system-wide causes, those about lost data by their kind.
 fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
     let mut kinds: BTreeMap<(Cause, Option<String>), Vec<&CommonAlarm>> = BTreeMap::new();
@@ -247,7 +247,7 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
         let count: u64 = sites.values().map(|(count, _)| count).sum();
         let (first, last) = (alarms.iter().map(|alarm| alarm.first).min(), alarms.iter().map(|alarm| alarm.last).max());
         let times = first.zip(last).map(|(first, last)| {
-            let (first_time, last_time) = (page::time(first), page::time(last));
+            let (first_time, last_time) = (utc(&first), utc(&last));
             if first == last {
                 format!("since {first_time}")
             } else {
@@ -318,7 +318,7 @@ fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
         drift,
         notes,
         spark: spark(row.spark.iter().map(|change| sign * change[coefficient]), limit_pct),
-        last_throw: row.started_at.map(page::time).unwrap_or_default(),
+        last_throw: row.started_at.as_ref().map(utc).unwrap_or_default(),
         machine: row.machine.clone(),
     }
 }

@@ -191,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_addresses_localhost_and_configured_names_are_ours() {
+    fn only_ip_addresses_localhost_and_configured_names_are_accepted() {
         let names = ["cabinet.north".to_owned()];
         for ours in [
             "127.0.0.1",

@@ -20,9 +20,9 @@ use super::{
 };
 use crate::{
     daemon::clock,
-    diagnose::{AlarmState, BaselineRecord, MachineState, Settings, Severity},
-    store::{CommandRow, Present, Reader, StoreError, Window},
-    throw::{Direction, MachineId},
+    diagnose::{AlarmState, BaselineRecord, MachineState, Present, Settings, Severity},
+    store::{CommandRow, Reader, StoreError, Window},
+    throw::{Direction, MachineId, utc, without_digits},
     wire::{Alarm, Health},
 };
 
@@ -85,8 +85,8 @@ struct Page {
     drawn_throws: String,
     drawn: String,
     rejected: String,
-    events: Vec<Event>,
-    commands: Vec<Event>,
+    events: Vec<Alarm>,
+    commands: Vec<CommandRow>,
     throws: Vec<Row>,
     takes_commands: bool,
     form: Form,
@@ -130,16 +130,6 @@ struct LastThrow {
     /// For each coefficient: change in the last throw, and scatter of the machine.
     changes: Option<[(String, String); 3]>,
     without: String,
-}
-
-/// An alarm event or an operator's command.
-struct Event {
-    at: String,
-    badge: Option<Badge>,
-    what: String,
-    state: String,
-    text: String,
-    by: String,
 }
 
 /// A throw in the table.
@@ -236,13 +226,13 @@ async fn read(
         drawn_throws: drawn_throws(&both),
         drawn: drawn(&both),
         rejected: rejected(&both),
-        events: events.iter().map(event).collect(),
-        commands: commands.iter().map(command).collect(),
         throws: rows_of(&throws),
+        events,
+        commands,
         takes_commands: false,
         form: Form::default(),
         file_style: None,
-        volatile: format!("As of {}.", page::time(clock::now())),
+        volatile: format!("As of {}.", utc(&clock::now())),
         machine: machine.clone(),
     }))
 }
@@ -331,7 +321,7 @@ fn rows_of(throws: &[Health]) -> Vec<Row> {
     let mut of = |health: &Health| {
         let mut row = row(health);
         if row.quality.chars().count() > LONG {
-            let words = row.quality.replace(|character: char| character.is_ascii_digit(), "");
+            let words = without_digits(&row.quality);
             match before.get(&words) {
                 Some(throw_no) => {
                     let word = row.quality.split(':').next().unwrap_or_default();
@@ -352,11 +342,7 @@ fn drawn(directions: &Directions) -> String {
         return "No throw with a known direction.".to_owned();
     };
     let [there, back] = directions.each_ref().map(|(_, rows)| rows.len());
-    format!(
-        "{} to {}; drawn are {there} throws normal to reverse and {back} back.",
-        page::time(first),
-        page::time(last)
-    )
+    format!("{} to {}; drawn are {there} throws normal to reverse and {back} back.", utc(&first), utc(&last))
 }
 
 fn drawn_throws(directions: &Directions) -> String {
@@ -400,45 +386,13 @@ fn marks(
     marks
 }
 
-fn by_whom(by: Option<&String>, why: Option<&String>) -> String {
-    match (by, why) {
-        (Some(by), Some(why)) => format!("{by}: {why}"),
-        (Some(by), None) => by.clone(),
-        (None, _) => String::new(),
-    }
-}
-
-fn event(alarm: &Alarm) -> Event {
-    Event {
-        at: page::time(alarm.event_at),
-        badge: Some(Badge::of(alarm)),
-        what: alarm.cause.to_string(),
-        state: alarm.state.words().to_owned(),
-        text: alarm.text.clone(),
-        by: by_whom(alarm.by.as_ref(), alarm.why.as_ref()),
-    }
-}
-
-fn command(row: &CommandRow) -> Event {
-    let until = row.until.map(|until| format!("until {}", page::time(until)));
-    let cause = row.cause.map(|cause| format!(" {cause}")).unwrap_or_default();
-    Event {
-        at: page::time(row.at),
-        badge: None,
-        what: format!("{}{cause}", row.command.replace('_', " ")),
-        state: until.unwrap_or_default(),
-        text: String::new(),
-        by: by_whom(Some(&row.by), row.why.as_ref()),
-    }
-}
-
 pub(super) fn row(health: &Health) -> Row {
     let with =
         |value: Option<f64>, decimals: usize| value.map(|value| format!("{value:.decimals$}")).unwrap_or_default();
     Row {
         address: page::throw_address(&health.machine, &health.throw),
         throw_no: health.throw.throw_no,
-        at: page::time(health.started_at),
+        at: utc(&health.started_at),
         direction: health.direction.map_or_else(|| "unknown".to_owned(), |direction| direction.to_string()),
         changes: health.change_pct.map(|change| change.map(|change| state::signed(change, 1))),
         duration: with(health.duration_s, 2),

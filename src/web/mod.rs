@@ -48,7 +48,6 @@ use overview::Web;
 use page::{Failure, STYLE, asset, lasting_asset};
 
 pub use machine::{Span, report};
-pub(crate) use page::time;
 pub(crate) use state::{forecast, size};
 
 const REFRESH: &str = include_str!("pages/refresh.js");

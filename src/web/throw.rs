@@ -19,7 +19,7 @@ use super::{
 use crate::{
     estimate::{self, Motor},
     store::{Reader, StoredThrow},
-    throw::{MachineId, Name, Throw, ThrowRef, Trace, brief},
+    throw::{MachineId, Name, Throw, ThrowRef, Trace, brief, utc},
     wire::Health,
 };
 
@@ -93,8 +93,8 @@ pub(super) async fn page(State(web): State<Arc<Web>>, names: Names) -> Result<Re
         trouble,
         boot_id: stored.id.boot_id.clone(),
         throw_no: stored.id.throw_no,
-        at: page::time(stored.started_at),
-        received_at: page::time(stored.received_at),
+        at: utc(&stored.started_at),
+        received_at: utc(&stored.received_at),
         before: before.map(address),
         after: after.map(address),
         judged: health.as_ref().map(row),

@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn inertia_is_what_moves_all_three_coefficients_alike() {
+    fn inertia_moves_all_three_coefficients_alike() {
         let more = 100.0 * (1.0 / 1.2 - 1.0);
         assert!((inertia_pct([more; 3]) - 20.0).abs() < 1e-9);
         for one in [[-20.0, 0.0, 0.0], [0.0, 30.0, 0.0], [0.0, 0.0, 15.0]] {

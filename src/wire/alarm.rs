@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::json_bytes;
 use crate::{
     diagnose::{AlarmEvent, Cause},
-    throw::MachineId,
+    throw::{MachineId, without_digits},
 };
 
 /// An alarm event with its alarm and machine. Consumers deduplicate on (`alarm_id`, `event_no`).
@@ -84,7 +84,7 @@ pub fn without_subject(text: &str) -> &str {
 /// kinds of alarms: lost throws and a wrong clock have the same cause.
 #[must_use]
 pub fn kind_of(text: &str) -> String {
-    without_subject(text).replace(|character: char| character.is_ascii_digit(), "")
+    without_digits(without_subject(text))
 }
 
 #[cfg(test)]
@@ -97,7 +97,7 @@ mod tests {
     };
 
     #[test]
-    fn the_message_has_exactly_the_promised_fields() {
+    fn the_message_has_exactly_the_fields_of_the_contract() {
         let at: Timestamp = "2026-05-04T10:11:12Z".parse().unwrap();
         let event = AlarmEvent {
             cause: Cause::IncompleteThrow,

@@ -158,7 +158,7 @@ mod tests {
     use crate::wire::json_bytes;
 
     #[test]
-    fn the_message_has_exactly_the_promised_fields() {
+    fn the_message_has_exactly_the_fields_of_the_contract() {
         let text = r#"{"schema": "points.health/1", "site": "north", "machine": "21B", "boot_id": "b", "throw_no": 7,
             "started_at": "2026-05-04T10:11:12Z", "direction": "unknown", "quality": "no_movement",
             "b0": null, "a1": null, "a0": null, "b0_sd": null, "a1_sd": null, "a0_sd": null,

@@ -21,7 +21,7 @@ const ALIVE_A: &str = "points/v1/north/21A/alive";
 const ALIVE_B: &str = "points/v1/north/21B/alive";
 
 #[tokio::test(flavor = "multi_thread")]
-async fn each_logger_speaks_for_its_own_machine_only() {
+async fn each_logger_publishes_for_its_own_machine_only() {
     let (cabinet, endpoint) = cabinet().await;
     let throws = throw_subscriber(&cabinet).await;
     let logger = client("logger.north.21A", &endpoint).await;
@@ -70,7 +70,7 @@ async fn a_logger_cannot_answer_or_be_alive_for_another() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_shows_no_certificate_of_our_authority_gets_no_link() {
+async fn a_client_without_a_certificate_of_the_authority_gets_no_link() {
     let (_cabinet, endpoint) = cabinet().await;
     let good = client_config(&railway().folder("logger.north.21A"), &endpoint);
     assert!(gets_a_link(good.clone()).await);
@@ -111,7 +111,7 @@ async fn an_expired_certificate_opens_no_link() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_logger_does_not_talk_to_a_false_cabinet() {
+async fn a_logger_does_not_connect_to_a_false_cabinet() {
     let mut config = zenoh_table(&cabinet_toml("tls/127.0.0.1:0", None));
     for (key, file) in
         [("listen_certificate", "cert.pem"), ("listen_private_key", "key.pem"), ("root_ca_certificate", "ca.pem")]
@@ -133,16 +133,16 @@ async fn a_certificate_in_an_unlisted_name_gets_nothing() {
     let _alive = cabinet.liveliness().declare_token("points/v1/north/monitor/cabinet/alive").await.unwrap();
     let guest = client("guest", &endpoint).await;
     // A session receives its own messages, so a second session of the guest publishes.
-    let speaker = client("guest", &endpoint).await;
+    let publisher = client("guest", &endpoint).await;
     let viewer = client("viewer", &endpoint).await;
-    let (hears, sees) = (guest.declare_subscriber("**").await.unwrap(), viewer_of(&viewer).await);
+    let (messages, viewed) = (guest.declare_subscriber("**").await.unwrap(), viewer_of(&viewer).await);
     let alarms = guest.declare_subscriber("points/v1/**/alarm").await.unwrap();
 
-    speaker.put(THROW_A, "forged").await.unwrap();
-    speaker.put(ALARM, "forged").await.unwrap();
-    publish_until(&cabinet, ALARM, &sees).await;
+    publisher.put(THROW_A, "forged").await.unwrap();
+    publisher.put(ALARM, "forged").await.unwrap();
+    publish_until(&cabinet, ALARM, &viewed).await;
     assert!(tokio::time::timeout(SILENCE, alarms.recv_async()).await.is_err(), "the guest read an alarm");
-    assert!(hears.try_recv().unwrap().is_none(), "the guest read a message");
+    assert!(messages.try_recv().unwrap().is_none(), "the guest read a message");
     assert!(throws.try_recv().unwrap().is_none(), "the throw of the guest was accepted");
 
     assert!(ask(&guest, "points/v1/*/*/health", None).await.is_empty());
@@ -197,9 +197,9 @@ async fn a_logger_neither_reads_alarms_nor_commands() {
     let commands = answer(&cabinet, "points/v1/*/*/command", COMMAND).await;
     let logger = client("logger.north.21A", &endpoint).await;
     let viewer = client("viewer", &endpoint).await;
-    let (hears, sees) = (viewer_of(&logger).await, viewer_of(&viewer).await);
-    publish_until(&cabinet, ALARM, &sees).await;
-    assert!(tokio::time::timeout(SILENCE, hears.recv_async()).await.is_err());
+    let (messages, viewed) = (viewer_of(&logger).await, viewer_of(&viewer).await);
+    publish_until(&cabinet, ALARM, &viewed).await;
+    assert!(tokio::time::timeout(SILENCE, messages.recv_async()).await.is_err());
     assert!(ask(&logger, HEALTH, None).await.is_empty());
     assert!(ask(&logger, COMMAND, Some("{}")).await.is_empty());
     assert_eq!((health.load(Ordering::SeqCst), commands.load(Ordering::SeqCst)), (0, 0));
@@ -211,7 +211,7 @@ async fn a_message_above_the_limit_is_refused_and_the_next_good_one_is_taken() {
     let (cabinet, endpoint) = cabinet().await;
     let throws = throw_subscriber(&cabinet).await;
     let logger = client("logger.north.21A", &endpoint).await;
-    // Without a cache, so that a rejected message is not requested again.
+    // Without a backlog, so that a rejected message is not requested again.
     let publisher =
         logger.declare_publisher(THROW_A).congestion_control(zenoh::qos::CongestionControl::Block).await.unwrap();
     let matching = publisher.matching_listener().await.unwrap();

@@ -166,7 +166,7 @@ fn every_shipped_configuration_of_pointsd_is_right() {
 }
 
 #[test]
-fn a_missing_key_file_is_a_wrong_configuration_and_says_which() {
+fn a_missing_key_file_is_a_wrong_configuration_and_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("pointsd.toml");
     let whole = configured(folder.path(), "127.0.0.1:7447");

@@ -37,7 +37,7 @@ fn states(events: &[AlarmEvent]) -> Vec<AlarmState> {
 }
 
 #[test]
-fn cleared_before_it_was_acknowledged_it_waits_and_goes_on() {
+fn an_alarm_cleared_before_it_was_acknowledged_waits_for_the_acknowledgement() {
     let (mut machine, mut monitor, raised) = alarmed(1);
     assert_eq!((raised.state, raised.event_no), (AlarmState::ActiveUnacknowledged, 1));
     let cleared = run(&mut machine, &mut monitor, 60, Vector3::zeros());
@@ -86,7 +86,7 @@ fn a_constant_fault_is_not_cleared() {
 }
 
 #[test]
-fn acknowledged_and_cleared_it_is_normal_and_the_next_is_a_new_alarm() {
+fn an_acknowledged_and_cleared_alarm_is_normal_and_the_next_is_a_new_one() {
     let settings = Settings::default();
     let (mut machine, mut monitor, raised) = alarmed(2);
     let ack = Command::Ack { cause: Cause::Friction, by: by() };
@@ -167,7 +167,7 @@ fn a_name_or_reason_with_control_characters_is_refused() {
 }
 
 #[test]
-fn maintenance_diagnoses_nothing_and_teaches_nothing() {
+fn throws_in_maintenance_are_neither_diagnosed_nor_learned() {
     let settings = Settings::default();
     let mut machine = Machine::new(5, Nature::default());
     let mut monitor = MachineMonitor::new("21B");

@@ -59,7 +59,7 @@ fn the_alarm_about_a_bad_contact_stays_as_long_as_the_contact_is_bad() {
 
 /// Its error is near the least one that is named, and scatters around it.
 #[test]
-fn the_alarm_about_a_voltage_sensor_stays_as_long_as_it_lies() {
+fn the_alarm_about_a_voltage_sensor_stays_as_long_as_it_is_wrong() {
     let settings = Settings::default();
     let mut count = 0;
     for seed in 60..64 {
@@ -129,7 +129,7 @@ fn read_with(gain: f64, mut observation: Observation) -> Observation {
 }
 
 #[test]
-fn a_voltage_sensor_that_lies_is_named_and_nothing_else() {
+fn a_wrong_voltage_sensor_is_named_and_nothing_else() {
     let settings = Settings::default();
     // The gain of the sensor, and the true voltage: one is stuck while the supply falls.
     for (at, (gain, volts)) in [(0.67, 1.0), (0.85, 1.0), (1.2, 1.0), (1.0 / 0.72, 0.72)].into_iter().enumerate() {
@@ -196,7 +196,7 @@ fn a_weak_supply_is_no_friction_of_a_machine_with_one_rejected_direction() {
 
 /// The motor turns more slowly with less voltage, so the duration is no second alarm; a fault of a part beside it is one.
 #[test]
-fn what_a_published_loss_of_voltage_explains_is_no_second_alarm() {
+fn a_change_that_a_published_loss_of_voltage_explains_is_no_second_alarm() {
     let settings = Settings::default();
     for (seed, has_toe_sensor, before) in
         [(40, true, OF_RATIOS), (41, true, OF_RATIOS), (42, false, SOUND), (43, false, SOUND)]

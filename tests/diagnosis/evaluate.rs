@@ -20,7 +20,7 @@ fn report(seed: u64, amount: Amount) -> Report {
 }
 
 #[test]
-fn the_order_in_which_lives_are_lived_changes_nothing() {
+fn the_order_of_the_simulated_lives_changes_nothing() {
     let amount = Amount {
         trials: 2,
         trace_trials: 0,
@@ -56,7 +56,7 @@ fn plain_faults_are_named_right_and_health_is_not_alarmed() {
 }
 
 #[test]
-fn the_json_has_the_promised_keys() {
+fn the_json_has_the_keys_of_the_contract() {
     let amount = Amount {
         trials: 1,
         trace_trials: 0,

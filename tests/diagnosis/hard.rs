@@ -186,7 +186,7 @@ fn dry_friction_that_leaks_is_friction_of_its_true_size() {
 
 /// Equal changes of motor and inertia cancel in b0 and look like friction and stiffness together.
 #[test]
-fn what_cannot_be_told_apart_is_not_named() {
+fn causes_that_cannot_be_distinguished_are_not_named() {
     let (mut named, mut said) = (0, 0);
     for seed in 0..20 {
         let mut machine = Machine::new(600 + seed, Nature::default());
@@ -202,7 +202,7 @@ fn what_cannot_be_told_apart_is_not_named() {
 }
 
 #[test]
-fn a_fault_of_one_direction_is_said_to_be_of_that_direction() {
+fn a_fault_of_one_direction_names_that_direction() {
     let settings = Settings::default();
     let mut machine = Machine::new(31, Nature::default());
     let mut monitor = machine.learned(&settings);

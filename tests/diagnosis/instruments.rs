@@ -128,14 +128,14 @@ fn lives(seeds: std::ops::Range<u64>) {
 }
 
 #[test]
-fn sensor_supply_and_machine_are_told_apart() {
+fn sensor_supply_and_machine_are_distinguished() {
     lives(100..102);
 }
 
 /// Forty lives of each case: minutes.
 #[test]
 #[ignore = "minutes"]
-fn sensor_supply_and_machine_are_told_apart_in_forty_lives() {
+fn sensor_supply_and_machine_are_distinguished_in_forty_lives() {
     lives(200..240);
 }
 
@@ -163,7 +163,7 @@ fn a_sensor_that_is_mended_clears_its_alarm_also_after_a_restart() {
 }
 
 #[test]
-fn a_voltage_that_is_published_is_not_asked_for() {
+fn a_published_voltage_is_not_requested() {
     let settings = Settings::default();
     for (publishes, seed) in [(true, 320), (false, 320), (true, 321), (false, 321)] {
         let mut drive = Drive::new(seed, publishes);

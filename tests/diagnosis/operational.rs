@@ -42,7 +42,7 @@ fn summary(events: &[AlarmEvent]) -> Vec<(Cause, Severity, AlarmState)> {
 }
 
 #[test]
-fn an_incomplete_throw_is_told_at_once_and_a_second_is_critical() {
+fn an_incomplete_throw_is_reported_at_once_and_a_second_is_critical() {
     use AlarmState::{ActiveUnacknowledged, ClearedUnacknowledged};
     let (mut machine, mut monitor) = machine();
     let failed = feed(&mut machine, &mut monitor, 2, |o| (o.incomplete, o.estimate) = (true, None));

@@ -81,7 +81,7 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
 }
 
 #[test]
-fn a_direction_is_told_when_both_have_six_throws_and_not_before() {
+fn a_direction_is_named_when_both_have_six_throws_and_not_before() {
     let settings = Settings::default();
     let (mut right, mut lives) = (0, 0);
     for (cause, pct) in [(Cause::Friction, 35.0), (Cause::Kt, -12.0), (Cause::Stiffness, 22.0), (Cause::Inertia, 12.0)]
@@ -97,7 +97,7 @@ fn a_direction_is_told_when_both_have_six_throws_and_not_before() {
                     [first, _] => Some(Direction::BOTH[usize::from(!first)]),
                 };
                 if throw < 8 {
-                    assert_eq!(now.direction, None, "{cause}, seed {seed}: told after {throw} throws");
+                    assert_eq!(now.direction, None, "{cause}, seed {seed}: named after {throw} throws");
                 } else if throw >= 14 {
                     lives += 1;
                     right += u32::from(now.direction == truth);

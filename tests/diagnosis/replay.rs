@@ -77,7 +77,7 @@ async fn other_settings_show_which_alarms_differ_and_leave_the_old_database_alon
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_missing_or_in_the_way_is_said() {
+async fn a_missing_source_or_an_existing_target_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let config = configuration(folder.path(), "config.toml", "");
     let into = folder.path().join("new.db");

@@ -99,7 +99,7 @@ fn a_lasting_change_below_its_limit_does_not_end_the_learning_of_the_temperature
 }
 
 #[test]
-fn what_an_unknown_effect_of_the_temperature_hides_is_said() {
+fn faults_hidden_by_an_unknown_effect_of_the_temperature_are_stated() {
     for seed in 0..10 {
         // Thirty throws after a jump to summer its effect is not learned yet.
         let (after, before) = summer(41_000 + seed, 0, 30, 2.0, shift(Cause::Friction, 30.0));

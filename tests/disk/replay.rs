@@ -8,7 +8,8 @@
 
 use std::{collections::BTreeMap, fs, os::unix::fs::symlink, path::Path};
 
-use rand::{Rng, RngExt};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 const SECTOR: usize = 512;
 
@@ -229,4 +230,27 @@ impl Content {
 
 fn at(record: &Record) -> usize {
     usize::try_from(record.offset).unwrap()
+}
+
+/// Cuts the power at `cuts` random points of the log of a run that left the files in `was`. `check` gets the disk at each
+/// cut, and a folder with its files.
+pub(crate) async fn cut_at_random(
+    records: &[Record],
+    was: &Path,
+    cuts: usize,
+    seed: u64,
+    mut check: impl AsyncFnMut(&Disk, &Path),
+) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut points: Vec<usize> = (0..cuts).map(|_| rng.random_range(0..=records.len())).collect();
+    points.sort_unstable();
+    let mut disk = Disk::default();
+    let mut followed = 0;
+    for point in points {
+        records[followed..point].iter().for_each(|record| disk.follow(record));
+        followed = point;
+        let folder = tempfile::tempdir().unwrap();
+        disk.after_cut(was, folder.path(), &mut rng);
+        check(&disk, folder.path()).await;
+    }
 }

@@ -35,24 +35,24 @@ async fn life(jumps: &[&str]) -> Option<Rig> {
         let plan = Plan { throws: THROWS, boot_id: format!("b{part}"), ..Plan::default() };
         loggers.push(Logger::start(&daemon.endpoint, plan).await);
         let all = 2 * THROWS * (part as u64 + 1);
-        witness.until("every throw", |heard| heard.health.len() as u64 == all).await;
+        witness.until("every throw", |received| received.health.len() as u64 == all).await;
     }
-    let events = told(&rig).len();
-    witness.until("every alarm event", |heard| heard.events.len() == events).await;
+    let events = alarm_events(&rig).len();
+    witness.until("every alarm event", |received| received.events.len() == events).await;
     daemon.terminate();
     Some(rig)
 }
 
-fn told(rig: &Rig) -> Vec<Value> {
+fn alarm_events(rig: &Rig) -> Vec<Value> {
     rig.sql("SELECT machine, cause, event_no, severity, state, text FROM alarm_events ORDER BY machine, raised_at, event_no")
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_clock_that_jumps_harms_neither_order_nor_alarms_nor_what_is_kept() {
+async fn a_clock_that_jumps_harms_neither_order_nor_alarms_nor_retention() {
     let Some(steady) = life(&["+0", "+0", "+0", "+0", "+0"]).await else { return };
     let Some(jumped) = life(&["+0", "-1d", "+3650d", "-1d", "+0"]).await else { return };
-    assert!(!told(&steady).is_empty());
-    assert_eq!(told(&jumped), told(&steady), "the same alarms, in the same order");
+    assert!(!alarm_events(&steady).is_empty());
+    assert_eq!(alarm_events(&jumped), alarm_events(&steady), "the same alarms, in the same order");
 
     let received = jumped.sql("SELECT max(received_at_us) - min(received_at_us) AS us FROM throw")[0]["us"].clone();
     let ten_years = 3600 * 24 * 3650 * 1_000_000_u64;

@@ -5,13 +5,10 @@
 
 use std::{path::Path, time::Duration};
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
 use crate::{
     database::{Verdict, inspect},
     logger::{Logger, Plan, QUICK_ALARMS},
-    replay::{Disk, Record, read_log, without_commit_syncs},
+    replay::{Disk, Record, cut_at_random, read_log, without_commit_syncs},
     rig::Rig,
     shim, size,
     witness::Witness,
@@ -30,35 +27,25 @@ async fn run_and_log(throws: usize) -> Option<(Vec<Record>, tempfile::TempDir)> 
     let witness = Witness::listen(&daemon.endpoint, Some(&path)).await;
     let plan = Plan { machines: 4, pace: Duration::from_millis(5), ..Plan::default() };
     let logger = Logger::start(&daemon.endpoint, plan).await;
-    witness.until("every throw", |heard| heard.health.len() >= throws).await;
+    witness.until("every throw", |received| received.health.len() >= throws).await;
     let silent = logger.stop();
     let all = usize::try_from(silent.published).unwrap() * 4;
-    witness.until("the last throw", |heard| heard.health.len() >= all).await;
-    assert!(!witness.heard().events.is_empty(), "no alarm was raised");
+    witness.until("the last throw", |received| received.health.len() >= all).await;
+    assert!(!witness.received().events.is_empty(), "no alarm was raised");
     daemon.terminate();
     Some((read_log(&path), rig.into_folder()))
 }
 
 /// Checks the disk after a power cut at `cuts` points of the log.
 async fn cut(records: &[Record], was: &Path, cuts: usize, seed: u64) -> Verdict {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut points: Vec<usize> = (0..cuts).map(|_| rng.random_range(0..=records.len())).collect();
-    points.sort_unstable();
-    let mut disk = Disk::default();
-    let mut followed = 0;
     let mut verdict = Verdict::default();
-    for point in points {
-        records[followed..point].iter().for_each(|record| disk.follow(record));
-        followed = point;
-        let folder = tempfile::tempdir().unwrap();
-        disk.after_cut(was, folder.path(), &mut rng);
-        inspect(folder.path(), &disk.acknowledged, &mut verdict).await;
-    }
+    let check = async |disk: &Disk, folder: &Path| inspect(folder, &disk.acknowledged, &mut verdict).await;
+    cut_at_random(records, was, cuts, seed, check).await;
     verdict
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn power_cuts_lose_nothing_that_the_daemon_had_told() {
+async fn power_cuts_lose_nothing_that_the_daemon_had_published() {
     let cuts = size("POINTSD_CUTS", 25);
     let Some((records, folder)) = run_and_log(if cuts > 100 { 1000 } else { 100 }).await else { return };
     let acknowledged = records.iter().filter(|record| record.is_acknowledgement()).count();

@@ -73,7 +73,7 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
         }
     }
     verdict.duplicated += times.values().filter(|times| **times > 1).count();
-    let mut heard = BTreeSet::new();
+    let mut received = BTreeSet::new();
     for line in acknowledged.lines() {
         match line.split(' ').collect::<Vec<_>>()[..] {
             ["throw", machine, boot_id, number] => {
@@ -87,7 +87,7 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
                 if !events.contains(&event) {
                     verdict.lose(line.to_owned());
                 }
-                heard.insert(event);
+                received.insert(event);
             }
             _ => panic!("{line:?}"),
         }
@@ -95,7 +95,7 @@ pub(crate) async fn inspect(folder: &Path, acknowledged: &str, verdict: &mut Ver
     // Events that were not acknowledged must be in the outbox.
     let about: BTreeSet<(String, u32)> = waiting.iter().map(message).collect();
     verdict.duplicated += waiting.len() - about.len();
-    for event in events.iter().filter(|event| !heard.contains(event) && !about.contains(event)) {
+    for event in events.iter().filter(|event| !received.contains(event) && !about.contains(event)) {
         verdict.lose(format!("{event:?} would never be published"));
     }
     opened.store.close().await.unwrap();

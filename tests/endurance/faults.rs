@@ -17,7 +17,7 @@ use crate::{
     logger::{Logger, Plan, QUICK_ALARMS},
     rig::{NotStarted, PATIENCE, Rig},
     shim, size,
-    witness::{Heard, Witness},
+    witness::{Received, Witness},
 };
 
 const ERRNOS: [u32; 2] = [5, 28]; // EIO, ENOSPC
@@ -39,8 +39,8 @@ enum Fate {
     Restarted,
 }
 
-fn is_all(heard: &Heard) -> bool {
-    heard.health.len() as u64 == 2 * THROWS
+fn is_all(received: &Received) -> bool {
+    received.health.len() as u64 == 2 * THROWS
 }
 
 fn plan() -> Plan {
@@ -62,7 +62,7 @@ async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
     let logger = Logger::start(&daemon.endpoint, plan()).await;
     let deadline = Instant::now() + PATIENCE;
     let fate = loop {
-        if is_all(&witness.heard()) {
+        if is_all(&witness.received()) {
             break Fate::WentOn;
         }
         if let Some(status) = daemon.ended() {
@@ -76,13 +76,13 @@ async fn run(library: &Path, fault: &str) -> Result<Fate, String> {
             break Fate::Complained;
         }
         if Instant::now() > deadline {
-            return Err(format!("{} heard: {:?}", witness.heard().health.len(), daemon.log()));
+            return Err(format!("{} received: {:?}", witness.received().health.len(), daemon.log()));
         }
         tokio::time::sleep(Duration::from_millis(10)).await;
     };
     daemon.kill();
     let mut verdict = Verdict::default();
-    let acknowledged = witness.heard().acknowledged();
+    let acknowledged = witness.received().acknowledged();
     inspect(rig.folder(), &acknowledged, &mut verdict).await;
     if verdict.lost + verdict.duplicated + verdict.unreadable > 0 {
         return Err(format!("{verdict:?}"));

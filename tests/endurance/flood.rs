@@ -28,9 +28,11 @@ use crate::{
 const THROW_BYTES: u64 = 24_000;
 /// Growth of the database by the flood between two rounds of housekeeping \[MiB\].
 const ROUND_MIB: u64 = 16;
-/// The other machines, their throws before the flood, and the interval of their throws during it.
+/// The other machines.
 const OTHERS: [&str; 3] = ["m1", "m2", "m3"];
+/// Throws of each of them before the flood.
 const BEFORE: u64 = 30;
+/// Interval of their throws during the flood.
 const PACE: Duration = Duration::from_millis(200);
 /// Limit for the 99th percentile of the time to the judgement, in an optimised build.
 const P99: Duration = Duration::from_secs(2);
@@ -146,7 +148,7 @@ async fn one_logger_at_full_speed_harms_no_other() {
 
 /// The daemon drops messages of a flood in which each has another key. Queries of all these loggers would fill its memory.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn loggers_that_nobody_knows_are_not_queried_in_a_flood() {
+async fn unknown_loggers_are_not_queried_in_a_flood() {
     const MESSAGES: u64 = 200_000;
     let (_rig, daemon) = Rig::running();
     let session = daemon.client().await;

@@ -26,17 +26,17 @@ async fn fill_and_free(ballast_mib: u64) {
     let daemon = rig.start();
     let witness = Witness::listen(&daemon.endpoint, None).await;
     let first = Logger::start(&daemon.endpoint, Plan { throws: 10, ..Plan::default() }).await;
-    witness.until("a healthy start", |heard| heard.health.len() == 20).await;
+    witness.until("a healthy start", |received| received.health.len() == 20).await;
 
     disk.fill();
     // The ballast, if any, is removed, and its space is enough for the alarm.
     let about_disk = |(alarm_id, _): &(String, u32)| alarm_id.starts_with("fleet.pointsd.data_loss.");
-    witness.until("an alarm about the disk", |heard| heard.events.iter().any(about_disk)).await;
+    witness.until("an alarm about the disk", |received| received.events.iter().any(about_disk)).await;
     // Now no write can succeed.
     disk.fill();
     let logger = Logger::start(&daemon.endpoint, Plan { boot_id: "b2".to_owned(), ..Plan::default() }).await;
     daemon.until_status("a full disk", |status| status["disk"] == "full").await;
-    let heard = witness.heard().health.len();
+    let published = witness.received().health.len();
     let (_, line) = daemon.operate(&["status"]);
     assert!(line.contains("DISK FULL"), "{line}");
     assert!(daemon.log().iter().any(|line| line.contains("ERROR") && line.contains("storing throws failed")));
@@ -45,20 +45,20 @@ async fn fill_and_free(ballast_mib: u64) {
     // The daemon still runs and answers while throws arrive.
     let received = daemon.status()["received"].as_u64().unwrap();
     daemon.until_status("throws that wait", |status| status["received"].as_u64() > Some(received + 20)).await;
-    assert!(witness.heard().health.len() < heard + 20, "the disk was not full");
+    assert!(witness.received().health.len() < published + 20, "the disk was not full");
 
     disk.free();
     daemon.until_status("a disk with room", |status| status["disk"] == "ok").await;
     let silent = logger.stop();
     let all = 20 + 2 * usize::try_from(silent.published).unwrap();
-    witness.until("every throw", |heard| heard.health.len() >= all).await;
+    witness.until("every throw", |received| received.health.len() >= all).await;
     let status = daemon.status();
     assert_eq!((&status["lost"], &status["dropped"]), (&0.into(), &0.into()), "{status}");
     drop(first);
     daemon.terminate();
     assert!(rig.sql("SELECT * FROM data_gaps").is_empty());
     let mut verdict = Verdict::default();
-    let acknowledged = witness.heard().acknowledged();
+    let acknowledged = witness.received().acknowledged();
     inspect(rig.folder(), &acknowledged, &mut verdict).await;
     let Verdict { lost, duplicated, unreadable, notes, .. } = verdict;
     assert_eq!((lost, duplicated, unreadable), (0, 0, 0), "{notes:?}");

@@ -62,44 +62,48 @@ async fn a_daemon_that_is_killed_again_and_again_loses_nothing() {
     })
     .await;
     let events = events_of(&reader).await;
-    witness.until("every alarm event", |heard| heard.events.len() >= events.len()).await;
-    plain.until("every alarm event, without asking,", |heard| heard.events.len() >= events.len()).await;
+    witness.until("every alarm event", |received| received.events.len() >= events.len()).await;
+    plain.until("every alarm event, without asking,", |received| received.events.len() >= events.len()).await;
     daemon.terminate();
     // The alarm for a gap comes a minute after its detection, so more events may have come during the wait.
     let at_the_end = events_of(&reader).await;
 
     let missing = |name: &str| settled.missing.get(&who(name)).map_or(0, Vec::len);
-    let heard = witness.heard();
+    let received = witness.received();
     println!(
         "{kills} kills: {} throws of each of {REMEMBERED} machines, {} missing; {} of one with backlog 1, {} missing; \
-         {} alarm events, {} messages heard",
+         {} alarm events, {} messages received",
         silent.published,
         (1..=REMEMBERED).map(|number| missing(&format!("m{number}"))).sum::<usize>(),
         forgotten.published,
         missing("f1"),
         events.len(),
-        heard.messages
+        received.messages
     );
     for (who, last) in &machines {
         assert_eq!(settled.all(who), (1..=*last).collect::<Vec<_>>(), "{who:?}: each is stored once, or missing once");
-        let cached = who.0 != "f1";
-        assert!(!cached || missing(&who.0) == 0, "{who:?}: {:?} were in the logger's cache", settled.missing[who]);
+        let has_backlog = who.0 != "f1";
+        assert!(
+            !has_backlog || missing(&who.0) == 0,
+            "{who:?}: {:?} were in the logger's backlog",
+            settled.missing[who]
+        );
     }
-    for heard in [heard, plain.heard()] {
-        let all: BTreeSet<_> = heard.events.iter().cloned().collect();
-        assert_eq!(events.difference(&all).collect::<Vec<_>>(), Vec::<&(String, u32)>::new(), "not heard");
+    for received in [received, plain.received()] {
+        let all: BTreeSet<_> = received.events.iter().cloned().collect();
+        assert_eq!(events.difference(&all).collect::<Vec<_>>(), Vec::<&(String, u32)>::new(), "not received");
         assert_eq!(all.difference(&at_the_end).collect::<Vec<_>>(), Vec::<&(String, u32)>::new(), "not stored");
     }
     // A subscriber that also queries gets events in any order; only the plain subscriber shows the order of
     // publication.
-    for (alarm_id, numbers) in in_order_of_arrival(&plain.heard().events) {
+    for (alarm_id, numbers) in in_order_of_arrival(&plain.received().events) {
         assert!(numbers.is_sorted(), "{alarm_id}: events arrived as {numbers:?}");
     }
 }
 
-fn in_order_of_arrival(heard: &[(String, u32)]) -> BTreeMap<String, Vec<u32>> {
+fn in_order_of_arrival(received: &[(String, u32)]) -> BTreeMap<String, Vec<u32>> {
     let mut alarms: BTreeMap<String, Vec<u32>> = BTreeMap::new();
-    for (alarm_id, event_no) in heard {
+    for (alarm_id, event_no) in received {
         alarms.entry(alarm_id.clone()).or_default().push(*event_no);
     }
     alarms

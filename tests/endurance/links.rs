@@ -22,7 +22,7 @@ use crate::{
 
 const MACHINES: usize = 20;
 /// Throws of each machine in the backlog of its logger, as in the shipped configuration.
-const CACHE: usize = 64;
+const BACKLOG: usize = 64;
 
 /// Length of a cut, and throws per second.
 fn scale() -> (Duration, f64) {
@@ -42,7 +42,7 @@ async fn loggers(endpoint: &str, boot_id: &str, rate: f64) -> [Logger; 2] {
         boot_id: boot_id.to_owned(),
         ..Plan::default()
     };
-    let remembers = Logger::start(endpoint, plan("m", MACHINES, CACHE, rate)).await;
+    let remembers = Logger::start(endpoint, plan("m", MACHINES, BACKLOG, rate)).await;
     [remembers, Logger::start(endpoint, plan("f", 1, 1, rate / 10.0)).await]
 }
 
@@ -59,8 +59,12 @@ fn stop([remembers, forgets]: [Logger; 2], boot_id: &str, published: &mut Publis
     silent
 }
 
-fn count(numbers: &BTreeMap<(String, String), Vec<u64>>, cached: bool) -> usize {
-    numbers.iter().filter(|((machine, _), _)| machine.starts_with('m') == cached).map(|(_, list)| list.len()).sum()
+fn count(numbers: &BTreeMap<(String, String), Vec<u64>>, with_backlog: bool) -> usize {
+    numbers
+        .iter()
+        .filter(|((machine, _), _)| machine.starts_with('m') == with_backlog)
+        .map(|(_, list)| list.len())
+        .sum()
 }
 
 /// Waits until all throws are stored or missing, judged and published; checks and prints the result.
@@ -78,27 +82,27 @@ async fn settle(rig: &Rig, witness: &Witness, published: &Published, what: &str)
     })
     .await;
     let events = events(&reader).await;
-    witness.until("every alarm event", |heard| heard.events.len() >= events.len()).await;
-    let heard = witness.heard();
+    witness.until("every alarm event", |received| received.events.len() >= events.len()).await;
+    let received = witness.received();
     println!(
         "{what}: {} throws of {MACHINES} machines stored, {} missing; {} of one with backlog 1, {} missing; {} alarm \
-         events, {} messages heard",
+         events, {} messages received",
         count(&known.stored, true),
         count(&known.missing, true),
         count(&known.stored, false),
         count(&known.missing, false),
         events.len(),
-        heard.messages
+        received.messages
     );
     for (who, last) in published {
         assert_eq!(known.all(who), (1..=*last).collect::<Vec<_>>(), "{who:?}: each is stored once, or missing once");
     }
     assert_eq!(count(&known.missing, true), 0, "throws in the backlogs were not stored: {:?}", known.missing);
-    assert_eq!(heard.events.iter().cloned().collect::<BTreeSet<_>>(), events, "every event, and nothing else");
+    assert_eq!(received.events.iter().cloned().collect::<BTreeSet<_>>(), events, "every event, and nothing else");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn cut_links_and_new_loggers_lose_nothing_that_a_cache_holds() {
+async fn cut_links_and_new_loggers_lose_nothing_that_a_backlog_holds() {
     let (cut, rate) = scale();
     let (rig, daemon) = Rig::running_with(QUICK_ALARMS);
     let (field, control_room) = (Cable::to(&daemon.endpoint).await, Cable::to(&daemon.endpoint).await);
@@ -123,7 +127,7 @@ async fn cut_links_and_new_loggers_lose_nothing_that_a_cache_holds() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_router_that_dies_loses_nothing_that_a_cache_holds() {
+async fn a_router_that_dies_loses_nothing_that_a_backlog_holds() {
     let (cut, rate) = scale();
     // Every pointsd is a router; this one serves a site without machines.
     let router_rig = Rig::with("[subscribe]\nkey = \"points/v1/nowhere/**\"\n[monitor]\nid = \"router\"\n").same_port();

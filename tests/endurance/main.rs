@@ -23,7 +23,7 @@ mod shim;
 mod small_disk;
 mod witness;
 
-mod caches;
+mod backlogs;
 mod clock;
 mod cuts;
 mod faults;

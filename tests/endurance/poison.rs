@@ -37,9 +37,11 @@ const ROUND: usize = 2_000;
 /// Limit of the memory. The limits of the daemon are 128 MiB in the queue, 64 MiB on the way to the database and 256
 /// MiB for the longest traces; the messages of this test reach none of them.
 const MEMORY_MIB: f64 = 400.0;
+/// Configured limit of the quarantine \[messages\].
 const QUARANTINE: i64 = 500;
 /// Without the log line for each rejected message, of which there may be a million.
 const QUIET: &str = "info,zenoh=warn,pointsd::daemon::receive=error,pointsd::store=error";
+/// Configured limit of the machines.
 const MACHINES: usize = 2_000;
 
 /// Generator of messages.
@@ -236,7 +238,7 @@ async fn nothing_that_arrives_stops_the_daemon_or_fills_its_memory() {
     let seconds = start.elapsed().as_secs_f64();
     stop.store(true, Relaxed);
     let most = memory.join().unwrap();
-    assert!(daemon.runs(), "it has ended: {:?}", daemon.log());
+    assert!(daemon.is_running(), "it has ended: {:?}", daemon.log());
 
     let mut stored: BTreeMap<u64, usize> = BTreeMap::new();
     let reader = Reader::open(&rig.database()).await.unwrap();

@@ -28,8 +28,9 @@ use crate::{
 };
 
 const KEY: &str = "points/v1/north/21B/throw";
-/// Configured limit of the log, and the excess by one group of writes \[MiB\].
+/// Configured limit of the write-ahead log \[MiB\].
 const LOG_MIB: f64 = 32.0;
+/// Allowed excess over this limit, by one group of writes \[MiB\].
 const GROUP_MIB: f64 = 8.0;
 /// Memory for readers that hang: buffers of a link, and of the bounded queues before it \[MiB\].
 const MEMORY_MIB: f64 = 64.0;
@@ -40,8 +41,10 @@ const NOISE: f64 = 3.0;
 
 /// Environment variable for the process of the subscriber that hangs: endpoint of the daemon.
 const HANGING_AT: &str = "POINTSD_HANGING_AT";
-const LISTENS: &str = "it listens";
-const HEARS: &str = "it hears";
+/// Line of this process when it has subscribed.
+const LISTENS: &str = "listens";
+/// Line of this process at its first message.
+const RECEIVES: &str = "receives";
 
 /// A subscriber to all messages that stays in its first callback. It has its own process, because the sessions of a
 /// process share their threads.
@@ -72,7 +75,7 @@ async fn hang() {
     let Ok(endpoint) = env::var(HANGING_AT) else { return };
     let session = rig::client_of(&endpoint).await;
     let hangs = |_| {
-        println!("{HEARS}");
+        println!("{RECEIVES}");
         loop {
             thread::park();
         }
@@ -170,7 +173,7 @@ async fn readers_that_hang_neither_slow_ingestion_nor_grow_memory_or_log() {
     let mut hanging = Hanging::start(&daemon.endpoint);
     hanging.until(LISTENS);
     source.rates(20).await;
-    hanging.until(HEARS);
+    hanging.until(RECEIVES);
     // Another connection has started a read transaction.
     let options = SqliteConnectOptions::new().filename(rig.database()).read_only(true);
     let mut reader = SqliteConnection::connect_with(&options).await.unwrap();

@@ -39,7 +39,7 @@ const RATE: f64 = MACHINES as f64 * THROWS_A_DAY * TIMES / 86_400.0;
 /// Retention limit for throws and traces, reached within the first ten minutes.
 const KEPT: u32 = 1_000;
 /// Throws of each machine in the backlog, which is full after seven minutes.
-const CACHE: u32 = 50;
+const BACKLOG: u32 = 50;
 /// Backlogs, allocator and database reach their full size in this time of a long run.
 const WARM_UP_S: f64 = 600.0;
 /// Period and length of the cuts in this time: eight cuts.
@@ -134,7 +134,7 @@ struct Logger(Child);
 impl Logger {
     fn start(rig: &Rig, endpoint: &str) -> Self {
         let config = rig.folder().join("pointsim.toml");
-        fs::write(&config, format!("[logger]\nbacklog_throws = {CACHE}\n")).unwrap();
+        fs::write(&config, format!("[logger]\nbacklog_throws = {BACKLOG}\n")).unwrap();
         let machines = MACHINES.to_string();
         let scale = (86_400.0 / THROWS_A_DAY).recip() * 600.0 * TIMES;
         let child = pointsim(&["run", "--machines", &machines, "--connect", endpoint, "--time-scale"])
@@ -180,8 +180,8 @@ async fn nothing_grows_at_fifty_times_a_cabinets_load() {
     }
     let daemon = rig.start();
     let session = daemon.client().await;
-    let heard = Arc::new(AtomicU64::new(0));
-    let counting = Arc::clone(&heard);
+    let received = Arc::new(AtomicU64::new(0));
+    let counting = Arc::clone(&received);
     let alarms = session.declare_subscriber("points/v1/**/alarm").callback(move |_| {
         counting.fetch_add(1, Relaxed);
     });
@@ -218,10 +218,10 @@ async fn nothing_grows_at_fifty_times_a_cabinets_load() {
     drop(alarms);
     daemon.terminate();
     recording.draw();
-    println!("{published} throws published; {} alarm events heard; at the end {end:?}", heard.load(Relaxed));
+    println!("{published} throws published; {} alarm events received; at the end {end:?}", received.load(Relaxed));
     assert!(in_time.is_ok(), "{published} published, {} stored and judged, {missing} missing", end.judged);
     assert_eq!((end.stored, end.judged, end.dropped, end.lost, end.quarantined), (published, published, 0, 0, 0));
-    assert!(heard.load(Relaxed) >= end.alarm_events, "alarm events were not heard");
+    assert!(received.load(Relaxed) >= end.alarm_events, "alarm events were not received");
     let expected = RATE * plan.length.as_secs_f64();
     assert!(published as f64 > 0.8 * expected, "{published} of {expected:.0} throws: the load was not there");
     recording.judge();

@@ -20,7 +20,7 @@ use crate::rig;
 
 /// The received messages.
 #[derive(Debug, Default)]
-pub(crate) struct Heard {
+pub(crate) struct Received {
     /// Machine, boot id and number of each throw with a received health message.
     pub(crate) health: BTreeSet<(String, String, u64)>,
     /// Alarm events in the order of their first arrival.
@@ -29,7 +29,7 @@ pub(crate) struct Heard {
     pub(crate) messages: usize,
 }
 
-impl Heard {
+impl Received {
     /// The received messages as acknowledgement lines.
     pub(crate) fn acknowledged(&self) -> String {
         let throws = self.health.iter().map(|(machine, boot_id, throw_no)| throw_line(machine, boot_id, *throw_no));
@@ -47,7 +47,7 @@ fn event_line(alarm_id: &str, event_no: u32) -> String {
 
 /// A subscriber that receives until it is dropped.
 pub(crate) struct Witness {
-    heard: Arc<Mutex<Heard>>,
+    received: Arc<Mutex<Received>>,
     _session: Session,
 }
 
@@ -56,9 +56,9 @@ impl Witness {
     /// daemon.
     pub(crate) async fn listen(endpoint: &str, log: Option<&Path>) -> Self {
         let session = rig::client_of(endpoint).await;
-        let heard = Arc::<Mutex<Heard>>::default();
+        let received = Arc::<Mutex<Received>>::default();
         let log = log.map(|path| Arc::new(OpenOptions::new().create(true).append(true).open(path).unwrap()));
-        let (health, noted) = (Arc::clone(&heard), log.clone());
+        let (health, noted) = (Arc::clone(&received), log.clone());
         let on_health = move |sample: Sample| {
             let message: Health = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
             let (machine, throw) = (message.machine.machine.to_string(), message.throw);
@@ -66,7 +66,7 @@ impl Witness {
             health.lock().unwrap().health.insert((machine, throw.boot_id, throw.throw_no));
         };
         session.declare_subscriber("points/v1/**/health").callback(on_health).background().await.unwrap();
-        let on_alarm = Arc::new(alarm_taker(Arc::clone(&heard), log));
+        let on_alarm = Arc::new(alarm_taker(Arc::clone(&received), log));
         let live = Arc::clone(&on_alarm);
         session
             .declare_subscriber("points/v1/**/alarm")
@@ -83,44 +83,49 @@ impl Witness {
         };
         let daemons = session.liveliness().declare_subscriber("points/v1/*/monitor/*/alive").history(true);
         daemons.callback(on_daemon).background().await.unwrap();
-        Self { heard, _session: session }
+        Self { received, _session: session }
     }
 
     /// Subscribes to alarms with a plain zenoh subscriber.
     pub(crate) async fn listen_plainly(endpoint: &str) -> Self {
         let session = rig::patient_client_of(endpoint).await;
-        let heard = Arc::<Mutex<Heard>>::default();
-        let on_alarm = alarm_taker(Arc::clone(&heard), None);
+        let received = Arc::<Mutex<Received>>::default();
+        let on_alarm = alarm_taker(Arc::clone(&received), None);
         session.declare_subscriber("points/v1/**/alarm").callback(on_alarm).background().await.unwrap();
-        Self { heard, _session: session }
+        Self { received, _session: session }
     }
 
-    pub(crate) fn heard(&self) -> MutexGuard<'_, Heard> {
-        self.heard.lock().unwrap()
+    pub(crate) fn received(&self) -> MutexGuard<'_, Received> {
+        self.received.lock().unwrap()
     }
 
     /// Waits until the received messages fulfil a condition.
-    pub(crate) async fn until(&self, what: &str, is_heard: impl Fn(&Heard) -> bool) {
+    pub(crate) async fn until(&self, what: &str, is_heard: impl Fn(&Received) -> bool) {
         let waiting = async {
-            while !is_heard(&self.heard()) {
+            while !is_heard(&self.received()) {
                 tokio::time::sleep(Duration::from_millis(20)).await;
             }
         };
         let waited = tokio::time::timeout(rig::PATIENCE, waiting).await;
-        let heard = self.heard();
-        assert!(waited.is_ok(), "not received: {what}; received: {} throws and {:?}", heard.health.len(), heard.events);
+        let received = self.received();
+        assert!(
+            waited.is_ok(),
+            "not received: {what}; received: {} throws and {:?}",
+            received.health.len(),
+            received.events
+        );
     }
 }
 
-fn alarm_taker(heard: Arc<Mutex<Heard>>, log: Option<Arc<File>>) -> impl Fn(Sample) + Send + Sync + 'static {
+fn alarm_taker(received: Arc<Mutex<Received>>, log: Option<Arc<File>>) -> impl Fn(Sample) + Send + Sync + 'static {
     move |sample| {
         let message: Alarm = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
         note(log.as_deref(), &event_line(&message.alarm_id, message.event_no));
-        let mut heard = heard.lock().unwrap();
-        heard.messages += 1;
+        let mut received = received.lock().unwrap();
+        received.messages += 1;
         let event = (message.alarm_id.clone(), message.event_no);
-        if !heard.events.contains(&event) {
-            heard.events.push(event);
+        if !received.events.contains(&event) {
+            received.events.push(event);
         }
     }
 }

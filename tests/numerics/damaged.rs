@@ -300,7 +300,7 @@ fn a_few_missing_samples_do_not_change_the_coefficients() {
 }
 
 #[test]
-fn what_the_machine_did_wrong_is_told_from_what_the_sensors_did() {
+fn faults_of_the_machine_are_distinguished_from_those_of_the_sensors() {
     let machine = Parameters::default();
     let outcome = |conditions: Conditions, stroke_mm: Option<f64>| {
         let sensors = Sensors::default();

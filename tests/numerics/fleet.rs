@@ -69,7 +69,7 @@ fn the_size_of_a_fault_is_what_the_estimate_shows() {
 }
 
 #[test]
-fn a_fault_develops_as_its_shape_says() {
+fn a_fault_develops_with_its_shape() {
     let fault = |shape| Fault { part: Part::Kt, shape, size_pct: -10.0, from_throw: 5 };
     let sizes = |shape| (0..20).map(|throw| fault(shape).size_at(throw, 3.0)).collect::<Vec<_>>();
     let step = sizes(Shape::Step);
@@ -112,7 +112,7 @@ fn the_same_filter_in_both_channels_cancels() {
 }
 
 #[test]
-fn sensors_do_to_the_trace_what_they_say() {
+fn sensors_change_the_trace_as_configured() {
     let machine = lumped();
     let direction = Direction::ReverseToNormal;
     let perfect = record(&machine, &Sensors::perfect(1000.0), direction);

@@ -51,7 +51,7 @@ fn a_noise_free_throw_gives_the_machines_physics_within_1_pct_in_both_directions
 }
 
 #[test]
-fn the_kink_of_the_current_at_switch_on_costs_nothing_wherever_it_lies_between_two_samples() {
+fn the_kink_of_the_current_at_switch_on_causes_no_error_anywhere_between_two_samples() {
     for (sample_rate_hz, inductance_h) in
         [(500.0, 0.02), (500.0, 0.04), (1000.0, 0.01), (1000.0, 0.02), (1000.0, 0.04), (1500.0, 0.02), (2000.0, 0.01)]
     {
@@ -70,7 +70,7 @@ fn the_kink_of_the_current_at_switch_on_costs_nothing_wherever_it_lies_between_t
 }
 
 #[test]
-fn a_spring_that_drives_the_motor_is_told_from_a_current_of_the_other_polarity() {
+fn a_spring_that_drives_the_motor_is_distinguished_from_a_current_of_the_other_polarity() {
     for screw_stiffness_nm in [0.1, 0.2, 0.5] {
         let machine = Parameters { screw_stiffness_nm, ..without_dry_friction() };
         let known = machine.coefficients().unwrap();

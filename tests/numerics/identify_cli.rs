@@ -27,7 +27,7 @@ fn identify(text: &str) -> Output {
 }
 
 #[test]
-fn a_healthy_recording_is_accepted_whatever_the_habits_of_its_writer() {
+fn a_healthy_recording_is_accepted_in_every_common_csv_format() {
     let plain = csv();
     let reordered = plain.lines().map(|line| {
         let cells: Vec<&str> = line.split(',').collect();
@@ -61,7 +61,7 @@ fn a_rough_recording_has_its_reason() {
 }
 
 #[test]
-fn what_is_no_recording_is_refused_with_its_place() {
+fn a_file_that_is_no_recording_is_refused_with_the_line() {
     let plain = csv();
     let lines: Vec<&str> = plain.lines().collect();
     let still: String = lines

@@ -66,7 +66,7 @@ fn a_longer_life_begins_as_the_shorter_one_did() {
 }
 
 #[test]
-fn two_faults_at_once_change_what_each_changes_alone() {
+fn two_faults_at_once_change_the_coefficients_that_each_changes_alone() {
     let step = |part, size_pct| Fault { part, shape: Shape::Step, size_pct, from_throw: 1 };
     let change = |faults: &[Fault]| {
         let faults = faults.iter().map(|&fault| FleetFault { machine: 0, fault }).collect();

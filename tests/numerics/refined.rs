@@ -14,7 +14,7 @@ use super::sriv::second_order;
 const THROWS: u64 = 300;
 
 #[test]
-fn refined_estimates_scatter_half_as_much_without_bias_and_their_covariance_says_so() {
+fn refined_estimates_scatter_half_as_much_without_bias_as_their_covariance_states() {
     let machine = without_dry_friction();
     let known = machine.coefficients().unwrap();
     let known = [known.b0, known.a1, known.a0];

@@ -12,20 +12,26 @@ use rand_distr::StandardNormal;
 
 use super::identify::simulated;
 
-/// Step of the integration and sampling interval \[s\].
+/// Step of the integration \[s\].
 const STEP_S: f64 = 1e-5;
+/// Sampling interval \[s\].
 const INTERVAL_S: f64 = 1e-3;
 const MM_PER_RADIAN: f64 = 10.0 / TAU;
-/// At the screw: torque and back-EMF per ampere and speed; inertia of drive and toe, friction, stiffness.
+/// Torque per ampere \[N m/A\], and back-EMF per speed \[V s/rad\], at the screw.
 const TORQUE: f64 = 6.3864;
+/// Inertia of the drive at the screw \[kg m²\].
 const DRIVE_INERTIA: f64 = 0.0308;
+/// Inertia of the toe at the screw \[kg m²\].
 const TOE_INERTIA: f64 = 6e-4;
+/// Viscous friction at the screw \[N m s\].
 const FRICTION: f64 = 0.185;
+/// Stiffness at the screw \[N m/rad\].
 const STIFFNESS: f64 = 0.049;
-/// Dry friction of the slide chairs at the screw, for a friction coefficient of 1 \[N m\], and the stiffness and damping of
-/// the toe drive: a stiff one, and one of 5e6 N/m.
+/// Dry friction of the slide chairs at the screw, for a friction coefficient of 1 \[N m\].
 const DRY_PER_MU: f64 = 9.0;
+/// Stiffness \[N m/rad\] and damping \[N m s\] of a stiff toe drive, at the screw.
 const STIFF: (f64, f64) = (6000.0, 3.0);
+/// The same of a toe drive of 5e6 N/m.
 const SOFT: (f64, f64) = (12.7, 0.25);
 
 #[derive(Clone, Copy, Default)]
@@ -234,7 +240,7 @@ fn covers_ratios(estimate: &Estimate, truth: [f64; 3]) -> bool {
 }
 
 #[test]
-fn what_a_brake_hides_is_in_the_interval_or_the_throw_is_rough() {
+fn the_error_by_a_brake_is_in_the_interval_or_the_throw_is_rough() {
     let (mut missed, plain) = (0, Drive::default().truth());
     for brake_nm in [4.0, 8.0, 16.0, 30.0, f64::INFINITY] {
         for brake_s in [0.001, 0.003, 0.007, 0.01, 0.02, 0.04] {
@@ -252,7 +258,7 @@ fn what_a_brake_hides_is_in_the_interval_or_the_throw_is_rough() {
 }
 
 #[test]
-fn what_a_brake_hides_is_in_the_interval_without_a_position_too() {
+fn the_error_by_a_brake_is_in_the_interval_without_a_position_too() {
     let (mut missed, plain) = (0, Drive::default().truth());
     for (brake_nm, brake_s) in [(0.0, 0.0), (8.0, 0.01), (8.0, 0.03), (16.0, 0.01), (16.0, 0.03), (30.0, 0.01)] {
         for seed in 0..4 {

@@ -118,7 +118,7 @@ async fn a_broken_database_is_set_aside_with_an_alarm_that_operators_can_answer(
 /// Otherwise a logger with this name could clear the daemon's own alarms, whose machine the database contains after the
 /// first.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn no_logger_speaks_in_the_name_of_the_daemon() {
+async fn no_logger_publishes_under_the_name_of_the_daemon() {
     let rig = Rig::new();
     std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
     let daemon = rig.start();
@@ -131,7 +131,7 @@ async fn no_logger_speaks_in_the_name_of_the_daemon() {
 }
 
 #[test]
-fn while_it_starts_systemd_is_asked_for_more_time() {
+fn a_long_start_extends_the_timeout_of_systemd() {
     let rig = Rig::new();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("notify");

@@ -109,7 +109,7 @@ async fn two_hundred_readers_at_once_do_not_hold_up_the_throws() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_asks_slowly_or_without_end_is_cut_and_the_daemon_goes_on() {
+async fn slow_and_endless_requests_are_cut_and_the_daemon_continues() {
     let (rig, daemon, address) = small_history().await;
     // More connections than the limit, each with an incomplete request.
     let crowd = || -> Vec<TcpStream> {

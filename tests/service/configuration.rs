@@ -36,7 +36,7 @@ fn a_wrong_configuration_is_named_with_file_line_and_key() {
 
 /// The daemon does not change the file, and systemd does not restart it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_file_that_is_not_ours_is_a_wrong_configuration() {
+async fn a_file_of_another_program_is_a_wrong_configuration() {
     let rig = Rig::new();
     fs::write(rig.database(), []).unwrap();
     rig.change("CREATE TABLE users (name TEXT)").await;
@@ -104,7 +104,7 @@ fn a_start_that_fails_leaves_the_database_clean() {
 
 /// Another program locks the database, so that the start waits for it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_stop_during_the_start_is_obeyed() {
+async fn a_stop_signal_during_the_start_stops_the_daemon() {
     let rig = Rig::new();
     rig.start().terminate();
     let mut other = rig.locked("BEGIN EXCLUSIVE").await;

@@ -89,7 +89,7 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
 
 /// The list of the throws beside the folder of the traces has what a trace does not have.
 #[test]
-fn exported_traces_come_back_as_the_throws_that_they_were() {
+fn exported_traces_are_imported_as_the_same_throws() {
     let rig = Rig::new();
     let file = rig.folder().join("many.jsonl");
     let lines: Vec<_> = throws("recorded", 3).iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
@@ -132,7 +132,7 @@ fn exported_traces_come_back_as_the_throws_that_they_were() {
 }
 
 #[test]
-fn a_wrong_line_is_named_and_what_came_before_its_file_is_kept() {
+fn a_wrong_line_is_named_and_the_files_before_it_are_kept() {
     let rig = Rig::new();
     let made = throws("recorded", 2);
     let (good, bad) = (rig.folder().join("good.json"), rig.folder().join("bad.jsonl"));

@@ -142,7 +142,7 @@ fn all_commands(endpoint: &str) -> Vec<(Option<i32>, String)> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn without_a_daemon_operators_are_told_so() {
+async fn without_a_daemon_operators_get_an_error() {
     for (arguments, (code, said)) in COMMANDS.iter().zip(all_commands("tcp/127.0.0.1:1")) {
         assert_eq!(code, Some(69), "{arguments:?}: {said}");
         assert!(
@@ -167,7 +167,7 @@ async fn without_a_daemon_operators_are_told_so() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_machine_that_no_daemon_serves_is_told_apart_from_no_daemon() {
+async fn a_machine_that_no_daemon_serves_is_distinguished_from_no_daemon() {
     let (_rig, daemon) = Rig::running_with("[subscribe]\nkey = \"points/v1/south/**\"\n");
     let said = daemon.says(69, &["ack", "north/21B", "kt", "--by", "tester"]);
     assert!(said.contains("no daemon serves north/21B"), "{said}");
@@ -286,14 +286,14 @@ async fn a_key_with_wildcards_selects_its_machines_before_the_limit() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn sighup_takes_over_what_is_safe() {
+async fn sighup_applies_the_settings_that_need_no_restart() {
     let (_rig, daemon) = Rig::running();
     daemon.signal("-HUP");
     daemon.until_log("configuration reloaded");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn no_alarms_is_not_said_of_a_machine_that_nobody_knows() {
+async fn an_unknown_machine_is_an_error_and_not_no_alarms() {
     let (_rig, daemon) = Rig::running();
     logger(&daemon.endpoint, &["--machines", "1", "--throws", "2"]);
     for (machine, code, says) in [
@@ -435,7 +435,7 @@ async fn a_closed_pipe_ends_a_command_quietly_and_lines_fit_the_terminal() {
 
 /// The daemon counts its machines every few seconds; an alarm counts at once.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_exit_code_of_status_knows_an_alarm_of_this_moment() {
+async fn the_exit_code_of_status_includes_an_alarm_raised_just_now() {
     let (_rig, daemon) = Rig::running_with("[machines]\nstroke_mm = 115.0\n");
     let session = daemon.client().await;
     let alarms = listen(&session).await;

@@ -19,7 +19,7 @@ use crate::{
 
 const DEPLOY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/grafana");
 
-/// Whether a program of the package exists; if not, says so.
+/// Whether a program of the package exists; prints a line if it does not.
 fn has(program: &str) -> bool {
     let is_there = Command::new(program).arg("--version").output().is_ok();
     if !is_there {

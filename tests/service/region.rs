@@ -45,7 +45,7 @@ async fn until_machines(session: &Session, expected: &[&str]) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_daemon_that_is_gone_is_missed_and_another_takes_over_from_its_backup() {
+async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup() {
     let config =
         "{ mode: 'router', listen: { endpoints: ['tcp/127.0.0.1:0'] }, scouting: { multicast: { enabled: false } } }";
     let router = zenoh::open(zenoh::Config::from_json5(config).unwrap()).await.unwrap();

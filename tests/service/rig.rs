@@ -266,7 +266,7 @@ impl Daemon {
         self.child.id()
     }
 
-    pub(crate) fn runs(&mut self) -> bool {
+    pub(crate) fn is_running(&mut self) -> bool {
         self.ended().is_none()
     }
 

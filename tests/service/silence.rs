@@ -125,7 +125,7 @@ fn numbered(throw: &Throw, number: usize) -> Throw {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn what_hides_a_fault_shows_within_twenty_throws() {
+async fn a_problem_that_hides_faults_shows_within_twenty_throws() {
     let shown: Vec<_> = ROWS.iter().map(|row| tokio::spawn(show(row))).collect();
     for row in shown {
         row.await.unwrap();

@@ -59,7 +59,7 @@ async fn sigterm_in_a_burst_keeps_everything_that_arrived() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_killed_daemon_goes_on_where_it_was() {
+async fn a_killed_daemon_continues_where_it_stopped() {
     let (rig, daemon) = Rig::running();
     let logger = daemon.logger(KEY).await;
     let made = throws("boot", 12);
@@ -231,7 +231,7 @@ async fn throws_under_taken_numbers_are_judged_and_the_logger_that_repeats_them_
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_frozen_recorder_is_named_and_says_nothing_about_the_machine() {
+async fn a_frozen_recorder_is_named_and_is_no_evidence_about_the_machine() {
     const FROZEN: u64 = 20;
     let (rig, daemon) = Rig::running_with(QUICK);
     let mut all = throws("boot", 30);

@@ -100,7 +100,7 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn every_page_tells_what_is_wrong_with_the_daemon() {
+async fn every_page_shows_the_problems_of_the_daemon() {
     let rig = Rig::with(WEB);
     std::fs::write(rig.database(), vec![7_u8; 100_000]).unwrap();
     let (rig, _daemon, address) = history_in(rig).await;
@@ -253,7 +253,7 @@ async fn a_loop_that_hangs_shows_in_healthz_and_on_the_pages() {
 }
 
 #[test]
-fn without_its_section_there_is_no_dashboard_and_a_taken_port_is_said() {
+fn without_its_section_there_is_no_dashboard_and_a_taken_port_is_an_error() {
     let (_rig, daemon) = Rig::running();
     assert!(!daemon.log().iter().any(|line| line.contains("dashboard")), "{:?}", daemon.log());
     drop(daemon);

@@ -168,7 +168,7 @@ fn an_alarm_waits_for_its_receiver_and_is_sent_until_it_is_accepted() {
 /// Without an answer the daemon sends again after 10 s and a pause of 1 s, then of 2 s. A slow answer is an answer.
 /// During all this, and without any event, the loop is alive: its heartbeat may be 30 s old.
 #[test]
-fn a_receiver_may_be_slow_and_is_asked_again_after_ten_seconds() {
+fn a_receiver_may_be_slow_and_gets_the_request_again_after_ten_seconds() {
     let idle_server = Server::start("127.0.0.1:0", &[ACCEPTED]);
     let idle_rig = rig(&format!("http://{}/", idle_server.address), "");
     let idle = idle_rig.start();
@@ -196,7 +196,7 @@ fn a_receiver_may_be_slow_and_is_asked_again_after_ten_seconds() {
 }
 
 #[test]
-fn a_killed_daemon_sends_after_its_start_what_was_not_accepted() {
+fn a_killed_daemon_sends_unaccepted_alarms_after_its_start() {
     // The receiver gets the alarm and does not answer: the daemon cannot know whether it has it.
     let server = Server::start("127.0.0.1:0", &[NOTHING, ACCEPTED]);
     let rig = rig(&format!("http://{}/", server.address), "");

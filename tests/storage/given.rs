@@ -5,7 +5,7 @@ use std::path::Path;
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Matrix3;
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, Drifting, LimitForecast, MachineState, Severity},
+    diagnose::{AlarmEvent, AlarmState, Cause, Drifting, LimitForecast, MachineState, Present, Severity},
     estimate::{Estimate, Features, Grade, Identification},
     store::{Judgement, MonitorRecord, Opened, Outcome, Settings, Spooled, Store, StoreError, ThrowRow},
     throw::{Direction, MachineId, Throw, ThrowRef, Trace},
@@ -170,15 +170,17 @@ pub(crate) fn event(event_no: u32, state: AlarmState) -> AlarmEvent {
 pub(crate) fn alarm(event_no: u32, state: AlarmState) -> Outcome {
     let monitor = MonitorRecord {
         snapshot: format!("{{\"events\":{event_no}}}"),
-        state: MachineState::Warning,
-        drifts: vec![Drifting {
-            cause: Cause::Friction,
-            change_pct: 23.0,
-            change_pct_sd: 1.0,
-            direction: Some(Direction::NormalToReverse),
-            limit_in_throws: Some(LimitForecast { low: 30.0, mid: 40.0, high: 60.0 }),
-        }],
-        caveats: vec!["the baseline has a trend".to_owned()],
+        present: Present {
+            state: MachineState::Warning,
+            drifts: vec![Drifting {
+                cause: Cause::Friction,
+                change_pct: 23.0,
+                change_pct_sd: 1.0,
+                direction: Some(Direction::NormalToReverse),
+                limit_in_throws: Some(LimitForecast { low: 30.0, mid: 40.0, high: 60.0 }),
+            }],
+            caveats: vec!["the baseline has a trend".to_owned()],
+        },
     };
     Outcome { monitor: Some(monitor), at: at(10 * i64::from(event_no)), ..outcome("21B", vec![event(event_no, state)]) }
 }

@@ -120,7 +120,7 @@ async fn an_alarm_lives_through_its_events_and_each_is_published_once() {
 }
 
 #[tokio::test]
-async fn a_restart_finds_snapshots_and_what_waits() {
+async fn a_restart_finds_snapshots_and_pending_throws() {
     let folder = tempfile::tempdir().unwrap();
     let opened = open(folder.path()).await;
     assert_eq!(opened.report.found, Found::Fresh);

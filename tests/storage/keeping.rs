@@ -25,7 +25,7 @@ async fn judged(store: &Store, first: u64, last: u64) {
 }
 
 #[tokio::test]
-async fn traces_go_before_throws_and_what_waits_never_goes() {
+async fn traces_are_dropped_before_throws_and_pending_throws_never() {
     let (_folder, store) = fresh_with(|settings| Settings { max_traces: 100, max_throws: 150, ..settings }).await;
     let waits = spooled(&store, "22A", "c1", 1).await;
     judged(&store, 1, 200).await;
@@ -59,7 +59,7 @@ async fn bytes_are_bounded_and_alarms_outlive_throws() {
 
 /// Pending throws count too, so that no flood makes the database larger than its bound.
 #[tokio::test]
-async fn pending_throws_are_bounded_too_and_the_alarm_says_that_some_were_dropped() {
+async fn pending_throws_are_bounded_too_and_an_alarm_reports_dropped_ones() {
     let (_folder, store) = fresh_with(|settings| Settings { max_size_mib: 1, ..settings }).await;
     let flood: Vec<_> = (1..=1000).map(|no| (machine("loud"), throw("b1", no), at(0))).collect();
     store.spool_all(&flood).await;
@@ -498,6 +498,29 @@ fn settings_are_checked_and_unknown_keys_refused() {
     assert_eq!(wrong.check_ranges().unwrap_err().to_string(), "max_size_mib is 1, must be 16 to 1048576 MiB");
     let unknown = toml::from_str::<Settings>("max_sise_mib = 5").unwrap_err().to_string();
     assert!(unknown.contains("max_sise_mib"), "{unknown}");
+}
+
+/// Three hundred alarms with two events each; all but the first are closed.
+const OLD_ALARMS: [&str; 3] = [
+    "INSERT INTO machine (site, machine) VALUES ('north', '21B')",
+    "WITH RECURSIVE number (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM number WHERE n < 300)
+     INSERT INTO alarm (alarm_id, machine_row, cause, raised_at_us, last_event_no, state)
+     SELECT 'north.21B.friction.' || n, 1, 'friction', n, 2, CASE n WHEN 1 THEN 'active_unacknowledged' ELSE 'normal' END
+       FROM number",
+    "INSERT INTO alarm_event (alarm_row, event_no, event_at_us, severity, state, payload)
+     SELECT alarm_row, event_no, raised_at_us, 'warning', state, '{}'
+       FROM alarm, (SELECT 1 AS event_no UNION ALL SELECT 2)",
+];
+
+#[tokio::test]
+async fn closed_alarms_are_bounded_and_go_with_their_events_and_open_ones_stay() {
+    let (_folder, store) = fresh_with(|settings| Settings { max_alarms: 100, ..settings }).await;
+    change(store.path(), OLD_ALARMS).await;
+    store.keep_bounds(at(0), true).await.unwrap();
+    let left = "SELECT count(*), min(alarm_row), (SELECT count(*) FROM alarm_event) FROM alarm";
+    assert_eq!(query::<(i64, i64, i64)>(&store, left).await, [(101, 1, 202)]);
+    let oldest_closed = "SELECT min(alarm_row) FROM alarm WHERE state = 'normal'";
+    assert_eq!(query::<(i64,)>(&store, oldest_closed).await, [(201,)]);
 }
 
 /// A logger that restarts at each throw, in a fleet of many quiet machines: its empty boots do not stay for ever.

@@ -54,7 +54,7 @@ async fn salvaged(folder: &Path) -> (Store, Salvaged) {
 }
 
 #[tokio::test]
-async fn what_can_be_read_of_a_broken_database_is_kept() {
+async fn readable_rows_of_a_broken_database_are_kept() {
     let whole = tempfile::tempdir().unwrap();
     database(whole.path()).await;
     let all = THROWS * MACHINES.len() as u64;

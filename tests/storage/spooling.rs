@@ -110,7 +110,7 @@ async fn gaps_open_split_and_close() {
 }
 
 #[tokio::test]
-async fn throws_before_the_first_one_heard_are_a_gap_of_their_own_kind() {
+async fn throws_before_the_first_received_one_are_a_gap_of_their_own_kind() {
     let (_folder, store) = fresh().await;
     spooled(&store, "21B", "b1", 400).await;
     spooled(&store, "21B", "b2", 3).await;

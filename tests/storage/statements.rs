@@ -28,7 +28,7 @@ async fn the_statements_of_every_throw_find_their_rows_by_index() {
     }
     let mut connection = outsider(store.path()).await;
     // These are limited and ordered by row, so they end after a few rows, or they read a small table.
-    let reads_from_the_start = ["THROWS", "NEWEST_HEALTH", "LAST_HEARD"];
+    let reads_from_the_start = ["THROWS", "NEWEST_HEALTH", "LAST_RECEIVED"];
     let single = statements::ALL.iter().flat_map(|(name, all)| all.split("; ").map(move |sql| (*name, sql)));
     for (name, sql) in single {
         let housekeeping = sql.starts_with("SELECT count") || name.contains("OLDEST") || name.contains("SPAN");

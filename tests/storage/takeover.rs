@@ -29,7 +29,7 @@ fn name(number: u32) -> MachineId {
 }
 
 #[tokio::test]
-async fn a_database_of_the_version_before_is_taken_over_with_everything() {
+async fn a_database_of_the_previous_version_is_migrated_with_everything() {
     let folder = tempfile::tempdir().unwrap();
     released(folder.path()).await;
     let opened = Store::open(&settings(folder.path()), at(0)).await.unwrap();

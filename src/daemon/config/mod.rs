@@ -22,20 +22,22 @@ pub(crate) use zenoh::overlay;
 
 use crate::{
     diagnose, estimate, store,
-    throw::{MachineId, Name, OutOfRange, Range::Within, settings},
+    throw::{MachineId, Name, Range::Within, settings},
     wire::Scope,
 };
 
-/// The `[monitor]` section: the name of this daemon.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Monitor {
-    /// Site in the name of this daemon.
-    pub site: Name,
-    /// Identifier at the site; the liveliness token is `points/v1/{site}/monitor/{id}/alive`.
-    pub id: Name,
-    /// Other daemons that this one watches.
-    pub peers: Vec<Peer>,
+settings! {
+    /// The `[monitor]` section: the name of this daemon.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Monitor {
+        /// Site in the name of this daemon.
+        pub site: Name = Name::fixed("fleet");
+        /// Identifier at the site; the liveliness token is `points/v1/{site}/monitor/{id}/alive`.
+        pub id: Name = Name::fixed("pointsd");
+        /// Other daemons that this one watches.
+        pub peers: Vec<Peer> = Vec::new();
+    }
 }
 
 /// The name of another daemon.
@@ -90,12 +92,14 @@ settings! {
     }
 }
 
-/// The `[identify]` section: threads of the estimator.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Identify {
-    /// Number of threads, 0 to 64; 0 for the number of processors, at most 8.
-    pub threads: usize,
+settings! {
+    /// The `[identify]` section: threads of the estimator.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Identify {
+        /// Number of threads, 0 to 64; 0 for the number of processors, at most 8.
+        pub threads: usize = 0, Within(0.0, 64.0, "threads");
+    }
 }
 
 settings! {
@@ -124,25 +128,15 @@ pub enum LogFormat {
     Json,
 }
 
-/// The `[log]` section.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Log {
-    /// `error`, `warn`, `info`, `debug`, `trace`, or directives by module as `info,zenoh=debug`.
-    pub level: String,
-    /// Format of the lines.
-    pub format: LogFormat,
-}
-
-impl Default for Monitor {
-    fn default() -> Self {
-        Self { site: Name::fixed("fleet"), id: Name::fixed("pointsd"), peers: Vec::new() }
-    }
-}
-
-impl Default for Log {
-    fn default() -> Self {
-        Self { level: "info,zenoh=warn".to_owned(), format: LogFormat::Text }
+settings! {
+    /// The `[log]` section.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(deny_unknown_fields, default)]
+    pub struct Log {
+        /// `error`, `warn`, `info`, `debug`, `trace`, or directives by module as `info,zenoh=debug`.
+        pub level: String = "info,zenoh=warn".to_owned();
+        /// Format of the lines.
+        pub format: LogFormat = LogFormat::Text;
     }
 }
 
@@ -220,8 +214,8 @@ impl Config {
 }
 
 fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError> {
-    let threads = config.identify.threads as f64;
-    OutOfRange::check([("identify.threads", threads, 0.0, 64.0, "threads")])
+    let identify = config.identify.check_ranges().map_err(|error| error.within("identify"));
+    identify
         .and_then(|()| config.subscribe.check_ranges().map_err(|error| error.within("subscribe")))
         .and_then(|()| config.store.check_ranges().map_err(|error| error.within("store")))
         .and_then(|()| config.diagnosis.validate().map_err(|error| error.within("diagnosis")))

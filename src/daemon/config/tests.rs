@@ -65,7 +65,7 @@ fn the_shipped_file_shows_every_key() {
 }
 
 #[test]
-fn what_is_wrong_is_named_with_line_and_key() {
+fn an_error_names_line_and_key() {
     for (text, says) in [
         ("[subscribe]\nkee = 1", "pointsd.toml:2: subscribe.kee: unknown field"),
         ("[stor]\npath = 1", "pointsd.toml:1: stor: unknown field"),
@@ -131,7 +131,7 @@ fn machines_differ_from_the_defaults_where_they_say_so() {
 }
 
 #[test]
-fn the_zenoh_section_is_laid_over_ours() {
+fn the_zenoh_section_overrides_the_built_in_one() {
     let config = load("[zenoh]\nlisten.endpoints = [\"tcp/0.0.0.0:17447\"]").unwrap();
     assert!(config.zenoh.get_json("listen/endpoints").unwrap().contains("17447"));
     assert_eq!(config.zenoh.get_json("mode").unwrap(), "\"router\"");

@@ -24,7 +24,7 @@ use super::{
     text,
     thermometer::Thermometer,
     track::Tracks,
-    verdict::{Blindness, Drifting, MachineState},
+    verdict::{Blindness, Drifting, MachineState, Present},
 };
 use crate::throw::{Direction, ThrowRef};
 
@@ -390,6 +390,12 @@ impl MachineMonitor {
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
             .chain(self.tracks.lacks_scale().then(|| text::ratios_only(&self.name, self.tracks.any_of_ratios())))
             .collect()
+    }
+
+    /// State, drifts and caveats.
+    #[must_use]
+    pub fn present(&self) -> Present {
+        Present { state: self.state(), drifts: self.drifts(), caveats: self.caveats() }
     }
 
     /// The state of the machine.

@@ -18,9 +18,11 @@ const INTERVAL_S: f64 = 1e-3;
 const FINE: usize = 20;
 /// Set point of the speed \[rad/s on the screw\].
 const SPEED_RAD_S: f64 = 17.0;
-/// Proportional gain \[A per rad/s\], integral time \[s\] and largest current \[A\] of the controller.
+/// Proportional gain of the controller \[A per rad/s\].
 const GAIN: f64 = 0.5;
+/// Integral time of the controller \[s\].
 const INTEGRAL_S: f64 = 0.2;
+/// Largest current of the controller \[A\].
 const MAX_CURRENT_A: f64 = 13.0;
 /// Time constant of the filter from recorded position to speed \[s\].
 const SPEED_FILTER_S: f64 = 0.01;

@@ -81,7 +81,7 @@ impl Bench {
                 let quality = found.quality();
                 match found.outcome {
                     Ok(estimate) if estimate.grade == Grade::Good => {
-                        // The scatter of a row is that of the noise.
+                        // The throws of a row differ by noise only, so the systematic part of the covariance is left out.
                         let noise_sd = estimate.covariance.diagonal().map(f64::sqrt).into();
                         row.add(estimate.coefficients(), noise_sd, reference);
                     }

@@ -93,7 +93,7 @@ fn the_supply_voltage_is_a_number_or_the_mean_of_samples_under_current() {
 }
 
 #[test]
-fn json_that_cannot_be_used_says_why() {
+fn unusable_json_is_an_error_with_the_reason() {
     for (from, to, says) in [
         ("points.throw/1", "points.throw/9", "schema"),
         ("\"boot_id\": \"b\",", "", "boot_id is missing"),
@@ -150,7 +150,7 @@ fn cbor_channels_may_be_plain_or_typed_arrays() {
 }
 
 #[test]
-fn cbor_that_cannot_be_used_says_why() {
+fn unusable_cbor_is_an_error_with_the_reason() {
     let tag = minicbor::data::Tag::new;
     for (result, says) in [
         (cbor(|e| e.tag(tag(85))?.bytes(&[0; 7])), "whole number"),

@@ -2,12 +2,9 @@
 
 use std::path::Path;
 
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
-
 use super::{
     Acknowledged, Verdict, inspect,
-    replay::{Disk, Record, read_log},
+    replay::{Disk, Record, cut_at_random, read_log},
     shim,
     worker::{self, HOLDER, NORMAL, THROWS},
 };
@@ -29,36 +26,22 @@ async fn cut(cuts: usize, seed: u64, variables: &[(&str, &str)]) -> Option<Verdi
     let moved = records.iter().any(Record::is_move);
     assert_eq!(moved, variables.iter().any(|(name, _)| *name == HOLDER), "the database moves behind a reader, only");
 
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut points: Vec<usize> = (0..cuts).map(|_| rng.random_range(0..=records.len())).collect();
-    points.sort_unstable();
-    let mut disk = Disk::default();
-    let mut followed = 0;
     let mut total = Verdict::default();
-    for point in points {
-        for record in &records[followed..point] {
-            disk.follow(record);
-        }
-        followed = point;
-        let verdict = one_cut(&disk, &database, &mut rng).await;
+    let check = async |disk: &Disk, folder: &Path| {
+        let verdict = inspect(folder, &Acknowledged::of_lines(&disk.acknowledged)).await;
         total.lost += verdict.lost;
         total.duplicated += verdict.duplicated;
         total.unreadable += verdict.unreadable;
-        total.notes.extend(verdict.notes.into_iter().map(|note| format!("cut at {point}: {note}")));
-    }
+        total.notes.extend(verdict.notes);
+    };
+    cut_at_random(&records, &database, cuts, seed, check).await;
     let Verdict { lost, duplicated, unreadable, .. } = &total;
     println!(
         "{cuts} cuts in {} writes and syncs: {lost} lost, {duplicated} duplicated, {unreadable} unreadable",
         records.len()
     );
-    assert!(!disk.acknowledged.is_empty());
+    assert!(records.iter().any(Record::is_acknowledgement));
     Some(total)
-}
-
-async fn one_cut(disk: &Disk, was: &Path, rng: &mut ChaCha8Rng) -> Verdict {
-    let folder = tempfile::tempdir().unwrap();
-    disk.after_cut(was, folder.path(), rng);
-    inspect(folder.path(), &Acknowledged::of_lines(&disk.acknowledged)).await
 }
 
 fn cuts() -> usize {

@@ -1,12 +1,11 @@
-//! Processes that are killed, power cuts, disks that fail.
+//! Power cuts, and disks that fail.
 //!
 //! A worker process fills a database while a preloaded shim logs every write and sync, or makes some of them fail. The
 //! power-cut test reconstructs the disk after a cut at any point of the log, with unsynced data dropped, kept or torn,
-//! and opens the database. `POINTSD_CUTS`, `POINTSD_FAULTS` and `POINTSD_KILLS` set the number of runs.
+//! and opens the database. `POINTSD_CUTS` and `POINTSD_FAULTS` set the number of runs.
 
 mod cuts;
 mod faults;
-mod kills;
 #[path = "../../disk/replay.rs"]
 mod replay;
 #[path = "../../disk/shim.rs"]

@@ -15,7 +15,6 @@ use pointsd::{
 };
 use sqlx::{Connection, SqliteConnection, sqlite::SqliteConnectOptions};
 
-use super::Acknowledged;
 use crate::given::{at, event, judgement, machine, outcome, throw};
 
 pub(super) const FOLDER: &str = "POINTSD_WORKER_FOLDER";
@@ -57,13 +56,9 @@ async fn run() {
     let Some(folder) = std::env::var_os(FOLDER).map(PathBuf::from) else { return };
     let throws = std::env::var(THROWS).map_or(60, |throws| throws.parse().unwrap());
     let Some(store) = open(&folder).await else { return };
-    // After a kill the worker continues after the last acknowledgement.
-    let before = Acknowledged::of_lines(&std::fs::read_to_string(folder.join("points.db.ack")).unwrap_or_default());
-    let next = move |name: &str| 1 + before.throws.iter().filter(|(machine, _)| machine == name).count() as u64;
     let file = OpenOptions::new().create(true).append(true).open(folder.join("points.db.ack")).unwrap();
     let acknowledge = Acknowledge(Arc::new(Mutex::new(file)));
-    let half = MACHINES
-        .map(|name| tokio::spawn(machine_life(store.clone(), acknowledge.clone(), name, next(name), throws / 2)));
+    let half = MACHINES.map(|name| tokio::spawn(machine_life(store.clone(), acknowledge.clone(), name, 1, throws / 2)));
     for life in half {
         life.await.unwrap();
     }

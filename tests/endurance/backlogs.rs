@@ -24,10 +24,10 @@ const ROOM: usize = 128 << 20;
 const MEMORY_MIB: f64 = 130.0;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_daemon_that_starts_behind_full_caches_takes_all_of_them() {
-    let cached = (1..=THROWS).map(|throw_no| wire::encode_throw(Encoding::Cbor, &throw("b1", throw_no)).len());
-    let cached = MACHINES * cached.sum::<usize>();
-    assert!(cached > ROOM, "{cached} bytes in the backlogs");
+async fn a_daemon_that_starts_with_full_backlogs_stores_every_throw() {
+    let of_one = (1..=THROWS).map(|throw_no| wire::encode_throw(Encoding::Cbor, &throw("b1", throw_no)).len());
+    let bytes = MACHINES * of_one.sum::<usize>();
+    assert!(bytes > ROOM, "{bytes} bytes in the backlogs");
     let rig = Rig::new().same_port();
     let daemon = rig.start();
     let plan = Plan { throws: THROWS, machines: MACHINES, kept: 2_000, pace: Duration::ZERO, ..Plan::default() };
@@ -47,7 +47,7 @@ async fn a_daemon_that_starts_behind_full_caches_takes_all_of_them() {
     daemon.until_status("all throws", |now| now["stored"] == all).await;
     let session = daemon.client().await;
     let (now, peak) = (status(&session).await.unwrap(), peak_mib(daemon.id()));
-    println!("{all} throws, {} MiB, from caches: at most {peak:.0} MiB of memory; {now:?}", cached >> 20);
+    println!("{all} throws, {} MiB, from backlogs: at most {peak:.0} MiB of memory; {now:?}", bytes >> 20);
     assert_eq!((now.dropped, now.lost, now.quarantined), (0, 0, 0));
     daemon.until_status("an empty backlog", |now| now["backlog"] == 0).await;
     assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
@@ -88,7 +88,7 @@ async fn throws_behind_a_missing_one_are_stored_at_once_in_bounded_memory() {
 
 /// A daemon that is repeatedly killed does not read the same page of a backlog again.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_daemon_that_is_started_twenty_times_gets_no_throw_twice() {
+async fn a_daemon_that_is_started_twenty_times_receives_no_throw_twice() {
     const STARTS: usize = 20;
     const MACHINES: usize = 3;
     /// Number of throws in a page.
@@ -115,7 +115,7 @@ async fn a_daemon_that_is_started_twenty_times_gets_no_throw_twice() {
 
 /// Loggers with endless backlogs, known throws, foreign names, or messages that are no throws harm only themselves.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn loggers_that_lie_harm_only_themselves() {
+async fn loggers_with_false_replies_harm_only_themselves() {
     const REPLIES: u64 = 3_000;
     const MEMORY_MIB: f64 = 150.0;
     let (rig, daemon) = Rig::running_with("[log]\nlevel = \"info,pointsd::daemon=error\"\n");

@@ -1,0 +1,126 @@
+//! Texts about faults that are not monitored: throws without an estimate, scatter, temperature, season.
+
+use crate::{
+    diagnose::{
+        explain::percent,
+        verdict::{Blindness, HidingTemperature},
+    },
+    throw::Direction,
+};
+
+/// Text for throws without an estimate, of one direction or of both, with the code of the last reason.
+pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u32, reason: Option<&str>) -> String {
+    let (throws, what) = match direction {
+        None => (String::new(), "the machine is"),
+        Some(direction) => (format!(" {direction}"), "this direction is"),
+    };
+    // A misfit of all throws is nearly always the load of the machine, and seldom a setting.
+    let check = match reason {
+        Some("misfit") => {
+            "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether current and \
+             position are of the same moment, and neutral_mm"
+        }
+        _ => "the machine and its sensors",
+    };
+    format!(
+        "Machine {name}: the last {in_a_row} throws{throws} could not be evaluated, so {what} not monitored. See the \
+         reasons in throws_not_evaluated, and check {check}."
+    )
+}
+
+pub(crate) fn evaluated_again(name: &str) -> String {
+    format!("Machine {name}: its throws can be evaluated again.")
+}
+
+/// Text for a machine with many rejected throws among evaluated ones.
+pub(crate) fn often_rejected(name: &str, direction: Direction, rejected: u32, of: u32, code: &str) -> String {
+    format!(
+        "Machine {name}, {direction}: {rejected} of the last {of} throws were rejected, the last one as {code}, so a fault is \
+         detected later. throws_not_evaluated has the reasons."
+    )
+}
+
+/// Text for a machine whose throws end before the configured stroke.
+pub(crate) fn short_of_stroke(name: &str, travel_mm: f64, stroke_mm: f64) -> String {
+    format!(
+        "Machine {name}: its throws end at {travel_mm:.1} mm of a stroke of {stroke_mm:.1} mm, without an obstruction. Correct \
+         stroke_mm if this is the whole stroke; else check the gain of the position sensor."
+    )
+}
+
+/// Text for a machine without a toe position whose throws no longer give the coefficients of its baseline.
+pub(crate) fn lost_coefficients(name: &str, throws: u32) -> String {
+    format!(
+        "Machine {name}: its last {throws} throws give no coefficients, as those of its baseline did, so only duration, running \
+         current and charge are monitored. The reasons are in throws_not_evaluated; a fault may be one: inspect the machine."
+    )
+}
+
+/// Text for a machine without a baseline of its coefficients.
+pub(crate) fn only_features(name: &str) -> String {
+    format!(
+        "Machine {name}: its throws do not give the complete coefficients of a baseline, so only duration, running current, \
+         charge and travel are monitored. A change of these is reported without its cause."
+    )
+}
+
+/// Text for a machine without a change of its inertia; `of_baseline`: its baseline has only ratios, whatever its last throws
+/// have.
+pub(crate) fn ratios_only(name: &str, of_baseline: bool) -> String {
+    let reasons =
+        "a load that varies along the stroke, play, a brake that releases late, a position behind the current";
+    let (what, advice) = if of_baseline {
+        let what = "its baseline has only the ratios of the coefficients, as throws in it were rough";
+        (
+            what,
+            format!(
+                "If its last throws are good, take a new baseline (rebaseline); else look for the reason: {reasons}."
+            ),
+        )
+    } else {
+        let what = "its last throws are all rough: they give the ratios of the coefficients, but not the coefficients";
+        (what, format!("Each throw names its reason: {reasons}."))
+    };
+    format!(
+        "Machine {name}: {what}, so a change of inertia is not monitored. Motor, friction and stiffness are. {advice}"
+    )
+}
+
+/// Text for a machine whose faults are hidden, at this temperature or by the scatter of its throws.
+pub(crate) fn blind(name: &str, blind: &Blindness) -> String {
+    let Blindness { cause, below_pct, temperature } = blind;
+    let Some(HidingTemperature { temperature_c, baseline_c }) = temperature else {
+        return format!(
+            "Machine {name}: its throws scatter so much, or vary so slowly, that a change of {cause} below {below_pct:.0} % cannot be \
+             distinguished from that; so the machine is not monitored for changes up to this. Look for the reason (weather, supply, \
+             sensors), then take a new baseline (rebaseline)."
+        );
+    };
+    format!(
+        "Machine {name}: at {temperature_c:.0} °C a change of {cause} below {below_pct:.0} % cannot be distinguished from \
+         the effect of the temperature, as the baseline is from {baseline_c:.0} °C; so the machine is not monitored. It learns this \
+         from its next throws. Until then inspect it, or take a new baseline (rebaseline) when it is known to be healthy."
+    )
+}
+
+/// Text for a slow change of the friction of a machine without a temperature.
+pub(crate) fn season(name: &str, pct: f64) -> String {
+    let way = if pct < 0.0 { "fell" } else { "rose" };
+    format!(
+        "Machine {name}: its friction {way} by {:.0} % over more than a week. Without a temperature, the season looks the \
+         same as wear or lubrication, so only a change at the critical limit raises an alarm. Publish temperature_c.",
+        pct.abs()
+    )
+}
+
+/// Text for a machine whose throws changed steadily while its baseline was taken; slopes of the logarithms per throw.
+pub(crate) fn trend(name: &str, slopes: [f64; 3]) -> String {
+    let of = |(slope, what): (f64, &str)| (slope != 0.0).then(|| format!("{what} {:+.2} %", percent(slope)));
+    let names = ["b0 (motor or inertia)", "a1 (friction)", "a0 (stiffness)"];
+    let changes: Vec<String> = slopes.into_iter().zip(names).filter_map(of).collect();
+    format!(
+        "Machine {name}: the baseline has a trend ({} a throw), from wear or weather while it was taken. It stays \
+         provisional, and changes count from its first throw. Inspect the machine, then take a new baseline (rebaseline).",
+        changes.join(", ")
+    )
+}

@@ -1,0 +1,51 @@
+//! Texts about the daemon: what it knows of a machine, commands of operators, other daemons.
+
+use jiff::Timestamp;
+
+use crate::throw::utc;
+
+pub(crate) fn orphaned(name: &str) -> String {
+    format!(
+        "{name}: what the daemon knew about this alarm is lost, and it learns a new baseline. The fault may still exist: \
+         inspect the machine, then acknowledge this alarm."
+    )
+}
+
+/// Text for a machine whose stored monitor cannot be read.
+pub(crate) fn unread(name: &str) -> String {
+    format!(
+        "Machine {name}: this version of pointsd cannot read its stored baselines and alarms, so it learns a new baseline. They \
+         are kept: install the version that wrote them, or inspect the machine and take a new baseline (rebaseline)."
+    )
+}
+
+/// Text for an alarm whose rule starts anew, after maintenance or with a new baseline.
+pub(crate) fn checked_anew(name: &str) -> String {
+    format!("Machine {name}: this alarm ends, and is raised again by the next throws if its reason is still there.")
+}
+
+/// Text of a new baseline.
+pub(crate) fn rebaselined(name: &str, by: &str, why: &str) -> String {
+    format!("Machine {name}: a new baseline is being taken ({by}: {why}).")
+}
+
+pub(crate) fn daemon_calm() -> String {
+    "pointsd stores all data again.".to_owned()
+}
+
+pub(crate) fn peers_away(away: &[(String, Timestamp)]) -> String {
+    let daemons: Vec<String> = away.iter().map(|(name, since)| format!("{name} since {}", utc(since))).collect();
+    let (daemons_are, their, those) = if away.len() == 1 {
+        ("The daemon", "Its", "that computer and its link")
+    } else {
+        ("These daemons", "Their", "those computers and their links")
+    };
+    format!(
+        "{daemons_are} cannot be reached: {}. {their} machines are not monitored. Check {those}.",
+        daemons.join(", ")
+    )
+}
+
+pub(crate) fn peers_back() -> String {
+    "All watched daemons can be reached again.".to_owned()
+}

@@ -1,0 +1,213 @@
+//! Texts of drifts: causes with sizes, what to check, the forecast, and how the drift ended.
+
+use super::{half_width_pct, sensor::look_at_sensor};
+use crate::diagnose::{
+    cause::{Attribution, Naming, Rival},
+    course::LimitForecast,
+    event::{Cause, RunnerUp, SensorChannel},
+    explain::{Explanation, percent},
+    gauges::Level,
+    intermittent::Departures,
+    testimony::Awaited,
+};
+
+/// Name of a part that loses torque, if the back-EMF of the motor has not changed.
+const MOTOR_OR_GEAR: &str = "motor or gear";
+
+/// Text of a drift: causes with sizes, what to check, and the forecast of the critical limit. `alike` is a sensor that
+/// explains the drift equally well, and what would decide.
+pub(crate) fn drift(
+    subject: &str,
+    attribution: &Attribution,
+    alike: Option<(SensorChannel, Awaited)>,
+    throws: u64,
+    forecast: Option<&LimitForecast>,
+) -> String {
+    let over = if throws == 1 { "1 throw".to_owned() } else { format!("{throws} throws") };
+    let is_sound = alike.is_none() && attribution.sound_magnets().is_some();
+    let name =
+        |e: &Explanation| if is_sound && e.cause == Cause::Kt { MOTOR_OR_GEAR.to_owned() } else { e.cause.to_string() };
+    let change = |e: &Explanation| change_of(&name(e), e);
+    let what = match &attribution.naming {
+        Naming::One(one) => match alike {
+            Some((sensor, _)) => format!("{} or {sensor}: {} over {over}, or a faulty sensor", name(one), change(one)),
+            None => format!("{} over {over}{}", change(one), runner_up(attribution.runner_up.as_ref())),
+        },
+        Naming::Either(a, b) => {
+            format!("{} or {}, too close to call: {} or {} over {over}", name(a), name(b), change(a), change(b))
+        }
+        Naming::Another { new, known } => {
+            format!("{} over {over}, in addition to {}", change(new), change(known))
+        }
+        Naming::Both(a, b) => {
+            let together = format!("{} and {} together", name(a), name(b));
+            format!("{together}{}: {} and {} over {over}", rival(attribution.rival), change(a), change(b))
+        }
+        Naming::Neither => format!("a change that no cause explains over {over}: {}", coefficients(attribution)),
+    };
+    let c = attribution.correlation;
+    let rule = if attribution.is_contradicted() {
+        format!(" The cross-correlation rule disagrees ({:.2}, {:.2}, {:.2}).", c.b0_a1, c.b0_a0, c.a1_a0)
+    } else {
+        String::new()
+    };
+    let when = forecast.map_or_else(String::new, |f| {
+        let [low, mid, high] = [f.low, f.mid, f.high].map(round);
+        if mid < 1.0 {
+            return " The critical limit is reached about now.".to_owned();
+        }
+        format!(" Reaches the critical limit in about {mid} throws ({low} to {high}).")
+    });
+    let sensor = alike.map_or_else(String::new, |(sensor, waits)| {
+        let more = match waits {
+            Awaited::Throws => "",
+            Awaited::Resistance => {
+                " The motor's resistance would distinguish them, but most of these throws do not show it."
+            }
+            Awaited::Voltage => " With a permanent-magnet motor, a published supply_v would distinguish them.",
+        };
+        format!(" {}{more}", look_at_sensor(sensor))
+    });
+    format!("{subject}: {what}.{rule} {}{sensor}{when}", advice(attribution))
+}
+
+/// Text of an intermittent fault.
+pub(crate) fn intermittent(name: &str, found: &Departures) -> String {
+    let Departures { one_in, explanation, cause } = found;
+    let advice = match cause {
+        Cause::Unattributed => "Check the drive, its contacts and the sensors' cables.",
+        _ => look_at(explanation.cause, explanation.size),
+    };
+    format!("Machine {name}: 1 in {one_in:.0} throws: {}. The other throws are normal. {advice}", change(explanation))
+}
+
+/// Text of a drift that has ended.
+pub(crate) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
+    let repair = if at_once {
+        " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
+    } else {
+        ""
+    };
+    format!("Machine {name}: {cause} is back to normal.{repair}")
+}
+
+/// Text of a drift that has ended at once, except for a part.
+pub(crate) fn maybe_repaired(name: &str, cause: Cause) -> String {
+    format!(
+        "Machine {name}: most of the {} ended within a few throws, as after a repair, but the machine is not as its \
+         baseline. If it was repaired, take a new baseline (rebaseline).",
+        if cause == Cause::Unattributed { "drift".to_owned() } else { format!("change of {cause}") }
+    )
+}
+
+/// Text of a drift that another cause explains now.
+pub(crate) fn withdrawn(name: &str, cause: Cause, other: Cause) -> String {
+    format!("Machine {name}: the cause of the drift is no longer {cause}, but {other}.")
+}
+
+/// Text of an alarm without a name whose reason `part` explains.
+pub(crate) fn explained(name: &str, part: Cause) -> String {
+    format!("Machine {name}: this alarm is withdrawn: {part} explains the change.")
+}
+
+/// Text about a common change of all machines of a site.
+pub(crate) fn site(name: &str, cause: Cause, pct: f64) -> String {
+    let way = if pct < 0.0 { "down" } else { "up" };
+    format!(
+        "{name}: {cause} {way} {:.0} % on all of them together: the weather (rain, frost, heat), or work on \
+         all. No machine has an alarm for it.",
+        pct.abs()
+    )
+}
+
+pub(crate) fn site_over(name: &str, cause: Cause) -> String {
+    format!("{name}: {cause} no longer changes on all of them together.")
+}
+
+fn change(e: &Explanation) -> String {
+    change_of(&e.cause.to_string(), e)
+}
+
+fn change_of(name: &str, e: &Explanation) -> String {
+    let pct = percent(e.size);
+    let way = if pct < 0.0 { "down" } else { "up" };
+    // One decimal for small changes only; the interval has the same decimals as the change.
+    let decimals = usize::from(pct.abs() < 9.95);
+    let least = if decimals == 0 { 1.0 } else { 0.1 };
+    let interval = half_width_pct(e.size, e.size_sd).max(least);
+    format!("{name} {way} {:.decimals$} % (±{interval:.decimals$} %)", pct.abs())
+}
+
+/// Standard deviation of a size \[%\].
+pub(crate) fn sd_pct(e: &Explanation) -> f64 {
+    100.0 * e.size_sd * e.size.exp()
+}
+
+fn rival(rival: Option<Rival>) -> String {
+    match rival {
+        Some(Rival::Alone(cause)) => format!(" (or {cause} alone)"),
+        Some(Rival::Together(a, b)) => format!(" (or {a} and {b})"),
+        None => String::new(),
+    }
+}
+
+fn coefficients(attribution: &Attribution) -> String {
+    let part = |name: &str, i: usize| format!("{name} {:+.1} %", percent(attribution.mean[i]));
+    format!("{}, {}, {}", part("b0", 0), part("a1", 1), part("a0", 2))
+}
+
+fn runner_up(runner_up: Option<&RunnerUp>) -> String {
+    /// Margins as twice the log-likelihood ratio: odds of 1000 to 1, and of 20 to 1.
+    const UNLIKELY: f64 = 13.8;
+    const LESS_LIKELY: f64 = 6.0;
+    runner_up.map_or_else(String::new, |r| {
+        let how = match r.margin {
+            m if m >= UNLIKELY => "unlikely",
+            m if m >= LESS_LIKELY => "less likely",
+            _ => "possible",
+        };
+        format!("; runner-up {}, {how}", r.cause)
+    })
+}
+
+fn advice(attribution: &Attribution) -> String {
+    let look_at = |e: &Explanation| match attribution.sound_magnets() {
+        Some(Level { value, sd }) if e.cause == Cause::Kt => format!(
+            "The motor's back-EMF has not changed as much ({:+.1} %, ±{:.1} %), so its magnets are sound. Check gear, clutch and \
+             screw for wear and lubrication, then brushes and commutator.",
+            percent(value),
+            half_width_pct(value, sd)
+        ),
+        _ => look_at(e.cause, e.size).to_owned(),
+    };
+    match &attribution.naming {
+        Naming::One(e) | Naming::Another { new: e, .. } => look_at(e),
+        Naming::Either(a, b) | Naming::Both(a, b) => format!("{} {}", look_at(a), look_at(b)),
+        Naming::Neither => "Check the sensors first, then the whole drive.".to_owned(),
+    }
+}
+
+fn look_at(cause: Cause, size: f64) -> &'static str {
+    match (cause, size > 0.0) {
+        (Cause::Kt, false) => "Check the motor: magnets, brushes, commutator.",
+        (Cause::Kt, true) => "Check the motor: a part may have been replaced.",
+        (Cause::Friction, true) => "Check slide chairs and lubrication.",
+        (Cause::Friction, false) => {
+            "Rain does this and passes. Take a new baseline only if it was cleaned or lubricated."
+        }
+        (Cause::Stiffness, true) => "Check rods, stretcher bars and heel for binding.",
+        (Cause::Stiffness, false) => "Check rods, stretcher bars and fastenings for looseness or cracks.",
+        (Cause::Inertia, true) => {
+            "Check the brake, which may release late, and play in the drive: both look the same. Then look for added load: \
+             ice, ballast, a dragging second drive."
+        }
+        (Cause::Inertia, false) => "Check couplings and rods: a moving part may be disconnected.",
+        _ => "Check the machine.",
+    }
+}
+
+/// Rounds a forecast to two significant figures.
+fn round(throws: f64) -> f64 {
+    let scale = 10_f64.powf((throws.max(1.0).log10().floor() - 1.0).max(0.0));
+    (throws / scale).round() * scale
+}

@@ -1,0 +1,76 @@
+//! Texts about loggers and the throws that they send.
+
+use jiff::Timestamp;
+
+use crate::throw::utc;
+
+/// Text for messages of a machine that are no valid throws.
+pub(crate) fn invalid(name: &str, count: u32, reason: &str) -> String {
+    format!(
+        "Machine {name}: the last {count} messages of its logger are not valid throws, so the machine is not monitored: \
+         {reason}. Correct the logger; the messages are in quarantined_messages."
+    )
+}
+
+/// Text for a logger whose clock is wrong: the time of a throw by it, and by the clock of this computer.
+pub(crate) fn wrong_clock(name: &str, started_at: Timestamp, received_at: Timestamp) -> String {
+    format!(
+        "Machine {name}: the clock of the logger is wrong: it dates a throw {}, received {}. Set the clock; until then the \
+         times of alarms are those of reception.",
+        utc(&started_at),
+        utc(&received_at)
+    )
+}
+
+pub(crate) fn right_clock(name: &str) -> String {
+    format!("Machine {name}: the clock of the logger is right again.")
+}
+
+/// Text for a logger that sends fields with impossible values.
+pub(crate) fn unused_fields(name: &str, sentence: &str) -> String {
+    format!("Machine {name}: a field in the messages of the logger is not used: {sentence}. Correct the logger.")
+}
+
+/// Text for a logger whose directions are not those of the movement.
+pub(crate) fn contradicted(name: &str) -> String {
+    format!(
+        "Machine {name}: the logger names another direction than the position shows, which must rise from normal to \
+         reverse. pointsd uses the position: correct its sign, or the directions of the logger."
+    )
+}
+
+pub(crate) fn silent(name: &str, hours: f64) -> String {
+    format!(
+        "Machine {name}: no throw arrived for {hours:.0} hours, so the machine is not monitored. Check the logger and the \
+         network; if the machine was not used, acknowledge."
+    )
+}
+
+pub(crate) fn logger_gone(name: &str, minutes: f64) -> String {
+    format!(
+        "Machine {name}: its logger has been gone for {minutes:.0} minutes, so the machine is not monitored. Check the \
+         logger's supply and the network."
+    )
+}
+
+pub(crate) fn logger_back(name: &str) -> String {
+    format!("Machine {name}: its logger is connected again.")
+}
+
+pub(crate) fn gap(name: &str, lost: u64) -> String {
+    let throws = if lost == 1 { "1 throw".to_owned() } else { format!("{lost} throws") };
+    format!(
+        "Machine {name}: {throws} never arrived. Check the link to the logger; what happened in between is not known."
+    )
+}
+
+pub(crate) fn no_gap(name: &str, throws: u32) -> String {
+    format!("Machine {name}: no throw was lost in the last {throws}.")
+}
+
+pub(crate) fn repeated_number(name: &str) -> String {
+    format!(
+        "Machine {name}: its logger restarted without a new boot_id, or its counter is stuck: different throws have the same \
+         number. They are stored and judged. Give the logger a new boot_id at each start."
+    )
+}

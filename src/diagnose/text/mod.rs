@@ -1,0 +1,30 @@
+//! The texts of alarms: what happened, how certain it is, what to check, and the forecast.
+
+mod blind;
+mod daemon;
+mod drift;
+mod logger;
+mod sensor;
+mod throws;
+
+pub(super) use blind::*;
+pub(super) use daemon::*;
+pub(super) use drift::*;
+pub(super) use logger::*;
+pub(super) use sensor::*;
+pub(super) use throws::*;
+
+use crate::throw::Direction;
+
+/// "Machine 21B, normal to reverse"; without a direction for both.
+pub(super) fn subject(name: &str, direction: Option<Direction>) -> String {
+    match direction {
+        Some(direction) => format!("Machine {name}, {direction}"),
+        None => format!("Machine {name}"),
+    }
+}
+
+/// Half width of the 95 % interval of a change \[%\]; `size` is its logarithm, with the standard deviation `sd`.
+fn half_width_pct(size: f64, sd: f64) -> f64 {
+    196.0 * sd * size.exp()
+}

@@ -1,0 +1,111 @@
+//! Texts about sensors, supply and the circuit of the motor.
+
+use super::half_width_pct;
+use crate::{
+    diagnose::{event::SensorChannel, explain::percent, gauges::Level, testimony::Fault, thermometer::Disbelief},
+    throw::{brief, utc},
+};
+
+/// Text about a drift that only a sensor or the clock explains.
+pub(crate) fn sensor(name: &str, fault: &Fault) -> String {
+    let pct = percent(fault.size);
+    let (what, why) = match fault.channel {
+        SensorChannel::Current => ("reads", "the motor's resistance seems changed as much, its back-EMF not"),
+        SensorChannel::Position => ("reads", "the travel differs from the stroke"),
+        SensorChannel::Clock => ("runs", "the duration of all movements seems changed"),
+        SensorChannel::Temperature => ("reads", "it differs from the weather"),
+        SensorChannel::Supply => ("reads", "the motor's resistance and back-EMF seem changed as much, its current not"),
+    };
+    let way = match (fault.channel, pct > 0.0) {
+        (SensorChannel::Clock, true) => "fast",
+        (SensorChannel::Clock, false) => "slow",
+        (_, true) => "too much",
+        (_, false) => "too little",
+    };
+    format!(
+        "Machine {name}: the {} {what} {:.1} % {way} (±{:.1} %): {why}. The machine itself shows no fault. {}",
+        fault.channel,
+        pct.abs(),
+        half_width_pct(fault.size, fault.size_sd),
+        look_at_sensor(fault.channel)
+    )
+}
+
+/// Text about a changed supply voltage.
+pub(crate) fn supply(name: &str, change_pct: f64) -> String {
+    let way = if change_pct < 0.0 { "lower" } else { "higher" };
+    format!(
+        "Machine {name}: the supply voltage is {:.0} % {way} than the baseline's, and the throws' duration agrees. Check \
+         battery, charger, feeder and connections.",
+        change_pct.abs()
+    )
+}
+
+/// Text about a changed resistance between supply and motor.
+pub(crate) fn circuit(name: &str, level: &Level) -> String {
+    let (way, what) = if level.value > 0.0 {
+        ("up", "A bad contact, worn brushes or a damaged cable do this. Check terminals, brushes, contactor and cable.")
+    } else {
+        (
+            "down",
+            "Turns of the winding that touch, or a contact that was repaired, do this. Check the winding, then take a new \
+             baseline (rebaseline).",
+        )
+    };
+    format!(
+        "Machine {name}: the resistance of the motor and its supply line is {way} {:.0} % (±{:.0} %), more than heat explains, and \
+         the motor's back-EMF has not changed. {what}",
+        percent(level.value).abs(),
+        half_width_pct(level.value, level.sd)
+    )
+}
+
+pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
+    let what = match disbelief {
+        Disbelief::Impossible(celsius) => {
+            let celsius = brief(celsius);
+            format!("temperature sensor reads {celsius} °C, which is impossible. The last good temperature is used")
+        }
+        Disbelief::Jump(from, to) => format!(
+            "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather. The last good temperature is used"
+        ),
+        Disbelief::Missing(since) => format!(
+            "temperature is missing since {}. The last one is used, so weather can look like a fault",
+            utc(&since)
+        ),
+        Disbelief::Supply(volts) => {
+            let volts = brief(volts);
+            format!(
+                "sensor of the supply voltage reads {volts} V, which is impossible. Checks with the voltage are omitted"
+            )
+        }
+    };
+    format!("Machine {name}: the {what}. Check the sensor and its cable.")
+}
+
+pub(crate) fn sensor_plausible(name: &str) -> String {
+    format!("Machine {name}: the sensors of temperature and supply voltage are plausible again.")
+}
+
+pub(crate) fn sensor_unusable(name: &str, channel: SensorChannel) -> String {
+    let unit = if channel == SensorChannel::Current { "A" } else { "mm" };
+    format!(
+        "Machine {name}: the {channel} reads impossible, stuck or very noisy values, so the throws cannot be evaluated. Check \
+         the sensor, its cable and its supply, and that the logger sends {unit}; throws_not_evaluated has the reason of each \
+         throw."
+    )
+}
+
+pub(crate) fn sensor_usable(name: &str, channel: SensorChannel) -> String {
+    format!("Machine {name}: the values of the {channel} are usable again.")
+}
+
+pub(super) fn look_at_sensor(channel: SensorChannel) -> &'static str {
+    match channel {
+        SensorChannel::Current => "Check the current sensor's gain and wiring.",
+        SensorChannel::Position => "Check the position sensor's gain and mounting.",
+        SensorChannel::Clock => "Check the logger's sampling rate against sample_rate_hz.",
+        SensorChannel::Temperature => "Check the temperature sensor and its cable.",
+        SensorChannel::Supply => "Check the sensor of the supply voltage and its cable.",
+    }
+}

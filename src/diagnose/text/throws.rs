@@ -1,0 +1,101 @@
+//! Texts about throws that are incomplete, slow or different, without an estimate of the causes.
+
+use super::{half_width_pct, subject};
+use crate::{
+    diagnose::{
+        explain::percent,
+        gauges::{Change, Gauge},
+        start,
+    },
+    throw::Direction,
+};
+
+/// Text of an incomplete throw, the `in_a_row`th in a row.
+pub(crate) fn incomplete(name: &str, in_a_row: u32) -> String {
+    let what = match in_a_row {
+        1 => "a throw was not completed".to_owned(),
+        _ => format!("{in_a_row} throws in a row were not completed"),
+    };
+    format!("Machine {name}: {what}. Check for an obstruction between the rails, and detection.")
+}
+
+pub(crate) fn complete_again(name: &str, in_a_row: u32) -> String {
+    format!("Machine {name}: {in_a_row} throws in a row were completed.")
+}
+
+pub(crate) fn slow(name: &str, direction: Direction, longer_pct: f64) -> String {
+    format!(
+        "{}: throws take {longer_pct:.0} % longer than the baseline's. Check the supply voltage and connections, then the \
+         drive for binding.",
+        subject(name, Some(direction))
+    )
+}
+
+pub(crate) fn fast_again(name: &str) -> String {
+    format!("Machine {name}: throws are as fast as the baseline's again.")
+}
+
+/// Text for throws without an estimate whose features have changed.
+pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String {
+    let change = |change: &Change| {
+        let what = match change.gauge {
+            Gauge::Duration => "duration",
+            Gauge::Running => "running current",
+            Gauge::Charge => "charge of a throw",
+            _ => "travel",
+        };
+        format!("{what} {:+.0} % (±{:.0} %)", percent(change.size), half_width_pct(change.size, change.size_sd))
+    };
+    let changes: Vec<String> = changes.iter().map(change).collect();
+    format!(
+        "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. Their coefficients are not known, \
+         so no part can be named. Check slide chairs, lubrication, drive and supply.",
+        changes.join(", ")
+    )
+}
+
+/// Text for throws whose start has changed, over the last `throws`.
+pub(crate) fn start(name: &str, change: &start::Change, throws: usize) -> String {
+    let start::Change { delay, gain, running } = change;
+    let moves = if delay.value.abs() < 0.05 {
+        format!("the toe moves as soon as usual (±{:.1} ms)", 1.96 * delay.sd)
+    } else {
+        let later = if delay.value < 0.0 { "earlier" } else { "later" };
+        format!("the toe moves {:.1} ms (±{:.1} ms) {later}", delay.value.abs(), 1.96 * delay.sd)
+    };
+    let more = if gain.value < 0.0 { "less" } else { "more" };
+    format!(
+        "Machine {name}: the start of the movement has changed, over {throws} throws: {moves} after the start \
+         of the current, and accelerates {:.0} % (±{:.0} %) {more}. The running current ({:+.0} %) does not explain this, so \
+         no running part is named. Check the brake, which may release late, play and lost motion in drive and rods, and whether \
+         the position sensor is loose or its values are late. Then look for added load.",
+        percent(gain.value).abs(),
+        half_width_pct(gain.value, gain.sd),
+        percent(running.value)
+    )
+}
+
+pub(crate) fn repeated_trace(name: &str) -> String {
+    format!(
+        "Machine {name}: the logger repeats itself: it sends the same recordings again, so the machine itself is not \
+         monitored. Check the recorder."
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::gauges::Level;
+
+    #[test]
+    fn a_delay_that_rounds_to_zero_is_not_earlier_or_later() {
+        let of = |delay_ms: f64| {
+            let level = |value: f64, sd: f64| Level { value, sd };
+            let change =
+                start::Change { delay: level(delay_ms, 0.2), gain: level(-0.3, 0.02), running: level(0.0, 0.01) };
+            start("21B", &change, 12)
+        };
+        assert!(of(-0.04).contains("the toe moves as soon as usual (±0.4 ms) after the start"), "{}", of(-0.04));
+        assert!(of(-2.0).contains("the toe moves 2.0 ms (±0.4 ms) earlier after the start"), "{}", of(-2.0));
+    }
+}
