@@ -115,12 +115,13 @@ fn the_sizes_of_two_faults_hold() {
     for first in Cause::PHYSICAL {
         for second in Cause::PHYSICAL.into_iter().filter(|second| *second != first) {
             let (mut of_pair, mut held_pair) = (0_u32, 0_u32);
-            for (seed, leak) in (0..12).zip([0.0, 0.1, 0.25, 0.5].into_iter().cycle()) {
-                let mut machine = Machine::new(460 + seed, Nature::default());
+            let lives = [0.0, 0.1, 0.25, 0.5].into_iter().cycle().zip([2.0, 3.0, 4.0].into_iter().cycle());
+            for (seed, (leak, limits)) in (460..472).zip(lives) {
+                let mut machine = Machine::new(seed, Nature::default());
                 let mut monitor = machine.learned(&settings);
                 let size = |cause: Cause| {
                     let sign = if cause == Cause::Kt { -1.0 } else { 1.0 };
-                    sign * [2.0, 3.0, 4.0][seed as usize % 3] * settings.limit_pct(cause).unwrap()
+                    sign * limits * settings.limit_pct(cause).unwrap()
                 };
                 let effect = |cause: Cause| {
                     let plain = shift(cause, size(cause));
