@@ -28,9 +28,9 @@ const SKIPPED_SHARE: f64 = 0.013;
 const SPEED_S: f64 = 0.02;
 /// Number of stretches of the movement whose means count as independent.
 const STRETCHES: usize = 10;
-/// Factor on the variance: that of ten means after a fit of four parameters is too small, and neighbouring means are
-/// correlated. With 4 the 95 % intervals are correct in simulated throws.
-const BATCH_FACTOR: f64 = 4.0;
+/// Factor on the variance: a fit of four parameters leaves six of ten free stretches (10/6), and the 95 % interval of Student's
+/// t with six degrees of freedom is wider than that of Gauss (2.45/1.96).
+const BATCH_FACTOR: f64 = 10.0 / 6.0 * (2.45 / 1.96) * (2.45 / 1.96);
 /// Least number of samples of a movement.
 const LEAST_SAMPLES: usize = 40;
 /// Largest root mean square of the residual, as share of the charge of the movement. Dry friction on every chair gives
@@ -140,7 +140,8 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
     let found = inverse * right;
     let stretch = (to - from).div_ceil(STRETCHES);
     let (mut middle, mut squares, mut score, mut total) = (Matrix4::zeros(), 0.0, Vector4::zeros(), 0.0_f64);
-    let running = (output[to - 1] - output[from.midpoint(to)]) / ((to - from.midpoint(to)) as f64 * interval_s);
+    let (mut later, mut before) = (rows().fold(Vector4::zeros(), |sum, (row, _)| sum + row), 0.0);
+    let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
     let (mut drift, mut dry) = (Vector4::zeros(), Vector4::zeros());
     // Charge of an offset of the current of 1 A.
     let mut extra = 0.0;
@@ -151,7 +152,10 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
         dry += row * (time_s - row[0] / running);
         let residual = charge - row.dot(&found);
         squares += residual * residual;
-        score += row * residual;
+        if at > 0 {
+            score += later * (residual - before);
+        }
+        (later, before) = (later - row, residual);
         total = total.max(charge.abs());
         if at % stretch == stretch - 1 || at + 1 == to - from {
             middle += score * score.transpose();
