@@ -178,6 +178,7 @@ fn an_unusable_start_leaves_the_ratios() {
     let cases = [
         ("lost motion", Drive { lost_mm: 0.5, ..Drive::default() }),
         ("play", Drive { play_mm: 0.2, ..Drive::default() }),
+        ("much play", Drive { play_mm: 1.0, neutral_mm: 114.5, ..Drive::default() }),
         ("late brake", Drive { brake_nm: 50.0, brake_s: 0.03, ..Drive::default() }),
         ("locked brake", Drive { brake_nm: f64::INFINITY, brake_s: 0.01, ..Drive::default() }),
         ("lag", Drive { lag_hz: 20.0, ..Drive::default() }),
