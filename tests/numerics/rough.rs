@@ -368,7 +368,7 @@ fn the_intervals_cover_coulomb_friction() {
     {
         // A locked brake leaves the ratios only. The rails help the drive on the way to their neutral position.
         let brake_nm = if brake_s > 0.0 { f64::INFINITY } else { 0.0 };
-        let drive = Drive { controlled_a, mu, soft, brake_nm, brake_s, neutral_mm, ..Drive::default() };
+        let drive = Drive { brake_nm, brake_s, controlled_a, mu, soft, neutral_mm, ..Drive::default() };
         let truth = drive.truth();
         for seed in 0..3 {
             let estimate = drive.identify(seed).outcome.unwrap();
