@@ -72,8 +72,9 @@ const HEATED_K: f64 = 60.0;
 const WEATHER_K: f64 = 30.0;
 /// Significance of a changed resistance, in standard deviations of a level.
 const CIRCUIT_SD: f64 = 4.0;
-/// Change of the logarithm of the resistance with the delay of the start \[1/ms\]: play of 1 mm, 36 ms, changes it by 0.2.
-/// That of a light drive, whose whole inrush the play hides, is larger.
+/// Largest change of the logarithm of the resistance with the delay of the start \[1/ms\]: a soft drive that very dry chairs
+/// wind up delays the toe by 25 ms or more, and unwinds while the resistance is measured, which changes it by 0.25. Play, lost
+/// motion and a late position change it by 0.1 at most.
 const OHMS_OF_DELAY: f64 = 0.01;
 /// Largest uncertainty of a resistance that is judged, as a logarithm: one whose inrush hardly shows it may be anything.
 const CIRCUIT_UNCERTAINTY: f64 = 0.4;
@@ -306,7 +307,7 @@ impl Gauges {
             self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
         let size_of = |level: Level| level.value.abs() / heat.max(CIRCUIT_SD * level.sd);
         let size = if self.voltage_error().is_some() { 0.0 } else { size_of(level).min(size_of(longer)) };
-        // The motor turns, and its back-EMF counts as resistance, while the toe stands still.
+        // An elastic drive turns otherwise than the toe.
         let idle = self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
         let is_idle = idle > ALIKE * level.value.abs();
         let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;

@@ -1,20 +1,28 @@
 //! No-load speed of a throw, and resistance and back-EMF constant if the supply voltage is known.
 //!
-//! The armature, equation (1), is V = R i + L i' + K ω. Integrated from the start of the motor it has no derivative,
+//! The armature, equation (1), is V = R i + L i' + K ω. Integrated from the start of the motor it has no derivative. The
+//! toe may move later than the motor turns, as with play, lost motion or a late position, and the motor starts at any
+//! moment between two samples. So the angle of the motor is that of the toe plus a constant, and the time has an unknown
+//! start; while the toe moves, both are one constant c of the equation
 //!
 //! ```text
-//! V t = R ∫i dt + L i + K θ
+//! V t = R ∫i dt + L i + K θ + c
 //! ```
 //!
-//! and is linear in R, L and K. The inrush, when θ is still small, separates R from K. If V is constant but unknown, the
-//! same equation over V gives R / V and K / V.
+//! which is linear in R, L, K and c. The rest of the inrush after the first movement of the toe separates R from K. (With
+//! c = 0, 0.2 mm of play changed R by a factor of two.) If V is constant but unknown, the same equation over V gives R / V
+//! and K / V.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix4, Vector4};
 
 use super::{features::Features, movement::Movement};
 
 /// Lowest sampling rate that resolves the inrush: 60 samples in the 0.3 s of its decay \[Hz\].
 const LEAST_RATE_HZ: f64 = 200.0;
+/// Travel after which the toe moves: a share of the whole, 0.3 mm of 115 mm, and in standard deviations of the
+/// position's noise.
+const MOVES_SHARE: f64 = 0.0026;
+const MOVES_SD: f64 = 5.0;
 
 /// Adds no-load speed, and with a supply voltage resistance and back-EMF constant, to the features of a throw.
 pub(super) fn add_constants(
@@ -36,24 +44,29 @@ pub(super) fn add_constants(
     else {
         return;
     };
-    // Sums of the products of charge, current, angle and time.
-    let (mut sums, mut charge, mut before) = ([[0.0; 4]; 3], 0.0, amperes(first));
+    let way_mm = |x: &f64| movement.sign * (x - movement.position.mean);
+    let moves_mm = (MOVES_SHARE * movement.travel_mm).max(MOVES_SD * movement.position.sd);
+    let Some(moves) = position.iter().position(|x| way_mm(x) > moves_mm) else { return };
+    // Sums of the products of charge, current, angle, 1 and time.
+    let (mut sums, mut charge, mut before) = ([[0.0; 5]; 4], 0.0, amperes(first));
     for (k, (i, x)) in current.iter().zip(position).enumerate() {
         let now = amperes(i);
         charge += 0.5 * (before + now) * interval_s;
         before = now;
-        let angle = movement.sign * (x - movement.position.mean) * radians_per_mm;
-        let row = [charge, now, angle, (k + 1) as f64];
-        for i in 0..3 {
+        if k < moves {
+            continue;
+        }
+        let row = [charge, now, way_mm(x) * radians_per_mm, 1.0, (k + 1) as f64];
+        for i in 0..4 {
             // Half of the products would be enough, but whole rows are computed two at a time.
-            for j in 0..4 {
+            for j in 0..5 {
                 sums[i][j] += row[i] * row[j];
             }
         }
     }
-    let normal = Matrix3::from_fn(|i, j| sums[i.min(j)][i.max(j)]);
-    let right = Vector3::from_fn(|i, _| interval_s * sums[i][3]);
-    let solved = normal.try_inverse().map(|inverse: Matrix3<f64>| inverse * right);
+    let normal = Matrix4::from_fn(|i, j| sums[i.min(j)][i.max(j)]);
+    let right = Vector4::from_fn(|i, _| interval_s * sums[i][4]);
+    let solved = normal.try_inverse().map(|inverse: Matrix4<f64>| inverse * right);
     if let Some(solved) = solved.filter(|found| found[0] > 0.0 && found[2] > 0.0 && found.iter().all(|v| v.is_finite()))
     {
         features.resistance_ohm = supply_v.map(|volts| volts * solved[0]);

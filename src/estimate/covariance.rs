@@ -96,13 +96,17 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
 
 /// Dry share of the friction: root mean square of a share that is uniform between 0 and 1.
 pub(super) const DRY_SHARE: f64 = 0.58;
+/// Share of the travel after which the machine has its running speed.
+const STARTED_SHARE: f64 = 0.05;
 
 impl Sriv<2, 1, 3> {
     /// Errors of (b0, a1, a0) that are equal in every throw: from dry friction, for one standard deviation of its share, and
     /// from an error of the current's offset, with the scale of [`Noise`].
     ///
     /// A disturbance d of the acceleration disturbs the output by n = d/A and the estimate by M⁻¹ Σ z n; with a prefilter
-    /// 1/C the division is by C. Dry friction counts as viscous friction with the same torque at running speed ω. A dry
+    /// 1/C the division is by C. Dry friction counts as viscous friction with the same torque at ω, the mean speed
+    /// of the movement after its start: with the speed of a part of the movement a spring, which slows one direction down and
+    /// speeds up the other, would leave an error of the friction outside the interval. A dry
     /// load F differs from it by d = -F (1 - y'/ω).
     pub(super) fn systematic_errors(
         problem: &Problem<1>,
@@ -113,8 +117,9 @@ impl Sriv<2, 1, 3> {
     ) -> [[f64; 3]; 2] {
         let (z, stride, model) = (&workspace.instruments, workspace.stride, &workspace.model_output);
         let [b0, a1, _] = solution.parameters;
-        let (middle, last) = (model.len() / 2, model.len() - 1);
-        let per_sample = (model[last] - model[middle]) / (last - middle).max(1) as f64;
+        let last = model.len() - 1;
+        let moving = model.iter().position(|y| *y > STARTED_SHARE * model[last]).unwrap_or_default().min(last);
+        let per_sample = (model[last] - model[moving]) / (last - moving).max(1) as f64;
         let load = DRY_SHARE * a1 * per_sample / problem.interval_s;
         let dry = |k: usize| if k >= foot { load * ((model[k + 1] - model[k]) / per_sample - 1.0) } else { 0.0 };
         let Some(filter) = Discrete::<2>::new(&solution.denominator, problem.interval_s) else { return [[0.0; 3]; 2] };

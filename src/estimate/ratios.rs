@@ -7,8 +7,9 @@
 //! ```
 //!
 //! It does not need the time or the position of the release, the speed at s, or an iteration. At nearly constant speed
-//! it determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk, and errors of the
-//! model vary slowly, so the covariance comes from means of long stretches (batch means), not from single samples.
+//! it determines the ratios, but hardly 1/b0. The noise of the integrated current and a load that varies are random walks,
+//! and errors of the model vary slowly, so the covariance comes from the increments of the residual, in long stretches (batch
+//! means), not from single samples.
 
 use std::ops::AddAssign;
 
@@ -24,13 +25,16 @@ use super::{
 const SCALE_SD: f64 = 0.45;
 /// Share of the travel that is skipped as the start: 1.5 mm of 115 mm.
 const SKIPPED_SHARE: f64 = 0.013;
+/// Standard deviation of the part of the travel that play hides from the sensor, as share of the travel: 0.6 mm of 115 mm,
+/// the root mean square of a play that is uniform up to 1 mm.
+const HIDDEN_SHARE: f64 = 0.005;
 /// Half of the interval of the difference for the speed \[s\].
 const SPEED_S: f64 = 0.02;
 /// Number of stretches of the movement whose means count as independent.
 const STRETCHES: usize = 10;
-/// Factor on the variance: that of ten means after a fit of four parameters is too small, and neighbouring means are
-/// correlated. With 4 the 95 % intervals are correct in simulated throws.
-const BATCH_FACTOR: f64 = 4.0;
+/// Factor on the variance: a fit of four parameters leaves six of ten free stretches (10/6), and the 95 % interval of Student's
+/// t with six degrees of freedom is wider than that of Gauss (2.45/1.96).
+const BATCH_FACTOR: f64 = 10.0 / 6.0 * (2.45 / 1.96) * (2.45 / 1.96);
 /// Least number of samples of a movement.
 const LEAST_SAMPLES: usize = 40;
 /// Largest root mean square of the residual, as share of the charge of the movement. Dry friction on every chair gives
@@ -127,10 +131,11 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
             (Vector4::new(output[k] - output[from], angle, speed(k) - speed(from), 1.0), charge)
         })
     };
-    let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
+    let (mut normal, mut right, mut later) = (Matrix4::zeros(), Vector4::zeros(), Vector4::zeros());
     for (row, charge) in rows() {
         normal += row * row.transpose();
         right += row * charge;
+        later += row;
     }
     // Scaled to unit diagonal, as the columns have different units.
     let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
@@ -140,8 +145,11 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
     let found = inverse * right;
     let stretch = (to - from).div_ceil(STRETCHES);
     let (mut middle, mut squares, mut score, mut total) = (Matrix4::zeros(), 0.0, Vector4::zeros(), 0.0_f64);
-    let running = (output[to - 1] - output[from.midpoint(to)]) / ((to - from.midpoint(to)) as f64 * interval_s);
-    let (mut drift, mut dry) = (Vector4::zeros(), Vector4::zeros());
+    // The residual is a sum of increments, and an increment disturbs all later rows: Σ row_i r_i = Σ (Σ_{i≥k} row_i) e_k. The
+    // first one is part of the constant.
+    let mut before = 0.0;
+    let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
+    let (mut drift, mut dry, mut hidden) = (Vector4::zeros(), Vector4::zeros(), Vector4::zeros());
     // Charge of an offset of the current of 1 A.
     let mut extra = 0.0;
     for (at, (row, charge)) in rows().enumerate() {
@@ -149,9 +157,13 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
         extra += input_scale.map_or(1.0, |scale| scale[from + at]) * interval_s;
         drift += row * extra;
         dry += row * (time_s - row[0] / running);
+        hidden += row * time_s;
         let residual = charge - row.dot(&found);
         squares += residual * residual;
-        score += row * residual;
+        if at > 0 {
+            score += later * (residual - before);
+        }
+        (later, before) = (later - row, residual);
         total = total.max(charge.abs());
         if at % stretch == stretch - 1 || at + 1 == to - from {
             middle += score * score.transpose();
@@ -162,6 +174,8 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
         return None;
     }
     let (drift, dry) = (inverse * drift, inverse * dry * (DRY_SHARE * found[0] * running));
+    // The rails are further on than the sensor, by a constant distance.
+    let hidden = inverse * hidden * (HIDDEN_SHARE * travel * found[1]);
     let covariance = inverse * middle * inverse * BATCH_FACTOR + drift * drift.transpose() * offset;
     let values = [found[0], found[1]];
     if !(values.iter().all(|v| v.is_finite() && *v > 0.0)) {
@@ -169,7 +183,7 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
     }
     let log = |i: usize, j: usize, value: f64| value / (values[i] * values[j]);
     let log_covariance = Matrix2::from_fn(|i, j| log(i, j, covariance[(i, j)]));
-    let log_systematic = Matrix2::from_fn(|i, j| log(i, j, dry[i] * dry[j]));
+    let log_systematic = Matrix2::from_fn(|i, j| log(i, j, dry[i] * dry[j] + hidden[i] * hidden[j]));
     let log_offset = std::array::from_fn(|i| rest_a * drift[i] / values[i]);
     Some(Ratios { values, log_covariance, log_systematic, log_offset, from })
 }

@@ -44,6 +44,29 @@ fn a_bad_contact_is_an_alarm_of_the_supply_until_it_is_mended() {
     }
 }
 
+/// The motor turns before the toe, or its sensor, moves.
+#[test]
+fn play_a_late_brake_and_a_late_position_are_no_bad_contact() {
+    let settings = Settings::default();
+    for (at, state) in [
+        State { play_mm: 0.05, ..SOUND },
+        State { play_mm: 0.2, ..SOUND },
+        State { play_mm: 1.0, ..SOUND },
+        State { brake_s: 0.03, ..SOUND },
+        State { late_s: 0.005, ..SOUND },
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        for seed in 0..2 {
+            let mut drive = learned(200 + 10 * at as u64 + seed, SOUND, &settings);
+            let [raised, _] = split((0..60).flat_map(|_| drive.feed(state, &settings).events).collect());
+            let is_about_the_start = |event: &AlarmEvent| event.text.contains("play") && event.text.contains("brake");
+            assert!(!raised.is_empty() && raised.iter().all(is_about_the_start), "{state:?}: {raised:#?}");
+        }
+    }
+}
+
 /// A small drift beside it, which motor and current sensor explain equally well, does not mend the contact.
 #[test]
 fn the_alarm_about_a_bad_contact_stays_as_long_as_the_contact_is_bad() {

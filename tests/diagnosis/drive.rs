@@ -79,6 +79,8 @@ pub(crate) struct Drive {
     pub(crate) stroke_mm: Option<f64>,
     /// Time of the motor after the arrival of the toe \[s\].
     pub(crate) push_s: f64,
+    /// Sampling rate of the logger \[Hz\].
+    pub(crate) rate_hz: f64,
 }
 
 impl Drive {
@@ -99,6 +101,7 @@ impl Drive {
             has_toe_sensor: true,
             stroke_mm: None,
             push_s: 0.0,
+            rate_hz: 1000.0,
         }
     }
 
@@ -170,7 +173,7 @@ impl Drive {
             pushed_s += if has_arrived { STEP_S } else { 0.0 };
             on &= angle < travel || pushed_s < self.push_s;
         }
-        let phase = self.rng.random::<f64>() * 1e-3;
+        let phase = self.rng.random::<f64>() / self.rate_hz;
         let (mut recorded_a, mut recorded_mm) = (Vec::new(), Vec::new());
         let mut at = -0.2 + phase;
         while at < current.len() as f64 * STEP_S {
@@ -180,8 +183,8 @@ impl Drive {
             let mm = if rest == 0.0 { way } else { STROKE_MM * state.stroke - way };
             recorded_a.push(state.current_gain * direction.sign() * amperes + 0.02 * normal(&mut self.rng));
             recorded_mm.push(state.position_gain * mm + state.position_noise_mm * normal(&mut self.rng));
-            at += 1e-3 / state.clock;
+            at += 1.0 / (self.rate_hz * state.clock);
         }
-        (Trace::new(1000.0, recorded_a, recorded_mm).unwrap(), volts)
+        (Trace::new(self.rate_hz, recorded_a, recorded_mm).unwrap(), volts)
     }
 }

@@ -1,5 +1,14 @@
 //! Throws without coefficients: their features are monitored.
 
+use std::{
+    num::NonZero,
+    sync::{
+        Mutex,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
+    thread,
+};
+
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
@@ -242,4 +251,52 @@ fn healthy_machines_without_a_toe_sensor_stay_within_the_budget() {
         println!("{name}: {alarms} alarms in {throws} throws");
         assert!(alarms <= 2, "{name}: {alarms} alarms in {throws} throws");
     }
+}
+
+/// Complete throws of healthy machines without a toe sensor, from current to alarm: the raised alarms of `lives` machines
+/// with `life` throws each.
+fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: u64) -> Vec<Cause> {
+    let (settings, next, raised) = (Settings::default(), AtomicU64::new(0), Mutex::new(Vec::new()));
+    let live = || {
+        loop {
+            let seed = next.fetch_add(1, Relaxed);
+            if seed >= lives {
+                return;
+            }
+            let mut drive = Drive::new(610_000 + seed, publishes_volts);
+            (drive.has_toe_sensor, drive.rate_hz, drive.stroke_mm) = (false, rate_hz, Some(115.0));
+            for _ in 0..life {
+                let events = drive.feed(State::SOUND, &settings).events;
+                let is_first = |event: &AlarmEvent| event.event_no == 1;
+                raised.lock().unwrap().extend(events.into_iter().filter(is_first).map(|event| event.cause));
+            }
+        }
+    };
+    thread::scope(|scope| {
+        for _ in 0..thread::available_parallelism().map_or(1, NonZero::get) {
+            scope.spawn(live);
+        }
+    });
+    raised.into_inner().unwrap()
+}
+
+/// 100,000 simulated throws a row, of which the default budget has 0.7 false alarms; `POINTSD_LIVES` sets the machines with
+/// 1,000 throws each, 100 by default.
+#[test]
+#[ignore = "simulates 400,000 throws, in some minutes"]
+fn currents_of_healthy_machines_stay_within_the_budget() {
+    let lives = std::env::var("POINTSD_LIVES").map_or(100, |text| text.parse().unwrap());
+    let (mut alarms, mut throws) = (0, 0);
+    for (publishes_volts, rate_hz) in [(true, 1000.0), (false, 1000.0), (true, 25.0), (false, 25.0)] {
+        let raised = raised_by_currents(publishes_volts, rate_hz, lives, 1000);
+        println!(
+            "supply_v {publishes_volts}, {rate_hz} Hz: {} alarms in {} throws: {raised:?}",
+            raised.len(),
+            lives * 1000
+        );
+        alarms += raised.len();
+        throws += lives * 1000;
+    }
+    let budget = throws as f64 * Settings::default().false_alarms_per_throw();
+    assert!(alarms as f64 <= budget, "{alarms} alarms, {budget:.1} in the budget");
 }
