@@ -255,7 +255,7 @@ fn healthy_machines_without_a_toe_sensor_stay_within_the_budget() {
 
 /// Complete throws of healthy machines without a toe sensor, from current to alarm: the raised alarms of `lives` machines
 /// with `life` throws each.
-fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: u64) -> Vec<Cause> {
+fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: u64) -> Vec<String> {
     let (settings, next, raised) = (Settings::default(), AtomicU64::new(0), Mutex::new(Vec::new()));
     let live = || {
         loop {
@@ -268,7 +268,8 @@ fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: u64
             for _ in 0..life {
                 let events = drive.feed(State::SOUND, &settings).events;
                 let is_first = |event: &AlarmEvent| event.event_no == 1;
-                raised.lock().unwrap().extend(events.into_iter().filter(is_first).map(|event| event.cause));
+                let sentence = |event: AlarmEvent| format!("machine {seed}: {}", event.text);
+                raised.lock().unwrap().extend(events.into_iter().filter(is_first).map(sentence));
             }
         }
     };
@@ -290,7 +291,7 @@ fn currents_of_healthy_machines_stay_within_the_budget() {
     for (publishes_volts, rate_hz) in [(true, 1000.0), (false, 1000.0), (true, 25.0), (false, 25.0)] {
         let raised = raised_by_currents(publishes_volts, rate_hz, lives, 1000);
         println!(
-            "supply_v {publishes_volts}, {rate_hz} Hz: {} alarms in {} throws: {raised:?}",
+            "supply_v {publishes_volts}, {rate_hz} Hz: {} alarms in {} throws: {raised:#?}",
             raised.len(),
             lives * 1000
         );

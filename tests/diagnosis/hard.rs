@@ -350,7 +350,7 @@ fn the_inertia_of_a_machine_with_good_and_rough_throws_is_that_of_the_good_ones(
         for (verdict, _) in &faulty[60..] {
             let now = &verdict.drifts[0];
             let sd = now.change_pct_sd;
-            assert!((now.change_pct - 25.0).abs() < 4.0 * sd && sd < 2.0, "{of_ten}: {now:?}");
+            assert!((now.change_pct - 25.0).abs() < 4.0 * sd && sd < 3.0, "{of_ten}: {now:?}");
         }
         let blind = life(300, 10, 25.0);
         assert!(blind.iter().all(|(verdict, _)| verdict.events.is_empty()), "{of_ten}: rough throws are no repair");
