@@ -120,7 +120,13 @@ fn apply(arguments: &Arguments, plan: &mut Plan) -> Result<(), Failure> {
 
 async fn run(plan: Plan) -> Outcome {
     let mut signals = Signals::listen()?;
-    let session = bus::open(plan.zenoh).await.or_exit(Exit::Unavailable)?;
+    let session = tokio::select! {
+        opened = bus::open(plan.zenoh) => opened.or_exit(Exit::Unavailable)?,
+        () = signals.stop() => {
+            tracing::info!("stopped before a router answered: nothing is published");
+            return Ok(Exit::Ok);
+        }
+    };
     let mut logger = Logger::start(session.clone(), &plan.logger, &plan.fleet, boot_id()).await.map_err(failure)?;
     tracing::info!(machines = plan.fleet.machines, site = %plan.logger.site, "publishing throws");
     let outcome = tokio::select! {

@@ -108,7 +108,8 @@ impl Daemon {
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         // Before the database: without a session the start fails, and the database stays closed.
-        let session = bus::open(config.zenoh.clone()).await?;
+        let opening = bus::open(config.zenoh.clone());
+        let session = watchdog::with_start_extension("opening zenoh; a client waits for its router", opening).await?;
         let opening = Store::open(&config.store, clock::now());
         let opened = watchdog::with_start_extension("opening the database", opening).await?;
         report_database(&opened.report, &config.store);

@@ -2,6 +2,7 @@
 
 use std::{
     fs,
+    io::{BufRead as _, BufReader},
     net::TcpListener,
     thread,
     time::{Duration, Instant},
@@ -122,4 +123,31 @@ async fn a_stop_signal_during_the_start_stops_the_daemon() {
     }
     daemon.terminate();
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+}
+
+/// A daemon or a logger whose router is away waits for it: it says so, and can be stopped.
+#[test]
+fn a_client_without_its_router_says_so_and_can_be_stopped() {
+    let away = Rig::new().same_port();
+    let router = away.start().endpoint.clone();
+    let rig = Rig::new().behind(&router);
+    let (mut daemon, ready) = rig.launch();
+    daemon.until_log(&format!("no router answers at [\"{router}\"]"));
+    daemon.signal("-TERM");
+    assert!(daemon.wait(Duration::from_secs(5)).success(), "{:?}", daemon.log());
+    assert!(ready.recv().is_err());
+
+    let mut logger = pointsim(&["run", "--connect", &router]).stderr(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(logger.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.contains("no router answers at"), "{line}");
+    assert!(Command::new("kill").args(["-INT", &logger.id().to_string()]).status().unwrap().success());
+    assert!(logger.wait().unwrap().success());
+
+    // The daemon is ready as soon as its router is back.
+    let (daemon, ready) = rig.launch();
+    daemon.until_log("no router answers at");
+    let _router = away.start();
+    ready.recv_timeout(PATIENCE).unwrap();
+    daemon.terminate();
 }
