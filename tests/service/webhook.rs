@@ -335,6 +335,8 @@ fn an_alarm_becomes_a_mail() {
         text.contains("To: duty@example.org") && text.contains("Subject: [critical] Machine north/machine-1"),
         "{text}"
     );
+    // The identity of an event has its time.
+    assert!(text.contains(".1.20") && text.contains("Z@pointsd>"), "{text}");
     let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
     assert_eq!(code, Some(0), "{text}");
     while !mails.recv_timeout(PATIENCE).unwrap().contains("Subject: [critical, acknowledged] Machine north/machine-1") {
