@@ -153,9 +153,9 @@ impl JudgeLoop {
         if !self.daemon_alarms.is_empty() {
             self.update_daemon_alarms().await?;
         }
-        let judgements = match self.judge.next().await {
-            Ok(judgements) if judgements.is_empty() => return Ok(false),
-            Ok(judgements) => judgements,
+        let pending = match self.judge.pending().await {
+            Ok(pending) if pending.is_empty() => return Ok(false),
+            Ok(pending) => pending,
             Err(StoreError::Closed) => return Err(StoreError::Closed),
             Err(error) => {
                 seldom!(error, %error, "reading pending throws failed; retrying");
@@ -163,6 +163,9 @@ impl JudgeLoop {
                 return Ok(false);
             }
         };
+        // After these throws were read: no throw shows that nothing is lost before the gaps up to it are known.
+        self.report_gaps().await?;
+        let judgements = self.judge.judge(&pending).await;
         self.links.status.heartbeats.beat(TaskName::Identify);
         match self.until_stored(&Changes::Judgements(Arc::clone(&judgements))).await {
             Ok(true) => judgements.iter().for_each(|judgement| self.publish(judgement)),
@@ -291,10 +294,7 @@ impl JudgeLoop {
             let outcome = |(machine, events): &(_, Vec<_>)| self.judge.fleet.outcome(machine, now, events.clone());
             self.record_all(changed.iter().map(outcome).collect()).await?;
         }
-        for (machine, (lost, reported_gaps)) in self.old_gaps(now).await {
-            let outcome = self.judge.fleet.gap(&machine, lost, now, &config.diagnosis);
-            self.record(Outcome { reported_gaps, ..outcome }).await?;
-        }
+        self.report_gaps().await?;
         for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
             let invalid = Irregularity::Invalid { count, reason: &reason };
             if let Some(outcome) = self.judge.fleet.irregular(&machine, invalid, now, &config.diagnosis) {
@@ -310,6 +310,16 @@ impl JudgeLoop {
             }
         }
         self.update_standing();
+        Ok(())
+    }
+
+    /// Reports gaps that no backlog will fill to the monitors.
+    async fn report_gaps(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (self.judge.config(), clock::now());
+        for (machine, (lost, reported_gaps)) in self.old_gaps(now).await {
+            let outcome = self.judge.fleet.gap(&machine, lost, now, &config.diagnosis);
+            self.record(Outcome { reported_gaps, ..outcome }).await?;
+        }
         Ok(())
     }
 

@@ -90,10 +90,11 @@ impl Offline {
         self.waiting = 0;
         let mut all = Vec::new();
         loop {
-            let judgements = self.judge.next().await?;
-            if judgements.is_empty() {
+            let pending = self.judge.pending().await?;
+            if pending.is_empty() {
                 return Ok(all);
             }
+            let judgements = self.judge.judge(&pending).await;
             self.store.judge_all(Arc::clone(&judgements)).await?;
             all.extend(judgements.iter().map(Judged::from));
         }
