@@ -16,7 +16,7 @@ use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{MachineState, Severity},
     store::{DiskLevel, RecentCount, Store, Window},
-    throw::MachineId,
+    throw::{MachineId, counted},
 };
 
 /// Invalid messages of a machine in a row that are an alarm; a few may be accidents.
@@ -244,6 +244,10 @@ impl StatusReport {
         }
         if self.webhook_fails {
             parts.push("WEBHOOK FAILS: alarms wait for its receiver".to_owned());
+        }
+        if self.webhook_refused > 0 {
+            let events = counted(self.webhook_refused, "alarm event");
+            parts.push(format!("WEBHOOK REFUSED {events}: not sent again, look in the log"));
         }
         if self.dropped + self.lost > 0 {
             parts.push(format!("{} messages LOST", self.dropped + self.lost));
