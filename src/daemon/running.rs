@@ -392,6 +392,10 @@ fn report_database(report: &store::Report, settings: &store::Settings) {
         Found::Fresh => tracing::info!(%database, "a new database"),
         Found::Clean => tracing::info!(%database, "the database was closed cleanly"),
         Found::Unclean => tracing::warn!(%database, "the database was not closed cleanly; the check found no damage"),
+        Found::WithoutLog => tracing::warn!(
+            %database,
+            "the database was not closed cleanly, and its write-ahead log is missing: unless this is a backup, the last throws may be LOST"
+        ),
         Found::SetAside { to, why, salvaged } => {
             let set_aside = to.display();
             tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: set aside, and a new one created");
