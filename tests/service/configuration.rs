@@ -46,7 +46,8 @@ async fn a_file_of_another_program_is_a_wrong_configuration() {
             let output = pointsd(&[command, "--config"]).arg(rig.config()).output().unwrap();
             let error = String::from_utf8_lossy(&output.stderr);
             assert_eq!(output.status.code(), Some(78), "{command}: {error}");
-            assert!(error.contains(reason) && error.contains("store.path"), "{command}: {error}");
+            let place = format!("{}:3: store.path: ", rig.config().display());
+            assert!(error.contains(reason) && error.contains(&place), "{command}: {error}");
         }
     };
     refused("the database of another program");
