@@ -4,6 +4,8 @@ use std::{
     fs,
     io::{BufRead as _, BufReader},
     net::TcpListener,
+    os::unix::fs::PermissionsExt as _,
+    process::{Command, Stdio},
     thread,
     time::{Duration, Instant},
 };
@@ -55,6 +57,25 @@ async fn a_file_of_another_program_is_a_wrong_configuration() {
     fs::write(rig.database(), text).unwrap();
     refused("is a text file");
     assert_eq!(fs::read_to_string(rig.database()).unwrap(), text);
+}
+
+#[test]
+fn a_database_of_another_user_is_a_wrong_configuration() {
+    let rig = Rig::new();
+    rig.start().terminate();
+    fs::set_permissions(rig.database(), fs::Permissions::from_mode(0o444)).unwrap();
+    if fs::OpenOptions::new().write(true).open(rig.database()).is_ok() {
+        println!("skipped: root may write to every file");
+        return;
+    }
+    for (command, exit, says) in
+        [("check", 78, "this user cannot write to"), ("run", 74, "its -wal and its -shm belong to")]
+    {
+        let output = pointsd(&[command, "--config"]).arg(rig.config()).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(exit), "{command}: {error}");
+        assert!(error.contains(says), "{command}: {error}");
+    }
 }
 
 #[test]
