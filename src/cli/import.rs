@@ -18,7 +18,7 @@ use super::{
     runtime,
 };
 use crate::{
-    daemon::{Judged, Offline},
+    daemon::{Judged, Offline, clock},
     store::Spooled,
     throw::{MachineId, Throw, ThrowRef},
     wire::{self, Encoding, Health},
@@ -99,7 +99,7 @@ async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count
                 count.known += 1;
                 continue;
             }
-            let (spooled, judged) = pipeline.take(&arguments.machine, &throw).await.or_exit(Exit::Io)?;
+            let (spooled, judged) = pipeline.take(&arguments.machine, &throw, clock::now()).await.or_exit(Exit::Io)?;
             match spooled {
                 Spooled::New(_) => count.new += 1,
                 Spooled::Duplicate => count.known += 1,
