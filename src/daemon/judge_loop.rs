@@ -38,6 +38,8 @@ use crate::{
 const CHANGES: usize = 64;
 /// Gaps in one query; the gaps of a machine are reported together.
 const GAPS: u32 = 10_000;
+/// Largest number of loggers without a throw that the status names.
+const NAMED: usize = 20;
 /// Pause after an error of the database.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Time after which a daemon alarm that cannot be committed is published uncommitted. The ballast or a new connection
@@ -324,7 +326,14 @@ impl JudgeLoop {
     }
 
     fn update_standing(&self) {
-        self.links.status.edit().standing = self.judge.fleet.standing(&self.own_machine);
+        let standing = self.judge.fleet.standing(&self.own_machine);
+        let loggers = self.links.loggers.borrow().clone();
+        let silent = loggers.iter().filter(|machine| !self.judge.fleet.knows(machine));
+        let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
+        without_throw.sort_unstable();
+        without_throw.truncate(NAMED);
+        let mut report = self.links.status.edit();
+        (report.standing, report.without_throw) = (standing, without_throw);
     }
 
     /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is

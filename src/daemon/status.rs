@@ -83,6 +83,9 @@ pub struct StatusReport {
     pub connected: bool,
     /// Loggers that are connected now.
     pub loggers: usize,
+    /// The first of the machines whose loggers are connected and sent no throw yet.
+    #[serde(default)]
+    pub without_throw: Vec<String>,
     /// Messages received.
     pub received: u64,
     /// Messages dropped because the queue was full.
@@ -266,7 +269,10 @@ impl StatusReport {
             parts.push(format!("{} ALARMS OF THE DAEMON ITSELF", self.standing.own_alarms));
         }
         if self.standing.shelved_alarms > 0 {
-            parts.push(format!("{} alarms shelved", self.standing.shelved_alarms));
+            parts.push(format!("{} shelved", counted(self.standing.shelved_alarms, "alarm")));
+        }
+        if !self.without_throw.is_empty() {
+            parts.push(format!("connected, but no throw yet: {}", self.without_throw.join(", ")));
         }
         if self.backlog > 0 {
             parts.push(format!("{} throws are still in the backlogs of loggers", self.backlog));

@@ -66,6 +66,8 @@ struct Page {
     before: Option<String>,
     after: Option<String>,
     silent: String,
+    /// Names of connected loggers without a throw.
+    without_throw: String,
     daemon: Vec<(&'static str, String)>,
     volatile: String,
 }
@@ -202,6 +204,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         before: (filters.page > 0).then(|| filters.to_page(filters.page - 1).address()),
         after: (last < matching).then(|| filters.to_page(filters.page + 1).address()),
         silent: silent(&web.view, reader).await?,
+        without_throw: web.view.gauges.report().without_throw.join(", "),
         daemon: daemon(&web.view, &overview),
         volatile: format!(
             "As of {}; running for {}.",
