@@ -159,6 +159,14 @@ impl Daemon {
             .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_received().await?));
         start.tasks.spawn("watchdog", watchdog::watch(gauges.clone()));
         let monitor = &start.config.monitor;
+        let own = monitor.as_machine();
+        match bus::is_running(&start.session, &own).await {
+            Ok(true) => tracing::warn!(
+                "another daemon with the name {own} is connected: give each its own monitor.site and monitor.id, or stop one"
+            ),
+            Ok(false) => {}
+            Err(error) => tracing::debug!(%error, "looking for a daemon of the same name failed"),
+        }
         let alive = bus::declare_alive(&start.session, &monitor_alive_key(&monitor.site, &monitor.id)).await?;
         let Starting { session, store, tasks, stops, .. } = start;
         Ok(Self { session, store, gauges, config, watchers, orders, tasks, stops, outlet_end, alive, lock })
