@@ -266,7 +266,7 @@ impl StatusReport {
             parts.push(format!("machines: {}", states.join(", ")));
         }
         if self.standing.own_alarms > 0 {
-            parts.push(format!("{} ALARMS OF THE DAEMON ITSELF", self.standing.own_alarms));
+            parts.push(format!("{} OF THE DAEMON ITSELF", counted(self.standing.own_alarms, "alarm").to_uppercase()));
         }
         if self.standing.shelved_alarms > 0 {
             parts.push(format!("{} shelved", counted(self.standing.shelved_alarms, "alarm")));
@@ -275,11 +275,16 @@ impl StatusReport {
             parts.push(format!("connected, but no throw yet: {}", self.without_throw.join(", ")));
         }
         if self.backlog > 0 {
-            parts.push(format!("{} throws are still in the backlogs of loggers", self.backlog));
+            let are = if self.backlog == 1 { "is" } else { "are" };
+            parts.push(format!("{} {are} still in the backlogs of loggers", counted(self.backlog, "throw")));
         }
         parts.push(format!(
-            "{} loggers, {} throws stored, {} judged ({} not evaluated), {} in quarantine",
-            self.loggers, self.stored, self.judged, self.not_evaluated, self.quarantined
+            "{}, {} stored, {} judged ({} not evaluated), {} in quarantine",
+            counted(self.loggers as u64, "logger"),
+            counted(self.stored, "throw"),
+            self.judged,
+            self.not_evaluated,
+            self.quarantined
         ));
         parts
     }
