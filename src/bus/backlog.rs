@@ -1,12 +1,6 @@
 //! A page of a logger's backlog, from the queryable on its throw key.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering::Relaxed},
-    },
-    time::Duration,
-};
+use std::{sync::Arc, time::Duration};
 
 use parking_lot::Mutex;
 use tokio::{sync::oneshot, task, time};
@@ -25,6 +19,9 @@ const PAGE_BYTES: usize = 4 << 20;
 /// Time until a query for a page fails. Longer than the 10 s of silence after which zenoh closes a link.
 const PAGE_TIMEOUT: Duration = Duration::from_secs(15);
 
+/// Longest kept text of an error reply \[characters\].
+const ERROR: usize = 200;
+
 /// End of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ending {
@@ -41,6 +38,8 @@ pub(crate) struct Page {
     /// Number of ignored replies: on another key, or beyond the limit of the query.
     pub ignored: u64,
     pub ending: Ending,
+    /// The last error reply, of the logger, or of zenoh at the time limit.
+    pub error: Option<String>,
 }
 
 struct Collected {
@@ -50,18 +49,24 @@ struct Collected {
 
 /// Queries the throw key of a machine for a page. Without a logger the page is empty and complete.
 pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, limits: Limits) -> Page {
-    let empty = Page { messages: Vec::new(), ignored: 0, ending: Ending::Complete };
+    let empty = Page { messages: Vec::new(), ignored: 0, ending: Ending::Complete, error: None };
     let collected = Arc::new(Mutex::new(Collected { page: empty, bytes: 0 }));
-    let failed = Arc::new(AtomicBool::new(false));
     // Zenoh drops the callback, and the sender with it, after the last reply.
     let (open, ended) = oneshot::channel::<()>();
-    let (collecting, failing) = (Arc::clone(&collected), Arc::clone(&failed));
+    let collecting = Arc::clone(&collected);
     let (asked_key, limit) = (key.to_owned(), query.limit);
     let on_reply = move |reply: Reply| {
         let _open = &open;
-        let Ok(sample) = reply.into_result() else { return failing.store(true, Relaxed) };
         let mut collecting = collecting.lock();
         let Collected { page, bytes } = &mut *collecting;
+        let sample = match reply.into_result() {
+            Ok(sample) => sample,
+            Err(reply) => {
+                let text = reply.payload().to_bytes();
+                page.error = Some(String::from_utf8_lossy(&text).chars().take(ERROR).collect());
+                return;
+            }
+        };
         let is_wanted = sample.kind() == SampleKind::Put && sample.key_expr().as_str() == asked_key;
         if !is_wanted || page.messages.len() >= limit {
             page.ignored += 1;
@@ -83,6 +88,7 @@ pub(crate) async fn page(session: &Session, key: &str, query: &BacklogQuery, lim
     let is_sent = matches!(sent.await, Ok(Ok(())));
     let has_ended = is_sent && time::timeout(2 * PAGE_TIMEOUT, ended).await.is_ok();
     let mut collected = collected.lock();
-    let ending = if has_ended && !failed.load(Relaxed) { Ending::Complete } else { Ending::Broken };
-    Page { messages: std::mem::take(&mut collected.page.messages), ignored: collected.page.ignored, ending }
+    let Page { messages, ignored, error, .. } = &mut collected.page;
+    let ending = if has_ended && error.is_none() { Ending::Complete } else { Ending::Broken };
+    Page { messages: std::mem::take(messages), ignored: *ignored, ending, error: error.take() }
 }

@@ -8,7 +8,20 @@ pub struct BusError {
     source: zenoh::Error,
 }
 
+/// The action of opening a session.
+pub(super) const OPEN: &str = "open the session";
+/// Parts of the texts of errors that may pass: a port in use, an address that does not exist yet, a name server or a
+/// router that is away.
+const PASSING: [&str; 4] = ["(os error ", "nable to connect", "imeout", "lookup"];
+
 impl BusError {
+    /// Whether a later attempt may succeed. Other errors of opening are due to the configuration, as a file that is no
+    /// certificate.
+    pub(crate) fn may_pass(&self) -> bool {
+        let text = self.source.to_string();
+        self.action != OPEN || PASSING.iter().any(|part| text.contains(part))
+    }
+
     pub(super) fn new(action: impl Into<String>) -> impl FnOnce(zenoh::Error) -> Self {
         let action = action.into();
         move |source| Self { action, source }

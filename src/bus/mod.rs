@@ -19,7 +19,7 @@ pub use error::BusError;
 pub(crate) use inbox::{Inbox, InboxCounters};
 pub(crate) use message::{Limits, Message};
 pub use operator::{Answers, OperatorError, ask};
-pub(crate) use operator::{command, require_monitored, require_running};
+pub(crate) use operator::{command, is_running, require_monitored, require_running, serving};
 pub(crate) use outlet::{Outlet, OutletCounters, OutletEnd};
 pub(crate) use presence::{Audience, watch_tokens};
 pub use queries::{Question, Questions};

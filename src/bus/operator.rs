@@ -168,6 +168,22 @@ pub(crate) async fn command(
     }
 }
 
+/// The names of the daemons that serve a machine.
+pub(crate) async fn serving(
+    session: &Session,
+    machine: &MachineId,
+    timeout: Duration,
+) -> Result<Vec<String>, OperatorError> {
+    let replies = ask(session, &machine_key(machine, Kind::Command), None, timeout).await?.messages;
+    let daemons = replies.iter().filter_map(|(_, payload)| serde_json::from_slice::<Commander>(payload).ok());
+    Ok(daemons.map(|daemon| daemon.monitor).collect())
+}
+
+/// Whether a daemon of this name runs.
+pub(crate) async fn is_running(session: &Session, monitor: &MachineId) -> Result<bool, OperatorError> {
+    Ok(!alive(session, &monitor_alive_key(&monitor.site, &monitor.machine)).await?.is_empty())
+}
+
 /// The names of the running daemons, as `{site}/{id}`, from their liveliness tokens.
 async fn monitors(session: &Session) -> Result<Vec<String>, OperatorError> {
     let keys = alive(session, EVERY_MONITOR_ALIVE).await?;
@@ -199,7 +215,7 @@ pub(crate) async fn require_monitored(
     let Some(machine) = machine else { return Ok(()) };
     let health = ask(session, &machine_key(machine, Kind::Health), None, timeout).await?.complete()?;
     // The machine may be the name of a daemon, for the alarms about the daemon itself.
-    if health.is_empty() && alive(session, &monitor_alive_key(&machine.site, &machine.machine)).await?.is_empty() {
+    if health.is_empty() && !is_running(session, machine).await? {
         return Err(OperatorError::Unknown(machine.to_string()));
     }
     Ok(())

@@ -1,15 +1,46 @@
 //! Functions of a zenoh session.
 
-use zenoh::{Config, Session, key_expr::keyexpr, liveliness::LivelinessToken};
+use std::{thread, time::Duration};
 
-use super::error::BusError;
+use tokio::{
+    sync::oneshot,
+    time::{self, Instant},
+};
+use zenoh::{Config, Session, Wait as _, key_expr::keyexpr, liveliness::LivelinessToken};
 
-/// Opens a zenoh session.
+use super::error::{BusError, OPEN};
+
+/// Time until the first log line about a router that does not answer. A connection takes some milliseconds.
+const FIRST_WARNING: Duration = Duration::from_secs(2);
+/// Time between two of these log lines.
+const WARN_EVERY: Duration = Duration::from_secs(30);
+
+/// Opens a zenoh session. A client waits for its router, and logs that it does; dropping the future ends the wait.
 ///
 /// # Errors
 /// When zenoh cannot listen or connect as configured.
 pub async fn open(config: Config) -> Result<Session, BusError> {
-    zenoh::open(config).await.map_err(BusError::new("open the session"))
+    let is_client = config.get_json("mode").is_ok_and(|mode| mode.contains("client"));
+    let routers = config.get_json("connect/endpoints").unwrap_or_default();
+    let (done, mut opened) = oneshot::channel();
+    // Opening blocks, for a client until its router answers. On its own thread it holds up neither the signals nor the
+    // end of the process.
+    let open = move || {
+        let _ = done.send(zenoh::open(config).wait());
+    };
+    let failed = |error: zenoh::Error| BusError::new(OPEN)(error);
+    thread::Builder::new().name("open zenoh".to_owned()).spawn(open).map_err(|error| failed(error.into()))?;
+    let mut warning = time::interval_at(Instant::now() + FIRST_WARNING, WARN_EVERY);
+    loop {
+        tokio::select! {
+            session = &mut opened => return session.map_err(|ended| failed(ended.into()))?.map_err(failed),
+            _ = warning.tick() => if is_client {
+                tracing::warn!("no router answers at {routers}: waiting for it");
+            } else {
+                tracing::warn!("opening the zenoh session takes long");
+            },
+        }
+    }
 }
 
 /// Declares a liveliness token. Others see it until it is dropped or the link is closed.

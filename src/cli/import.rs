@@ -2,8 +2,9 @@
 
 use std::{
     collections::HashMap,
-    ffi::OsString,
+    ffi::{OsStr, OsString},
     fs,
+    io::{self, Read as _},
     path::{Path, PathBuf},
 };
 
@@ -18,7 +19,7 @@ use super::{
     runtime,
 };
 use crate::{
-    daemon::{Judged, Offline},
+    daemon::{Judged, Offline, clock},
     store::Spooled,
     throw::{MachineId, Throw, ThrowRef},
     wire::{self, Encoding, Health},
@@ -32,7 +33,7 @@ const EXPORT_FOLDERS: usize = 4;
 /// daemon of this database must not run.
 ///
 /// FILE is CSV with the columns of a recorded trace (one throw in a file), or JSON as on zenoh (one throw on each line,
-/// or one in a file). A throw that the database has already is skipped. A trace of `pointsd export --traces` keeps time,
+/// or one in a file), in files with the extension json, jsonl or ndjson, or with - from standard input. A throw that the database has already is skipped. A trace of `pointsd export --traces` keeps time,
 /// direction, boot, number, temperature, supply and filter of its line in `throws.csv`, which is in the folder of the
 /// traces or in the folder above; without this line it has the time of the file.
 ///
@@ -99,7 +100,7 @@ async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count
                 count.known += 1;
                 continue;
             }
-            let (spooled, judged) = pipeline.take(&arguments.machine, &throw).await.or_exit(Exit::Io)?;
+            let (spooled, judged) = pipeline.take(&arguments.machine, &throw, clock::now()).await.or_exit(Exit::Io)?;
             match spooled {
                 Spooled::New(_) => count.new += 1,
                 Spooled::Duplicate => count.known += 1,
@@ -115,12 +116,19 @@ fn read(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exports
 }
 
 fn is_json(file: &Path) -> bool {
-    file.extension().is_some_and(|extension| extension == "json" || extension == "jsonl")
+    let is_name = |extension: &OsStr| ["json", "jsonl", "ndjson"].iter().any(|name| extension == *name);
+    file == Path::new("-") || file.extension().is_some_and(is_name)
 }
 
 fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     let name = || file.display().to_string();
-    let bytes = fs::read(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
+    let bytes = if file == Path::new("-") {
+        let mut bytes = Vec::new();
+        io::stdin().read_to_end(&mut bytes).map(|_| bytes)
+    } else {
+        fs::read(file)
+    };
+    let bytes = bytes.with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
     match wire::decode_throw(Encoding::Json, &bytes) {
         Ok(throw) => return Ok(vec![throw]),
         // Otherwise a file of lines would be explained by its first.

@@ -131,7 +131,7 @@ async fn replay(old: &Reader, new: &mut Offline) -> Result<Replayed, StoreError>
                 replayed.without_trace += 1;
                 continue;
             };
-            new.take(&stored.machine, &throw).await?;
+            new.take(&stored.machine, &throw, stored.received_at).await?;
             replayed.throws += 1;
             replayed.since = Some(replayed.since.map_or(stored.started_at, |since| since.min(stored.started_at)));
             progress.set_message(format!("{} throws", replayed.throws));

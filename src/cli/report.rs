@@ -1,6 +1,6 @@
 //! `pointsd report`: the page of a machine as one HTML file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 
@@ -26,7 +26,7 @@ use crate::{
 pub(super) struct Arguments {
     #[arg(value_name = "SITE/MACHINE", value_parser = argument::machine)]
     machine: MachineId,
-    /// The HTML file.
+    /// The HTML file, or - for standard output.
     #[arg(long, value_name = "FILE.html")]
     out: PathBuf,
     /// Throws of each direction in the charts.
@@ -50,6 +50,10 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     })?;
     let unknown = || anyhow!("{} has no throw of {machine}; `pointsd status` lists the machines", path.display());
     let page = page.ok_or_else(|| Failure::new(Exit::NoInput, unknown()))?;
+    if arguments.out == Path::new("-") {
+        output::line(page)?;
+        return Ok(Exit::Ok);
+    }
     output::file(&arguments.out, page)?;
     output::line(format_args!("{machine} written to {}", arguments.out.display()))?;
     Ok(Exit::Ok)

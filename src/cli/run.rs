@@ -7,7 +7,10 @@ use super::{
     runtime::{self, Requested, Signals},
 };
 use crate::{
-    daemon::{DATABASE, Daemon, LockError, StartError, TaskEnded, config::Config},
+    daemon::{
+        DATABASE, Daemon, LockError, StartError, TaskEnded,
+        config::{Config, Document},
+    },
     store::StoreError,
     web::{self, Listening},
 };
@@ -27,6 +30,9 @@ pub(super) struct Arguments {
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let config = load(arguments.config.as_deref())?;
     runtime::log(&config.log)?;
+    for warning in config.warnings() {
+        tracing::warn!("{warning}");
+    }
     runtime::block_on(run(arguments, config))
 }
 
@@ -46,10 +52,22 @@ pub(super) fn start_failure(error: StartError) -> Failure {
             Exit::Config
         }
         StartError::Store(_) | StartError::Lock(LockError::File { .. }) => Exit::Io,
+        StartError::Bus(error) if !error.may_pass() => Exit::Config,
         StartError::Bus(_) | StartError::Lock(LockError::Taken { .. }) => Exit::Unavailable,
         StartError::Thread(_) => Exit::Software,
     };
     Failure::new(exit, error)
+}
+
+/// As [`start_failure`], with file, line and key for a database of another program.
+fn located(error: StartError, file: Option<&Path>) -> Failure {
+    if let (StartError::Store(foreign @ (StoreError::Foreign { .. } | StoreError::Text { .. })), Some(file)) =
+        (&error, file)
+        && let Ok(document) = Document::read(file)
+    {
+        return Failure::new(Exit::Config, document.complain("store.path", foreign.to_string()));
+    }
+    start_failure(error)
 }
 
 async fn run(arguments: &Arguments, config: Config) -> Outcome {
@@ -59,8 +77,8 @@ async fn run(arguments: &Arguments, config: Config) -> Outcome {
         None => None,
     };
     let mut daemon = tokio::select! {
-        started = Daemon::start(config) => started.map_err(start_failure)?,
-        // The check of a large database takes minutes. The next start repeats it.
+        started = Daemon::start(config) => started.map_err(|error| located(error, arguments.config.as_deref()))?,
+        // A router may be away for days, and the check of a large database takes minutes. The next start repeats both.
         () = signals.stop() => {
             tracing::info!("stopped during the start");
             return Ok(Exit::Ok);

@@ -17,6 +17,7 @@ use crate::{
     },
     logger::{Logger, LoggerError, LoggerSettings},
     simulate::{Fault, FleetFault, FleetSettings, Shape},
+    throw::counted,
 };
 
 /// Publishes the throws of a simulated fleet, in real or accelerated time, until it is stopped or done.
@@ -115,12 +116,23 @@ fn apply(arguments: &Arguments, plan: &mut Plan) -> Result<(), Failure> {
             .map_err(|error| usage(format!("--connect {endpoint}: {error}")))?;
     }
     plan.logger.validate().map_err(|error| usage(format!("--{}: {error}", error.key.replace('_', "-"))))?;
+    // The check of the fleet counts from 0, as the configuration does.
+    if let Some(on) = arguments.fault.iter().find(|on| on.machine >= plan.fleet.machines) {
+        let machines = counted(plan.fleet.machines as u64, "machine");
+        return Err(usage(format!("--fault {}:…: the fleet has {machines}", on.machine + 1)));
+    }
     plan.fleet.check().map_err(|error| usage(error.to_string()))
 }
 
 async fn run(plan: Plan) -> Outcome {
     let mut signals = Signals::listen()?;
-    let session = bus::open(plan.zenoh).await.or_exit(Exit::Unavailable)?;
+    let session = tokio::select! {
+        opened = bus::open(plan.zenoh) => opened.or_exit(Exit::Unavailable)?,
+        () = signals.stop() => {
+            tracing::info!("stopped before a router answered: nothing is published");
+            return Ok(Exit::Ok);
+        }
+    };
     let mut logger = Logger::start(session.clone(), &plan.logger, &plan.fleet, boot_id()).await.map_err(failure)?;
     tracing::info!(machines = plan.fleet.machines, site = %plan.logger.site, "publishing throws");
     let outcome = tokio::select! {

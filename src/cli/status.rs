@@ -1,7 +1,7 @@
 //! `pointsd status`: the daemons, their machines and their alarms.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, HashSet},
     io::{self, IsTerminal as _},
     time::Duration,
 };
@@ -27,6 +27,8 @@ use crate::{
 
 /// Largest fleet of which every machine is listed by default: one screen.
 const MAX_LISTED: usize = 40;
+/// Largest number of machines of which the daemons that serve them are named.
+const MAX_ASKED: usize = 10;
 /// Time between two updates with `--watch`.
 const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 
@@ -34,7 +36,7 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 /// healthy and learning machines are listed only with --all, --site or --state.
 ///
 /// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, lost messages), a machine has an alarm, is
-/// not monitored or in maintenance, or an alarm is shelved; 64 an option is wrong; 69 no daemon answers, or no machine of
+/// not monitored, in maintenance or served by several daemons, or an alarm is shelved; 64 an option is wrong; 69 no daemon answers, or no machine of
 /// --site is known; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd status\n  pointsd status --watch\n  \
@@ -96,9 +98,10 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     let (reports, of_daemons) = operator::read::<StatusReport>(&daemons);
     let (mut health, of_health) = operator::values::<Health>(&of_machines);
     let (mut alarms, of_alarms) = operator::values::<Alarm>(&events);
+    let twice = served_twice(session, &health).await?;
     // A daemon counts its machines every few seconds only; the answers are newer.
     let is_well = |report: &StatusReport| report.is_well() && report.standing.is_well();
-    let are_well = of_daemons + of_health + of_alarms == 0
+    let are_well = of_daemons + of_health + of_alarms + twice.len() == 0
         && reports.iter().all(|(_, report)| is_well(report))
         && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
     if arguments.json {
@@ -125,10 +128,28 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
             return Err(Failure::new(Exit::Unavailable, error));
         }
         let caveats = print_machines(&health, &windows, arguments)?;
+        twice.iter().try_for_each(output::line)?;
         alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false)?;
         caveats.iter().try_for_each(output::line)?;
     }
     Ok(if are_well { Exit::Ok } else { Exit::Negative })
+}
+
+/// A sentence about each machine that several daemons serve: both publish its alarms, and no command reaches it.
+async fn served_twice(session: &zenoh::Session, health: &[Health]) -> Result<Vec<String>, Failure> {
+    let mut seen = HashSet::new();
+    let again = health.iter().filter(|row| !seen.insert((&row.machine, row.direction)));
+    let twice: BTreeSet<&MachineId> = again.map(|row| &row.machine).collect();
+    let mut sentences = Vec::new();
+    for machine in twice.iter().take(MAX_ASKED) {
+        let daemons = bus::serving(session, machine, ANSWER_TIMEOUT).await.map_err(operator::failure)?;
+        sentences
+            .push(format!("{machine} is served by {}: correct subscribe.key of all but one", daemons.join(" and ")));
+    }
+    if twice.len() > MAX_ASKED {
+        sentences.push(format!("{} more machines are served by several daemons", twice.len() - MAX_ASKED));
+    }
+    Ok(sentences)
 }
 
 fn print_daemon(key: &str, report: &StatusReport) -> Result<(), Failure> {

@@ -375,6 +375,9 @@ impl Querier {
     ) -> (Option<Vec<crate::throw::Throw>>, Ending, bool) {
         let query = BacklogQuery { after: cursor.after.clone(), limit };
         let answer = bus::page(&self.session, &wire::machine_key(machine, Kind::Throw), &query, self.limits).await;
+        if let Some(error) = &answer.error {
+            seldom!(warn, %machine, ?error, "a logger answers the query for its backlog with an error; asking again later");
+        }
         let came = answer.messages.len() as u64;
         self.intake.status.edit().received += came;
         let mut throws: Vec<_> =

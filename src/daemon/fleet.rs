@@ -93,6 +93,11 @@ impl Fleet {
         standing
     }
 
+    /// Whether a machine has a monitor, as it has after its first throw.
+    pub(super) fn knows(&self, machine: &MachineId) -> bool {
+        self.monitors.contains_key(machine)
+    }
+
     fn monitor(&mut self, machine: &MachineId) -> &mut MachineMonitor {
         self.monitors.entry(machine.clone()).or_insert_with(|| Box::new(MachineMonitor::new(&name_of(machine))))
     }

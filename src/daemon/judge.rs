@@ -7,7 +7,7 @@ use tokio::sync::watch;
 use super::{clock, config::Config, fleet::Fleet, identify::Pool};
 use crate::{
     diagnose::{AlarmEvent, Parameters},
-    store::{Judgement, Outcome, Selector, Store, StoreError, ThrowRow},
+    store::{Judgement, Outcome, Selector, Store, StoreError, StoredThrow, ThrowRow},
     throw::MachineId,
     wire::Health,
 };
@@ -77,16 +77,20 @@ impl Judge {
         Arc::clone(&self.config.borrow())
     }
 
-    /// Judges the next batch; empty if no throw is pending. The monitors include these throws afterwards, so the result
-    /// must be committed before the next call.
+    /// The next batch to judge; empty if no throw is pending.
     ///
     /// # Errors
     /// When the pending throws cannot be read.
-    pub(super) async fn next(&mut self) -> Result<Arc<[Judgement]>, StoreError> {
+    pub(super) async fn pending(&mut self) -> Result<Vec<StoredThrow>, StoreError> {
         let wait = self.backlog_wait();
         let (throws, is_full) = self.store.reader().to_judge(self.last.as_ref(), BATCH, clock::now(), wait).await?;
         self.more = is_full || self.last.is_some();
         self.last = throws.last().filter(|_| is_full).map(|stored| stored.machine.clone());
+        Ok(throws)
+    }
+
+    /// Judges a batch. The monitors include these throws afterwards, so the result must be committed before the next call.
+    pub(super) async fn judge(&mut self, throws: &[StoredThrow]) -> Arc<[Judgement]> {
         let config = self.config();
         let readable = throws.iter().filter_map(|stored| {
             Some((stored.throw.as_ref().ok()?.clone(), config.machines.of(&stored.machine).clone()))
@@ -100,7 +104,7 @@ impl Judge {
             let parameters = Parameters::of(config.machines.of(&stored.machine));
             self.fleet.judge(stored, identification, is_last, (&config.diagnosis, parameters), clock::now())
         });
-        Ok(judgements.collect())
+        judgements.collect()
     }
 
     /// Time that later throws of a machine wait for missing ones.

@@ -38,6 +38,8 @@ use crate::{
 const CHANGES: usize = 64;
 /// Gaps in one query; the gaps of a machine are reported together.
 const GAPS: u32 = 10_000;
+/// Largest number of loggers without a throw that the status names.
+const NAMED: usize = 20;
 /// Pause after an error of the database.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Time after which a daemon alarm that cannot be committed is published uncommitted. The ballast or a new connection
@@ -153,9 +155,9 @@ impl JudgeLoop {
         if !self.daemon_alarms.is_empty() {
             self.update_daemon_alarms().await?;
         }
-        let judgements = match self.judge.next().await {
-            Ok(judgements) if judgements.is_empty() => return Ok(false),
-            Ok(judgements) => judgements,
+        let pending = match self.judge.pending().await {
+            Ok(pending) if pending.is_empty() => return Ok(false),
+            Ok(pending) => pending,
             Err(StoreError::Closed) => return Err(StoreError::Closed),
             Err(error) => {
                 seldom!(error, %error, "reading pending throws failed; retrying");
@@ -163,6 +165,9 @@ impl JudgeLoop {
                 return Ok(false);
             }
         };
+        // After these throws were read: no throw shows that nothing is lost before the gaps up to it are known.
+        self.report_gaps().await?;
+        let judgements = self.judge.judge(&pending).await;
         self.links.status.heartbeats.beat(TaskName::Identify);
         match self.until_stored(&Changes::Judgements(Arc::clone(&judgements))).await {
             Ok(true) => judgements.iter().for_each(|judgement| self.publish(judgement)),
@@ -291,10 +296,7 @@ impl JudgeLoop {
             let outcome = |(machine, events): &(_, Vec<_>)| self.judge.fleet.outcome(machine, now, events.clone());
             self.record_all(changed.iter().map(outcome).collect()).await?;
         }
-        for (machine, (lost, reported_gaps)) in self.old_gaps(now).await {
-            let outcome = self.judge.fleet.gap(&machine, lost, now, &config.diagnosis);
-            self.record(Outcome { reported_gaps, ..outcome }).await?;
-        }
+        self.report_gaps().await?;
         for (machine, (count, reason)) in self.links.status.invalid_in_a_row() {
             let invalid = Irregularity::Invalid { count, reason: &reason };
             if let Some(outcome) = self.judge.fleet.irregular(&machine, invalid, now, &config.diagnosis) {
@@ -313,8 +315,25 @@ impl JudgeLoop {
         Ok(())
     }
 
+    /// Reports gaps that no backlog will fill to the monitors.
+    async fn report_gaps(&mut self) -> Result<(), StoreError> {
+        let (config, now) = (self.judge.config(), clock::now());
+        for (machine, (lost, reported_gaps)) in self.old_gaps(now).await {
+            let outcome = self.judge.fleet.gap(&machine, lost, now, &config.diagnosis);
+            self.record(Outcome { reported_gaps, ..outcome }).await?;
+        }
+        Ok(())
+    }
+
     fn update_standing(&self) {
-        self.links.status.edit().standing = self.judge.fleet.standing(&self.own_machine);
+        let standing = self.judge.fleet.standing(&self.own_machine);
+        let loggers = self.links.loggers.borrow().clone();
+        let silent = loggers.iter().filter(|machine| !self.judge.fleet.knows(machine));
+        let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
+        without_throw.sort_unstable();
+        without_throw.truncate(NAMED);
+        let mut report = self.links.status.edit();
+        (report.standing, report.without_throw) = (standing, without_throw);
     }
 
     /// Raises and clears the alarms about the daemon itself. If the database accepts no writes, such an alarm is

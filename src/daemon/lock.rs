@@ -35,9 +35,19 @@ pub enum LockError {
     },
 }
 
-/// The lock of a database, held until it is dropped, which removes its file, or the process ends in any way.
+/// The lock of a database, held until it is dropped, which removes its files, or the process ends in any way.
+///
+/// A database can have several paths: `store.path` may be a symbolic link, of an administrator or of a database that
+/// moved (see `store::files`). Each path from the configured one to the file is locked, so that two processes meet at
+/// one of them.
 #[derive(Debug)]
 pub(crate) struct DatabaseLock {
+    _paths: Vec<PathLock>,
+}
+
+/// The lock of one path.
+#[derive(Debug)]
+struct PathLock {
     file: File,
     path: PathBuf,
     /// A second lock by an abstract socket name, which, unlike the lock file, cannot be removed.
@@ -47,6 +57,14 @@ pub(crate) struct DatabaseLock {
 impl DatabaseLock {
     /// Takes the lock of a database.
     pub(crate) fn take(database: &Path) -> Result<Self, LockError> {
+        let paths = paths(database).map_err(|source| LockError::File { path: beside(database, ".lock"), source })?;
+        let locks: Result<_, _> = paths.iter().map(|path| PathLock::take(path)).collect();
+        Ok(Self { _paths: locks? })
+    }
+}
+
+impl PathLock {
+    fn take(database: &Path) -> Result<Self, LockError> {
         let path = beside(database, ".lock");
         let failed = |source| LockError::File { path: path.clone(), source };
         let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
@@ -66,7 +84,7 @@ impl DatabaseLock {
     }
 }
 
-impl Drop for DatabaseLock {
+impl Drop for PathLock {
     fn drop(&mut self) {
         if is_at(&self.file, &self.path) {
             // Ignored: a file that is left over locks nothing.
@@ -81,12 +99,32 @@ fn is_at(file: &File, path: &Path) -> bool {
     open.is_some() && open == std::fs::metadata(path).map(identity).ok()
 }
 
-/// A name in the abstract namespace of Linux, the same for all paths to the same database.
+/// The paths of a database: the configured one, and the target of each symbolic link from there to the file, which may
+/// not exist yet. No folder in them is a link.
+fn paths(database: &Path) -> io::Result<Vec<PathBuf>> {
+    let (mut paths, mut next) = (Vec::new(), database.to_owned());
+    loop {
+        let folder = std::fs::canonicalize(folder_of(&next))?;
+        let path = folder.join(next.file_name().unwrap_or_default());
+        // A circle of links, which SQLite cannot open either.
+        if paths.contains(&path) {
+            return Ok(paths);
+        }
+        let target = std::fs::read_link(&path);
+        paths.push(path);
+        match target {
+            Ok(target) => next = folder.join(target),
+            Err(_) => return Ok(paths),
+        }
+    }
+}
+
+/// A name in the abstract namespace of Linux for a path without links.
 fn name_of(database: &Path) -> io::Result<SocketAddr> {
-    let path = std::fs::canonicalize(folder_of(database))?.join(database.file_name().unwrap_or_default());
     // A path may be too long for a name, so two checksums of it are used.
-    let (bytes, reversed) = (path.as_os_str().as_bytes(), path.as_os_str().as_bytes().iter().rev().copied());
-    let checksums = (crc32fast::hash(bytes), crc32fast::hash(&reversed.collect::<Vec<_>>()));
+    let bytes = database.as_os_str().as_bytes();
+    let reversed: Vec<u8> = bytes.iter().rev().copied().collect();
+    let checksums = (crc32fast::hash(bytes), crc32fast::hash(&reversed));
     SocketAddr::from_abstract_name(format!("pointsd-{:08x}{:08x}-{}", checksums.0, checksums.1, bytes.len()))
 }
 
@@ -105,5 +143,22 @@ mod tests {
         drop(first);
         drop(DatabaseLock::take(&database).unwrap());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "a lock file is left over");
+    }
+    #[test]
+    fn every_path_to_a_database_has_its_lock() {
+        let (data, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (database, link) = (data.path().join("points.db"), other.path().join("link.db"));
+        std::os::unix::fs::symlink(&database, &link).unwrap();
+        let is_taken = |path: &Path| matches!(DatabaseLock::take(path), Err(LockError::Taken { .. }));
+        let through_link = DatabaseLock::take(&link).unwrap();
+        assert!(is_taken(&database));
+        drop(through_link);
+        let direct = DatabaseLock::take(&database).unwrap();
+        assert!(is_taken(&link));
+        // The database moves to another file, as for a reader that does not end.
+        std::os::unix::fs::symlink("points.db-1", &database).unwrap();
+        assert!(is_taken(&link) && is_taken(&database));
+        drop(direct);
+        DatabaseLock::take(&link).unwrap();
     }
 }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use jiff::Timestamp;
 use tokio::sync::watch;
 
 use super::{
@@ -63,12 +64,17 @@ impl Offline {
         Ok(Self { store, judge, waiting: 0, _lock: lock })
     }
 
-    /// Stores a throw, and judges after every `GROUP`. Returns the result of storing it, and the throws judged now.
+    /// Stores a throw, received at this time, and judges after every `GROUP`. Returns the result of storing it, and the throws judged now.
     ///
     /// # Errors
     /// When the database cannot be written to.
-    pub async fn take(&mut self, machine: &MachineId, throw: &Throw) -> Result<(Spooled, Vec<Judged>), StoreError> {
-        let spooled = self.store.spool(machine, throw, clock::now()).await?;
+    pub async fn take(
+        &mut self,
+        machine: &MachineId,
+        throw: &Throw,
+        received_at: Timestamp,
+    ) -> Result<(Spooled, Vec<Judged>), StoreError> {
+        let spooled = self.store.spool(machine, throw, received_at).await?;
         self.waiting += 1;
         let judged = if self.waiting >= GROUP { self.judge().await? } else { Vec::new() };
         Ok((spooled, judged))
@@ -90,10 +96,11 @@ impl Offline {
         self.waiting = 0;
         let mut all = Vec::new();
         loop {
-            let judgements = self.judge.next().await?;
-            if judgements.is_empty() {
+            let pending = self.judge.pending().await?;
+            if pending.is_empty() {
                 return Ok(all);
             }
+            let judgements = self.judge.judge(&pending).await;
             self.store.judge_all(Arc::clone(&judgements)).await?;
             all.extend(judgements.iter().map(Judged::from));
         }

@@ -108,7 +108,8 @@ impl Daemon {
     pub async fn start(config: Config) -> Result<Self, StartError> {
         let lock = DatabaseLock::take(&config.store.path)?;
         // Before the database: without a session the start fails, and the database stays closed.
-        let session = bus::open(config.zenoh.clone()).await?;
+        let opening = bus::open(config.zenoh.clone());
+        let session = watchdog::with_start_extension("opening zenoh; a client waits for its router", opening).await?;
         let opening = Store::open(&config.store, clock::now());
         let opened = watchdog::with_start_extension("opening the database", opening).await?;
         report_database(&opened.report, &config.store);
@@ -158,6 +159,14 @@ impl Daemon {
             .spawn("keep the bounds", retention::run(start.store.clone(), start.store.reader().last_received().await?));
         start.tasks.spawn("watchdog", watchdog::watch(gauges.clone()));
         let monitor = &start.config.monitor;
+        let own = monitor.as_machine();
+        match bus::is_running(&start.session, &own).await {
+            Ok(true) => tracing::warn!(
+                "another daemon with the name {own} is connected: give each its own monitor.site and monitor.id, or stop one"
+            ),
+            Ok(false) => {}
+            Err(error) => tracing::debug!(%error, "looking for a daemon of the same name failed"),
+        }
         let alive = bus::declare_alive(&start.session, &monitor_alive_key(&monitor.site, &monitor.id)).await?;
         let Starting { session, store, tasks, stops, .. } = start;
         Ok(Self { session, store, gauges, config, watchers, orders, tasks, stops, outlet_end, alive, lock })
@@ -391,6 +400,10 @@ fn report_database(report: &store::Report, settings: &store::Settings) {
         Found::Fresh => tracing::info!(%database, "a new database"),
         Found::Clean => tracing::info!(%database, "the database was closed cleanly"),
         Found::Unclean => tracing::warn!(%database, "the database was not closed cleanly; the check found no damage"),
+        Found::WithoutLog => tracing::warn!(
+            %database,
+            "the database was not closed cleanly, and its write-ahead log is missing: unless this is a backup, the last throws may be LOST"
+        ),
         Found::SetAside { to, why, salvaged } => {
             let set_aside = to.display();
             tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: set aside, and a new one created");

@@ -16,7 +16,7 @@ use crate::{
     bus::{InboxCounters, OutletCounters},
     diagnose::{MachineState, Severity},
     store::{DiskLevel, RecentCount, Store, Window},
-    throw::MachineId,
+    throw::{MachineId, counted},
 };
 
 /// Invalid messages of a machine in a row that are an alarm; a few may be accidents.
@@ -83,6 +83,9 @@ pub struct StatusReport {
     pub connected: bool,
     /// Loggers that are connected now.
     pub loggers: usize,
+    /// The first of the machines whose loggers are connected and sent no throw yet.
+    #[serde(default)]
+    pub without_throw: Vec<String>,
     /// Messages received.
     pub received: u64,
     /// Messages dropped because the queue was full.
@@ -245,6 +248,10 @@ impl StatusReport {
         if self.webhook_fails {
             parts.push("WEBHOOK FAILS: alarms wait for its receiver".to_owned());
         }
+        if self.webhook_refused > 0 {
+            let events = counted(self.webhook_refused, "alarm event");
+            parts.push(format!("WEBHOOK REFUSED {events}: not sent again, look in the log"));
+        }
         if self.dropped + self.lost > 0 {
             parts.push(format!("{} messages LOST", self.dropped + self.lost));
         }
@@ -259,17 +266,25 @@ impl StatusReport {
             parts.push(format!("machines: {}", states.join(", ")));
         }
         if self.standing.own_alarms > 0 {
-            parts.push(format!("{} ALARMS OF THE DAEMON ITSELF", self.standing.own_alarms));
+            parts.push(format!("{} OF THE DAEMON ITSELF", counted(self.standing.own_alarms, "alarm").to_uppercase()));
         }
         if self.standing.shelved_alarms > 0 {
-            parts.push(format!("{} alarms shelved", self.standing.shelved_alarms));
+            parts.push(format!("{} shelved", counted(self.standing.shelved_alarms, "alarm")));
+        }
+        if !self.without_throw.is_empty() {
+            parts.push(format!("connected, but no throw yet: {}", self.without_throw.join(", ")));
         }
         if self.backlog > 0 {
-            parts.push(format!("{} throws are still in the backlogs of loggers", self.backlog));
+            let are = if self.backlog == 1 { "is" } else { "are" };
+            parts.push(format!("{} {are} still in the backlogs of loggers", counted(self.backlog, "throw")));
         }
         parts.push(format!(
-            "{} loggers, {} throws stored, {} judged ({} not evaluated), {} in quarantine",
-            self.loggers, self.stored, self.judged, self.not_evaluated, self.quarantined
+            "{}, {} stored, {} judged ({} not evaluated), {} in quarantine",
+            counted(self.loggers as u64, "logger"),
+            counted(self.stored, "throw"),
+            self.judged,
+            self.not_evaluated,
+            self.quarantined
         ));
         parts
     }

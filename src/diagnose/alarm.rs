@@ -280,6 +280,8 @@ impl Alarms {
         let cleared = if acknowledged.is_some() { State::Normal } else { State::Cleared };
         *alarm.state.beneath_mut() = cleared;
         alarm.last.limit_in_throws = None;
+        // A throw may have been made before the alarm, and received after it.
+        let at = at.max(alarm.last.raised_at);
         Some(self.event(index, at, Actor::default(), Some(text)))
     }
 

@@ -116,7 +116,11 @@ pub(super) struct Operation {
     unusable: Option<(SensorChannel, u8)>,
     #[serde(default)]
     usable: u32,
+    /// Throws without a gap or another irregularity, received since the last one was known.
     since_gap: u32,
+    /// Time from which it is known \[s since 1970\]. Throws received earlier may stand before the gap.
+    #[serde(default)]
+    gap_at_s: u32,
     /// Throws in gaps, since the alarm was raised.
     lost: u64,
     silence_s: f64,
@@ -145,6 +149,11 @@ impl Context<'_> {
     fn critical(self, text: String) -> Evidence {
         Evidence::plain(Severity::Critical, self.throw, text)
     }
+}
+
+/// A time in seconds since 1970: half the memory of a monitor's field.
+fn unix_s(at: Timestamp) -> u32 {
+    u32::try_from(at.as_second().clamp(0, u32::MAX.into())).unwrap_or_default()
 }
 
 impl Operation {
@@ -186,7 +195,9 @@ impl Operation {
             .map(|(travel_mm, stroke_mm)| ([travel_mm, stroke_mm], before.saturating_add(1)));
         streak(&mut self.without_coefficients, observation.features_only);
         streak(&mut self.complete, !incomplete);
-        self.since_gap = self.since_gap.saturating_add(1);
+        if received_at.is_none_or(|received_at| unix_s(received_at) > self.gap_at_s) {
+            self.since_gap = self.since_gap.saturating_add(1);
+        }
         let mut events = Vec::new();
         if incomplete {
             let text = text::incomplete(name, in_a_row);
@@ -378,6 +389,8 @@ impl Operation {
     pub(super) fn on_tick(&mut self, in_service: bool, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
         let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
+        // Earlier only if the clock was set back.
+        self.gap_at_s = self.gap_at_s.min(unix_s(at));
         self.calm_s += passed.clamp(0.0, USUAL_TICK_S);
         if !in_service {
             return None;
@@ -457,7 +470,7 @@ impl Operation {
         if lost == 0 {
             return None;
         }
-        self.since_gap = 0;
+        (self.since_gap, self.gap_at_s) = (0, unix_s(context.at));
         let before = self.lost;
         self.lost = before.saturating_add(lost);
         let text = text::gap(context.name, self.lost);
@@ -495,6 +508,7 @@ impl Operation {
         *self = Self {
             ticked_at: self.ticked_at,
             since_gap: self.since_gap,
+            gap_at_s: self.gap_at_s,
             lost: self.lost,
             logger: self.logger,
             ..Self::default()

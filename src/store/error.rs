@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The database cannot be opened or created.
-    #[error("cannot open the database {}: {source}; check that its folder exists and can be written to", path.display())]
+    #[error("cannot open the database {}: {source}; check that its folder exists, and that the folder, the file, its -wal and its -shm belong to the user of pointsd", path.display())]
     Open {
         /// The database file.
         path: PathBuf,

@@ -140,6 +140,8 @@ pub(crate) struct CommonAlarm {
     pub last: Timestamp,
     /// Text of an alarm about lost data, which has several kinds.
     pub text: Option<String>,
+    /// Whether the alarms are cleared, and not acknowledged.
+    pub is_over: bool,
 }
 
 /// An open window: a shelved alarm, or maintenance of a machine.
@@ -244,6 +246,7 @@ impl FromRow<'_, SqliteRow> for CommonAlarm {
             first: time(row, "first_us")?,
             last: time(row, "last_us")?,
             text: row.try_get("said")?,
+            is_over: row.try_get("is_over")?,
         })
     }
 }

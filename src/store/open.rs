@@ -54,6 +54,8 @@ pub enum Found {
     Clean,
     /// After a crash or a power cut; the check found no damage.
     Unclean,
+    /// The same, but the write-ahead log does not exist: it was removed, or only the database was copied.
+    WithoutLog,
     /// Broken: renamed, and replaced by a new database with the readable rows.
     SetAside {
         /// New path of the broken database.
@@ -119,6 +121,8 @@ pub(super) async fn open(
     files: &DatabaseFiles,
     now: Timestamp,
 ) -> Result<(SqliteConnection, Report), StoreError> {
+    // Before a reader opens the database, which makes an empty log.
+    let has_log = files.has_log();
     refuse_foreign(&settings.path).await?;
     files.clear_leftovers()?;
     // SQLite would delete a log without its database, with the last commits.
@@ -128,6 +132,9 @@ pub(super) async fn open(
     }
     match prepare(settings, disk, files.is_fresh()).await {
         Err(Trouble::Broken(why)) => recover(settings, disk, files, files.set_aside(now)?, why).await,
+        Ok((connection, report)) if !has_log && report.found == Found::Unclean => {
+            Ok((connection, Report { found: Found::WithoutLog, ..report }))
+        }
         Ok((connection, report)) => {
             let Some(to) = log else { return Ok((connection, report)) };
             let why = "the database is missing, but its write-ahead log exists".to_owned();
@@ -309,6 +316,10 @@ async fn bring_up_to_date(connection: &mut SqliteConnection, fresh: bool) -> Res
     };
     migrator().run(&mut *connection).await?;
     sqlx::query(sql::SET_CLEAN).bind(false).execute(&mut *connection).await?;
+    // Into the database itself, so that a loss of the log shows. With a reader of an old state it may stay in the log.
+    if let Err(error) = sqlx::query("PRAGMA wal_checkpoint").execute(&mut *connection).await {
+        tracing::debug!(%error, "the mark of the start stays in the log");
+    }
     let known = |version: &i64| MIGRATIONS.iter().any(|migration| migration.version == *version);
     let newer_schema = before.iter().any(|version| !known(version));
     let upgraded_by = applied(&mut *connection).await?.len() - before.len();

@@ -481,10 +481,11 @@ statements! {
     COMMON = "
     SELECT alarm.cause, site, min(machine) AS machine, count(*) AS count, min(raised_at_us) AS first_us, max(raised_at_us) AS last_us,
            CASE alarm.cause WHEN 'data_loss' THEN (SELECT payload ->> 'text' FROM alarm_event AS last
-               WHERE last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no) END AS said
+               WHERE last.alarm_row = alarm.alarm_row AND last.event_no = alarm.last_event_no) END AS said,
+           alarm.state = 'cleared_unacknowledged' AS is_over
     FROM alarm JOIN machine USING (machine_row)
     WHERE alarm.state <> 'normal' AND alarm.cause IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
-    GROUP BY alarm.cause, site, said ORDER BY count(*) DESC";
+    GROUP BY alarm.cause, site, said, is_over ORDER BY count(*) DESC";
 
     // The newest opening command of each machine in maintenance and of each shelved alarm.
     WINDOWS = "

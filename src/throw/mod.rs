@@ -18,8 +18,8 @@ pub use machine::{InvalidName, MachineId, Name};
 pub use range::OutOfRange;
 pub(crate) use range::Range;
 pub(crate) use settings::{Number, settings};
-pub(crate) use text::without_digits;
 pub use text::{brief, utc};
+pub(crate) use text::{counted, without_digits};
 pub use trace::{InvalidTrace, MAX_SAMPLE_RATE_HZ, MAX_SAMPLES, MIN_SAMPLE_RATE_HZ, Trace};
 
 /// Direction of a throw.

@@ -9,6 +9,12 @@ pub fn brief(value: f64) -> String {
     if magnitude == 0.0 || (1e-6..1e9).contains(&magnitude) { value.to_string() } else { format!("{value:e}") }
 }
 
+/// A number of things: "1 throw", "2 throws".
+#[must_use]
+pub(crate) fn counted(number: u64, thing: &str) -> String {
+    format!("{number} {thing}{}", if number == 1 { "" } else { "s" })
+}
+
 /// The text without its numbers, to compare sentences.
 #[must_use]
 pub(crate) fn without_digits(text: &str) -> String {

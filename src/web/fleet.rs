@@ -66,6 +66,8 @@ struct Page {
     before: Option<String>,
     after: Option<String>,
     silent: String,
+    /// Names of connected loggers without a throw.
+    without_throw: String,
     daemon: Vec<(&'static str, String)>,
     volatile: String,
 }
@@ -202,6 +204,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         before: (filters.page > 0).then(|| filters.to_page(filters.page - 1).address()),
         after: (last < matching).then(|| filters.to_page(filters.page + 1).address()),
         silent: silent(&web.view, reader).await?,
+        without_throw: web.view.gauges.report().without_throw.join(", "),
         daemon: daemon(&web.view, &overview),
         volatile: format!(
             "As of {}; running for {}.",
@@ -235,11 +238,12 @@ fn tally_links(tally: &Tally, filters: &Filters) -> Vec<(Badge, String, String)>
 
 /// Groups the alarms of system-wide causes, those about lost data by their kind.
 fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
-    let mut kinds: BTreeMap<(Cause, Option<String>), Vec<&CommonAlarm>> = BTreeMap::new();
+    let mut kinds: BTreeMap<(Cause, bool, Option<String>), Vec<&CommonAlarm>> = BTreeMap::new();
     for alarm in alarms {
-        kinds.entry((alarm.cause, alarm.text.as_deref().map(wire::kind_of))).or_default().push(alarm);
+        let kind = alarm.text.as_deref().map(wire::kind_of);
+        kinds.entry((alarm.cause, alarm.is_over, kind)).or_default().push(alarm);
     }
-    let entry = |((cause, _), alarms): ((Cause, _), Vec<&CommonAlarm>)| {
+    let entry = |((cause, is_over, _), alarms): ((Cause, bool, _), Vec<&CommonAlarm>)| {
         let mut sites: BTreeMap<&str, (u64, &str)> = BTreeMap::new();
         for alarm in &alarms {
             sites.entry(&alarm.site).or_insert((0, &alarm.machine)).0 += alarm.count;
@@ -255,11 +259,16 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
             }
         });
         let machines = if count == 1 { "machine" } else { "machines" };
-        let example = alarms.iter().find_map(|alarm| alarm.text.as_deref());
+        let example = alarms.iter().find_map(|alarm| Some((alarm, wire::without_subject(alarm.text.as_deref()?))));
         let (what, example) = match example {
             None => ("not monitored", String::new()),
-            Some(text) => ("with data loss", format!(": {}", wire::without_subject(text))),
+            Some((_, text)) if count == 1 => ("with data loss", format!(": {text}")),
+            // Its numbers are those of one machine.
+            Some((CommonAlarm { site, machine, .. }, text)) => {
+                ("with data loss", format!(", for example {site}/{machine}: {text}"))
+            }
         };
+        let over = if is_over { ", over and not acknowledged" } else { "" };
         let at_site = |(site, (count, machine)): (&str, (u64, &str))| match count {
             1 => format!("{site}/{machine}"),
             count => format!("{site} {}", page::count(count)),
@@ -269,7 +278,7 @@ fn common(alarms: &[CommonAlarm]) -> Vec<Common> {
         let sites: Vec<String> = sites.into_iter().take(SILENT).map(at_site).collect();
         Common {
             badge: Badge(if cause == Cause::NotMonitored { MachineState::NotMonitored } else { MachineState::Warning }),
-            says: format!("{} {machines} {what}, {}{example}", page::count(count), times.unwrap_or_default()),
+            says: format!("{} {machines} {what}{over}, {}{example}", page::count(count), times.unwrap_or_default()),
             sites: sites.join(", "),
             address: Filters { cause: cause.as_str().to_owned(), ..Filters::default() }.address(),
         }
@@ -399,19 +408,28 @@ mod tests {
             first: jiff::Timestamp::UNIX_EPOCH,
             last: jiff::Timestamp::UNIX_EPOCH,
             text: text.map(str::to_owned),
+            is_over: machine == "e",
         };
         let alarms = [
             alarm(Cause::NotMonitored, "a", 12, None),
             alarm(Cause::DataLoss, "b", 1, Some("Machine b: 2 throws never arrived.")),
             alarm(Cause::DataLoss, "c", 1, Some("Machine c: 9 throws never arrived.")),
+            alarm(Cause::DataLoss, "e", 1, Some("Machine e: 7 throws never arrived.")),
             alarm(Cause::DataLoss, "d", 1, Some("Machine d: the clock of the logger is wrong.")),
         ];
         let shown: Vec<(String, String)> = common(&alarms).into_iter().map(|it| (it.says, it.sites)).collect();
         let since = "since 1970-01-01 00:00:00 UTC";
         let expected = [
             (format!("12 machines not monitored, {since}"), "north 12".to_owned()),
-            (format!("2 machines with data loss, {since}: 2 throws never arrived."), "north 2".to_owned()),
+            (
+                format!("2 machines with data loss, {since}, for example north/b: 2 throws never arrived."),
+                "north 2".to_owned(),
+            ),
             (format!("1 machine with data loss, {since}: the clock of the logger is wrong."), "north/d".to_owned()),
+            (
+                format!("1 machine with data loss, over and not acknowledged, {since}: 7 throws never arrived."),
+                "north/e".to_owned(),
+            ),
         ];
         assert_eq!(shown, expected);
     }

@@ -23,8 +23,9 @@ const POLICY: &str = "default-src 'none'; style-src 'self'; script-src 'self'; c
 
 /// Smallest compressed body \[bytes\]; a smaller one fits into one packet.
 const LEAST_COMPRESSED: usize = 1_024;
-/// Largest response \[bytes\]. Every page is far smaller; a larger one is a defect of the program.
-const LARGEST: usize = 16 << 20;
+/// Largest response \[bytes\]. Every page is far smaller. Only the trace of a throw of some minutes is larger, and is
+/// refused.
+pub(super) const LARGEST: usize = 16 << 20;
 /// Mark of lines that change every second; they do not count for the tag of the page.
 const VOLATILE: &str = "data-volatile";
 

@@ -6,11 +6,12 @@ use std::sync::Arc;
 use askama::Template;
 use axum::{
     extract::{Path, State, rejection::PathRejection},
-    http::{HeaderValue, header},
+    http::{HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
 
 use super::{
+    guard,
     machine::{Row, row},
     overview::Web,
     page::{self, Failure},
@@ -137,8 +138,16 @@ pub(super) async fn csv(State(web): State<Arc<Web>>, names: Names) -> Result<Res
     let _turn = web.turn().await?;
     let (stored, _) = found(web.view.gauges.store.reader(), &machine, &throw).await?;
     let throw = stored.throw.map_err(|unreadable| Failure::not_found(format!("There is no trace: {unreadable}.")))?;
+    let text = throw.trace.to_csv();
+    if text.len() > guard::LARGEST {
+        let says = format!(
+            "The trace of {} samples is too large for a page. Write it to a file with: pointsd export {machine} --traces DIR",
+            throw.trace.len()
+        );
+        return Err(Failure::new(StatusCode::PAYLOAD_TOO_LARGE, says));
+    }
     let kind = HeaderValue::from_static("text/csv; charset=utf-8");
-    Ok(([(header::CONTENT_TYPE, kind)], throw.trace.to_csv()).into_response())
+    Ok(([(header::CONTENT_TYPE, kind)], text).into_response())
 }
 
 /// The charts: current and position with those of the typical throw, current without the inrush, position and model,

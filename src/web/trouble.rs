@@ -8,7 +8,7 @@ use super::{
     overview::{Overview, Web},
     page,
 };
-use crate::{daemon::View, diagnose::AlarmState, store::DiskLevel};
+use crate::{daemon::View, diagnose::AlarmState, store::DiskLevel, throw::counted};
 
 /// Number of pending throws from which pages show a warning: half a minute of work.
 const BACKLOG: u64 = 1_000;
@@ -62,6 +62,13 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
     }
     if report.webhook_fails {
         trouble.push("The receiver of the webhook does not accept alarms: they wait, and are sent again.".to_owned());
+    }
+    if report.webhook_refused > 0 {
+        let events = counted(report.webhook_refused, "alarm event");
+        trouble.push(format!(
+            "The receiver of the webhook refused {events} since the start: they are not sent again, only the list of \
+             alarms here and the log have them."
+        ));
     }
     if report.dropped + report.lost > 0 {
         let lost = page::count(report.dropped + report.lost);

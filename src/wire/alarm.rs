@@ -11,7 +11,8 @@ use crate::{
     throw::{MachineId, without_digits},
 };
 
-/// An alarm event with its alarm and machine. Consumers deduplicate on (`alarm_id`, `event_no`).
+/// An alarm event with its alarm and machine. Consumers deduplicate on (`alarm_id`, `event_no`, `event_at`):
+/// after a restore of a backup a number may be used again.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alarm {
     /// Always [`Alarm::SCHEMA`].

@@ -281,6 +281,29 @@ fn lost_throws_are_an_alarm_until_none_was_lost_for_a_while() {
     assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
 }
 
+/// Throws that were received before a gap was known may stand before it, and are no sign of its end. An alarm does not end
+/// before it was raised, although the throws are older than the news about the gap.
+#[test]
+fn throws_from_before_the_news_of_a_gap_do_not_end_its_alarm() {
+    let settings = Settings::default();
+    let (mut machine, mut monitor) = machine();
+    let known_at = machine.throw(Vector3::zeros()).started_at + SignedDuration::from_hours(24 * 365);
+    let raised = monitor.gap(3, known_at, &settings);
+    let at = |seconds| move |o: &mut Observation| o.received_at = Some(known_at + SignedDuration::from_secs(seconds));
+    assert_eq!(feed(&mut machine, &mut monitor, 40, at(-1)), []);
+    assert_eq!(feed(&mut machine, &mut monitor, 11, at(1)), []);
+    let events = feed(&mut machine, &mut monitor, 1, at(1));
+    assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
+    assert_eq!((events[0].event_at, raised[0].raised_at), (known_at, known_at));
+    // The clock of this computer was a year ahead.
+    let lost = monitor.gap(1, known_at, &settings);
+    assert_eq!(lost.len(), 1);
+    let right = known_at - SignedDuration::from_hours(24 * 300);
+    monitor.tick(right, &settings);
+    let now = |o: &mut Observation| o.received_at = Some(right + SignedDuration::from_secs(1));
+    assert_eq!(feed(&mut machine, &mut monitor, 12, now).len(), 1);
+}
+
 /// The sum of the lost throws is reported as it grows, but not every gap of a link that flaps.
 #[test]
 fn a_growing_loss_is_reported_at_each_power_of_two() {

@@ -15,6 +15,8 @@ use pointsd::{
 
 /// Throws of the baseline in both directions, and throws with the fault.
 const THROWS: (u64, u64) = (24, 16);
+/// Throws after these, dated by a wrong clock: the alarm about it has the time of reception.
+const MISDATED: u64 = 6;
 
 fn configuration(folder: &Path, name: &str, diagnosis: &str) -> std::path::PathBuf {
     let file = folder.join(name);
@@ -33,12 +35,14 @@ async fn record(config: &Path) {
     let mut machine = Fleet::new(&fleet, 3).unwrap().into_machines().pop().unwrap();
     let mut pipeline = Offline::open(Config::load(config).unwrap()).await.unwrap();
     let id = MachineId::new("north", "21B").unwrap();
-    for throw_no in 1..=THROWS.0 + THROWS.1 {
+    for throw_no in 1..=THROWS.0 + THROWS.1 + MISDATED {
         let hours = SignedDuration::from_hours(i64::try_from(throw_no).unwrap());
         let at = "2026-01-01T00:00:00Z".parse::<Timestamp>().unwrap() + hours;
         let simulated = machine.next_throw().unwrap().into_throw("a", at);
-        let throw = Throw { temperature_c: None, supply_v: None, ..simulated };
-        pipeline.take(&id, &throw).await.unwrap();
+        let is_misdated = throw_no > THROWS.0 + THROWS.1;
+        let started_at = if is_misdated { at + SignedDuration::from_hours(200 * 24) } else { at };
+        let throw = Throw { temperature_c: None, supply_v: None, started_at, ..simulated };
+        pipeline.take(&id, &throw, at).await.unwrap();
     }
     pipeline.judge().await.unwrap();
     pipeline.close().await.unwrap();
@@ -61,9 +65,11 @@ async fn other_settings_show_which_alarms_differ_and_leave_the_old_database_alon
         serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
     };
     let unchanged = answer(&same, "same.db");
-    assert_eq!(unchanged["throws"], THROWS.0 + THROWS.1);
+    assert_eq!(unchanged["throws"], THROWS.0 + THROWS.1 + MISDATED);
     let alarms = unchanged["alarms"].as_array().unwrap();
-    assert!(alarms.iter().any(|alarm| alarm["cause"] == "kt"), "{unchanged}");
+    for cause in ["kt", "sensor"] {
+        assert!(alarms.iter().any(|alarm| alarm["cause"] == cause), "{cause}: {unchanged}");
+    }
     assert!(alarms.iter().all(|alarm| alarm["difference"] == "same"), "{unchanged}");
 
     let tolerant = configuration(folder.path(), "tolerant.toml", "kt_limit_pct = 60.0");

@@ -107,6 +107,20 @@ async fn an_outage_is_no_time_in_which_the_logger_replied_without_the_throws() {
     assert!(rig.sql("SELECT * FROM data_gaps WHERE missing_throws > 0").is_empty());
 }
 
+/// A logger that is connected and sends nothing is named, and so is the error of its backlog.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_logger_without_a_throw_is_named() {
+    let (_rig, daemon) = Rig::running();
+    let session = daemon.client().await;
+    let refuse = |query: zenoh::query::Query| query.reply_err("no backlog").wait().unwrap();
+    session.declare_queryable(KEY).callback(refuse).background().await.unwrap();
+    let _token = session.liveliness().declare_token("points/v1/north/21B/alive").await.unwrap();
+    daemon.until_log("a logger answers the query for its backlog with an error");
+    daemon.until_status("its name", |status| status["without_throw"] == serde_json::json!(["north/21B"])).await;
+    let (_, text) = daemon.operate(&["status"]);
+    assert!(text.contains("connected, but no throw yet: north/21B") && text.contains("1 logger,"), "{text}");
+}
+
 /// The backlog ends with a message that is no throw, and every query gets it again.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_message_that_is_no_throw_is_in_quarantine_once() {

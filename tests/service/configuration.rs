@@ -2,7 +2,10 @@
 
 use std::{
     fs,
+    io::{BufRead as _, BufReader},
     net::TcpListener,
+    os::unix::fs::PermissionsExt as _,
+    process::{Command, Stdio},
     thread,
     time::{Duration, Instant},
 };
@@ -45,7 +48,8 @@ async fn a_file_of_another_program_is_a_wrong_configuration() {
             let output = pointsd(&[command, "--config"]).arg(rig.config()).output().unwrap();
             let error = String::from_utf8_lossy(&output.stderr);
             assert_eq!(output.status.code(), Some(78), "{command}: {error}");
-            assert!(error.contains(reason) && error.contains("store.path"), "{command}: {error}");
+            let place = format!("{}:3: store.path: ", rig.config().display());
+            assert!(error.contains(reason) && error.contains(&place), "{command}: {error}");
         }
     };
     refused("the database of another program");
@@ -53,6 +57,25 @@ async fn a_file_of_another_program_is_a_wrong_configuration() {
     fs::write(rig.database(), text).unwrap();
     refused("is a text file");
     assert_eq!(fs::read_to_string(rig.database()).unwrap(), text);
+}
+
+#[test]
+fn a_database_of_another_user_is_a_wrong_configuration() {
+    let rig = Rig::new();
+    rig.start().terminate();
+    fs::set_permissions(rig.database(), fs::Permissions::from_mode(0o444)).unwrap();
+    if fs::OpenOptions::new().write(true).open(rig.database()).is_ok() {
+        println!("skipped: root may write to every file");
+        return;
+    }
+    for (command, exit, says) in
+        [("check", 78, "this user cannot write to"), ("run", 74, "its -wal and its -shm belong to")]
+    {
+        let output = pointsd(&[command, "--config"]).arg(rig.config()).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(exit), "{command}: {error}");
+        assert!(error.contains(says), "{command}: {error}");
+    }
 }
 
 #[test]
@@ -122,4 +145,31 @@ async fn a_stop_signal_during_the_start_stops_the_daemon() {
     }
     daemon.terminate();
     sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+}
+
+/// A daemon or a logger whose router is away waits for it: it says so, and can be stopped.
+#[test]
+fn a_client_without_its_router_says_so_and_can_be_stopped() {
+    let away = Rig::new().same_port();
+    let router = away.start().endpoint.clone();
+    let rig = Rig::new().behind(&router);
+    let (mut daemon, ready) = rig.launch();
+    daemon.until_log(&format!("no router answers at [\"{router}\"]"));
+    daemon.signal("-TERM");
+    assert!(daemon.wait(Duration::from_secs(5)).success(), "{:?}", daemon.log());
+    assert!(ready.recv().is_err());
+
+    let mut logger = pointsim(&["run", "--connect", &router]).stderr(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(logger.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.contains("no router answers at"), "{line}");
+    assert!(Command::new("kill").args(["-INT", &logger.id().to_string()]).status().unwrap().success());
+    assert!(logger.wait().unwrap().success());
+
+    // The daemon is ready as soon as its router is back.
+    let (daemon, ready) = rig.launch();
+    daemon.until_log("no router answers at");
+    let _router = away.start();
+    ready.recv_timeout(PATIENCE).unwrap();
+    daemon.terminate();
 }

@@ -23,7 +23,7 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
     let rig = Rig::new();
     let made = throws("recorded", 5);
     let json = |number: usize| encode_throw(Encoding::Json, &made[number]);
-    let (one, many) = (rig.folder().join("one.json"), rig.folder().join("many.jsonl"));
+    let (one, many) = (rig.folder().join("one.json"), rig.folder().join("many.ndjson"));
     fs::write(&one, json(0)).unwrap();
     // One throw in a line, with an empty line, and again the throw of the other file.
     fs::write(&many, [&json(1)[..], b"\n\n", &json(2), b"\r\n", &json(0), b"\n", &json(3), b"\n"].concat()).unwrap();
@@ -40,6 +40,10 @@ fn throws_in_json_go_through_the_whole_pipeline_once() {
         assert!(row["b0"].as_f64().unwrap() > 0.0);
     }
 
+    let mut piped = pointsd(&["import", "-", "--machine", "north/21B", "--config"]);
+    let piped = piped.arg(rig.config()).stdin(fs::File::open(&many).unwrap()).output().unwrap();
+    let said = String::from_utf8(piped.stdout).unwrap();
+    assert_eq!(said.trim(), "0 throws imported (0 not evaluated), 4 known before, 0 alarm events");
     let (code, said, error) = import(&rig, &[&many], &["--json"]);
     assert_eq!((code, said.as_str()), (Some(0), ""), "known throws are not judged again; {error}");
     fs::write(&one, [json(4), encode_throw(Encoding::Json, &stub("recorded", 9))].join(&b'\n')).unwrap();

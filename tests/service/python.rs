@@ -149,19 +149,28 @@ async fn the_readmes_logger_loses_nothing_when_it_or_the_daemon_is_killed() {
         return;
     }
     let rig = Rig::new().same_port();
-    let mut daemon = rig.start();
+    let mut daemon = rig.launch().0;
+    daemon.signal("-KILL");
+    daemon.wait(PATIENCE);
     let mut logger = Program(readme("A first logger in Python", &daemon.endpoint, &rig));
     let mut rng = ChaCha8Rng::seed_from_u64(20);
     let mut recorded = 0;
+    // It stores throws although no daemon runs.
+    let kept = || fs::read_to_string(rig.folder().join("throws.jsonl")).unwrap_or_default().lines().count();
+    let mut write = |logger: &mut Program| {
+        recorded += 1;
+        let throw = json!({
+            "started_at": format!("2026-01-01T06:{:02}:{:02}Z", recorded / 60 % 60, recorded % 60),
+            "sample_rate_hz": 100, "current_a": [0, 0, 0, 0], "position_mm": [0, 0, 0, 0],
+        });
+        writeln!(logger.0.stdin.as_mut().unwrap(), "{throw}").unwrap();
+    };
+    (0..5).for_each(|_| write(&mut logger));
+    until(PATIENCE, async || if kept() == 5 { Ok(()) } else { Err("five throws are not stored") }).await;
     for kill in 0..2 * KILLS {
         let until = Instant::now() + rng.random_range(Duration::from_millis(100)..LONGEST);
         while Instant::now() < until {
-            recorded += 1;
-            let throw = json!({
-                "started_at": format!("2026-01-01T06:{:02}:{:02}Z", recorded / 60 % 60, recorded % 60),
-                "sample_rate_hz": 100, "current_a": [0, 0, 0, 0], "position_mm": [0, 0, 0, 0],
-            });
-            writeln!(logger.0.stdin.as_mut().unwrap(), "{throw}").unwrap();
+            write(&mut logger);
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
         if kill % 2 == 0 {

@@ -44,12 +44,37 @@ async fn until_machines(session: &Session, expected: &[&str]) {
     .await;
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup() {
+/// A router without a daemon, and its endpoint.
+async fn router() -> (Session, String) {
     let config =
         "{ mode: 'router', listen: { endpoints: ['tcp/127.0.0.1:0'] }, scouting: { multicast: { enabled: false } } }";
     let router = zenoh::open(zenoh::Config::from_json5(config).unwrap()).await.unwrap();
     let endpoint = router.info().locators().await[0].to_string();
+    (router, endpoint)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_daemons_with_the_same_machines_or_name_are_reported() {
+    let (_router, endpoint) = router().await;
+    let rigs = [Rig::new().behind(&endpoint), Rig::new().behind(&endpoint)];
+    let _first = rigs[0].start();
+    let second = rigs[1].start();
+    second.until_log("another daemon with the name fleet/pointsd is connected");
+    let session = client_of(&endpoint).await;
+    let publisher = matched(&session, "points/v1/north/21B/throw").await;
+    publisher.put(encode_throw(Encoding::Cbor, &throws("b", 1)[0])).await.unwrap();
+    for rig in &rigs {
+        rig.judged(1).await;
+    }
+    let output = pointsd(&["status", "--connect", &endpoint]).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("north/21B is served by fleet/pointsd and fleet/pointsd: correct subscribe.key"), "{text}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_daemon_that_is_gone_is_an_alarm_and_another_continues_from_its_backup() {
+    let (_router, endpoint) = router().await;
     let rigs = SITES.map(|site| rig(site, &endpoint));
     let mut daemons: Vec<_> = rigs.iter().map(Rig::start).collect();
     let session = client_of(&endpoint).await;

@@ -188,10 +188,20 @@ async fn a_missing_throw_number_is_a_gap() {
     let logger = daemon.logger(KEY).await;
     logger.send([1, 2, 5, 6].map(|number| stub("boot", number))).await;
     rig.judged(4).await;
-    daemon.terminate();
+    rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE cause = 'data_loss'").await;
     let gaps = rig.sql("SELECT first_throw_no, last_throw_no, missing_throws FROM data_gaps WHERE kind = 'missed'");
     assert_eq!(gaps.len(), 1, "{gaps:?}");
     assert_eq!((&gaps[0]["first_throw_no"], &gaps[0]["last_throw_no"]), (&3.into(), &4.into()));
+
+    // More throws than end the alarm, with a gap before each.
+    logger.send((4..44).map(|at| stub("boot", 2 * at))).await;
+    rig.judged(44).await;
+    // The sum, 42, is said at each power of two.
+    rig.until_sql("SELECT 1 AS n FROM active_alarms WHERE text LIKE '%: 3_ throws %' OR text LIKE '%: 4_ throws %'")
+        .await;
+    daemon.terminate();
+    let events = texts(&rig, "data_loss");
+    assert!(events.iter().all(|text| text.contains("never arrived")), "{events:?}");
 }
 
 const QUICK: &str = "[diagnosis]\nbaseline_throws = 12\n";

@@ -7,10 +7,12 @@ use std::{
     time::{Duration, Instant},
 };
 
+use pointsd::throw::{Throw, Trace};
+
 use crate::{
     faketime,
-    http::{Answer, WEB, address, ask, check_nesting, exchange, get, history_in, small_history},
-    rig::{PATIENCE, Program, Rig, pointsd},
+    http::{Answer, KEY, WEB, address, ask, check_nesting, exchange, get, history_in, small_history},
+    rig::{PATIENCE, Program, Rig, pointsd, stub},
 };
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -97,6 +99,20 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         }
         assert!(answer.header("content-security-policy").is_some(), "{path}");
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_trace_that_is_too_large_for_a_page_names_the_command_that_writes_it() {
+    const SAMPLES: usize = 600_000;
+    let (rig, daemon) = Rig::running_with(WEB);
+    let values = vec![0.123_456_7; SAMPLES];
+    let throw = Throw { trace: Trace::new(20_000.0, values.clone(), values).unwrap(), ..stub("boot", 1) };
+    let logger = daemon.logger(KEY).await;
+    logger.send([&throw]).await;
+    rig.judged(1).await;
+    let answer = get(&address(&daemon), "/machines/north/21B/throws/boot/1/trace.csv");
+    assert_eq!(answer.status, 413, "{answer:?}");
+    assert!(answer.body.contains("pointsd export north/21B --traces DIR"), "{answer:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

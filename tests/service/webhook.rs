@@ -17,6 +17,7 @@ use tokio_rustls::rustls::{
 };
 
 use crate::{
+    http::{address, get},
     operators::logger,
     rig::{Daemon, PATIENCE, Program, Rig},
 };
@@ -220,7 +221,7 @@ async fn filters_refusals_and_floods() {
     // The first message is refused: it is not sent again. Five of twelve machines with the same alarm, two
     // messages in a period.
     let server = Server::start("127.0.0.1:0", &[REFUSED, ACCEPTED]);
-    let filters = "causes = [\"kt\"]\nmax_messages = 2\nperiod_s = 8.0";
+    let filters = "causes = [\"kt\"]\nmax_messages = 2\nperiod_s = 8.0\n[web]\nlisten = \"127.0.0.1:0\"";
     let rig = rig(&format!("http://{}/", server.address), filters);
     let daemon = rig.start();
     let faults: Vec<String> = (1..=5).map(|machine| format!("{machine}:kt:-25:36")).collect();
@@ -249,6 +250,10 @@ async fn filters_refusals_and_floods() {
     assert_eq!((&group["cause"], &group["site"]), (&json!("kt"), &json!("north")), "{summary}");
     assert!(summary["text"].as_str().unwrap().contains(" motor "), "{summary}");
     assert_eq!(daemon.status()["webhook_refused"], 1);
+    let (_, status) = daemon.operate(&["status"]);
+    assert!(status.contains("WEBHOOK REFUSED 1 alarm event:"), "{status}");
+    let page = get(&address(&daemon), "/").body;
+    assert!(page.contains("The receiver of the webhook refused 1 alarm event since the start"), "{page}");
     daemon.terminate();
     assert_eq!(pending(&rig), 0);
 }
@@ -335,6 +340,8 @@ fn an_alarm_becomes_a_mail() {
         text.contains("To: duty@example.org") && text.contains("Subject: [critical] Machine north/machine-1"),
         "{text}"
     );
+    // The identity of an event has its time.
+    assert!(text.contains(".1.20") && text.contains("Z@pointsd>"), "{text}");
     let (code, text) = daemon.operate(&["ack", "north/machine-1", "kt", "--by", "A. Meyer"]);
     assert_eq!(code, Some(0), "{text}");
     while !mails.recv_timeout(PATIENCE).unwrap().contains("Subject: [critical, acknowledged] Machine north/machine-1") {

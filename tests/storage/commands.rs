@@ -73,6 +73,6 @@ async fn a_backup_is_complete_opens_and_never_overwrites() {
     assert_eq!(code, Some(73), "a second backup replaced the first");
     // The copy is checked when it is first opened, as the source was in use.
     let opened = open(restored.path()).await;
-    assert_eq!(opened.report.found, Found::Unclean);
+    assert_eq!(opened.report.found, Found::WithoutLog);
     assert_eq!(opened.store.statistics().await.unwrap().pending, 40);
 }

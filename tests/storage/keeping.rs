@@ -206,6 +206,17 @@ async fn a_broken_database_is_set_aside_and_a_fresh_one_begins() {
     }
 }
 
+/// The mark of an unclean stop is in the database itself, not only in the log that is lost.
+#[tokio::test]
+async fn a_lost_log_is_no_clean_stop() {
+    let folder = stopped().await;
+    let running = open(folder.path()).await;
+    assert_eq!(running.report.found, Found::Clean);
+    let copied = tempfile::tempdir().unwrap();
+    fs::copy(folder.path().join("points.db"), copied.path().join("points.db")).unwrap();
+    assert_eq!(open(copied.path()).await.report.found, Found::WithoutLog);
+}
+
 /// The last commits may only be in the log, which SQLite deletes if the database is missing.
 #[tokio::test]
 async fn a_log_without_its_database_is_set_aside() {

@@ -33,7 +33,7 @@ async fn a_database_of_the_previous_version_is_migrated_with_everything() {
     let folder = tempfile::tempdir().unwrap();
     released(folder.path()).await;
     let opened = Store::open(&settings(folder.path()), at(0)).await.unwrap();
-    assert_eq!(opened.report.found, Found::Unclean);
+    assert_eq!(opened.report.found, Found::WithoutLog);
     assert!(opened.report.upgraded_by > 0);
     let (store, everything) = (opened.store, Selector::default());
     let reader = store.reader();

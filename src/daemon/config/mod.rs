@@ -21,9 +21,10 @@ pub use webhook::Webhook;
 pub(crate) use zenoh::overlay;
 
 use crate::{
+    bus::intersect,
     diagnose, estimate, store,
     throw::{MachineId, Name, Range::Within, settings},
-    wire::Scope,
+    wire::{Kind, Scope, machine_key},
 };
 
 settings! {
@@ -191,6 +192,18 @@ impl Config {
         Self::from_document(&Document::read(file)?)
     }
 
+    /// Settings that are valid and have no effect.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let key = &self.subscribe.key;
+        let served =
+            |machine: &MachineId| intersect(&key.key_expression(Kind::Throw), &machine_key(machine, Kind::Throw));
+        let other = self.machine_entries.iter().map(MachineEntry::id).filter(|machine| !served(machine));
+        other
+            .map(|id| format!("[[machine]] {id}: has no effect, as subscribe.key does not include this machine"))
+            .collect()
+    }
+
     /// The zenoh section as text, to detect changes.
     pub(crate) fn zenoh_text(&self) -> String {
         self.zenoh.to_string()
@@ -330,9 +343,15 @@ fn section(document: &Document) -> Result<Option<toml::Table>, ConfigError> {
     Ok(document.deserialize::<ZenohSection>()?.zenoh)
 }
 
+fn checked_session(kind: &str, document: &Document) -> Result<::zenoh::Config, ConfigError> {
+    let section = section(document)?;
+    let session = zenoh::session_config(kind, section.as_ref(), document)?;
+    section.iter().try_for_each(|section| zenoh::check(section, document)).map(|()| session)
+}
+
 /// The session of the daemon: a router on loopback, with the `[zenoh]` of the file.
 fn monitor_session(document: &Document) -> Result<::zenoh::Config, ConfigError> {
-    zenoh::session_config(zenoh::MONITOR, section(document)?.as_ref(), document)
+    checked_session(zenoh::MONITOR, document)
 }
 
 /// The session of a logger or an operator: a client of the router on loopback, with the `[zenoh]` of the file.
@@ -340,7 +359,7 @@ fn monitor_session(document: &Document) -> Result<::zenoh::Config, ConfigError> 
 /// # Errors
 /// When zenoh rejects the section.
 pub fn client_session(document: &Document) -> Result<::zenoh::Config, ConfigError> {
-    zenoh::session_config(zenoh::CLIENT, section(document)?.as_ref(), document)
+    checked_session(zenoh::CLIENT, document)
 }
 
 #[cfg(test)]

@@ -103,6 +103,32 @@ fn an_error_names_line_and_key() {
         ("[zenoh]\nlisten.endpoint = []", "pointsd.toml:2: zenoh.listen.endpoint: unknown field"),
         ("[zenoh]\nlisten.endpoints = [\"7447\"]", "pointsd.toml:2: zenoh.listen.endpoints"),
         (
+            "[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:7447\",\n \"tcp/127.0.0.1:99999\"]",
+            "pointsd.toml:3: zenoh.listen.endpoints[1]: \"tcp/127.0.0.1:99999\": the port must be 0 to 65535",
+        ),
+        (
+            "[zenoh]\nconnect.endpoints = [\"tcp/localhost\"]",
+            "pointsd.toml:2: zenoh.connect.endpoints[0]: \"tcp/localhost\": the port",
+        ),
+        (
+            "[zenoh]\nconnect.endpoints.router = [\"foo/a:1\"]",
+            "pointsd.toml:2: zenoh.connect.endpoints.router[0]: \"foo/a:1\": this",
+        ),
+        (
+            "[zenoh]\nlisten.endpoints = [\"tls/0.0.0.0:7447\"]",
+            "pointsd.toml:2: zenoh.listen.endpoints[0]: \"tls/0.0.0.0:7447\": needs",
+        ),
+        (
+            "[zenoh.access_control]\nenabled = true\nrules = []",
+            "pointsd.toml:1: zenoh.access_control: with enabled = true, rules, subjects and policies must be given",
+        ),
+        (
+            "[zenoh.access_control]\nenabled = true\nsubjects = [{ id = \"s\" }]\n\
+             rules = [{ id = \"r\", permission = \"allow\", messages = [\"put\"], key_exprs = [\"a\"] }]\n\
+             policies = [{ rules = [\"r\"], subjects = [\"s\"] },\n { rules = [\"q\"], subjects = [\"s\"] }]",
+            "pointsd.toml:6: zenoh.access_control.policies[1].rules[0]: \"q\" is not in zenoh.access_control.rules",
+        ),
+        (
             "[zenoh.transport.link.tls]\nroot_ca_certificate = \"/no/such/file\"",
             "pointsd.toml:2: zenoh.transport.link.tls.root_ca_certificate: there is no file",
         ),
@@ -128,6 +154,17 @@ fn machines_differ_from_the_defaults_where_they_say_so() {
     assert_eq!(own.motor, crate::estimate::Motor::Series);
     let other = config.machines.of(&crate::throw::MachineId::new("north", "22").unwrap());
     assert_eq!((other.lead_mm, other.neutral_mm), (12.0, 0.0));
+}
+
+#[test]
+fn settings_of_a_machine_that_is_not_served_are_warned_about() {
+    let config = load(
+        "[subscribe]\nkey = \"points/v1/north/**\"\n[[machine]]\nsite = \"south\"\nmachine = \"1\"\n\
+         [[machine]]\nsite = \"north\"\nmachine = \"1\"",
+    )
+    .unwrap();
+    let warnings = config.warnings();
+    assert!(matches!(&warnings[..], [one] if one.starts_with("[[machine]] south/1: ")), "{warnings:?}");
 }
 
 #[test]

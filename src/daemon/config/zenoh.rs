@@ -1,6 +1,6 @@
 //! The `[zenoh]` section: configuration of zenoh, merged into the defaults of this program.
 
-use std::path::Path;
+use std::{collections::HashSet, path::Path};
 
 use toml::{Table, Value};
 
@@ -72,14 +72,105 @@ pub(crate) fn overlay(base: &mut Table, over: &Table) {
     }
 }
 
+/// The TLS section.
+fn tls(section: &Table) -> Option<&Table> {
+    ["transport", "link", "tls"].iter().try_fold(section, |table, key| table.get(*key).and_then(Value::as_table))
+}
+
 fn check_files(section: &Table, document: &Document) -> Result<(), ConfigError> {
-    let tls =
-        ["transport", "link", "tls"].iter().try_fold(section, |table, key| table.get(*key).and_then(Value::as_table));
-    let Some(tls) = tls else { return Ok(()) };
+    let Some(tls) = tls(section) else { return Ok(()) };
     for key in FILE_KEYS {
         if let Some(path) = tls.get(key).and_then(Value::as_str).filter(|path| !Path::new(path).is_file()) {
             let problem = format!("there is no file {path:?}");
             return Err(document.complain(&format!("zenoh.transport.link.tls.{key}"), problem));
+        }
+    }
+    Ok(())
+}
+
+/// Checks what zenoh would refuse only at the start of a session that listens.
+pub(super) fn check(section: &Table, document: &Document) -> Result<(), ConfigError> {
+    check_endpoints(section, document).and_then(|()| check_access(section, document))
+}
+
+/// Checks the endpoints, with which zenoh would fail only at the start.
+fn check_endpoints(section: &Table, document: &Document) -> Result<(), ConfigError> {
+    let has =
+        |key: &str| tls(section).is_some_and(|tls| tls.contains_key(key) || tls.contains_key(&format!("{key}_base64")));
+    let has_certificate = has("listen_certificate") && has("listen_private_key");
+    for side in ["listen", "connect"] {
+        let Some(endpoints) = section.get(side).and_then(|table| table.get("endpoints")) else { continue };
+        for (key, endpoint) in texts(&format!("zenoh.{side}.endpoints"), endpoints) {
+            check_endpoint(endpoint, side == "listen" && !has_certificate)
+                .map_err(|problem| document.complain(&key, format!("{endpoint:?}: {problem}")))?;
+        }
+    }
+    Ok(())
+}
+
+/// The endpoints in a value, each with its key: a list, lists for each mode, or groups of locators.
+fn texts<'a>(key: &str, value: &'a Value) -> Vec<(String, &'a str)> {
+    match value {
+        Value::String(text) => vec![(key.to_owned(), text)],
+        Value::Array(values) => {
+            values.iter().enumerate().flat_map(|(at, value)| texts(&format!("{key}[{at}]"), value)).collect()
+        }
+        Value::Table(table) => {
+            let lists = table.iter().filter(|(name, _)| *name != "strategy");
+            lists.flat_map(|(name, value)| texts(&format!("{key}.{name}"), value)).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// Checks an endpoint as `tcp/HOST:PORT`, with parameters after `?` or `#`.
+fn check_endpoint(endpoint: &str, lacks_certificate: bool) -> Result<(), &'static str> {
+    let (protocol, rest) = endpoint.split_once('/').ok_or("write tcp/HOST:PORT or tls/HOST:PORT")?;
+    if !matches!(protocol, "tcp" | "tls") {
+        return Err("this program has the protocols tcp and tls only");
+    }
+    let address = rest.split(['?', '#']).next().unwrap_or_default();
+    let (host, port) = address.rsplit_once(':').ok_or("the port is missing: write HOST:7447")?;
+    if host.is_empty() {
+        return Err("the host is missing: write HOST:7447, with 0.0.0.0 or [::] for every address of this computer");
+    }
+    port.parse::<u16>().map_err(|_| "the port must be 0 to 65535")?;
+    if protocol == "tls" && lacks_certificate && !rest.contains('#') {
+        return Err("needs zenoh.transport.link.tls.listen_certificate and listen_private_key");
+    }
+    Ok(())
+}
+
+/// Checks that the policies of the access control name rules and subjects that exist, each once.
+fn check_access(section: &Table, document: &Document) -> Result<(), ConfigError> {
+    let Some(access) = section.get("access_control").and_then(Value::as_table) else { return Ok(()) };
+    if access.get("enabled").and_then(Value::as_bool) != Some(true) {
+        return Ok(());
+    }
+    let list = |key: &str| access.get(key).and_then(Value::as_array).map(Vec::as_slice);
+    let (Some(rules), Some(subjects), Some(policies)) = (list("rules"), list("subjects"), list("policies")) else {
+        let problem = "with enabled = true, rules, subjects and policies must be given";
+        return Err(document.complain("zenoh.access_control", problem));
+    };
+    let mut names = [("rules", rules), ("subjects", subjects)].map(|(kind, list)| (kind, list, HashSet::new()));
+    for (kind, list, known) in &mut names {
+        for (at, id) in list.iter().enumerate().filter_map(|(at, entry)| Some((at, entry.get("id")?.as_str()?))) {
+            if !known.insert(id) {
+                let problem = format!("{id:?} is described a second time");
+                return Err(document.complain(&format!("zenoh.access_control.{kind}[{at}].id"), problem));
+            }
+        }
+    }
+    for (at, policy) in policies.iter().enumerate() {
+        for (kind, _, known) in &names {
+            let key = format!("zenoh.access_control.policies[{at}].{kind}");
+            let named = policy.get(kind).map(|value| texts(&key, value)).unwrap_or_default();
+            if named.is_empty() {
+                return Err(document.complain(&key, "must name at least one"));
+            }
+            if let Some((key, name)) = named.into_iter().find(|(_, name)| !known.contains(name)) {
+                return Err(document.complain(&key, format!("{name:?} is not in zenoh.access_control.{kind}")));
+            }
         }
     }
     Ok(())

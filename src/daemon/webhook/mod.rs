@@ -1,5 +1,5 @@
 //! Sends alarm events to the webhook, in order and at least once: each stays in the database until the receiver has
-//! accepted it. In a flood many events become one summary.
+//! accepted it, or refused it as a message that it cannot use. In a flood many events become one summary.
 
 mod post;
 mod summary;

@@ -40,8 +40,9 @@ pub(crate) fn contradicted(name: &str) -> String {
 }
 
 pub(crate) fn silent(name: &str, hours: f64) -> String {
+    let noun = if hours.round() > 1.0 { "hours" } else { "hour" };
     format!(
-        "Machine {name}: no throw arrived for {hours:.0} hours, so the machine is not monitored. Check the logger and the \
+        "Machine {name}: no throw arrived for {hours:.0} {noun}, so the machine is not monitored. Check the logger and the \
          network; if the machine was not used, acknowledge."
     )
 }

@@ -44,10 +44,24 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
         Encoding::Cbor => cbor::decode(payload),
         // serde_json rejects nesting beyond 128 and bytes after the value.
         Encoding::Json => {
-            serde_json::from_slice(payload).map_err(|error| InvalidThrow::Json { problem: error.to_string() })
+            serde_json::from_slice(payload).map_err(|error| InvalidThrow::Json { problem: problem(&error, payload) })
         }
     }?
     .into_throw()
+}
+
+/// The error with the name of the last field before it; `serde_json` names only its position.
+fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
+    let lines = payload.split_inclusive(|byte| *byte == b'\n');
+    let start: usize = lines.take(error.line().saturating_sub(1)).map(<[u8]>::len).sum();
+    let before = payload.get(..start + error.column()).unwrap_or(payload);
+    // A multi-byte character may be cut.
+    let before = String::from_utf8_lossy(before);
+    let place = |name: &&str| before.rfind(&format!("\"{name}\":"));
+    match Fields::NAMES.iter().filter(|name| place(name).is_some()).max_by_key(|name| place(name)) {
+        Some(name) if error.is_data() => format!("{name}: {error}"),
+        _ => error.to_string(),
+    }
 }
 
 /// Encodes a throw: in CBOR with little-endian float32 typed arrays (RFC 8746), in JSON with the shortest decimal
