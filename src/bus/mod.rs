@@ -24,4 +24,4 @@ pub(crate) use outlet::{Outlet, OutletCounters, OutletEnd};
 pub(crate) use presence::{Audience, watch_tokens};
 pub use queries::{Question, Questions};
 pub use session::open;
-pub(crate) use session::{declare_alive, intersect, is_connected};
+pub(crate) use session::{declare_alive, intersect, is_client, is_connected};

@@ -15,12 +15,17 @@ const FIRST_WARNING: Duration = Duration::from_secs(2);
 /// Time between two of these log lines.
 const WARN_EVERY: Duration = Duration::from_secs(30);
 
+/// Whether a session is a client, which reaches others through a router only.
+pub(crate) fn is_client(config: &Config) -> bool {
+    config.get_json("mode").is_ok_and(|mode| mode.contains("client"))
+}
+
 /// Opens a zenoh session. A client waits for its router, and logs that it does; dropping the future ends the wait.
 ///
 /// # Errors
 /// When zenoh cannot listen or connect as configured.
 pub async fn open(config: Config) -> Result<Session, BusError> {
-    let is_client = config.get_json("mode").is_ok_and(|mode| mode.contains("client"));
+    let is_client = is_client(&config);
     let routers = config.get_json("connect/endpoints").unwrap_or_default();
     let (done, mut opened) = oneshot::channel();
     // Opening blocks, for a client until its router answers. On its own thread it holds up neither the signals nor the

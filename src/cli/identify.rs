@@ -57,7 +57,7 @@ pub(super) struct Arguments {
 
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let settings = arguments.settings();
-    settings.check().or_exit(Exit::Usage)?;
+    settings.check_ranges().or_exit(Exit::Usage)?;
     let recording = recording::read(&arguments.file)?;
     let throw = Throw {
         supply_v: arguments.supply_v,

@@ -32,10 +32,11 @@ const EXPORT_FOLDERS: usize = 4;
 /// Imports recorded throws of one machine: stores, identifies and diagnoses them in the order of the command line. The
 /// daemon of this database must not run.
 ///
-/// FILE is CSV with the columns of a recorded trace (one throw in a file), or JSON as on zenoh (one throw on each line,
-/// or one in a file), in files with the extension json, jsonl or ndjson, or with - from standard input. A throw that the database has already is skipped. A trace of `pointsd export --traces` keeps time,
-/// direction, boot, number, temperature, supply and filter of its line in `throws.csv`, which is in the folder of the
-/// traces or in the folder above; without this line it has the time of the file.
+/// FILE is CSV with the columns of a recorded trace (one throw in a file), or JSON as on zenoh (one throw on each
+/// line, or one in a file), in files with the extension json, jsonl or ndjson, or with - from standard input. A throw
+/// that the database has already is skipped. A trace of `pointsd export --traces` keeps time, direction, boot,
+/// number, temperature, supply and filter of its line in `throws.csv`, which is in the folder of the traces or in the
+/// folder above; without this line it has the time of the file.
 ///
 /// Exit codes: 0 imported; 64 the name of the machine is reserved; 65 the content of a file is invalid; 66 a file cannot be read; 69 the daemon is running; 74
 /// the database cannot be used; 78 the configuration is invalid. Files before an invalid one are imported.

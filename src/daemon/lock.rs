@@ -144,6 +144,7 @@ mod tests {
         drop(DatabaseLock::take(&database).unwrap());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "a lock file is left over");
     }
+
     #[test]
     fn every_path_to_a_database_has_its_lock() {
         let (data, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());

@@ -64,7 +64,8 @@ impl Offline {
         Ok(Self { store, judge, waiting: 0, _lock: lock })
     }
 
-    /// Stores a throw, received at this time, and judges after every `GROUP`. Returns the result of storing it, and the throws judged now.
+    /// Stores a throw, received at this time, and judges after every `GROUP`. Returns the result of storing it, and the
+    /// throws judged now.
     ///
     /// # Errors
     /// When the database cannot be written to.

@@ -246,11 +246,6 @@ impl Starting {
         self.config.subscribe.key.key_expression(kind)
     }
 
-    /// Whether the session is a leaf, which reaches others through a router only.
-    fn is_client(&self) -> bool {
-        self.config.zenoh.get_json("mode").is_ok_and(|mode| mode.contains("client"))
-    }
-
     /// Starts the publishing loop; `is_first` for a new database, so that no subscriber knew an earlier process.
     async fn publish(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
         let publisher = Publisher {
@@ -261,7 +256,7 @@ impl Starting {
             outbox: Arc::clone(&self.outbox),
             audience: Audience::of(&self.session, &self.scope(Kind::Alarm)).await?,
             is_first,
-            is_client: self.is_client(),
+            is_client: bus::is_client(&self.config.zenoh),
         };
         self.tasks.spawn(PUBLISH, publisher.run(self.stops.publish.clone()));
         Ok(())
@@ -338,7 +333,7 @@ impl Starting {
             session: self.session.clone(),
             intake: Arc::clone(&intake),
             limits,
-            is_client: self.is_client(),
+            is_client: bus::is_client(&self.config.zenoh),
             spooled: Arc::clone(&self.stored),
         };
         let backlog = Backlog {

@@ -19,9 +19,9 @@ use super::{features::Features, movement::Movement};
 
 /// Lowest sampling rate that resolves the inrush: 60 samples in the 0.3 s of its decay \[Hz\].
 const LEAST_RATE_HZ: f64 = 200.0;
-/// Travel after which the toe moves: a share of the whole, 0.3 mm of 115 mm, and in standard deviations of the
-/// position's noise.
+/// Travel after which the toe moves, as share of the whole: 0.3 mm of 115 mm.
 const MOVES_SHARE: f64 = 0.0026;
+/// Least travel after which the toe moves, in standard deviations of the position's noise.
 const MOVES_SD: f64 = 5.0;
 
 /// Adds no-load speed, and with a supply voltage resistance and back-EMF constant, to the features of a throw.

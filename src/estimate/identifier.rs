@@ -104,7 +104,7 @@ impl Identifier {
         let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
         let noise_mm = second_difference_noise(&self.position, &mut self.scratch);
         let outcome = raw_checks
-            .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
+            .and_then(|()| settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
             .and_then(|()| {
                 let channels = (self.current.as_slice(), self.position.as_slice());
@@ -176,7 +176,7 @@ impl Identifier {
         let start_s = movement.start() as f64 * interval_s;
         let outcome = damage::values(&raw_current, &[], 1.0 / trace.sample_rate_hz())
             .and_then(|()| missing::within(trace, start_s - interval_s, start_s + damage::INRUSH_S).map_or(Ok(()), Err))
-            .and_then(|()| settings.check().map_err(|error| Rejection::Settings { problem: error.to_string() }))
+            .and_then(|()| settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
             .and_then(|()| {
                 let estimate = |known| {

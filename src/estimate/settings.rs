@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::throw::{OutOfRange, Range::Within, settings};
+use crate::throw::{Range::Within, settings};
 
 /// Torque law of the motor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -40,15 +40,5 @@ settings! {
         pub fit_floor_pct: f64 = 98.0, Within(0.0, 100.0, "%");
         /// Whether to refine each estimate with a prefilter for the noise; halves the scatter if the noise is white.
         pub refined: bool = false;
-    }
-}
-
-impl Settings {
-    /// Checks every range.
-    ///
-    /// # Errors
-    /// The first setting out of its range.
-    pub fn check(&self) -> Result<(), OutOfRange> {
-        self.check_ranges()
     }
 }

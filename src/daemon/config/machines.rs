@@ -60,7 +60,7 @@ impl MachineEntry {
             table.insert(key.clone(), value.clone());
             settings = Settings::deserialize(table).map_err(|error| fails(key, &error))?;
         }
-        settings.check().map_err(|error| (error.key.clone(), error.problem()))?;
+        settings.check_ranges().map_err(|error| (error.key.clone(), error.problem()))?;
         Ok(settings)
     }
 }

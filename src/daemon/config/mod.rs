@@ -232,7 +232,7 @@ fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError>
         .and_then(|()| config.subscribe.check_ranges().map_err(|error| error.within("subscribe")))
         .and_then(|()| config.store.check_ranges().map_err(|error| error.within("store")))
         .and_then(|()| config.diagnosis.validate().map_err(|error| error.within("diagnosis")))
-        .and_then(|()| config.machine_defaults.check().map_err(|error| error.within("machines")))
+        .and_then(|()| config.machine_defaults.check_ranges().map_err(|error| error.within("machines")))
         .map_err(|error| document.complain(&error.key, error.problem()))
 }
 

@@ -64,21 +64,6 @@ impl From<&Throw> for Fields {
 }
 
 impl Fields {
-    /// The names of the fields.
-    pub(super) const NAMES: [&str; 11] = [
-        "schema",
-        "boot_id",
-        "throw_no",
-        "started_at",
-        "direction",
-        "sample_rate_hz",
-        "current_a",
-        "position_mm",
-        "temperature_c",
-        "supply_v",
-        "anti_alias_hz",
-    ];
-
     pub(super) fn into_throw(self) -> Result<Throw, InvalidThrow> {
         let schema = required("schema", self.schema)?;
         if schema != SCHEMA {

@@ -57,8 +57,10 @@ fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
     let before = payload.get(..start + error.column()).unwrap_or(payload);
     // A multi-byte character may be cut.
     let before = String::from_utf8_lossy(before);
-    let place = |name: &&str| before.rfind(&format!("\"{name}\":"));
-    match Fields::NAMES.iter().filter(|name| place(name).is_some()).max_by_key(|name| place(name)) {
+    // In a text, a quote before a colon has a backslash, which is no part of a name.
+    let is_name = |name: &&str| name.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_');
+    let name = |(at, _)| before[..at].trim_end().strip_suffix('"')?.rsplit('"').next().filter(is_name);
+    match before.rmatch_indices(':').find_map(name) {
         Some(name) if error.is_data() => format!("{name}: {error}"),
         _ => error.to_string(),
     }

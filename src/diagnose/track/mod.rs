@@ -1,63 +1,34 @@
 //! The throws of each direction in the monitor: the baseline and its learning, and the last throws.
 
-use std::mem;
+mod courses;
+mod learning;
 
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
+pub(super) use self::learning::Suspicion;
 use super::{
-    baseline::{Baseline, BaselineRecord, BaselineThrow, Changes, filling, learn_mixed, trend},
+    baseline::{Baseline, BaselineRecord, BaselineThrow},
     cause::Known,
-    course::{Course, Point},
     drift::{Drift, visible_pct},
     event::Cause,
-    history::History,
     observation::Evaluated,
     robust::median,
-    scatter::{Noise, Scatter},
+    scatter::Scatter,
     settings::Settings,
     sym3::Sym3,
     temperature::doubt,
     threshold::{Thresholds, WINDOWS},
-    trend::Filling,
     verdict::{Blindness, HidingTemperature},
-    wet::{WetSpell, wet_spells},
+    wet::WetSpell,
     window::{RecentThrow, RecentThrows, Stream, Window, with_middle_kept},
 };
-use crate::{estimate::Grade, throw::Direction};
-
-/// Largest number of throws set aside in a direction: a longest window shows every relevant drift.
-const MOST_ASIDE: usize = WINDOWS[3];
-
-/// Largest difference of the drifts of both directions that counts as agreement, in standard deviations.
-const AGREE_SD: f64 = 2.0;
-
-/// A drift concerns one direction only if the other direction has less than this part of its size.
-const ONE_SIDED: f64 = 0.5;
-/// Least difference of the directions for this, in standard deviations.
-const ONE_SIDED_SD: f64 = 3.0;
-/// Age \[throws\] at which the drift must have existed, so that each direction has six throws with it.
-const ONE_SIDED_AGE: f64 = 11.0;
-/// Least part of its present size that the drift had then.
-const LASTED: f64 = 0.5;
+use crate::throw::Direction;
 
 /// The temperature hides a fault if, because of the uncertain effect of the temperature, only a size more than this
 /// many times larger would show.
 const HIDES_FROM: f64 = 1.5;
-
-/// The suspicion against adding a throw to a baseline.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Suspicion {
-    /// No suspicion.
-    None,
-    /// The last throws may show a drift.
-    Suspected,
-    /// The last throws show a drift above its limit without a stable name.
-    AboveLimit,
-    /// A drift has an active alarm.
-    Alarmed,
-}
 
 /// The throws of one direction.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -79,36 +50,6 @@ struct Track {
     /// Whether the throws are compared by their ratios only, as hardly any has complete coefficients.
     #[serde(default)]
     of_ratios: bool,
-}
-
-impl Track {
-    /// Takes the baseline from the learned throws without their known `changes`.
-    fn take(&mut self, direction: Direction, changes: Changes, at: Timestamp, settings: &Settings) -> BaselineRecord {
-        let baseline = Baseline::learn(&self.learned, self.sensor, changes, at, settings);
-        let record = baseline.record(direction, self.of_ratios);
-        (self.baseline, self.thresholds, self.since_baseline) = (Some(baseline), None, 0);
-        self.recent.clear();
-        record
-    }
-
-    /// Counts a throw; changes to a baseline of ratios if hardly any of the last throws had complete coefficients: a
-    /// baseline of these would need many times as many throws. Returns whether it changed.
-    fn becomes_of_ratios(&mut self, grade: Grade, settings: &Settings) -> bool {
-        /// Least share of rough throws.
-        const ROUGH_SHARE: f64 = 0.75;
-        if self.baseline.is_some() {
-            return false;
-        }
-        self.kinds = [self.kinds[0] + 1, self.kinds[1] + usize::from(grade == Grade::Rough)];
-        let [throws, rough] = self.kinds;
-        if throws >= settings.baseline_usable_throws {
-            self.kinds = [0; 2];
-            if rough as f64 >= ROUGH_SHARE * throws as f64 {
-                *self = Self { of_ratios: true, ..Self::default() };
-            }
-        }
-        self.of_ratios
-    }
 }
 
 /// Both directions together.
@@ -221,80 +162,6 @@ impl Tracks {
                 track.recent.iter_mut().for_each(|throw| throw.add_temperature(baseline));
             }
         }
-    }
-
-    /// The course of a drift along `weights` over the last throws of `direction`, if the drift is known to be in this
-    /// direction only; `now` is the latest throw.
-    ///
-    /// Otherwise it is the course over both directions if they agree, and else over that with the larger drift: after a
-    /// step the other one may have one throw with the drift, or none.
-    pub(super) fn course(
-        &self,
-        weights: &Vector3<f64>,
-        temperature_sd: &Vector3<f64>,
-        direction: Option<Direction>,
-        history: &History,
-        now: u64,
-    ) -> Option<Course> {
-        let one = |at: usize| self.course_of(at, weights, temperature_sd, now);
-        if let Some(direction) = direction {
-            return one(direction.side());
-        }
-        let [first, second] = match [one(0), one(1)] {
-            [Some(first), Some(second)] => [first, second],
-            [first, second] => return first.or(second),
-        };
-        let ((a, a_sd), (b, b_sd)) = (first.now(), second.now());
-        let agree = (a - b).abs() <= AGREE_SD * a_sd.hypot(b_sd);
-        let Some(mixed) = self.mixed.as_ref().filter(|_| agree) else {
-            return Some(if a.abs() > b.abs() { first } else { second });
-        };
-        let stream = Stream::all(self.sides.each_ref().map(|track| &track.recent));
-        // The course ends with the last throw that shows the size.
-        let since = stream.since_counted(weights);
-        let baselines = self.baselines();
-        let recent = stream.points(weights, baselines, now - since);
-        // Blocks contain throws of both directions.
-        let oldest = recent.first()?.age;
-        let blocks = history.along(weights, now).map(|block| Point { age: block.age - since as f64, ..block });
-        let before = blocks.filter(|block| block.age - block.throws / 2.0 > oldest);
-        let points: Vec<_> = before.chain(recent).collect();
-        let centre_throws = baselines.iter().flatten().map(|baseline| baseline.centre_throws()).sum();
-        Course::of(&points, noise(&mixed.scatter, centre_throws, weights, temperature_sd))
-    }
-
-    /// The course of a drift along `weights` over the last throws of a side.
-    fn course_of(&self, at: usize, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>, now: u64) -> Option<Course> {
-        let baselines = self.baselines();
-        let baseline = baselines[at]?;
-        let stream = Stream::of(&self.sides[at].recent, at);
-        let points = stream.points(weights, baselines, now - stream.since_counted(weights));
-        Course::of(&points, noise(baseline.scatter(), baseline.centre_throws(), weights, temperature_sd))
-    }
-
-    /// The direction that a drift along `weights` concerns; `None` for both, and until the drift has lasted for enough
-    /// throws. `now` is the latest throw.
-    pub(super) fn one_sided(
-        &self,
-        weights: &Vector3<f64>,
-        temperature_sd: &Vector3<f64>,
-        now: u64,
-    ) -> Option<Direction> {
-        let [normal, reverse] = match self.baselines() {
-            [Some(_), None] => return Some(Direction::NormalToReverse),
-            [None, Some(_)] => return Some(Direction::ReverseToNormal),
-            _ => [self.course_of(0, weights, temperature_sd, now)?, self.course_of(1, weights, temperature_sd, now)?],
-        };
-        let [(normal_size, normal_sd), (reverse_size, reverse_sd)] = [normal.now(), reverse.now()];
-        let (larger, smaller, course, direction) = if normal_size.abs() > reverse_size.abs() {
-            (normal_size, reverse_size, normal, Direction::NormalToReverse)
-        } else {
-            (reverse_size, normal_size, reverse, Direction::ReverseToNormal)
-        };
-        let difference = larger.abs() - smaller.abs();
-        let is_one_sided = smaller / larger < ONE_SIDED && difference > ONE_SIDED_SD * normal_sd.hypot(reverse_sd);
-        let has_lasted = course.at(ONE_SIDED_AGE) / larger > LASTED;
-        (is_one_sided && has_lasted).then_some(direction)
     }
 
     fn baselines(&self) -> [Option<&Baseline>; 2] {
@@ -414,112 +281,6 @@ impl Tracks {
             .all(|baseline| baseline.temperature().reference_c().is_none())
     }
 
-    /// Adds a throw to an incomplete baseline; returns the records of baselines that became usable, better or complete.
-    ///
-    /// A fault must not become part of the baseline, and chance must not stop the learning: throws with a suspected
-    /// drift are set aside. They are dropped if the drift raises an alarm, and added if it ends or stays below its
-    /// limit for a longest window.
-    pub(super) fn learn(
-        &mut self,
-        throw: &Evaluated,
-        order: u64,
-        at: Timestamp,
-        suspicion: Suspicion,
-        settings: &Settings,
-    ) -> Vec<BaselineRecord> {
-        if suspicion == Suspicion::Alarmed {
-            self.sides.iter_mut().for_each(|track| track.aside.clear());
-            return Vec::new();
-        }
-        let track = &mut self.sides[throw.direction.side()];
-        let is_other =
-            !track.of_ratios && (track.becomes_of_ratios(throw.grade, settings) || throw.grade == Grade::Rough);
-        if is_other || track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings)) {
-            return Vec::new();
-        }
-        track.aside.push(BaselineThrow::new(order, throw));
-        let mean = Matrix3::from(track.sensor);
-        let count = track.learned.len() + track.aside.len();
-        track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
-        self.follow_trend(settings);
-        let track = &mut self.sides[throw.direction.side()];
-        if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
-            track.aside.remove(0);
-        }
-        if suspicion == Suspicion::AboveLimit || suspicion == Suspicion::Suspected && track.aside.len() < MOST_ASIDE {
-            return Vec::new();
-        }
-        let learned = mem::take(&mut track.learned).into_iter().chain(mem::take(&mut track.aside));
-        track.learned = learned.take(settings.baseline_throws).collect();
-        let usable = settings.baseline_usable_throws;
-        let next =
-            [usable, 2 * usable].into_iter().find(|stage| *stage > track.baseline.as_ref().map_or(0, Baseline::throws));
-        if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
-            return Vec::new();
-        }
-        if self.follow_wet_spells() {
-            self.follow_trend(settings);
-        }
-        let changes = Changes { slopes: self.slopes, wet: &self.wet };
-        let track = &mut self.sides[throw.direction.side()];
-        let mut records = vec![track.take(throw.direction, changes, at, settings)];
-        // A trend that the last throws end was chance in the other baseline too, which would stay provisional.
-        let is_final = track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
-        let direction = Direction::BOTH[1 - throw.direction.side()];
-        let other = &mut self.sides[direction.side()];
-        let had_trend = |baseline: &Baseline| baseline.is_final(settings) && baseline.has_trend();
-        if is_final && changes.slopes.is_none() && other.baseline.as_ref().is_some_and(had_trend) {
-            records.push(other.take(direction, changes, at, settings));
-        }
-        self.learn_mixed(settings);
-        self.refresh_thresholds(settings);
-        records
-    }
-
-    /// Looks for a trend in the throws of the baselines, also those set aside.
-    fn follow_trend(&mut self, settings: &Settings) {
-        // Wear changes all three logarithms without their mean, and none has the sign of wear alone.
-        let slopes = if self.any_of_ratios() { [0.0; 3] } else { trend(&self.filling(&self.wet), settings) };
-        self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
-    }
-
-    /// Looks for wet spells in the same throws; returns whether they changed.
-    fn follow_wet_spells(&mut self) -> bool {
-        let wet = if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[])).into() };
-        let is_changed = wet != self.wet;
-        self.wet = wet;
-        is_changed
-    }
-
-    /// The throws of the baselines, also those set aside, as in dry weather.
-    fn filling(&self, wet: &[WetSpell]) -> Filling {
-        let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
-        let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
-        filling(throws, 0.5 * (sensor[0] + sensor[1]), wet)
-    }
-
-    /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without a
-    /// trend.
-    pub(super) fn trend(&self) -> Option<[f64; 3]> {
-        let incomplete = self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(Baseline::is_complete));
-        self.slopes.filter(|_| incomplete)
-    }
-
-    fn learn_mixed(&mut self, settings: &Settings) {
-        let [normal, reverse] = &self.sides;
-        let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
-        let done = first.is_final(settings) && second.is_final(settings);
-        if normal.of_ratios == reverse.of_ratios {
-            let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second], &self.wet);
-            let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
-            self.mixed = Some(Mixed { scatter, thresholds });
-        }
-        if done {
-            self.sides.iter_mut().for_each(|track| track.learned = Box::default());
-            self.wet = Box::default();
-        }
-    }
-
     /// Whether the last throws of the machine show only the ratios of the coefficients, so that a change of the inertia
     /// does not show.
     pub(super) fn lacks_scale(&self) -> bool {
@@ -572,51 +333,5 @@ impl Tracks {
 
     pub(super) fn since_baseline(&self, direction: Direction) -> u64 {
         self.sides[direction.side()].since_baseline
-    }
-}
-
-/// Noise of the values along `weights`, of a baseline whose centre is a mean of `centre_throws` throws.
-fn noise(scatter: &Scatter, centre_throws: f64, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>) -> Noise {
-    let noise = scatter.along(weights, centre_throws);
-    Noise { offset_sd: noise.offset_sd.hypot(weights.dot(temperature_sd)), ..noise }
-}
-
-#[cfg(test)]
-mod tests {
-    use rand::{RngExt as _, SeedableRng as _};
-    use rand_chacha::ChaCha8Rng;
-
-    use super::*;
-
-    /// A trend by chance in one baseline, which the last throw of the other ends, must not leave wide limits without a word.
-    #[test]
-    fn baselines_without_a_trend_are_complete() {
-        let settings = Settings::default();
-        let mut ended = 0;
-        for seed in 0..100 {
-            let mut rng = ChaCha8Rng::seed_from_u64(seed);
-            let mut tracks = Tracks::default();
-            let mut had_trend = false;
-            for order in 0..100_u64 {
-                let noise: f64 = (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
-                // The last throw of the second direction is against the trend.
-                let rise = if order < 99 { 0.07 * order as f64 / 99.0 + 0.03 * noise } else { -0.07 };
-                let throw = Evaluated {
-                    direction: Direction::BOTH[usize::from(order % 2 == 1)],
-                    log: [5.0, 2.0 + rise, 1.0],
-                    sensor: Matrix3::identity() * 1e-6,
-                    grade: Grade::Good,
-                    ratios_only: false,
-                    temperature_c: None,
-                    duration_s: None,
-                };
-                let records = tracks.learn(&throw, order, Timestamp::UNIX_EPOCH, Suspicion::None, &settings);
-                had_trend |= order == 98 && records.iter().any(|record| !record.complete);
-            }
-            let complete = Direction::BOTH.into_iter().all(|way| tracks.record(way).is_some_and(|own| own.complete));
-            assert!(complete || tracks.trend().is_some(), "seed {seed}");
-            ended += u32::from(had_trend && complete);
-        }
-        assert!(ended > 0, "no trend ended: the test cannot fail");
     }
 }

@@ -1,0 +1,108 @@
+//! The courses of a drift over the last throws of each direction, and the direction that it concerns.
+
+use nalgebra::Vector3;
+
+use super::{
+    super::{
+        course::{Course, Point},
+        history::History,
+        scatter::{Noise, Scatter},
+        window::Stream,
+    },
+    Tracks,
+};
+use crate::throw::Direction;
+
+/// Largest difference of the drifts of both directions that counts as agreement, in standard deviations.
+const AGREE_SD: f64 = 2.0;
+
+/// A drift concerns one direction only if the other direction has less than this part of its size.
+const ONE_SIDED: f64 = 0.5;
+/// Least difference of the directions for this, in standard deviations.
+const ONE_SIDED_SD: f64 = 3.0;
+/// Age \[throws\] at which the drift must have existed, so that each direction has six throws with it.
+const ONE_SIDED_AGE: f64 = 11.0;
+/// Least part of its present size that the drift had then.
+const LASTED: f64 = 0.5;
+
+impl Tracks {
+    /// The course of a drift along `weights` over the last throws of `direction`, if the drift is known to be in this
+    /// direction only; `now` is the latest throw.
+    ///
+    /// Otherwise it is the course over both directions if they agree, and else over that with the larger drift: after a
+    /// step the other one may have one throw with the drift, or none.
+    pub(in crate::diagnose) fn course(
+        &self,
+        weights: &Vector3<f64>,
+        temperature_sd: &Vector3<f64>,
+        direction: Option<Direction>,
+        history: &History,
+        now: u64,
+    ) -> Option<Course> {
+        let one = |at: usize| self.course_of(at, weights, temperature_sd, now);
+        if let Some(direction) = direction {
+            return one(direction.side());
+        }
+        let [first, second] = match [one(0), one(1)] {
+            [Some(first), Some(second)] => [first, second],
+            [first, second] => return first.or(second),
+        };
+        let ((a, a_sd), (b, b_sd)) = (first.now(), second.now());
+        let agree = (a - b).abs() <= AGREE_SD * a_sd.hypot(b_sd);
+        let Some(mixed) = self.mixed.as_ref().filter(|_| agree) else {
+            return Some(if a.abs() > b.abs() { first } else { second });
+        };
+        let stream = Stream::all(self.sides.each_ref().map(|track| &track.recent));
+        // The course ends with the last throw that shows the size.
+        let since = stream.since_counted(weights);
+        let baselines = self.baselines();
+        let recent = stream.points(weights, baselines, now - since);
+        // Blocks contain throws of both directions.
+        let oldest = recent.first()?.age;
+        let blocks = history.along(weights, now).map(|block| Point { age: block.age - since as f64, ..block });
+        let before = blocks.filter(|block| block.age - block.throws / 2.0 > oldest);
+        let points: Vec<_> = before.chain(recent).collect();
+        let centre_throws = baselines.iter().flatten().map(|baseline| baseline.centre_throws()).sum();
+        Course::of(&points, noise(&mixed.scatter, centre_throws, weights, temperature_sd))
+    }
+
+    /// The course of a drift along `weights` over the last throws of a side.
+    fn course_of(&self, at: usize, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>, now: u64) -> Option<Course> {
+        let baselines = self.baselines();
+        let baseline = baselines[at]?;
+        let stream = Stream::of(&self.sides[at].recent, at);
+        let points = stream.points(weights, baselines, now - stream.since_counted(weights));
+        Course::of(&points, noise(baseline.scatter(), baseline.centre_throws(), weights, temperature_sd))
+    }
+
+    /// The direction that a drift along `weights` concerns; `None` for both, and until the drift has lasted for enough
+    /// throws. `now` is the latest throw.
+    pub(in crate::diagnose) fn one_sided(
+        &self,
+        weights: &Vector3<f64>,
+        temperature_sd: &Vector3<f64>,
+        now: u64,
+    ) -> Option<Direction> {
+        let [normal, reverse] = match self.baselines() {
+            [Some(_), None] => return Some(Direction::NormalToReverse),
+            [None, Some(_)] => return Some(Direction::ReverseToNormal),
+            _ => [self.course_of(0, weights, temperature_sd, now)?, self.course_of(1, weights, temperature_sd, now)?],
+        };
+        let [(normal_size, normal_sd), (reverse_size, reverse_sd)] = [normal.now(), reverse.now()];
+        let (larger, smaller, course, direction) = if normal_size.abs() > reverse_size.abs() {
+            (normal_size, reverse_size, normal, Direction::NormalToReverse)
+        } else {
+            (reverse_size, normal_size, reverse, Direction::ReverseToNormal)
+        };
+        let difference = larger.abs() - smaller.abs();
+        let is_one_sided = smaller / larger < ONE_SIDED && difference > ONE_SIDED_SD * normal_sd.hypot(reverse_sd);
+        let has_lasted = course.at(ONE_SIDED_AGE) / larger > LASTED;
+        (is_one_sided && has_lasted).then_some(direction)
+    }
+}
+
+/// Noise of the values along `weights`, of a baseline whose centre is a mean of `centre_throws` throws.
+fn noise(scatter: &Scatter, centre_throws: f64, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>) -> Noise {
+    let noise = scatter.along(weights, centre_throws);
+    Noise { offset_sd: noise.offset_sd.hypot(weights.dot(temperature_sd)), ..noise }
+}

@@ -1,0 +1,213 @@
+//! How the baselines learn from throws that are free of suspicion, trend and rain.
+
+use std::mem;
+
+use jiff::Timestamp;
+use nalgebra::Matrix3;
+
+use super::{
+    super::{
+        baseline::{Baseline, BaselineRecord, BaselineThrow, Changes, filling, learn_mixed, trend},
+        observation::Evaluated,
+        settings::Settings,
+        threshold::{Thresholds, WINDOWS},
+        trend::Filling,
+        wet::{WetSpell, wet_spells},
+    },
+    Mixed, Track, Tracks,
+};
+use crate::{estimate::Grade, throw::Direction};
+
+/// Largest number of throws set aside in a direction: a longest window shows every relevant drift.
+const MOST_ASIDE: usize = WINDOWS[3];
+
+/// The suspicion against adding a throw to a baseline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::diagnose) enum Suspicion {
+    /// No suspicion.
+    None,
+    /// The last throws may show a drift.
+    Suspected,
+    /// The last throws show a drift above its limit without a stable name.
+    AboveLimit,
+    /// A drift has an active alarm.
+    Alarmed,
+}
+
+impl Track {
+    /// Takes the baseline from the learned throws without their known `changes`.
+    fn take(&mut self, direction: Direction, changes: Changes, at: Timestamp, settings: &Settings) -> BaselineRecord {
+        let baseline = Baseline::learn(&self.learned, self.sensor, changes, at, settings);
+        let record = baseline.record(direction, self.of_ratios);
+        (self.baseline, self.thresholds, self.since_baseline) = (Some(baseline), None, 0);
+        self.recent.clear();
+        record
+    }
+
+    /// Counts a throw; changes to a baseline of ratios if hardly any of the last throws had complete coefficients: a
+    /// baseline of these would need many times as many throws. Returns whether it changed.
+    fn becomes_of_ratios(&mut self, grade: Grade, settings: &Settings) -> bool {
+        /// Least share of rough throws.
+        const ROUGH_SHARE: f64 = 0.75;
+        if self.baseline.is_some() {
+            return false;
+        }
+        self.kinds = [self.kinds[0] + 1, self.kinds[1] + usize::from(grade == Grade::Rough)];
+        let [throws, rough] = self.kinds;
+        if throws >= settings.baseline_usable_throws {
+            self.kinds = [0; 2];
+            if rough as f64 >= ROUGH_SHARE * throws as f64 {
+                *self = Self { of_ratios: true, ..Self::default() };
+            }
+        }
+        self.of_ratios
+    }
+}
+
+impl Tracks {
+    /// Adds a throw to an incomplete baseline; returns the records of baselines that became usable, better or complete.
+    ///
+    /// A fault must not become part of the baseline, and chance must not stop the learning: throws with a suspected
+    /// drift are set aside. They are dropped if the drift raises an alarm, and added if it ends or stays below its
+    /// limit for a longest window.
+    pub(in crate::diagnose) fn learn(
+        &mut self,
+        throw: &Evaluated,
+        order: u64,
+        at: Timestamp,
+        suspicion: Suspicion,
+        settings: &Settings,
+    ) -> Vec<BaselineRecord> {
+        if suspicion == Suspicion::Alarmed {
+            self.sides.iter_mut().for_each(|track| track.aside.clear());
+            return Vec::new();
+        }
+        let track = &mut self.sides[throw.direction.side()];
+        let is_other =
+            !track.of_ratios && (track.becomes_of_ratios(throw.grade, settings) || throw.grade == Grade::Rough);
+        if is_other || track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings)) {
+            return Vec::new();
+        }
+        track.aside.push(BaselineThrow::new(order, throw));
+        let mean = Matrix3::from(track.sensor);
+        let count = track.learned.len() + track.aside.len();
+        track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
+        self.follow_trend(settings);
+        let track = &mut self.sides[throw.direction.side()];
+        if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
+            track.aside.remove(0);
+        }
+        if suspicion == Suspicion::AboveLimit || suspicion == Suspicion::Suspected && track.aside.len() < MOST_ASIDE {
+            return Vec::new();
+        }
+        let learned = mem::take(&mut track.learned).into_iter().chain(mem::take(&mut track.aside));
+        track.learned = learned.take(settings.baseline_throws).collect();
+        let usable = settings.baseline_usable_throws;
+        let next =
+            [usable, 2 * usable].into_iter().find(|stage| *stage > track.baseline.as_ref().map_or(0, Baseline::throws));
+        if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
+            return Vec::new();
+        }
+        if self.follow_wet_spells() {
+            self.follow_trend(settings);
+        }
+        let changes = Changes { slopes: self.slopes, wet: &self.wet };
+        let track = &mut self.sides[throw.direction.side()];
+        let mut records = vec![track.take(throw.direction, changes, at, settings)];
+        // A trend that the last throws end was chance in the other baseline too, which would stay provisional.
+        let is_final = track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
+        let direction = Direction::BOTH[1 - throw.direction.side()];
+        let other = &mut self.sides[direction.side()];
+        let had_trend = |baseline: &Baseline| baseline.is_final(settings) && baseline.has_trend();
+        if is_final && changes.slopes.is_none() && other.baseline.as_ref().is_some_and(had_trend) {
+            records.push(other.take(direction, changes, at, settings));
+        }
+        self.learn_mixed(settings);
+        self.refresh_thresholds(settings);
+        records
+    }
+
+    /// Looks for a trend in the throws of the baselines, also those set aside.
+    fn follow_trend(&mut self, settings: &Settings) {
+        // Wear changes all three logarithms without their mean, and none has the sign of wear alone.
+        let slopes = if self.any_of_ratios() { [0.0; 3] } else { trend(&self.filling(&self.wet), settings) };
+        self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
+    }
+
+    /// Looks for wet spells in the same throws; returns whether they changed.
+    fn follow_wet_spells(&mut self) -> bool {
+        let wet = if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[])).into() };
+        let is_changed = wet != self.wet;
+        self.wet = wet;
+        is_changed
+    }
+
+    /// The throws of the baselines, also those set aside, as in dry weather.
+    fn filling(&self, wet: &[WetSpell]) -> Filling {
+        let throws = self.sides.each_ref().map(|track| track.learned.iter().chain(&track.aside));
+        let sensor = self.sides.each_ref().map(|track| Matrix3::from(track.sensor));
+        filling(throws, 0.5 * (sensor[0] + sensor[1]), wet)
+    }
+
+    /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without a
+    /// trend.
+    pub(in crate::diagnose) fn trend(&self) -> Option<[f64; 3]> {
+        let incomplete = self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(Baseline::is_complete));
+        self.slopes.filter(|_| incomplete)
+    }
+
+    fn learn_mixed(&mut self, settings: &Settings) {
+        let [normal, reverse] = &self.sides;
+        let (Some(first), Some(second)) = (&normal.baseline, &reverse.baseline) else { return };
+        let done = first.is_final(settings) && second.is_final(settings);
+        if normal.of_ratios == reverse.of_ratios {
+            let scatter = learn_mixed([&normal.learned, &reverse.learned], [first, second], &self.wet);
+            let thresholds = Thresholds::compute(&scatter, settings.false_alarms_per_throw() / 2.0);
+            self.mixed = Some(Mixed { scatter, thresholds });
+        }
+        if done {
+            self.sides.iter_mut().for_each(|track| track.learned = Box::default());
+            self.wet = Box::default();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt as _, SeedableRng as _};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    /// A trend by chance in one baseline, which the last throw of the other ends, must not leave wide limits without a word.
+    #[test]
+    fn baselines_without_a_trend_are_complete() {
+        let settings = Settings::default();
+        let mut ended = 0;
+        for seed in 0..100 {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let mut tracks = Tracks::default();
+            let mut had_trend = false;
+            for order in 0..100_u64 {
+                let noise: f64 = (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+                // The last throw of the second direction is against the trend.
+                let rise = if order < 99 { 0.07 * order as f64 / 99.0 + 0.03 * noise } else { -0.07 };
+                let throw = Evaluated {
+                    direction: Direction::BOTH[usize::from(order % 2 == 1)],
+                    log: [5.0, 2.0 + rise, 1.0],
+                    sensor: Matrix3::identity() * 1e-6,
+                    grade: Grade::Good,
+                    ratios_only: false,
+                    temperature_c: None,
+                    duration_s: None,
+                };
+                let records = tracks.learn(&throw, order, Timestamp::UNIX_EPOCH, Suspicion::None, &settings);
+                had_trend |= order == 98 && records.iter().any(|record| !record.complete);
+            }
+            let complete = Direction::BOTH.into_iter().all(|way| tracks.record(way).is_some_and(|own| own.complete));
+            assert!(complete || tracks.trend().is_some(), "seed {seed}");
+            ended += u32::from(had_trend && complete);
+        }
+        assert!(ended > 0, "no trend ended: the test cannot fail");
+    }
+}
