@@ -10,7 +10,7 @@ use super::{
     hum,
     identification::{Estimate, Grade, Identification},
     lateness, missing,
-    movement::{Level, MIN_QUIET, Movement, every, peak, start_of_motor},
+    movement::{Level, MIN_QUIET, Movement, SHORTEST_RISE_S, every, peak, start_of_motor},
     noise::{self, second_difference_noise},
     ratios::{self, FullModel},
     rejection::{Channel, Rejection},
@@ -32,8 +32,6 @@ const TOLERANCE: f64 = 1e-4;
 const LEAD_IN: usize = 2;
 /// Least number of samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
-/// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
-const SHORTEST_RISE_S: f64 = 0.008;
 /// Largest departure of the rise from a linear armature: in standard deviations of the noise, and as share of the peak.
 /// Healthy traces have less than 5 standard deviations, a rectified supply less than 3 % of the peak; five lost samples
 /// cause 10 %, jitter of 0.3 ms causes 1 to 20 %.
@@ -95,13 +93,13 @@ impl Identifier {
         let first = self.position[0];
         decimate::decimate(&mut self.position, factor, first);
 
-        if let Some(foot) = start_of_motor(&self.current, &mut self.scratch) {
+        if let Some(foot) = start_of_motor(&self.current, interval_s, &mut self.scratch) {
             let noise = second_difference_noise(&self.current[..=foot], &mut self.scratch);
             if Level::of(&self.current[..=foot]).sd > HUM_FACTOR * noise {
                 hum::remove(&mut self.current, foot + 1, interval_s);
             }
         }
-        let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
+        let movement = Movement::of(&self.current, &self.position, interval_s, &mut self.scratch);
         let noise_mm = second_difference_noise(&self.position, &mut self.scratch);
         let outcome = raw_checks
             .and_then(|()| settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() }))
@@ -167,7 +165,7 @@ impl Identifier {
         decimate::decimate(&mut self.current, factor, at_rest);
         self.position.clear();
         self.position.resize(self.current.len(), 0.0);
-        let movement = Movement::of(&self.current, &self.position, &mut self.scratch);
+        let movement = Movement::of(&self.current, &self.position, interval_s, &mut self.scratch);
         let mut features = current_only::features(&movement, &self.current, interval_s);
         features.supply_v = throw.supply_v;
         features.energy_j = energy_j(throw, &features);

@@ -9,6 +9,10 @@ const START_SHARE: f64 = 0.05;
 /// Least distance of the first sample of a starting motor from the current at rest, in standard deviations of the noise;
 /// the next sample must be as far.
 const START_SIGMAS: f64 = 6.0;
+/// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
+pub(super) const SHORTEST_RISE_S: f64 = 0.008;
+/// Least share of the peak of a sample that a slow recording has of the inrush.
+const INRUSH_SHARE: f64 = 0.5;
 /// Noise around the foot of the current's rise: in standard deviations, and as share of the peak if the noise is smaller.
 const FOOT_SIGMAS: f64 = 3.0;
 const FOOT_SHARE: f64 = 0.002;
@@ -73,9 +77,9 @@ pub(super) struct Movement {
 
 impl Movement {
     /// Determines the course of a throw; the channels are finite, of equal length and not empty.
-    pub(super) fn of(current: &[f64], position: &[f64], scratch: &mut Vec<f64>) -> Self {
+    pub(super) fn of(current: &[f64], position: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Self {
         let len = current.len();
-        let start = start_of_motor(current, scratch);
+        let start = start_of_motor(current, interval_s, scratch);
         let quiet = start.map_or(len, |start| start + 1);
         let before = if start == Some(0) { 0 } else { quiet };
         let mut level = Level::of(&current[..before]);
@@ -236,12 +240,23 @@ impl Level {
 }
 
 /// The last sample before the current exceeds its noise; `None` if it never does.
-pub(super) fn start_of_motor(current: &[f64], scratch: &mut Vec<f64>) -> Option<usize> {
+///
+/// Two neighbouring samples show the start, as a single one may be a disturbance. A recording that is too slow for this
+/// has one sample of the inrush at most; without it the current of a throw in which the spring helps is hardly above 0.
+pub(super) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec<f64>) -> Option<usize> {
     let lead = median_of(&current[..current.len().min(5)], scratch);
     let peak = peak(current, lead);
+    let is_beyond = |k: usize, threshold: f64| current.get(k).is_none_or(|i| (i - lead).abs() > threshold);
+    let is_inrush = |k: usize| {
+        let motor = |k: &usize| is_beyond(*k, ON_SHARE * peak);
+        is_beyond(k, INRUSH_SHARE * peak) && (k + 1..current.len()).filter(motor).count() >= MIN_QUIET
+    };
     let crossing = |threshold: f64| {
-        let beyond = |k: usize| current.get(k).is_none_or(|i| (i - lead).abs() > threshold);
-        (0..current.len()).find(|&k| beyond(k) && beyond(k + 1))
+        let mut beyond = (0..current.len()).filter(|&k| is_beyond(k, threshold));
+        let first = beyond.next()?;
+        let is_found = |k: &usize| is_beyond(k + 1, threshold);
+        let is_slow = interval_s > SHORTEST_RISE_S / 2.0;
+        if is_found(&first) || is_slow && is_inrush(first) { Some(first) } else { beyond.find(is_found) }
     };
     let first = crossing(START_SHARE * peak)?;
     let noise = Level::of(&current[..first.saturating_sub(2)]);

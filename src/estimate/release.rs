@@ -35,7 +35,7 @@ const FILTER_DELAY: f64 = 2.613_125_929_752_753;
 /// The moment of release \[s\] in a trace before its decimation; adds the missing charge of the onset to `current`.
 /// `None` if the motor was never off or never on.
 pub(super) fn at_full_rate(current: &mut [f64], interval_s: f64, linear: bool, scratch: &mut Vec<f64>) -> Option<f64> {
-    let foot = start_of_motor(current, scratch).filter(|foot| *foot > 0)?;
+    let foot = start_of_motor(current, interval_s, scratch).filter(|foot| *foot > 0)?;
     let offset = mean(current[..foot].iter().copied());
     let Some(onset) = onset(current, offset, foot) else { return Some(foot as f64 * interval_s) };
     if linear {

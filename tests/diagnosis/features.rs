@@ -281,6 +281,30 @@ fn raised_by_currents(publishes_volts: bool, rate_hz: f64, lives: u64, life: u64
     raised.into_inner().unwrap()
 }
 
+/// At 25 Hz the inrush has one sample or none, and in one direction the spring drives: its current passes through zero.
+#[test]
+fn slow_recordings_show_the_start_of_the_motor() {
+    let mut durations = [Vec::new(), Vec::new()];
+    let throws = 20;
+    for seed in 0..10 {
+        let mut drive = Drive::new(620_000 + seed, false);
+        (drive.has_toe_sensor, drive.rate_hz) = (false, 25.0);
+        let of_machine: Vec<Observation> = (0..throws).map(|_| drive.observe(State::SOUND)).collect();
+        for (at, durations) in durations.iter_mut().enumerate() {
+            let mut own: Vec<f64> =
+                of_machine.iter().skip(at).step_by(2).filter_map(|throw| throw.features.duration_s).collect();
+            own.sort_by(f64::total_cmp);
+            let median = own[own.len() / 2];
+            durations.extend(own.into_iter().map(|duration_s| duration_s / median));
+        }
+    }
+    for (direction, durations) in Direction::BOTH.iter().zip(&durations) {
+        let near = durations.iter().filter(|ratio| (**ratio - 1.0).abs() < 0.08).count();
+        println!("{direction:?}: {} of 100 throws with a duration, {near} near that of the machine", durations.len());
+        assert!(durations.len() >= 90 && near >= 85, "{direction:?}: {}, {near}", durations.len());
+    }
+}
+
 /// 100,000 simulated throws a row, of which the default budget has 0.7 false alarms; `POINTSD_LIVES` sets the machines with
 /// 1,000 throws each, 100 by default.
 #[test]
