@@ -71,7 +71,7 @@ pub(super) struct Movement {
     pub(super) end_mm: f64,
     /// Largest magnitude of the current, offset removed \[A\].
     pub(super) peak_a: f64,
-    /// Mean magnitude of the current while the motor was on \[A\].
+    /// Mean magnitude of the current while the motor was on, without an unresolved inrush \[A\].
     pub(super) mean_a: f64,
 }
 
@@ -130,7 +130,9 @@ impl Movement {
             let after = current[arrived..=off].windows(MIN_QUIET).rposition(drives);
             motor_off = Some(arrived + after.map_or(0, |from| from + MIN_QUIET / 2));
         }
-        let on = quiet.min(len - 1)..motor_off.map_or(0, |off| off + 1).max(quiet.min(len - 1));
+        // The charge of an inrush is small; one sample of it, instead of all, would be as much as that of the throw.
+        let from = (quiet + usize::from(hides_inrush(interval_s))).min(len - 1);
+        let on = from..motor_off.map_or(0, |off| off + 1).max(from);
         let mean_a = mean(current[on].iter().map(|i| (i - level.mean).abs()));
         Self {
             quiet,
@@ -239,6 +241,11 @@ impl Level {
     }
 }
 
+/// Whether a recording has one sample of the inrush at most.
+fn hides_inrush(interval_s: f64) -> bool {
+    interval_s > SHORTEST_RISE_S / 2.0
+}
+
 /// The last sample before the current exceeds its noise; `None` if it never does.
 ///
 /// Two neighbouring samples show the start, as a single one may be a disturbance. A recording that is too slow for this
@@ -255,8 +262,11 @@ pub(super) fn start_of_motor(current: &[f64], interval_s: f64, scratch: &mut Vec
         let mut beyond = (0..current.len()).filter(|&k| is_beyond(k, threshold));
         let first = beyond.next()?;
         let is_found = |k: &usize| is_beyond(k + 1, threshold);
-        let is_slow = interval_s > SHORTEST_RISE_S / 2.0;
-        if is_found(&first) || is_slow && is_inrush(first) { Some(first) } else { beyond.find(is_found) }
+        if is_found(&first) || hides_inrush(interval_s) && is_inrush(first) {
+            Some(first)
+        } else {
+            beyond.find(is_found)
+        }
     };
     let first = crossing(START_SHARE * peak)?;
     let noise = Level::of(&current[..first.saturating_sub(2)]);
