@@ -23,6 +23,8 @@ use crate::{
 const UNREADABLE: &str = "unreadable_trace";
 /// `quality` of a throw with a repeated trace.
 const REPEATED: &str = "repeated_trace";
+/// `quality` of a throw of a machine as which two loggers publish.
+const TWO_LOGGERS: &str = "two_loggers";
 /// `quality` of a throw that made the estimator panic.
 const ESTIMATOR_FAILED: &str = "estimator_failed";
 
@@ -129,15 +131,20 @@ impl Fleet {
         // A repeated trace is not evidence, neither of health nor of a drift.
         let is_evidence = |found: &Identification| matches!(found.outcome, Ok(_) | Err(Rejection::NoPosition { .. }));
         let repeats = stored.repeats && identification.as_ref().is_some_and(is_evidence);
-        let identification = identification.filter(|_| !repeats);
-        let mut observation = observation(stored, identification.as_ref());
         let received_at = self.trusted(stored);
         let monitor = self.monitor(&stored.machine);
         let (dated_at, clock) = monitor.date(&stored.id, stored.started_at, received_at, settings);
+        // A separate boot for throws with a repeated number is no boot of a logger.
+        let boot_at = received_at.filter(|_| !stored.renumbered);
+        let (two_loggers, anew, of_loggers) = monitor.boot(&stored.id, stored.started_at, boot_at, dated_at, settings);
+        let withheld = two_loggers.map(|sentence| (TWO_LOGGERS, sentence)).or_else(|| repeats.then(repeated));
+        let identification = identification.filter(|_| withheld.is_none());
+        let mut observation = observation(stored, identification.as_ref());
         observation.started_at = dated_at;
         let common = self.common(&stored.machine.site, Some(&stored.machine), observation.started_at);
         let monitor = self.monitor(&stored.machine);
-        let (command, events) = monitor.configured(parameters, observation.started_at, settings).unzip();
+        let (configured, events) = monitor.configured(parameters, observation.started_at, settings).unzip();
+        let command = configured.or(anew);
         if let Some(Command::Rebaseline { why, .. }) = &command {
             tracing::warn!(machine = %stored.machine, "learning a new baseline: {why}");
         }
@@ -151,14 +158,14 @@ impl Fleet {
             verdict.state = monitor.state();
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
-        let mut events = events.unwrap_or_default();
+        let mut events = [of_loggers, events.unwrap_or_default()].concat();
         events.append(&mut verdict.events);
         let outcome = outcome(&stored.machine, is_last.then_some(&*monitor), at, events);
         let outcome = Outcome { command, ..outcome };
         if monitor.is_witness() && !self.witnesses.contains(&stored.machine) {
             self.witnesses.insert(stored.machine.clone());
         }
-        let health = health(stored, identification.as_ref(), &verdict, since_baseline);
+        let health = health(stored, identification.as_ref(), withheld, &verdict, since_baseline);
         Judgement { row: stored.row, health, identification, baselines: verdict.baselines_taken, outcome }
     }
 
@@ -343,19 +350,23 @@ fn observation(stored: &StoredThrow, found: Option<&Identification>) -> Observat
     Observation { throw: stored.id.clone(), received_at: Some(stored.received_at), ..observation }
 }
 
+/// Code and sentence of a throw with a repeated trace.
+fn repeated() -> (&'static str, String) {
+    (REPEATED, "the machine sent the same trace before; two real throws are never identical".to_owned())
+}
+
+/// The health of a throw; `withheld` is the code and the sentence about a throw that is no evidence.
 fn health(
     stored: &StoredThrow,
     found: Option<&Identification>,
+    withheld: Option<(&'static str, String)>,
     verdict: &Verdict,
     throws_since_baseline: u64,
 ) -> Health {
     let (quality, detail) = match (&stored.throw, found) {
         (_, Some(found)) => (found.quality(), found.detail()),
-        (Ok(_), None) if stored.repeats => {
-            let detail = "the machine sent the same trace before; two real throws are never identical";
-            (REPEATED, Some(detail.to_owned()))
-        }
         (Err(unreadable), None) => (UNREADABLE, Some(unreadable.to_string())),
+        (Ok(_), None) if let Some((code, sentence)) = withheld => (code, Some(sentence)),
         (Ok(_), None) => {
             let detail = "the estimator failed on this throw: please report it, with the throw";
             (ESTIMATOR_FAILED, Some(detail.to_owned()))

@@ -3,6 +3,7 @@
 mod alarm;
 mod autoregression;
 mod baseline;
+mod boots;
 mod cause;
 mod clock;
 mod command;

@@ -23,5 +23,6 @@ mod region;
 mod rig;
 mod silence;
 mod throws;
+mod two_loggers;
 mod web;
 mod webhook;

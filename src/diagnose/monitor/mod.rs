@@ -1,5 +1,7 @@
-//! The monitor of a machine, with the effects of commands and ticks; those of throws are in [`throws`].
+//! The monitor of a machine, with the effects of commands and ticks; those of throws are in [`throws`], those of loggers in
+//! [`loggers`].
 
+mod loggers;
 mod throws;
 
 use jiff::Timestamp;
@@ -8,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     alarm::{Actor, Alarms},
     baseline::BaselineRecord,
+    boots::Boots,
     clock::LoggerClock,
     command::{Command, CommandError},
     drift_alarms::{DRIFTS, DriftAlarms, Onset},
@@ -55,6 +58,8 @@ pub struct MachineMonitor {
     #[serde(default)]
     clock: LoggerClock,
     #[serde(default)]
+    boots: Boots,
+    #[serde(default)]
     instruments: Instruments,
     #[serde(default)]
     features: FeatureWatch,
@@ -95,6 +100,7 @@ impl MachineMonitor {
             operation: Operation::default(),
             thermometer: Thermometer::default(),
             clock: LoggerClock::default(),
+            boots: Boots::default(),
             instruments: Instruments::default(),
             features: FeatureWatch::default(),
             start: StartWatch::default(),
@@ -170,13 +176,6 @@ impl MachineMonitor {
         events
     }
 
-    /// Applies the presence of the logger's token. A logger that never declared one raises no alarm. Call it before
-    /// each [`Self::tick`].
-    pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
-        let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
-        operation.on_liveliness(there, alarms, context)
-    }
-
     /// Whether the machine has a departure from a baseline, which [`Self::common`] needs.
     #[must_use]
     pub fn is_witness(&self) -> bool {
@@ -195,22 +194,10 @@ impl MachineMonitor {
         site::judge(common, alarms, context)
     }
 
-    /// Whether the logger ever declared a token.
-    #[must_use]
-    pub fn is_announced(&self) -> bool {
-        self.operation.is_announced()
-    }
-
     /// Takes over an open alarm that no monitor has, as after the loss of a snapshot: an operator can acknowledge it.
     pub fn adopt(&mut self, last: AlarmEvent, now: Timestamp) -> AlarmEvent {
         let text = text::orphaned(&self.name);
         self.alarms.adopt(last, text, to_micros(now))
-    }
-
-    /// Whether neither a throw nor a token of a logger was ever received, as for the name of a daemon.
-    #[must_use]
-    pub fn has_no_logger(&self) -> bool {
-        self.order == 0 && !self.is_announced()
     }
 
     /// Applies a problem of the daemon with storing data, for the monitor of the daemon itself; the alarm ends after
@@ -233,12 +220,6 @@ impl MachineMonitor {
         operational::on_peers(text, alarms, context)
     }
 
-    /// Applies `lost` missing throws.
-    pub fn gap(&mut self, lost: u64, at: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
-        let (operation, alarms, context) = self.parts(to_micros(at), None, settings);
-        operation.on_gap(lost, alarms, context).into_iter().collect()
-    }
-
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
     /// compared, so a change starts a new baseline; returns the command that does this, with its events.
     pub fn configured(
@@ -252,40 +233,6 @@ impl MachineMonitor {
         let command = Command::Rebaseline { by: "pointsd".to_owned(), why };
         let events = self.command(&command, now, settings).ok()?;
         Some((command, events))
-    }
-
-    /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the diagnosis,
-    /// which is that of reception while the clock is wrong, and the event of a raised or cleared alarm. Without `received_at`
-    /// the clock of this computer is not trusted, and only an impossible time is wrong.
-    pub fn date(
-        &mut self,
-        throw: &ThrowRef,
-        started_at: Timestamp,
-        received_at: Option<Timestamp>,
-        settings: &Settings,
-    ) -> (Timestamp, Option<AlarmEvent>) {
-        let is_wrong = self.clock.is_wrong(throw, started_at, received_at);
-        let at = received_at.filter(|_| is_wrong).unwrap_or(started_at);
-        if self.maintenance.is_some() {
-            return (at, None);
-        }
-        let context = Context { name: &self.name, at: to_micros(at), throw: Some(throw), settings };
-        (at, self.clock.judge(started_at, &mut self.alarms, context))
-    }
-
-    /// Applies an irregularity of the logger, in a throw if it is one of a throw.
-    pub fn irregular(
-        &mut self,
-        irregularity: Irregularity,
-        throw: Option<&ThrowRef>,
-        at: Timestamp,
-        settings: &Settings,
-    ) -> Option<AlarmEvent> {
-        if self.maintenance.is_some() {
-            return None;
-        }
-        let (operation, alarms, context) = self.parts(to_micros(at), throw, settings);
-        operation.on_irregularity(irregularity, alarms, context)
     }
 
     /// Applies an operator's command.
@@ -307,7 +254,10 @@ impl MachineMonitor {
                 Ok(vec![self.alarms.shelve(*cause, to_micros(*until), actor, now)?])
             }
             Command::Unshelve { cause, .. } => Ok(vec![self.alarms.unshelve(*cause, actor, now)?]),
-            Command::Rebaseline { by, why } => Ok(self.rebaseline(by, why, actor, now)),
+            Command::Rebaseline { by, why } => {
+                self.boots = Boots::default();
+                Ok(self.rebaseline(by, why, actor, now))
+            }
             Command::MaintenanceStart { .. } if self.maintenance.is_some() => Err(CommandError::InMaintenance),
             Command::MaintenanceStart { until, by, why } => {
                 let until = Some(to_micros(*until));
@@ -350,16 +300,21 @@ impl MachineMonitor {
 
     fn end_maintenance(&mut self, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
         self.maintenance = None;
-        self.drift.now.clear();
         let mut events = self.alarms.set_out_of_service(false, actor, now);
-        events.extend(self.end_rules(now));
+        events.extend(self.forget_recent(now));
+        self.operation.reset();
+        events
+    }
+
+    /// Forgets the last throws, and keeps the baselines.
+    fn forget_recent(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
+        self.drift.now.clear();
         self.tracks.forget_recent();
         self.instruments.forget_recent();
         self.features.reset();
         self.start = StartWatch::default();
         self.drift.reset();
-        self.operation.reset();
-        events
+        self.end_rules(now)
     }
 
     /// The latest event of every open alarm (any state but `normal`), oldest alarm first.
@@ -382,6 +337,7 @@ impl MachineMonitor {
         let unread = self.unread.as_ref().map(|_| text::unread(&self.name));
         unread
             .into_iter()
+            .chain(self.two_loggers())
             .chain(blind)
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))

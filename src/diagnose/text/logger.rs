@@ -22,6 +22,15 @@ pub(crate) fn wrong_clock(name: &str, started_at: Timestamp, received_at: Timest
     )
 }
 
+/// Text for two loggers that publish as one machine, each with one of these boots; one of them alone for `hours` ends it.
+pub(crate) fn two_loggers(name: &str, [first, second]: &[String; 2], hours: i64) -> String {
+    format!(
+        "Machine {name}: two loggers publish as this machine: throws of the boots {first} and {second} take turns, so it is not \
+         monitored. Give each logger its own machine name. The machine is monitored again {hours} hours after the last turn, or \
+         after a new baseline (rebaseline)."
+    )
+}
+
 pub(crate) fn right_clock(name: &str) -> String {
     format!("Machine {name}: the clock of the logger is right again.")
 }

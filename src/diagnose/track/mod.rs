@@ -305,6 +305,12 @@ impl Tracks {
         self.sides.iter().any(|track| track.baseline.is_some())
     }
 
+    /// Whether throws of an incomplete baseline are kept.
+    pub(super) fn is_learning(&self, settings: &Settings) -> bool {
+        let is_final = |track: &Track| track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
+        self.sides.iter().any(|track| !(track.learned.is_empty() && track.aside.is_empty()) && !is_final(track))
+    }
+
     pub(super) fn duration_s(&self, direction: Direction) -> Option<f64> {
         self.sides[direction.side()].baseline.as_ref()?.duration_s()
     }

@@ -1,0 +1,181 @@
+//! Two loggers that publish as one machine, found from the boots of their throws.
+//!
+//! A logger makes the throws of a boot one after the other, and none in an older boot after its restart. So the boots of
+//! one logger do not take turns in the times at which their throws were made. They may do so in the order of reception: pages
+//! of a backlog, messages that a router kept and repetitions come late. The delay of a throw, from its date to its
+//! reception, distinguishes the two: a late throw has a longer one. Only delays within a boot are compared, so the clocks
+//! need not be right, and the jump of a clock is no evidence.
+//!
+//! A throw is *live* if its delay is that of the last throw of its boot, which was received well before. Live throws of two
+//! boots that take turns, [`TURNS`] times, are of two loggers.
+
+use jiff::{SignedDuration, Timestamp};
+use serde::{Deserialize, Serialize};
+
+use crate::throw::ThrowRef;
+
+/// Boots that are remembered: those of two loggers, and of a restart of each.
+const BOOTS: usize = 4;
+/// Largest difference between the delays of two live throws: one may take longer than the other, and wait for the link.
+const SAME_DELAY: SignedDuration = SignedDuration::from_secs(30);
+/// Least time between the receptions of two throws whose delays are compared, and between the turns: within a shorter time
+/// throws of one page have equal delays.
+const APART: SignedDuration = SignedDuration::from_mins(1);
+/// Number of turns of live throws that show two loggers. A late throw of an old boot has the delay of the throw before it
+/// by chance only, and gives two turns: its own, and that of the next throw of the new boot.
+const TURNS: u32 = 3;
+/// Time without a turn after which one logger alone publishes: a machine in use makes throws on most days.
+pub(super) const ALONE: SignedDuration = SignedDuration::from_hours(24);
+
+/// A boot and its last throw.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Boot {
+    id: String,
+    /// Time of its first throw, or of the reception if that is earlier.
+    since: Timestamp,
+    started_at: Timestamp,
+    received_at: Timestamp,
+    /// Reception of the first live throw of another boot since the last throw of this one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    crossed_at: Option<Timestamp>,
+}
+
+/// Two loggers that publish as one machine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct TwoLoggers {
+    /// Their boots.
+    pub(super) boots: [String; 2],
+    /// Time of the first throw of the second of these boots.
+    pub(super) since: Timestamp,
+}
+
+/// The last boots of a machine.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub(super) struct Boots {
+    /// In the order of their last throws.
+    boots: Vec<Boot>,
+    #[serde(default)]
+    turns: u32,
+    /// Reception of the last throw that came in turn.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    turned_at: Option<Timestamp>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    two: Option<TwoLoggers>,
+}
+
+impl Boots {
+    /// Applies a throw, in the order of judging.
+    pub(super) fn follow(&mut self, throw: &ThrowRef, started_at: Timestamp, received_at: Timestamp) {
+        let known = self.boots.iter().position(|boot| boot.id == throw.boot_id);
+        let last = known.map(|at| self.boots.remove(at));
+        let is_live = last.as_ref().is_some_and(|last| {
+            let received = received_at.duration_since(last.received_at);
+            let made = started_at.duration_since(last.started_at);
+            received > APART && (received - made).abs() <= SAME_DELAY
+        });
+        let crossed_at = last.as_ref().and_then(|last| last.crossed_at).filter(|_| is_live);
+        let first = started_at.min(received_at);
+        let since = last.map_or(first, |last| last.since);
+        if is_live {
+            self.boots.iter_mut().for_each(|other| _ = other.crossed_at.get_or_insert(received_at));
+        }
+        if crossed_at.is_some_and(|at| received_at.duration_since(at) > APART) {
+            self.turns = self.turns.saturating_add(1);
+            self.turned_at = Some(received_at);
+            if let Some(other) = self.boots.last().filter(|_| self.turns >= TURNS) {
+                let mut boots = [(other.since, other.id.clone()), (since, throw.boot_id.clone())];
+                boots.sort();
+                self.two = Some(TwoLoggers { since: boots[1].0, boots: boots.map(|(_, id)| id) });
+            }
+        } else if self.turned_at.is_some_and(|at| received_at.duration_since(at) >= ALONE) {
+            self.two = None;
+        }
+        let id = throw.boot_id.clone();
+        self.boots.push(Boot { id, since, started_at, received_at, crossed_at: None });
+        if self.boots.len() > BOOTS {
+            self.boots.remove(0);
+        }
+    }
+
+    /// The two loggers that publish at present, if any.
+    pub(super) fn two(&self) -> Option<&TwoLoggers> {
+        self.two.as_ref()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const START: Timestamp = Timestamp::constant(1_800_000_000, 0);
+
+    fn minutes(minutes: i64) -> SignedDuration {
+        SignedDuration::from_mins(minutes)
+    }
+
+    /// Whether two loggers are found after these throws: boot, minute of the reception, and delay \[min\].
+    fn finds(throws: impl IntoIterator<Item = (&'static str, i64, i64)>) -> bool {
+        let mut boots = Boots::default();
+        for (throw_no, (boot_id, received, delay)) in (1..).zip(throws) {
+            let throw = ThrowRef { boot_id: boot_id.to_owned(), throw_no };
+            let received_at = START + minutes(received);
+            boots.follow(&throw, received_at - minutes(delay), received_at);
+        }
+        boots.two().is_some()
+    }
+
+    #[test]
+    fn two_loggers_are_found_whatever_their_clocks_say() {
+        for (first, second) in [(0, 0), (600, 0), (-600, 0), (0, 3_000_000)] {
+            let turns = |throws: i64| {
+                finds((0..throws).map(move |k| if k % 2 == 0 { ("a", 10 * k, first) } else { ("b", 10 * k, second) }))
+            };
+            assert!(turns(6) && !turns(5), "{first} {second}");
+        }
+        // Both are at the same machine, and one is always the first.
+        assert!(finds((0..10).flat_map(|k| [("a", 10 * k, 0), ("b", 10 * k, 0)])));
+        // The second one starts anew from time to time.
+        let boots = ["b", "c", "d", "e"];
+        let restarts = (0..24).map(|k: i64| if k % 2 == 0 { "a" } else { boots[(k / 6) as usize] });
+        assert!(finds((0..).zip(restarts).map(|(k, boot)| (boot, 10 * k, 0))));
+    }
+
+    #[test]
+    fn one_logger_is_one_whatever_comes_late() {
+        let before = || (0..20).map(|k| ("a", 10 * k, 0));
+        // A new boot from minute 200 on, and what the throws of the old boot are like that are received in between.
+        let between = |old: fn(i64) -> (i64, i64)| -> Vec<_> {
+            let new = (0..40).map(|k| ("b", 200 + 10 * k, 0));
+            let old = (0..40).map(move |k| ("a", old(k).0, old(k).1));
+            let mut both: Vec<(&str, i64, i64)> = new.chain(old).collect();
+            both.sort_by_key(|(_, received, _)| *received);
+            before().chain(both).collect()
+        };
+        let boots = ["b", "c", "d", "e"];
+        let lives = [
+            ("restarts", before().chain((0..40).map(|k| (boots[(k / 10) as usize], 200 + 10 * k, 0))).collect()),
+            // Made every four minutes until minute 196.
+            ("late throws", between(|k| (205 + 10 * k, 165 + 6 * k))),
+            ("late throws after a jump of the clock", between(|k| (205 + 10 * k, 165 + 6 * k + 60 * (k / 20)))),
+            ("slow pages of five throws", between(|k| (205 + 20 * (k / 5), 165 + 20 * (k / 5) - 4 * k))),
+            ("a burst", between(|k| (205, 165 - 4 * k))),
+        ];
+        for (what, life) in lives {
+            assert!(!finds(life), "{what}");
+        }
+        // The same throws if they were live.
+        assert!(finds(between(|k| (205 + 10 * k, 0))));
+    }
+
+    #[test]
+    fn one_logger_alone_ends_it() {
+        let turns = (0..8).map(|k| (if k % 2 == 0 { "a" } else { "b" }, 10 * k, 0));
+        let alone = |last: i64| (8..=last).map(|k| ("a", 10 * k, 0));
+        // The last turn is that of "a" at minute 80.
+        assert!(finds(turns.clone().chain(alone(8 + 143))));
+        assert!(!finds(turns.clone().chain(alone(8 + 144))));
+        // The other one publishes again.
+        let again = [("b", 10 * 160, 0), ("a", 10 * 161, 0)];
+        assert!(finds(turns.chain(alone(8 + 144)).chain(again)));
+    }
+}

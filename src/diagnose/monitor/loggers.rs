@@ -1,0 +1,149 @@
+//! The effects of the logger on the monitor of its machine: its presence, its clock, its boots, and its lost or irregular
+//! throws.
+
+use jiff::Timestamp;
+
+use super::{
+    super::{
+        alarm::{Actor, Evidence},
+        boots,
+        command::Command,
+        event::{AlarmEvent, Cause, Severity},
+        observation::Irregularity,
+        operational::Context,
+        settings::Settings,
+        text,
+    },
+    MachineMonitor, is_drift, to_micros,
+};
+use crate::throw::ThrowRef;
+
+/// Reason of the new baseline of a machine that was learning.
+const LEARNED_FROM_TWO: &str = "two loggers published as this machine while its baseline was learned";
+
+impl MachineMonitor {
+    /// Applies the presence of the logger's token. A logger that never declared one raises no alarm. Call it before
+    /// each [`Self::tick`].
+    pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
+        let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
+        operation.on_liveliness(there, alarms, context)
+    }
+
+    /// Whether the logger ever declared a token.
+    #[must_use]
+    pub fn is_announced(&self) -> bool {
+        self.operation.is_announced()
+    }
+
+    /// Whether neither a throw nor a token of a logger was ever received, as for the name of a daemon.
+    #[must_use]
+    pub fn has_no_logger(&self) -> bool {
+        self.order == 0 && !self.is_announced()
+    }
+
+    /// Applies `lost` missing throws.
+    pub fn gap(&mut self, lost: u64, at: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
+        let (operation, alarms, context) = self.parts(to_micros(at), None, settings);
+        operation.on_gap(lost, alarms, context).into_iter().collect()
+    }
+
+    /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the diagnosis,
+    /// which is that of reception while the clock is wrong, and the event of a raised or cleared alarm. Without `received_at`
+    /// the clock of this computer is not trusted, and only an impossible time is wrong.
+    pub fn date(
+        &mut self,
+        throw: &ThrowRef,
+        started_at: Timestamp,
+        received_at: Option<Timestamp>,
+        settings: &Settings,
+    ) -> (Timestamp, Option<AlarmEvent>) {
+        let is_wrong = self.clock.is_wrong(throw, started_at, received_at);
+        let at = received_at.filter(|_| is_wrong).unwrap_or(started_at);
+        if self.maintenance.is_some() {
+            return (at, None);
+        }
+        let context = Context { name: &self.name, at: to_micros(at), throw: Some(throw), settings };
+        (at, self.clock.judge(started_at, &mut self.alarms, context))
+    }
+
+    /// Applies an irregularity of the logger, in a throw if it is one of a throw.
+    pub fn irregular(
+        &mut self,
+        irregularity: Irregularity,
+        throw: Option<&ThrowRef>,
+        at: Timestamp,
+        settings: &Settings,
+    ) -> Option<AlarmEvent> {
+        if self.maintenance.is_some() {
+            return None;
+        }
+        let (operation, alarms, context) = self.parts(to_micros(at), throw, settings);
+        operation.on_irregularity(irregularity, alarms, context)
+    }
+
+    /// Applies the boot of a throw, dated `at` by [`Self::date`], before its observation. Returns a sentence if two loggers
+    /// publish as this machine: then the throw is no evidence about it. Also returns the command of a new baseline, and the
+    /// events of both. Without `received_at` the clock of this computer is not trusted, and nothing is known about the loggers.
+    pub fn boot(
+        &mut self,
+        throw: &ThrowRef,
+        started_at: Timestamp,
+        received_at: Option<Timestamp>,
+        at: Timestamp,
+        settings: &Settings,
+    ) -> (Option<String>, Option<Command>, Vec<AlarmEvent>) {
+        let had_two = self.boots.two().is_some();
+        if let Some(received_at) = received_at {
+            self.boots.follow(throw, started_at, received_at);
+        }
+        let at = to_micros(at);
+        let Some(since) = self.boots.two().map(|two| two.since) else {
+            if had_two {
+                self.operation.reset();
+            }
+            return (None, None, Vec::new());
+        };
+        let (mut command, mut events) = (None, Vec::new());
+        if !had_two {
+            (command, events) = self.forget_since(since, at, settings);
+        }
+        let sentence = self.two_loggers();
+        if let Some(text) = sentence.clone().filter(|_| self.maintenance.is_none()) {
+            let evidence = Evidence::plain(Severity::Warning, Some(throw), text.clone());
+            let event = self.alarms.raise(Cause::NotMonitored, evidence, at);
+            // An alarm that is active for another reason gets this one too.
+            let is_known = had_two || event.is_some();
+            events.extend(event);
+            events.extend((!is_known).then(|| self.alarms.remark(Cause::NotMonitored, text, at)).flatten());
+        }
+        (sentence, command, events)
+    }
+
+    /// The sentence about two loggers that publish as this machine.
+    pub(super) fn two_loggers(&self) -> Option<String> {
+        let two = self.boots.two()?;
+        Some(text::two_loggers(&self.name, &two.boots, boots::ALONE.as_hours()))
+    }
+
+    /// Forgets what was learned from the throws of two loggers: the last throws, the alarms that they raised, and an
+    /// incomplete baseline.
+    fn forget_since(
+        &mut self,
+        since: Timestamp,
+        now: Timestamp,
+        settings: &Settings,
+    ) -> (Option<Command>, Vec<AlarmEvent>) {
+        if self.tracks.is_learning(settings) {
+            let (by, why) = ("pointsd", LEARNED_FROM_TWO);
+            let events = self.rebaseline(by, why, Actor::default(), now);
+            return (Some(Command::Rebaseline { by: by.to_owned(), why: why.to_owned() }), events);
+        }
+        let mut events = self.forget_recent(now);
+        let is_of_two =
+            |event: &&AlarmEvent| event.raised_at >= since && (is_drift(event) || event.cause == Cause::SlowThrow);
+        let causes: Vec<Cause> = self.alarms.active().filter(is_of_two).map(|event| event.cause).collect();
+        let text = text::checked_anew(&self.name);
+        events.extend(causes.into_iter().filter_map(|cause| self.alarms.clear(cause, text.clone(), now)));
+        (None, events)
+    }
+}

@@ -1,0 +1,239 @@
+//! Two loggers with the name of one machine, and the throws of one logger that look like it.
+//!
+//! The clock of the daemon, which dates the receptions, is moved on from throw to throw.
+
+use std::{fs, path::PathBuf};
+
+use jiff::{SignedDuration, Timestamp};
+use pointsd::{
+    simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
+    throw::Throw,
+    wire::{BacklogQuery, Encoding, encode_throw},
+};
+use zenoh::{Session, Wait, bytes::Encoding as ContentType};
+
+use crate::{
+    faketime,
+    http::KEY,
+    rig::{Daemon, Rig, Sender, throws, throws_of},
+};
+
+/// Throws of each direction in a baseline.
+const SETTINGS: &str = "[diagnosis]\nbaseline_throws = 12\n[subscribe]\nbacklog_wait_s = 0.0\n";
+/// Throws after which the baselines are complete, and some more.
+const HEALTHY: usize = 30;
+
+/// A running daemon whose clock the test sets.
+struct Bench {
+    rig: Rig,
+    daemon: Option<Daemon>,
+    clock: PathBuf,
+    ahead: SignedDuration,
+    judged: usize,
+}
+
+impl Bench {
+    /// `None` without libfaketime.
+    fn new() -> Option<Self> {
+        let mut rig = Rig::with(SETTINGS);
+        let clock = faketime::clock_of(&mut rig)?;
+        rig.set("FAKETIME_DONT_FAKE_MONOTONIC", "1");
+        let daemon = Some(rig.start());
+        Some(Self { rig, daemon, clock, ahead: SignedDuration::ZERO, judged: 0 })
+    }
+
+    fn daemon(&self) -> &Daemon {
+        self.daemon.as_ref().unwrap()
+    }
+
+    async fn logger(&self) -> Sender {
+        self.daemon().logger(KEY).await
+    }
+
+    /// Moves the clock of the daemon on.
+    fn wait(&mut self, minutes: i64) {
+        self.ahead += SignedDuration::from_mins(minutes);
+        fs::write(&self.clock, format!("+{}m", self.ahead.as_mins())).unwrap();
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::now() + self.ahead
+    }
+
+    /// Sends a throw made at this time, and waits until it is judged.
+    async fn send(&mut self, logger: &Sender, throw: &Throw, made_at: Timestamp) {
+        logger.send([Throw { started_at: made_at, ..throw.clone() }]).await;
+        self.judged += 1;
+        self.rig.judged(self.judged).await;
+    }
+
+    /// Sends throws that were just made, one every ten minutes.
+    async fn live(&mut self, logger: &Sender, throws: &[Throw]) {
+        for throw in throws {
+            self.wait(10);
+            self.send(logger, throw, self.now()).await;
+        }
+    }
+
+    fn kill_and_restart(&mut self) {
+        self.daemon.take().unwrap().kill();
+        self.daemon = Some(self.rig.start());
+    }
+
+    fn state(&self) -> String {
+        self.rig.sql("SELECT DISTINCT state FROM machine_health")[0]["state"].as_str().unwrap().to_owned()
+    }
+
+    fn rows(&self, question: &str) -> usize {
+        self.rig.sql(question).len()
+    }
+
+    fn assert_silent(&self, what: &str) {
+        let alarms = self.rig.sql("SELECT cause, text FROM alarm_history");
+        assert!(alarms.is_empty(), "{what}: {alarms:?}");
+        assert_eq!(self.rows("SELECT 1 FROM throws_not_evaluated"), 0, "{what}");
+        assert_eq!(self.state(), "healthy", "{what}");
+    }
+}
+
+/// Throws of a machine of the same type with a stronger motor.
+fn of_another_machine(boot_id: &str, count: u64) -> Vec<Throw> {
+    let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: 25.0, from_throw: 1 };
+    let fleet = FleetSettings { faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
+    throws_of(&fleet, boot_id, count)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_loggers_of_one_name_are_named_and_accuse_no_part() {
+    let Some(mut bench) = Bench::new() else { return };
+    let (own, other) = (throws("own-boot", 60), of_another_machine("other-boot", 12));
+    let own_logger = bench.logger().await;
+    bench.live(&own_logger, &own[..HEALTHY]).await;
+    bench.assert_silent("before");
+
+    let other_logger = bench.logger().await;
+    for (first, second) in other[..6].iter().zip(&own[HEALTHY..]) {
+        bench.live(&other_logger, std::slice::from_ref(first)).await;
+        bench.live(&own_logger, std::slice::from_ref(second)).await;
+    }
+    let drifts = "SELECT cause, text FROM alarm_history WHERE cause NOT IN ('not_monitored')";
+    assert_eq!(bench.rig.sql(drifts), Vec::<serde_json::Value>::new());
+    let caveat = "SELECT 1 FROM machine_caveats WHERE caveat LIKE '%boots own-boot and other-boot%own machine name%'";
+    let alarm =
+        "SELECT 1 FROM active_alarms WHERE cause = 'not_monitored' AND text LIKE '%boots own-boot and other-boot%'";
+    for question in [caveat, alarm] {
+        assert!(bench.rows(question) > 0, "{:?}", bench.rig.sql("SELECT * FROM active_alarms"));
+    }
+    assert_eq!(bench.state(), "not_monitored");
+    // Two throws of the other logger were judged before the turns were enough.
+    let withheld = "SELECT 1 FROM throws_not_evaluated WHERE quality = 'two_loggers'";
+    assert_eq!(bench.rows(withheld), 8);
+    assert_eq!(bench.rows("SELECT 1 FROM trace"), HEALTHY + 12, "all are stored");
+
+    // The state survives a kill; each logger connects again.
+    bench.kill_and_restart();
+    let [own_logger, other_logger] = [bench.logger().await, bench.logger().await];
+    bench.live(&other_logger, &other[6..]).await;
+    assert_eq!(bench.rows(withheld), 14);
+    let from = HEALTHY + 6;
+    bench.live(&own_logger, &own[from..=from]).await;
+    assert_eq!((bench.rows(withheld), bench.state().as_str()), (15, "not_monitored"));
+
+    // The other logger has its own name now.
+    for throw in &own[from + 1..from + 12] {
+        bench.wait(110);
+        bench.live(&own_logger, std::slice::from_ref(throw)).await;
+        assert_eq!(bench.state(), "not_monitored");
+    }
+    bench.wait(230);
+    bench.live(&own_logger, &own[from + 12..]).await;
+    assert_eq!(bench.state(), "healthy", "{:?}", bench.rig.sql("SELECT * FROM active_alarms"));
+    assert_eq!(bench.rows(caveat), 0);
+    assert_eq!(bench.rows(drifts), 0);
+}
+
+/// A new baseline of an operator ends it at once; a baseline that was learned from both is taken again.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_baseline_of_two_machines_is_not_used() {
+    let Some(mut bench) = Bench::new() else { return };
+    let (own, other) = (throws("own-boot", 12), of_another_machine("other-boot", 6));
+    let loggers = [bench.logger().await, bench.logger().await];
+    let mut of_own = own.chunks(2);
+    for throw in &other {
+        bench.live(&loggers[0], of_own.next().unwrap()).await;
+        bench.live(&loggers[1], std::slice::from_ref(throw)).await;
+    }
+    assert_eq!(bench.state(), "not_monitored");
+    let learned = "SELECT 1 FROM machine_health WHERE baseline_throws > 0";
+    assert_eq!(bench.rows(learned), 0);
+    assert_eq!(bench.rows("SELECT 1 FROM operator_commands WHERE why LIKE 'two loggers published%'"), 1);
+    bench.daemon().says(0, &["rebaseline", "north/21B", "--why", "the other one is renamed", "--by", "tester"]);
+    bench.live(&loggers[0], &throws("own-boot", 40)[12..]).await;
+    assert_eq!(bench.state(), "healthy");
+}
+
+/// Answers for the backlog of a logger with these throws, oldest first.
+async fn keep(session: &Session, throws: Vec<Throw>) {
+    let on_query = move |query: zenoh::query::Query| {
+        let wanted = BacklogQuery::parse(query.parameters().as_str());
+        let start = wanted.start(throws.iter().map(|throw| &throw.id));
+        for throw in throws.iter().skip(start).take(wanted.limit) {
+            let message = encode_throw(Encoding::Cbor, throw);
+            query.reply(KEY, message).encoding(ContentType::APPLICATION_CBOR).wait().unwrap();
+        }
+    };
+    session.declare_queryable(KEY).callback(on_query).background().await.unwrap();
+}
+
+/// A router, or the logger itself, sends throws from before a restart between those from after it, some of them twice, and
+/// the clock jumped at the restart.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn throws_from_before_a_restart_that_come_late_are_of_one_logger() {
+    let Some(mut bench) = Bench::new() else { return };
+    let (old, new) = (throws("old-boot", 50), throws("new-boot", 24));
+    let logger = bench.logger().await;
+    bench.live(&logger, &old[..HEALTHY]).await;
+    // 20 throws, one every ten minutes, which do not arrive.
+    let lost_since = bench.now();
+    bench.wait(210);
+    for (late, throw) in old[HEALTHY..].iter().zip(&new) {
+        let jump = SignedDuration::from_hours(if late.id.throw_no % 3 == 0 { -5 } else { 0 });
+        bench.live(&logger, std::slice::from_ref(throw)).await;
+        bench.wait(5);
+        let number = i64::try_from(late.id.throw_no).unwrap() - 30;
+        let made_at = lost_since + SignedDuration::from_mins(10 * number) + jump;
+        bench.send(&logger, late, made_at).await;
+        logger.send([&Throw { started_at: made_at, ..late.clone() }]).await;
+    }
+    bench.kill_and_restart();
+    let logger = bench.logger().await;
+    bench.live(&logger, &new[20..]).await;
+    bench.assert_silent("late throws");
+}
+
+/// The logger starts anew twice, and its throws from before come in pages from its backlog, while it makes new ones.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn pages_of_older_boots_are_of_one_logger() {
+    let Some(mut bench) = Bench::new() else { return };
+    let first = throws("boot-1", 50);
+    let [second, third] = ["boot-2", "boot-3"].map(|boot| throws(boot, 60));
+    let logger = bench.logger().await;
+    bench.live(&logger, &first[..HEALTHY]).await;
+    logger.close().await;
+    // While the link is cut: the rest of the first boot, and most of the second.
+    let since = bench.now();
+    let dated =
+        |(at, throw): (i64, &Throw)| Throw { started_at: since + SignedDuration::from_mins(10 * at), ..throw.clone() };
+    let kept: Vec<Throw> = (1..).zip(first[HEALTHY..].iter().chain(&second)).map(dated).collect();
+    bench.wait(10 * 81);
+    let session = bench.daemon().client().await;
+    let (away, most) = kept.split_at(40);
+    for (part, from) in [(away, 0), (most, 6)] {
+        keep(&session, [away, if part == most { most } else { &[] }].concat()).await;
+        bench.judged += part.len();
+        let logger = bench.logger().await;
+        bench.live(&logger, &third[from..from + 6]).await;
+    }
+    bench.assert_silent("pages");
+    assert_eq!(bench.rows("SELECT 1 FROM throw"), HEALTHY + kept.len() + 12);
+}
