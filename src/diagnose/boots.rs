@@ -53,7 +53,7 @@ pub(super) struct TwoLoggers {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Boots {
     /// In the order of their last throws.
-    boots: Vec<Boot>,
+    last: Vec<Boot>,
     #[serde(default)]
     turns: u32,
     /// Reception of the last throw that came in turn.
@@ -66,8 +66,8 @@ pub(super) struct Boots {
 impl Boots {
     /// Applies a throw, in the order of judging.
     pub(super) fn follow(&mut self, throw: &ThrowRef, started_at: Timestamp, received_at: Timestamp) {
-        let known = self.boots.iter().position(|boot| boot.id == throw.boot_id);
-        let last = known.map(|at| self.boots.remove(at));
+        let known = self.last.iter().position(|boot| boot.id == throw.boot_id);
+        let last = known.map(|at| self.last.remove(at));
         let is_live = last.as_ref().is_some_and(|last| {
             let received = received_at.duration_since(last.received_at);
             let made = started_at.duration_since(last.started_at);
@@ -77,12 +77,12 @@ impl Boots {
         let first = started_at.min(received_at);
         let since = last.map_or(first, |last| last.since);
         if is_live {
-            self.boots.iter_mut().for_each(|other| _ = other.crossed_at.get_or_insert(received_at));
+            self.last.iter_mut().for_each(|other| _ = other.crossed_at.get_or_insert(received_at));
         }
         if crossed_at.is_some_and(|at| received_at.duration_since(at) > APART) {
             self.turns = self.turns.saturating_add(1);
             self.turned_at = Some(received_at);
-            if let Some(other) = self.boots.last().filter(|_| self.turns >= TURNS) {
+            if let Some(other) = self.last.last().filter(|_| self.turns >= TURNS) {
                 let mut boots = [(other.since, other.id.clone()), (since, throw.boot_id.clone())];
                 boots.sort();
                 self.two = Some(TwoLoggers { since: boots[1].0, boots: boots.map(|(_, id)| id) });
@@ -91,9 +91,9 @@ impl Boots {
             self.two = None;
         }
         let id = throw.boot_id.clone();
-        self.boots.push(Boot { id, since, started_at, received_at, crossed_at: None });
-        if self.boots.len() > BOOTS {
-            self.boots.remove(0);
+        self.last.push(Boot { id, since, started_at, received_at, crossed_at: None });
+        if self.last.len() > BOOTS {
+            self.last.remove(0);
         }
     }
 
@@ -136,7 +136,7 @@ mod tests {
         assert!(finds((0..10).flat_map(|k| [("a", 10 * k, 0), ("b", 10 * k, 0)])));
         // The second one starts anew from time to time.
         let boots = ["b", "c", "d", "e"];
-        let restarts = (0..24).map(|k: i64| if k % 2 == 0 { "a" } else { boots[(k / 6) as usize] });
+        let restarts = boots.into_iter().flat_map(|boot| ["a", boot, "a", boot, "a", boot]);
         assert!(finds((0..).zip(restarts).map(|(k, boot)| (boot, 10 * k, 0))));
     }
 
@@ -151,9 +151,9 @@ mod tests {
             both.sort_by_key(|(_, received, _)| *received);
             before().chain(both).collect()
         };
-        let boots = ["b", "c", "d", "e"];
+        let restarts = ["b", "c", "d", "e"].into_iter().flat_map(|boot| [boot; 10]);
         let lives = [
-            ("restarts", before().chain((0..40).map(|k| (boots[(k / 10) as usize], 200 + 10 * k, 0))).collect()),
+            ("restarts", before().chain((0..).zip(restarts).map(|(k, boot)| (boot, 200 + 10 * k, 0))).collect()),
             // Made every four minutes until minute 196.
             ("late throws", between(|k| (205 + 10 * k, 165 + 6 * k))),
             ("late throws after a jump of the clock", between(|k| (205 + 10 * k, 165 + 6 * k + 60 * (k / 20)))),

@@ -17,7 +17,7 @@ use super::{
     event::{AlarmEvent, Cause, Severity},
     features::FeatureWatch,
     instruments::Instruments,
-    observation::{Irregularity, Parameters},
+    observation::Parameters,
     operational::{self, Context, Operation},
     rule::Rule,
     settings::Settings,

@@ -308,7 +308,8 @@ impl Tracks {
     /// Whether throws of an incomplete baseline are kept.
     pub(super) fn is_learning(&self, settings: &Settings) -> bool {
         let is_final = |track: &Track| track.baseline.as_ref().is_some_and(|baseline| baseline.is_final(settings));
-        self.sides.iter().any(|track| !(track.learned.is_empty() && track.aside.is_empty()) && !is_final(track))
+        let has_throws = |track: &Track| !track.learned.is_empty() || !track.aside.is_empty();
+        self.sides.iter().any(|track| has_throws(track) && !is_final(track))
     }
 
     pub(super) fn duration_s(&self, direction: Direction) -> Option<f64> {
