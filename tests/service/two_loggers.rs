@@ -7,7 +7,7 @@ use std::{fs, path::PathBuf};
 use jiff::{SignedDuration, Timestamp};
 use pointsd::{
     simulate::{Fault, FleetFault, FleetSettings, Part, Shape},
-    throw::Throw,
+    throw::{Throw, ThrowRef},
     wire::{BacklogQuery, Encoding, encode_throw},
 };
 use zenoh::{Session, Wait, bytes::Encoding as ContentType};
@@ -96,9 +96,18 @@ impl Bench {
     }
 }
 
+/// Throws of one machine in several boots of its logger, with the number of throws in each.
+fn boots<const N: usize>(counts: [(&str, u64); N]) -> [Vec<Throw>; N] {
+    let mut throws = throws("", counts.iter().map(|(_, count)| count).sum()).into_iter();
+    counts.map(|(boot_id, count)| {
+        let id = |throw_no| ThrowRef { boot_id: boot_id.to_owned(), throw_no };
+        (1..=count).zip(&mut throws).map(|(throw_no, throw)| Throw { id: id(throw_no), ..throw }).collect()
+    })
+}
+
 /// Throws of a machine of the same type with a stronger motor.
 fn of_another_machine(boot_id: &str, count: u64) -> Vec<Throw> {
-    let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: 25.0, from_throw: 1 };
+    let fault = Fault { part: Part::Kt, shape: Shape::Step, size_pct: 25.0, from_throw: 0 };
     let fleet = FleetSettings { faults: vec![FleetFault { machine: 0, fault }], ..FleetSettings::default() };
     throws_of(&fleet, boot_id, count)
 }
@@ -190,7 +199,7 @@ async fn keep(session: &Session, throws: Vec<Throw>) {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn throws_from_before_a_restart_that_come_late_are_of_one_logger() {
     let Some(mut bench) = Bench::new() else { return };
-    let (old, new) = (throws("old-boot", 50), throws("new-boot", 24));
+    let [old, new] = boots([("old-boot", 50), ("new-boot", 24)]);
     let logger = bench.logger().await;
     bench.live(&logger, &old[..HEALTHY]).await;
     // 20 throws, one every ten minutes, which do not arrive.
@@ -215,8 +224,7 @@ async fn throws_from_before_a_restart_that_come_late_are_of_one_logger() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pages_of_older_boots_are_of_one_logger() {
     let Some(mut bench) = Bench::new() else { return };
-    let first = throws("boot-1", 50);
-    let [second, third] = ["boot-2", "boot-3"].map(|boot| throws(boot, 60));
+    let [first, second, third] = boots([("boot-1", 50), ("boot-2", 60), ("boot-3", 60)]);
     let logger = bench.logger().await;
     bench.live(&logger, &first[..HEALTHY]).await;
     logger.close().await;
