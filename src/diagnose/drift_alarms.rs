@@ -45,6 +45,9 @@ const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
 /// Losses of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
 /// friction of a machine.
 const RAIN_PCT: Range<f64> = 10.0..25.0;
+/// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
+/// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
+const SIZE_SHARE: f64 = 0.01;
 /// Part of a slow change that existed a week ago: a season takes months.
 const SLOW_FROM: f64 = 1.0 / 3.0;
 const DAYS_OF_WEEK: f64 = 7.0;
@@ -412,7 +415,7 @@ impl DriftAlarms {
         };
         let (size, size_sd) = course.now();
         let whole = (1.0 + size).max(LEAST_LEFT);
-        let size_sd = part.model_sd.hypot(size_sd / whole);
+        let size_sd = part.model_sd.hypot(size_sd / whole).hypot(SIZE_SHARE * whole.ln());
         (Explanation { size: whole.ln(), size_sd, ..*part }, Some(course))
     }
 }

@@ -32,7 +32,7 @@ pub struct Observation {
     pub ratios_only: bool,
     /// Whether the points did not complete their movement (obstruction, no detection).
     pub incomplete: bool,
-    /// The sensor whose values are impossible, stuck or too noisy in this throw.
+    /// The sensor whose values are impossible, stuck or too noisy in this throw, or the clock of the recording.
     pub faulty: Option<SensorChannel>,
     /// Whether the machine has a current sensor only, and its coefficients cannot be determined.
     pub features_only: bool,
@@ -83,7 +83,10 @@ impl Observation {
             grade: estimate.map(|estimate| estimate.grade).unwrap_or_default(),
             ratios_only: estimate.is_some_and(|estimate| estimate.ratios_only),
             incomplete: rejection.is_some_and(Rejection::is_incomplete),
-            faulty: rejection.and_then(Rejection::faulty_channel).map(Into::into),
+            faulty: rejection.and_then(|reason| match reason {
+                Rejection::TooSlow { .. } => Some(SensorChannel::Clock),
+                _ => reason.faulty_channel().map(Into::into),
+            }),
             features_only: matches!(rejection, Some(Rejection::NoPosition { .. })),
             features: found.features.clone(),
             temperature_c: throw.temperature_c,
@@ -94,9 +97,35 @@ impl Observation {
         }
     }
 
+    /// Whether the recording ends during the movement, so that its duration is a lower bound.
+    pub(super) fn is_cut_off(&self) -> bool {
+        self.rejected == Some(Rejection::EndMissing { travel_mm: 0.0 }.code())
+    }
+
     /// Whether the throw has no toe position.
     pub(super) fn is_without_position(&self) -> bool {
         self.features_only || self.estimate.is_some() && self.grade == Grade::CurrentOnly
+    }
+}
+
+/// Why the values of a channel cannot be used in a throw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unusable {
+    /// They are impossible, stuck or too noisy.
+    Values(SensorChannel),
+    /// The position is missing, on a machine with a toe sensor.
+    Missing,
+    /// The movement and the direction that the logger names contradict each other, unlike before.
+    Reversed,
+}
+
+impl Unusable {
+    /// The channel of the alarm.
+    pub(super) fn channel(self) -> SensorChannel {
+        match self {
+            Self::Values(channel) => channel,
+            Self::Missing | Self::Reversed => SensorChannel::Position,
+        }
     }
 }
 

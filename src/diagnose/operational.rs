@@ -7,7 +7,7 @@ use super::{
     alarm::{Alarms, Evidence},
     condition::streak,
     event::{AlarmEvent, Cause, SensorChannel, Severity},
-    observation::{Irregularity, Observation},
+    observation::{Irregularity, Observation, Unusable},
     rule::Rule,
     settings::Settings,
     text,
@@ -94,9 +94,14 @@ pub(super) struct Operation {
     unevaluated: u32,
     #[serde(default)]
     blind: u32,
-    /// Throws whose movement contradicts the direction that the logger names.
+    /// Throws whose movement contradicts the direction that the logger names, and those whose movement does not.
     #[serde(default)]
     contradicted: u32,
+    #[serde(default)]
+    agreed: u32,
+    /// Whether the first throws contradicted the direction, so that this is usual; `None` until it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    usually_contradicted: Option<bool>,
     /// The sentence about the unused fields of the last throw, and the number of throws with any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     unused_fields: Option<(String, u32)>,
@@ -286,7 +291,7 @@ impl Operation {
             let text = text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref());
             alarms.raise(Cause::NotMonitored, context.warning(text), at)
         } else if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
-            alarms.clear(Cause::NotMonitored, text::evaluated_again(name), at)
+            alarms.clear(Cause::NotMonitored, text::monitored_again(name), at)
         } else {
             None
         }
@@ -297,9 +302,16 @@ impl Operation {
         self.unevaluated > 0
     }
 
-    /// Counts the throws in a row whose movement contradicts the logger's direction.
-    pub(super) fn on_direction(&mut self, contradicted: bool) {
+    /// Applies whether the movement of a throw contradicts the logger's direction. Returns whether this is unusual: then
+    /// the axis of the position may be reversed.
+    pub(super) fn on_direction(&mut self, contradicted: bool) -> bool {
         streak(&mut self.contradicted, contradicted);
+        streak(&mut self.agreed, !contradicted);
+        let is_known = self.contradicted.max(self.agreed) >= CONTRADICTED_IN_A_ROW;
+        if self.usually_contradicted.is_none() && is_known {
+            self.usually_contradicted = Some(contradicted);
+        }
+        self.usually_contradicted.is_some_and(|usual| usual != contradicted)
     }
 
     /// Whether the logger names the directions the other way round, or always the same.
@@ -354,14 +366,15 @@ impl Operation {
         }
     }
 
-    /// Applies the sensor whose values are unusable in a throw, if any.
+    /// Applies the channel that is unusable in a throw, if any.
     pub(super) fn on_channel(
         &mut self,
-        faulty: Option<SensorChannel>,
+        found: Option<Unusable>,
         alarms: &mut Alarms,
         context: Context,
     ) -> Option<AlarmEvent> {
         let Context { name, at, settings, .. } = context;
+        let faulty = found.map(Unusable::channel);
         streak(&mut self.usable, faulty.is_none());
         let before = self.unusable;
         if let Some((channel, throws)) = &mut self.unusable {
@@ -374,7 +387,8 @@ impl Operation {
         let (channel, throws) = self.unusable?;
         let alarmed = alarms.faulty_sensor() == Some(channel) && alarms.rule(Cause::Sensor) == Some(Rule::Usual);
         if throws.count_ones() >= UNUSABLE_OF_EIGHT {
-            let evidence = context.warning(text::sensor_unusable(name, channel));
+            let found = found.filter(|found| found.channel() == channel).unwrap_or(Unusable::Values(channel));
+            let evidence = context.warning(text::sensor_unusable(name, found));
             let is_new = before.is_none_or(|(of, throws)| of != channel || throws.count_ones() < UNUSABLE_OF_EIGHT);
             alarms.raise_another(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, is_new, at)
         } else if self.usable >= settings.off_delay_throws.max(u8::BITS) {
@@ -500,13 +514,14 @@ impl Operation {
 
     /// Forgets the sensor with unusable values.
     pub(super) fn forget_channel(&mut self) {
-        (self.unusable, self.usable) = (None, 0);
+        (self.unusable, self.usable, self.usually_contradicted) = (None, 0, None);
     }
 
     /// Resets the counters after maintenance.
     pub(super) fn reset(&mut self) {
         *self = Self {
             ticked_at: self.ticked_at,
+            usually_contradicted: self.usually_contradicted,
             since_gap: self.since_gap,
             gap_at_s: self.gap_at_s,
             lost: self.lost,

@@ -5,12 +5,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::throw::POSSIBLE_C;
 
-/// Fastest change by weather, sun and a warm motor: at once \[K\], and per hour \[K/h\].
-const JUMP_K: (f64, f64) = (20.0, 2.0);
+/// Largest change by weather, sun and a warm motor \[K\]: at once, for each hour up to five, and for each day.
+const AT_ONCE_K: f64 = 20.0;
+const PER_HOUR_K: f64 = 2.0;
+const WITHIN_HOURS_K: f64 = 10.0;
+const PER_DAY_K: f64 = 1.0;
 /// Time after which a missing temperature is a fault of the sensor. The last one is used all the same: without it the
 /// whole effect of the temperature would appear at once, as a fault of the machine.
 const HOLDS: SignedDuration = SignedDuration::from_hours(24);
-/// Consecutive similar readings after which a jump is accepted, as the sensor was moved.
+/// Consecutive similar readings after which a jump is accepted, if no more readings were accepted before: then these were
+/// wrong. Later a jump that stays is another unit, or a broken or moved sensor, whose readings do not fit what was learned.
 const SETTLED_READINGS: u32 = 6;
 
 /// An implausible temperature or supply voltage, which is not used.
@@ -39,8 +43,14 @@ pub(super) struct Reading {
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Thermometer {
     believed: Option<(f64, Timestamp)>,
+    /// Number of accepted readings, up to [`SETTLED_READINGS`] + 1.
+    #[serde(default)]
+    accepted: u32,
     /// The last rejected reading, and the number of consecutive readings like it.
     doubted: Option<(f64, u32)>,
+    /// Time of the first of the consecutive rejected readings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    doubted_since: Option<Timestamp>,
 }
 
 impl Thermometer {
@@ -56,17 +66,20 @@ impl Thermometer {
             return Reading { celsius: before, disbelief: Some(Disbelief::Impossible(celsius)) };
         }
         if let Some((last, then)) = self.believed {
-            let hours = at.duration_since(then).as_secs_f64().abs() / 3600.0;
-            let (at_once, each_hour) = JUMP_K;
-            if (celsius - last).abs() > at_once + each_hour * hours {
-                let like = self.doubted.filter(|(doubted, _)| (celsius - doubted).abs() <= at_once);
-                let count = like.map_or(1, |(_, count)| count + 1);
+            let since = *self.doubted_since.get_or_insert(at);
+            let hours = since.duration_since(then).as_secs_f64().abs() / 3600.0;
+            let weather_k = AT_ONCE_K + (PER_HOUR_K * hours).min(WITHIN_HOURS_K) + PER_DAY_K * hours / 24.0;
+            if (celsius - last).abs() > weather_k {
+                let like = self.doubted.filter(|(doubted, _)| (celsius - doubted).abs() <= AT_ONCE_K);
+                let count = like.map_or(1, |(_, count)| count.saturating_add(1));
                 self.doubted = Some((celsius, count));
-                if count < SETTLED_READINGS {
+                if count < SETTLED_READINGS || self.accepted > SETTLED_READINGS {
                     return Reading { celsius: before, disbelief: Some(Disbelief::Jump(last, celsius)) };
                 }
             }
         }
+        self.accepted = (self.accepted + 1).min(SETTLED_READINGS + 1);
+        self.doubted_since = None;
         self.doubted = None;
         self.believed = Some((celsius, at));
         Reading { celsius: Some(celsius), disbelief: None }

@@ -121,7 +121,21 @@ pub(super) fn course(
         let is_noise = travel_mm < LEAST_TRAVEL_SIGMAS * noise_mm && travel_mm > LEAST_TRAVEL_MM;
         return Err(if is_noise { noisy } else { Rejection::MovedBackwards { back_mm: furthest - travel_mm } });
     }
+    let off = movement.motor_off.unwrap_or(movement.arrived);
+    let stalled_s = at(off.saturating_sub(movement.arrived));
+    let stalled = &position[movement.arrived.midpoint(off)..=off];
+    // A standing toe has the noise of its sensor.
+    if stalled_s > LONGEST_STALL_S
+        && movement.position.hides(movement.position.quantum)
+        && stalled.iter().all(|x| x.to_bits() == stalled[0].to_bits())
+    {
+        let (value, at_s) = (stalled[0], at(movement.arrived));
+        return Err(Rejection::Stuck { channel: Channel::Position, value, at_s, stuck_s: stalled_s });
+    }
     if let Some(stroke_mm) = settings.stroke_mm {
+        if is_short(travel_mm, stroke_mm, noise_mm) && movement.ends_moving(position) && movement.ends_driven(current) {
+            return Err(Rejection::EndMissing { travel_mm });
+        }
         if is_short(travel_mm, stroke_mm, noise_mm)
             && !(travel_mm > WRONG_GAIN_SHARE * stroke_mm
                 && ends_complete(movement, (current, position), interval_s, noise_mm, scratch))
@@ -132,21 +146,8 @@ pub(super) fn course(
             return Err(Rejection::TravelTooLong { travel_mm, stroke_mm });
         }
     }
-    let off = movement.motor_off.unwrap_or(movement.arrived);
-    let stalled_s = at(off.saturating_sub(movement.arrived));
     let is_whole = |stroke_mm| travel_mm + WHOLE_SIGMAS * noise_mm > WHOLE_SHARE * stroke_mm;
     if stalled_s > LONGEST_STALL_S && !settings.stroke_mm.is_some_and(is_whole) {
-        let stalled = &position[movement.arrived.midpoint(off)..=off];
-        if movement.position.hides(movement.position.quantum)
-            && stalled.iter().all(|x| x.to_bits() == stalled[0].to_bits())
-        {
-            return Err(Rejection::Stuck {
-                channel: Channel::Position,
-                value: stalled[0],
-                at_s: at(movement.arrived),
-                stuck_s: stalled_s,
-            });
-        }
         if noise_mm > LARGEST_POSITION_SHARE * travel_mm && moves_until(off, movement, position, noise_mm) {
             return Err(noisy);
         }

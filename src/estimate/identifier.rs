@@ -121,6 +121,9 @@ impl Identifier {
                 features = features.without(channel);
             }
             Err(Rejection::WrongUnit { .. }) => features = features.without(Channel::Position),
+            Err(Rejection::TooSlow { .. }) => {
+                (features.duration_s, features.release_s, features.charge_as) = (None, None, None);
+            }
             _ => {}
         }
         features.supply_v = throw.supply_v.filter(|_| settings.motor == Motor::PermanentMagnet);

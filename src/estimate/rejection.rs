@@ -329,7 +329,7 @@ pub enum Rejection {
     },
     /// The recording ends in the middle of the movement.
     #[error(
-        "the recording ends after {travel_mm:.1} mm while the toe is still moving: record until the motor is off, or set \
+        "the recording ends after {travel_mm:.1} mm while the toe is still moving: record until the motor is off, or correct \
          stroke_mm if this is the whole stroke"
     )]
     EndMissing {

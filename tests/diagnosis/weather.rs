@@ -12,7 +12,7 @@ use crate::{
     fleet::shift,
 };
 
-/// A baseline in winter, a change to summer over `over` throws, `held` throws in summer, then the fault. Returns the
+/// A baseline in winter, a change to summer over `over` throws (0: the machine is not used in spring), `held` throws in summer, then the fault. Returns the
 /// verdicts after the onset, and the events before it.
 fn summer(seed: u64, over: u64, held: u64, day_k: f64, fault: Vector3<f64>) -> (Vec<Verdict>, Vec<AlarmEvent>) {
     let climate = Climate { season_c: (-10.0, 29.0), change: (100, over), day_k };
@@ -23,7 +23,12 @@ fn summer(seed: u64, over: u64, held: u64, day_k: f64, fault: Vector3<f64>) -> (
     for throw in 0..onset + 24 {
         let (effect, celsius) = climate.effect(throw);
         let fault = if throw < onset { Vector3::zeros() } else { fault };
+        let usual = machine.interval;
+        if over == 0 && throw == 101 {
+            machine.interval = SignedDuration::from_hours(90 * 24);
+        }
         let verdict = machine.feed(&mut monitor, effect + fault, Some(celsius), &Settings::default());
+        machine.interval = usual;
         if throw < onset { before.extend(verdict.events) } else { after.push(verdict) }
     }
     (after, before)
@@ -101,7 +106,7 @@ fn a_lasting_change_below_its_limit_does_not_end_the_learning_of_the_temperature
 #[test]
 fn faults_hidden_by_an_unknown_effect_of_the_temperature_are_stated() {
     for seed in 0..10 {
-        // Thirty throws after a jump to summer its effect is not learned yet.
+        // Thirty throws after a spring without throws its effect is not learned yet.
         let (after, before) = summer(41_000 + seed, 0, 30, 2.0, shift(Cause::Friction, 30.0));
         let blind = after[0].blind.unwrap();
         let at = blind.temperature.unwrap();
@@ -134,20 +139,36 @@ fn a_failed_temperature_sensor_hides_nothing() {
     }
 }
 
+/// A logger that sends another unit from throw 120 on, as Fahrenheit, until it is corrected, and one that is as it should be
+/// after three wrong readings.
 #[test]
-fn a_temperature_that_jumps_is_used_when_it_settled() {
+fn a_temperature_that_jumps_is_not_used_unless_the_first_ones_were_wrong() {
     use pointsd::diagnose::AlarmState::{ActiveUnacknowledged, ClearedUnacknowledged};
 
     let settings = Settings::default();
     let mut machine = Machine::new(43_000, Scatter::USUAL);
     let mut monitor = MachineMonitor::new("21B");
     let mut sensor = Vec::new();
-    for throw in 0..200 {
-        let celsius = if throw < 120 { 10.0 } else { 60.0 };
-        let verdict = machine.feed(&mut monitor, Vector3::zeros(), Some(celsius), &settings);
+    let is_raised = |throw: u64| (throw >= 120).then_some(ActiveUnacknowledged);
+    for throw in 0_u64..400 {
+        let celsius = 8.0 + 6.0 * (throw as f64 / 20.0 * std::f64::consts::TAU).sin();
+        let sent = if (120..300).contains(&throw) { 32.0 + 1.8 * celsius } else { celsius };
+        let shift = Vector3::from(PER_KELVIN) * (celsius - 8.0);
+        let verdict = machine.feed(&mut monitor, shift, Some(sent), &settings);
+        assert!(verdict.events.iter().all(|event| !event.cause.is_drift()), "throw {throw}: {:?}", verdict.events);
         sensor.extend(verdict.events.into_iter().filter(|event| event.cause == Cause::Sensor).map(|event| event.state));
+        assert_eq!(sensor.first().copied(), is_raised(throw.saturating_sub(2)), "throw {throw}");
     }
     assert_eq!(sensor, [ActiveUnacknowledged, ClearedUnacknowledged]);
+
+    let mut monitor = MachineMonitor::new("21B");
+    let mut last = None;
+    for throw in 0..20 {
+        let celsius = if throw < 3 { 60.0 } else { 10.0 };
+        let verdict = machine.feed(&mut monitor, Vector3::zeros(), Some(celsius), &settings);
+        last = verdict.events.last().map(|event| event.state).or(last);
+    }
+    assert_eq!(last, Some(ClearedUnacknowledged));
 }
 
 /// The first alarms about a machine without a temperature, by the throw after its baseline; `shift_at` gives the changes

@@ -7,11 +7,11 @@ use nalgebra::Vector3;
 use super::{
     super::{
         drift::Drift,
-        event::{Cause, SensorChannel},
+        event::Cause,
         explain::percent,
         found,
         gauges::Circuit,
-        observation::{Evaluated, Observation},
+        observation::{Evaluated, Observation, Unusable},
         operational::Context,
         rule::Rule,
         settings::Settings,
@@ -36,9 +36,10 @@ impl MachineMonitor {
     /// Observes a throw like [`Self::observe`], without the change `common` of the other machines of the site.
     pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
-        if let Some(contradicted) = observation.direction_contradicted {
-            self.operation.on_direction(contradicted);
-        }
+        let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now));
+        // Not even the direction is known.
+        let unknown = reversed.then(|| Observation { direction: None, estimate: None, ..observation.clone() });
+        let observation = unknown.as_ref().unwrap_or(observation);
         let at = to_micros(observation.started_at);
         let temperature = self.thermometer.read(observation.temperature_c, at);
         // Without its toe sensor a machine is not what its baseline describes.
@@ -62,8 +63,10 @@ impl MachineMonitor {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
             let disbelief = temperature.disbelief.or(supply_v.map(Disbelief::Supply));
             verdict.events.extend(operation.on_sensors(disbelief, alarms, context));
-            let faulty = observation.faulty.or(without_position.then_some(SensorChannel::Position));
-            verdict.events.extend(operation.on_channel(faulty, alarms, context));
+            let unusable = observation.faulty.map(Unusable::Values);
+            let unusable = unusable.or(without_position.then_some(Unusable::Missing));
+            let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
+            verdict.events.extend(operation.on_channel(unusable, alarms, context));
             self.observe_in_service(observation, evaluated.as_ref(), at, settings, &mut verdict);
         }
         verdict.baseline =
@@ -126,7 +129,8 @@ impl MachineMonitor {
         verdict: &mut Verdict,
     ) {
         let Observation { features: all, features_only, incomplete, faulty, .. } = observation;
-        let Some(direction) = observation.direction.filter(|_| !incomplete && faulty.is_none()) else { return };
+        let is_usable = !incomplete && faulty.is_none() && !observation.is_cut_off();
+        let Some(direction) = observation.direction.filter(|_| is_usable) else { return };
         let features = if *features_only {
             all.clone()
         } else {
@@ -163,7 +167,8 @@ impl MachineMonitor {
             verdict.events.extend(found.apply(Rule::Features, &mut self.alarms, context));
             return true;
         }
-        let Some(direction) = observation.direction.filter(|_| !observation.incomplete) else { return false };
+        let is_whole = !observation.incomplete && !observation.is_cut_off();
+        let Some(direction) = observation.direction.filter(|_| is_whole) else { return false };
         let gauges = &self.instruments.gauges;
         let features = (&observation.features, observation.temperature_c);
         let found = self.features.on_features(direction, features, gauges, context);

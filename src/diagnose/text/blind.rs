@@ -28,8 +28,8 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
     )
 }
 
-pub(crate) fn evaluated_again(name: &str) -> String {
-    format!("Machine {name}: its throws can be evaluated again.")
+pub(crate) fn monitored_again(name: &str) -> String {
+    format!("Machine {name}: it is monitored again.")
 }
 
 /// Text for a machine with many rejected throws among evaluated ones.

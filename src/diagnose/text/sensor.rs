@@ -2,7 +2,10 @@
 
 use super::half_width_pct;
 use crate::{
-    diagnose::{event::SensorChannel, explain::percent, gauges::Level, testimony::Fault, thermometer::Disbelief},
+    diagnose::{
+        event::SensorChannel, explain::percent, gauges::Level, observation::Unusable, testimony::Fault,
+        thermometer::Disbelief,
+    },
     throw::{brief, utc},
 };
 
@@ -63,11 +66,11 @@ pub(crate) fn circuit(name: &str, level: &Level) -> String {
 pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
     let what = match disbelief {
         Disbelief::Impossible(celsius) => {
-            let celsius = brief(celsius);
-            format!("temperature sensor reads {celsius} °C, which is impossible. The last good temperature is used")
+            format!("temperature sensor reads {celsius:.1} °C, which is impossible. The last good temperature is used")
         }
         Disbelief::Jump(from, to) => format!(
-            "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather. The last good temperature is used"
+            "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather: another unit, or a broken or moved sensor. The last \
+             good temperature is used"
         ),
         Disbelief::Missing(since) => format!(
             "temperature is missing since {}. The last one is used, so weather can look like a fault",
@@ -80,20 +83,45 @@ pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
             )
         }
     };
-    format!("Machine {name}: the {what}. Check the sensor and its cable.")
+    let moved = match disbelief {
+        Disbelief::Jump(..) => " If it is right now, take a new baseline (rebaseline).",
+        _ => "",
+    };
+    format!("Machine {name}: the {what}. Check the sensor and its cable.{moved}")
 }
 
 pub(crate) fn sensor_plausible(name: &str) -> String {
     format!("Machine {name}: the sensors of temperature and supply voltage are plausible again.")
 }
 
-pub(crate) fn sensor_unusable(name: &str, channel: SensorChannel) -> String {
-    let unit = if channel == SensorChannel::Current { "A" } else { "mm" };
-    format!(
-        "Machine {name}: the {channel} reads impossible, stuck or very noisy values, so the throws cannot be evaluated. Check \
-         the sensor, its cable and its supply, and that the logger sends {unit}; throws_not_evaluated has the reason of each \
-         throw."
-    )
+pub(crate) fn sensor_unusable(name: &str, found: Unusable) -> String {
+    let (what, check) = match found {
+        Unusable::Values(SensorChannel::Clock) => (
+            "the recordings of its throws last longer than a point machine can move".to_owned(),
+            "sample_rate_hz in the logger, which may have another unit than Hz; throws_not_evaluated has the duration of each \
+             throw",
+        ),
+        Unusable::Values(channel) => (
+            format!("the {channel} reads impossible, stuck or very noisy values"),
+            if channel == SensorChannel::Current {
+                "the sensor, its cable and its supply, and that the logger sends A; throws_not_evaluated has the reason of each \
+                 throw"
+            } else {
+                "the sensor, its cable and its supply, and that the logger sends mm; throws_not_evaluated has the reason of each \
+                 throw"
+            },
+        ),
+        Unusable::Missing => (
+            "the logger no longer sends a toe position (position_mm)".to_owned(),
+            "the sensor and its cable, and the logger's configuration",
+        ),
+        Unusable::Reversed => (
+            "the position moves against the direction that the logger names, unlike before".to_owned(),
+            "whether the axis of the position or the names of the directions were changed. If both are right now, take a new \
+             baseline (rebaseline)",
+        ),
+    };
+    format!("Machine {name}: {what}, so the throws cannot be evaluated. Check {check}.")
 }
 
 pub(crate) fn sensor_usable(name: &str, channel: SensorChannel) -> String {
