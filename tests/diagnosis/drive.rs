@@ -81,6 +81,8 @@ pub(crate) struct Drive {
     pub(crate) push_s: f64,
     /// Sampling rate of the logger \[Hz\].
     pub(crate) rate_hz: f64,
+    /// Changes the throw that the logger sends.
+    pub(crate) logger: fn(Throw) -> Throw,
 }
 
 impl Drive {
@@ -102,6 +104,7 @@ impl Drive {
             stroke_mm: None,
             push_s: 0.0,
             rate_hz: 1000.0,
+            logger: |throw| throw,
         }
     }
 
@@ -130,6 +133,7 @@ impl Drive {
             supply_v: self.publishes_volts.then_some(volts),
             ..Throw::recorded(trace)
         };
+        let throw = (self.logger)(throw);
         let settings = estimate::Settings { stroke_mm: self.stroke_mm, ..estimate::Settings::default() };
         let found = self.identifier.identify(&throw, &settings);
         Observation::of(&throw, &found)

@@ -8,7 +8,7 @@ use pointsd::{
         SensorChannel, Settings, Severity,
     },
     estimate,
-    throw::Direction,
+    throw::{Direction, Throw, Trace},
 };
 
 use crate::{
@@ -89,6 +89,67 @@ fn an_obstruction_shortly_before_the_end_is_an_incomplete_throw() {
         let named: Vec<_> = events.iter().map(|event| (event.cause, event.severity)).collect();
         let expected = [Severity::Warning, Severity::Critical].map(|severity| (Cause::IncompleteThrow, severity));
         assert_eq!(named, expected, "{push_s} s: {events:?}");
+    }
+}
+
+fn with_trace(throw: Throw, change: impl FnOnce(f64, Vec<f64>, Vec<f64>) -> (f64, Vec<f64>, Vec<f64>)) -> Throw {
+    let rate_hz = throw.trace.sample_rate_hz();
+    let (current, position) = throw.trace.clone().into_channels();
+    let (rate_hz, current, position) = change(rate_hz, current, position);
+    Throw { trace: Trace::new(rate_hz, current, position).unwrap(), ..throw }
+}
+
+/// The machine is sound in all of these throws.
+#[test]
+fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() {
+    type Logger = fn(Throw) -> Throw;
+    let mirrored: Logger = |throw| {
+        with_trace(throw, |rate, current, position| (rate, current, position.iter().map(|x| 115.0 - x).collect()))
+    };
+    let in_khz: Logger = |throw| with_trace(throw, |rate, current, position| (rate / 1000.0, current, position));
+    let stuck: Logger = |throw| {
+        with_trace(throw, |rate, current, mut position| {
+            let third = position.len() / 3;
+            let value = position[third];
+            position[third..].fill(value);
+            (rate, current, position)
+        })
+    };
+    let cut: Logger = |throw| {
+        with_trace(throw, |rate, mut current, mut position| {
+            let half = current.len() / 2;
+            current.truncate(half);
+            position.truncate(half);
+            (rate, current, position)
+        })
+    };
+    let without_position: Logger =
+        |throw| with_trace(throw, |rate, current, position| (rate, current, vec![f64::NAN; position.len()]));
+    let position = Some(SensorChannel::Position);
+    let cases = [
+        ("mirrored", mirrored, Some(position), "unlike before"),
+        ("in kHz", in_khz, Some(Some(SensorChannel::Clock)), "sample_rate_hz"),
+        ("stuck", stuck, Some(position), "stuck"),
+        ("cut off", cut, None, "end_missing"),
+        ("without a position", without_position, Some(position), "no longer sends a toe position"),
+    ];
+    let settings = Settings::default();
+    for (name, logger, channel, words) in cases {
+        let mut drive = Drive::new(75, true);
+        (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
+        let healthy: Vec<_> = (0..120).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        assert_eq!(healthy, [], "{name}");
+        drive.logger = logger;
+        let events: Vec<_> = (0..24).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        let is_about_recordings = |event: &AlarmEvent| matches!(event.cause, Cause::Sensor | Cause::NotMonitored);
+        assert!(events.iter().all(is_about_recordings), "{name}: {events:#?}");
+        assert!(events.iter().any(|event| event.text.contains(words)), "{name}: {events:#?}");
+        let named = events.iter().find(|event| event.cause == Cause::Sensor).map(|event| event.channel);
+        assert_eq!(named, channel, "{name}: {events:#?}");
+        drive.logger = |throw| throw;
+        let mended: Vec<_> = (0..40).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        assert!(mended.iter().all(is_about_recordings), "{name}: {mended:#?}");
+        assert_eq!(drive.monitor.state(), MachineState::Healthy, "{name}: {mended:#?}");
     }
 }
 

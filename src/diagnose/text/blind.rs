@@ -20,11 +20,18 @@ pub(crate) fn unevaluated(name: &str, direction: Option<Direction>, in_a_row: u3
             "for a load that varies along the stroke (slide chairs, rods, locking), then for play, then whether current and \
              position are of the same moment, and neutral_mm"
         }
+        Some("undersampled") => "the sampling rate of the logger, and set anti_alias_hz if it has a filter",
+        Some("start_missing" | "onset_missing") => {
+            "that the logger records some tenths of a second before the motor starts"
+        }
+        Some("end_missing") => "that the logger records until the motor is off, and whether the machine became slow",
+        Some("current_only") => "whether the logger sends position_mm",
         _ => "the machine and its sensors",
     };
+    let reason = reason.map_or_else(String::new, |code| format!(" (last reason: {code})"));
     format!(
-        "Machine {name}: the last {in_a_row} throws{throws} could not be evaluated, so {what} not monitored. See the \
-         reasons in throws_not_evaluated, and check {check}."
+        "Machine {name}: the last {in_a_row} throws{throws} could not be evaluated{reason}, so {what} not monitored. Check \
+         {check}; throw_features has the details of each throw."
     )
 }
 
