@@ -123,13 +123,13 @@ pub(super) fn course(
     }
     let off = movement.motor_off.unwrap_or(movement.arrived);
     let stalled_s = at(off.saturating_sub(movement.arrived));
-    let stalled = &position[movement.arrived.midpoint(off)..=off];
+    let is_frozen = |stalled: &[f64]| stalled.iter().all(|x| x.to_bits() == stalled[0].to_bits());
     // A standing toe has the noise of its sensor.
     if stalled_s > LONGEST_STALL_S
         && movement.position.hides(movement.position.quantum)
-        && stalled.iter().all(|x| x.to_bits() == stalled[0].to_bits())
+        && is_frozen(&position[movement.arrived.midpoint(off)..=off])
     {
-        let (value, at_s) = (stalled[0], at(movement.arrived));
+        let (value, at_s) = (position[off], at(movement.arrived));
         return Err(Rejection::Stuck { channel: Channel::Position, value, at_s, stuck_s: stalled_s });
     }
     if let Some(stroke_mm) = settings.stroke_mm {
