@@ -22,9 +22,6 @@ const MISFIT_PEAK: f64 = 1e-3;
 const MISFIT_STRETCH_S: f64 = 0.02;
 /// Share of the slow departure from noise of the current that is left after the fit of the model.
 const FITTED_SHARE: f64 = 0.3;
-/// Ratio of the slow departure's variance to that from noise, above which the load varies. Healthy throws are below it,
-/// as the departure has some 15 degrees of freedom.
-const LEAST_WANDER: f64 = 4.0;
 /// Relative error of the common scale of b0, a1 and a0: for each second by which the toe starts late (the inrush, which
 /// determines the scale, takes 50 ms), and for each millimetre of slow departure (the toe moves about one millimetre in
 /// that time).
@@ -36,8 +33,6 @@ const SCALE_PER_RISE: f64 = 2.0;
 /// Departure of an accepted movement from the model.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Departure {
-    /// Ratio of the slow departure's variance to that from noise of the current.
-    pub(super) noise_ratio: f64,
     /// Root mean square of the slow departure beyond noise \[mm\].
     pub(super) slow_mm: f64,
     /// Delay of the start \[s\].
@@ -94,20 +89,17 @@ pub(super) fn misfit(
     }
     let slow = slow / output.len() as f64 - window.output_noise / stretch as f64;
     let beyond = (slow - 2.0 * through).max(0.0).sqrt() * lead_mm / std::f64::consts::TAU;
-    Ok(Departure {
-        noise_ratio: if through > 0.0 { slow / through } else { 0.0 },
-        slow_mm: beyond,
-        delay_s: 0.0,
-        brake_sd: 0.0,
-    })
+    Ok(Departure { slow_mm: beyond, delay_s: 0.0, brake_sd: 0.0 })
 }
 
 /// The estimate with its covariance, from an accepted solution; rejects an uncertain one. `cut_after_mm`: travel of a
-/// trace that ends during the movement; `load` and `offset`: errors from dry friction and from the current at rest.
+/// trace that ends during the movement; `dry` and `offset`: errors from dry friction and from the current at rest; `load`:
+/// covariance of the errors from a random load.
 pub(super) fn finish(
     solution: &Solution<2, 1, 3>,
     covariance: &[[f64; 3]; 3],
-    [load, offset]: [[f64; 3]; 2],
+    [dry, offset]: [[f64; 3]; 2],
+    load: &Matrix3<f64>,
     departure: Departure,
     window: &Window,
     cut_after_mm: Option<f64>,
@@ -138,9 +130,7 @@ pub(super) fn finish(
         ratios_only: false,
         covariance: Matrix3::from_fn(|i, j| 0.5 * (covariance[i][j] + covariance[j][i])),
         systematic: Matrix3::from_fn(|i, j| {
-            let beyond_noise = departure.noise_ratio - 1.0;
-            let wander = if departure.noise_ratio > LEAST_WANDER { beyond_noise * covariance[i][j] } else { 0.0 };
-            wander + load[i] * load[j] + scale * scale * solution.parameters[i] * solution.parameters[j]
+            load[(i, j)] + dry[i] * dry[j] + scale * scale * solution.parameters[i] * solution.parameters[j]
         }),
         offset,
         reason: None,

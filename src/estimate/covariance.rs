@@ -22,8 +22,11 @@
 //! `s_s²/n`, are common to all samples and add `s_y²/n` (Σz)(Σz)' and `s_s²/n` (Σw)(Σw)' to the bracket. (With noise
 //! below half a step of the converter averaging does not help, and the rounding error of one sample replaces them.)
 
+use nalgebra::Matrix3;
+
 use super::{
     filter::{Discrete, Hold},
+    load::{Load, STEPS},
     problem::{Problem, Signal, Sriv, Workspace},
     small::{sandwich, times},
     sriv::Solution,
@@ -100,6 +103,25 @@ pub(super) const DRY_SHARE: f64 = 0.58;
 const STARTED_SHARE: f64 = 0.05;
 
 impl Sriv<2, 1, 3> {
+    /// Covariance of the errors of (b0, a1, a0) by a random load. A charge in a sample of the input has the effect M⁻¹ w / T,
+    /// with the interval T.
+    pub(super) fn load_covariance(
+        &self,
+        problem: &Problem<1>,
+        solution: &Solution<2, 1, 3>,
+        load: &Load,
+        workspace: &Workspace<3>,
+    ) -> Option<Matrix3<f64>> {
+        let (z, stride) = (&workspace.instruments, workspace.stride);
+        let filter = Discrete::new(&solution.denominator, stride as f64 * problem.interval_s)?;
+        let numerator = self.numerator(&solution.parameters, 0);
+        let mut effects = [[0.0; 3]; STEPS];
+        backwards(z, &filter, Hold::First, &numerator, |k, w| {
+            add(&mut effects[load.step_of(k * stride)], w, stride as f64 / problem.interval_s);
+        });
+        load.covariance(|step| times(&solution.inverse, &effects[step]).into())
+    }
+
     /// Errors of (b0, a1, a0) that are equal in every throw: from dry friction, for one standard deviation of its share, and
     /// from an error of the current's offset, with the scale of [`Noise`].
     ///

@@ -50,8 +50,9 @@ pub struct Estimate {
     /// Covariance of (b0, a1, a0) from the sensors' noise, which differs in each throw.
     #[serde(with = "rows")]
     pub covariance: Matrix3<f64>,
-    /// Covariance of the errors that are equal in every throw of a machine: dry friction in the viscous model, a
-    /// varying load, and a possible brake at the start. A comparison with a baseline does not contain them.
+    /// Covariance of the errors that the sensors do not cause: dry friction in the viscous model and a possible brake at
+    /// the start, which are equal in every throw of a machine, and a random load, which is part of the scatter of its
+    /// baseline. A comparison with a baseline does not contain them.
     #[serde(with = "rows", default)]
     pub systematic: Matrix3<f64>,
     /// Errors of (b0, a1, a0) for one standard deviation of the part of the current at rest that the machine does not

@@ -9,7 +9,9 @@ use super::{
     filter::Hold,
     hum,
     identification::{Estimate, Grade, Identification},
-    lateness, missing,
+    lateness,
+    load::Load,
+    missing,
     movement::{Level, MIN_QUIET, Movement, SHORTEST_RISE_S, every, peak, start_of_motor},
     noise::{self, second_difference_noise},
     ratios::{self, FullModel},
@@ -274,14 +276,14 @@ impl Identifier {
             (_, Some(reason)) | (Err(reason), None) => reason,
         };
         let reason = noisy.unwrap_or(reason);
-        let equilibrium = self.equilibrium.last().copied().filter(|_| window.shifted).unwrap_or(0.0);
         let input = ratios::Input {
             values: &self.input,
             scale: Some(self.input_scale.as_slice()).filter(|_| window.series),
             offset: window.offsets[0],
             rest_a: window.rest_a,
         };
-        let ratios = ratios::of(input, &self.output, equilibrium, window.interval_s).ok_or_else(|| reason.clone())?;
+        let ratios =
+            ratios::of(input, &self.output, window.equilibrium, window.interval_s).ok_or_else(|| reason.clone())?;
         Ok(ratios.estimate(scale, Some(reason), window.from, window.to, window.interval_s))
     }
 
@@ -298,7 +300,7 @@ impl Identifier {
             interval_s: window.interval_s,
             output: &self.output,
             inputs: [Signal::Sampled(&self.input, Hold::First)],
-            equilibrium: window.shifted.then_some(self.equilibrium.as_slice()),
+            equilibrium: (window.equilibrium != 0.0).then_some(self.equilibrium.as_slice()),
         };
         let solution = match model.identify(&problem, &mut self.workspace) {
             Ok(solution) => solution,
@@ -342,8 +344,12 @@ impl Identifier {
                 let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
                 let offset = (window.rest_a, noise.scale);
                 let errors = Sriv::systematic_errors(&problem, &solution, foot, offset, &self.workspace);
+                let load = ratios::start(&self.output, window.interval_s)
+                    .and_then(|from| Load::of((&self.input, &self.output), window.equilibrium, from, window.interval_s))
+                    .and_then(|load| model.load_covariance(&problem, &solution, &load, &self.workspace))
+                    .ok_or(Rejection::Singular)?;
                 let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
-                finish(&solution, &covariance, errors, departure, window, cut.then_some(movement.travel_mm))
+                finish(&solution, &covariance, errors, &load, departure, window, cut.then_some(movement.travel_mm))
             });
         (Some(found), verdict)
     }
@@ -419,7 +425,7 @@ impl Identifier {
             from,
             to,
             interval_s,
-            shifted: equilibrium != 0.0,
+            equilibrium,
             input_noise: current_sd * current_sd * colour,
             output_noise: (position_sd * radians_per_mm).powi(2) * colour,
             noise_samples: movement.position.samples,

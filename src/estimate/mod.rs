@@ -14,6 +14,7 @@ mod hum;
 mod identification;
 mod identifier;
 mod lateness;
+mod load;
 mod missing;
 mod movement;
 mod noise;

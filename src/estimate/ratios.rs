@@ -7,9 +7,8 @@
 //! ```
 //!
 //! It does not need the time or the position of the release, the speed at s, or an iteration. At nearly constant speed
-//! it determines the ratios, but hardly 1/b0. The noise of the integrated current and a load that varies are random walks,
-//! and errors of the model vary slowly, so the covariance comes from the increments of the residual, in long stretches (batch
-//! means), not from single samples.
+//! it determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk, a load that varies and
+//! errors of the model are correlated longer, so the covariance is that by a random load (see `load`).
 
 use std::ops::AddAssign;
 
@@ -18,6 +17,7 @@ use nalgebra::{Matrix2, Matrix3, Matrix4, Vector3, Vector4};
 use super::{
     covariance::DRY_SHARE,
     identification::{Estimate, Grade},
+    load::{Load, STEPS},
     rejection::Rejection,
 };
 
@@ -30,11 +30,6 @@ const SKIPPED_SHARE: f64 = 0.013;
 const HIDDEN_SHARE: f64 = 0.005;
 /// Half of the interval of the difference for the speed \[s\].
 const SPEED_S: f64 = 0.02;
-/// Number of stretches of the movement whose means count as independent.
-const STRETCHES: usize = 10;
-/// Factor on the variance: a fit of four parameters leaves six of ten free stretches (10/6), and the 95 % interval of Student's
-/// t with six degrees of freedom is wider than that of Gauss (2.45/1.96).
-const BATCH_FACTOR: f64 = 10.0 / 6.0 * (2.45 / 1.96) * (2.45 / 1.96);
 /// Least number of samples of a movement.
 const LEAST_SAMPLES: usize = 40;
 /// Largest root mean square of the residual, as share of the charge of the movement. Dry friction on every chair gives
@@ -109,13 +104,24 @@ impl Ratios {
     }
 }
 
+/// Half of the interval of the difference for the speed \[samples\].
+fn reach(interval_s: f64) -> usize {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+    let samples = (SPEED_S / interval_s) as usize;
+    samples.max(1)
+}
+
+/// The first sample after the start of the movement.
+pub(super) fn start(output: &[f64], interval_s: f64) -> Option<usize> {
+    let (travel, reach) = (*output.last()?, reach(interval_s));
+    (reach..output.len()).find(|&k| output[k] > SKIPPED_SHARE * travel).map(|k| k + reach)
+}
+
 /// Computes the ratios of a movement; `None` if the samples do not determine them or do not fit the equation.
 pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s: f64) -> Option<Ratios> {
     let Input { values: input, scale: input_scale, offset, rest_a } = input;
     let travel = *output.last()?;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let reach = ((SPEED_S / interval_s) as usize).max(1);
-    let from = (reach..output.len()).find(|&k| output[k] > SKIPPED_SHARE * travel)? + reach;
+    let (reach, from) = (reach(interval_s), start(output, interval_s)?);
     let to = output.len().checked_sub(reach)?;
     if to < from + LEAST_SAMPLES {
         return None;
@@ -143,11 +149,10 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
     let inverse = scaled.try_inverse()?;
     let inverse = Matrix4::from_fn(|i, j| inverse[(i, j)] * scale[i] * scale[j]);
     let found = inverse * right;
-    let stretch = (to - from).div_ceil(STRETCHES);
-    let (mut middle, mut squares, mut score, mut total) = (Matrix4::zeros(), 0.0, Vector4::zeros(), 0.0_f64);
-    // The residual is a sum of increments, and an increment disturbs all later rows: Σ row_i r_i = Σ (Σ_{i≥k} row_i) e_k. The
-    // first one is part of the constant.
-    let mut before = 0.0;
+    let load = Load::of((input, output), equilibrium, from, interval_s)?;
+    // A charge of the load disturbs all later rows.
+    let mut effects = [Vector4::zeros(); STEPS];
+    let (mut squares, mut total) = (0.0, 0.0_f64);
     let running = (output[to - 1] - output[from]) / ((to - 1 - from) as f64 * interval_s);
     let (mut drift, mut dry, mut hidden) = (Vector4::zeros(), Vector4::zeros(), Vector4::zeros());
     // Charge of an offset of the current of 1 A.
@@ -160,15 +165,9 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
         hidden += row * time_s;
         let residual = charge - row.dot(&found);
         squares += residual * residual;
-        if at > 0 {
-            score += later * (residual - before);
-        }
-        (later, before) = (later - row, residual);
+        effects[load.step_of(from + at)] += later;
+        later -= row;
         total = total.max(charge.abs());
-        if at % stretch == stretch - 1 || at + 1 == to - from {
-            middle += score * score.transpose();
-            score = Vector4::zeros();
-        }
     }
     if (squares / (to - from) as f64).sqrt() > LARGEST_RESIDUAL * total {
         return None;
@@ -176,13 +175,13 @@ pub(super) fn of(input: Input<'_>, output: &[f64], equilibrium: f64, interval_s:
     let (drift, dry) = (inverse * drift, inverse * dry * (DRY_SHARE * found[0] * running));
     // The rails are further on than the sensor, by a constant distance.
     let hidden = inverse * hidden * (HIDDEN_SHARE * travel * found[1]);
-    let covariance = inverse * middle * inverse * BATCH_FACTOR + drift * drift.transpose() * offset;
+    let covariance = load.covariance(|step| (inverse * effects[step]).xyz())?;
     let values = [found[0], found[1]];
     if !(values.iter().all(|v| v.is_finite() && *v > 0.0)) {
         return None;
     }
     let log = |i: usize, j: usize, value: f64| value / (values[i] * values[j]);
-    let log_covariance = Matrix2::from_fn(|i, j| log(i, j, covariance[(i, j)]));
+    let log_covariance = Matrix2::from_fn(|i, j| log(i, j, covariance[(i, j)] + offset * drift[i] * drift[j]));
     let log_systematic = Matrix2::from_fn(|i, j| log(i, j, dry[i] * dry[j] + hidden[i] * hidden[j]));
     let log_offset = std::array::from_fn(|i| rest_a * drift[i] / values[i]);
     Some(Ratios { values, log_covariance, log_systematic, log_offset, from })

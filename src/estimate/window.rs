@@ -17,7 +17,8 @@ pub(super) struct Window {
     pub(super) from: usize,
     pub(super) to: usize,
     pub(super) interval_s: f64,
-    pub(super) shifted: bool,
+    /// The output at which the spring is unstressed \[rad\].
+    pub(super) equilibrium: f64,
     /// Variances of white noise on input (per unit scale) and output.
     pub(super) input_noise: f64,
     pub(super) output_noise: f64,
