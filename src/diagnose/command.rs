@@ -63,13 +63,13 @@ pub enum Command {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
     /// No such alarm is open.
-    #[error("no {} alarm is open on this machine", cause.as_str())]
+    #[error("no {cause} alarm is open on this machine")]
     NoSuchAlarm {
         /// Cause of the alarm.
         cause: Cause,
     },
     /// The alarm is acknowledged already.
-    #[error("the {} alarm is acknowledged already, by {by}", cause.as_str())]
+    #[error("the {cause} alarm is acknowledged already, by {by}")]
     AlreadyAcknowledged {
         /// Cause of the alarm.
         cause: Cause,
@@ -77,7 +77,7 @@ pub enum CommandError {
         by: String,
     },
     /// The alarm is not shelved.
-    #[error("the {} alarm is not shelved", cause.as_str())]
+    #[error("the {cause} alarm is not shelved")]
     NotShelved {
         /// Cause of the alarm.
         cause: Cause,

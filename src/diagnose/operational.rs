@@ -181,11 +181,13 @@ impl Operation {
             as_before => as_before,
         };
         streak(&mut self.incomplete, incomplete);
-        let mut in_a_row = self.incomplete;
+        let (mut in_a_row, mut in_direction) = (self.incomplete, None);
         if let Some(direction) = direction {
             let own = &mut self.sides[direction.side()];
             streak(&mut own.incomplete, incomplete);
-            in_a_row = in_a_row.max(own.incomplete);
+            if own.incomplete > in_a_row {
+                (in_a_row, in_direction) = (own.incomplete, Some(direction));
+            }
             if let Some(code) = rejected {
                 own.rejected = Some(code.to_owned());
             }
@@ -205,7 +207,7 @@ impl Operation {
         }
         let mut events = Vec::new();
         if incomplete {
-            let text = text::incomplete(name, in_a_row);
+            let text = text::incomplete(name, in_direction, in_a_row);
             events.extend(if in_a_row == 1 {
                 alarms.raise(Cause::IncompleteThrow, context.warning(text), at)
             } else {

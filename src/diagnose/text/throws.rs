@@ -10,13 +10,13 @@ use crate::{
     throw::Direction,
 };
 
-/// Text of an incomplete throw, the `in_a_row`th in a row.
-pub(crate) fn incomplete(name: &str, in_a_row: u32) -> String {
+/// Text of an incomplete throw, the `in_a_row`th in a row of the machine, or of a direction.
+pub(crate) fn incomplete(name: &str, direction: Option<Direction>, in_a_row: u32) -> String {
     let what = match in_a_row {
         1 => "a throw was not completed".to_owned(),
         _ => format!("{in_a_row} throws in a row were not completed"),
     };
-    format!("Machine {name}: {what}. Check for an obstruction between the rails, and detection.")
+    format!("{}: {what}. Check for an obstruction between the rails, and detection.", subject(name, direction))
 }
 
 pub(crate) fn complete_again(name: &str, in_a_row: u32) -> String {
