@@ -30,7 +30,7 @@ pub(super) const ALONE: SignedDuration = SignedDuration::from_hours(24);
 /// A boot and its last throw.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Boot {
-    id: String,
+    id: Box<str>,
     /// Time of its first throw, or of the reception if that is earlier.
     since: Timestamp,
     started_at: Timestamp,
@@ -54,19 +54,24 @@ pub(super) struct TwoLoggers {
 pub(super) struct Boots {
     /// In the order of their last throws.
     last: Vec<Boot>,
-    #[serde(default)]
-    turns: u32,
-    /// Reception of the last throw that came in turn.
+    /// Few machines have any, so it is boxed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    turned_at: Option<Timestamp>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    turns: Option<Box<Turns>>,
+}
+
+/// Live throws of the boots that took turns.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Turns {
+    count: u32,
+    /// Reception of the last one.
+    last_at: Timestamp,
     two: Option<TwoLoggers>,
 }
 
 impl Boots {
     /// Applies a throw, in the order of judging.
     pub(super) fn follow(&mut self, throw: &ThrowRef, started_at: Timestamp, received_at: Timestamp) {
-        let known = self.last.iter().position(|boot| boot.id == throw.boot_id);
+        let known = self.last.iter().position(|boot| *boot.id == throw.boot_id);
         let last = known.map(|at| self.last.remove(at));
         let is_live = last.as_ref().is_some_and(|last| {
             let received = received_at.duration_since(last.received_at);
@@ -80,26 +85,29 @@ impl Boots {
             self.last.iter_mut().for_each(|other| _ = other.crossed_at.get_or_insert(received_at));
         }
         if crossed_at.is_some_and(|at| received_at.duration_since(at) > APART) {
-            self.turns = self.turns.saturating_add(1);
-            self.turned_at = Some(received_at);
-            if let Some(other) = self.last.last().filter(|_| self.turns >= TURNS) {
-                let mut boots = [(other.since, other.id.clone()), (since, throw.boot_id.clone())];
+            let turns = self.turns.get_or_insert_with(|| Box::new(Turns { count: 0, last_at: received_at, two: None }));
+            (turns.count, turns.last_at) = (turns.count.saturating_add(1), received_at);
+            if let Some(other) = self.last.last().filter(|_| turns.count >= TURNS) {
+                let mut boots = [(other.since, other.id.to_string()), (since, throw.boot_id.clone())];
                 boots.sort();
-                self.two = Some(TwoLoggers { since: boots[1].0, boots: boots.map(|(_, id)| id) });
+                turns.two = Some(TwoLoggers { since: boots[1].0, boots: boots.map(|(_, id)| id) });
             }
-        } else if self.turned_at.is_some_and(|at| received_at.duration_since(at) >= ALONE) {
-            self.two = None;
+        } else if let Some(turns) = &mut self.turns
+            && received_at.duration_since(turns.last_at) >= ALONE
+        {
+            turns.two = None;
         }
-        let id = throw.boot_id.clone();
-        self.last.push(Boot { id, since, started_at, received_at, crossed_at: None });
-        if self.last.len() > BOOTS {
+        if self.last.len() == BOOTS {
             self.last.remove(0);
         }
+        self.last.reserve_exact(1);
+        let id = throw.boot_id.as_str().into();
+        self.last.push(Boot { id, since, started_at, received_at, crossed_at: None });
     }
 
     /// The two loggers that publish at present, if any.
     pub(super) fn two(&self) -> Option<&TwoLoggers> {
-        self.two.as_ref()
+        self.turns.as_ref()?.two.as_ref()
     }
 }
 

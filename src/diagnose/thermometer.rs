@@ -46,11 +46,18 @@ pub(super) struct Thermometer {
     /// Number of accepted readings, up to [`SETTLED_READINGS`] + 1.
     #[serde(default)]
     accepted: u32,
-    /// The last rejected reading, and the number of consecutive readings like it.
-    doubted: Option<(f64, u32)>,
-    /// Time of the first of the consecutive rejected readings.
+    /// Few machines have one, so it is boxed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    doubted_since: Option<Timestamp>,
+    doubt: Option<Box<Doubt>>,
+}
+
+/// Consecutive rejected readings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Doubt {
+    /// Time of the first one.
+    since: Timestamp,
+    /// The last one \[°C\], and the number of consecutive readings like it; `None` for an impossible one.
+    last: Option<(f64, u32)>,
 }
 
 impl Thermometer {
@@ -61,26 +68,26 @@ impl Thermometer {
             let missing = self.believed.filter(|(_, then)| at.duration_since(*then).abs() > HOLDS);
             return Reading { celsius: before, disbelief: missing.map(|(_, then)| Disbelief::Missing(then)) };
         };
+        let since = self.doubt.as_ref().map_or(at, |doubt| doubt.since);
         if !POSSIBLE_C.contains(&celsius) {
-            self.doubted = None;
+            self.doubt = Some(Box::new(Doubt { since, last: None }));
             return Reading { celsius: before, disbelief: Some(Disbelief::Impossible(celsius)) };
         }
         if let Some((last, then)) = self.believed {
-            let since = *self.doubted_since.get_or_insert(at);
             let hours = since.duration_since(then).as_secs_f64().abs() / 3600.0;
             let weather_k = AT_ONCE_K + (PER_HOUR_K * hours).min(WITHIN_HOURS_K) + PER_DAY_K * hours / 24.0;
             if (celsius - last).abs() > weather_k {
-                let like = self.doubted.filter(|(doubted, _)| (celsius - doubted).abs() <= AT_ONCE_K);
+                let doubted = self.doubt.as_ref().and_then(|doubt| doubt.last);
+                let like = doubted.filter(|(doubted, _)| (celsius - doubted).abs() <= AT_ONCE_K);
                 let count = like.map_or(1, |(_, count)| count.saturating_add(1));
-                self.doubted = Some((celsius, count));
                 if count < SETTLED_READINGS || self.accepted > SETTLED_READINGS {
+                    self.doubt = Some(Box::new(Doubt { since, last: Some((celsius, count)) }));
                     return Reading { celsius: before, disbelief: Some(Disbelief::Jump(last, celsius)) };
                 }
             }
         }
         self.accepted = (self.accepted + 1).min(SETTLED_READINGS + 1);
-        self.doubted_since = None;
-        self.doubted = None;
+        self.doubt = None;
         self.believed = Some((celsius, at));
         Reading { celsius: Some(celsius), disbelief: None }
     }

@@ -10,7 +10,7 @@ use pointsd::{
 use crate::fleet::{Machine, Nature, normal};
 
 /// Largest memory of a monitor with full histories \[bytes\].
-const LIMIT: u64 = 6_610;
+const LIMIT: u64 = 6_640;
 /// Throws after which all histories are full: more than fill the blocks of the history since the baseline.
 const THROWS: u32 = 650;
 

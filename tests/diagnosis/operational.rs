@@ -416,7 +416,7 @@ fn a_direction_whose_throws_cannot_be_evaluated_is_not_monitored() {
     let events = feed(&mut machine, &mut monitor, 60, back);
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
     let text = &events[0].text;
-    assert!(text.contains("reverse to normal") && text.contains("check for a load that varies"), "{text}");
+    assert!(text.contains("reverse to normal") && text.contains("Check for a load that varies"), "{text}");
     assert_eq!(monitor.state(), MachineState::NotMonitored);
     let events = feed(&mut machine, &mut monitor, 8, |_| {});
     assert_eq!(summary(&events), [(Cause::NotMonitored, Severity::Warning, AlarmState::ClearedUnacknowledged)]);

@@ -444,7 +444,9 @@ async fn the_exit_code_of_status_includes_an_alarm_raised_just_now() {
     let (current_a, mut position_mm) = whole.trace.clone().into_channels();
     let half_way = position_mm.len() / 2;
     let reached = position_mm[half_way];
-    position_mm[half_way..].fill(reached);
+    // With the noise of the sensor: exactly equal values would be those of a stuck one.
+    let noise_mm: Vec<f64> = position_mm[..half_way].iter().map(|mm| 1e3 * mm % 0.05).collect();
+    position_mm[half_way..].iter_mut().zip(noise_mm.iter().cycle()).for_each(|(mm, noise_mm)| *mm = reached + noise_mm);
     let trace = Trace::new(whole.trace.sample_rate_hz(), current_a, position_mm).unwrap();
     let obstructed = Throw { trace, ..whole.clone() };
     let logger = daemon.logger(KEY).await;
