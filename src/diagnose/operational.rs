@@ -1,5 +1,7 @@
 //! The operational alarms: throws that are incomplete, slow, not evaluated or lost, and silence.
 
+use std::mem;
+
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +16,10 @@ use super::{
     thermometer::Disbelief,
     verdict::Blindness,
 };
-use crate::throw::{Direction, ThrowRef, without_digits};
+use crate::{
+    estimate::Features,
+    throw::{Direction, ThrowRef, without_digits},
+};
 
 /// Consecutive slow throws that raise the alarm: a single one may be an animal between the rails or a dip of the
 /// supply.
@@ -35,6 +40,8 @@ const USUAL_TICK_S: f64 = 60.0;
 const CALM_S: f64 = 600.0;
 /// Consecutive throws that contradict the logger's direction until this is stated; a label may be wrong for once.
 const CONTRADICTED_IN_A_ROW: u32 = 5;
+/// Largest distance between the end of a throw and the start of the next one, as share of the travel: the rails spring back.
+const LARGEST_SHIFT: f64 = 0.1;
 /// Consecutive throws with unused fields until this is stated; a field may be wrong for once.
 const UNUSED_IN_A_ROW: u32 = 5;
 /// Rejected throws among the last 32 of a direction until this is stated: a quarter, which delays the detection of a fault.
@@ -102,6 +109,9 @@ pub(super) struct Operation {
     /// Whether the first throws contradicted the direction, so that this is usual; `None` until it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     usually_contradicted: Option<bool>,
+    /// Position at the end of the last throw \[mm\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    ended_mm: Option<f32>,
     /// The sentence about the unused fields of the last throw, and the number of throws with any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     unused_fields: Option<(String, u32)>,
@@ -304,16 +314,29 @@ impl Operation {
         self.unevaluated > 0
     }
 
-    /// Applies whether the movement of a throw contradicts the logger's direction. Returns whether this is unusual: then
-    /// the axis of the position may be reversed.
-    pub(super) fn on_direction(&mut self, contradicted: bool) -> bool {
+    /// Applies whether the movement of a throw contradicts the logger's direction. Returns whether the axis of the position may
+    /// be reversed: this is unusual, and the first such throw did not begin where the last one ended. If it did, the logger has
+    /// only changed the names.
+    pub(super) fn on_direction(&mut self, contradicted: bool, features: &Features) -> bool {
         streak(&mut self.contradicted, contradicted);
         streak(&mut self.agreed, !contradicted);
         let is_known = self.contradicted.max(self.agreed) >= CONTRADICTED_IN_A_ROW;
         if self.usually_contradicted.is_none() && is_known {
             self.usually_contradicted = Some(contradicted);
         }
-        self.usually_contradicted.is_some_and(|usual| usual != contradicted)
+        let Features { start_position_mm: start, end_position_mm: end, travel_mm: travel, .. } = *features;
+        #[expect(clippy::cast_possible_truncation, reason = "a position needs no more digits")]
+        let before = mem::replace(&mut self.ended_mm, end.map(|end| end as f32));
+        let is_unusual = self.usually_contradicted.is_some_and(|usual| usual != contradicted);
+        // Later throws with a reversed axis begin where the last one ended, too.
+        let is_first = if contradicted { self.contradicted } else { self.agreed } == 1;
+        let shift = before.zip(start).map(|(before, start)| (f64::from(before) - start).abs());
+        let is_next = shift.zip(travel).is_some_and(|(shift, travel)| shift < LARGEST_SHIFT * travel);
+        if is_unusual && is_first && is_next {
+            self.usually_contradicted = Some(contradicted);
+            return false;
+        }
+        is_unusual
     }
 
     /// Whether the logger names the directions the other way round, or always the same.
@@ -524,6 +547,7 @@ impl Operation {
         *self = Self {
             ticked_at: self.ticked_at,
             usually_contradicted: self.usually_contradicted,
+            ended_mm: self.ended_mm,
             since_gap: self.since_gap,
             gap_at_s: self.gap_at_s,
             lost: self.lost,

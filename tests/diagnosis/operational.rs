@@ -153,6 +153,29 @@ fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() 
     }
 }
 
+/// The movement shows the direction, so the throws are evaluated as before.
+#[test]
+fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {
+    let settings = Settings::default();
+    let mut drive = Drive::new(76, true);
+    let swapped: fn(Throw) -> Throw = |throw| {
+        let other = |direction: Direction| Direction::BOTH.into_iter().find(|other| *other != direction);
+        Throw { direction: throw.direction.and_then(other), ..throw }
+    };
+    for (logger, throws) in [(None, 120), (Some(swapped), 1), (None, 10), (Some(swapped), 60)] {
+        drive.logger = logger.unwrap_or(|throw| throw);
+        let events: Vec<_> = (0..throws).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        assert_eq!(events, []);
+        assert_eq!(drive.monitor.state(), MachineState::Healthy);
+    }
+    let is_stated = |caveat: &String| caveat.contains("another direction than the position shows");
+    assert!(drive.monitor.caveats().iter().any(is_stated), "{:?}", drive.monitor.caveats());
+    // A fault is named as before.
+    let weak = State { torque: 0.85, back_emf: 0.85, ..State::SOUND };
+    let events: Vec<_> = (0..30).flat_map(|_| drive.feed(weak, &settings).events).collect();
+    assert_eq!(events.first().map(|event| event.cause), Some(Cause::Kt), "{events:?}");
+}
+
 #[test]
 fn a_machine_that_never_reaches_the_configured_stroke_has_a_caveat() {
     let settings = Settings::default();

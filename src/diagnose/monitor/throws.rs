@@ -36,7 +36,8 @@ impl MachineMonitor {
     /// Observes a throw like [`Self::observe`], without the change `common` of the other machines of the site.
     pub fn observe_beside(&mut self, observation: &Observation, common: &Common, settings: &Settings) -> Verdict {
         self.order += 1;
-        let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now));
+        let features = &observation.features;
+        let reversed = observation.direction_contradicted.is_some_and(|now| self.operation.on_direction(now, features));
         // Not even the direction is known.
         let unknown = reversed.then(|| Observation { direction: None, estimate: None, ..observation.clone() });
         let observation = unknown.as_ref().unwrap_or(observation);
