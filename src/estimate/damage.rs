@@ -105,6 +105,7 @@ pub(super) fn sticking(
         Channel::Position => REPEATED_SAMPLES.max(REPEATED_STEPS * step / mean_step).max(REPEATED_S / interval_s),
         Channel::Current => REPEATED_SAMPLES.max(LEVEL_CURRENT_SHARE * values.len() as f64),
     };
+    let longest = if channel == Channel::Position { longest * movement.position_every } else { longest };
     // A longer stretch covers both ends of one of these parts.
     let is_equal = |part: &[f64]| part[0].to_bits() == part[part.len() - 1].to_bits();
     if !values.chunks_exact(REPEATED_PART).any(is_equal) {
@@ -321,6 +322,7 @@ mod tests {
             motor_off: Some(4500),
             current: level,
             position: level,
+            position_every: 1.0,
             sign: 1.0,
             travel_mm: 115.0,
             near_end: 4400,

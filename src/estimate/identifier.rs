@@ -7,7 +7,7 @@ use super::{
     current_only, damage, decimate,
     features::Features,
     filter::Hold,
-    hum,
+    held, hum,
     identification::{Estimate, Grade, Identification},
     lateness,
     load::Load,
@@ -72,6 +72,16 @@ type ThrowModel = Sriv<2, 1, 3>;
 impl Identifier {
     /// Identifies a throw. Does not panic for any trace.
     pub fn identify(&mut self, throw: &Throw, settings: &Settings) -> Identification {
+        match held::resampled(&throw.trace) {
+            None => self.identify_sampled(throw, 1.0, settings),
+            Some(held::Resampled { trace, position_every }) => {
+                self.identify_sampled(&Throw { trace, ..throw.clone() }, position_every, settings)
+            }
+        }
+    }
+
+    /// Identifies a throw whose current has a new value in each sample, and its position in one of `position_every`.
+    fn identify_sampled(&mut self, throw: &Throw, position_every: f64, settings: &Settings) -> Identification {
         if !throw.trace.has_position() {
             return self.identify_current(throw, settings);
         }
@@ -101,8 +111,9 @@ impl Identifier {
                 hum::remove(&mut self.current, foot + 1, interval_s);
             }
         }
-        let movement = Movement::of(&self.current, &self.position, interval_s, &mut self.scratch);
-        let noise_mm = second_difference_noise(&self.position, &mut self.scratch);
+        let mut movement = Movement::of(&self.current, &self.position, interval_s, &mut self.scratch);
+        movement.measure_position_every(position_every / factor as f64);
+        let noise_mm = self.position_noise_mm(settings, &movement);
         let outcome = raw_checks
             .and_then(|()| settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
@@ -224,7 +235,7 @@ impl Identifier {
         let mut doubt = course::early(movement, &self.position).err();
         let rise_samples = course::rise_samples(movement, &self.current);
         if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
-            let undersampled = Rejection::Undersampled { rise_samples };
+            let undersampled = Rejection::Undersampled { interval_s, rise_samples };
             if interval_s > SHORTEST_RISE_S / MIN_RISE_SAMPLES as f64 {
                 return Err(undersampled);
             }
@@ -250,7 +261,9 @@ impl Identifier {
             let noise_a = second_difference_noise(&self.current, &mut self.scratch);
             let (current, position) = ((interval_s, noise_a), (interval_s, noise_mm));
             or_doubt(damage::steps(movement, Channel::Current, &self.current, current, &mut self.scratch))?;
-            or_doubt(damage::steps(movement, Channel::Position, &self.position, position, &mut self.scratch))?;
+            if movement.position_every <= 1.0 {
+                or_doubt(damage::steps(movement, Channel::Position, &self.position, position, &mut self.scratch))?;
+            }
             noise::noise_level(movement, &self.current, interval_s, settings, &mut self.scratch)?;
         }
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
@@ -427,7 +440,8 @@ impl Identifier {
             interval_s,
             equilibrium,
             input_noise: current_sd * current_sd * colour,
-            output_noise: (position_sd * radians_per_mm).powi(2) * colour,
+            output_noise: (position_sd * radians_per_mm).powi(2)
+                * colour.max(held::noise_power(movement.position_every)),
             noise_samples: movement.position.samples,
             offsets: [
                 window::current_offset_variance(movement),
@@ -442,6 +456,18 @@ impl Identifier {
         })
     }
 
+    /// Standard deviation of the noise of the position \[mm\], from the roughness of the trace; a position that is joined by
+    /// lines has no roughness.
+    fn position_noise_mm(&mut self, settings: &Settings, movement: &Movement) -> f64 {
+        if movement.position_every <= 1.0 {
+            second_difference_noise(&self.position, &mut self.scratch)
+        } else if movement.position.samples >= MIN_QUIET {
+            movement.position.sd
+        } else {
+            settings.position_noise_mm
+        }
+    }
+
     /// Standard deviations of the noise of current \[A\] and position \[mm\]: measured at rest, or from the roughness
     /// of the trace or the settings; at least the rounding error of the converter.
     fn sensor_noise(&mut self, settings: &Settings, movement: &Movement) -> (f64, f64) {
@@ -450,7 +476,7 @@ impl Identifier {
         let position = if movement.position.samples >= MIN_QUIET {
             movement.position.sd
         } else {
-            second_difference_noise(&self.position, &mut self.scratch).min(settings.position_noise_mm)
+            self.position_noise_mm(settings, movement).min(settings.position_noise_mm)
         };
         let rounding = |level: Level| level.quantum / 12.0_f64.sqrt();
         (current.max(rounding(movement.current)), position.max(rounding(movement.position)))

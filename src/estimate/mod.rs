@@ -10,6 +10,7 @@ mod damage;
 mod decimate;
 mod features;
 mod filter;
+mod held;
 mod hum;
 mod identification;
 mod identifier;

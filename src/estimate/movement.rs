@@ -59,6 +59,8 @@ pub(super) struct Movement {
     pub(super) current: Level,
     /// Position before the start.
     pub(super) position: Level,
+    /// Samples from one measured position to the next; more than 1 if lines join them.
+    pub(super) position_every: f64,
     /// Sign of the toe's movement; 0 without movement.
     pub(super) sign: f64,
     /// Distance from start to end \[mm\].
@@ -139,6 +141,7 @@ impl Movement {
             motor_off,
             current: level,
             position: position_level,
+            position_every: 1.0,
             sign,
             travel_mm,
             near_end,
@@ -196,6 +199,14 @@ impl Movement {
         let back = off.saturating_sub((off.saturating_sub(self.start()) / 10).max(1));
         let speed = |from: usize, to: usize| (position[to] - position[from]) * self.sign / (to - from).max(1) as f64;
         if speed(off, self.near_end) < 0.7 * speed(back, off) { off } else { self.near_end }
+    }
+
+    /// States that only one of so many positions is measured, so that fewer of those at rest count.
+    pub(super) fn measure_position_every(&mut self, samples: f64) {
+        self.position_every = samples.max(1.0);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of samples")]
+        let measured = (self.position.samples as f64 / self.position_every) as usize;
+        self.position.samples = measured;
     }
 
     /// The features of the two channels, with the sampling interval \[s\].

@@ -256,10 +256,12 @@ pub enum Rejection {
     },
     /// The rise of the current was not sampled well enough, and no anti-alias filter is declared.
     #[error(
-        "undersampled: the current rises within {rise_samples} samples, at least 4 are needed unless both channels \
-         passed one anti-alias filter (declare it as anti_alias_hz)"
+        "undersampled: the current has a new value every {:.3} ms and rises within {rise_samples} of them; at least 4 are \
+         needed unless both channels passed one anti-alias filter (declare it as anti_alias_hz)", 1e3 * interval_s
     )]
     Undersampled {
+        /// Time between samples \[s\].
+        interval_s: f64,
         /// Samples from the start to the first crest.
         rise_samples: usize,
     },

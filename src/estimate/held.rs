@@ -1,0 +1,182 @@
+//! Channels with fewer new values than samples: a logger that reads a slow sensor, or samples slowly, repeats each value
+//! (or sends `null` for it) until the next one.
+
+use super::movement::{median_of, quantum, start_of_motor};
+use crate::throw::Trace;
+
+/// Least number of new values for a decision.
+const LEAST_UPDATES: usize = 16;
+/// Least median size of a change \[steps of the converter\]. A converter without noise whose step is larger than the
+/// movement between samples repeats its values as well, and then changes by one step.
+const LEAST_CHANGE: f64 = 1.5;
+/// Least share of the distances between changes that equal their median, within one sample or this share of it.
+const REGULAR_SHARE: f64 = 0.6;
+const REGULAR_TOLERANCE: f64 = 0.1;
+
+/// A trace with the values that its loggers measured, at the rate of the current's new values.
+pub(super) struct Resampled {
+    pub(super) trace: Trace,
+    /// Samples of this trace from one new position to the next; between them the position is a line.
+    pub(super) position_every: f64,
+}
+
+/// The trace without its repeated values; `None` if its channels have a new value in each sample.
+pub(super) fn resampled(trace: &Trace) -> Option<Resampled> {
+    let channels = [trace.current_a(), trace.position_mm()];
+    let [current, position] = channels.map(Updates::of);
+    if current.is_none() && position.is_none() {
+        return None;
+    }
+    let joined = |values: &[f64], updates: &Option<Updates>, start: Option<usize>| match updates {
+        Some(updates) => updates.joined(values, start),
+        None => values.to_vec(),
+    };
+    let current_a = joined(channels[0], &current, None);
+    // Before the start of the motor the toe stands.
+    let start = start_of_motor(&current_a, 1.0 / trace.sample_rate_hz(), &mut Vec::new());
+    let position_mm = joined(channels[1], &position, start);
+    let every = current.as_ref().map_or(1, |updates| updates.every);
+    let first = current.as_ref().map_or(0, Updates::phase);
+    let picked = |values: Vec<f64>| values.into_iter().skip(first).step_by(every).collect();
+    let position_every = position.map_or(1.0, |updates| (updates.every as f64 / every as f64).max(1.0));
+    let trace = Trace::new(trace.sample_rate_hz() / every as f64, picked(current_a), picked(position_mm)).ok()?;
+    Some(Resampled { trace, position_every })
+}
+
+/// The power of noise at low frequencies, as multiple of that of white noise with the variance of the samples, if only
+/// one of `every` samples is measured and a line joins them. A sample at the share f between two measured ones has
+/// 1 - 2 f + 2 f² of their variance; the mean over f is 1 - (n - 1) / n + (n - 1) (2 n - 1) / (3 n²).
+pub(super) fn noise_power(every: f64) -> f64 {
+    let between = (every - 1.0) / every;
+    every / (1.0 - between + between * (2.0 * every - 1.0) / (3.0 * every))
+}
+
+/// New values of a channel.
+struct Updates {
+    /// Usual number of samples from one to the next, at least 2.
+    every: usize,
+    /// Samples with a new value.
+    at: Vec<usize>,
+}
+
+impl Updates {
+    fn of(values: &[f64]) -> Option<Self> {
+        // The usual trace: a new value in most samples. A comparison with NaN is false.
+        let changed = values.array_windows().filter(|[before, after]| (after - before).abs() > 0.0).count();
+        if 3 * changed > 2 * values.len() {
+            return None;
+        }
+        let mut last = f64::NAN;
+        let (mut at, mut new) = (Vec::new(), Vec::new());
+        for (sample, value) in values.iter().enumerate() {
+            if value.is_finite() && *value != last {
+                at.push(sample);
+                new.push(*value);
+                last = *value;
+            }
+        }
+        if at.len() <= LEAST_UPDATES {
+            return None;
+        }
+        let gaps: Vec<f64> = at.array_windows().map(|[before, after]| (after - before) as f64).collect();
+        let changes: Vec<f64> = new.array_windows().map(|[before, after]| (after - before).abs()).collect();
+        let mut scratch = Vec::new();
+        let (gap, change) = (median_of(&gaps, &mut scratch), median_of(&changes, &mut scratch));
+        let tolerance = (REGULAR_TOLERANCE * gap).max(1.0);
+        let regular = gaps.iter().filter(|samples| (**samples - gap).abs() <= tolerance).count();
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of samples")]
+        let every = gap as usize;
+        let is_held =
+            every > 1 && change >= LEAST_CHANGE * quantum(&new) && regular as f64 >= REGULAR_SHARE * gaps.len() as f64;
+        is_held.then_some(Self { every, at })
+    }
+
+    /// The remainder of most new values' samples, divided by their usual distance.
+    fn phase(&self) -> usize {
+        let mut counts = vec![0_usize; self.every];
+        for at in &self.at {
+            counts[at % self.every] += 1;
+        }
+        (0..self.every).max_by_key(|phase| counts[*phase]).unwrap_or(0)
+    }
+
+    /// The channel with a line from each new value to the next one. Where a value is repeated for longer than usual, the
+    /// sensor measured it again: the line begins one usual distance before the next value. No line begins before and ends
+    /// behind this `start`. Longer gaps stay missing.
+    fn joined(&self, values: &[f64], start: Option<usize>) -> Vec<f64> {
+        let mut joined = values.to_vec();
+        let mut measured = 0;
+        for sample in 0..values.len() {
+            if !values[sample].is_nan() {
+                measured = sample;
+            } else if sample - measured <= self.every {
+                joined[sample] = values[measured];
+            }
+        }
+        for [before, after] in self.at.array_windows() {
+            let from = if after - before > self.every + 1 { after - self.every } else { *before };
+            let from = start.filter(|start| (from..*after).contains(start)).unwrap_or(from);
+            let (old, new) = (values[*before], values[*after]);
+            for sample in from + 1..*after {
+                joined[sample] = old + (new - old) * (sample - from) as f64 / (after - from) as f64;
+            }
+        }
+        joined
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A trace of 2,000 samples at 1 kHz: the position with small steps of the converter, the current without.
+    fn trace(current: impl Fn(usize) -> f64, position: impl Fn(usize) -> f64) -> Trace {
+        let values = |of: &dyn Fn(usize) -> f64| (0..2000).map(of).collect();
+        Trace::new(1000.0, values(&current), values(&position)).unwrap()
+    }
+
+    fn toe(sample: usize) -> f64 {
+        18.75 * (1.0 - (sample.saturating_sub(300).min(1500) as f64 / 1500.0 * std::f64::consts::PI).cos())
+    }
+
+    fn motor(sample: usize) -> f64 {
+        3.0 + (0.37 * sample as f64).sin()
+    }
+
+    #[test]
+    fn channels_with_a_new_value_in_each_sample_and_coarse_converters_are_left_alone() {
+        assert!(resampled(&trace(motor, toe)).is_none());
+        assert!(resampled(&trace(motor, |at| (toe(at) / 0.1).round() * 0.1)).is_none());
+        assert!(resampled(&trace(motor, |_| f64::NAN)).is_none());
+        assert!(resampled(&trace(motor, |_| 0.0)).is_none());
+    }
+
+    #[test]
+    fn a_slow_position_is_joined_by_lines_also_between_nulls_and_with_irregular_distances() {
+        let usual = |at: usize| toe(7 + at.saturating_sub(7) / 10 * 10);
+        let nulls = |at: usize| if at % 10 == 7 { toe(at) } else { f64::NAN };
+        let irregular = |at: usize| toe((10.3 * (at as f64 / 10.3).floor()).ceil() as usize);
+        for position in [&usual as &dyn Fn(usize) -> f64, &nulls, &irregular] {
+            let resampled = resampled(&trace(motor, position)).unwrap();
+            assert_eq!((resampled.trace.len(), resampled.position_every), (2000, 10.0));
+            let far =
+                resampled.trace.position_mm()[10..1900].iter().enumerate().map(|(at, mm)| (mm - toe(at + 10)).abs());
+            let largest = far.fold(0.0, f64::max);
+            assert!(largest < 0.1, "at the start and at the end the line cuts a corner: {largest}");
+        }
+    }
+
+    #[test]
+    fn held_channels_are_sampled_at_the_rate_of_the_current() {
+        let held = |at: usize| 3 + at.saturating_sub(3) / 5 * 5;
+        let resampled = resampled(&trace(|at| motor(held(at)), |at| toe(held(at)))).unwrap();
+        assert_eq!((resampled.trace.sample_rate_hz(), resampled.position_every), (200.0, 1.0));
+        assert!(resampled.trace.current_a().iter().enumerate().all(|(k, a)| *a == motor(3 + 5 * k)));
+        assert!(resampled.trace.position_mm()[1..].iter().enumerate().all(|(k, mm)| *mm == toe(8 + 5 * k)));
+    }
+
+    #[test]
+    fn the_noise_of_joined_values_is_that_of_the_measured_ones() {
+        assert!((noise_power(1.0) - 1.0).abs() < 1e-12 && (noise_power(2.0) - 2.0 / 0.75).abs() < 1e-12);
+    }
+}
