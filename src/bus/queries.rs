@@ -26,7 +26,7 @@ const QUEUE: usize = 64;
 const SENDING: usize = 8;
 /// Reply to a query that found the queue full, for its sender.
 const BUSY: &str = "too many queries wait at this daemon: ask again in some seconds";
-/// Largest payload that is read \[bytes\]; commands have a few hundred.
+/// Largest payload of a query \[bytes\]; commands have a few hundred.
 const MAX_PAYLOAD: usize = 64 << 10;
 
 /// A received query.
@@ -51,7 +51,7 @@ impl Question {
         self.query.parameters().get(name)
     }
 
-    /// The payload, cut to `MAX_PAYLOAD`.
+    /// The payload, at most `MAX_PAYLOAD`.
     pub(crate) fn payload(&self) -> Vec<u8> {
         self.query.payload().map(|payload| beginning(payload, MAX_PAYLOAD)).unwrap_or_default()
     }
@@ -87,6 +87,11 @@ impl Questions {
         let queryable = session
             .declare_queryable(key_expression.to_owned())
             .callback(move |query| {
+                // Only the payload of a waiting query takes memory without a bound: it ends without a reply.
+                if query.payload().is_some_and(|payload| payload.len() > MAX_PAYLOAD) {
+                    counter.fetch_add(1, Relaxed);
+                    return;
+                }
                 if let Err(TrySendError::Full(question)) = sender.try_send(Question { query }) {
                     counter.fetch_add(1, Relaxed);
                     // Without a place in this queue too, the query ends without a reply.
@@ -99,7 +104,7 @@ impl Questions {
         Ok(Self { waiting, refused, dropped, sending, _queryable: queryable })
     }
 
-    /// Number of queries refused since the last call, because the queue was full.
+    /// Number of queries refused since the last call: the queue was full, or their payload too large.
     #[must_use]
     pub fn take_dropped(&self) -> u64 {
         self.dropped.swap(0, Relaxed)

@@ -37,7 +37,7 @@ pub(super) struct Arguments {
     /// Number of machines.
     #[arg(long, value_name = "N")]
     machines: Option<usize>,
-    /// Seed of all random numbers.
+    /// Seed of all random numbers; without it the same machines make other throws at each start.
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
     /// Ratio of simulated to real time.
@@ -105,7 +105,7 @@ fn read(document: &Document) -> Result<Plan, ConfigError> {
 fn apply(arguments: &Arguments, plan: &mut Plan) -> Result<(), Failure> {
     let usage = |problem: String| Failure::new(Exit::Usage, anyhow!(problem));
     plan.logger.throws = arguments.throws.or(plan.logger.throws);
-    plan.logger.seed = arguments.seed.unwrap_or(plan.logger.seed);
+    plan.logger.seed = arguments.seed.or(plan.logger.seed);
     plan.logger.time_scale = arguments.time_scale.unwrap_or(plan.logger.time_scale);
     plan.fleet.machines = arguments.machines.unwrap_or(plan.fleet.machines);
     plan.fleet.faults.extend(&arguments.fault);
@@ -226,6 +226,7 @@ mod tests {
         let mut sections = Sections {
             logger: LoggerSettings {
                 throws: Some(1),
+                seed: Some(1),
                 started_at: Some(jiff::Timestamp::UNIX_EPOCH),
                 ..LoggerSettings::default()
             },

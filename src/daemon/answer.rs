@@ -28,7 +28,7 @@ impl Answers {
         while let Some(question) = questions.next().await {
             let dropped = questions.take_dropped();
             if dropped > 0 {
-                seldom!(warn, dropped, "queue of queries full: queries refused");
+                seldom!(warn, dropped, "queries refused: the queue is full, or their payload is too large");
             }
             let replies = self.replies(&question).await;
             questions.answer(question, replies).await;

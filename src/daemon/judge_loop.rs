@@ -252,10 +252,7 @@ impl JudgeLoop {
                 Ok(stored)
             }
             Err(StoreError::Refused(problem)) => {
-                for Outcome { machine, events, .. } in &*outcomes {
-                    let texts: Vec<&str> = events.iter().map(|event| event.text.as_str()).collect();
-                    seldom!(error, %machine, problem, ?texts, "the database rejects the change of a monitor: it is LOST");
-                }
+                outcomes.iter().for_each(|outcome| log_lost(outcome, &problem));
                 Ok(false)
             }
             Err(error) => Err(error),
@@ -348,6 +345,7 @@ impl JudgeLoop {
             match self.judge.store.record(alarm.outcome.clone()).await {
                 Ok(()) => self.announce(&alarm.outcome),
                 Err(StoreError::Closed) => return Err(StoreError::Closed),
+                Err(StoreError::Refused(problem)) => log_lost(&alarm.outcome, &problem),
                 Err(_) => {
                     self.daemon_alarms.push_front(alarm);
                     self.publish_uncommitted().await;
@@ -420,12 +418,19 @@ impl JudgeLoop {
             Some(Err(error)) => (false, error.to_string()),
             Some(Ok(outcome)) => {
                 let stored = self.record(outcome).await?;
+                if !stored {
+                    self.judge.fleet.store_again(machine);
+                }
                 self.update_standing();
                 if stored {
                     tracing::info!(%machine, ?command, "operator's command applied");
                     (true, command.confirmation(machine))
                 } else {
-                    (false, "the command could not be stored: send it again".to_owned())
+                    (
+                        false,
+                        "the database did not store the command, which is in effect until the daemon restarts"
+                            .to_owned(),
+                    )
                 }
             }
         })
@@ -437,4 +442,10 @@ impl JudgeLoop {
             () = self.links.give_up.cancelled() => {}
         }
     }
+}
+
+/// Logs an outcome that the database rejects, with its alarms.
+fn log_lost(Outcome { machine, events, .. }: &Outcome, problem: &str) {
+    let texts: Vec<&str> = events.iter().map(|event| event.text.as_str()).collect();
+    seldom!(error, %machine, problem, ?texts, "the database rejects the change of a monitor: it is LOST");
 }

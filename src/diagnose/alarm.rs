@@ -13,6 +13,7 @@ use super::{
     course::LimitForecast,
     event::{AlarmEvent, AlarmState, Cause, RunnerUp, SensorChannel, Severity},
     rule::Rule,
+    text,
 };
 use crate::throw::{Direction, ThrowRef};
 
@@ -336,7 +337,14 @@ impl Alarms {
     pub(super) fn set_out_of_service(&mut self, out: bool, actor: Actor, at: Timestamp) -> Vec<AlarmEvent> {
         self.out_of_service = out;
         let open: Vec<Cause> = self.open.iter().map(|alarm| alarm.last.cause).collect();
-        open.into_iter().filter_map(|cause| Some(self.event(self.find(cause)?, at, actor, None))).collect()
+        let event = |cause: Cause| {
+            let index = self.find(cause)?;
+            let Alarm { state, last, .. } = &self.open[index];
+            let is_unchecked = !out && state.is_active();
+            let text = is_unchecked.then(|| text::before_maintenance(&last.text));
+            Some(self.event(index, at, actor, text))
+        };
+        open.into_iter().filter_map(event).collect()
     }
 
     /// Closes an alarm, acknowledged by `actor`.

@@ -262,10 +262,10 @@ fn first(above: &dyn Fn(f64) -> f64, share: f64) -> Option<f64> {
         return Some(0.0);
     }
     while above(high) < share {
-        (low, high) = (high, 1.5 * high);
-        if high > FARTHEST {
+        if high == FARTHEST {
             return None;
         }
+        (low, high) = (high, (1.5 * high).min(FARTHEST));
     }
     for _ in 0..20 {
         let middle = f64::midpoint(low, high);

@@ -56,7 +56,7 @@ pub(super) struct Thermometer {
 struct Doubt {
     /// Time of the first one.
     since: Timestamp,
-    /// The last one \[°C\], and the number of consecutive readings like it; `None` for an impossible one.
+    /// The last one \[°C\], and the number of consecutive readings like it; `None` in states of an earlier program.
     last: Option<(f64, u32)>,
 }
 
@@ -68,12 +68,13 @@ impl Thermometer {
             let missing = self.believed.filter(|(_, then)| at.duration_since(*then).abs() > HOLDS);
             return Reading { celsius: before, disbelief: missing.map(|(_, then)| Disbelief::Missing(then)) };
         };
-        let since = self.doubt.as_ref().map_or(at, |doubt| doubt.since);
         if !POSSIBLE_C.contains(&celsius) {
-            self.doubt = Some(Box::new(Doubt { since, last: None }));
+            // No reading of the weather: the next possible one has the change since the last accepted one.
+            self.doubt = None;
             return Reading { celsius: before, disbelief: Some(Disbelief::Impossible(celsius)) };
         }
         if let Some((last, then)) = self.believed {
+            let since = self.doubt.as_ref().map_or(at, |doubt| doubt.since);
             let hours = since.duration_since(then).as_secs_f64().abs() / 3600.0;
             let weather_k = AT_ONCE_K + (PER_HOUR_K * hours).min(WITHIN_HOURS_K) + PER_DAY_K * hours / 24.0;
             if (celsius - last).abs() > weather_k {
@@ -108,5 +109,19 @@ mod tests {
         let missing = Reading { celsius: Some(-10.0), disbelief: Some(Disbelief::Missing(start)) };
         assert_eq!(thermometer.read(None, later(25)), missing);
         assert_eq!(thermometer.read(Some(-8.0), later(26)).celsius, Some(-8.0));
+    }
+
+    #[test]
+    fn the_weather_goes_on_while_a_sensor_sends_impossible_values() {
+        let mut thermometer = Thermometer::default();
+        let later = |hours| Timestamp::UNIX_EPOCH + SignedDuration::from_hours(hours);
+        for hour in 0..200 {
+            assert_eq!(thermometer.read(Some(-5.0), later(hour)).disbelief, None);
+        }
+        for hour in 200..2400 {
+            let impossible = Reading { celsius: Some(-5.0), disbelief: Some(Disbelief::Impossible(-200.0)) };
+            assert_eq!(thermometer.read(Some(-200.0), later(hour)), impossible);
+        }
+        assert_eq!(thermometer.read(Some(21.0), later(2400)), Reading { celsius: Some(21.0), disbelief: None });
     }
 }

@@ -9,6 +9,7 @@ mod publish;
 mod settings;
 
 use std::{
+    hash::{BuildHasher as _, RandomState},
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering::Relaxed},
@@ -38,6 +39,8 @@ use publish::{Publishing, Source};
 const JUDGED_TIMEOUT: Duration = Duration::from_mins(1);
 /// Time between two queries for the last judged throw.
 const JUDGED_POLL_INTERVAL: Duration = Duration::from_millis(200);
+/// Seed of the machines without a configured one.
+const SEED: u64 = 1;
 
 /// A running logger; stops after the present throw when it is dropped.
 pub struct Logger {
@@ -61,7 +64,12 @@ impl Logger {
         fleet: &FleetSettings,
         boot_id: String,
     ) -> Result<Self, LoggerError> {
-        let simulated = Fleet::new(fleet, settings.seed)?.into_machines();
+        // A daemon rejects a throw that it has received before, so the throws of a second boot are others.
+        let simulated = match settings.seed {
+            Some(seed) => Fleet::new(fleet, seed)?,
+            None => Fleet::new(fleet, SEED)?.with_throws_of(RandomState::new().hash_one(&boot_id)),
+        };
+        let simulated = simulated.into_machines();
         let machines: Vec<_> = (0..simulated.len()).map(|number| settings.machine_id(number)).collect();
         let published = Arc::new(AtomicU64::new(0));
         let stop = CancellationToken::new();

@@ -14,8 +14,8 @@ settings! {
         pub site: Name = Name::fixed("north");
         /// Prefix of the machines' names, followed by a number from 1: `machine-1`.
         pub machine: Name = Name::fixed("machine");
-        /// Seed of all random numbers.
-        pub seed: u64 = 1;
+        /// Seed of all random numbers; `None` for the same machines with other throws at each start.
+        pub seed: Option<u64> = None;
         /// Throws of each machine, 1 to 1,000,000,000; `None` for an unlimited number.
         pub throws: Option<u64> = None, Within(1.0, 1e9, "");
         /// Time between two throws of a machine \[s\], 1 to 1,000,000.

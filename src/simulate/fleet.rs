@@ -305,6 +305,15 @@ impl Fleet {
         Ok(Self { machines })
     }
 
+    /// The same machines, whose throws follow from another seed.
+    #[must_use]
+    pub fn with_throws_of(mut self, seed: u64) -> Self {
+        for (number, machine) in self.machines.iter_mut().enumerate() {
+            machine.rng = generator(seed, number);
+        }
+        self
+    }
+
     /// The machines, in the order of their index.
     #[must_use]
     pub fn into_machines(self) -> Vec<SimulatedMachine> {
@@ -351,8 +360,7 @@ impl FleetSettings {
     }
 
     fn build(&self, number: usize, seed: u64) -> Result<SimulatedMachine, OutOfRange> {
-        let mut rng = ChaCha12Rng::seed_from_u64(seed);
-        rng.set_stream(number as u64);
+        let mut rng = generator(seed, number);
         let mut ratio = |pct: f64| (pct / 100.0 * normal(&mut rng)).exp();
         let (kt, friction) = (ratio(self.spread.kt_pct), ratio(self.spread.friction_pct));
         let (stiffness, inertia) = (ratio(self.spread.stiffness_pct), ratio(self.spread.inertia_pct));
@@ -376,4 +384,11 @@ impl FleetSettings {
             rng,
         })
     }
+}
+
+/// The random numbers of a machine.
+fn generator(seed: u64, number: usize) -> ChaCha12Rng {
+    let mut rng = ChaCha12Rng::seed_from_u64(seed);
+    rng.set_stream(number as u64);
+    rng
 }

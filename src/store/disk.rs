@@ -4,7 +4,7 @@ use std::{
     collections::BTreeMap,
     ffi::OsString,
     fs::{File, OpenOptions},
-    io,
+    io::{self, Read as _},
     path::{Path, PathBuf},
     sync::atomic::{AtomicBool, AtomicU64, Ordering},
     time::Duration,
@@ -209,14 +209,15 @@ impl Disk {
 
     fn allocate(&self, bytes: u64) -> io::Result<()> {
         let file: File = OpenOptions::new().create(true).truncate(true).write(true).open(&self.ballast)?;
-        match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes) {
-            Ok(()) => file.sync_all(),
-            Err(error) => {
-                drop(file);
-                std::fs::remove_file(&self.ballast)?;
-                Err(error.into())
-            }
-        }
+        let allocated = match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes) {
+            // Some file systems cannot preallocate.
+            Err(rustix::io::Errno::OPNOTSUPP) => io::copy(&mut io::repeat(0).take(bytes), &mut &file).map(|_| ()),
+            allocated => allocated.map_err(io::Error::from),
+        };
+        allocated.and_then(|()| file.sync_all()).inspect_err(|_| {
+            // Already an error; without the file the next call tries again.
+            let _ = std::fs::remove_file(&self.ballast);
+        })
     }
 }
 

@@ -147,7 +147,8 @@ pub(super) async fn open(
 }
 
 /// Copies the readable rows of a broken database into a new file, which gets the configured path when it is complete: an
-/// interrupted copy begins again at the next start. Without space for all rows the most valuable ones are copied.
+/// interrupted copy begins again at the next start. Without space for all rows the most valuable ones are copied; without
+/// space for these the start fails, as all machines would learn anew beside baselines that can be read.
 async fn recover(
     settings: &Settings,
     disk: &Disk,
@@ -170,7 +171,13 @@ async fn recover(
             Err(trouble) => {
                 let error = trouble.of(&copy);
                 tracing::error!(%error, tables, "copying rows from the broken database failed");
-                disk.note_failure(matches!(error, StoreError::Full));
+                let is_full = matches!(error, StoreError::Full);
+                disk.note_failure(is_full);
+                if is_full && tables == PARTS[PARTS.len() - 1] {
+                    // The file stays unfinished: the next start copies its rows. A new database now would end that.
+                    files.salvage_path()?;
+                    return Err(error);
+                }
             }
         }
     }

@@ -11,11 +11,20 @@ use crate::{
     wire::{Alarm, Health},
 };
 
+/// Number of open alarms of one cause and severity.
+#[derive(Debug, sqlx::FromRow)]
+pub(crate) struct AlarmCount {
+    pub(crate) cause: String,
+    pub(crate) severity: String,
+    pub(crate) open: i64,
+    /// Those that are neither over, shelved nor in maintenance.
+    pub(crate) active: i64,
+}
+
 impl Reader {
     /// Number of open alarms for each cause and severity.
-    pub(crate) async fn open_alarms_by_kind(&self) -> Result<Vec<(String, String, u64)>, StoreError> {
-        let kinds: Vec<(String, String, i64)> = self.external(sqlx::query_as(sql::OPEN_ALARMS_BY_KIND)).await?;
-        Ok(kinds.into_iter().map(|(cause, severity, count)| (cause, severity, count.cast_unsigned())).collect())
+    pub(crate) async fn open_alarms_by_kind(&self) -> Result<Vec<AlarmCount>, StoreError> {
+        self.external(sqlx::query_as(sql::OPEN_ALARMS_BY_KIND)).await
     }
 
     /// The newest `limit` throws of a machine in one direction, oldest first.

@@ -50,10 +50,19 @@ pub(super) struct Quarantine {
 impl Write for Quarantine {
     type Output = ();
 
-    async fn run(&self, connection: &mut SqliteConnection, _repeated: bool) -> sqlx::Result<()> {
+    async fn run(&self, connection: &mut SqliteConnection, repeated: bool) -> sqlx::Result<()> {
         let kept = self.refused.len().min(self.keep as usize).min(SAMPLE);
+        let short = |text: &str| text.chars().take(TEXT).collect::<String>();
+        if let Some(newest) = self.refused.last().filter(|_| repeated && kept > 0) {
+            let is_stored = sqlx::query_scalar(sql::IS_QUARANTINED)
+                .bind(newest.at.as_microsecond())
+                .bind(short(&newest.key))
+                .bind(i64::try_from(newest.bytes).unwrap_or(i64::MAX));
+            if is_stored.fetch_one(&mut *connection).await? {
+                return Ok(());
+            }
+        }
         for refused in &self.refused[self.refused.len() - kept..] {
-            let short = |text: &str| text.chars().take(TEXT).collect::<String>();
             sqlx::query(sql::ADD_QUARANTINE)
                 .bind(refused.at.as_microsecond())
                 .bind(short(&refused.key))

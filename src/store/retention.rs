@@ -6,13 +6,16 @@
 //! Age counts only while the clock is trusted: a clock that jumps ten years ahead must not empty the database. The
 //! small transactions run between those of received throws.
 
-use std::collections::{BTreeMap, BinaryHeap};
+use std::{
+    collections::{BTreeMap, BinaryHeap},
+    sync::Arc,
+};
 
 use jiff::{SignedDuration, Timestamp};
 use sqlx::{Sqlite, SqliteConnection, query::QueryScalar, sqlite::SqliteArguments};
 
 use super::{
-    database::Store, disk::DiskLevel, error::StoreError, settings::MIB, spool::count, statements as sql,
+    database::Store, disk::DiskLevel, error::StoreError, pace::seldom, settings::MIB, spool::count, statements as sql,
     statistics::Statistics, write::Write,
 };
 
@@ -247,7 +250,12 @@ impl Store {
                 *done.entry(what).or_default() += rows;
             }
         }
-        self.disk.restore_ballast()?;
+        let disk = Arc::clone(&self.disk);
+        // A missing ballast must not hide what was dropped.
+        match tokio::task::spawn_blocking(move || disk.restore_ballast()).await {
+            Ok(Err(error)) => seldom!(warn, %error, "no ballast file: recovery from a full disk will be harder"),
+            Ok(Ok(_)) | Err(_) => {}
+        }
         Ok(done)
     }
 

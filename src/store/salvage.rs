@@ -17,6 +17,9 @@ use super::{error::is_full, graft::graft};
 const RANGE: i64 = 1024;
 /// Highest tried key of a table whose bounds cannot be read: these tables have far fewer rows.
 const FEW: i64 = 1 << 20;
+/// Largest possible key: 10,000 throws a second reach it in 800 years. After a row with the largest key of SQLite no other
+/// could be added.
+const LARGEST_KEY: i64 = 1 << 48;
 /// Failed statements after which the rest of a table is skipped: at most a minute in a completely damaged table.
 const MOST_FAILURES: u32 = 50_000;
 /// Keys tried before the whole table counts as lost.
@@ -261,10 +264,16 @@ impl Copy {
         let (mut lost, mut failures) = (0, 0);
         let mut start = first;
         while start <= last {
-            let mut ranges = vec![(start, (start + RANGE - 1).min(last))];
+            // A damaged key may be far from all others: only ranges with rows are copied.
+            match self.next_key(connection, start).await {
+                Ok(Some(next)) => start = next,
+                Ok(None) => return Ok(lost),
+                Err(_) => failures += 1,
+            }
+            let mut ranges = vec![(start, start.saturating_add(RANGE - 1).min(last))];
             while let Some((low, high)) = ranges.pop() {
                 if failures > MOST_FAILURES {
-                    return Ok(lost + last.abs_diff(low) + 1);
+                    return Ok(last.abs_diff(low).saturating_add(lost + 1));
                 }
                 if let Some(unsound) = self.range(connection, low, high).await? {
                     lost += unsound;
@@ -278,9 +287,17 @@ impl Copy {
                     ranges.extend([(middle + 1, high), (low, middle)]);
                 }
             }
-            start += RANGE;
+            let Some(next) = start.checked_add(RANGE) else { break };
+            start = next;
         }
         Ok(lost)
+    }
+
+    /// The lowest key of the table that is not below this one.
+    async fn next_key(&self, connection: &mut SqliteConnection, from: i64) -> sqlx::Result<Option<i64>> {
+        let Self { table, key, .. } = self;
+        let next = format!("SELECT {key} FROM broken.{table} WHERE {key} >= ?1 ORDER BY {key} LIMIT 1");
+        sqlx::query_scalar(AssertSqlSafe(next)).bind(from).fetch_optional(connection).await
     }
 
     /// Whether no key is readable, as the root page of the table is broken.
@@ -288,7 +305,7 @@ impl Copy {
         let Self { table, key, .. } = self;
         let probe = format!("SELECT count(*) FROM broken.{table} WHERE {key} = ?1");
         for step in 0..PROBES {
-            let at = first + (last - first) / PROBES * step;
+            let at = first.saturating_add(last.saturating_sub(first) / PROBES * step);
             let found = sqlx::query(AssertSqlSafe(probe.clone())).bind(at).fetch_optional(&mut *connection).await;
             if found.is_ok() {
                 return false;
@@ -312,7 +329,7 @@ impl Copy {
             }
             None => None,
         };
-        (first.unwrap_or(0), last.unwrap_or(FEW))
+        (first.unwrap_or(0).max(0), last.unwrap_or(FEW).min(LARGEST_KEY))
     }
 
     /// Copies the valid rows of a range of keys and returns the number of invalid ones; `None` if a row cannot be read.

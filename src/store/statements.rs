@@ -352,8 +352,11 @@ statements! {
 
     // Quarantine.
     ADD_QUARANTINE = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start) VALUES (?1, ?2, ?3, ?4, ?5)";
+    IS_QUARANTINED = "SELECT EXISTS (SELECT 1 FROM quarantine WHERE received_at_us = ?1 AND key = ?2 AND payload_bytes = ?3)";
     TRIM_QUARANTINE = "DELETE FROM quarantine WHERE quarantine_row <= (SELECT max(quarantine_row) FROM quarantine) - ?1";
-    ADD_COMMAND = "INSERT INTO command (machine_row, at_us, command, by_whom, why, payload) VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
+    ADD_COMMAND = "INSERT INTO command (machine_row, at_us, command, by_whom, why, payload) \
+        SELECT ?1, ?2, ?3, ?4, ?5, ?6 \
+        WHERE NOT EXISTS (SELECT 1 FROM command WHERE machine_row = ?1 AND at_us = ?2 AND payload = ?6)";
     TRIM_COMMANDS = "DELETE FROM command WHERE command_row <= (SELECT max(command_row) FROM command) - ?1";
 
     // Health.
@@ -379,7 +382,8 @@ statements! {
     REPORT_GAP = "UPDATE gap SET told_at_us = ?2 WHERE gap_row = ?1";
 
     // The dashboard. Each query reads a bounded number of rows.
-    OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) \
+    OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) AS open, \
+            sum(alarm.state IN ('active_unacknowledged', 'active_acknowledged')) AS active \
         FROM alarm JOIN alarm_event ON alarm_event.alarm_row = alarm.alarm_row AND event_no = last_event_no \
         WHERE alarm.state <> 'normal' GROUP BY cause, severity ORDER BY cause, severity";
     WAY_NEWEST = concat!("SELECT ", history!(), " \

@@ -217,17 +217,22 @@ fn daemon(registry: &mut Registry, report: &StatusReport) {
 }
 
 fn alarms(registry: &mut Registry, overview: &Overview) {
-    let open = Family::<Labels<2>, Gauge>::default();
+    let [open, active] = [(); 2].map(|()| Family::<Labels<2>, Gauge>::default());
     let cell = |cause: &str, severity: &str| [("cause", cause.to_owned()), ("severity", severity.to_owned())];
     for cause in Cause::VARIANTS {
         for severity in [Severity::Warning, Severity::Critical] {
-            open.get_or_create(&cell(cause.as_str(), severity.as_str())).set(0);
+            for alarms in [&open, &active] {
+                alarms.get_or_create(&cell(cause.as_str(), severity.as_str())).set(0);
+            }
         }
     }
-    for (cause, severity, number) in &overview.alarms_by_kind {
-        open.get_or_create(&cell(cause, severity)).set(number.cast_signed());
+    for count in &overview.alarms_by_kind {
+        open.get_or_create(&cell(&count.cause, &count.severity)).set(count.open);
+        active.get_or_create(&cell(&count.cause, &count.severity)).set(count.active);
     }
     registry.register("alarms_open", "Open alarms, by cause and severity", open);
+    let help = "Open alarms that are neither over, shelved nor in maintenance, by cause and severity";
+    registry.register("alarms_active", help, active);
 }
 
 fn count(registry: &mut Registry, name: &str, help: &str, value: u64) {

@@ -9,7 +9,7 @@ use tokio::sync::{Mutex, Semaphore, SemaphorePermit};
 
 use crate::{
     daemon::{View, clock},
-    store::{CommonAlarm, Fault, FleetQuery, Statistics, StoreError, Tally},
+    store::{AlarmCount, CommonAlarm, Fault, FleetQuery, Statistics, StoreError, Tally},
     wire::Alarm,
 };
 
@@ -36,7 +36,7 @@ pub(super) struct Overview {
     pub(super) own_alarms: Vec<Alarm>,
     /// Number of open alarms of another version that this version cannot read.
     pub(super) unreadable: usize,
-    pub(super) alarms_by_kind: Vec<(String, String, u64)>,
+    pub(super) alarms_by_kind: Vec<AlarmCount>,
     pub(super) statistics: Statistics,
 }
 

@@ -156,7 +156,8 @@ async fn the_readmes_logger_loses_nothing_when_it_or_the_daemon_is_killed() {
     let mut rng = ChaCha8Rng::seed_from_u64(20);
     let mut recorded = 0;
     // It stores throws although no daemon runs.
-    let kept = || fs::read_to_string(rig.folder().join("throws.jsonl")).unwrap_or_default().lines().count();
+    let kept =
+        || fs::read_to_string(rig.folder().join("points-v1-north-21B.jsonl")).unwrap_or_default().lines().count();
     let mut write = |logger: &mut Program| {
         recorded += 1;
         let throw = json!({
@@ -184,7 +185,7 @@ async fn the_readmes_logger_loses_nothing_when_it_or_the_daemon_is_killed() {
     daemon.kill();
     let daemon = rig.start();
     let kept = until(2 * PATIENCE, async || {
-        let file = fs::read_to_string(rig.folder().join("throws.jsonl")).unwrap();
+        let file = fs::read_to_string(rig.folder().join("points-v1-north-21B.jsonl")).unwrap();
         let kept: Vec<Value> = file.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
         let stored = rig.sql("SELECT boot_id, throw_no FROM throw JOIN boot USING (boot_row)");
         let is_all = numbers(&stored) == numbers(&kept);

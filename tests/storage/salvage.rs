@@ -1,6 +1,6 @@
 //! Salvage of a database with broken pages: baselines and open alarms first.
 
-use std::{fs, os::unix::fs::FileExt, path::Path};
+use std::{fs, os::unix::fs::FileExt, path::Path, time::Duration};
 
 use pointsd::{
     diagnose::AlarmState,
@@ -9,6 +9,7 @@ use pointsd::{
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sqlx::Connection;
+use tokio::time::timeout;
 
 use crate::given::{
     alarm, at, change, event, fresh, judge, judged, judgement, machine, open, outcome, outsider, settings, spooled,
@@ -103,6 +104,26 @@ async fn readable_rows_of_a_broken_database_are_kept() {
         );
         assert!(mean(machines) >= least_machines && mean(throws) >= least_throws * all as f64);
     }
+}
+
+/// The copy goes from key to key, not through the 2^40 keys between the last one and that of garbage. A key of SQLite's
+/// largest would let no other throw be added.
+#[tokio::test]
+async fn keys_of_garbage_far_above_all_others_cost_no_time_and_no_later_throw() {
+    let folder = tempfile::tempdir().unwrap();
+    database(folder.path()).await;
+    let garbage = [
+        "CREATE TEMP TABLE garbage AS SELECT * FROM throw WHERE throw_row = 1",
+        "UPDATE garbage SET throw_row = 1 << 40, throw_no = 998",
+        "INSERT INTO throw SELECT * FROM garbage",
+        "UPDATE garbage SET throw_row = 9223372036854775807, throw_no = 999",
+        "INSERT INTO throw SELECT * FROM garbage",
+    ];
+    change(folder.path().join("points.db"), garbage).await;
+    break_pages(&folder.path().join("points.db"), 3, 1);
+    let (store, salvaged) = timeout(Duration::from_mins(1), salvaged(folder.path())).await.unwrap();
+    assert!(salvaged.saved("throw") > 900, "{salvaged:?}");
+    judged(&store, "21B", "b2", 1).await;
 }
 
 #[tokio::test]

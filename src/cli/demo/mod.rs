@@ -189,7 +189,7 @@ fn client(endpoint: &str) -> Result<zenoh::Config, Failure> {
 fn logger_settings(seed: u64) -> LoggerSettings {
     let history = SignedDuration::try_from_secs_f64(THROWS as f64 * INTERVAL_S).unwrap_or_default();
     LoggerSettings {
-        seed,
+        seed: Some(seed),
         throws: Some(THROWS),
         interval_s: INTERVAL_S,
         time_scale: INTERVAL_S * RATE,

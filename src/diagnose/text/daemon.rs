@@ -24,6 +24,12 @@ pub(crate) fn checked_anew(name: &str) -> String {
     format!("Machine {name}: this alarm ends, and is raised again by the next throws if its reason is still there.")
 }
 
+/// Text of an alarm at the end of maintenance, from its text before.
+pub(crate) fn before_maintenance(before: &str) -> String {
+    const UNCHECKED: &str = " This was before the maintenance: the next throws show whether it is over.";
+    if before.ends_with(UNCHECKED) { before.to_owned() } else { format!("{before}{UNCHECKED}") }
+}
+
 /// Text of a new baseline.
 pub(crate) fn rebaselined(name: &str, by: &str, why: &str) -> String {
     format!("Machine {name}: a new baseline is being taken ({by}: {why}).")
