@@ -26,7 +26,7 @@ const GROUP_SIZE: usize = 5;
 /// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
 /// alarms.
 ///
-/// Exit codes: 0 shown; 1 the answer of a daemon is missing or unreadable, or with --check an alarm is open; 64 an option is
+/// Exit codes: 0 shown; 1 the answer of a daemon is missing or unreadable, or with --check an alarm is open and not silenced; 64 an option is
 /// wrong; 69 no usable reply, or unknown machine; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01 --json\n  \
@@ -50,7 +50,8 @@ pub(super) struct Arguments {
     /// Print every alarm, without summaries of alarms of the same kind.
     #[arg(long)]
     all: bool,
-    /// Exit with 1 if an alarm is open, or a daemon's answer is missing or unreadable.
+    /// Exit with 1 if an alarm is open and neither shelved nor in maintenance, or a daemon's answer is missing or
+    /// unreadable.
     #[arg(long, conflicts_with_all = ["since", "limit"])]
     check: bool,
     #[command(flatten)]
@@ -96,7 +97,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
             let error = anyhow::anyhow!("no daemon gave a usable answer, which is not the same as no alarms");
             return Err(Failure::new(exit, error));
         }
-        let is_negative = problems > 0 || (arguments.check && !found.is_empty());
+        let is_negative =
+            problems > 0 || (arguments.check && found.iter().any(|(_, alarm)| !alarm.state.is_silenced()));
         if arguments.json {
             for ((_, payload), _) in &found {
                 output::line(String::from_utf8_lossy(payload))?;
@@ -159,11 +161,14 @@ pub(super) fn print_open(
 }
 
 /// The entries of the list: alarms about a daemon itself, then faults of machines, then machines not monitored and lost
-/// data; of each the most severe first. Many alarms of one cause, severity and kind are one entry, unless `all` is set.
+/// data; of each the active ones first, and of these the most severe. Many alarms of one cause, severity and kind are one entry, unless `all` is set.
 fn entries<'a>(alarms: &'a [Alarm], daemons: &[MachineId], all: bool) -> Vec<Vec<&'a Alarm>> {
     let is_daemon = |alarm: &Alarm| daemons.contains(&alarm.machine);
     let common = |alarm: &Alarm| !is_daemon(alarm) && matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss);
-    let rank = |alarm: &Alarm| (!is_daemon(alarm), common(alarm), Reverse(alarm.severity), Reverse(alarm.raised_at));
+    let rank = |alarm: &Alarm| {
+        let place = (!is_daemon(alarm), common(alarm), !alarm.state.is_active());
+        (place, Reverse(alarm.severity), Reverse(alarm.raised_at))
+    };
     let (grouped, mut entries): (Vec<&Alarm>, Vec<&Alarm>) = alarms.iter().partition(|alarm| !all && common(alarm));
     let mut groups: BTreeMap<_, Vec<&Alarm>> = BTreeMap::new();
     for alarm in grouped {
@@ -207,7 +212,9 @@ fn print_group(alarms: &[&Alarm]) -> Result<(), Failure> {
     let severity = newest.severity.as_str().to_uppercase();
     output::line(format_args!("{severity:8}  {} machines  {}", alarms.len(), newest.cause))?;
     let (first, last) = (raised().min().unwrap_or(newest.raised_at), raised().max().unwrap_or(newest.raised_at));
-    indented(&format!("raised {} to {}; by site: {}", utc(&first), utc(&last), sites.join(", ")))?;
+    let silenced = alarms.iter().filter(|alarm| alarm.state.is_silenced()).count();
+    let silenced = if silenced > 0 { format!("; {silenced} shelved or in maintenance") } else { String::new() };
+    indented(&format!("raised {} to {}; by site: {}{silenced}", utc(&first), utc(&last), sites.join(", ")))?;
     indented(&format!("for example: {}", newest.text))?;
     indented("pointsd alarms --all lists all of them")
 }

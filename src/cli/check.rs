@@ -1,8 +1,6 @@
 //! `pointsd check`: checks a configuration.
 
-use std::path::{Path, PathBuf};
-
-use rustix::fs::{Access, access};
+use std::path::PathBuf;
 
 use super::{Exit, Outcome, ResultExt, output, runtime};
 use crate::{
@@ -22,22 +20,13 @@ pub(super) struct Arguments {
     config: PathBuf,
 }
 
-/// A file of the database that exists and that this user may not write. The daemon itself is restarted then, as the file
-/// may be that of another program for a moment.
-fn unwritable(database: &Path) -> Option<PathBuf> {
-    let closed = |file: &PathBuf| access(file, Access::READ_OK | Access::WRITE_OK).is_err();
-    ["", "-wal", "-shm"]
-        .map(|suffix| store::beside(database, suffix))
-        .into_iter()
-        .find(|file| file.exists() && closed(file))
-}
-
 pub(super) fn main(arguments: &Arguments) -> Outcome {
     let document = Document::read(&arguments.config).or_exit(Exit::Config)?;
     let config = Config::from_document(&document).or_exit(Exit::Config)?;
-    if let Some(file) = unwritable(&config.store.path) {
+    // The daemon itself is restarted then, as the file may be that of another program for a moment.
+    if let Some(file) = store::unwritable(&config.store.path) {
         let problem = format!(
-            "this user cannot write to {}: the database, its -wal and its -shm must belong to the user of pointsd",
+            "this user cannot write to {}: the user of pointsd must own the database, its -wal and its -shm, and may write to them",
             file.display()
         );
         return Err(document.complain("store.path", problem)).or_exit(Exit::Config);

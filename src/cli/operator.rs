@@ -58,7 +58,13 @@ impl Connection {
         set("connect/exit_on_failure", true.into())?;
         let session = bus::open(config).await.map_err(|error| {
             let places = endpoints.join(" or ");
-            let says = "Is pointsd running? Name its endpoint with --connect tcp/HOST:7447";
+            let is_encrypted = endpoints.iter().any(|place| place.starts_with("tls/") || place.starts_with("quic/"));
+            let says = if is_encrypted {
+                "Is pointsd running, and does each side accept the certificate of the other: authority, dates, host name, \
+                 key? Name the endpoint with --connect tls/HOST:7447, the certificates in the file of --config"
+            } else {
+                "Is pointsd running? Name its endpoint with --connect tcp/HOST:7447"
+            };
             Failure::new(Exit::Unavailable, anyhow!("no answer from {places}. {says} ({error})"))
         })?;
         if let Some(monitor) = &monitor

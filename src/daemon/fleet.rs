@@ -10,8 +10,8 @@ use jiff::{SignedDuration, Timestamp};
 use super::status::Standing;
 use crate::{
     diagnose::{
-        AlarmEvent, AlarmState, Command, CommandError, Common, Irregularity, MachineMonitor, Observation, Parameters,
-        Settings, Severity, Verdict,
+        AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Observation,
+        Parameters, Settings, Severity, Verdict,
     },
     estimate::{Estimate, Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
@@ -188,6 +188,11 @@ impl Fleet {
         is_trusted.then_some(stored.received_at)
     }
 
+    /// Whether most of the last loggers date their throws a day or more after this computer.
+    pub(super) fn is_clock_behind(&self) -> bool {
+        2 * self.ahead.iter().filter(|(_, is_ahead)| *is_ahead).count() > self.ahead.len()
+    }
+
     /// Advances the time of every machine, with the present liveliness tokens; returns the machines to store, with their
     /// events. The monitors count silent time, so that each is also stored at one of [`TICKS_AN_HOUR`] ticks.
     pub(super) fn tick(
@@ -203,10 +208,9 @@ impl Fleet {
             let before = (monitor.is_announced(), monitor.state());
             let mut events: Vec<_> = monitor.logger(loggers.contains(machine), now, settings).into_iter().collect();
             events.extend(monitor.tick(now, settings));
-            // After a change of its name nobody else ends the alarms of the daemon.
-            if machine != own_machine && monitor.has_no_logger() {
-                events.extend(monitor.trouble(None, now, settings));
-                events.extend(monitor.peers(&[], now, settings));
+            // After a change of `monitor.site` or `monitor.id` no process ends the alarms under the old name.
+            if machine != own_machine && monitor.has_no_logger() && machine.machine.as_str() != ALL_MACHINES {
+                events.extend(monitor.renamed(own_machine, now));
             }
             // The existence of a token is stored at once, so that its loss is detected after a restart too.
             let changes = before != (monitor.is_announced(), monitor.state()) || !events.is_empty();
@@ -273,12 +277,11 @@ impl Fleet {
     pub(super) fn peers(
         &mut self,
         own_machine: &MachineId,
-        away: &[(MachineId, Timestamp)],
+        away: &Away,
         now: Timestamp,
         settings: &Settings,
     ) -> Option<Outcome> {
-        let names: Vec<(String, Timestamp)> = away.iter().map(|(peer, since)| (peer.to_string(), *since)).collect();
-        self.update(own_machine, !away.is_empty(), now, |monitor| monitor.peers(&names, now, settings))
+        self.update(own_machine, !away.daemons.is_empty(), now, |monitor| monitor.peers(away, now, settings))
     }
 
     /// Reports an irregularity of a logger without a throw; `None` if its machine has no monitor, or without news.

@@ -2,7 +2,7 @@
 //! through it too.
 
 use std::{
-    collections::{HashMap, HashSet, VecDeque},
+    collections::{BTreeMap, HashMap, HashSet, VecDeque},
     future,
     sync::Arc,
     time::{Duration, Instant},
@@ -28,7 +28,7 @@ use super::{
 };
 use crate::{
     bus::Outlet,
-    diagnose::{Command, Irregularity},
+    diagnose::{Away, Command, Irregularity},
     store::{GapRow, Judgement, Outcome, Store, StoreError, seldom},
     throw::MachineId,
     wire::{self, Alarm, Kind, Reply},
@@ -96,8 +96,10 @@ pub(super) struct JudgeLoop {
     links: Links,
     /// Name of the daemon as a machine, for its alarms.
     own_machine: MachineId,
-    /// Watched daemons that were away at the last tick, with the time since when.
-    away: Option<Vec<(MachineId, Timestamp)>>,
+    /// Watched daemons that were away at the last tick, and whether this one had a link itself.
+    away: Option<Away>,
+    /// Machines of which every message so far was refused, with the reason.
+    refused: BTreeMap<MachineId, String>,
     /// Queue of unstored events: at most a raise, an escalation and a clearance.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
     /// Rate limit of commands.
@@ -112,6 +114,7 @@ impl JudgeLoop {
             links,
             own_machine,
             away: None,
+            refused: BTreeMap::new(),
             daemon_alarms: VecDeque::new(),
             budget: Budget::new(clock::monotonic()),
         }
@@ -298,9 +301,13 @@ impl JudgeLoop {
             let invalid = Irregularity::Invalid { count, reason: &reason };
             if let Some(outcome) = self.judge.fleet.irregular(&machine, invalid, now, &config.diagnosis) {
                 self.record(outcome).await?;
+            } else if !self.judge.fleet.knows(&machine) && self.refused.len() < NAMED {
+                self.refused.insert(machine, reason);
             }
         }
         let away = self.links.peers.away();
+        let has_link = self.links.status.edit().connected;
+        let away = away.map(|daemons| Away { daemons, has_link });
         if let Some(away) = away.filter(|away| self.away.as_ref() != Some(away)) {
             let outcome = self.judge.fleet.peers(&self.own_machine, &away, now, &config.diagnosis);
             self.away = Some(away);
@@ -322,14 +329,17 @@ impl JudgeLoop {
         Ok(())
     }
 
-    fn update_standing(&self) {
+    fn update_standing(&mut self) {
         let standing = self.judge.fleet.standing(&self.own_machine);
         let loggers = self.links.loggers.borrow().clone();
         let silent = loggers.iter().filter(|machine| !self.judge.fleet.knows(machine));
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
         without_throw.truncate(NAMED);
+        self.refused.retain(|machine, _| !self.judge.fleet.knows(machine));
         let mut report = self.links.status.edit();
+        report.refused = self.refused.iter().map(|(machine, reason)| format!("{machine} ({reason})")).collect();
+        report.clock_behind = self.judge.fleet.is_clock_behind();
         (report.standing, report.without_throw) = (standing, without_throw);
     }
 
@@ -417,6 +427,7 @@ impl JudgeLoop {
             None => (false, format!("no machine {machine} is known here: it has sent no throw yet")),
             Some(Err(error)) => (false, error.to_string()),
             Some(Ok(outcome)) => {
+                let consequence = command.consequence(&outcome.events);
                 let stored = self.record(outcome).await?;
                 if !stored {
                     self.judge.fleet.store_again(machine);
@@ -424,7 +435,7 @@ impl JudgeLoop {
                 self.update_standing();
                 if stored {
                     tracing::info!(%machine, ?command, "operator's command applied");
-                    (true, command.confirmation(machine))
+                    (true, command.confirmation(machine) + &consequence)
                 } else {
                     (
                         false,

@@ -31,21 +31,17 @@ pub(super) struct Peers {
 #[derive(Debug, Clone, Copy)]
 struct Away {
     since: Instant,
-    at: Timestamp,
-}
-
-impl Away {
-    fn now() -> Self {
-        Self { since: clock::monotonic(), at: clock::now() }
-    }
+    /// `None` if it was away at the start.
+    at: Option<Timestamp>,
 }
 
 impl Peers {
     /// These daemons, away until their tokens arrive.
     pub(super) fn new(peers: impl IntoIterator<Item = MachineId>) -> Self {
-        let away = Away::now();
+        let started = clock::monotonic();
+        let away = Away { since: started, at: None };
         let peers = peers.into_iter().map(|peer| (peer, Some(away))).collect();
-        Self { started: away.since, away: Mutex::new(peers) }
+        Self { started, away: Mutex::new(peers) }
     }
 
     /// Follows the tokens of all daemons while the session is open.
@@ -70,15 +66,15 @@ impl Peers {
             }
             Some(away @ None) => {
                 tracing::warn!(%daemon, "watched daemon disconnected");
-                *away = Some(Away::now());
+                *away = Some(Away { since: clock::monotonic(), at: Some(clock::now()) });
             }
             _ => {}
         }
     }
 
-    /// The daemons that have been away for at least [`GRACE`], each with the time when it left. `None` in the first
+    /// The daemons that have been away for at least [`GRACE`], each with the time when it left, if that was seen. `None` in the first
     /// [`GRACE`] after the start, unless all daemons are present: the tokens may still arrive.
-    pub(super) fn away(&self) -> Option<Vec<(MachineId, Timestamp)>> {
+    pub(super) fn away(&self) -> Option<Vec<(MachineId, Option<Timestamp>)>> {
         let peers = self.away.lock();
         let now = clock::monotonic();
         let is_known = now.duration_since(self.started) >= GRACE || peers.values().all(Option::is_none);

@@ -404,6 +404,7 @@ fn report_database(report: &store::Report, settings: &store::Settings) {
             tracing::error!(%database, %set_aside, why, saved = salvaged.text(), "the database was BROKEN: set aside, and a new one created");
         }
     }
+    tracing::info!(version = env!("CARGO_PKG_VERSION"), "pointsd starts");
     if report.upgraded_by > 0 {
         tracing::info!(migrations = report.upgraded_by, "the database was migrated");
     }

@@ -86,6 +86,12 @@ pub struct StatusReport {
     /// The first of the machines whose loggers are connected and sent no throw yet.
     #[serde(default)]
     pub without_throw: Vec<String>,
+    /// The first of the machines of which every message so far was refused, with the reason.
+    #[serde(default)]
+    pub refused: Vec<String>,
+    /// Whether most loggers date their throws a day or more after this computer.
+    #[serde(default)]
+    pub clock_behind: bool,
     /// Messages received.
     pub received: u64,
     /// Messages dropped because the queue was full.
@@ -214,10 +220,14 @@ impl Gauges {
 }
 
 impl StatusReport {
-    /// Whether the daemon has no problem with disk, loops or lost messages.
+    /// Whether the daemon has no problem with disk, clock, loops, or lost or refused messages.
     #[must_use]
     pub fn is_well(&self) -> bool {
-        self.disk == DiskLevel::Ample && self.silent.is_empty() && self.dropped + self.lost == 0
+        self.disk == DiskLevel::Ample
+            && self.silent.is_empty()
+            && self.refused.is_empty()
+            && !self.clock_behind
+            && self.dropped + self.lost == 0
     }
 
     /// One line of text, problems first.
@@ -244,6 +254,12 @@ impl StatusReport {
         }
         if !self.connected {
             parts.push("not connected".to_owned());
+        }
+        if self.clock_behind {
+            parts.push("CLOCK BEHIND: most loggers date their throws a day or more after this computer".to_owned());
+        }
+        if !self.refused.is_empty() {
+            parts.push(format!("EVERY MESSAGE REFUSED: {}", self.refused.join("; ")));
         }
         if self.webhook_fails {
             parts.push("WEBHOOK FAILS: alarms wait for its receiver".to_owned());

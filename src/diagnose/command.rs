@@ -3,7 +3,10 @@
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
-use super::{event::Cause, settings::Settings};
+use super::{
+    event::{AlarmEvent, Cause},
+    settings::Settings,
+};
 use crate::throw::{MachineId, utc};
 
 /// A command of an operator to the monitor of a machine.
@@ -83,7 +86,9 @@ pub enum CommandError {
         cause: Cause,
     },
     /// The time is in the past.
-    #[error("`until` is {until}, which is past: give a time after {now}")]
+    #[error(
+        "`until` is {until}, but the clock of the daemon is at {now}: give a later time, or correct the clock that is wrong"
+    )]
     UntilIsPast {
         /// The given time.
         until: Timestamp,
@@ -91,8 +96,12 @@ pub enum CommandError {
         now: Timestamp,
     },
     /// Shelving or maintenance would last longer than the settings allow.
-    #[error("`until` is more than {days} days ahead: give an earlier time (longest_shelving_days)")]
+    #[error(
+        "`until` is more than {days} days after the clock of the daemon, which is at {now}: give an earlier time (longest_shelving_days), or correct the clock that is wrong"
+    )]
     UntilTooFar {
+        /// Time of the monitor's clock.
+        now: Timestamp,
         /// The longest time allowed \[days\].
         days: u32,
     },
@@ -142,6 +151,26 @@ impl Command {
         }
     }
 
+    /// A further sentence for the operator after the command, about the alarms that it ends or brings back; empty without any.
+    #[must_use]
+    pub fn consequence(&self, events: &[AlarmEvent]) -> String {
+        let named = |are_active: bool| {
+            let events = events.iter().filter(|event| event.state.is_active() == are_active);
+            let names: Vec<String> =
+                events.map(|event| format!("{} {}", event.severity.as_str(), event.cause)).collect();
+            names.join(", ")
+        };
+        match self {
+            Self::Rebaseline { .. } if !named(false).is_empty() => {
+                format!(". This ends the alarms {}; a fault that still exists is learned as normal", named(false))
+            }
+            Self::MaintenanceEnd { .. } if !named(true).is_empty() => {
+                format!(". Alarms from before: {}; the next throws show whether they are over", named(true))
+            }
+            _ => String::new(),
+        }
+    }
+
     /// One sentence for the operator after the command: the new state, its end, operator and reason.
     #[must_use]
     pub fn confirmation(&self, machine: &MachineId) -> String {
@@ -186,7 +215,7 @@ impl Command {
         match until {
             Some(until) if until <= now => Err(CommandError::UntilIsPast { until, now }),
             Some(until) if until.duration_since(now) > settings.longest_shelving() => {
-                Err(CommandError::UntilTooFar { days })
+                Err(CommandError::UntilTooFar { days, now })
             }
             _ => Ok(()),
         }

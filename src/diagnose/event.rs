@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{correlation::Correlation, course::LimitForecast};
 use crate::{
     estimate::Channel,
-    throw::{Direction, ThrowRef},
+    throw::{Direction, MachineId, ThrowRef},
 };
 
 /// Cause of an alarm.
@@ -180,11 +180,32 @@ impl AlarmState {
         }
     }
 
+    /// Whether the condition exists, and no operator has silenced the alarm.
+    #[must_use]
+    pub const fn is_active(self) -> bool {
+        matches!(self, Self::ActiveUnacknowledged | Self::ActiveAcknowledged)
+    }
+
+    /// Whether an operator has silenced the alarm.
+    #[must_use]
+    pub const fn is_silenced(self) -> bool {
+        matches!(self, Self::Shelved | Self::OutOfService)
+    }
+
     /// Name in messages and in the database.
     #[must_use]
     pub fn as_str(self) -> &'static str {
         self.into()
     }
+}
+
+/// The watched daemons that are away.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Away {
+    /// Name of each, and the time when it left; `None` if it was away at the start of this daemon.
+    pub daemons: Vec<(MachineId, Option<Timestamp>)>,
+    /// Whether this daemon has a link to others itself.
+    pub has_link: bool,
 }
 
 /// The second-best cause of a drift.

@@ -50,7 +50,7 @@ pub use baseline::BaselineRecord;
 pub use command::{Command, CommandError};
 pub use correlation::Correlation;
 pub use course::LimitForecast;
-pub use event::{AlarmEvent, AlarmState, Cause, RunnerUp, SensorChannel, Severity};
+pub use event::{AlarmEvent, AlarmState, Away, Cause, RunnerUp, SensorChannel, Severity};
 pub use monitor::MachineMonitor;
 pub use observation::{Irregularity, Observation, Parameters};
 pub use settings::{Settings, TemperatureCoefficients};

@@ -436,7 +436,8 @@ impl Operation {
         }
         self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
         if let Logger::Gone { for_s, alarmed, .. } = &mut self.logger {
-            *for_s += passed.clamp(0.0, USUAL_TICK_S);
+            // A longer time is that of a restart, after which the loggers connect again.
+            *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
             if *for_s >= 60.0 * settings.logger_gone_minutes {
                 let evidence = context.warning(text::logger_gone(name, *for_s / 60.0));
                 let event = alarms.raise(Cause::NotMonitored, evidence, at);

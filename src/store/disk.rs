@@ -2,7 +2,6 @@
 
 use std::{
     collections::BTreeMap,
-    ffi::OsString,
     fs::{File, OpenOptions},
     io::{self, Read as _},
     path::{Path, PathBuf},
@@ -14,7 +13,12 @@ use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
-use super::{error::StoreError, pace::RecentCount, settings::MIB};
+use super::{
+    error::StoreError,
+    pace::RecentCount,
+    path::{beside, folder_of},
+    settings::MIB,
+};
 
 /// Counters of rows that were needed: throws before their judgement, alarm events before their publication and before the
 /// webhook accepted them.
@@ -153,6 +157,11 @@ impl Disk {
         *self.copied.lock() = Some(Instant::now());
     }
 
+    /// Records the end of a copy.
+    pub(super) fn note_copied(&self) {
+        *self.copied.lock() = None;
+    }
+
     /// Whether a copy of the database makes progress, or did in the last 30 s.
     pub(super) fn is_copying(&self) -> bool {
         self.copied.lock().is_some_and(|at| at.elapsed() < COPY_HANGS)
@@ -219,16 +228,4 @@ impl Disk {
             let _ = std::fs::remove_file(&self.ballast);
         })
     }
-}
-
-/// The folder of a file; the present folder for a name alone.
-pub(crate) fn folder_of(path: &Path) -> &Path {
-    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
-}
-
-/// The path with `suffix` appended to its file name.
-pub(crate) fn beside(path: &Path, suffix: &str) -> PathBuf {
-    let mut name = OsString::from(path);
-    name.push(suffix);
-    PathBuf::from(name)
 }

@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use super::path::unwritable;
+
 /// An error of the database. `Display` is a sentence for people.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The database cannot be opened or created.
-    #[error("cannot open the database {}: {source}; check that its folder exists, and that the folder, the file, its -wal and its -shm belong to the user of pointsd", path.display())]
+    #[error("cannot open the database {}: {source}; check that its folder exists, and that the user of pointsd owns the folder, the file, its -wal and its -shm, and may write to them{}", path.display(), unwritable(path).map_or_else(String::new, |file| format!(" (it may not write to {})", file.display())))]
     Open {
         /// The database file.
         path: PathBuf,

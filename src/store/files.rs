@@ -16,9 +16,9 @@ use std::{
 use jiff::Timestamp;
 
 use super::{
-    disk::{beside, folder_of},
     error::StoreError,
     graft::{GRAFTED, LAYOUT},
+    path::{beside, folder_of},
 };
 
 /// Suffixes of the files of one database; the database itself is last.
@@ -202,9 +202,9 @@ impl DatabaseFiles {
         std::fs::read_to_string(beside(file, SAVED)).ok()
     }
 
-    /// A database, or a log without its database, that was set aside and still exists.
+    /// The newest database, or log without its database, that was set aside and still exists.
     pub(super) fn set_aside_before(&self) -> Option<PathBuf> {
-        self.set_aside_files(&["-wal", "-shm", SAVED]).into_iter().min()
+        self.set_aside_files(&["-wal", "-shm", SAVED]).into_iter().max()
     }
 
     /// The newest database that was set aside and whose rows were not copied to the end: there is no new database.

@@ -13,7 +13,7 @@ use std::{
 
 use sqlx::{AssertSqlSafe, Connection, FromRow, SqliteConnection, sqlite::SqliteConnectOptions};
 
-use super::{disk::beside, statements as sql};
+use super::{path::beside, statements as sql};
 
 /// Page size: the default of SQLite \[bytes\].
 const PAGE: usize = 4096;

@@ -9,7 +9,12 @@ use sqlx::{
     sqlite::{SqliteColumn, SqliteConnectOptions, SqliteRow},
 };
 
-use super::{disk::beside, error::StoreError, files::DatabaseFiles, open};
+use super::{
+    error::{StoreError, is_full},
+    files::DatabaseFiles,
+    open,
+    path::beside,
+};
 
 /// A value in the result of a query.
 #[derive(Debug, Clone, PartialEq)]
@@ -158,7 +163,12 @@ impl Backup {
     async fn copy(&self) -> Result<(), StoreError> {
         let mut connection = connect(&self.from).await?;
         let vacuum = sqlx::query("VACUUM INTO ?1").bind(self.partial.to_string_lossy());
-        vacuum.execute(&mut connection).await.map_err(StoreError::read)?;
+        vacuum.execute(&mut connection).await.map_err(|error| {
+            // Only the copy is written.
+            let source = std::io::ErrorKind::StorageFull.into();
+            let full = StoreError::File { action: "write", path: self.partial.clone(), source };
+            if is_full(&error) { full } else { StoreError::read(error) }
+        })?;
         let mut copy = connect(&self.partial).await?;
         let damage = open::damage(&mut copy).await.map_err(StoreError::read)?;
         copy.close().await.map_err(StoreError::read)?;

@@ -475,7 +475,8 @@ statements! {
     LEFT JOIN alarm_event AS first ON first.alarm_row = alarm.alarm_row AND first.event_no = 1
     LEFT JOIN monitor ON monitor.machine_row = alarm.machine_row
     WHERE alarm.state <> 'normal' AND alarm.cause NOT IN ('not_monitored', 'data_loss') AND NOT (site = ?1 AND machine = ?2)
-    ORDER BY last.severity = 'critical' DESC, raised_at_us DESC, alarm.alarm_row LIMIT ?3";
+    ORDER BY alarm.state NOT IN ('active_unacknowledged', 'active_acknowledged'), last.severity = 'critical' DESC,
+             raised_at_us DESC, alarm.alarm_row LIMIT ?3";
 
     FAULT_COUNT = "
     SELECT count(*) FROM alarm JOIN machine USING (machine_row)

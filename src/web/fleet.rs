@@ -68,6 +68,8 @@ struct Page {
     silent: String,
     /// Names of connected loggers without a throw.
     without_throw: String,
+    /// Machines of which every message was refused, with the reason.
+    refused: String,
     daemon: Vec<(&'static str, String)>,
     volatile: String,
 }
@@ -165,6 +167,7 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
     let mut query = filters.query()?;
     let overview = web.overview().await?;
     let itself = web.view.config().monitor.as_machine();
+    let report = web.view.gauges.report();
     let _turn = web.turn().await?;
     let reader = web.view.gauges.store.reader();
     let is_filtered = query.site.is_some() || query.cause.is_some() || query.search.is_some();
@@ -204,13 +207,10 @@ pub(super) async fn page(State(web): State<Arc<Web>>, RawQuery(query): RawQuery)
         before: (filters.page > 0).then(|| filters.to_page(filters.page - 1).address()),
         after: (last < matching).then(|| filters.to_page(filters.page + 1).address()),
         silent: silent(&web.view, reader).await?,
-        without_throw: web.view.gauges.report().without_throw.join(", "),
+        without_throw: report.without_throw.join(", "),
+        refused: report.refused.join("; "),
         daemon: daemon(&web.view, &overview),
-        volatile: format!(
-            "As of {}; running for {}.",
-            utc(&clock::now()),
-            page::duration(web.view.gauges.report().uptime_s)
-        ),
+        volatile: format!("As of {}; running for {}.", utc(&clock::now()), page::duration(report.uptime_s)),
         filters,
     }))
 }

@@ -124,6 +124,16 @@ impl Document {
         if problem.is_empty() {
             "not valid TOML".clone_into(&mut problem);
         }
+        // `north` without quotes reads like the beginning of `nan`, `inf` or `false`.
+        if ["invalid float", "invalid boolean", "invalid literal", "string values must be quoted"]
+            .iter()
+            .any(|of_text| problem.contains(of_text))
+        {
+            problem.push_str("; a text is written in quotes, as \"north\"");
+        }
+        if problem.contains("socket address") {
+            problem.push_str("; write an address with its port, as \"127.0.0.1:7480\"");
+        }
         ConfigError {
             file: self.file.clone(),
             line: start.map(|at| self.line(at)),

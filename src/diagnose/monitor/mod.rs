@@ -14,7 +14,7 @@ use super::{
     clock::LoggerClock,
     command::{Command, CommandError},
     drift_alarms::{DRIFTS, DriftAlarms, Onset},
-    event::{AlarmEvent, Cause, Severity},
+    event::{AlarmEvent, Away, Cause, Severity},
     features::FeatureWatch,
     instruments::Instruments,
     observation::Parameters,
@@ -29,7 +29,7 @@ use super::{
     track::Tracks,
     verdict::{Blindness, Drifting, MachineState, Present},
 };
-use crate::throw::{Direction, ThrowRef};
+use crate::throw::{Direction, MachineId, ThrowRef};
 
 /// A maintenance window.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -212,12 +212,18 @@ impl MachineMonitor {
         operation.on_daemon_trouble(trouble, alarms, context)
     }
 
-    /// Applies a change of the watched daemons that are away, with the time since when, for the monitor of the daemon
-    /// itself.
-    pub fn peers(&mut self, away: &[(String, Timestamp)], now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
+    /// Applies a change of the watched daemons that are away, for the monitor of the daemon itself.
+    pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let (_, alarms, context) = self.parts(to_micros(now), None, settings);
-        let text = (!away.is_empty()).then(|| text::peers_away(away));
+        let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
         operational::on_peers(text, alarms, context)
+    }
+
+    /// Ends the alarms under a former name of the daemon, which has the name `to` now.
+    pub fn renamed(&mut self, to: &MachineId, now: Timestamp) -> Vec<AlarmEvent> {
+        let causes: Vec<Cause> = self.alarms.events().map(|event| event.cause).collect();
+        let end = |cause| self.alarms.clear(cause, text::renamed(to), to_micros(now));
+        causes.into_iter().filter_map(end).collect()
     }
 
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be

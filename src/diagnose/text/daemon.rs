@@ -2,7 +2,10 @@
 
 use jiff::Timestamp;
 
-use crate::throw::utc;
+use crate::{
+    diagnose::event::Away,
+    throw::{MachineId, utc},
+};
 
 pub(crate) fn orphaned(name: &str) -> String {
     format!(
@@ -30,6 +33,11 @@ pub(crate) fn before_maintenance(before: &str) -> String {
     if before.ends_with(UNCHECKED) { before.to_owned() } else { format!("{before}{UNCHECKED}") }
 }
 
+/// Text of an alarm under a former name of the daemon.
+pub(crate) fn renamed(to: &MachineId) -> String {
+    format!("The daemon has the name {to} now: its problems are alarms under that name.")
+}
+
 /// Text of a new baseline.
 pub(crate) fn rebaselined(name: &str, by: &str, why: &str) -> String {
     format!("Machine {name}: a new baseline is being taken ({by}: {why}).")
@@ -39,8 +47,17 @@ pub(crate) fn daemon_calm() -> String {
     "pointsd stores all data again.".to_owned()
 }
 
-pub(crate) fn peers_away(away: &[(String, Timestamp)]) -> String {
-    let daemons: Vec<String> = away.iter().map(|(name, since)| format!("{name} since {}", utc(since))).collect();
+pub(crate) fn peers_away(Away { daemons: away, has_link }: &Away) -> String {
+    let since =
+        |since: &Option<Timestamp>| since.map_or_else(|| "the start of this one".to_owned(), |since| utc(&since));
+    let daemons: Vec<String> = away.iter().map(|(name, at)| format!("{name} since {}", since(at))).collect();
+    if !has_link {
+        return format!(
+            "This daemon has no link to any other program, so it cannot see these daemons: {}. Check its own link, the router \
+             and the certificates first.",
+            daemons.join(", ")
+        );
+    }
     let (daemons_are, their, those) = if away.len() == 1 {
         ("The daemon", "Its", "that computer and its link")
     } else {

@@ -75,7 +75,7 @@ pub(crate) fn gap(name: &str, lost: u64) -> String {
 }
 
 pub(crate) fn no_gap(name: &str, throws: u32) -> String {
-    format!("Machine {name}: no throw was lost in the last {throws}.")
+    format!("Machine {name}: none of the last {throws} throws was lost, invalid or a repetition.")
 }
 
 pub(crate) fn repeated_number(name: &str) -> String {
