@@ -5,7 +5,7 @@ use super::movement::{median_of, quantum, start_of_motor};
 use crate::throw::Trace;
 
 /// Least number of new values for a decision.
-const LEAST_UPDATES: usize = 16;
+const LEAST_UPDATES: usize = 10;
 /// Least median size of a change \[steps of the converter\]. A converter without noise whose step is larger than the
 /// movement between samples repeats its values as well, and then changes by one step.
 const LEAST_CHANGE: f64 = 1.5;

@@ -188,6 +188,10 @@ fn throws_in_maintenance_are_neither_diagnosed_nor_learned() {
     assert_eq!(states(&out), [AlarmState::OutOfService]);
     let back = monitor.command(&Command::MaintenanceEnd { by: by() }, now(), &settings).unwrap();
     assert_eq!(states(&back), [AlarmState::ActiveUnacknowledged]);
+    assert!(back[0].text.contains("before the maintenance"), "{}", back[0].text);
+    let told = Command::MaintenanceEnd { by: by() }.consequence(&back);
+    let named = format!("Alarms from before: {} friction", raised.severity.as_str());
+    assert!(told.contains(&named), "{told}");
     let cleared = run(&mut machine, &mut monitor, 60, Vector3::zeros());
     assert_eq!(states(&cleared), [AlarmState::ClearedUnacknowledged]);
     assert_eq!(cleared[0].raised_at, raised.raised_at);

@@ -64,6 +64,8 @@ struct Drive {
     neutral_mm: f64,
     /// Step of the position's converter \[mm\], 0 without one.
     step_mm: f64,
+    /// Samples from one new position to the next, 0 for a new one in each sample.
+    position_every: usize,
     /// Time from the motor's start until which the position stays at its value at rest \[s\].
     stuck_s: f64,
 }
@@ -109,6 +111,12 @@ impl Drive {
         if self.step_mm > 0.0 {
             for mm in &mut millimetres {
                 *mm = (*mm / self.step_mm).round() * self.step_mm;
+            }
+        }
+        if self.position_every > 0 {
+            let first = rng.random_range(0..self.position_every);
+            for k in (1..millimetres.len()).filter(|k| k % self.position_every != first) {
+                millimetres[k] = millimetres[k - 1];
             }
         }
         if let Some(from) = self.lost_samples {
@@ -319,6 +327,8 @@ fn table_of_conditions() {
         ("position lag 20 Hz", Drive { lag_hz: 20.0, ..plain }),
         ("position 1 ms late", Drive { skew_s: 0.001, ..plain }),
         ("position 5 ms late", Drive { skew_s: 0.005, ..plain }),
+        ("new position every 20 ms", Drive { position_every: 20, ..plain }),
+        ("new position every 100 ms", Drive { position_every: 100, ..plain }),
         ("hum 50 mA", Drive { hum_a: 0.07, ..plain }),
         ("hum 200 mA", Drive { hum_a: 0.28, ..plain }),
         ("current noise 0.1 A", Drive { noise_a: 0.1, ..plain }),
@@ -406,6 +416,35 @@ fn the_intervals_of_ratios_cover_a_load_that_varies() {
     }
     println!("{counts:?} intervals hold of good and rough throws");
     assert!(counts.iter().all(|[held, of]| *of >= 30 && 100 * held >= 92 * of), "{counts:?}");
+}
+
+/// Many loggers read the toe sensor less often than the current.
+#[test]
+fn a_slow_position_is_as_good_as_a_fast_one_and_its_intervals_hold() {
+    let truth = Drive::default().truth();
+    let (mut usable, mut held, mut throws) = (0, 0, 0);
+    for position_every in [3, 5, 10, 20, 33, 50, 100] {
+        for (neutral_mm, step_mm) in [(0.0, 0.0), (114.5, 0.0), (0.0, 0.05)] {
+            let drive = Drive { position_every, neutral_mm, step_mm, ..Drive::default() };
+            for seed in 0..4 {
+                throws += 1;
+                let estimate = match drive.identify(seed).outcome {
+                    Ok(estimate) => estimate,
+                    Err(reason) => {
+                        println!("{position_every} samples, {neutral_mm} mm: {reason}");
+                        continue;
+                    }
+                };
+                let [friction, _] = estimate.ratios();
+                let error = friction * truth[0] / truth[1] - 1.0;
+                assert!(error.abs() < 0.03, "{position_every} samples: the friction is wrong by {error}");
+                usable += 1;
+                held += usize::from(covers(&estimate, truth) && covers_ratios(&estimate, truth));
+            }
+        }
+    }
+    println!("{usable} of {throws} throws are usable, the intervals of {held} hold");
+    assert!(20 * usable >= 19 * throws && 10 * held >= 9 * usable);
 }
 
 /// The motor turns while the toe stands still: the resistance is measured where the toe moves.

@@ -121,6 +121,24 @@ async fn a_logger_without_a_throw_is_named() {
     assert!(text.contains("connected, but no throw yet: north/21B") && text.contains("1 logger,"), "{text}");
 }
 
+/// A new logger whose every message is refused is a problem, with the reason, until a throw is valid.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_logger_without_a_valid_message_is_a_problem() {
+    let (rig, daemon) = Rig::running();
+    let session = daemon.client().await;
+    let _token = session.liveliness().declare_token("points/v1/north/21B/alive").await.unwrap();
+    let publisher = matched(&session, KEY).await;
+    for _ in 0..12 {
+        publisher.put(r#"{"started_at": "2026-01-01 06:00:00"}"#).await.unwrap();
+    }
+    daemon.until_status("the machine", |status| status["refused"][0].as_str().is_some()).await;
+    let (code, text) = daemon.operate(&["status"]);
+    assert!(code == Some(1) && text.contains("EVERY MESSAGE REFUSED: north/21B (not a throw"), "{text}");
+    publisher.put(encode_throw(Encoding::Json, &stub("boot", 1))).await.unwrap();
+    rig.judged(1).await;
+    daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;
+}
+
 /// The backlog ends with a message that is no throw, and every query gets it again.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_message_that_is_no_throw_is_in_quarantine_once() {
