@@ -83,6 +83,45 @@ impl Health {
     /// Name and version of the message.
     pub const SCHEMA: &str = "points.health/1";
 
+    /// Health of a throw without an estimate: `quality` is the code of the reason, `detail` its sentence. Features, state and
+    /// baseline are absent.
+    #[must_use]
+    pub fn rejected(
+        machine: MachineId,
+        throw: ThrowRef,
+        started_at: Timestamp,
+        quality: &str,
+        detail: Option<String>,
+    ) -> Self {
+        let (schema, quality) = (Self::SCHEMA.to_owned(), quality.to_owned());
+        Self {
+            schema,
+            machine,
+            throw,
+            started_at,
+            direction: None,
+            quality,
+            coefficients: None,
+            sd: None,
+            change_pct: None,
+            fit_pct: None,
+            a1_per_b0: None,
+            a1_per_b0_sd: None,
+            a0_per_b0: None,
+            a0_per_b0_sd: None,
+            duration_s: None,
+            peak_current_a: None,
+            mean_current_a: None,
+            state: None,
+            drift: None,
+            drifts: Vec::new(),
+            caveats: Vec::new(),
+            detail,
+            baseline: None,
+            throws_since_baseline: 0,
+        }
+    }
+
     /// Whether the throw has an estimate.
     #[must_use]
     pub fn is_evaluated(&self) -> bool {
