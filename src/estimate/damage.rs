@@ -210,7 +210,7 @@ const SHORT_MEAN_SIGMAS: f64 = 5.0;
 const STEP_S: f64 = 0.008;
 /// Least step in standard deviations of its noise, for several thousand places on a smooth signal.
 const STEP_SIGNIFICANCE: f64 = 6.5;
-/// Duration of the oscillation of the inrush \[s\].
+/// Duration of the oscillation of the inrush \[s\]: before its end the current is no straight line.
 pub(super) const INRUSH_S: f64 = 0.15;
 /// Least step of the current, as share of its peak; rails and friction cause smaller ones.
 const LEAST_STEP: f64 = 0.006;

@@ -8,7 +8,7 @@
 
 use nalgebra::{Matrix4, Vector4};
 
-use super::movement::Level;
+use super::{damage::INRUSH_S, movement::Level};
 
 /// Mains frequencies \[Hz\]: most of the world, the Americas, railways.
 const MAINS_HZ: [f64; 3] = [50.0, 60.0, 50.0 / 3.0];
@@ -20,8 +20,6 @@ const STRETCH_PERIODS: f64 = 5.0;
 const LEAST_RATE: f64 = 4.0;
 /// Least share of hum in the variance of the quiet samples.
 const LEAST_SHARE: f64 = 0.6;
-/// Time after the start of the motor in which the current is not a straight line \[s\].
-const INRUSH_S: f64 = 0.15;
 
 /// Least-squares fit of a sine of one frequency and a straight line.
 struct Sine {

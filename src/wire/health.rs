@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     diagnose::{Drifting, MachineState},
+    estimate::Grade,
     throw::{Direction, MachineId, ThrowRef},
 };
 
@@ -128,12 +129,18 @@ impl Health {
         self.a1_per_b0.is_some() || self.coefficients.is_some()
     }
 
-    /// Whether the estimate was rejected. Throws with `current_only` may have no estimate: their features are
-    /// monitored.
+    /// Whether the estimate was rejected.
     #[must_use]
     pub fn is_rejected(&self) -> bool {
-        !self.is_evaluated() && self.quality != "current_only"
+        is_rejection(&self.quality)
     }
+}
+
+/// Whether a quality is the code of a rejection and no grade. Throws with the grade `current_only` may have no estimate: their
+/// features are monitored.
+#[must_use]
+pub fn is_rejection(quality: &str) -> bool {
+    quality.parse::<Grade>().is_err()
 }
 
 /// JSON of a direction; `None` is `unknown`.
