@@ -217,6 +217,24 @@ const LEAST_STEP: f64 = 0.006;
 /// Least step of the position, as share of the travel.
 pub(super) const LEAST_SLIP: f64 = 5e-4;
 
+/// Rejects a lasting step of the current within the inrush.
+fn inrush_step(movement: &Movement, current: &[f64], interval_s: f64, sd: f64) -> Result<(), Rejection> {
+    let least_a = (INRUSH_STEP_SIGMAS * sd).max(INRUSH_STEP_SHARE * movement.peak_a);
+    let is_step = |k: &usize| {
+        let [a, b, c, d] = [current[k - 1], current[*k], current[k + 1], current[k + 2]];
+        (0.5 * (a - d) + 1.5 * (c - b)).abs() > least_a
+    };
+    let [from, to] = [INRUSH_STEP_SAMPLES.start, INRUSH_STEP_SAMPLES.end].map(|after| movement.start() + after);
+    let mut found = (from..to.min(current.len().saturating_sub(2))).filter(is_step);
+    // One step shows at neighbouring places too; more are a switching supply.
+    match found.next() {
+        Some(at) if found.count() < 3 => {
+            Err(Rejection::CurrentJump { jump_a: current[at + 1] - current[at], at_s: at as f64 * interval_s })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Rejects a lasting step between two samples: inductance and inertia prevent it in current and position, so it is a
 /// changed gain, a shifted offset or lost samples. Means over 8 and over 4 ms, with the trend removed, show the same
 /// height only for a step; for a smooth signal the shorter means show an eighth. Many steps are a ripple that the
@@ -235,17 +253,7 @@ pub(super) fn steps(
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
     let wide = 2 * ((0.5 * STEP_S / interval_s) as usize).clamp(2, 16);
     if channel == Channel::Current {
-        let far = |k: &usize| {
-            let [a, b, c, d] = [values[k - 1], values[*k], values[k + 1], values[k + 2]];
-            (0.5 * (a - d) + 1.5 * (c - b)).abs() > (INRUSH_STEP_SIGMAS * sd).max(INRUSH_STEP_SHARE * movement.peak_a)
-        };
-        let inrush =
-            start + INRUSH_STEP_SAMPLES.start..(start + INRUSH_STEP_SAMPLES.end).min(values.len().saturating_sub(2));
-        let mut found = inrush.filter(far);
-        // One step shows at neighbouring places too; more are a switching supply.
-        if let Some(at) = found.next().filter(|_| found.count() < 3) {
-            return Err(Rejection::CurrentJump { jump_a: values[at + 1] - values[at], at_s: at as f64 * interval_s });
-        }
+        inrush_step(movement, values, interval_s, sd)?;
     }
     sums.clear();
     sums.push(0.0);
