@@ -203,7 +203,7 @@ impl Fleet {
             let before = (monitor.is_announced(), monitor.state());
             let mut events: Vec<_> = monitor.logger(loggers.contains(machine), now, settings).into_iter().collect();
             events.extend(monitor.tick(now, settings));
-            // After a change of its name nobody else ends the alarms of the daemon.
+            // After a change of `monitor.site` or `monitor.id` no process ends the alarms under the old name: end them here.
             if machine != own_machine && monitor.has_no_logger() {
                 events.extend(monitor.trouble(None, now, settings));
                 events.extend(monitor.peers(&[], now, settings));

@@ -80,8 +80,8 @@ pub(super) fn misfit(
         }
     }
     // The noise is estimated from few samples: allows for five standard deviations of its variance.
-    let room = 1.0 + 5.0 * (2.0 / window.noise_samples.max(MIN_QUIET) as f64).sqrt();
-    let excess = (squares / output.len() as f64 - room * window.output_noise - through).max(0.0).sqrt();
+    let factor = 1.0 + 5.0 * (2.0 / window.noise_samples.max(MIN_QUIET) as f64).sqrt();
+    let excess = (squares / output.len() as f64 - factor * window.output_noise - through).max(0.0).sqrt();
     let wander = 5.0 * (window.output_noise / stretch as f64 + through).sqrt();
     if excess > (MISFIT_RMS * travel).hypot(3.0 * through.sqrt()) || peak > (MISFIT_PEAK * travel).hypot(wander) {
         let at_s = (window.from + at) as f64 * window.interval_s;

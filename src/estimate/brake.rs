@@ -27,7 +27,7 @@ const CERTAIN: f64 = 16.0;
 const MODEL_SHARE: f64 = 1e-4;
 /// The variance of the residual beyond this multiple of the noise's variance is added to the noise, times `CORRELATED`:
 /// neighbouring samples of such a residual are not independent.
-const NOISE_ROOM: f64 = 1.2;
+const NOISE_FACTOR: f64 = 1.2;
 const CORRELATED: f64 = 15.0;
 
 /// Buffers, reused from throw to throw.
@@ -101,7 +101,7 @@ pub(super) fn scale_sd(
         }
     }
     let least = found.iter().fold(f64::INFINITY, |least, (.., left)| left.min(least));
-    let beyond = (least / (last - 3) as f64 - NOISE_ROOM * noise).max(0.0);
+    let beyond = (least / (last - 3) as f64 - NOISE_FACTOR * noise).max(0.0);
     let variance = noise + (MODEL_SHARE * travel).powi(2) + CORRELATED * beyond;
     if without.2 - least > CERTAIN * variance {
         return Err(Rejection::BrakedStart);

@@ -121,7 +121,7 @@ pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) ->
     SD_PER_MEDIAN * median_of_magnitudes(scratch) / 6.0_f64.sqrt()
 }
 
-/// The same from first differences, for a mostly constant signal.
+/// Standard deviation of white noise from first differences, for a mostly constant signal.
 pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));

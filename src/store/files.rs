@@ -86,7 +86,7 @@ impl DatabaseFiles {
     }
 
     /// Renames foreign files at the path of the database.
-    pub(super) fn set_strangers_aside(&self) -> Result<(), StoreError> {
+    pub(super) fn rename_foreign_files(&self) -> Result<(), StoreError> {
         let file = self.file();
         // Files that exist at the same time have different inodes, so the names differ.
         let inode = std::fs::metadata(&file).map_or(0, |file| file.ino());

@@ -238,9 +238,9 @@ impl Store {
         let figures = sqlx::query_as(sql::FIGURES);
         let figures: Statistics = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
         self.disk.note_dropped(&figures.counters());
-        let room_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(figures.free_bytes);
+        let available_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(figures.free_bytes);
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
-        let missing = (settings.low_disk_mib * MIB).saturating_sub(room_bytes);
+        let missing = (settings.low_disk_mib * MIB).saturating_sub(available_bytes);
         if excess > 0 || missing > 0 {
             // The number of rows follows from the mean size of a throw with its trace.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);

@@ -20,7 +20,7 @@ const SIZE: (f64, f64) = (420.0, 290.0);
 /// A chart with its caption.
 pub(super) struct Picture {
     pub(super) svg: String,
-    /// The same chart as JSON, for the page's script; empty in a file without scripts.
+    /// The chart as JSON, for the page's script; empty in a file without scripts.
     pub(super) data: String,
     pub(super) says: String,
 }
