@@ -41,7 +41,7 @@ impl Away {
 }
 
 impl Peers {
-    /// These daemons, away until their tokens arrive.
+    /// Watches these daemons. Each counts as away until its token arrives.
     pub(super) fn new(peers: impl IntoIterator<Item = MachineId>) -> Self {
         let away = Away::now();
         let peers = peers.into_iter().map(|peer| (peer, Some(away))).collect();

@@ -25,8 +25,8 @@ pub(super) const LARGEST_SD: f64 = 0.5;
 const CERTAIN: f64 = 16.0;
 /// Root mean square of the effect of rails and toe drive on the start, as a share of the travel.
 const MODEL_SHARE: f64 = 1e-4;
-/// The variance of the residual beyond this multiple of the noise's variance is added to the noise, times `CORRELATED`:
-/// neighbouring samples of such a residual are not independent.
+/// A residual with a larger variance than this multiple of the noise's is an error of the model. The variance above it is
+/// added to that of the noise, times `CORRELATED`, as neighbouring samples of such an error are not independent.
 const NOISE_FACTOR: f64 = 1.2;
 const CORRELATED: f64 = 15.0;
 

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! It does not need the time or the position of the release, the speed at s, or an iteration. At nearly constant speed
-//! it determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk, a load that varies and
-//! errors of the model are correlated longer, so the covariance is that by a random load (see `load`).
+//! it determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk; a varying load and
+//! errors of the model are correlated over still longer times. So the covariance is that of a random load (see `load`).
 
 use std::ops::AddAssign;
 

@@ -143,7 +143,7 @@ fn onset(current: &[f64], offset: f64, foot: usize) -> Option<Onset> {
     let at = (0..4).fold(0.5, |t, _| t - value(t) / slope(t));
     let departure = |w: &[f64]| w[2] - offset - alpha * (w[1] - offset) - beta * (w[0] - offset);
     let squares: f64 = rise.windows(3).map(|w| departure(w).powi(2)).sum();
-    // Four equations for two unknowns.
+    // The mean is over two degrees of freedom: four equations for two unknowns.
     let onset = Onset { at, slope: slope(at), roughness: (0.5 * squares).sqrt() };
     let steep = onset.slope * first > 0.5 * first * first;
     (steep && (-5.0..1.1).contains(&at) && onset.slope.abs() < 4.0 * (second.abs() + first.abs())).then_some(onset)

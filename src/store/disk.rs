@@ -153,7 +153,7 @@ impl Disk {
         *self.copied.lock() = Some(Instant::now());
     }
 
-    /// Whether a copy of the database makes progress, or did in the last 30 s.
+    /// Whether a copy of the database made progress in the last 30 s.
     pub(super) fn is_copying(&self) -> bool {
         self.copied.lock().is_some_and(|at| at.elapsed() < COPY_HANGS)
     }

@@ -67,7 +67,7 @@ pub enum Found {
     },
 }
 
-/// Report on the opening.
+/// Report on the opening of the database: its condition, and what was changed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Report {
     /// How the database was found.

@@ -211,7 +211,7 @@ fn usual(directions: &Directions, baselines: &[BaselineRecord], value: fn(&Healt
 /// Number of first good throws that replace the throws of a baseline outside the chart.
 const BASELINE: usize = 25;
 
-/// Time on the axis \[s\], with as few digits as the timestamp.
+/// Time on the axis \[s since 1970\]. From whole microseconds, so that its text has at most six decimals.
 pub(super) fn x(at: Timestamp) -> f64 {
     at.as_microsecond() as f64 / 1e6
 }

@@ -212,8 +212,8 @@ impl MachineMonitor {
         operation.on_daemon_trouble(trouble, alarms, context)
     }
 
-    /// Applies a change of the watched daemons that are away, with the time since when, for the monitor of the daemon
-    /// itself.
+    /// Updates the alarm about watched daemons that are away, each with the time when it left. Only the monitor of the daemon
+    /// itself has this alarm.
     pub fn peers(&mut self, away: &[(String, Timestamp)], now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let (_, alarms, context) = self.parts(to_micros(now), None, settings);
         let text = (!away.is_empty()).then(|| text::peers_away(away));
