@@ -7,7 +7,7 @@
 //! motor's largest and releases up to 40 ms are fitted; the interval of the scale includes every brake that fits the
 //! start.
 
-use super::{rejection::Rejection, start::free_movement};
+use super::{movement::samples_in, rejection::Rejection, start::free_movement};
 
 /// Length of the start \[s\].
 const START_S: f64 = 0.06;
@@ -55,9 +55,7 @@ pub(super) fn scale_sd(
     (interval_s, noise): (f64, f64),
     buffers: &mut Buffers,
 ) -> Result<f64, Rejection> {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let samples = |time_s: f64| (time_s / interval_s) as usize;
-    let last = samples(START_S).min(output.len() - foot - 1);
+    let last = samples_in(START_S, interval_s).min(output.len() - foot - 1);
     if last < LEAST_SAMPLES {
         return Ok(LARGEST_SD);
     }
@@ -81,7 +79,7 @@ pub(super) fn scale_sd(
     found.push(without);
     for torque in TORQUES.map(|share| share * peak) {
         let (mut lost_charge, mut lost, mut cross, mut own) = (0.0, 0.0, 0.0, 0.0);
-        for k in 1..=samples(LATEST_S).min(last) {
+        for k in 1..=samples_in(LATEST_S, interval_s).min(last) {
             let taken = torque.min(0.5 * (input[k - 1] + input[k]).max(0.0)) * interval_s;
             lost += (lost_charge + 0.5 * taken) * interval_s;
             lost_charge += taken;

@@ -20,7 +20,7 @@ use super::{
     brake,
     features::Features,
     identification::{Estimate, Grade},
-    movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes},
+    movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes, samples_in},
     ratios,
     rejection::Channel,
     settings::Settings,
@@ -65,55 +65,26 @@ pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) ->
     Features { duration_s, ..movement.features(current, &[], interval_s).without(Channel::Position) }
 }
 
-/// The run of the motor: its current with three integrals \[A, A s, A s², A s³\].
-struct Run {
-    amperes: Vec<f64>,
-    charge: Vec<f64>,
-    double: Vec<f64>,
-    triple: Vec<f64>,
-    supply_v: f64,
-    interval_s: f64,
-}
-
-impl Run {
-    fn new(amperes: Vec<f64>, supply_v: f64, interval_s: f64) -> Self {
-        let integral = |values: &[f64]| {
-            let mut sum = 0.0;
-            let mut sums = vec![0.0];
-            sums.extend(values.windows(2).map(|w| {
-                sum += 0.5 * (w[0] + w[1]) * interval_s;
-                sum
-            }));
-            sums
-        };
-        let charge = integral(&amperes);
-        let double = integral(&charge);
-        let triple = integral(&double);
-        Self { amperes, charge, double, triple, supply_v, interval_s }
+/// The five unknowns of the equation in the first samples: L, R + a1 L, K b0 + a1 R + a0 L, c and d. `integrals` are those of
+/// the current, of order 0 to 3.
+fn solve(
+    integrals: &[Vec<f64>; 4],
+    samples: usize,
+    (supply_v, interval_s): (f64, f64),
+    (a0, resistance): (f64, f64),
+) -> Option<Vector5<f64>> {
+    let [amperes, charge, double, triple] = integrals;
+    let (mut normal, mut right) = (Matrix5::zeros(), Vector5::zeros());
+    for k in 1..samples {
+        let t = k as f64 * interval_s;
+        let row = Vector5::new(amperes[k], charge[k], double[k], t * t, 1.0);
+        let left = supply_v * t * (1.0 + a0 * t * t / 6.0) - a0 * resistance * triple[k];
+        normal += row * row.transpose();
+        right += row * left;
     }
-
-    /// The five unknowns of the equation in the first samples: L, R + a1 L, K b0 + a1 R + a0 L, c and d.
-    fn solve(&self, samples: usize, a0: f64, resistance: f64) -> Option<Vector5<f64>> {
-        let (mut normal, mut right) = (Matrix5::zeros(), Vector5::zeros());
-        for k in 1..samples {
-            let t = k as f64 * self.interval_s;
-            let row = Vector5::new(self.amperes[k], self.charge[k], self.double[k], t * t, 1.0);
-            let left = self.supply_v * t * (1.0 + a0 * t * t / 6.0) - a0 * resistance * self.triple[k];
-            normal += row * row.transpose();
-            right += row * left;
-        }
-        let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
-        let inverse = Matrix5::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]).try_inverse()?;
-        Some((inverse * right.component_mul(&scale)).component_mul(&scale))
-    }
-
-    /// K y at a sample \[V s\]; `late_v_s` is the unknown d.
-    fn flux(&self, k: usize, late_v_s: f64, resistance: f64, inductance: f64) -> f64 {
-        self.supply_v * (k as f64 * self.interval_s)
-            - late_v_s
-            - resistance * self.charge[k]
-            - inductance * self.amperes[k]
-    }
+    let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
+    let inverse = Matrix5::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]).try_inverse()?;
+    Some((inverse * right.component_mul(&scale)).component_mul(&scale))
 }
 
 /// The coefficients from current, supply voltage and stroke, or why these do not determine them. Adds resistance and
@@ -135,12 +106,24 @@ pub(super) fn estimate(
     let drive = movement.drive(current);
     let amperes: Vec<f64> =
         current.get(start..=off).ok_or(NOT_ENDED)?.iter().map(|i| drive * (i - movement.current.mean)).collect();
-    let run = Run::new(amperes, supply_v, interval_s);
+    let integral = |values: &[f64]| {
+        let mut sum = 0.0;
+        let mut sums = vec![0.0];
+        sums.extend(values.windows(2).map(|w| {
+            sum += 0.5 * (w[0] + w[1]) * interval_s;
+            sum
+        }));
+        sums
+    };
+    let charge = integral(&amperes);
+    let double = integral(&charge);
+    let triple = integral(&double);
+    let integrals = [amperes, charge, double, triple];
+    let [amperes, charge, ..] = &integrals;
     let angle = stroke_mm * std::f64::consts::TAU / settings.lead_mm;
     // The motor is cut off when the toe arrives, so the last samples may be falling already.
-    let last = run.amperes.len().checked_sub(3).ok_or(NOT_ENDED)?;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let inrush = ((INRUSH_S / interval_s) as usize).min(last);
+    let last = amperes.len().checked_sub(3).ok_or(NOT_ENDED)?;
+    let inrush = samples_in(INRUSH_S, interval_s).min(last);
     let from_start_mm = match direction {
         Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
         Some(Direction::NormalToReverse) | None => settings.neutral_mm,
@@ -149,10 +132,12 @@ pub(super) fn estimate(
     let (mut a1, mut a0, mut resistance) = (0.0, 0.0, 0.0);
     let mut found = None;
     for _ in 0..ROUNDS {
-        let solved = run.solve(inrush, a0, resistance).ok_or(NO_ARMATURE)?;
+        let solved = solve(&integrals, inrush, (supply_v, interval_s), (a0, resistance)).ok_or(NO_ARMATURE)?;
         let inductance = solved[0];
         resistance = solved[1] - a1 * inductance;
-        let flux = |k: usize| run.flux(k, solved[4], resistance, inductance);
+        let late_v_s = solved[4];
+        let flux =
+            |k: usize| supply_v * (k as f64 * interval_s) - late_v_s - resistance * charge[k] - inductance * amperes[k];
         let back_emf = flux(last) / angle;
         if !(inductance > 0.0 && resistance > 0.0 && back_emf > 0.0) {
             return Err(NO_ARMATURE);
@@ -160,7 +145,7 @@ pub(super) fn estimate(
         let output: Vec<f64> = (0..=last).map(|k| flux(k) / back_emf).collect();
         let offset = window::current_offset_variance(movement);
         let end = output.iter().position(|y| *y > NEAR_END_SHARE * angle).unwrap_or(last);
-        let input = ratios::Input { values: &run.amperes[..end], scale: None, offset, rest_a: window::rest(movement) };
+        let input = ratios::Input { values: &amperes[..end], scale: None, offset, rest_a: window::rest(movement) };
         let ratios = ratios::of(input, &output[..end], equilibrium, interval_s).ok_or(NO_MODEL)?;
         let [r1, r0] = ratios.values;
         let b0: f64 = solved[2] / (back_emf + r1 * resistance + r0 * inductance);

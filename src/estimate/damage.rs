@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_1_SQRT_2;
 use statrs::function::erf::erf;
 
 use super::{
-    movement::{MIN_QUIET, Movement, every, largest, quantum},
+    movement::{MIN_QUIET, Movement, every, largest, quantum, samples_in},
     rejection::{Channel, Rejection},
 };
 
@@ -250,8 +250,7 @@ pub(super) fn steps(
     let rest = movement.level(channel);
     let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(rest.quantum);
     let start = movement.start();
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let wide = 2 * ((0.5 * STEP_S / interval_s) as usize).clamp(2, 16);
+    let wide = 2 * samples_in(0.5 * STEP_S, interval_s).clamp(2, 16);
     if channel == Channel::Current {
         inrush_step(movement, values, interval_s, sd)?;
     }
@@ -269,8 +268,7 @@ pub(super) fn steps(
     };
     // The variance of a step is 5 / width of that of a sample.
     let [long, short] = [wide, wide / 2].map(|width| sd * (5.0 / width as f64).sqrt());
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let settled = start + (INRUSH_S / interval_s) as usize + wide;
+    let settled = start + samples_in(INRUSH_S, interval_s) + wide;
     let (clear, least) = match channel {
         // Inductance and back-EMF oscillate faster than these means.
         Channel::Current => (start.saturating_sub(2 * wide)..settled, LEAST_STEP * movement.peak_a),

@@ -14,6 +14,7 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::{
     filter::{Discrete, Hold},
+    movement::samples_in,
     rejection::Rejection,
     start::{LEAST_SAMPLES, START_SHARE},
 };
@@ -58,8 +59,7 @@ fn find(
 ) -> Option<(f64, f64)> {
     let travel = output.last()?.abs();
     let far = (foot..output.len()).find(|&k| output[k] > START_SHARE * travel)?;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let longest = foot + (LONGEST_START_S / interval_s) as usize;
+    let longest = foot + samples_in(LONGEST_START_S, interval_s);
     let last = far.min(longest).min(output.len() - 2);
     if last < foot + LEAST_SAMPLES {
         return None;

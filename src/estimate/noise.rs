@@ -2,7 +2,7 @@
 
 use super::{
     damage::INRUSH_S,
-    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement, median_of_magnitudes},
+    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement, median_of_magnitudes, samples_in},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -81,8 +81,7 @@ pub(super) fn noise_level(
     if halves < REST_NOISE.start * usual {
         return Ok(());
     }
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let settled = movement.start() + (INRUSH_S / interval_s) as usize;
+    let settled = movement.start() + samples_in(INRUSH_S, interval_s);
     scratch.clear();
     scratch.push(0.0);
     let (mut sum, square) = (0.0, 6.0 * usual * usual);

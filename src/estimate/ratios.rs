@@ -18,6 +18,7 @@ use super::{
     covariance::DRY_SHARE,
     identification::{Estimate, Grade},
     load::{Load, STEPS},
+    movement::samples_in,
     rejection::Rejection,
 };
 
@@ -106,9 +107,7 @@ impl Ratios {
 
 /// Half of the interval of the difference for the speed \[samples\].
 fn reach(interval_s: f64) -> usize {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let samples = (SPEED_S / interval_s) as usize;
-    samples.max(1)
+    samples_in(SPEED_S, interval_s).max(1)
 }
 
 /// The first sample after the start of the movement.
