@@ -29,7 +29,8 @@ const ALARMS: usize = 16;
 /// Number of machines of a site from which their keys are declared. Of a declared key zenoh keeps 2.6 kB with its route,
 /// as long as the session is open. It compares any other key with every key of the site at each put: 0.2 µs for each.
 const LARGE_SITE: usize = 100;
-/// The same, when [`DECLARED`] keys are declared: a put of any other key takes up to 60 us longer.
+/// Number of machines of a site from which their keys are declared although [`DECLARED`] keys are: a put of any other key
+/// takes up to 60 us longer.
 const VERY_LARGE_SITE: usize = 300;
 /// Number of declared keys from which on only those of very large sites are declared. With 20,000 machines in sites of a
 /// hundred, each with two throws, the daemon took 293 MiB with all keys declared, and 177 MiB with this bound.

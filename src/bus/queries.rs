@@ -110,8 +110,9 @@ impl Questions {
         self.dropped.swap(0, Relaxed)
     }
 
-    /// The next query; `None` when the session is closed. First replies an error to the refused queries. They never wait
-    /// in vain: a query is refused only while others wait here, and the caller returns for these. Cancel safe.
+    /// The next query; `None` when the session is closed. First replies an error to the refused queries. Each of
+    /// these gets its reply soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel
+    /// safe.
     pub async fn next(&mut self) -> Option<Question> {
         // Only those present now: during a flood others follow without end.
         for _ in 0..self.refused.len() {

@@ -97,7 +97,7 @@ pub(super) fn read<T: DeserializeOwned>(answers: &Answers) -> (Vec<(&Message, T)
     (values, problems)
 }
 
-/// As [`read`], without the keys and payloads.
+/// The values of the answers as in [`read`], without keys and payloads, and the number of problems.
 pub(super) fn values<T: DeserializeOwned>(answers: &Answers) -> (Vec<T>, usize) {
     let (values, problems) = read(answers);
     (values.into_iter().map(|(_, value)| value).collect(), problems)

@@ -59,7 +59,7 @@ pub(super) fn start_failure(error: StartError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// As [`start_failure`], with file, line and key for a database of another program.
+/// The failure of a start; that of a database of another program names file, line and key of the configuration.
 fn located(error: StartError, file: Option<&Path>) -> Failure {
     if let (StartError::Store(foreign @ (StoreError::Foreign { .. } | StoreError::Text { .. })), Some(file)) =
         (&error, file)

@@ -166,7 +166,7 @@ impl Backlog {
         match self.querier.intake.store.reader().backlogs(MISSING).await {
             Ok(machines) => {
                 for machine in machines {
-                    if schedule.turns.get(&machine).is_none_or(|turn| turn.was_away && self.is_there(&machine)) {
+                    if schedule.turns.get(&machine).is_none_or(|turn| turn.was_away && self.is_connected(&machine)) {
                         schedule.request(&machine);
                     }
                 }
@@ -179,7 +179,7 @@ impl Backlog {
     }
 
     /// Whether a logger is connected: it has a token or, if it never had one, has just sent a live throw.
-    fn is_there(&self, machine: &MachineId) -> bool {
+    fn is_connected(&self, machine: &MachineId) -> bool {
         self.seen.contains(machine) || (!self.with_token.contains(machine) && self.querier.intake.is_live(machine))
     }
 
@@ -187,12 +187,12 @@ impl Backlog {
         let Some(turn) = schedule.turns.get_mut(machine) else { return };
         turn.page = page;
         self.missing.notify_one();
-        let is_there = self.is_there(machine);
-        turn.was_away = !is_there;
+        let is_connected = self.is_connected(machine);
+        turn.was_away = !is_connected;
         let pause = match ended {
             QueryEnd::Complete => return schedule.done(machine),
             QueryEnd::More => Duration::ZERO,
-            QueryEnd::Without(cursor) if is_there => {
+            QueryEnd::Without(cursor) if is_connected => {
                 let since = *turn.without_since.get_or_insert_with(Instant::now);
                 if since.elapsed() >= PATIENCE {
                     match self.querier.intake.store.write_off(machine, &cursor, clock::now()).await {

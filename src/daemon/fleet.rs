@@ -13,7 +13,7 @@ use crate::{
         AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Observation,
         Parameters, Settings, Severity, Verdict,
     },
-    estimate::{Estimate, Identification, Rejection},
+    estimate::{Features, Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
     throw::{MachineId, Name},
     wire::{Alarm, Health, json},
@@ -375,34 +375,30 @@ fn health(
             (ESTIMATOR_FAILED, Some(detail.to_owned()))
         }
     };
-    let estimate = found.and_then(|found| found.outcome.as_ref().ok());
-    let scaled = estimate.filter(|estimate| !estimate.ratios_only);
-    let features = found.map(|found| found.features.clone()).unwrap_or_default();
-    Health {
-        schema: Health::SCHEMA.to_owned(),
-        machine: stored.machine.clone(),
-        throw: stored.id.clone(),
-        started_at: stored.started_at,
-        direction: found.and_then(|found| found.direction),
-        quality: quality.to_owned(),
-        coefficients: scaled.map(Estimate::coefficients),
-        sd: scaled.map(Estimate::sd),
+    let health = Health {
         change_pct: verdict.change_pct,
-        fit_pct: estimate.map(|estimate| estimate.fit_pct),
-        a1_per_b0: estimate.map(|estimate| estimate.ratios()[0]),
-        a1_per_b0_sd: estimate.map(|estimate| estimate.ratios_sd()[0]),
-        a0_per_b0: estimate.map(|estimate| estimate.ratios()[1]),
-        a0_per_b0_sd: estimate.map(|estimate| estimate.ratios_sd()[1]),
-        duration_s: features.duration_s,
-        peak_current_a: features.peak_current_a,
-        mean_current_a: features.mean_current_a,
         state: Some(verdict.state),
         drift: verdict.drifts.first().copied(),
         drifts: verdict.drifts.clone(),
         caveats: verdict.caveats.clone(),
-        detail,
         baseline: verdict.baseline.map(|(so_far, needed)| (so_far as u64, needed as u64)),
         throws_since_baseline,
+        ..Health::rejected(stored.machine.clone(), stored.id.clone(), stored.started_at, quality, detail)
+    };
+    let Some(found) = found else { return health };
+    let Features { duration_s, peak_current_a, mean_current_a, .. } = found.features;
+    let health = Health { direction: found.direction, duration_s, peak_current_a, mean_current_a, ..health };
+    let Ok(estimate) = &found.outcome else { return health };
+    let ([a1_per_b0, a0_per_b0], [a1_per_b0_sd, a0_per_b0_sd]) = (estimate.ratios(), estimate.ratios_sd());
+    Health {
+        coefficients: (!estimate.ratios_only).then(|| estimate.coefficients()),
+        sd: (!estimate.ratios_only).then(|| estimate.sd()),
+        fit_pct: Some(estimate.fit_pct),
+        a1_per_b0: Some(a1_per_b0),
+        a1_per_b0_sd: Some(a1_per_b0_sd),
+        a0_per_b0: Some(a0_per_b0),
+        a0_per_b0_sd: Some(a0_per_b0_sd),
+        ..health
     }
 }
 

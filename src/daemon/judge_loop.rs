@@ -80,7 +80,7 @@ pub(super) struct Links {
     pub(super) spooled: Arc<Notify>,
     /// Notified when the outbox has a new message.
     pub(super) outbox: Arc<Notify>,
-    /// The same for the webhook.
+    /// Notified when the outbox has a new message, for the webhook.
     pub(super) webhook: Arc<Notify>,
     pub(super) watchers: broadcast::Sender<Judged>,
     pub(super) loggers: watch::Receiver<HashSet<MachineId>>,

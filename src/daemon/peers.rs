@@ -36,7 +36,7 @@ struct Away {
 }
 
 impl Peers {
-    /// These daemons, away until their tokens arrive.
+    /// Watches these daemons. Each counts as away until its token arrives.
     pub(super) fn new(peers: impl IntoIterator<Item = MachineId>) -> Self {
         let started = clock::monotonic();
         let away = Away { since: started, at: None };
@@ -49,18 +49,18 @@ impl Peers {
     /// # Errors
     /// When zenoh refuses the subscription.
     pub(super) async fn follow(self: Arc<Self>, session: &Session) -> Result<(), BusError> {
-        let on_change = move |key: &str, is_there: bool| {
+        let on_change = move |key: &str, is_present: bool| {
             if let Some(daemon) = parse_monitor_key(key) {
-                self.change(&daemon, is_there);
+                self.change(&daemon, is_present);
             }
         };
         bus::watch_tokens(session, EVERY_MONITOR_ALIVE, on_change).await
     }
 
-    fn change(&self, daemon: &MachineId, is_there: bool) {
+    fn change(&self, daemon: &MachineId, is_present: bool) {
         let mut peers = self.away.lock();
         match peers.get_mut(daemon) {
-            Some(away) if is_there => {
+            Some(away) if is_present => {
                 tracing::info!(%daemon, "watched daemon connected");
                 *away = None;
             }

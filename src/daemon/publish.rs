@@ -37,7 +37,7 @@ pub(super) struct Publisher {
     pub(super) status: Arc<Status>,
     pub(super) outbox: Arc<Notify>,
     pub(super) audience: Audience,
-    /// Whether the database is new, so that no subscriber knew an earlier process.
+    /// Whether the database is new: no earlier process published, so no subscriber has a sequence from one.
     pub(super) is_first: bool,
     pub(super) is_client: bool,
 }

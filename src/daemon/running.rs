@@ -246,7 +246,8 @@ impl Starting {
         self.config.subscribe.key.key_expression(kind)
     }
 
-    /// Starts the publishing loop; `is_first` for a new database, so that no subscriber knew an earlier process.
+    /// Starts the publishing loop; `is_first` for a new database: no earlier process published, so no subscriber
+    /// has a sequence from one.
     async fn publish(&mut self, outlet: Outlet, is_first: bool) -> Result<(), StartError> {
         let publisher = Publisher {
             store: self.store.clone(),

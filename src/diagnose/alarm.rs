@@ -210,8 +210,8 @@ impl Alarms {
         Some(self.activate(index, evidence, at))
     }
 
-    /// Raises the alarm about a sensor or the supply. If it is active about another sensor, or is that of another rule, and
-    /// this fault `is_new`, it is about this one from now on, as one alarm must not hide another fault.
+    /// Raises the alarm about a sensor or the supply. An alarm that is active about another sensor or by another rule changes to
+    /// this fault if the fault `is_new`, so that one alarm does not hide another fault.
     pub(super) fn raise_another(
         &mut self,
         cause: Cause,

@@ -40,8 +40,8 @@ struct Stamp {
 }
 
 impl LoggerClock {
-    /// Applies the time of a throw; returns whether it is wrong. Without `received_at` the clock of this computer is not
-    /// trusted, and shows nothing about that of the logger.
+    /// Compares the time of a throw with its reception; returns whether the logger's clock is wrong. Without `received_at` the
+    /// clock of this computer is not trusted, and shows nothing about that of the logger.
     pub(super) fn is_wrong(&mut self, throw: &ThrowRef, started_at: Timestamp, received_at: Option<Timestamp>) -> bool {
         let received_at = received_at.filter(|at| *at >= FIRST);
         let is_wrong = match received_at {

@@ -4,7 +4,7 @@ use nalgebra::Matrix3;
 
 use super::{
     identification::{Estimate, Grade},
-    movement::MIN_QUIET,
+    movement::{MIN_QUIET, samples_in},
     rejection::Rejection,
     settings::Settings,
     sriv::Solution,
@@ -67,8 +67,7 @@ pub(super) fn misfit(
     let settled = b0 * b0 / (2.0 * a1 * a0) * window.interval_s;
     let scale = if window.series { 4.0 * window.running * window.running } else { 1.0 };
     let through = FITTED_SHARE * FITTED_SHARE * settled * scale * window.input_noise;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of the samples")]
-    let stretch = ((MISFIT_STRETCH_S / window.interval_s) as usize).clamp(1, output.len());
+    let stretch = samples_in(MISFIT_STRETCH_S, window.interval_s).clamp(1, output.len());
     let (mut squares, mut slow, mut peak, mut at) = (0.0, 0.0, 0.0_f64, 0);
     for (block, (y, x)) in output.chunks(stretch).zip(model.chunks(stretch)).enumerate() {
         let sum: f64 = y.iter().zip(x).map(|(y, x)| y - x).sum();
@@ -80,8 +79,8 @@ pub(super) fn misfit(
         }
     }
     // The noise is estimated from few samples: allows for five standard deviations of its variance.
-    let room = 1.0 + 5.0 * (2.0 / window.noise_samples.max(MIN_QUIET) as f64).sqrt();
-    let excess = (squares / output.len() as f64 - room * window.output_noise - through).max(0.0).sqrt();
+    let factor = 1.0 + 5.0 * (2.0 / window.noise_samples.max(MIN_QUIET) as f64).sqrt();
+    let excess = (squares / output.len() as f64 - factor * window.output_noise - through).max(0.0).sqrt();
     let wander = 5.0 * (window.output_noise / stretch as f64 + through).sqrt();
     if excess > (MISFIT_RMS * travel).hypot(3.0 * through.sqrt()) || peak > (MISFIT_PEAK * travel).hypot(wander) {
         let at_s = (window.from + at) as f64 * window.interval_s;

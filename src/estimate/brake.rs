@@ -7,7 +7,7 @@
 //! motor's largest and releases up to 40 ms are fitted; the interval of the scale includes every brake that fits the
 //! start.
 
-use super::{rejection::Rejection, start::free_movement};
+use super::{movement::samples_in, rejection::Rejection, start::free_movement};
 
 /// Length of the start \[s\].
 const START_S: f64 = 0.06;
@@ -25,9 +25,9 @@ pub(super) const LARGEST_SD: f64 = 0.5;
 const CERTAIN: f64 = 16.0;
 /// Root mean square of the effect of rails and toe drive on the start, as a share of the travel.
 const MODEL_SHARE: f64 = 1e-4;
-/// The variance of the residual beyond this multiple of the noise's variance is added to the noise, times `CORRELATED`:
-/// neighbouring samples of such a residual are not independent.
-const NOISE_ROOM: f64 = 1.2;
+/// A residual with a larger variance than this multiple of the noise's is an error of the model. The variance above it is
+/// added to that of the noise, times `CORRELATED`, as neighbouring samples of such an error are not independent.
+const NOISE_FACTOR: f64 = 1.2;
 const CORRELATED: f64 = 15.0;
 
 /// Buffers, reused from throw to throw.
@@ -55,9 +55,7 @@ pub(super) fn scale_sd(
     (interval_s, noise): (f64, f64),
     buffers: &mut Buffers,
 ) -> Result<f64, Rejection> {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let samples = |time_s: f64| (time_s / interval_s) as usize;
-    let last = samples(START_S).min(output.len() - foot - 1);
+    let last = samples_in(START_S, interval_s).min(output.len() - foot - 1);
     if last < LEAST_SAMPLES {
         return Ok(LARGEST_SD);
     }
@@ -81,7 +79,7 @@ pub(super) fn scale_sd(
     found.push(without);
     for torque in TORQUES.map(|share| share * peak) {
         let (mut lost_charge, mut lost, mut cross, mut own) = (0.0, 0.0, 0.0, 0.0);
-        for k in 1..=samples(LATEST_S).min(last) {
+        for k in 1..=samples_in(LATEST_S, interval_s).min(last) {
             let taken = torque.min(0.5 * (input[k - 1] + input[k]).max(0.0)) * interval_s;
             lost += (lost_charge + 0.5 * taken) * interval_s;
             lost_charge += taken;
@@ -101,7 +99,7 @@ pub(super) fn scale_sd(
         }
     }
     let least = found.iter().fold(f64::INFINITY, |least, (.., left)| left.min(least));
-    let beyond = (least / (last - 3) as f64 - NOISE_ROOM * noise).max(0.0);
+    let beyond = (least / (last - 3) as f64 - NOISE_FACTOR * noise).max(0.0);
     let variance = noise + (MODEL_SHARE * travel).powi(2) + CORRELATED * beyond;
     if without.2 - least > CERTAIN * variance {
         return Err(Rejection::BrakedStart);

@@ -133,18 +133,7 @@ pub(super) fn course(
         return Err(Rejection::Stuck { channel: Channel::Position, value, at_s, stuck_s: stalled_s });
     }
     if let Some(stroke_mm) = settings.stroke_mm {
-        if is_short(travel_mm, stroke_mm, noise_mm) && movement.ends_moving(position) && movement.ends_driven(current) {
-            return Err(Rejection::EndMissing { travel_mm });
-        }
-        if is_short(travel_mm, stroke_mm, noise_mm)
-            && !(travel_mm > WRONG_GAIN_SHARE * stroke_mm
-                && ends_complete(movement, (current, position), interval_s, noise_mm, scratch))
-        {
-            return Err(Rejection::Incomplete { travel_mm, stroke_mm });
-        }
-        if travel_mm - noise_mm > TOO_LONG_SHARE * stroke_mm {
-            return Err(Rejection::TravelTooLong { travel_mm, stroke_mm });
-        }
+        stroke(movement, (current, position), stroke_mm, interval_s, noise_mm, scratch)?;
     }
     let is_whole = |stroke_mm| travel_mm + WHOLE_SIGMAS * noise_mm > WHOLE_SHARE * stroke_mm;
     if stalled_s > LONGEST_STALL_S && !settings.stroke_mm.is_some_and(is_whole) {
@@ -191,6 +180,30 @@ fn whole_noise(movement: &Movement, position: &[f64], noise_mm: f64, scratch: &m
 /// Whether a travel is shorter than that of a complete throw.
 pub(super) fn is_short(travel_mm: f64, stroke_mm: f64, noise_mm: f64) -> bool {
     travel_mm + noise_mm < COMPLETE_SHARE * stroke_mm
+}
+
+/// Rejects a travel that is not the whole stroke.
+fn stroke(
+    movement: &Movement,
+    (current, position): (&[f64], &[f64]),
+    stroke_mm: f64,
+    interval_s: f64,
+    noise_mm: f64,
+    scratch: &mut Vec<f64>,
+) -> Result<(), Rejection> {
+    let travel_mm = movement.travel_mm;
+    if travel_mm - noise_mm > TOO_LONG_SHARE * stroke_mm {
+        return Err(Rejection::TravelTooLong { travel_mm, stroke_mm });
+    }
+    if !is_short(travel_mm, stroke_mm, noise_mm) {
+        return Ok(());
+    }
+    if movement.ends_moving(position) && movement.ends_driven(current) {
+        return Err(Rejection::EndMissing { travel_mm });
+    }
+    let has_wrong_gain = travel_mm > WRONG_GAIN_SHARE * stroke_mm
+        && ends_complete(movement, (current, position), interval_s, noise_mm, scratch);
+    if has_wrong_gain { Ok(()) } else { Err(Rejection::Incomplete { travel_mm, stroke_mm }) }
 }
 
 /// Whether the throw ends as a complete one: the toe stops at once and stays there, and the motor pushes it for a moment.

@@ -126,10 +126,10 @@ impl Sriv<2, 1, 3> {
     /// from an error of the current's offset, with the scale of [`Noise`].
     ///
     /// A disturbance d of the acceleration disturbs the output by n = d/A and the estimate by M⁻¹ Σ z n; with a prefilter
-    /// 1/C the division is by C. Dry friction counts as viscous friction with the same torque at ω, the mean speed
-    /// of the movement after its start: with the speed of a part of the movement a spring, which slows one direction down and
-    /// speeds up the other, would leave an error of the friction outside the interval. A dry
-    /// load F differs from it by d = -F (1 - y'/ω).
+    /// 1/C the division is by C. Dry friction counts as viscous friction with the same torque at ω, the mean speed of the
+    /// movement after its start; a dry load F differs from it by d = -F (1 - y'/ω). A mean over less of the movement would
+    /// depend on the spring, which slows one direction down and speeds up the other, and the interval would not contain the
+    /// friction.
     pub(super) fn systematic_errors(
         problem: &Problem<1>,
         solution: &Solution<2, 1, 3>,

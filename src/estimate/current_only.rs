@@ -20,7 +20,7 @@ use super::{
     brake,
     features::Features,
     identification::{Estimate, Grade},
-    movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes},
+    movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes, samples_in},
     ratios,
     rejection::Channel,
     settings::Settings,
@@ -65,6 +65,28 @@ pub(super) fn features(movement: &Movement, current: &[f64], interval_s: f64) ->
     Features { duration_s, ..movement.features(current, &[], interval_s).without(Channel::Position) }
 }
 
+/// The five unknowns of the equation in the first samples: L, R + a1 L, K b0 + a1 R + a0 L, c and d. `integrals` are those of
+/// the current, of order 0 to 3.
+fn solve(
+    integrals: &[Vec<f64>; 4],
+    samples: usize,
+    (supply_v, interval_s): (f64, f64),
+    (a0, resistance): (f64, f64),
+) -> Option<Vector5<f64>> {
+    let [amperes, charge, double, triple] = integrals;
+    let (mut normal, mut right) = (Matrix5::zeros(), Vector5::zeros());
+    for k in 1..samples {
+        let t = k as f64 * interval_s;
+        let row = Vector5::new(amperes[k], charge[k], double[k], t * t, 1.0);
+        let left = supply_v * t * (1.0 + a0 * t * t / 6.0) - a0 * resistance * triple[k];
+        normal += row * row.transpose();
+        right += row * left;
+    }
+    let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
+    let inverse = Matrix5::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]).try_inverse()?;
+    Some((inverse * right.component_mul(&scale)).component_mul(&scale))
+}
+
 /// The coefficients from current, supply voltage and stroke, or why these do not determine them. Adds resistance and
 /// back-EMF constant to the features.
 pub(super) fn estimate(
@@ -96,42 +118,31 @@ pub(super) fn estimate(
     let charge = integral(&amperes);
     let double = integral(&charge);
     let triple = integral(&double);
+    let integrals = [amperes, charge, double, triple];
+    let [amperes, charge, ..] = &integrals;
     let angle = stroke_mm * std::f64::consts::TAU / settings.lead_mm;
     // The motor is cut off when the toe arrives, so the last samples may be falling already.
     let last = amperes.len().checked_sub(3).ok_or(NOT_ENDED)?;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let inrush = ((INRUSH_S / interval_s) as usize).min(last);
-    let time = |k: usize| k as f64 * interval_s;
+    let inrush = samples_in(INRUSH_S, interval_s).min(last);
+    let from_start_mm = match direction {
+        Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
+        Some(Direction::NormalToReverse) | None => settings.neutral_mm,
+    };
+    let equilibrium = from_start_mm * std::f64::consts::TAU / settings.lead_mm;
     let (mut a1, mut a0, mut resistance) = (0.0, 0.0, 0.0);
     let mut found = None;
     for _ in 0..ROUNDS {
-        let (mut normal, mut right) = (Matrix5::zeros(), Vector5::zeros());
-        for k in 1..inrush {
-            let t = time(k);
-            // The constant is the moment of the start between two samples; t² includes friction and the preload of the
-            // spring.
-            let row = Vector5::new(amperes[k], charge[k], double[k], t * t, 1.0);
-            let left = supply_v * t * (1.0 + a0 * t * t / 6.0) - a0 * resistance * triple[k];
-            normal += row * row.transpose();
-            right += row * left;
-        }
-        let scale = normal.diagonal().map(|square: f64| square.sqrt().recip());
-        let inverse = Matrix5::from_fn(|i, j| normal[(i, j)] * scale[i] * scale[j]).try_inverse().ok_or(NO_ARMATURE)?;
-        let solved: Vector5<f64> = (inverse * right.component_mul(&scale)).component_mul(&scale);
+        let solved = solve(&integrals, inrush, (supply_v, interval_s), (a0, resistance)).ok_or(NO_ARMATURE)?;
         let inductance = solved[0];
         resistance = solved[1] - a1 * inductance;
         let late_v_s = solved[4];
-        let flux = |k: usize| supply_v * time(k) - late_v_s - resistance * charge[k] - inductance * amperes[k];
+        let flux =
+            |k: usize| supply_v * (k as f64 * interval_s) - late_v_s - resistance * charge[k] - inductance * amperes[k];
         let back_emf = flux(last) / angle;
         if !(inductance > 0.0 && resistance > 0.0 && back_emf > 0.0) {
             return Err(NO_ARMATURE);
         }
         let output: Vec<f64> = (0..=last).map(|k| flux(k) / back_emf).collect();
-        let from_start_mm = match direction {
-            Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
-            Some(Direction::NormalToReverse) | None => settings.neutral_mm,
-        };
-        let equilibrium = from_start_mm * std::f64::consts::TAU / settings.lead_mm;
         let offset = window::current_offset_variance(movement);
         let end = output.iter().position(|y| *y > NEAR_END_SHARE * angle).unwrap_or(last);
         let input = ratios::Input { values: &amperes[..end], scale: None, offset, rest_a: window::rest(movement) };

@@ -5,7 +5,7 @@ use std::f64::consts::FRAC_1_SQRT_2;
 use statrs::function::erf::erf;
 
 use super::{
-    movement::{MIN_QUIET, Movement, every, largest, quantum},
+    movement::{MIN_QUIET, Movement, every, largest, quantum, samples_in},
     rejection::{Channel, Rejection},
 };
 
@@ -210,12 +210,30 @@ const SHORT_MEAN_SIGMAS: f64 = 5.0;
 const STEP_S: f64 = 0.008;
 /// Least step in standard deviations of its noise, for several thousand places on a smooth signal.
 const STEP_SIGNIFICANCE: f64 = 6.5;
-/// Duration of the oscillation of the inrush \[s\].
+/// Duration of the oscillation of the inrush \[s\]: before its end the current is no straight line.
 pub(super) const INRUSH_S: f64 = 0.15;
 /// Least step of the current, as share of its peak; rails and friction cause smaller ones.
 const LEAST_STEP: f64 = 0.006;
 /// Least step of the position, as share of the travel.
 pub(super) const LEAST_SLIP: f64 = 5e-4;
+
+/// Rejects a lasting step of the current within the inrush.
+fn inrush_step(movement: &Movement, current: &[f64], interval_s: f64, sd: f64) -> Result<(), Rejection> {
+    let least_a = (INRUSH_STEP_SIGMAS * sd).max(INRUSH_STEP_SHARE * movement.peak_a);
+    let is_step = |k: &usize| {
+        let [a, b, c, d] = [current[k - 1], current[*k], current[k + 1], current[k + 2]];
+        (0.5 * (a - d) + 1.5 * (c - b)).abs() > least_a
+    };
+    let [from, to] = [INRUSH_STEP_SAMPLES.start, INRUSH_STEP_SAMPLES.end].map(|after| movement.start() + after);
+    let mut found = (from..to.min(current.len().saturating_sub(2))).filter(is_step);
+    // One step shows at neighbouring places too; more are a switching supply.
+    match found.next() {
+        Some(at) if found.count() < 3 => {
+            Err(Rejection::CurrentJump { jump_a: current[at + 1] - current[at], at_s: at as f64 * interval_s })
+        }
+        _ => Ok(()),
+    }
+}
 
 /// Rejects a lasting step between two samples: inductance and inertia prevent it in current and position, so it is a
 /// changed gain, a shifted offset or lost samples. Means over 8 and over 4 ms, with the trend removed, show the same
@@ -232,20 +250,9 @@ pub(super) fn steps(
     let rest = movement.level(channel);
     let sd = if rest.samples < MIN_QUIET { noise } else { rest.sd.min(noise) }.max(rest.quantum);
     let start = movement.start();
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let wide = 2 * ((0.5 * STEP_S / interval_s) as usize).clamp(2, 16);
+    let wide = 2 * samples_in(0.5 * STEP_S, interval_s).clamp(2, 16);
     if channel == Channel::Current {
-        let far = |k: &usize| {
-            let [a, b, c, d] = [values[k - 1], values[*k], values[k + 1], values[k + 2]];
-            (0.5 * (a - d) + 1.5 * (c - b)).abs() > (INRUSH_STEP_SIGMAS * sd).max(INRUSH_STEP_SHARE * movement.peak_a)
-        };
-        let inrush =
-            start + INRUSH_STEP_SAMPLES.start..(start + INRUSH_STEP_SAMPLES.end).min(values.len().saturating_sub(2));
-        let mut found = inrush.filter(far);
-        // One step shows at neighbouring places too; more are a switching supply.
-        if let Some(at) = found.next().filter(|_| found.count() < 3) {
-            return Err(Rejection::CurrentJump { jump_a: values[at + 1] - values[at], at_s: at as f64 * interval_s });
-        }
+        inrush_step(movement, values, interval_s, sd)?;
     }
     sums.clear();
     sums.push(0.0);
@@ -261,8 +268,7 @@ pub(super) fn steps(
     };
     // The variance of a step is 5 / width of that of a sample.
     let [long, short] = [wide, wide / 2].map(|width| sd * (5.0 / width as f64).sqrt());
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let settled = start + (INRUSH_S / interval_s) as usize + wide;
+    let settled = start + samples_in(INRUSH_S, interval_s) + wide;
     let (clear, least) = match channel {
         // Inductance and back-EMF oscillate faster than these means.
         Channel::Current => (start.saturating_sub(2 * wide)..settled, LEAST_STEP * movement.peak_a),

@@ -206,7 +206,7 @@ impl<const N: usize> Interval<N> {
         Self { psi, step, ramp }
     }
 
-    /// The same for twice the interval.
+    /// The matrices of twice the interval.
     fn doubled(&self, length: f64) -> Self {
         let square = product(&self.psi, &self.psi);
         let psi = std::array::from_fn(|i| std::array::from_fn(|j| 2.0 * self.psi[i][j] + square[i][j]));

@@ -8,7 +8,10 @@
 
 use nalgebra::{Matrix4, Vector4};
 
-use super::movement::Level;
+use super::{
+    damage::INRUSH_S,
+    movement::{Level, samples_in},
+};
 
 /// Mains frequencies \[Hz\]: most of the world, the Americas, railways.
 const MAINS_HZ: [f64; 3] = [50.0, 60.0, 50.0 / 3.0];
@@ -20,8 +23,6 @@ const STRETCH_PERIODS: f64 = 5.0;
 const LEAST_RATE: f64 = 4.0;
 /// Least share of hum in the variance of the quiet samples.
 const LEAST_SHARE: f64 = 0.6;
-/// Time after the start of the motor in which the current is not a straight line \[s\].
-const INRUSH_S: f64 = 0.15;
 
 /// Least-squares fit of a sine of one frequency and a straight line.
 struct Sine {
@@ -70,12 +71,10 @@ pub(super) fn remove(current: &mut [f64], quiet: usize, interval_s: f64) -> bool
         if power < LEAST_SHARE * variance {
             continue;
         }
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-        let (settled, stretch) =
-            (quiet + (INRUSH_S / interval_s) as usize, (STRETCH_PERIODS * per_period).round() as usize);
+        let stretch = samples_in((STRETCH_PERIODS * per_period).round(), 1.0);
         let turn = rest.turn;
         let mut sines = vec![rest];
-        let mut from = settled;
+        let mut from = quiet + samples_in(INRUSH_S, interval_s);
         while from + stretch <= current.len() {
             let to = if current.len() < from + 2 * stretch { current.len() } else { from + stretch };
             sines.extend(Sine::fit(&current[from..to], from, turn));

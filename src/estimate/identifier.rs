@@ -34,13 +34,6 @@ const TOLERANCE: f64 = 1e-4;
 const LEAD_IN: usize = 2;
 /// Least number of samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
-/// Largest departure of the rise from a linear armature: in standard deviations of the noise, and as share of the peak.
-/// Healthy traces have less than 5 standard deviations, a rectified supply less than 3 % of the peak; five lost samples
-/// cause 10 %, jitter of 0.3 ms causes 1 to 20 %.
-const ROUGH_RISE_SIGMAS: f64 = 8.0;
-const ROUGH_RISE_SHARE: f64 = 0.03;
-/// Part of the departure of the rise that noise explains \[standard deviations\]; only the rest counts.
-const RISE_NOISE_SIGMAS: f64 = 4.0;
 /// Largest departure of a movement with usable ratios, as share of the travel: unlocking 0.5 s after the start of the
 /// motor causes 4.5 %.
 const ROUGH_SHARE: f64 = 0.05;
@@ -82,26 +75,26 @@ impl Identifier {
 
     /// Identifies a throw whose current has a new value in each sample, and its position in one of `position_every`.
     fn identify_sampled(&mut self, throw: &Throw, position_every: f64, settings: &Settings) -> Identification {
-        if !throw.trace.has_position() {
-            return self.identify_current(throw, settings);
-        }
         let trace = &throw.trace;
+        let has_position = trace.has_position();
         let raw_interval_s = 1.0 / trace.sample_rate_hz();
         let factor = decimate::factor(trace.sample_rate_hz());
         let interval_s = raw_interval_s * factor as f64;
         let raw_current = missing::bridged(trace.current_a(), raw_interval_s);
-        let raw_position = missing::bridged(trace.position_mm(), raw_interval_s);
-        let raw_checks = damage::values(&raw_current, &raw_position, raw_interval_s)
-            .and_then(|()| damage::clipping(&raw_current, raw_interval_s));
-
         copy_finite(&mut self.current, &raw_current);
-        copy_finite(&mut self.position, &raw_position);
         let at_rest = if factor > 1 { level_before(&self.current) } else { 0.0 };
         let linear = settings.motor == Motor::PermanentMagnet && throw.possible_anti_alias_hz().is_none();
-        let released = (factor > 1)
+        let released = (factor > 1 && has_position)
             .then(|| release::at_full_rate(&mut self.current, raw_interval_s, linear, &mut self.scratch))
             .flatten();
         decimate::decimate(&mut self.current, factor, at_rest);
+        if !has_position {
+            return self.identify_current(throw, (&raw_current, raw_interval_s), interval_s, settings);
+        }
+        let raw_position = missing::bridged(trace.position_mm(), raw_interval_s);
+        let raw_checks = damage::values(&raw_current, &raw_position, raw_interval_s)
+            .and_then(|()| damage::clipping(&raw_current, raw_interval_s));
+        copy_finite(&mut self.position, &raw_position);
         let first = self.position[0];
         decimate::decimate(&mut self.position, factor, first);
 
@@ -170,15 +163,15 @@ impl Identifier {
         features.start_gain = start.map(|start| start.gain);
     }
 
-    /// Identifies a throw of a machine without a toe sensor.
-    fn identify_current(&mut self, throw: &Throw, settings: &Settings) -> Identification {
+    /// Identifies a throw of a machine without a toe sensor from its decimated current.
+    fn identify_current(
+        &mut self,
+        throw: &Throw,
+        (raw_current, raw_interval_s): (&[f64], f64),
+        interval_s: f64,
+        settings: &Settings,
+    ) -> Identification {
         let trace = &throw.trace;
-        let factor = decimate::factor(trace.sample_rate_hz());
-        let interval_s = factor as f64 / trace.sample_rate_hz();
-        let raw_current = missing::bridged(trace.current_a(), 1.0 / trace.sample_rate_hz());
-        copy_finite(&mut self.current, &raw_current);
-        let at_rest = if factor > 1 { level_before(&self.current) } else { 0.0 };
-        decimate::decimate(&mut self.current, factor, at_rest);
         self.position.clear();
         self.position.resize(self.current.len(), 0.0);
         let movement = Movement::of(&self.current, &self.position, interval_s, &mut self.scratch);
@@ -188,7 +181,7 @@ impl Identifier {
         let known =
             throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
         let start_s = movement.start() as f64 * interval_s;
-        let outcome = damage::values(&raw_current, &[], 1.0 / trace.sample_rate_hz())
+        let outcome = damage::values(raw_current, &[], raw_interval_s)
             .and_then(|()| missing::within(trace, start_s - interval_s, start_s + damage::INRUSH_S).map_or(Ok(()), Err))
             .and_then(|()| settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
@@ -219,19 +212,16 @@ impl Identifier {
         }
     }
 
-    fn estimate(
+    /// Checks the samples of a complete movement; `filter_hz` is the cut-off of an anti-alias filter. Returns the reason why
+    /// only the ratios may be known, if the start is disturbed.
+    fn check_samples(
         &mut self,
-        throw: &Throw,
+        trace: &Trace,
         settings: &Settings,
         movement: &Movement,
         (interval_s, factor, noise_mm): (f64, usize, f64),
-        released: Option<f64>,
-    ) -> Result<Estimate, Rejection> {
-        let rate_hz = 1.0 / interval_s;
-        let filter_hz = throw.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001);
-        noise::resolved(movement, settings)?;
-        let noisy = noise::plausible(movement, settings).err();
-        let no_inrush = course::inrush(movement, &self.current, &mut self.scratch);
+        filter_hz: Option<f64>,
+    ) -> Result<Option<Rejection>, Rejection> {
         let mut doubt = course::early(movement, &self.position).err();
         let rise_samples = course::rise_samples(movement, &self.current);
         if factor == 1 && filter_hz.is_none() && rise_samples < MIN_RISE_SAMPLES {
@@ -247,7 +237,7 @@ impl Identifier {
         let start_s = movement.start() as f64 * interval_s;
         let released_s = movement.released(&self.position).unwrap_or(0) as f64 * interval_s;
         let inrush = start_s - interval_s..(start_s + damage::INRUSH_S).max(released_s + START_S);
-        doubt = doubt.or_else(|| missing::within(&throw.trace, inrush.start, inrush.end));
+        doubt = doubt.or_else(|| missing::within(trace, inrush.start, inrush.end));
         let mut or_doubt = |verdict: Result<(), Rejection>| match verdict {
             Err(reason) if reason.is_between(start_s, start_s.max(released_s) + START_S) => {
                 doubt.get_or_insert(reason);
@@ -266,6 +256,24 @@ impl Identifier {
             }
             noise::noise_level(movement, &self.current, interval_s, settings, &mut self.scratch)?;
         }
+        Ok(doubt)
+    }
+
+    /// Estimates the coefficients of a complete movement, or their ratios if its start is unusable.
+    fn estimate(
+        &mut self,
+        throw: &Throw,
+        settings: &Settings,
+        movement: &Movement,
+        (interval_s, factor, noise_mm): (f64, usize, f64),
+        released: Option<f64>,
+    ) -> Result<Estimate, Rejection> {
+        let rate_hz = 1.0 / interval_s;
+        let filter_hz = throw.anti_alias_hz.filter(|hz| *hz > 0.0 && *hz <= 0.5 * rate_hz * 1.0001);
+        noise::resolved(movement, settings)?;
+        let noisy = noise::plausible(movement, settings).err();
+        let no_inrush = course::inrush(movement, &self.current, &mut self.scratch);
+        let doubt = self.check_samples(&throw.trace, settings, movement, (interval_s, factor, noise_mm), filter_hz)?;
         let filter_hz = filter_hz.or((factor > 1).then_some(decimate::CUT_OFF_SHARE * rate_hz));
         let mut window = self.window(settings, movement, interval_s, filter_hz, released)?;
         if settings.stroke_mm.is_none() && movement.ends_moving(&self.position) && movement.ends_driven(&self.current) {
@@ -395,33 +403,11 @@ impl Identifier {
                 *i *= i.abs();
             }
         }
-        let (mut doubt, mut rise) = (None, 0.0);
-        if filter_hz.is_none() && settings.motor == Motor::PermanentMagnet {
-            let foot = movement.start() - from;
-            match release::onset(&self.input, 0.0, foot) {
-                Some(onset) => {
-                    let rough = (ROUGH_RISE_SIGMAS * movement.current.sd).max(ROUGH_RISE_SHARE * movement.peak_a);
-                    if let Some(missing) = onset.missing() {
-                        doubt = Some(Rejection::OnsetMissing { missing_s: missing * interval_s });
-                    } else if onset.roughness > rough {
-                        doubt = Some(Rejection::RoughRise { departure_a: onset.roughness });
-                    } else {
-                        rise = (onset.roughness - RISE_NOISE_SIGMAS * movement.current.sd).max(0.0) / movement.peak_a;
-                        onset.complete(&mut self.input, foot);
-                    }
-                }
-                None if movement.quiet < MIN_QUIET => {
-                    return Err(Rejection::StartMissing { current_a: self.input[foot + 1] });
-                }
-                None if self.input[foot + 1] > 0.5 * movement.peak_a && movement.quiet <= 2 * MIN_QUIET => {
-                    return Err(Rejection::StartMissing { current_a: self.input[foot + 1] });
-                }
-                None if self.input[foot + 1] > 0.5 * movement.peak_a => {
-                    doubt = Some(Rejection::StartMissing { current_a: self.input[foot + 1] });
-                }
-                None => {}
-            }
-        }
+        let (rise, doubt) = if filter_hz.is_none() && settings.motor == Motor::PermanentMagnet {
+            release::complete_onset(&mut self.input, movement, movement.start() - from, interval_s)?
+        } else {
+            (0.0, None)
+        };
         let released = released.map_or_else(
             || release::time(&self.current[from..to], offset, movement.start() - from, interval_s, filter_hz),
             |released| released - from as f64 * interval_s,
@@ -499,7 +485,7 @@ fn without_current(throw: &Throw, settings: &Settings) -> &'static str {
     }
 }
 
-/// What a trace without a toe position has in its place.
+/// What `position_mm` contains instead of a toe position, for the text of the rejection.
 fn sent_position(trace: &Trace) -> &'static str {
     if trace.position_mm().contains(&0.0) {
         "position_mm is 0 in all samples, as without a toe sensor"

@@ -14,15 +14,13 @@ use nalgebra::{Matrix2, Vector2};
 
 use super::{
     filter::{Discrete, Hold},
+    movement::samples_in,
     rejection::Rejection,
+    start::{LEAST_SAMPLES, START_SHARE},
 };
 
-/// Length of the start, as share of the travel: after 3 % the inrush is over.
-const START_SHARE: f64 = 0.03;
 /// Longest start \[s\], for a toe that hardly moves.
 const LONGEST_START_S: f64 = 0.4;
-/// Least number of samples of a usable start.
-const LEAST_SAMPLES: usize = 8;
 /// Largest accepted delay of the start \[s\], and in standard deviations. A soft drive (5e6 N/m) delays the toe by 1 to
 /// 2 ms, play of 0.1 mm by 3.3 ms.
 const LARGEST_DELAY_S: f64 = 3e-3;
@@ -61,8 +59,7 @@ fn find(
 ) -> Option<(f64, f64)> {
     let travel = output.last()?.abs();
     let far = (foot..output.len()).find(|&k| output[k] > START_SHARE * travel)?;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let longest = foot + (LONGEST_START_S / interval_s) as usize;
+    let longest = foot + samples_in(LONGEST_START_S, interval_s);
     let last = far.min(longest).min(output.len() - 2);
     if last < foot + LEAST_SAMPLES {
         return None;

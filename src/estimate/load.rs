@@ -20,6 +20,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::movement::samples_in;
+
 /// Distance of two windows \[s\]. With 0.1 s, rails that vibrate at 9 Hz look like a slow load; with 0.05 s, 20 um of noise in
 /// the position are as large as a load that varies by 2 % within 50 ms.
 const STEP_S: f64 = 0.07;
@@ -56,8 +58,7 @@ impl Load {
         interval_s: f64,
     ) -> Option<Self> {
         let samples = output.len().checked_sub(from)?;
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-        let steps = ((samples as f64 * interval_s / STEP_S) as usize).clamp(LEAST_STEPS, STEPS);
+        let steps = samples_in(samples as f64 * interval_s, STEP_S).clamp(LEAST_STEPS, STEPS);
         let length = (samples / (steps + 1)).max(LEAST_SAMPLES);
         let count = (samples / length).min(STEPS + 1).checked_sub(1).filter(|count| *count >= LEAST_STEPS)?;
         let mut load = Self { from, length, count, rows: [Vector3::zeros(); STEPS], charges: [0.0; STEPS] };

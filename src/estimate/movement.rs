@@ -326,6 +326,12 @@ pub(super) fn mean(values: impl Iterator<Item = f64>) -> f64 {
     if count > 0.0 { sum / count } else { 0.0 }
 }
 
+/// Number of whole samples in a time \[s\].
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
+pub(super) fn samples_in(time_s: f64, interval_s: f64) -> usize {
+    (time_s / interval_s) as usize
+}
+
 /// Median, computed in the scratch buffer; 0 without values.
 pub(super) fn median_of(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();

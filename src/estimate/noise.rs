@@ -2,7 +2,7 @@
 
 use super::{
     damage::INRUSH_S,
-    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement, median_of_magnitudes},
+    movement::{LARGEST_POSITION_SHARE, MIN_QUIET, Movement, median_of_magnitudes, samples_in},
     rejection::{Channel, Rejection},
     settings::Settings,
 };
@@ -81,8 +81,7 @@ pub(super) fn noise_level(
     if halves < REST_NOISE.start * usual {
         return Ok(());
     }
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let settled = movement.start() + (INRUSH_S / interval_s) as usize;
+    let settled = movement.start() + samples_in(INRUSH_S, interval_s);
     scratch.clear();
     scratch.push(0.0);
     let (mut sum, square) = (0.0, 6.0 * usual * usual);
@@ -121,7 +120,7 @@ pub(super) fn second_difference_noise(values: &[f64], scratch: &mut Vec<f64>) ->
     SD_PER_MEDIAN * median_of_magnitudes(scratch) / 6.0_f64.sqrt()
 }
 
-/// The same from first differences, for a mostly constant signal.
+/// Standard deviation of white noise from first differences, for a mostly constant signal.
 pub(super) fn first_difference_noise(values: &[f64], scratch: &mut Vec<f64>) -> f64 {
     scratch.clear();
     scratch.extend(values.windows(2).map(|w| (w[1] - w[0]).abs()));

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! It does not need the time or the position of the release, the speed at s, or an iteration. At nearly constant speed
-//! it determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk, a load that varies and
-//! errors of the model are correlated longer, so the covariance is that by a random load (see `load`).
+//! it determines the ratios, but hardly 1/b0. The noise of the integrated current is a random walk; a varying load and
+//! errors of the model are correlated over still longer times. So the covariance is that of a random load (see `load`).
 
 use std::ops::AddAssign;
 
@@ -18,6 +18,7 @@ use super::{
     covariance::DRY_SHARE,
     identification::{Estimate, Grade},
     load::{Load, STEPS},
+    movement::samples_in,
     rejection::Rejection,
 };
 
@@ -106,9 +107,7 @@ impl Ratios {
 
 /// Half of the interval of the difference for the speed \[samples\].
 fn reach(interval_s: f64) -> usize {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let samples = (SPEED_S / interval_s) as usize;
-    samples.max(1)
+    samples_in(SPEED_S, interval_s).max(1)
 }
 
 /// The first sample after the start of the movement.

@@ -64,7 +64,7 @@ pub enum Rejection {
     #[serde(rename = "current_only")]
     #[strum(serialize = "current_only")]
     NoPosition {
-        /// What the message has in place of a position.
+        /// What `position_mm` contains instead of a toe position, for the text of the rejection.
         #[serde(default)]
         sent: String,
         /// Why current and supply voltage do not determine the coefficients.

@@ -12,8 +12,10 @@
 //! Friction, motor and inertia hardly change δ. A healthy machine has a δ of its own, of some milliseconds of either sign,
 //! as dry friction and the elastic drive are not in the model: only its changes mean something.
 
+use super::movement::samples_in;
+
 /// Length of the start, as share of the travel: after 3 % the inrush is over.
-const SHARE: f64 = 0.03;
+pub(super) const START_SHARE: f64 = 0.03;
 /// Longest start, and longest delay \[s\].
 const LONGEST_S: f64 = 0.6;
 /// Movement beyond the start that a negative delay needs \[s\].
@@ -25,7 +27,7 @@ const STEPS: usize = 60;
 /// Change of the delay at which the iteration ends \[s\]: far below the scatter of 0.2 ms.
 const CONVERGED_S: f64 = 2e-6;
 /// Least number of samples of a usable start.
-const LEAST_SAMPLES: usize = 8;
+pub(super) const LEAST_SAMPLES: usize = 8;
 
 /// The start of a movement.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,12 +67,10 @@ pub(super) fn find(
     interval_s: f64,
     free: &mut Vec<f64>,
 ) -> Option<Start> {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time over an interval")]
-    let samples = |time_s: f64| (time_s / interval_s) as usize;
     let (input, output) = channels;
     let travel = *output.last()?;
-    let last = output.iter().take(samples(LONGEST_S)).position(|y| *y > SHARE * travel)?;
-    let end = (last + samples(AHEAD_S).max(1) + 1).min(output.len());
+    let last = output.iter().take(samples_in(LONGEST_S, interval_s)).position(|y| *y > START_SHARE * travel)?;
+    let end = (last + samples_in(AHEAD_S, interval_s).max(1) + 1).min(output.len());
     if last < LEAST_SAMPLES {
         return None;
     }

@@ -33,7 +33,7 @@ const MODELS: usize = 16;
 const THROWS: usize = 4;
 /// Standard deviation of the noise added to the current \[A\]: a step of a 14-bit converter over 40 A.
 const CURRENT_A: f64 = 0.0025;
-/// The same of the position \[mm\]: over 160 mm.
+/// Standard deviation of the noise added to the position \[mm\]: a step of a 14-bit converter over 160 mm.
 const POSITION_MM: f64 = 0.01;
 /// Number of prepared noise values; each throw uses a stretch of them.
 const NOISE_VALUES: usize = 1 << 17;

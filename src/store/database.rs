@@ -32,13 +32,13 @@ pub struct Store {
     pub(super) disk: Arc<Disk>,
     pub(super) settings: Arc<Settings>,
     pub(super) files: DatabaseFiles,
-    /// Bounds the memory of throws that wait for their commit.
-    room: Arc<Semaphore>,
+    /// Free part of [`MEMORY_BUDGET_KIB`].
+    memory_budget: Arc<Semaphore>,
 }
 
-/// Capacity for throws that wait for their commit \[KiB\]: four of the largest throws, or a thousand usual ones.
+/// Memory of the throws that wait for their commit \[KiB\]: four of the largest throws, or a thousand usual ones.
 /// Further callers wait.
-const ROOM_KIB: u32 = 64 * 1024;
+const MEMORY_BUDGET_KIB: u32 = 64 * 1024;
 
 /// An opened store with its report.
 pub struct Opened {
@@ -75,8 +75,8 @@ impl Store {
         if let Err(error) = disk.restore_ballast() {
             tracing::warn!(%error, "no ballast file: recovery from a full disk will be harder");
         }
-        let room = Arc::new(Semaphore::new(ROOM_KIB as usize));
-        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), files, room };
+        let memory_budget = Arc::new(Semaphore::new(MEMORY_BUDGET_KIB as usize));
+        let store = Self { writer, reader, disk, settings: Arc::new(settings.clone()), files, memory_budget };
         Ok(Opened { store, report })
     }
 
@@ -136,14 +136,14 @@ impl Store {
     }
 
     async fn submit(&self, throws: Vec<Spool>) -> Result<Answer<Vec<Spooled>>, StoreError> {
-        let room = self.room(&throws).await?;
-        self.writer.submit(Spools { throws, room }).await
+        let memory = self.reserve(&throws).await?;
+        self.writer.submit(Spools { throws, memory }).await
     }
 
-    /// Waits for memory for these throws, at most for all of it.
-    async fn room(&self, throws: &[Spool]) -> Result<OwnedSemaphorePermit, StoreError> {
-        let kib = throws.iter().map(Spool::kib).fold(0, u32::saturating_add).min(ROOM_KIB);
-        Arc::clone(&self.room).acquire_many_owned(kib).await.map_err(|_| StoreError::Closed)
+    /// Waits for the part of the memory budget that these throws need, at most for the whole.
+    async fn reserve(&self, throws: &[Spool]) -> Result<OwnedSemaphorePermit, StoreError> {
+        let kib = throws.iter().map(Spool::kib).fold(0, u32::saturating_add).min(MEMORY_BUDGET_KIB);
+        Arc::clone(&self.memory_budget).acquire_many_owned(kib).await.map_err(|_| StoreError::Closed)
     }
 
     /// Stores a page of a logger's backlog (the throws after `after`, oldest first) in one transaction.
@@ -159,7 +159,7 @@ impl Store {
     ) -> Result<PageStored, StoreError> {
         let throws = throws.iter().map(|throw| Spool::new(machine, throw, at)).collect();
         let page = Page { machine: machine.clone(), after: after.cloned(), throws, at };
-        let _room = self.room(&page.throws).await?;
+        let _memory = self.reserve(&page.throws).await?;
         self.writer.write(page).await
     }
 

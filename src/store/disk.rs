@@ -79,7 +79,7 @@ pub(super) struct Disk {
     copied: Mutex<Option<Instant>>,
     /// The counters of the database at the last look.
     counters: Mutex<Option<BTreeMap<String, u64>>>,
-    /// What was dropped although it was needed, by [`LOSSES`].
+    /// Rows dropped before they were judged or published, by [`LOSSES`].
     lost: [RecentCount; LOSSES.len()],
 }
 
@@ -124,15 +124,15 @@ impl Disk {
     }
 
     /// Records that the database file was deleted or replaced.
-    pub(super) fn note_replaced(&self, mended: bool) {
+    pub(super) fn note_replaced(&self, succeeded: bool) {
         self.replaced.add(1);
-        self.replacement_fails.store(!mended, Ordering::Relaxed);
+        self.replacement_fails.store(!succeeded, Ordering::Relaxed);
     }
 
     /// Whether the file was written again, if it was deleted or replaced in the last hour.
     pub(super) fn replaced(&self) -> Option<bool> {
-        let mended = !self.replacement_fails.load(Ordering::Relaxed);
-        (!mended || self.replaced.shown().is_some()).then_some(mended)
+        let succeeded = !self.replacement_fails.load(Ordering::Relaxed);
+        (!succeeded || self.replaced.shown().is_some()).then_some(succeeded)
     }
 
     /// Records the counters of the database. Their values at the first look are from before the start.
@@ -162,7 +162,7 @@ impl Disk {
         *self.copied.lock() = None;
     }
 
-    /// Whether a copy of the database makes progress, or did in the last 30 s.
+    /// Whether a copy of the database made progress in the last 30 s.
     pub(super) fn is_copying(&self) -> bool {
         self.copied.lock().is_some_and(|at| at.elapsed() < COPY_HANGS)
     }

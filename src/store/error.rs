@@ -100,7 +100,7 @@ impl StoreError {
         Self::Read(Box::new(source))
     }
 
-    /// The same error for another throw of the same write.
+    /// A copy of the error, for another throw of the same write.
     pub(super) fn repeated(&self) -> Self {
         match self {
             Self::Full => Self::Full,

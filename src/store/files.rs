@@ -86,7 +86,7 @@ impl DatabaseFiles {
     }
 
     /// Renames foreign files at the path of the database.
-    pub(super) fn set_strangers_aside(&self) -> Result<(), StoreError> {
+    pub(super) fn rename_foreign_files(&self) -> Result<(), StoreError> {
         let file = self.file();
         // Files that exist at the same time have different inodes, so the names differ.
         let inode = std::fs::metadata(&file).map_or(0, |file| file.ino());
@@ -111,7 +111,7 @@ impl DatabaseFiles {
         (1..=2).find(|&number| std::fs::canonicalize(self.number(number)).is_ok_and(|file| file == name)).unwrap_or(0)
     }
 
-    /// Path of the next copy, alternately with number 1 and 2; removes a file there.
+    /// Path of the next copy, alternately with number 1 and 2. Removes an older copy at this path.
     pub(super) fn next(&self) -> Result<PathBuf, StoreError> {
         let next = self.number(if self.current() == 1 { 2 } else { 1 });
         remove(&next)?;
@@ -178,7 +178,7 @@ impl DatabaseFiles {
         Ok(to)
     }
 
-    /// Path of the copy of the readable rows of a broken database; removes a file there.
+    /// Path of the copy of the readable rows of a broken database. Removes an older copy at this path.
     pub(super) fn salvage_path(&self) -> Result<PathBuf, StoreError> {
         let copy = beside(&self.path, SALVAGE);
         remove(&copy).map(|()| copy)

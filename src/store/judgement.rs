@@ -71,23 +71,15 @@ impl Judgement {
     /// events and the monitor, the second nothing.
     #[must_use]
     pub fn instead(&self, problem: &str) -> [Self; 2] {
+        let Health { machine, throw, started_at, .. } = self.health.clone();
+        let detail = format!("the database rejects the result: {problem}");
         let health = Health {
-            quality: NOT_STORABLE.to_owned(),
-            detail: Some(format!("the database rejects the result: {problem}")),
-            coefficients: None,
-            sd: None,
-            change_pct: None,
-            fit_pct: None,
-            a1_per_b0: None,
-            a1_per_b0_sd: None,
-            a0_per_b0: None,
-            a0_per_b0_sd: None,
-            duration_s: None,
-            peak_current_a: None,
-            mean_current_a: None,
-            drift: None,
-            drifts: Vec::new(),
-            ..self.health.clone()
+            direction: self.health.direction,
+            state: self.health.state,
+            caveats: self.health.caveats.clone(),
+            baseline: self.health.baseline,
+            throws_since_baseline: self.health.throws_since_baseline,
+            ..Health::rejected(machine, throw, started_at, NOT_STORABLE, Some(detail))
         };
         let outcome = Outcome { command: None, ..self.outcome.clone() };
         let nothing = Outcome { monitor: None, events: Vec::new(), reported_gaps: Vec::new(), ..outcome.clone() };

@@ -54,7 +54,7 @@ pub enum Found {
     Clean,
     /// After a crash or a power cut; the check found no damage.
     Unclean,
-    /// The same, but the write-ahead log does not exist: it was removed, or only the database was copied.
+    /// Not closed, and without its write-ahead log: the log was removed, or only the database was copied.
     WithoutLog,
     /// Broken: renamed, and replaced by a new database with the readable rows.
     SetAside {
@@ -67,7 +67,7 @@ pub enum Found {
     },
 }
 
-/// Report on the opening.
+/// Report on the opening of the database: its condition, and what was changed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Report {
     /// How the database was found.
@@ -349,10 +349,11 @@ fn migrator() -> Migrator {
 
 /// Versions of the applied migrations.
 async fn applied(connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
-    let there: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')")
-        .fetch_one(&mut *connection)
-        .await?;
-    if !there {
+    let exists: bool =
+        sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')")
+            .fetch_one(&mut *connection)
+            .await?;
+    if !exists {
         return Ok(Vec::new());
     }
     sqlx::query_scalar("SELECT version FROM _sqlx_migrations WHERE success ORDER BY version")
@@ -361,10 +362,10 @@ async fn applied(connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
 }
 
 async fn stopped_cleanly(connection: &mut SqliteConnection) -> sqlx::Result<bool> {
-    let there: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'shutdown')")
+    let exists: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'shutdown')")
         .fetch_one(&mut *connection)
         .await?;
-    Ok(there && sqlx::query_scalar(sql::CLEAN).fetch_optional(connection).await?.unwrap_or(false))
+    Ok(exists && sqlx::query_scalar(sql::CLEAN).fetch_optional(connection).await?.unwrap_or(false))
 }
 
 /// Checks every page for at most `limit`; pages read up to then are correct.

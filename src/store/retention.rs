@@ -54,27 +54,8 @@ pub enum Dropped {
     Pages,
 }
 
-/// The bounded quantity, by which machines are compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Bound {
-    Traces,
-    Throws,
-    /// Bytes, of machines that have traces.
-    TraceBytes,
-    Bytes,
-}
-
-impl Bound {
-    /// Selects the machines with the most.
-    const fn holdings(self) -> &'static str {
-        match self {
-            Self::Traces => sql::TRACE_HOLDINGS,
-            Self::Throws => sql::THROW_HOLDINGS,
-            Self::TraceBytes => sql::TRACE_BYTE_HOLDINGS,
-            Self::Bytes => sql::THROW_BYTE_HOLDINGS,
-        }
-    }
-}
+/// The statement that selects the machines with the most rows or bytes, which lose rows first.
+type Holdings = &'static str;
 
 /// Limits of the time of reception, for the age of traces \[µs\].
 #[derive(Debug, Clone, Copy)]
@@ -97,11 +78,11 @@ impl Ages {
 /// Rows that can be dropped.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
-    Traces(Bound),
+    Traces(Holdings),
     AgedTraces(Ages),
-    Throws(Bound),
+    Throws(Holdings),
     /// Pending throws: a machine that sends more throws than can be judged loses its oldest ones.
-    Pending(Bound),
+    Pending(Holdings),
     Alarms,
     Messages,
     Pages,
@@ -111,9 +92,9 @@ impl Kind {
     /// Selects the rows to drop.
     async fn choose(self, connection: &mut SqliteConnection, rows: u64) -> sqlx::Result<Vec<i64>> {
         match self {
-            Self::Traces(bound) => oldest_of_largest(connection, bound, sql::OLDEST_TRACES, rows).await,
-            Self::Throws(bound) => oldest_of_largest(connection, bound, sql::OLDEST_THROWS, rows).await,
-            Self::Pending(bound) => oldest_of_largest(connection, bound, sql::OLDEST_PENDING, rows).await,
+            Self::Traces(holdings) => oldest_of_largest(connection, holdings, sql::OLDEST_TRACES, rows).await,
+            Self::Throws(holdings) => oldest_of_largest(connection, holdings, sql::OLDEST_THROWS, rows).await,
+            Self::Pending(holdings) => oldest_of_largest(connection, holdings, sql::OLDEST_PENDING, rows).await,
             Self::AgedTraces(ages) => ages.query(rows).fetch_all(connection).await,
             Self::Alarms => oldest(connection, sql::OLDEST_ALARMS, rows, None).await,
             Self::Messages => oldest(connection, sql::OLDEST_MESSAGES, rows, None).await,
@@ -163,12 +144,11 @@ async fn oldest(
 /// The oldest rows of the machines with the most.
 async fn oldest_of_largest(
     connection: &mut SqliteConnection,
-    bound: Bound,
+    holdings: Holdings,
     choice: &'static str,
     rows: u64,
 ) -> sqlx::Result<Vec<i64>> {
-    let holdings = sqlx::query_as(bound.holdings());
-    let holdings: Vec<Holding> = holdings.bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
+    let holdings: Vec<Holding> = sqlx::query_as(holdings).bind(rows.cast_signed()).fetch_all(&mut *connection).await?;
     let mut chosen = Vec::new();
     for (machine_row, rows) in shares(holdings, rows) {
         chosen.extend(oldest(connection, choice, rows, Some(machine_row)).await?);
@@ -259,30 +239,38 @@ impl Store {
         Ok(done)
     }
 
-    /// What to drop next, the least valuable first; empty within all bounds.
+    /// The next rows to drop, the least valuable first; empty within all bounds.
     async fn excess(&self, now: Timestamp, clock_trusted: bool) -> Result<Vec<DropRows>, StoreError> {
         let mut due = Vec::new();
         let settings = &self.settings;
         let figures = sqlx::query_as(sql::FIGURES);
         let figures: Statistics = self.reader.limited(figures.fetch_one(&self.reader.pool())).await?;
         self.disk.note_dropped(&figures.counters());
-        let room_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(figures.free_bytes);
+        let available_bytes = self.disk.free_bytes().unwrap_or(u64::MAX).saturating_add(figures.free_bytes);
         let excess = figures.data_bytes.saturating_sub(settings.max_size_mib * MIB);
-        let missing = (settings.low_disk_mib * MIB).saturating_sub(room_bytes);
+        let missing = (settings.low_disk_mib * MIB).saturating_sub(available_bytes);
         if excess > 0 || missing > 0 {
             // The number of rows follows from the mean size of a throw with its trace.
             let each = (figures.data_bytes / figures.traces.max(1)).max(1);
             let rows = (excess.max(missing) / each + 1).min(BATCH);
-            let mut kinds = vec![Kind::Traces(Bound::TraceBytes)];
+            let mut kinds = vec![Kind::Traces(sql::MOST_TRACE_BYTES)];
             // A disk that others fill costs traces only.
             if excess > 0 {
-                kinds.extend([Kind::Throws(Bound::Bytes), Kind::Pending(Bound::Bytes), Kind::Alarms]);
+                kinds.extend([Kind::Throws(sql::MOST_THROW_BYTES), Kind::Pending(sql::MOST_THROW_BYTES), Kind::Alarms]);
             }
             due.push(DropRows { kinds, rows });
         }
         let counts = [
-            (figures.traces, settings.max_traces, vec![Kind::Traces(Bound::Traces), Kind::Pending(Bound::Traces)]),
-            (figures.throws, settings.max_throws, vec![Kind::Throws(Bound::Throws), Kind::Pending(Bound::Throws)]),
+            (
+                figures.traces,
+                settings.max_traces,
+                vec![Kind::Traces(sql::MOST_TRACES), Kind::Pending(sql::MOST_TRACES)],
+            ),
+            (
+                figures.throws,
+                settings.max_throws,
+                vec![Kind::Throws(sql::MOST_THROWS), Kind::Pending(sql::MOST_THROWS)],
+            ),
             (figures.closed_alarms, settings.max_alarms, vec![Kind::Alarms]),
             (figures.outbox, OUTBOX, vec![Kind::Messages]),
         ];

@@ -87,8 +87,8 @@ pub(super) struct PendingRow(pub(super) i64, String, String, String, i64, i64, i
 /// Suffix of the separate `boot_id` for throws whose number was taken. A `boot_id` of a logger may end like this too.
 pub(super) const RENUMBERED: &str = "~again";
 
-/// Whether a throw was stored under another number than its own; `moved` if it is judged at another position than that of
-/// its boot, as throws in a separate boot are.
+/// Whether a throw was stored in a separate boot, as its number was taken. `moved`: the throw is judged at another position
+/// than that of this boot.
 fn is_renumbered(id: &ThrowRef, moved: bool) -> bool {
     moved && id.boot_id.ends_with(RENUMBERED)
 }

@@ -153,8 +153,8 @@ pub(super) async fn salvage(connection: &mut SqliteConnection, broken: &Path, ta
     if attach(connection, broken).await {
         return copy_tables(connection, tables).await;
     }
-    let has_room = tables == TABLES.len();
-    let Some(grafted) = with_new_schema(connection, broken, has_room).await else { return Ok(Salvaged::default()) };
+    let has_space = tables == TABLES.len();
+    let Some(grafted) = with_new_schema(connection, broken, has_space).await else { return Ok(Salvaged::default()) };
     let salvaged = copy_tables(connection, tables).await;
     std::fs::remove_file(grafted)?;
     salvaged
@@ -191,8 +191,8 @@ async fn copy_tables(connection: &mut SqliteConnection, tables: usize) -> sqlx::
 }
 
 /// Attaches a copy with the schema of the new database, if the disk has space for it.
-async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path, has_room: bool) -> Option<PathBuf> {
-    if !has_room {
+async fn with_new_schema(connection: &mut SqliteConnection, broken: &Path, has_space: bool) -> Option<PathBuf> {
+    if !has_space {
         return None;
     }
     match graft(connection, broken).await {

@@ -183,7 +183,7 @@ pub(super) struct Spools {
     pub(super) throws: Vec<Spool>,
     /// Permit for the memory of the waiting throws; released after the answer.
     #[expect(dead_code, reason = "held")]
-    pub(super) room: OwnedSemaphorePermit,
+    pub(super) memory: OwnedSemaphorePermit,
 }
 
 impl Write for Spools {

@@ -534,13 +534,13 @@ statements! {
 
     // Retention.
     LAST_RECEIVED = "SELECT received_at_us FROM throw ORDER BY throw_row DESC LIMIT 1";
-    TRACE_HOLDINGS = "SELECT traces AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \
+    MOST_TRACES = "SELECT traces AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \
         ORDER BY size DESC LIMIT ?1";
-    TRACE_BYTE_HOLDINGS = "SELECT stored_bytes AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \
+    MOST_TRACE_BYTES = "SELECT stored_bytes AS size, machine_row, traces AS rows FROM machine WHERE traces > 0 \
         ORDER BY size DESC LIMIT ?1";
-    THROW_HOLDINGS = "SELECT throws AS size, machine_row, throws AS rows FROM machine WHERE throws > 0 \
+    MOST_THROWS = "SELECT throws AS size, machine_row, throws AS rows FROM machine WHERE throws > 0 \
         ORDER BY size DESC LIMIT ?1";
-    THROW_BYTE_HOLDINGS = "SELECT stored_bytes AS size, machine_row, throws AS rows FROM machine WHERE throws > 0 \
+    MOST_THROW_BYTES = "SELECT stored_bytes AS size, machine_row, throws AS rows FROM machine WHERE throws > 0 \
         ORDER BY size DESC LIMIT ?1";
     // Looks at the oldest rows only: of a machine that floods, most throws are pending.
     OLDEST_TRACES = "SELECT throw_row FROM (SELECT throw_row, judged_at_us FROM throw JOIN trace USING (throw_row) \

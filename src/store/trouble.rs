@@ -32,9 +32,9 @@ impl Store {
             );
             (Severity::Critical, said)
         });
-        let replaced = self.disk.replaced().map(|mended| {
+        let replaced = self.disk.replaced().map(|succeeded| {
             let file = self.path().display();
-            let said = if mended {
+            let said = if succeeded {
                 format!(
                     "the file of its database was deleted or replaced during operation; all data were written again to {file}. \
                      A foreign file there is now {file}-replaced-…. Find out the reason"

@@ -138,7 +138,7 @@ impl WritingConnection {
             return;
         }
         tracing::error!(?known, ?now, "the database was DELETED OR REPLACED: writing it again");
-        let outcome = match self.files.set_strangers_aside() {
+        let outcome = match self.files.rename_foreign_files() {
             Ok(()) => self.move_database("its files were deleted or replaced").await,
             Err(error) => Err(error),
         };
@@ -163,12 +163,12 @@ impl WritingConnection {
             Ok(false) => {}
             Err(error) => return self.recover(&error).await,
         }
-        let (room, needed) = (self.disk.free_bytes().unwrap_or(u64::MAX), self.files.copy_bytes());
-        if room < needed {
+        let (free, needed) = (self.disk.free_bytes().unwrap_or(u64::MAX), self.files.copy_bytes());
+        if free < needed {
             tracing::error!(
                 log,
                 needed,
-                room,
+                free,
                 "a program keeps reading an old state of the database, and there is no space to move the database: end that program"
             );
             self.failed_at = log;

@@ -108,12 +108,6 @@ impl Trace {
         }
         text
     }
-
-    /// The two channels, current \[A\] first, position \[mm\] second.
-    #[must_use]
-    pub fn into_channels(self) -> (Vec<f64>, Vec<f64>) {
-        (Arc::unwrap_or_clone(self.current_a), Arc::unwrap_or_clone(self.position_mm))
-    }
 }
 
 #[cfg(test)]

@@ -44,14 +44,14 @@ const PAUSE: Duration = Duration::from_millis(500);
 /// A listener that accepts a limited number of connections.
 pub(super) struct Bounded {
     listener: TcpListener,
-    room: Arc<Semaphore>,
+    places: Arc<Semaphore>,
     /// Connections without a complete request, the oldest first. A dropped sender ends its connection.
     asking: VecDeque<(Instant, oneshot::Sender<()>)>,
 }
 
 impl Bounded {
     pub(super) fn new(listener: TcpListener) -> Self {
-        Self { listener, room: Arc::new(Semaphore::new(CONNECTIONS)), asking: VecDeque::new() }
+        Self { listener, places: Arc::new(Semaphore::new(CONNECTIONS)), asking: VecDeque::new() }
     }
 
     /// Waits for a place. The connection that has waited longest for its request loses its place after [`GRACE`].
@@ -62,7 +62,7 @@ impl Bounded {
             tokio::select! {
                 biased;
                 // Cannot fail, as the semaphore is never closed.
-                place = Arc::clone(&self.room).acquire_owned() => return place.ok(),
+                place = Arc::clone(&self.places).acquire_owned() => return place.ok(),
                 () = time::sleep_until(oldest.unwrap_or_else(Instant::now)), if oldest.is_some() => {
                     self.asking.pop_front();
                 }

@@ -39,8 +39,6 @@ const PAGES: u32 = 10_000;
 const SEARCH: usize = 129;
 /// More machines than this that are not monitored, and have no other alarm, are one line of the list.
 const SILENT_ROWS: u64 = 10;
-/// Qualities of throws that were not rejected.
-const EVALUATED: [&str; 3] = ["good", "rough", "current_only"];
 /// Largest number of names in a list; more are counted.
 const SILENT: usize = 20;
 
@@ -312,7 +310,7 @@ fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
     if let Some((so_far, needed)) = row.baseline.filter(|(so_far, needed)| so_far < needed) {
         notes.push(format!("baseline {so_far} of {needed}"));
     }
-    if let Some(quality) = row.quality.as_deref().filter(|quality| !EVALUATED.contains(quality)) {
+    if let Some(quality) = row.quality.as_deref().filter(|quality| wire::is_rejection(quality)) {
         notes.push(format!("last throw rejected: {}", quality.replace('_', " ")));
     }
     let (coefficient, sign) = match row.drifts.first().map(|drift| drift.cause) {

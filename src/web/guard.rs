@@ -36,7 +36,7 @@ pub(super) async fn guard(State(web): State<Arc<Web>>, request: Request, next: N
     let config = web.view.config();
     let commands = config.web.token.is_some();
     let mut response = if let Some(refusal) = refusal(&request, &config.web.hosts, commands) {
-        // A refused request may come from anybody, so the response has no data of the daemon.
+        // The sender of a refused request is unknown, so the response has no data of the daemon.
         let mut response = if is_api { refusal.json() } else { refusal.page(Vec::new()) };
         if response.status() == StatusCode::METHOD_NOT_ALLOWED {
             let allowed = if commands { "GET, HEAD, POST" } else { "GET, HEAD" };

@@ -20,7 +20,7 @@ const SIZE: (f64, f64) = (420.0, 290.0);
 /// A chart with its caption.
 pub(super) struct Picture {
     pub(super) svg: String,
-    /// The same chart as JSON, for the page's script; empty in a file without scripts.
+    /// The chart as JSON, for the page's script; empty in a file without scripts.
     pub(super) data: String,
     pub(super) says: String,
 }
@@ -211,7 +211,7 @@ fn usual(directions: &Directions, baselines: &[BaselineRecord], value: fn(&Healt
 /// Number of first good throws that replace the throws of a baseline outside the chart.
 const BASELINE: usize = 25;
 
-/// Time on the axis \[s\], with as few digits as the timestamp.
+/// Time on the axis \[s since 1970\]. From whole microseconds, so that its text has at most six decimals.
 pub(super) fn x(at: Timestamp) -> f64 {
     at.as_microsecond() as f64 / 1e6
 }

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     diagnose::{Drifting, MachineState},
+    estimate::Grade,
     throw::{Direction, MachineId, ThrowRef},
 };
 
@@ -83,18 +84,63 @@ impl Health {
     /// Name and version of the message.
     pub const SCHEMA: &str = "points.health/1";
 
+    /// Health of a throw without an estimate: `quality` is the code of the reason, `detail` its sentence. Features, state and
+    /// baseline are absent.
+    #[must_use]
+    pub fn rejected(
+        machine: MachineId,
+        throw: ThrowRef,
+        started_at: Timestamp,
+        quality: &str,
+        detail: Option<String>,
+    ) -> Self {
+        let (schema, quality) = (Self::SCHEMA.to_owned(), quality.to_owned());
+        Self {
+            schema,
+            machine,
+            throw,
+            started_at,
+            direction: None,
+            quality,
+            coefficients: None,
+            sd: None,
+            change_pct: None,
+            fit_pct: None,
+            a1_per_b0: None,
+            a1_per_b0_sd: None,
+            a0_per_b0: None,
+            a0_per_b0_sd: None,
+            duration_s: None,
+            peak_current_a: None,
+            mean_current_a: None,
+            state: None,
+            drift: None,
+            drifts: Vec::new(),
+            caveats: Vec::new(),
+            detail,
+            baseline: None,
+            throws_since_baseline: 0,
+        }
+    }
+
     /// Whether the throw has an estimate.
     #[must_use]
     pub fn is_evaluated(&self) -> bool {
         self.a1_per_b0.is_some() || self.coefficients.is_some()
     }
 
-    /// Whether the estimate was rejected. Throws with `current_only` may have no estimate: their features are
-    /// monitored.
+    /// Whether the estimate was rejected.
     #[must_use]
     pub fn is_rejected(&self) -> bool {
-        !self.is_evaluated() && self.quality != "current_only"
+        is_rejection(&self.quality)
     }
+}
+
+/// Whether a quality is the code of a rejection and no grade. Throws with the grade `current_only` may have no estimate: their
+/// features are monitored.
+#[must_use]
+pub fn is_rejection(quality: &str) -> bool {
+    quality.parse::<Grade>().is_err()
 }
 
 /// JSON of a direction; `None` is `unknown`.

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may stop on an error, in its helpers too")]
 
+mod documents;
 mod paths;
 
 use std::path::Path;

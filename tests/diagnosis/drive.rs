@@ -122,7 +122,7 @@ impl Drive {
         let (mut trace, volts) = self.record(state, direction);
         if !self.has_toe_sensor {
             let rate_hz = trace.sample_rate_hz();
-            let (current, _) = trace.into_channels();
+            let current = trace.current_a().to_vec();
             let nothing = vec![f64::NAN; current.len()];
             trace = Trace::new(rate_hz, current, nothing).unwrap();
         }

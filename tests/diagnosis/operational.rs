@@ -94,7 +94,7 @@ fn an_obstruction_shortly_before_the_end_is_an_incomplete_throw() {
 
 fn with_trace(throw: Throw, change: impl FnOnce(f64, Vec<f64>, Vec<f64>) -> (f64, Vec<f64>, Vec<f64>)) -> Throw {
     let rate_hz = throw.trace.sample_rate_hz();
-    let (current, position) = throw.trace.clone().into_channels();
+    let (current, position) = (throw.trace.current_a().to_vec(), throw.trace.position_mm().to_vec());
     let (rate_hz, current, position) = change(rate_hz, current, position);
     Throw { trace: Trace::new(rate_hz, current, position).unwrap(), ..throw }
 }

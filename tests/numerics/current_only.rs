@@ -16,7 +16,7 @@ fn identify(
     let sensors = Sensors { sample_rate_hz: rate_hz, ..Sensors::default() };
     let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
     let recorded = sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(4)).unwrap().trace;
-    let (current, _) = recorded.into_channels();
+    let current = recorded.current_a().to_vec();
     let nothing = vec![position; current.len()];
     let trace = Trace::new(rate_hz, current, nothing).unwrap();
     let throw = Throw { direction: Some(direction), supply_v, ..Throw::recorded(trace) };
@@ -125,7 +125,7 @@ fn a_stall_at_the_end_of_the_stroke_neither_hides_nor_changes_a_fault() {
             let sensors = Sensors::default();
             let motion = machine.simulate(direction, &Conditions::default(), sensors.step_s()).unwrap();
             let recorded = sensors.record(&motion, direction, &mut ChaCha8Rng::seed_from_u64(4)).unwrap().trace;
-            let (mut current, _) = recorded.into_channels();
+            let mut current = recorded.current_a().to_vec();
             with_stall(machine, &mut current, 1000.0);
             let nothing = vec![f64::NAN; current.len()];
             let trace = Trace::new(1000.0, current, nothing).unwrap();

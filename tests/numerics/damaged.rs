@@ -19,7 +19,7 @@ impl Channels {
     pub(crate) fn healthy(sensors: &Sensors, direction: Direction, seed: u64) -> Self {
         let throw = simulated(&Parameters::default(), sensors, direction, seed);
         let rate_hz = throw.trace.sample_rate_hz();
-        let (current, position) = throw.trace.into_channels();
+        let (current, position) = (throw.trace.current_a().to_vec(), throw.trace.position_mm().to_vec());
         Self { rate_hz, current, position }
     }
 
@@ -334,7 +334,7 @@ fn noise_of_the_position_neither_makes_nor_hides_an_obstruction() {
                     let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
                     let mut rng = ChaCha8Rng::seed_from_u64(seed);
                     let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
-                    let (current, mut position) = trace.into_channels();
+                    let (current, mut position) = (trace.current_a().to_vec(), trace.position_mm().to_vec());
                     for mm in &mut position {
                         *mm += noise_mm * rng.sample::<f64, _>(rand_distr::StandardNormal);
                     }

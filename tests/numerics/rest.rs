@@ -18,7 +18,8 @@ impl Recorded {
         let conditions = Conditions { obstruction_mm, ..Conditions::default() };
         let motion = machine.simulate(direction, &conditions, sensors.step_s()).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(9);
-        let (current, position) = sensors.record(&motion, direction, &mut rng).unwrap().trace.into_channels();
+        let trace = sensors.record(&motion, direction, &mut rng).unwrap().trace;
+        let (current, position) = (trace.current_a().to_vec(), trace.position_mm().to_vec());
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index of the trace")]
         let sample = |time_s: f64| (1000.0 * time_s).round() as usize;
         let on = sample(sensors.before_s);

@@ -441,7 +441,7 @@ async fn the_exit_code_of_status_includes_an_alarm_raised_just_now() {
     let alarms = listen(&session).await;
     // The toe stops half way, and the motor runs on.
     let [whole] = &throws("boot", 1)[..] else { panic!("one throw") };
-    let (current_a, mut position_mm) = whole.trace.clone().into_channels();
+    let (current_a, mut position_mm) = (whole.trace.current_a().to_vec(), whole.trace.position_mm().to_vec());
     let half_way = position_mm.len() / 2;
     let reached = position_mm[half_way];
     // With the noise of the sensor: exactly equal values would be those of a stuck one.

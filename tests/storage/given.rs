@@ -82,15 +82,11 @@ pub(crate) fn estimate() -> Estimate {
 
 pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
     let estimate = estimate();
+    let throw = ThrowRef { boot_id: "b1".to_owned(), throw_no: row.0.cast_unsigned() };
     Judgement {
         row,
         health: Health {
-            schema: Health::SCHEMA.to_owned(),
-            machine: machine(name),
-            throw: ThrowRef { boot_id: "b1".to_owned(), throw_no: row.0.cast_unsigned() },
-            started_at: at(0),
             direction: Some(Direction::NormalToReverse),
-            quality: "good".to_owned(),
             coefficients: Some(estimate.coefficients()),
             sd: Some(estimate.sd()),
             change_pct: Some([0.5, -1.0, 2.0]),
@@ -101,14 +97,10 @@ pub(crate) fn judgement(row: ThrowRow, name: &str) -> Judgement {
             a0_per_b0_sd: Some(estimate.ratios_sd()[1]),
             duration_s: Some(4.3),
             peak_current_a: Some(13.0),
-            mean_current_a: None,
             state: Some(MachineState::Healthy),
-            drift: None,
-            drifts: Vec::new(),
-            caveats: Vec::new(),
-            detail: None,
             baseline: Some((50, 50)),
             throws_since_baseline: 1,
+            ..Health::rejected(machine(name), throw, at(0), "good", None)
         },
         identification: Some(Identification {
             direction: Some(Direction::NormalToReverse),

@@ -13,7 +13,7 @@ use crate::given::{at, change, fresh, gaps, machine, open, pending, query, spool
 async fn a_throw_comes_back_as_it_went_in_and_a_repeat_is_one_row() {
     let (_folder, store) = fresh().await;
     let mut sent = throw("b1", 1);
-    let (mut current, position) = sent.trace.into_channels();
+    let (mut current, position) = (sent.trace.current_a().to_vec(), sent.trace.position_mm().to_vec());
     current[7] = f64::NAN;
     current[8] = f64::NEG_INFINITY;
     sent.trace = pointsd::throw::Trace::new(1000.0, current, position).unwrap();

@@ -66,7 +66,7 @@ impl MachineMonitor {
         (at, self.clock.judge(started_at, &mut self.alarms, context))
     }
 
-    /// Applies an irregularity of the logger, in a throw if it is one of a throw.
+    /// Applies an irregularity of the logger; `throw` is the throw that shows it, `None` if no throw does.
     pub fn irregular(
         &mut self,
         irregularity: Irregularity,

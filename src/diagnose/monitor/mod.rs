@@ -212,7 +212,7 @@ impl MachineMonitor {
         operation.on_daemon_trouble(trouble, alarms, context)
     }
 
-    /// Applies a change of the watched daemons that are away, for the monitor of the daemon itself.
+    /// Updates the alarm about watched daemons that are away. Only the monitor of the daemon itself has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let (_, alarms, context) = self.parts(to_micros(now), None, settings);
         let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
