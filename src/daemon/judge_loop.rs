@@ -418,12 +418,12 @@ impl JudgeLoop {
         Ok(match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
             None => (false, format!("no machine {machine} is known here: it has sent no throw yet")),
             Some(Err(error)) => (false, error.to_string()),
-            Some(Ok(outcome)) => {
+            Some(Ok((outcome, confirmation))) => {
                 let stored = self.record(outcome).await?;
                 self.update_standing();
                 if stored {
                     tracing::info!(%machine, ?command, "operator's command applied");
-                    (true, command.confirmation(machine))
+                    (true, confirmation)
                 } else {
                     (false, "the command could not be stored: send it again".to_owned())
                 }

@@ -17,6 +17,7 @@ mod instruments;
 mod intermittent;
 mod memory;
 mod operational;
+mod pairs;
 mod ramps;
 mod replay;
 mod restart;

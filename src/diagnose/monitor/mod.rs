@@ -377,6 +377,16 @@ impl MachineMonitor {
         self.tracks.progress(direction, settings)
     }
 
+    /// Throws in the baseline of each direction, and throws that it needs, while one of them is not complete. `None` for a
+    /// machine whose baselines are complete, or which is monitored by its features only.
+    #[must_use]
+    pub fn learning(&self, settings: &Settings) -> Option<[(usize, usize); 2]> {
+        let progress = Direction::BOTH.map(|direction| self.baseline_progress(direction, settings));
+        let by_features = self.features.is_monitoring() && !self.tracks.any_baseline();
+        let is_learning = progress.iter().any(|(throws, needed)| throws < needed);
+        (is_learning && !by_features).then_some(progress)
+    }
+
     /// The baseline in use for a direction.
     #[must_use]
     pub fn baseline(&self, direction: Direction) -> Option<BaselineRecord> {
