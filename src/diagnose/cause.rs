@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     correlation::Correlation,
     event::{Cause, RunnerUp},
-    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, Leaks, PLAIN_LEAKS, direction_of, fit, relevance, single},
+    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_beside, relevance, single},
     gauges::{BackEmf, Gauges, Level},
     settings::Settings,
     window::Window,
@@ -111,8 +111,8 @@ pub(super) struct Attribution {
     pub(super) relevance: f64,
     /// Lead of a single name over all explanations without it.
     pub(super) lead: f64,
-    /// Whether gauges show the back-EMF of the motor.
-    beside_gauges: bool,
+    /// Change of the back-EMF, if it decides whether the motor changed.
+    pub(super) decides: Option<BackEmf>,
     /// Change of the back-EMF, if a gauge shows it directly.
     back_emf: Option<Level>,
 }
@@ -142,7 +142,7 @@ impl Attribution {
             mean: window.mean,
             relevance: all.any.relevance(settings),
             lead: 0.0,
-            beside_gauges: back_emf.is_some(),
+            decides: back_emf,
             back_emf: shown.and_then(BackEmf::of_motor),
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
@@ -172,7 +172,7 @@ impl Attribution {
         // If the gauges decide about the motor, a second cause that may be zero is not named beside a sufficient one.
         let is_shown = |part: &Explanation| part.cause == cause || part.size.abs() > SHOWN_SD * part.size_sd;
         let matters = |pair: &&Fit<2>| {
-            let only_shown = self.beside_gauges && is_sufficient_alone(pair);
+            let only_shown = self.decides.is_some() && is_sufficient_alone(pair);
             pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && (!only_shown || is_shown(part)))
         };
         let stranger = all.pairs.first().filter(|pair| !pair.includes(cause));
@@ -262,14 +262,9 @@ impl Attribution {
         }
     }
 
-    /// The leaks that are possible.
-    pub(super) const fn leaks(&self) -> Leaks {
-        if self.beside_gauges { LEAKS_BESIDE_GAUGES } else { PLAIN_LEAKS }
-    }
-
     /// Whether the back-EMF shows that the motor is no part of the drift.
     pub(super) fn has_sound_motor(&self) -> bool {
-        self.beside_gauges && !matches!(self.naming, Naming::Neither) && !self.includes(Cause::Kt)
+        self.decides.is_some() && !matches!(self.naming, Naming::Neither) && !self.includes(Cause::Kt)
     }
 
     /// Change of the back-EMF, if it shows that a lost torque is not that of the magnets: gear, clutch and brushes lose torque
@@ -332,28 +327,32 @@ impl Explanations {
 /// Explains the drift of `window` by `causes`, and the change of the back-EMF by that of the motor; a shorter duration by
 /// less friction too. A motor that loses torque alone, as by its commutation, keeps its back-EMF and its speed; beside a rise
 /// of friction that is dry friction.
-fn explained<const K: usize>(
+pub(super) fn explained<const K: usize>(
     causes: [Cause; K],
     window: &Window,
     back_emf: Option<BackEmf>,
     settings: &Settings,
 ) -> Fit<K> {
-    let fitted = |leaks: Leaks| fit(leaks, causes, &window.mean, &window.covariance, settings);
-    let Some(BackEmf { level, of_duration }) = back_emf else { return fitted(PLAIN_LEAKS) };
+    let Window { mean, covariance, .. } = window;
+    let Some(BackEmf { level, of_duration }) = back_emf else {
+        return fit(PLAIN_LEAKS, causes, mean, covariance, settings);
+    };
     let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
-    let mut fit = fitted(LEAKS_BESIDE_GAUGES);
-    if of_duration && fit.size_of(Cause::Friction) < 0.0 {
-        return fit;
-    }
-    fit.score += misfit(fit.size_of(Cause::Kt));
-    if fit.includes(Cause::Kt) && (K != 2 || !fit.includes(Cause::Friction)) {
-        let mut alone = fitted(LEAKS_BESIDE_GAUGES.at_equal_speed());
+    // The leaks of friction and motor differ in the motor's size, which the gauge shows too.
+    let beside = |fit: &Fit<K>| {
+        let is_shorter_by_friction = of_duration && fit.size_of(Cause::Friction) < 0.0;
+        if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }
+    };
+    let found = fit_beside(LEAKS_BESIDE_GAUGES, causes, mean, covariance, beside, settings);
+    let is_shorter_by_friction = of_duration && found.size_of(Cause::Friction) < 0.0;
+    if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && !is_shorter_by_friction {
+        let mut alone = fit(LEAKS_BESIDE_GAUGES.at_equal_speed(), causes, mean, covariance, settings);
         alone.score += misfit(0.0) + TORQUE_ALONE + (alone.size_of(Cause::Kt) / TORQUE_ALONE_SD).powi(2);
-        if alone.score < fit.score {
+        if alone.score < found.score {
             return alone;
         }
     }
-    fit
+    found
 }
 
 /// The explanations, the best first; `alarmed` ones get a bonus. Causes that the window does not show explain nothing.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
-    cause::{Attribution, Known, Naming},
+    cause::{Attribution, Known, Naming, explained},
     condition::{Claim, Condition, LEVELS_FOLLOW, LONGEST_WINDOW, Transition},
     course::{Course, LimitForecast},
     drift::{Drift, FrictionChange},
@@ -245,18 +245,18 @@ impl DriftAlarms {
     fn renew(&mut self, drift: &Drift, order: u64, tracks: &Tracks, alarms: &Alarms, settings: &Settings) {
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
-        let leaks = drift.attribution.as_ref().map_or(PLAIN_LEAKS, Attribution::leaks);
+        let back_emf = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.drifts() {
-            let size = |cause: Cause, Window { mean, covariance, .. }: &Window| {
+            let size = |cause: Cause, window: &Window| {
                 if has_sound_motor && cause == Cause::Friction {
-                    return friction_of_sound_motor(mean, covariance);
+                    return friction_of_sound_motor(&window.mean, &window.covariance);
                 }
                 let pair = pair.filter(|pair| pair.contains(&cause));
-                let together = pair.map(|pair| fit(leaks, pair, mean, covariance, settings));
+                let together = pair.map(|pair| explained(pair, window, back_emf, settings));
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
-                part.unwrap_or_else(|| fit(leaks, [cause], mean, covariance, settings).parts[0])
+                part.unwrap_or_else(|| explained([cause], window, back_emf, settings).parts[0])
             };
             // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
             let free = |Window { mean, covariance, .. }: &Window| {

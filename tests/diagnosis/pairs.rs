@@ -71,7 +71,10 @@ fn judge(seeds: std::ops::Range<u64>, is_published: bool, faults: [Fault; 2], ga
             matches!(event.state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged)
         };
         let open = drive.monitor.open_alarms();
-        let says = |cause: Cause| open.iter().filter(is_active).any(|event| event.cause == cause || event.text.contains(&cause.to_string()));
+        let says = |cause: Cause| {
+            let is_named = |event: &AlarmEvent| event.text.split("; runner-up").next().is_some_and(|text| text.contains(&cause.to_string()));
+            open.iter().filter(is_active).any(|event| event.cause == cause || is_named(event))
+        };
         let [first, second] = faults.map(|fault| fault.cause);
         let is_wrong = |event: &AlarmEvent| Cause::PHYSICAL.contains(&event.cause) && ![first, second].contains(&event.cause);
         let is_lost = |event: &AlarmEvent| event.text.contains("no cause explains") || event.text.contains("sensors first");
