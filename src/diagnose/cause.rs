@@ -39,6 +39,8 @@ const MOST_OF_GAUGE: f64 = 40.0;
 const TORQUE_ALONE: f64 = 3.0;
 /// Standard deviation of such a loss, as a logarithm: commutation loses a part of the torque, not most of it.
 const TORQUE_ALONE_SD: f64 = 0.3;
+/// Change of ln b0 from which a rise of friction may hide a loss of torque: the default warning limit of the motor.
+const LOST_TORQUE: f64 = -0.05;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
@@ -84,8 +86,10 @@ pub(super) enum Naming {
     Both(Explanation, Explanation),
     /// One cause in addition to a known one, which has an alarm.
     Another { new: Explanation, known: Explanation },
-    /// No one or two causes explain the drift.
-    Neither,
+    /// A known cause, which has an alarm, and something else: one of two causes, the better first, or none of the four.
+    Beside { known: Explanation, first: Explanation, second: Explanation },
+    /// No one or two causes explain the drift; these two together do best.
+    Neither(Explanation, Explanation),
 }
 
 /// Another explanation that cannot be ruled out.
@@ -132,9 +136,10 @@ impl Attribution {
         let back_emf = shown.filter(|shown| known.is_decided_by(shown, window, settings));
         let all = Explanations::of(window, &known.causes, back_emf, settings);
         let [best, next, ..] = &all.singles;
+        let [a, b] = all.pairs[0].parts;
         let correlation = Correlation::of(of_one_throw, &window.mean);
         let attribution = Self {
-            naming: Naming::Neither,
+            naming: Naming::Neither(a, b),
             rival: None,
             runner_up: None,
             correlation,
@@ -146,7 +151,7 @@ impl Attribution {
             back_emf: shown.and_then(BackEmf::of_motor),
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
-            return attribution;
+            return attribution.beside_something(&all, known, settings);
         }
         if let Some(both) = attribution.both(&all, settings) {
             return both.beside_known(&all, window, of_one_throw, known, settings);
@@ -224,14 +229,32 @@ impl Attribution {
         if lead >= CLOSE || is_open(&new) {
             return another(new, lead);
         }
-        let Some(level) = known.level else { return self };
+        let Some(level) = known.level else { return self.beside_something(all, known, settings) };
         // The level has less uncertainty than the window, whose baseline is the same.
         let since = Window { mean: window.mean - level, covariance: 2.0 * window.covariance, ..*window };
         let since = Self::of(&since, of_one_throw, &Known::default(), settings);
         match since.naming {
             Naming::One(new) if !is_open(&new) && since.relevance >= MATTERS => another(new, since.lead),
-            _ => self,
+            _ => self.beside_something(all, known, settings),
         }
+    }
+
+    /// Keeps the name of a cause that has an alarm, if the attribution has none of these, and names the two causes that explain
+    /// the rest best. An alarm that two other causes contradict clearly is doubted instead.
+    fn beside_something(self, all: &Explanations, known: &Known, settings: &Settings) -> Self {
+        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
+        let keeps_one = matches!(&self.naming, Naming::Both(a, b) if is_open(a) || is_open(b));
+        let mut own = all.pairs.iter().filter_map(|pair| match &pair.parts {
+            [known, new] | [new, known] if is_open(known) && !is_open(new) => Some((pair.score, *known, *new)),
+            _ => None,
+        });
+        let (Some((score, old, first)), Some((_, _, second))) = (own.next(), own.next()) else { return self };
+        let is_doubted = matches!(self.naming, Naming::Both(..)) && score > all.pairs[0].score + KNOWN;
+        if keeps_one || is_doubted {
+            return self;
+        }
+        let relevance = first.relevance(settings).max(second.relevance(settings));
+        Self { naming: Naming::Beside { known: old, first, second }, rival: None, relevance, lead: 0.0, ..self }
     }
 
     /// The lead that `best` needs over `next`. The rule distinguishes only inertia from the rest.
@@ -255,16 +278,23 @@ impl Attribution {
     /// The largest part; of two that are too close to call, the better.
     pub(super) fn main(&self) -> Option<&Explanation> {
         match &self.naming {
-            Naming::One(main) | Naming::Either(main, _) | Naming::Both(main, _) | Naming::Another { new: main, .. } => {
-                Some(main)
-            }
-            Naming::Neither => None,
+            Naming::One(main) | Naming::Either(main, _) | Naming::Both(main, _) => Some(main),
+            Naming::Another { new: main, .. } | Naming::Beside { first: main, .. } => Some(main),
+            Naming::Neither(..) => None,
         }
     }
 
     /// Whether the back-EMF shows that the motor is no part of the drift.
     pub(super) fn has_sound_motor(&self) -> bool {
-        self.decides.is_some() && !matches!(self.naming, Naming::Neither) && !self.includes(Cause::Kt)
+        self.decides.is_some() && !matches!(self.naming, Naming::Neither(..)) && !self.includes(Cause::Kt)
+    }
+
+    /// Whether a rise of friction alone lowers b0 as much as a relevant loss of torque, as dry friction does: the gauges show no
+    /// loss of torque that leaves the back-EMF.
+    pub(super) fn may_hide_a_lost_torque(&self) -> bool {
+        matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0)
+            && self.has_sound_motor()
+            && self.mean.x < LOST_TORQUE
     }
 
     /// Change of the back-EMF, if it shows that a lost torque is not that of the magnets: gear, clutch and brushes lose torque
@@ -273,7 +303,8 @@ impl Attribution {
         let named = match &self.naming {
             Naming::One(one) | Naming::Another { new: one, .. } => [Some(one), None],
             Naming::Either(a, b) | Naming::Both(a, b) => [Some(a), Some(b)],
-            Naming::Neither => [None, None],
+            Naming::Beside { first, second, .. } => [Some(first), Some(second)],
+            Naming::Neither(..) => [None, None],
         };
         let motor = named.into_iter().flatten().find(|part| part.cause == Cause::Kt && part.size < 0.0)?;
         self.back_emf.filter(|level| level.value.abs() + level.sd < CHANGED * motor.size.abs())
@@ -293,7 +324,10 @@ impl Attribution {
             Naming::Either(a, b) | Naming::Both(a, b) => {
                 cause == Cause::Unattributed || a.cause == cause || b.cause == cause
             }
-            Naming::Neither => cause == Cause::Unattributed,
+            Naming::Beside { known, first, second } => {
+                cause == Cause::Unattributed || [known, first, second].iter().any(|part| part.cause == cause)
+            }
+            Naming::Neither(..) => cause == Cause::Unattributed,
         }
     }
 }

@@ -21,6 +21,7 @@ mod pairs;
 mod ramps;
 mod replay;
 mod restart;
+mod sides;
 mod site;
 mod snapshot;
 mod start;

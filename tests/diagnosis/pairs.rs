@@ -41,9 +41,20 @@ struct Judgement {
     wrong: u32,
 }
 
-fn live(seed: u64, is_published: bool, [first, second]: [Fault; 2], gap: u32, ramp: u32) -> (Vec<AlarmEvent>, Drive) {
+impl Judgement {
+    fn add(&mut self, other: Self) {
+        self.lives += other.lives;
+        self.first += other.first;
+        self.second += other.second;
+        self.lost += other.lost;
+        self.dropped += other.dropped;
+        self.wrong += other.wrong;
+    }
+}
+
+fn live(seed: u64, [first, second]: [Fault; 2], gap: u32, ramp: u32) -> (Vec<AlarmEvent>, Drive) {
     let settings = Settings::default();
-    let mut drive = Drive::new(seed, is_published);
+    let mut drive = Drive::new(seed, seed.is_multiple_of(2));
     for throw in 0..HEALTHY {
         let events = drive.feed(State::SOUND, &settings).events;
         assert!(events.is_empty(), "seed {seed}, throw {throw}: {}", events[0].text);
@@ -63,21 +74,25 @@ fn live(seed: u64, is_published: bool, [first, second]: [Fault; 2], gap: u32, ra
     (events, drive)
 }
 
-fn judge(seeds: std::ops::Range<u64>, is_published: bool, faults: [Fault; 2], gap: u32, ramp: u32) -> Judgement {
+fn judge(seeds: std::ops::Range<u64>, faults: [Fault; 2], gap: u32, ramp: u32) -> Judgement {
     let mut judgement = Judgement::default();
     for seed in seeds {
-        let (events, drive) = live(seed, is_published, faults, gap, ramp);
+        let (events, drive) = live(seed, faults, gap, ramp);
         let is_active = |event: &&AlarmEvent| {
             matches!(event.state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged)
         };
         let open = drive.monitor.open_alarms();
         let says = |cause: Cause| {
-            let is_named = |event: &AlarmEvent| event.text.split("; runner-up").next().is_some_and(|text| text.contains(&cause.to_string()));
+            let is_named = |event: &AlarmEvent| {
+                event.text.split("; runner-up").next().is_some_and(|text| text.contains(&cause.to_string()))
+            };
             open.iter().filter(is_active).any(|event| event.cause == cause || is_named(event))
         };
         let [first, second] = faults.map(|fault| fault.cause);
-        let is_wrong = |event: &AlarmEvent| Cause::PHYSICAL.contains(&event.cause) && ![first, second].contains(&event.cause);
-        let is_lost = |event: &AlarmEvent| event.text.contains("no cause explains") || event.text.contains("sensors first");
+        let is_wrong =
+            |event: &AlarmEvent| Cause::PHYSICAL.contains(&event.cause) && ![first, second].contains(&event.cause);
+        let is_lost =
+            |event: &AlarmEvent| event.text.contains("no cause explains") || event.text.contains("sensors first");
         judgement.lives += 1;
         judgement.first += u32::from(says(first));
         judgement.second += u32::from(says(second));
@@ -88,27 +103,40 @@ fn judge(seeds: std::ops::Range<u64>, is_published: bool, faults: [Fault; 2], ga
     judgement
 }
 
-#[test]
-#[ignore = "minutes"]
-fn two_faults_of_a_machine_keep_their_names() {
-    let from: u64 = std::env::var("SEED").map_or(5_000, |seed| seed.parse().unwrap());
-    let lives: u64 = std::env::var("LIVES").map_or(40, |lives| lives.parse().unwrap());
+/// Lives of each pair, half of them with a published voltage.
+fn lives(seeds: std::ops::Range<u64>) -> Judgement {
     let pairs = [
-        ("torque, friction", [TORQUE, FRICTION]),
         ("magnets, friction", [MAGNETS, FRICTION]),
-        ("friction, torque", [FRICTION, TORQUE]),
         ("friction, magnets", [FRICTION, MAGNETS]),
         ("friction, stiffness", [FRICTION, STIFFNESS]),
         ("stiffness, friction", [STIFFNESS, FRICTION]),
         ("torque, stiffness", [TORQUE, STIFFNESS]),
         ("stiffness, magnets", [STIFFNESS, MAGNETS]),
+        // Together they look like dry friction.
+        ("torque, friction", [TORQUE, FRICTION]),
+        ("friction, torque", [FRICTION, TORQUE]),
     ];
-    for is_published in [true, false] {
-        for (what, pair) in pairs {
-            for (gap, ramp) in [(0, 0), (30, 0), (200, 0), (0, 100), (50, 100)] {
-                let found = judge(from..from + lives, is_published, pair, gap, ramp);
-                println!("{what}, supply_v {is_published}, gap {gap}, ramp {ramp}: {found:?}");
+    let mut total = Judgement::default();
+    for (what, pair) in pairs {
+        for (gap, ramp) in [(0, 0), (30, 0), (200, 0), (50, 100)] {
+            let found = judge(seeds.clone(), pair, gap, ramp);
+            println!("{what}, gap {gap}, ramp {ramp}: {found:?}");
+            let looks_like_dry_friction =
+                what.contains("torque") && what.contains("friction") && (gap == 0 || ramp > 0);
+            if !looks_like_dry_friction {
+                total.add(found);
             }
         }
     }
+    println!("{total:?}");
+    total
+}
+
+#[test]
+#[ignore = "minutes"]
+fn two_faults_of_a_machine_keep_their_names() {
+    let from: u64 = std::env::var("SEED").map_or(5_000, |seed| seed.parse().unwrap());
+    let found = lives(from..from + 40);
+    assert!(found.lost == 0 && 50 * found.dropped <= found.lives && 50 * found.wrong <= found.lives, "{found:?}");
+    assert!(100 * found.first >= 97 * found.lives && 100 * found.second >= 97 * found.lives, "{found:?}");
 }
