@@ -278,8 +278,11 @@ impl Attribution {
     /// The largest part; of two that are too close to call, the better.
     pub(super) fn main(&self) -> Option<&Explanation> {
         match &self.naming {
-            Naming::One(main) | Naming::Either(main, _) | Naming::Both(main, _) => Some(main),
-            Naming::Another { new: main, .. } | Naming::Beside { first: main, .. } => Some(main),
+            Naming::One(main)
+            | Naming::Either(main, _)
+            | Naming::Both(main, _)
+            | Naming::Another { new: main, .. }
+            | Naming::Beside { first: main, .. } => Some(main),
             Naming::Neither(..) => None,
         }
     }

@@ -53,9 +53,8 @@ impl Gauge {
             Self::Travel => 0.003,
             Self::BackEmf => 0.005,
             Self::Resistance | Self::Duration | Self::Volts | Self::NoLoadSpeed => 0.01,
-            Self::Inrush | Self::Running | Self::Charge | Self::StartGain => 0.02,
+            Self::Inrush | Self::Running | Self::Charge | Self::StartGain | Self::Rest => 0.02,
             Self::StartDelay => 0.2,
-            Self::Rest => 0.02,
         }
     }
 }
