@@ -197,7 +197,7 @@ fn print_alarm(alarm: &Alarm, health: &[Health], windows: &[Window]) -> Result<(
         let size = output::size(drift.change_pct, drift.change_pct_sd);
         indented(&format!("now {size} (95 %){limit}"))?;
     }
-    indented(&alarm.text)
+    indented(&format!("report of {}: {}", utc(&alarm.event_at), alarm.text))
 }
 
 /// Prints many alarms of one kind as one entry, the newest first.

@@ -319,19 +319,20 @@ impl Fleet {
         outcome(machine, Some(monitor), at, events)
     }
 
-    /// Applies an operator's command; `None` if the machine has no monitor.
+    /// Applies an operator's command, and confirms it in one sentence; `None` if the machine has no monitor.
     pub(super) fn command(
         &mut self,
         machine: &MachineId,
         command: &Command,
         now: Timestamp,
         settings: &Settings,
-    ) -> Option<Result<Outcome, CommandError>> {
+    ) -> Option<Result<(Outcome, String), CommandError>> {
         let monitor = self.monitors.get_mut(machine)?;
+        let confirmation = command.confirmation(machine, monitor.learning(settings));
         let result = monitor.command(command, now, settings);
         Some(result.map(|events| {
             let outcome = outcome(machine, Some(monitor), now, events);
-            Outcome { command: Some(command.clone()), ..outcome }
+            (Outcome { command: Some(command.clone()), ..outcome }, confirmation)
         }))
     }
 }

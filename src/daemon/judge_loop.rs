@@ -426,7 +426,7 @@ impl JudgeLoop {
         Ok(match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
             None => (false, format!("no machine {machine} is known here: it has sent no throw yet")),
             Some(Err(error)) => (false, error.to_string()),
-            Some(Ok(outcome)) => {
+            Some(Ok((outcome, confirmation))) => {
                 let consequence = command.consequence(&outcome.events);
                 let stored = self.record(outcome).await?;
                 if !stored {
@@ -435,7 +435,7 @@ impl JudgeLoop {
                 self.update_standing();
                 if stored {
                     tracing::info!(%machine, ?command, "operator's command applied");
-                    (true, command.confirmation(machine) + &consequence)
+                    (true, confirmation + &consequence)
                 } else {
                     (
                         false,

@@ -219,8 +219,10 @@ impl Alarms {
         is_new: bool,
         at: Timestamp,
     ) -> Option<AlarmEvent> {
+        let owner = self.rule(cause);
         let other = self.find_active(cause).is_some_and(|event| event.channel != evidence.channel)
-            || cause == Cause::Supply && self.rule(cause).is_some_and(|rule| rule != evidence.rule);
+            || cause == Cause::Supply && owner.is_some_and(|rule| rule != evidence.rule)
+            || owner == Some(Rule::Rest);
         let index = self.find(cause).filter(|_| other && is_new);
         match index {
             Some(index) => Some(self.activate(index, evidence, at)),
@@ -251,9 +253,19 @@ impl Alarms {
         if self.is_active(cause) { self.escalate(cause, evidence, at) } else { self.raise(cause, evidence, at) }
     }
 
+    /// Gives an active alarm new evidence, without a change of its state.
+    pub(super) fn update(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
+        let index = self.find(cause).filter(|_| self.is_active(cause))?;
+        Some(self.renew(index, evidence, at))
+    }
+
     fn activate(&mut self, index: usize, evidence: Evidence, at: Timestamp) -> AlarmEvent {
+        *self.open[index].state.beneath_mut() = State::Active { acknowledged: None };
+        self.renew(index, evidence, at)
+    }
+
+    fn renew(&mut self, index: usize, evidence: Evidence, at: Timestamp) -> AlarmEvent {
         let alarm = &mut self.open[index];
-        *alarm.state.beneath_mut() = State::Active { acknowledged: None };
         alarm.rule = evidence.rule;
         let AlarmEvent { cause, raised_at, event_no, .. } = alarm.last;
         alarm.last = AlarmEvent { event_no, ..occurrence(cause, raised_at, evidence) };

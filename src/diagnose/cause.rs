@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::{
     correlation::Correlation,
     event::{Cause, RunnerUp},
-    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, Leaks, PLAIN_LEAKS, direction_of, fit, relevance, single},
+    explain::{Explanation, Fit, LEAKS_BESIDE_GAUGES, PLAIN_LEAKS, direction_of, fit, fit_beside, relevance, single},
     gauges::{BackEmf, Gauges, Level},
     settings::Settings,
     window::Window,
@@ -39,6 +39,8 @@ const MOST_OF_GAUGE: f64 = 40.0;
 const TORQUE_ALONE: f64 = 3.0;
 /// Standard deviation of such a loss, as a logarithm: commutation loses a part of the torque, not most of it.
 const TORQUE_ALONE_SD: f64 = 0.3;
+/// Change of ln b0 from which a rise of friction may hide a loss of torque: the default warning limit of the motor.
+const LOST_TORQUE: f64 = -0.05;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
 /// Least size of a second cause beside one that explains the drift nearly as well alone, in standard deviations.
@@ -84,8 +86,10 @@ pub(super) enum Naming {
     Both(Explanation, Explanation),
     /// One cause in addition to a known one, which has an alarm.
     Another { new: Explanation, known: Explanation },
-    /// No one or two causes explain the drift.
-    Neither,
+    /// A known cause, which has an alarm, and something else: one of two causes, the better first, or none of the four.
+    Beside { known: Explanation, first: Explanation, second: Explanation },
+    /// No one or two causes explain the drift; these two together do best.
+    Neither(Explanation, Explanation),
 }
 
 /// Another explanation that cannot be ruled out.
@@ -111,8 +115,8 @@ pub(super) struct Attribution {
     pub(super) relevance: f64,
     /// Lead of a single name over all explanations without it.
     pub(super) lead: f64,
-    /// Whether gauges show the back-EMF of the motor.
-    beside_gauges: bool,
+    /// Change of the back-EMF, if it decides whether the motor changed.
+    pub(super) decides: Option<BackEmf>,
     /// Change of the back-EMF, if a gauge shows it directly.
     back_emf: Option<Level>,
 }
@@ -132,9 +136,10 @@ impl Attribution {
         let back_emf = shown.filter(|shown| known.is_decided_by(shown, window, settings));
         let all = Explanations::of(window, &known.causes, back_emf, settings);
         let [best, next, ..] = &all.singles;
+        let [a, b] = all.pairs[0].parts;
         let correlation = Correlation::of(of_one_throw, &window.mean);
         let attribution = Self {
-            naming: Naming::Neither,
+            naming: Naming::Neither(a, b),
             rival: None,
             runner_up: None,
             correlation,
@@ -142,11 +147,11 @@ impl Attribution {
             mean: window.mean,
             relevance: all.any.relevance(settings),
             lead: 0.0,
-            beside_gauges: back_emf.is_some(),
+            decides: back_emf,
             back_emf: shown.and_then(BackEmf::of_motor),
         };
         if all.any.score + CLOSE < best.score.min(all.pairs[0].score) {
-            return attribution;
+            return attribution.beside_something(&all, known, settings);
         }
         if let Some(both) = attribution.both(&all, settings) {
             return both.beside_known(&all, window, of_one_throw, known, settings);
@@ -172,7 +177,7 @@ impl Attribution {
         // If the gauges decide about the motor, a second cause that may be zero is not named beside a sufficient one.
         let is_shown = |part: &Explanation| part.cause == cause || part.size.abs() > SHOWN_SD * part.size_sd;
         let matters = |pair: &&Fit<2>| {
-            let only_shown = self.beside_gauges && is_sufficient_alone(pair);
+            let only_shown = self.decides.is_some() && is_sufficient_alone(pair);
             pair.parts.iter().all(|part| part.relevance(settings) >= MATTERS && (!only_shown || is_shown(part)))
         };
         let stranger = all.pairs.first().filter(|pair| !pair.includes(cause));
@@ -224,14 +229,32 @@ impl Attribution {
         if lead >= CLOSE || is_open(&new) {
             return another(new, lead);
         }
-        let Some(level) = known.level else { return self };
+        let Some(level) = known.level else { return self.beside_something(all, known, settings) };
         // The level has less uncertainty than the window, whose baseline is the same.
         let since = Window { mean: window.mean - level, covariance: 2.0 * window.covariance, ..*window };
         let since = Self::of(&since, of_one_throw, &Known::default(), settings);
         match since.naming {
             Naming::One(new) if !is_open(&new) && since.relevance >= MATTERS => another(new, since.lead),
-            _ => self,
+            _ => self.beside_something(all, known, settings),
         }
+    }
+
+    /// Keeps the name of a cause that has an alarm, if the attribution has none of these, and names the two causes that explain
+    /// the rest best. An alarm that two other causes contradict clearly is doubted instead.
+    fn beside_something(self, all: &Explanations, known: &Known, settings: &Settings) -> Self {
+        let is_open = |part: &Explanation| known.causes.contains(&part.cause);
+        let keeps_one = matches!(&self.naming, Naming::Both(a, b) if is_open(a) || is_open(b));
+        let mut own = all.pairs.iter().filter_map(|pair| match &pair.parts {
+            [known, new] | [new, known] if is_open(known) && !is_open(new) => Some((pair.score, *known, *new)),
+            _ => None,
+        });
+        let (Some((score, old, first)), Some((_, _, second))) = (own.next(), own.next()) else { return self };
+        let is_doubted = matches!(self.naming, Naming::Both(..)) && score > all.pairs[0].score + KNOWN;
+        if keeps_one || is_doubted {
+            return self;
+        }
+        let relevance = first.relevance(settings).max(second.relevance(settings));
+        Self { naming: Naming::Beside { known: old, first, second }, rival: None, relevance, lead: 0.0, ..self }
     }
 
     /// The lead that `best` needs over `next`. The rule distinguishes only inertia from the rest.
@@ -255,21 +278,26 @@ impl Attribution {
     /// The largest part; of two that are too close to call, the better.
     pub(super) fn main(&self) -> Option<&Explanation> {
         match &self.naming {
-            Naming::One(main) | Naming::Either(main, _) | Naming::Both(main, _) | Naming::Another { new: main, .. } => {
-                Some(main)
-            }
-            Naming::Neither => None,
+            Naming::One(main)
+            | Naming::Either(main, _)
+            | Naming::Both(main, _)
+            | Naming::Another { new: main, .. }
+            | Naming::Beside { first: main, .. } => Some(main),
+            Naming::Neither(..) => None,
         }
-    }
-
-    /// The leaks that are possible.
-    pub(super) const fn leaks(&self) -> Leaks {
-        if self.beside_gauges { LEAKS_BESIDE_GAUGES } else { PLAIN_LEAKS }
     }
 
     /// Whether the back-EMF shows that the motor is no part of the drift.
     pub(super) fn has_sound_motor(&self) -> bool {
-        self.beside_gauges && !matches!(self.naming, Naming::Neither) && !self.includes(Cause::Kt)
+        self.decides.is_some() && !matches!(self.naming, Naming::Neither(..)) && !self.includes(Cause::Kt)
+    }
+
+    /// Whether a rise of friction alone lowers b0 as much as a relevant loss of torque, as dry friction does: the gauges show no
+    /// loss of torque that leaves the back-EMF.
+    pub(super) fn may_hide_a_lost_torque(&self) -> bool {
+        matches!(self.naming, Naming::One(Explanation { cause: Cause::Friction, size, .. }) if size > 0.0)
+            && self.has_sound_motor()
+            && self.mean.x < LOST_TORQUE
     }
 
     /// Change of the back-EMF, if it shows that a lost torque is not that of the magnets: gear, clutch and brushes lose torque
@@ -278,7 +306,8 @@ impl Attribution {
         let named = match &self.naming {
             Naming::One(one) | Naming::Another { new: one, .. } => [Some(one), None],
             Naming::Either(a, b) | Naming::Both(a, b) => [Some(a), Some(b)],
-            Naming::Neither => [None, None],
+            Naming::Beside { first, second, .. } => [Some(first), Some(second)],
+            Naming::Neither(..) => [None, None],
         };
         let motor = named.into_iter().flatten().find(|part| part.cause == Cause::Kt && part.size < 0.0)?;
         self.back_emf.filter(|level| level.value.abs() + level.sd < CHANGED * motor.size.abs())
@@ -298,7 +327,10 @@ impl Attribution {
             Naming::Either(a, b) | Naming::Both(a, b) => {
                 cause == Cause::Unattributed || a.cause == cause || b.cause == cause
             }
-            Naming::Neither => cause == Cause::Unattributed,
+            Naming::Beside { known, first, second } => {
+                cause == Cause::Unattributed || [known, first, second].iter().any(|part| part.cause == cause)
+            }
+            Naming::Neither(..) => cause == Cause::Unattributed,
         }
     }
 }
@@ -332,28 +364,32 @@ impl Explanations {
 /// Explains the drift of `window` by `causes`, and the change of the back-EMF by that of the motor; a shorter duration by
 /// less friction too. A motor that loses torque alone, as by its commutation, keeps its back-EMF and its speed; beside a rise
 /// of friction that is dry friction.
-fn explained<const K: usize>(
+pub(super) fn explained<const K: usize>(
     causes: [Cause; K],
     window: &Window,
     back_emf: Option<BackEmf>,
     settings: &Settings,
 ) -> Fit<K> {
-    let fitted = |leaks: Leaks| fit(leaks, causes, &window.mean, &window.covariance, settings);
-    let Some(BackEmf { level, of_duration }) = back_emf else { return fitted(PLAIN_LEAKS) };
+    let Window { mean, covariance, .. } = window;
+    let Some(BackEmf { level, of_duration }) = back_emf else {
+        return fit(PLAIN_LEAKS, causes, mean, covariance, settings);
+    };
     let misfit = |motor: f64| level.misfit(motor, MOST_OF_GAUGE);
-    let mut fit = fitted(LEAKS_BESIDE_GAUGES);
-    if of_duration && fit.size_of(Cause::Friction) < 0.0 {
-        return fit;
-    }
-    fit.score += misfit(fit.size_of(Cause::Kt));
-    if fit.includes(Cause::Kt) && (K != 2 || !fit.includes(Cause::Friction)) {
-        let mut alone = fitted(LEAKS_BESIDE_GAUGES.at_equal_speed());
+    // The leaks of friction and motor differ in the motor's size, which the gauge shows too.
+    let beside = |fit: &Fit<K>| {
+        let is_shorter_by_friction = of_duration && fit.size_of(Cause::Friction) < 0.0;
+        if is_shorter_by_friction { 0.0 } else { misfit(fit.size_of(Cause::Kt)) }
+    };
+    let found = fit_beside(LEAKS_BESIDE_GAUGES, causes, mean, covariance, beside, settings);
+    let is_shorter_by_friction = of_duration && found.size_of(Cause::Friction) < 0.0;
+    if found.includes(Cause::Kt) && (K != 2 || !found.includes(Cause::Friction)) && !is_shorter_by_friction {
+        let mut alone = fit(LEAKS_BESIDE_GAUGES.at_equal_speed(), causes, mean, covariance, settings);
         alone.score += misfit(0.0) + TORQUE_ALONE + (alone.size_of(Cause::Kt) / TORQUE_ALONE_SD).powi(2);
-        if alone.score < fit.score {
+        if alone.score < found.score {
             return alone;
         }
     }
-    fit
+    found
 }
 
 /// The explanations, the best first; `alarmed` ones get a bonus. Causes that the window does not show explain nothing.

@@ -7,7 +7,7 @@ use super::{
     event::{AlarmEvent, Cause},
     settings::Settings,
 };
-use crate::throw::{MachineId, utc};
+use crate::throw::{Direction, MachineId, utc};
 
 /// A command of an operator to the monitor of a machine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, strum::IntoStaticStr)]
@@ -171,9 +171,11 @@ impl Command {
         }
     }
 
-    /// One sentence for the operator after the command: the new state, its end, operator and reason.
+    /// One sentence for the operator after the command: the new state, its end, operator and reason. `learning`: the throws
+    /// in the baseline of each direction, and those that it needs, if the machine was learning before the command; then a
+    /// second sentence says that a new baseline discards them.
     #[must_use]
-    pub fn confirmation(&self, machine: &MachineId) -> String {
+    pub fn confirmation(&self, machine: &MachineId, learning: Option<[(usize, usize); 2]>) -> String {
         match self {
             Self::Ack { cause, by } => format!("the {cause} alarm of {machine} is acknowledged by {by}"),
             Self::Shelve { cause, until, by, why } => {
@@ -183,7 +185,15 @@ impl Command {
                 format!("the {cause} alarm of {machine} is no longer shelved, ended by {by}")
             }
             Self::Rebaseline { by, why } => {
-                format!("{machine} takes a new baseline from its next throws, ordered by {by}: {why}")
+                let discarded = learning.map_or_else(String::new, |progress| {
+                    let [normal, reverse] = progress.map(|(throws, needed)| format!("{throws} of {needed} throws"));
+                    format!(
+                        ". It was already learning, with {normal} {} and {reverse} {}, and begins again without them",
+                        Direction::NormalToReverse,
+                        Direction::ReverseToNormal
+                    )
+                });
+                format!("{machine} takes a new baseline from its next throws, ordered by {by}: {why}{discarded}")
             }
             Self::MaintenanceStart { until, by, why } => {
                 format!("{machine} is in maintenance until {} by {by}: {why}", utc(until))

@@ -163,8 +163,8 @@ impl Drift {
             } + named.map_or(0, |attribution| match (attribution.naming, attribution.rival) {
                 (Naming::One(_) | Naming::Another { .. }, _) if attribution.lead >= SAFE => 0,
                 (Naming::One(_) | Naming::Another { .. }, _) => DOUBTED_PATIENCE,
-                (Naming::Either(..), _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
-                (Naming::Both(..) | Naming::Neither, _) => UNNAMED_PATIENCE,
+                (Naming::Either(..) | Naming::Beside { .. }, _) | (_, Some(Rival::Alone(_))) => TOO_CLOSE_PATIENCE,
+                (Naming::Both(..) | Naming::Neither(..), _) => UNNAMED_PATIENCE,
             }),
             plain_health: is_shown && bound < HEALTHY_BELOW,
             below: is_shown && (self.attribution.is_none() || size < deadband),

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     alarm::{Alarms, Evidence},
-    cause::{Attribution, Known, Naming},
+    cause::{Attribution, Known, Naming, explained},
     condition::{Claim, Condition, LEVELS_FOLLOW, LONGEST_WINDOW, Transition},
     course::{Course, LimitForecast},
     drift::{Drift, FrictionChange},
@@ -52,6 +52,9 @@ const SIZE_SHARE: f64 = 0.01;
 const SLOW_FROM: f64 = 1.0 / 3.0;
 const DAYS_OF_WEEK: f64 = 7.0;
 
+/// Consecutive throws that show that a drift is in one direction only, before its alarm says so: three of each direction.
+const ONE_SIDED_THROWS: u8 = 6;
+
 /// Least part of nominal that a loss leaves, as its logarithm is needed.
 const LEAST_LEFT: f64 = 0.01;
 
@@ -82,6 +85,9 @@ pub(super) struct DriftAlarms {
     /// A slow change of the friction \[%\] that raises no alarm, as it may be the season's.
     #[serde(default)]
     pub(super) season_pct: Option<f64>,
+    /// Consecutive throws in which a drift was known to be in one direction only, by cause.
+    #[serde(default)]
+    pub(super) one_sided: [u8; 5],
 }
 
 impl DriftAlarms {
@@ -126,9 +132,15 @@ impl DriftAlarms {
                 reading.claim = if size > least { Claim::Named } else { Claim::Counts };
             }
             let transition = self.conditions[index].step(reading, active, settings);
+            let direction = if reading.claim == Claim::Named { concerned() } else { None };
+            let becomes_one_sided = self.becomes_one_sided(index, direction, alarms);
             let evidence = |severity| self.evidence(cause, severity, drift, order, tracks, context);
             events.extend(match transition {
-                Transition::Stay => None,
+                Transition::Stay => becomes_one_sided.and_then(|severity| {
+                    let evidence = evidence(severity)?;
+                    let text = text::one_direction(&evidence.text);
+                    alarms.update(cause, Evidence { text, ..evidence }, at)
+                }),
                 // An alarm about an intermittent fault ends by its own rule.
                 Transition::Clear { .. } | Transition::Withdraw if alarms.rule(cause) != Some(Rule::Usual) => None,
                 Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
@@ -148,6 +160,17 @@ impl DriftAlarms {
         }
         self.renew(drift, order, tracks, alarms, settings);
         events
+    }
+
+    /// The severity of an active alarm of both directions whose drift is known now to be in one direction only, which the first
+    /// throws after its begin do not show.
+    fn becomes_one_sided(&mut self, index: usize, direction: Option<Direction>, alarms: &Alarms) -> Option<Severity> {
+        let cause = DRIFTS[index];
+        let count = &mut self.one_sided[index];
+        *count = if direction.is_some() { count.saturating_add(1) } else { 0 };
+        let is_known = *count >= ONE_SIDED_THROWS && alarms.rule(cause) == Some(Rule::Usual);
+        let is_of_both = alarms.active().any(|event| event.cause == cause && event.direction.is_none());
+        alarms.severity(cause).filter(|_| is_known && is_of_both)
     }
 
     /// Applies the departure of a throw from the previous ones: side, departure, covariance of one throw, and whether
@@ -197,10 +220,12 @@ impl DriftAlarms {
     }
 
     /// The drifts with an active alarm. Their level is that of the throws between the raise of the latest alarm and the
-    /// last throws.
+    /// last throws: with a longest window of each direction, if there are as many, as the strongest window follows a new
+    /// fault with this delay.
     pub(super) fn known<'a>(&self, alarms: &Alarms, gauges: &'a Gauges) -> Known<'a> {
         let raised = self.conditions.iter().filter_map(Condition::since_raised).min();
-        let level = raised.and_then(|throws| self.history.mean(LONGEST_WINDOW..throws));
+        let before = |last: u32| self.history.mean(last..raised?);
+        let level = before(2 * LONGEST_WINDOW).or_else(|| before(LONGEST_WINDOW));
         Known { causes: alarms.drifts().map(|event| event.cause).collect(), level, gauges: Some(gauges) }
     }
 
@@ -245,18 +270,18 @@ impl DriftAlarms {
     fn renew(&mut self, drift: &Drift, order: u64, tracks: &Tracks, alarms: &Alarms, settings: &Settings) {
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
-        let leaks = drift.attribution.as_ref().map_or(PLAIN_LEAKS, Attribution::leaks);
+        let back_emf = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
         let physical = alarms.active().map(|event| event.cause).filter(|cause| Cause::PHYSICAL.contains(cause));
         let pair: Option<[Cause; 2]> = physical.collect::<Vec<_>>().try_into().ok();
         for alarm in alarms.drifts() {
-            let size = |cause: Cause, Window { mean, covariance, .. }: &Window| {
+            let size = |cause: Cause, window: &Window| {
                 if has_sound_motor && cause == Cause::Friction {
-                    return friction_of_sound_motor(mean, covariance);
+                    return friction_of_sound_motor(&window.mean, &window.covariance);
                 }
                 let pair = pair.filter(|pair| pair.contains(&cause));
-                let together = pair.map(|pair| fit(leaks, pair, mean, covariance, settings));
+                let together = pair.map(|pair| explained(pair, window, back_emf, settings));
                 let part = together.and_then(|fit| fit.parts.into_iter().find(|part| part.cause == cause));
-                part.unwrap_or_else(|| fit(leaks, [cause], mean, covariance, settings).parts[0])
+                part.unwrap_or_else(|| explained([cause], window, back_emf, settings).parts[0])
             };
             // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
             let free = |Window { mean, covariance, .. }: &Window| {

@@ -166,10 +166,26 @@ pub(super) fn fit<const K: usize>(
     v: &Matrix3<f64>,
     settings: &Settings,
 ) -> Fit<K> {
+    fit_beside(leaks, causes, m, v, |_| 0.0, settings)
+}
+
+/// The same beside other evidence, whose misfit to the fit with given leaks counts in its odds.
+pub(super) fn fit_beside<const K: usize>(
+    leaks: Leaks,
+    causes: [Cause; K],
+    m: &Vector3<f64>,
+    v: &Matrix3<f64>,
+    misfit: impl Fn(&Fit<K>) -> f64,
+    settings: &Settings,
+) -> Fit<K> {
     let of = |cause: Cause, leaks: &'static [Leak]| if causes.contains(&cause) { leaks } else { &leaks[..1] };
     let (of_friction, of_motor) = (of(Cause::Friction, leaks.friction), of(Cause::Kt, leaks.motor));
     let both = of_friction.iter().flat_map(|friction| of_motor.iter().map(move |motor| [*friction, *motor]));
-    let fits: Vec<Fit<K>> = both.map(|leaks| fit_with_leaks(leaks, causes, m, v, settings)).collect();
+    let with = |leaks| {
+        let fit = fit_with_leaks(leaks, causes, m, v, settings);
+        Fit { score: fit.score + misfit(&fit), ..fit }
+    };
+    let fits: Vec<Fit<K>> = both.map(with).collect();
     if let [only] = fits[..] {
         return only;
     }

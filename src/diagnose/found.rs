@@ -58,7 +58,7 @@ impl Found {
             }
             (Some(cause), Self::Larger(_, evidence)) => alarms.remark(cause, evidence.text, at),
             (None, Self::Fault(cause, evidence) | Self::Larger(cause, evidence))
-                if !alarms.active().any(|event| event.cause == Cause::Unattributed || explains(event)) =>
+                if !alarms.active().any(|event| event.cause == Cause::Unattributed || explains(event, alarms)) =>
             {
                 alarms.raise(cause, Evidence { rule, ..*evidence }, at)
             }
@@ -69,15 +69,18 @@ impl Found {
 
 /// Ends the alarm of a rule that knows no part, when another alarm names the part or the sensor.
 pub(super) fn withdraw_explained(alarms: &mut Alarms, Context { name, at, .. }: Context) -> Option<AlarmEvent> {
-    let part = alarms.active().find(|event| explains(event))?.cause;
+    let part = alarms.active().find(|event| explains(event, alarms))?.cause;
     let unnamed = [Rule::Features, Rule::Start].into_iter().find_map(|rule| alarms.owned_by(rule))?;
     alarms.clear(unnamed, text::explained(name, part), at)
 }
 
 /// Whether this alarm names the part, or the sensor, that changes the features and the start of a throw. A changed supply
-/// explains some of them and not all, so the features are compared without what it explains.
-fn explains(event: &AlarmEvent) -> bool {
+/// explains some of them and not all, so the features are compared without what it explains. An offset of the current is
+/// subtracted from them.
+fn explains(event: &AlarmEvent, alarms: &Alarms) -> bool {
     use SensorChannel::{Clock, Current, Position};
     Cause::PHYSICAL.contains(&event.cause)
-        || event.cause == Cause::Sensor && matches!(event.channel, Some(Current | Position | Clock))
+        || event.cause == Cause::Sensor
+            && matches!(event.channel, Some(Current | Position | Clock))
+            && alarms.rule(Cause::Sensor) != Some(Rule::Rest)
 }

@@ -1,6 +1,6 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge, no-load speed, start). Each is used as the logarithm of its ratio to the normal value of
-//! the direction, except for the delay of the start. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which
+//! inrush, running current, charge, no-load speed, start, current at rest). Each is used as the logarithm of its ratio to the normal value of
+//! the direction, except for the delay of the start and the current at rest. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which
 //! distinguishes the two.
 
 use serde::{Deserialize, Deserializer, Serialize};
@@ -28,10 +28,12 @@ pub(super) enum Gauge {
     StartDelay,
     /// b0 of the start alone.
     StartGain,
+    /// Mean current at rest \[A\], as a difference and not as a logarithm, as it has either sign.
+    Rest,
 }
 
 impl Gauge {
-    const COUNT: usize = 11;
+    const COUNT: usize = 12;
 
     /// Range of the changes that a changed supply explains, as logarithms. The charge is that of the inrush, and of the running
     /// motor: its current is the same before a dry load, and follows the speed before a viscous one.
@@ -51,7 +53,7 @@ impl Gauge {
             Self::Travel => 0.003,
             Self::BackEmf => 0.005,
             Self::Resistance | Self::Duration | Self::Volts | Self::NoLoadSpeed => 0.01,
-            Self::Inrush | Self::Running | Self::Charge | Self::StartGain => 0.02,
+            Self::Inrush | Self::Running | Self::Charge | Self::StartGain | Self::Rest => 0.02,
             Self::StartDelay => 0.2,
         }
     }
@@ -82,6 +84,13 @@ const CIRCUIT_UNCERTAINTY: f64 = 0.4;
 const VOLTAGE_ERROR: f64 = 0.08;
 /// Least significance of such an error \[standard deviations\].
 const VOLTAGE_ERROR_SD: f64 = 4.0;
+/// Least reported change of the current at rest \[A\]: the zero of a Hall sensor drifts by 0.1 to 0.3 A with its temperature,
+/// one way from the cold and back.
+const REST_A: f64 = 0.6;
+/// The same as share of the inrush: a sensor for large currents drifts in proportion to its range.
+const REST_SHARE: f64 = 0.02;
+/// Least significance of such a change, in standard deviations of a level: hum in a few quiet samples scatters.
+const REST_SD: f64 = 4.0;
 /// Largest difference of two changes that are the same, as part of them.
 const ALIKE: f64 = 0.5;
 /// Largest part of the normal voltage across the resistance: more would be a motor near its stall.
@@ -314,6 +323,27 @@ impl Gauges {
         is_measured.then_some(Circuit { level, size, is_doubtful: is_motor || is_idle })
     }
 
+    /// Change of the current at rest \[A\], and its size relative to the least one that is named. The level is that of the last
+    /// few throws; the longer window must show it too.
+    pub(super) fn rest(&self) -> Option<(Level, f64)> {
+        let [level, longer] = [WINDOWS[0], WINDOWS[1]].map(|throws| self.level(Gauge::Rest, throws));
+        let (level, longer, least) = (level?, longer?, self.least_rest_a());
+        let size_of = |level: Level| level.value.abs() / least.max(REST_SD * level.sd);
+        Some((level, size_of(level).min(size_of(longer))))
+    }
+
+    /// Normal current at rest \[A\], if it is as large as a change that is named.
+    pub(super) fn normal_rest_a(&self) -> Option<f64> {
+        let normal = self.sides.iter().filter_map(|side| side.of(Gauge::Rest)).map(|(centre, _)| f64::from(centre));
+        normal.max_by(|a, b| a.abs().total_cmp(&b.abs())).filter(|normal| normal.abs() > self.least_rest_a())
+    }
+
+    /// Least change of the current at rest that is named \[A\].
+    fn least_rest_a(&self) -> f64 {
+        let inrush = self.sides.iter().filter_map(|side| side.of(Gauge::Inrush)).map(|(centre, _)| f64::from(centre));
+        REST_A.max(REST_SHARE * inrush.map(f64::exp).fold(0.0, f64::max))
+    }
+
     /// Change of the back-EMF: from its constant, without a supply voltage from the no-load speed, and without both, as with
     /// a stroke that unlocks, from a shorter duration.
     pub(super) fn back_emf(&self, throws: usize) -> Option<BackEmf> {
@@ -408,6 +438,7 @@ fn values(features: &Features, celsius: Option<f64>) -> Values {
         features.no_load_speed_rad_per_s,
         features.start_delay_s.map(|delay_s| (1e3 * delay_s).exp()),
         features.start_gain,
+        features.quiet_current_a.map(f64::exp),
     ];
     // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
     #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]

@@ -84,6 +84,9 @@ pub(super) struct Instruments {
     supply: Streaks,
     #[serde(default)]
     circuit: Streaks,
+    /// Of an offset of the current sensor.
+    #[serde(default)]
+    rest: Streaks,
 }
 
 /// A sensor fault: its effect on the coefficients and on travel, back-EMF, resistance and duration.
@@ -260,6 +263,25 @@ impl Instruments {
         } else {
             None
         }
+    }
+
+    /// Updates the alarm about an offset of the current sensor after a throw, from its values at rest. The estimator subtracts
+    /// them, so an offset changes neither coefficients nor features, and explains no other alarm.
+    pub(super) fn judge_rest(&mut self, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
+        let Context { name, at, throw, settings } = context;
+        let (level, size) = self.gauges.rest()?;
+        self.rest.follow(size > 1.0, true, false, Some(size));
+        if self.rest.named >= settings.on_delay_throws {
+            let evidence = Evidence {
+                rule: Rule::Rest,
+                channel: Some(SensorChannel::Current),
+                ..Evidence::plain(Severity::Warning, throw, text::offset(name, &level))
+            };
+            // A sensor that is known to be faulty gets no second alarm.
+            return alarms.raise(Cause::Sensor, evidence, at);
+        }
+        let is_over = self.rest.over >= settings.off_delay_throws && alarms.rule(Cause::Sensor) == Some(Rule::Rest);
+        is_over.then(|| alarms.clear(Cause::Sensor, text::offset_over(name), at)).flatten()
     }
 
     /// Updates the alarm about the supply after a throw; `explained`: whether the drift that it explains matters;

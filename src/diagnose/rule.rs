@@ -19,6 +19,8 @@ pub(super) enum Rule {
     Dates,
     /// Gauges that show a faulty sensor.
     Gauges,
+    /// A changed current at rest.
+    Rest,
     /// A changed resistance of the motor and its line to the supply.
     Circuit,
 }

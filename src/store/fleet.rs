@@ -106,6 +106,7 @@ pub(crate) struct Fault {
     #[serde(flatten)]
     pub alarm: Alarm,
     /// Size and standard deviation when raised \[%\].
+    #[serde(skip)]
     pub raised: Option<(f64, f64)>,
     pub drifts: Vec<Drifting>,
 }

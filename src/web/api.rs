@@ -4,8 +4,12 @@
 //! |---|---|
 //! | `/api/v1/status` | the daemon, as in `pointsd status --json` |
 //! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`, and `machines`: up to 100 with state, present drifts, last throw |
-//! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts`, `caveats`, `alarms` (open), `throws` (the newest 100), `commands` |
+//! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts` (present), `caveats`, `alarms` (open), `throws` (the newest 100), `commands` |
 //! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: numbers of the others by cause and site |
+//!
+//! An alarm has the fields of its last event: `change_pct` is its size at `event_at`. In `faults` it also has its size when it was
+//! raised, `change_raised_pct` and `change_raised_pct_sd`, and its size after the last throw, `change_now_pct` and
+//! `change_now_pct_sd`, which is null if the drift has ended.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -20,7 +24,11 @@ use super::{
     overview::Web,
     page::{self, Failure},
 };
-use crate::{diagnose::Present, store::FleetQuery, throw::MachineId};
+use crate::{
+    diagnose::Present,
+    store::{Fault, FleetQuery},
+    throw::MachineId,
+};
 
 /// Largest number of throws in a response.
 const THROWS: u32 = 100;
@@ -62,7 +70,19 @@ pub(super) async fn machine(
 
 pub(super) async fn alarms(State(web): State<Arc<Web>>) -> Result<Response, Failure> {
     let overview = web.overview().await?;
+    let faults: Vec<_> = overview.faults.iter().map(with_sizes).collect();
     Ok(page::json(&json!({
-        "faults": overview.faults, "fault_count": overview.fault_count, "common": overview.common,
+        "faults": faults, "fault_count": overview.fault_count, "common": overview.common,
     })))
+}
+
+/// A fault with its sizes, each of which says in its name when it was measured.
+fn with_sizes(fault: &Fault) -> serde_json::Value {
+    let now = fault.drifts.iter().find(|drift| drift.cause == fault.alarm.cause);
+    let mut json = json!(fault);
+    json["change_raised_pct"] = json!(fault.raised.map(|(pct, _)| pct));
+    json["change_raised_pct_sd"] = json!(fault.raised.map(|(_, sd)| sd));
+    json["change_now_pct"] = json!(now.map(|drift| drift.change_pct));
+    json["change_now_pct_sd"] = json!(now.map(|drift| drift.change_pct_sd));
+    json
 }

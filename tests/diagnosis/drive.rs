@@ -29,6 +29,8 @@ pub(crate) struct State {
     pub(crate) inertia: f64,
     pub(crate) ohms: f64,
     pub(crate) current_gain: f64,
+    /// Constant error of the current sensor \[A\].
+    pub(crate) current_offset_a: f64,
     pub(crate) position_gain: f64,
     /// Rate of the logger's clock.
     pub(crate) clock: f64,
@@ -53,6 +55,7 @@ impl State {
         inertia: 1.0,
         ohms: 1.0,
         current_gain: 1.0,
+        current_offset_a: 0.0,
         position_gain: 1.0,
         clock: 1.0,
         stroke: 1.0,
@@ -108,6 +111,11 @@ impl Drive {
         }
     }
 
+    /// The direction of the next throw.
+    pub(crate) fn next(&self) -> Direction {
+        Direction::BOTH[usize::from(self.throws % 2 == 1)]
+    }
+
     pub(crate) fn feed(&mut self, state: State, settings: &Settings) -> Verdict {
         let observation = self.observe(state);
         self.monitor.observe(&observation, settings)
@@ -117,7 +125,7 @@ impl Drive {
         for value in &mut self.wander {
             *value = 0.5 * *value + 0.75_f64.sqrt() * normal(&mut self.rng);
         }
-        let direction = Direction::BOTH[usize::from(self.throws % 2 == 1)];
+        let direction = self.next();
         self.throws += 1;
         let (mut trace, volts) = self.record(state, direction);
         if !self.has_toe_sensor {
@@ -185,7 +193,8 @@ impl Drive {
             let [k, seen] = [at, at - state.late_s].map(|at| (at.max(0.0) / STEP_S) as usize);
             let (amperes, way) = (current[k], (toe[seen] * MM_PER_RADIAN - state.play_mm).max(0.0));
             let mm = if rest == 0.0 { way } else { STROKE_MM * state.stroke - way };
-            recorded_a.push(state.current_gain * direction.sign() * amperes + 0.02 * normal(&mut self.rng));
+            let measured = state.current_gain * direction.sign() * amperes + state.current_offset_a;
+            recorded_a.push(measured + 0.02 * normal(&mut self.rng));
             recorded_mm.push(state.position_gain * mm + state.position_noise_mm * normal(&mut self.rng));
             at += 1.0 / (self.rate_hz * state.clock);
         }

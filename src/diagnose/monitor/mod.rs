@@ -347,6 +347,7 @@ impl MachineMonitor {
             .chain(blind)
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
             .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))
+            .chain(self.instruments.gauges.normal_rest_a().map(|amperes| text::at_rest(&self.name, amperes)))
             .chain(only_features.then(|| text::only_features(&self.name)))
             .chain(self.operation.is_contradicted().then(|| text::contradicted(&self.name)))
             .chain(self.operation.caveats(&self.name, self.alarms.is_active(Cause::Sensor), self.tracks.any_baseline()))
@@ -381,6 +382,16 @@ impl MachineMonitor {
     #[must_use]
     pub fn baseline_progress(&self, direction: Direction, settings: &Settings) -> (usize, usize) {
         self.tracks.progress(direction, settings)
+    }
+
+    /// Throws in the baseline of each direction, and throws that it needs, while one of them is not complete. `None` for a
+    /// machine whose baselines are complete, or which is monitored by its features only.
+    #[must_use]
+    pub fn learning(&self, settings: &Settings) -> Option<[(usize, usize); 2]> {
+        let progress = Direction::BOTH.map(|direction| self.baseline_progress(direction, settings));
+        let by_features = self.features.is_monitoring() && !self.tracks.any_baseline();
+        let is_learning = progress.iter().any(|(throws, needed)| throws < needed);
+        (is_learning && !by_features).then_some(progress)
     }
 
     /// The baseline in use for a direction.

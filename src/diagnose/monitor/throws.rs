@@ -99,6 +99,8 @@ impl MachineMonitor {
             self.drift.on_unjudged();
             self.observe_features(observation, at, settings, verdict);
         }
+        let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
+        verdict.events.extend(self.instruments.judge_rest(&mut self.alarms, context));
         // Ratios show less than coefficients, so their machines keep the features.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         let watched = self.watch_features(observation, is_judged, at, settings, verdict);
@@ -141,6 +143,7 @@ impl MachineMonitor {
                 peak_current_a: all.peak_current_a,
                 running_current_a: all.running_current_a,
                 charge_as: all.charge_as,
+                quiet_current_a: all.quiet_current_a,
                 ..Features::default()
             }
         };

@@ -43,7 +43,19 @@ pub(crate) fn drift(
             let together = format!("{} and {} together", name(a), name(b));
             format!("{together}{}: {} and {} over {over}", rival(attribution.rival), change(a), change(b))
         }
-        Naming::Neither => format!("a change that no cause explains over {over}: {}", coefficients(attribution)),
+        Naming::Beside { known, first, second } => format!(
+            "{} and something else over {over}: {} or {} ({})",
+            change(known),
+            name(first),
+            name(second),
+            coefficients(attribution)
+        ),
+        Naming::Neither(a, b) => format!(
+            "a change of more than two parts, or of another kind, over {over}: {}; {} and {} are nearest",
+            coefficients(attribution),
+            name(a),
+            name(b)
+        ),
     };
     let c = attribution.correlation;
     let rule = if attribution.is_contradicted() {
@@ -69,6 +81,11 @@ pub(crate) fn drift(
         format!(" {}{more}", look_at_sensor(sensor))
     });
     format!("{subject}: {what}.{rule} {}{sensor}{when}", advice(attribution))
+}
+
+/// Text of a drift that is known now to be in the direction that its text names.
+pub(crate) fn one_direction(text: &str) -> String {
+    format!("{text} The other direction has not changed as much.")
 }
 
 /// Text of an intermittent fault.
@@ -181,9 +198,15 @@ fn advice(attribution: &Attribution) -> String {
         _ => look_at(e.cause, e.size).to_owned(),
     };
     match &attribution.naming {
+        Naming::One(e) if attribution.may_hide_a_lost_torque() => format!(
+            "{} Then check gear, clutch and brushes: torque that was lost at the same time would look the same.",
+            look_at(e)
+        ),
         Naming::One(e) | Naming::Another { new: e, .. } => look_at(e),
-        Naming::Either(a, b) | Naming::Both(a, b) => format!("{} {}", look_at(a), look_at(b)),
-        Naming::Neither => "Check the sensors first, then the whole drive.".to_owned(),
+        Naming::Either(a, b) | Naming::Both(a, b) | Naming::Beside { first: a, second: b, .. } => {
+            format!("{} {}", look_at(a), look_at(b))
+        }
+        Naming::Neither(a, b) => format!("{} {} Then check the rest of the drive.", look_at(a), look_at(b)),
     }
 }
 

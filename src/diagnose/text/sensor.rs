@@ -34,6 +34,29 @@ pub(crate) fn sensor(name: &str, fault: &Fault) -> String {
     )
 }
 
+/// Text about an offset of the current sensor.
+pub(crate) fn offset(name: &str, level: &Level) -> String {
+    let Level { value, sd } = *level;
+    format!(
+        "Machine {name}: between throws the current sensor reads {value:+.1} A (±{:.1} A) against its baseline: an offset. It is \
+         subtracted from each throw, so the machine is monitored as before. Check the current sensor's zero and supply, then \
+         whether the logger's circuit feeds something new.",
+        (1.96 * sd).max(0.1)
+    )
+}
+
+/// Text about a machine whose baseline has a current at rest.
+pub(crate) fn at_rest(name: &str, amperes: f64) -> String {
+    format!(
+        "Machine {name}: between throws its current sensor reads {amperes:+.1} A, since its baseline began: an offset of the \
+         sensor, or a current that flows at rest. It is subtracted from each throw. Check the sensor's zero."
+    )
+}
+
+pub(crate) fn offset_over(name: &str) -> String {
+    format!("Machine {name}: between throws the current sensor reads as in its baseline again.")
+}
+
 /// Text about a changed supply voltage.
 pub(crate) fn supply(name: &str, change_pct: f64) -> String {
     let way = if change_pct < 0.0 { "lower" } else { "higher" };
