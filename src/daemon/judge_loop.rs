@@ -336,7 +336,8 @@ impl JudgeLoop {
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
         without_throw.truncate(NAMED);
-        self.refused.retain(|machine, _| !self.judge.fleet.knows(machine));
+        // Any sender can invent a machine; a logger is connected under the name of its own.
+        self.refused.retain(|machine, _| loggers.contains(machine) && !self.judge.fleet.knows(machine));
         let mut report = self.links.status.edit();
         report.refused = self.refused.iter().map(|(machine, reason)| format!("{machine} ({reason})")).collect();
         report.clock_behind = self.judge.fleet.is_clock_behind();

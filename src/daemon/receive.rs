@@ -86,10 +86,9 @@ impl Intake {
         }
         if live {
             for refused in &refused {
-                if let Ok((machine, _)) = wire::parse_key(&refused.key)
-                    && self.knows(&machine)
-                {
-                    self.status.count_invalid(machine, &refused.reason);
+                if let Ok((machine, _)) = wire::parse_key(&refused.key) {
+                    let is_known = self.knows(&machine);
+                    self.status.count_invalid(machine, is_known, &refused.reason);
                 }
             }
         } else {

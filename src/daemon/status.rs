@@ -21,6 +21,8 @@ use crate::{
 
 /// Invalid messages of a machine in a row that are an alarm; a few may be accidents.
 const INVALID_IN_A_ROW: u32 = 5;
+/// Largest number of unknown machines whose invalid messages are counted.
+const UNKNOWN: usize = 64;
 
 /// Counters and states, shared by all loops.
 #[derive(Debug, Default)]
@@ -31,7 +33,7 @@ pub(crate) struct Status {
     report: Mutex<StatusReport>,
     /// Throws without an estimate, by the code of the reason.
     refused: Mutex<BTreeMap<String, u64>>,
-    /// Of each known machine whose last messages were no valid throws, their number and the last reason.
+    /// Of each machine whose last messages were no valid throws, their number and the last reason.
     invalid: Mutex<HashMap<MachineId, (u32, String)>>,
     pub(super) machines_refused: RecentCount,
     pub storing_fails: AtomicBool,
@@ -151,9 +153,13 @@ impl Status {
         *self.refused.lock().entry(reason.to_owned()).or_default() += 1;
     }
 
-    /// Counts a message of a known machine that is no valid throw.
-    pub(super) fn count_invalid(&self, machine: MachineId, reason: &str) {
+    /// Counts a message of a machine that is no valid throw.
+    /// Of unknown machines at most [`UNKNOWN`] are counted, as any sender can invent names.
+    pub(super) fn count_invalid(&self, machine: MachineId, is_known: bool, reason: &str) {
         let mut invalid = self.invalid.lock();
+        if !is_known && invalid.len() >= UNKNOWN && !invalid.contains_key(&machine) {
+            return;
+        }
         let (count, last) = invalid.entry(machine).or_default();
         *count = count.saturating_add(1);
         reason.clone_into(last);
