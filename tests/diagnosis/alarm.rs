@@ -4,7 +4,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, Command, CommandError, MachineMonitor, Settings, Severity},
-    throw::Direction,
+    throw::{Direction, MachineId},
 };
 use proptest::prelude::*;
 
@@ -289,4 +289,21 @@ proptest! {
             }
         }
     }
+}
+
+#[test]
+fn a_rebaseline_of_a_learning_machine_says_how_far_it_had_learned() {
+    let settings = Settings::default();
+    let mut machine = Machine::new(940, Nature::default());
+    let mut monitor = machine.learned(&settings);
+    let (id, command) =
+        (MachineId::new("north", "21B").unwrap(), Command::Rebaseline { by: by(), why: "new motor".into() });
+    let confirmation = |monitor: &MachineMonitor| command.confirmation(&id, monitor.learning(&settings));
+    assert!(!confirmation(&monitor).contains("already"), "{}", confirmation(&monitor));
+    monitor.command(&command, now(), &settings).unwrap();
+    run(&mut machine, &mut monitor, 15, Vector3::zeros());
+    let text = confirmation(&monitor);
+    assert!(text.contains("already learning") && text.contains("8 of 50 throws") && text.contains("7 of 50"), "{text}");
+    monitor.command(&command, now(), &settings).unwrap();
+    assert_eq!(monitor.learning(&settings), Some([(0, 50); 2]));
 }

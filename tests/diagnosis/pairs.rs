@@ -64,12 +64,7 @@ fn live(seed: u64, [first, second]: [Fault; 2], gap: u32, ramp: u32) -> (Vec<Ala
     for throw in 0..gap + ramp + AFTER {
         let state = (first.of)(State::SOUND, part(throw));
         let state = if throw < gap { state } else { (second.of)(state, part(throw - gap)) };
-        for event in drive.feed(state, &settings).events {
-            if std::env::var("SHOW").is_ok() {
-                println!("  {seed} +{throw} {:?} {:?} {:?}: {}", event.cause, event.severity, event.state, event.text);
-            }
-            events.push(event);
-        }
+        events.extend(drive.feed(state, &settings).events);
     }
     (events, drive)
 }
@@ -106,11 +101,12 @@ fn judge(seeds: std::ops::Range<u64>, faults: [Fault; 2], gap: u32, ramp: u32) -
 /// Forty lives of each pair in both orders, half of them with a published voltage; `is_clear`: whether the coefficients and
 /// gauges can tell the two with this gap and ramp.
 fn forty_lives(pair: [Fault; 2], is_clear: fn(gap: u32, ramp: u32) -> bool) {
-    let from: u64 = std::env::var("SEED").map_or(5_000, |seed| seed.parse().unwrap());
+    let number = |name: &str, usual: u64| std::env::var(name).map_or(usual, |value| value.parse().unwrap());
+    let (from, lives) = (number("SEED", 5_000), number("LIVES", 40));
     let mut total = Judgement::default();
     for order in [pair, [pair[1], pair[0]]] {
         for (gap, ramp) in [(0, 0), (30, 0), (200, 0), (50, 100)] {
-            let found = judge(from..from + 40, order, gap, ramp);
+            let found = judge(from..from + lives, order, gap, ramp);
             println!("{} then {}, gap {gap}, ramp {ramp}: {found:?}", order[0].cause, order[1].cause);
             assert_eq!(found.lost, 0);
             if is_clear(gap, ramp) {
