@@ -104,23 +104,17 @@ impl<const N: usize, const S: usize, const P: usize> Sriv<N, S, P> {
     ) -> Option<Sums<P>> {
         workspace.prepare(problem.output.len(), c, problem.interval_s);
         let shifted = problem.equilibrium.is_some();
-        let zero = [0.0; P];
-        match auxiliary {
-            None if shifted => self.filtered_sums::<false, false, true>(problem, c, (&zero, c), workspace),
-            None => self.filtered_sums::<false, false, false>(problem, c, (&zero, c), workspace),
-            Some(Auxiliary { parameters, denominator: None }) if shifted => {
-                self.filtered_sums::<true, false, true>(problem, c, (parameters, c), workspace)
-            }
-            Some(Auxiliary { parameters, denominator: None }) => {
-                self.filtered_sums::<true, false, false>(problem, c, (parameters, c), workspace)
-            }
-            Some(Auxiliary { parameters, denominator: Some(a) }) if shifted => {
-                self.filtered_sums::<true, true, true>(problem, c, (parameters, a), workspace)
-            }
-            Some(Auxiliary { parameters, denominator: Some(a) }) => {
-                self.filtered_sums::<true, true, false>(problem, c, (parameters, a), workspace)
-            }
-        }
+        let parameters = auxiliary.map_or(&[0.0; P], |auxiliary| auxiliary.parameters);
+        let denominator = auxiliary.and_then(|auxiliary| auxiliary.denominator);
+        let filtered_sums = match (auxiliary.is_some(), denominator.is_some(), shifted) {
+            (false, _, false) => Self::filtered_sums::<false, false, false>,
+            (false, _, true) => Self::filtered_sums::<false, false, true>,
+            (true, false, false) => Self::filtered_sums::<true, false, false>,
+            (true, false, true) => Self::filtered_sums::<true, false, true>,
+            (true, true, false) => Self::filtered_sums::<true, true, false>,
+            (true, true, true) => Self::filtered_sums::<true, true, true>,
+        };
+        filtered_sums(self, problem, c, (parameters, denominator.unwrap_or(c)), workspace)
     }
 
     /// `IV`: with an auxiliary model; `APART`: its denominator differs from that of the filter; `SHIFTED`: with `y_eq`.

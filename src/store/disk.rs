@@ -29,20 +29,7 @@ const LOSSES: [&str; 3] = ["dropped_pending_throws", "dropped_messages", "droppe
 const COPY_HANGS: Duration = Duration::from_secs(30);
 
 /// State of the disk of the database, in the status as `ok`, `low`, `full` or `failing`.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    PartialOrd,
-    Ord,
-    Default,
-    Serialize,
-    Deserialize,
-    strum::AsRefStr,
-    strum::VariantArray,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, strum::AsRefStr, strum::VariantArray)]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum DiskLevel {
