@@ -44,7 +44,9 @@ const RAIN_HOURS: i64 = 72;
 const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
 /// Losses of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
 /// friction of a machine.
-const RAIN_PCT: Range<f64> = 10.0..25.0;
+const RAIN_PCT: Range<f64> = 10.0..35.0;
+/// Rise of friction \[%\] in dry weather above a baseline that was taken in rain: the reverse of the losses by rain.
+const DRY_PCT: Range<f64> = 10.0..55.0;
 /// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
 /// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
 const SIZE_SHARE: f64 = 0.01;
@@ -111,6 +113,9 @@ impl DriftAlarms {
                 // Two faulty throws in a row are no drift.
                 reading.patience += LEVELS_FOLLOW;
             }
+            let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
+            // A fall of friction that ends is no repair: the rails were wet.
+            let was_wet = cause == Cause::Friction && raised_pct.is_some_and(|pct| pct < 0.0);
             let knows_no_part = alarms.rule(cause).is_some_and(Rule::knows_no_part);
             let active = alarms.severity(cause).filter(|_| !knows_no_part);
             let concerned = || direction(cause, drift, order, tracks, settings);
@@ -118,7 +123,6 @@ impl DriftAlarms {
                 && let Some((now, _)) = self.named_now(drift, concerned(), order, tracks)
             {
                 let size = now.relevance(settings);
-                let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
                 reading.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
                 // The window may contain throws in which the drift was larger.
                 reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
@@ -134,7 +138,15 @@ impl DriftAlarms {
                 Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
                 Transition::Turn(severity) => evidence(severity).and_then(|with| alarms.turn(cause, with, at)),
                 Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
-                Transition::Clear { at_once } => alarms.clear(cause, text::cleared(name, cause, at_once), at),
+                Transition::Clear { at_once } => {
+                    let end = match (at_once, was_wet) {
+                        (false, _) => text::End::Slow,
+                        (true, false) => text::End::AtOnce,
+                        (true, true) => text::End::Dry,
+                    };
+                    alarms.clear(cause, text::cleared(name, cause, end), at)
+                }
+                Transition::ProposeRebaseline if was_wet => None,
                 Transition::ProposeRebaseline => alarms.remark(cause, text::maybe_repaired(name, cause), at),
                 Transition::Withdraw => {
                     let other = match drift.testimony {
@@ -297,8 +309,10 @@ impl DriftAlarms {
         let change = drift.change_of_friction();
         let season = change.filter(|change| self.may_be_season(change.size, tracks, context));
         self.season_pct = season.map(|change| percent(change.size));
+        let may_be_dry = change.is_some_and(|change| DRY_PCT.contains(&percent(change.size)));
+        let may_be_dry = may_be_dry && tracks.is_new(context.settings);
         match self.beside_rain(change, order, context) {
-            Claim::Named if season.is_some() => Claim::Counts,
+            Claim::Named if season.is_some() || may_be_dry => Claim::Counts,
             claim => claim,
         }
     }

@@ -1,9 +1,13 @@
 //! Wet spells in the throws of a baseline.
 //!
 //! Rain lowers the friction of the slide chairs for some hours or days. In the scatter of a baseline it would hide wear for
-//! good, so a spell that begins and ends within the throws is taken out. Two models of the friction's logarithm are
-//! compared: levels, effect of the temperature and slope; and the same with a spell, any of those that fit into the throws.
+//! good, and in its centre dry rails would look like a fault. So spells are taken out. Two models of the friction's logarithm
+//! are compared: levels, effect of the temperature and slope; and the same with spells, any of those that fit into the throws.
 //! The evidence is that of [`super::regression`], in which a machine whose throws wander needs no spells.
+//!
+//! A baseline may also begin or end in a spell. A fall that lasts to the last throw is one, as wear raises the friction. A
+//! rise is the end of a spell only within the first throws: a fault that exists from the first throws on is not detected
+//! anyway.
 
 use std::ops::{Range, RangeInclusive};
 
@@ -11,13 +15,17 @@ use serde::{Deserialize, Serialize};
 
 use super::{regression::Series, trend::Filling};
 
-/// Change of the friction's logarithm in a spell: some per cent more and less than the 10 to 25 % of rain, as the edges of a
+/// Change of the friction's logarithm in a spell: some per cent more and less than the 10 to 30 % of rain, as the edges of a
 /// spell are not sharp.
-const CHANGE: Range<f64> = -0.34..-0.07;
+const CHANGE: Range<f64> = -0.42..-0.07;
 /// Number of throws of a spell.
 const LENGTH: RangeInclusive<usize> = 6..=48;
-/// Least number of throws before a spell, and after it: a step down or up is not rain.
+/// Least number of throws before a spell and after it, unless the throws begin or end with it.
 const DRY: usize = 6;
+/// Last throw of a spell from the first throw on: a day and a half of rain at twenty throws a day, and some throws of drying.
+const FIRST: usize = 34;
+/// Least dry part of the throws: the level of the dry throws must be known.
+const DRY_PART: f64 = 0.25;
 /// Logarithm of the Bayes factor of spells against none.
 const EVIDENCE: f64 = 4.0;
 /// Largest number of spells in a baseline.
@@ -38,6 +46,21 @@ pub(super) struct WetSpell {
 }
 
 impl WetSpell {
+    /// Change of ln a1.
+    pub(super) fn change(&self) -> f64 {
+        self.change
+    }
+
+    /// Whether it begins with the throw with this number.
+    pub(super) fn is_from(&self, order: u32) -> bool {
+        self.first == order
+    }
+
+    /// Numbers of its first and last throw.
+    pub(super) fn throws(&self) -> [u32; 2] {
+        [self.first, self.last]
+    }
+
     /// Change of ln a1 in the throw with this number.
     pub(super) fn change_at(&self, order: u32) -> f64 {
         if (self.first..=self.last).contains(&order) { self.change } else { 0.0 }
@@ -49,7 +72,9 @@ pub(super) fn wet_spells(filling: &Filling) -> Vec<WetSpell> {
     /// Coefficient of the friction.
     const A1: usize = 1;
     let values = filling.values(A1, CHANGE.start.abs());
-    if !values.windows(*LENGTH.start()).any(|few| few.iter().sum::<f64>() < CHANGE.end * few.len() as f64) {
+    let means = values.windows(*LENGTH.start()).map(|few| few.iter().sum::<f64>() / few.len() as f64);
+    let (low, high) = means.fold((f64::MAX, f64::MIN), |(low, high), mean| (low.min(mean), high.max(mean)));
+    if low - high > CHANGE.end {
         return Vec::new();
     }
     let mut levels = filling.levels();
@@ -73,8 +98,15 @@ pub(super) fn wet_spells(filling: &Filling) -> Vec<WetSpell> {
 fn likeliest(values: &[f64], series: &Series) -> Vec<Range<usize>> {
     let throws = values.len();
     let Some(latest) = throws.checked_sub(DRY) else { return Vec::new() };
-    let fits = |spell: &Range<usize>| DRY <= spell.start && spell.end <= latest && LENGTH.contains(&spell.len());
-    let possible = (DRY..=latest).flat_map(|start| (start..=latest).map(move |end| start..end)).filter(fits).count();
+    let fits = |spell: &Range<usize>| {
+        let begins = if spell.start == 0 { spell.end <= FIRST } else { spell.start >= DRY };
+        begins && (spell.end == throws || spell.end <= latest) && LENGTH.contains(&spell.len())
+    };
+    let fit_together = |spells: &[Range<usize>]| {
+        let wet: usize = spells.iter().map(Range::len).sum();
+        (1..=MOST).contains(&spells.len()) && spells.iter().all(fits) && (throws - wet) as f64 >= DRY_PART * throws as f64
+    };
+    let possible = (0..throws).flat_map(|start| (start..=throws).map(move |end| start..end)).filter(fits).count();
     let (without, of_chance) = (series.evidence(), (possible as f64).ln());
     let gain = |spells: &[Range<usize>]| -> f64 {
         series.with(&column(spells, throws)).evidence - without - spells.len() as f64 * of_chance
@@ -84,9 +116,9 @@ fn likeliest(values: &[f64], series: &Series) -> Vec<Range<usize>> {
     };
     let mut edges: Vec<usize> = (DRY..=latest).collect();
     edges.sort_by(|a, b| rise(*a).total_cmp(&rise(*b)));
-    let falls = edges.iter().take(EDGES);
-    let rises = edges.iter().rev().take(EDGES);
-    let pairs: Vec<(usize, usize)> = falls.flat_map(|fall| rises.clone().map(move |rise| (*fall, *rise))).collect();
+    let falls = edges.iter().take(EDGES).copied().chain([0]);
+    let rises = edges.iter().rev().take(EDGES).copied().chain([throws]);
+    let pairs: Vec<(usize, usize)> = falls.flat_map(|fall| rises.clone().map(move |rise| (fall, rise))).collect();
     let (mut best, mut spells) = (f64::NEG_INFINITY, Vec::new());
     loop {
         let changed = pairs.iter().map(|&(fall, rise)| {
@@ -97,7 +129,7 @@ fn likeliest(values: &[f64], series: &Series) -> Vec<Range<usize>> {
             };
             runs(throws, is_wet)
         });
-        let allowed = changed.filter(|spells| (1..=MOST).contains(&spells.len()) && spells.iter().all(fits));
+        let allowed = changed.filter(|spells| fit_together(spells));
         let next = allowed.map(|spells| (gain(&spells), spells)).max_by(|a, b| a.0.total_cmp(&b.0));
         match next {
             Some((more, next)) if more > best => (best, spells) = (more, next),

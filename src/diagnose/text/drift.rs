@@ -81,14 +81,27 @@ pub(crate) fn intermittent(name: &str, found: &Departures) -> String {
     format!("Machine {name}: 1 in {one_in:.0} throws: {}. The other throws are normal. {advice}", change(explanation))
 }
 
+/// How a drift ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum End {
+    /// Slowly.
+    Slow,
+    /// Within a few throws.
+    AtOnce,
+    /// Within a few throws, after a fall of friction.
+    Dry,
+}
+
 /// Text of a drift that has ended.
-pub(crate) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
-    let repair = if at_once {
-        " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
-    } else {
-        ""
+pub(crate) fn cleared(name: &str, cause: Cause, end: End) -> String {
+    let how = match end {
+        End::Slow => "",
+        End::AtOnce => {
+            " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
+        }
+        End::Dry => " It came back within a few throws, as when wet rails dry: the baseline stays valid.",
     };
-    format!("Machine {name}: {cause} is back to normal.{repair}")
+    format!("Machine {name}: {cause} is back to normal.{how}")
 }
 
 /// Text of a drift that has ended at once, except for a part.
