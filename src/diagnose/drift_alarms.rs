@@ -46,7 +46,7 @@ const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
 /// friction of a machine.
 const RAIN_PCT: Range<f64> = 10.0..35.0;
 /// Rise of friction \[%\] in dry weather above a baseline that was taken in rain: the reverse of the losses by rain.
-const DRY_PCT: Range<f64> = 10.0..55.0;
+const DRY_PCT: Range<f64> = 10.0..60.0;
 /// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
 /// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
 const SIZE_SHARE: f64 = 0.01;

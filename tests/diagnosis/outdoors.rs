@@ -60,7 +60,7 @@ const SLOW_PHI: f64 = 0.9;
 pub(crate) struct Outdoors {
     rng: ChaCha12Rng,
     /// Standard deviations of the natural scatter, and its serial correlation.
-    sd: Vector3<f64>,
+    pub(crate) sd: Vector3<f64>,
     pub(crate) phi: f64,
     /// The fast and the slow part of the scatter, and the share of the slow part in the variance.
     wander: [Vector3<f64>; 2],

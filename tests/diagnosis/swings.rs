@@ -40,6 +40,7 @@ struct Score {
 fn table_of_unmeasured_swings() {
     let seed: u64 = std::env::var("POINTSD_SEED").map_or(2_000, |text| text.parse().unwrap());
     let lives: u64 = std::env::var("LIVES").map_or(40, |text| text.parse().unwrap());
+    let year: f64 = std::env::var("YEAR").map_or(7300.0, |text| text.parse().unwrap());
     for (season_k, day_k) in [(0.0, 0.0), (0.0, 8.0), (20.0, 0.0), (20.0, 8.0)] {
         for (cause, size) in FAULTS {
             let mut score = Score::default();
@@ -47,7 +48,7 @@ fn table_of_unmeasured_swings() {
                 let mut machine = Outdoors::new(seed + life);
                 machine.interval = SignedDuration::from_mins(72);
                 let phase = (life as f64 * 0.618).fract();
-                let air = Air { season_k, day_k, year: 7300.0, day: 20.0, phase };
+                let air = Air { season_k, day_k, year, day: 20.0, phase };
                 let onset = 300 + 37 * (life % 20);
                 let mut early = false;
                 let mut first: Option<AlarmEvent> = None;

@@ -12,7 +12,7 @@ use super::{
         settings::Settings,
         threshold::{Thresholds, WINDOWS},
         trend::Filling,
-        wet::{WetSpell, wet_spells},
+        wet::{EVIDENCE, EVIDENCE_OF_DRIFT, WetSpell, wet_spells},
     },
     Mixed, Track, Tracks,
 };
@@ -99,7 +99,7 @@ impl Tracks {
         let count = track.learned.len() + track.aside.len();
         track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
         self.follow_trend(settings);
-        if suspicion != Suspicion::None && self.is_new(settings) && self.began_wet_after_all() {
+        if suspicion == Suspicion::AboveLimit && self.is_new(settings) && self.began_wet_after_all() {
             return self.take_again(at, settings);
         }
         let track = &mut self.sides[throw.direction.side()];
@@ -116,7 +116,8 @@ impl Tracks {
         if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
             return Vec::new();
         }
-        self.wet = self.wet_spells();
+        // A drift has shown the rain, if it is known already.
+        self.wet = self.wet_spells(if self.began_wet().is_some() { EVIDENCE_OF_DRIFT } else { EVIDENCE });
         self.follow_trend(settings);
         let changes = Changes { slopes: self.slopes, wet: &self.wet };
         let track = &mut self.sides[throw.direction.side()];
@@ -141,14 +142,14 @@ impl Tracks {
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
-    /// The wet spells in the same throws.
-    fn wet_spells(&self) -> Box<[WetSpell]> {
-        if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[])).into() }
+    /// The wet spells in the same throws, with at least this evidence.
+    fn wet_spells(&self, evidence: f64) -> Box<[WetSpell]> {
+        if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[]), evidence).into() }
     }
 
     /// Whether the throws set aside show that the baselines began in rain. Then the rain is known.
     fn began_wet_after_all(&mut self) -> bool {
-        let wet = self.wet_spells();
+        let wet = self.wet_spells(EVIDENCE_OF_DRIFT);
         let is_other = |spell: &WetSpell| self.is_first(spell) && !self.wet.iter().any(|known| known.throws() == spell.throws());
         let is_found = wet.iter().any(is_other);
         if is_found {
