@@ -50,6 +50,11 @@ const DRY_PCT: Range<f64> = 10.0..60.0;
 /// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
 /// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
 const SIZE_SHARE: f64 = 0.01;
+/// Throws after a baseline in which a rise of friction may be the end of rain that lasted through it: three days at twenty
+/// throws a day.
+const NEW_BASELINE: u64 = 60;
+/// Part of a rise of friction in the throws before the longest window that a step does not have.
+const GREW_SLOWLY_FROM: f64 = 0.2;
 /// Part of a slow change that existed a week ago: a season takes months.
 const SLOW_FROM: f64 = 1.0 / 3.0;
 const DAYS_OF_WEEK: f64 = 7.0;
@@ -328,6 +333,12 @@ impl DriftAlarms {
         !is_critical && tracks.has_no_temperature() && was_there()
     }
 
+    /// Whether a part of a change of friction existed before the last throws, as it does when the temperature falls.
+    fn grew_slowly(&self, size: f64) -> bool {
+        let before = self.history.mean(LONGEST_WINDOW..3 * LONGEST_WINDOW);
+        before.is_some_and(|level| level.y / size > GREW_SLOWLY_FROM)
+    }
+
     /// The largest claim beside rain: a fall of friction by rain is over in some days.
     fn beside_rain(&mut self, change: Option<FrictionChange>, order: u64, context: Context) -> Claim {
         let Some(fall) = change.filter(|change| change.size < 0.0) else {
@@ -385,7 +396,14 @@ impl DriftAlarms {
         }
         let main = attribution.main();
         let subject = text::subject(context.name, direction);
-        let text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
+        let mut text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
+        if main.is_some_and(|main| main.cause == Cause::Friction && main.size > 0.0) {
+            if tracks.throws_compared() < throws + NEW_BASELINE {
+                text.push_str(text::MAYBE_DRY);
+            } else if tracks.has_no_temperature() && self.grew_slowly(main.map_or(0.0, |main| main.size)) {
+                text.push_str(text::MAYBE_COLD);
+            }
+        }
         Some(Evidence {
             change_pct: main.map(|main| percent(main.size)),
             change_pct_sd: main.map(text::sd_pct),

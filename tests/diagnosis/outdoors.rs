@@ -49,7 +49,7 @@ impl Air {
     /// Distance from the mean of the year \[K\].
     pub(crate) fn at(&self, throw: u64) -> f64 {
         let throw = throw as f64;
-        self.season_k * (TAU * (throw / self.year + self.phase)).sin() + self.day_k * (TAU * throw / self.day).sin()
+        self.season_k * (TAU * (throw / self.year + self.phase)).sin() + self.day_k * (TAU * (throw / self.day + 0.15)).sin()
     }
 }
 

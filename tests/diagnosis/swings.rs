@@ -40,15 +40,16 @@ struct Score {
 fn table_of_unmeasured_swings() {
     let seed: u64 = std::env::var("POINTSD_SEED").map_or(2_000, |text| text.parse().unwrap());
     let lives: u64 = std::env::var("LIVES").map_or(40, |text| text.parse().unwrap());
-    let year: f64 = std::env::var("YEAR").map_or(7300.0, |text| text.parse().unwrap());
+    let per_day: u32 = std::env::var("PER_DAY").map_or(20, |text| text.parse().unwrap());
+    let (day, year) = (f64::from(per_day), 365.0 * f64::from(per_day));
     for (season_k, day_k) in [(0.0, 0.0), (0.0, 8.0), (20.0, 0.0), (20.0, 8.0)] {
         for (cause, size) in FAULTS {
             let mut score = Score::default();
             for life in 0..lives {
                 let mut machine = Outdoors::new(seed + life);
-                machine.interval = SignedDuration::from_mins(72);
+                machine.interval = SignedDuration::from_mins(1440 / i64::from(per_day));
                 let phase = (life as f64 * 0.618).fract();
-                let air = Air { season_k, day_k, year, day: 20.0, phase };
+                let air = Air { season_k, day_k, year, day, phase };
                 let onset = 300 + 37 * (life % 20);
                 let mut early = false;
                 let mut first: Option<AlarmEvent> = None;
@@ -62,6 +63,9 @@ fn table_of_unmeasured_swings() {
                     if let Some(event) = raised.next() {
                         if throw < onset {
                             early = true;
+                            if std::env::var("SAY").is_ok() {
+                                println!("   early, life {life} throw {throw}: {} | {:.1} K", event.text, air.at(throw) - air.at(50));
+                            }
                         } else if first.is_none() {
                             if std::env::var("SAY").is_ok() && event.cause != cause && event.cause != Cause::Unattributed {
                                 println!(

@@ -14,6 +14,13 @@ use crate::diagnose::{
 /// Name of a part that loses torque, if the back-EMF of the motor has not changed.
 const MOTOR_OR_GEAR: &str = "motor or gear";
 
+/// Said of a rise of friction soon after the baseline.
+pub(crate) const MAYBE_DRY: &str =
+    " If it rained while the baseline was taken, dry rails look the same: then take a new baseline (rebaseline).";
+/// Said of a slow rise of friction on a machine without a temperature.
+pub(crate) const MAYBE_COLD: &str =
+    " Cold weather raises the friction as slowly, and without temperature_c the two look the same: publish it.";
+
 /// Text of a drift: causes with sizes, what to check, and the forecast of the critical limit. `alike` is a sensor that
 /// explains the drift equally well, and what would decide.
 pub(crate) fn drift(

@@ -189,8 +189,7 @@ impl Tracks {
     pub(in crate::diagnose) fn is_new(&self, settings: &Settings) -> bool {
         let usable = settings.baseline_usable_throws;
         let is_first = |baseline: &Baseline| baseline.throws() < 2 * usable && !baseline.is_final(settings);
-        let compared: u64 = self.sides.iter().map(|track| track.since_baseline).sum();
-        self.sides.iter().flat_map(|track| &track.baseline).any(is_first) && compared < 2 * usable as u64
+        self.sides.iter().flat_map(|track| &track.baseline).any(is_first) && self.throws_compared() < 2 * usable as u64
     }
 
     /// The throws of the baselines, also those set aside, as in dry weather.
