@@ -89,7 +89,9 @@ impl Course {
         let known = if noises[0] == noises[1] { &noises[..1] } else { &noises[..] };
         let stages: Vec<(Stage, f64)> = known
             .iter()
-            .flat_map(|noise| last_stages(points, *noise).into_iter().map(|stage| (stage, noise.offset_variance())))
+            .flat_map(|noise| {
+                last_stages(points, *noise).into_iter().map(move |stage| (stage, noise.offset_variance()))
+            })
             .collect();
         let total = ln_sum(stages.iter().map(|(stage, _)| stage.evidence));
         let weight = |stage: &Stage| (stage.evidence - total).exp();

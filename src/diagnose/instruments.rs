@@ -307,7 +307,11 @@ impl Instruments {
                 return event;
             }
         }
-        if is_over(owner) { alarms.clear(Cause::Supply, text::cleared(name, Cause::Supply, text::End::Slow), at) } else { None }
+        if is_over(owner) {
+            alarms.clear(Cause::Supply, text::cleared(name, Cause::Supply, text::End::Slow), at)
+        } else {
+            None
+        }
     }
 
     /// Deletes the last throws, but not the normal values, after maintenance.

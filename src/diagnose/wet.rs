@@ -123,7 +123,9 @@ fn likeliest(values: &[f64], gain_of: impl Fn(&[f64]) -> f64, evidence: f64) -> 
     };
     let fit_together = |spells: &[Range<usize>]| {
         let wet: usize = spells.iter().map(Range::len).sum();
-        (1..=MOST).contains(&spells.len()) && spells.iter().all(fits) && (throws - wet) as f64 >= DRY_PART * throws as f64
+        (1..=MOST).contains(&spells.len())
+            && spells.iter().all(fits)
+            && (throws - wet) as f64 >= DRY_PART * throws as f64
     };
     let is_inside = |spell: &Range<usize>| spell.start > 0 && spell.end < throws;
     let possible = (0..throws).flat_map(|start| (start..=throws).map(move |end| start..end)).filter(fits);
@@ -131,7 +133,8 @@ fn likeliest(values: &[f64], gain_of: impl Fn(&[f64]) -> f64, evidence: f64) -> 
     let of_chance = |spell: &Range<usize>| 2.0 * if is_inside(spell) { inside.len() } else { beside.len() } as f64;
     let gain = |spells: &[Range<usize>]| -> (f64, u32) {
         let of = |drying: u32| (gain_of(&column(spells, drying, throws)), drying);
-        let (gain, drying) = DRYING.map(of).into_iter().fold((f64::NEG_INFINITY, 0), |a, b| if b.0 > a.0 { b } else { a });
+        let (gain, drying) =
+            DRYING.map(of).into_iter().fold((f64::NEG_INFINITY, 0), |a, b| if b.0 > a.0 { b } else { a });
         (gain - spells.iter().map(|spell| of_chance(spell).ln()).sum::<f64>(), drying)
     };
     let rise = |at: usize| -> f64 {

@@ -60,7 +60,7 @@ fn life(seed: u64, slow: f64, (cause, top): (Cause, f64), throws: u32, shape: Sh
 #[ignore = "prints a table, in some minutes"]
 fn table_of_lasting_scatter() {
     let seed: u64 = std::env::var("POINTSD_SEED").map_or(3_000, |text| text.parse().unwrap());
-    let lives: u64 = std::env::var("LIVES").map_or(5, |text| text.parse().unwrap());
+    let lives: u64 = std::env::var("POINTSD_LIVES").map_or(5, |text| text.parse().unwrap());
     for slow in [0.0, 0.4] {
         let mut all = Held::default();
         for (label, shape, goes_on) in SHAPES {
@@ -81,7 +81,10 @@ fn table_of_lasting_scatter() {
         let share = |part: u32, of: u32| 100.0 * f64::from(part) / f64::from(of);
         println!(
             "slow {slow}: sizes held {:.1} % of {}, forecasts {:.1} % of {}",
-            share(all.held, all.said), all.said, share(all.reached, all.forecasts), all.forecasts
+            share(all.held, all.said),
+            all.said,
+            share(all.reached, all.forecasts),
+            all.forecasts
         );
     }
 }

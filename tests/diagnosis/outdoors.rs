@@ -49,7 +49,8 @@ impl Air {
     /// Distance from the mean of the year \[K\].
     pub(crate) fn at(&self, throw: u64) -> f64 {
         let throw = throw as f64;
-        self.season_k * (TAU * (throw / self.year + self.phase)).sin() + self.day_k * (TAU * (throw / self.day + 0.15)).sin()
+        self.season_k * (TAU * (throw / self.year + self.phase)).sin()
+            + self.day_k * (TAU * (throw / self.day + 0.15)).sin()
     }
 }
 
@@ -127,7 +128,8 @@ impl Outdoors {
         let side = usize::from(self.throws % 2 == 1);
         // The errors of an estimate are nearly equal in the three coefficients.
         let error = Vector3::repeat(0.005 * self.number()) + Vector3::from_fn(|_, _| 0.0015 * self.number());
-        let estimate: [f64; 3] = (self.centre[side] + self.wander[0] + self.wander[1] + error + change).map(f64::exp).into();
+        let estimate: [f64; 3] =
+            (self.centre[side] + self.wander[0] + self.wander[1] + error + change).map(f64::exp).into();
         let covariance =
             Matrix3::from_fn(|i, j| estimate[i] * estimate[j] * (2.5e-5 + if i == j { 2.25e-6 } else { 0.0 }));
         self.throws += 1;

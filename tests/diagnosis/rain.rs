@@ -45,11 +45,6 @@ fn life(seed: u64, minutes: i64, rain: &Rain, fault_at: u64, fault: f64) -> Outc
     for throw in 0..fault_at {
         let verdict = machine.throw(machine.of_friction(rain.at(throw)));
         let alarm = verdict.events.iter().find(|event| event.cause.is_drift());
-        if std::env::var("SAY").is_ok() {
-            for event in &verdict.events {
-                println!("      seed {seed} throw {throw}: {} {}", event.state.as_str(), event.text);
-            }
-        }
         outcome.alarmed = outcome.alarmed.or(alarm.map(|_| throw));
         outcome.notice |= verdict.caveats.iter().any(|caveat| caveat.contains("wet"));
     }
@@ -77,8 +72,7 @@ fn first_seed() -> u64 {
 #[ignore = "prints a table, in some minutes"]
 fn table_of_rain_in_baselines() {
     const LIVES: u64 = 40;
-    let only = std::env::var("ROW").unwrap_or_default();
-    for (label, spells) in ROWS.into_iter().filter(|(label, _)| label.contains(&only)) {
+    for (label, spells) in ROWS {
         for loss_pct in [10.0, 20.0, 30.0] {
             let outcomes: Vec<Outcome> = (0..LIVES)
                 .map(|at| {
@@ -118,7 +112,9 @@ fn table_of_wandering_machines_without_rain() {
             let mut events = (0..40).flat_map(|_| machine.throw(machine.of_friction(0.6_f64.ln_1p())).events);
             named += u32::from(events.any(|event| event.cause == Cause::Friction));
         }
-        println!("correlation {phi}, scatter {times}: rain noticed {noticed}, {alarms} alarms of {LIVES}; +60 % named {named}");
+        println!(
+            "correlation {phi}, scatter {times}: rain noticed {noticed}, {alarms} alarms of {LIVES}; +60 % named {named}"
+        );
     }
 }
 
@@ -162,7 +158,10 @@ fn table_of_faults_in_first_throws() {
             })
             .collect();
         at.sort_by(f64::total_cmp);
-        println!("friction +{per_throw} % a throw: seen at {:.1} % in the median, {:.1} % in 38 of 40; rain {noticed}", at[20], at[37]);
+        println!(
+            "friction +{per_throw} % a throw: seen at {:.1} % in the median, {:.1} % in 38 of 40; rain {noticed}",
+            at[20], at[37]
+        );
     }
 }
 
@@ -172,7 +171,8 @@ fn a_baseline_that_begins_or_ends_in_rain_alarms_nobody_and_hides_no_fault() {
     let (mut alarmed, mut named, mut noticed, mut lives) = (0, 0, 0, 0);
     for (label, spells) in ROWS.into_iter().filter(|(label, _)| *label != "none" && *label != "all 100") {
         for at in 0..LIVES {
-            let rain = Rain { spells: spells(7 * at), loss_pct: [20.0, 28.0][usize::from(at % 2 == 1)], drying: at % 5 };
+            let rain =
+                Rain { spells: spells(7 * at), loss_pct: [20.0, 28.0][usize::from(at % 2 == 1)], drying: at % 5 };
             let outcome = life(600_000 + at, 70, &rain, 180, 0.3);
             alarmed += u32::from(outcome.alarmed.is_some());
             named += u32::from(outcome.named.is_some());

@@ -6,13 +6,8 @@ use pointsd::diagnose::{AlarmEvent, Cause, Severity};
 
 use crate::outdoors::{Air, Outdoors};
 
-const FAULTS: [(Cause, f64); 5] = [
-    (Cause::Kt, -0.10),
-    (Cause::Friction, 0.30),
-    (Cause::Stiffness, 0.20),
-    (Cause::Inertia, 0.10),
-    (Cause::Kt, -0.15),
-];
+const FAULTS: [(Cause, f64); 5] =
+    [(Cause::Kt, -0.10), (Cause::Friction, 0.30), (Cause::Stiffness, 0.20), (Cause::Inertia, 0.10), (Cause::Kt, -0.15)];
 
 fn effect(machine: &Outdoors, cause: Cause, size: f64) -> Vector3<f64> {
     let log = size.ln_1p();
@@ -39,8 +34,8 @@ struct Score {
 #[ignore = "prints a table, in some minutes"]
 fn table_of_unmeasured_swings() {
     let seed: u64 = std::env::var("POINTSD_SEED").map_or(2_000, |text| text.parse().unwrap());
-    let lives: u64 = std::env::var("LIVES").map_or(40, |text| text.parse().unwrap());
-    let per_day: u32 = std::env::var("PER_DAY").map_or(20, |text| text.parse().unwrap());
+    let lives: u64 = std::env::var("POINTSD_LIVES").map_or(40, |text| text.parse().unwrap());
+    let per_day: u32 = std::env::var("POINTSD_THROWS_A_DAY").map_or(20, |text| text.parse().unwrap());
     let (day, year) = (f64::from(per_day), 365.0 * f64::from(per_day));
     for (season_k, day_k) in [(0.0, 0.0), (0.0, 8.0), (20.0, 0.0), (20.0, 8.0)] {
         for (cause, size) in FAULTS {
@@ -63,16 +58,7 @@ fn table_of_unmeasured_swings() {
                     if let Some(event) = raised.next() {
                         if throw < onset {
                             early = true;
-                            if std::env::var("SAY").is_ok() {
-                                println!("   early, life {life} throw {throw}: {} | {:.1} K", event.text, air.at(throw) - air.at(50));
-                            }
                         } else if first.is_none() {
-                            if std::env::var("SAY").is_ok() && event.cause != cause && event.cause != Cause::Unattributed {
-                                println!(
-                                    "   {cause} {size} life {life} onset {onset} at +{}: {} | T-base {:.1} k {:.2?}",
-                                    throw - onset, event.text, air.at(throw) - air.at(50), machine.per_k * 100.0
-                                );
-                            }
                             first = Some(event);
                         }
                     }

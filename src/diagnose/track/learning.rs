@@ -150,7 +150,8 @@ impl Tracks {
     /// Whether the throws set aside show that the baselines began in rain. Then the rain is known.
     fn began_wet_after_all(&mut self) -> bool {
         let wet = self.wet_spells(EVIDENCE_OF_DRIFT);
-        let is_other = |spell: &WetSpell| self.is_first(spell) && !self.wet.iter().any(|known| known.throws() == spell.throws());
+        let is_other =
+            |spell: &WetSpell| self.is_first(spell) && !self.wet.iter().any(|known| known.throws() == spell.throws());
         let is_found = wet.iter().any(is_other);
         if is_found {
             self.wet = wet;
