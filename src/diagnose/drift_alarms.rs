@@ -53,7 +53,7 @@ const SIZE_SHARE: f64 = 0.01;
 /// Throws after a baseline in which a rise of friction may be the end of rain that lasted through it: three days at twenty
 /// throws a day.
 const NEW_BASELINE: u64 = 60;
-/// Part of a rise of friction in the throws before the longest window that a step does not have.
+/// Part of a change of friction in the throws before the longest window that a step does not have.
 const GREW_SLOWLY_FROM: f64 = 0.2;
 /// Part of a slow change that existed a week ago: a season takes months.
 const SLOW_FROM: f64 = 1.0 / 3.0;
@@ -358,7 +358,7 @@ impl DriftAlarms {
         !is_critical && tracks.has_no_temperature() && was_there()
     }
 
-    /// Whether a part of a change of friction existed before the last throws, as it does when the temperature falls.
+    /// Whether a part of a change of friction existed before the last throws, as it does when the temperature changes.
     fn grew_slowly(&self, size: f64) -> bool {
         let before = self.history.mean(LONGEST_WINDOW..3 * LONGEST_WINDOW);
         before.is_some_and(|level| level.y / size > GREW_SLOWLY_FROM)
@@ -422,11 +422,11 @@ impl DriftAlarms {
         let main = attribution.main();
         let subject = text::subject(context.name, direction);
         let mut text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
-        if main.is_some_and(|main| main.cause == Cause::Friction && main.size > 0.0) {
-            if tracks.throws_compared() < throws + NEW_BASELINE {
+        if let Some(main) = main.filter(|main| main.cause == Cause::Friction) {
+            if main.size > 0.0 && tracks.throws_compared() < throws + NEW_BASELINE {
                 text.push_str(text::MAYBE_DRY);
-            } else if tracks.has_no_temperature() && self.grew_slowly(main.map_or(0.0, |main| main.size)) {
-                text.push_str(text::MAYBE_COLD);
+            } else if tracks.has_no_temperature() && self.grew_slowly(main.size) {
+                text.push_str(text::MAYBE_TEMPERATURE);
             }
         }
         Some(Evidence {

@@ -79,3 +79,23 @@ fn table_of_unmeasured_swings() {
         }
     }
 }
+
+/// A season that is as fast as a fault cannot be told from one, and the alarm says so.
+#[test]
+fn a_friction_alarm_of_an_unmeasured_swing_names_the_temperature_too() {
+    let (mut alarms, mut said) = (0, 0);
+    for seed in 0..12 {
+        let mut machine = Outdoors::new(640_000 + seed);
+        machine.interval = SignedDuration::from_mins(72);
+        let air = Air { season_k: 20.0, day_k: 2.0, year: 700.0, day: 20.0, phase: 0.08 * seed as f64 };
+        for throw in 0..900 {
+            let events = machine.throw(machine.per_k * air.at(throw)).events;
+            for event in events.iter().filter(|event| event.cause == Cause::Friction && event.event_no == 1) {
+                alarms += 1;
+                said += u32::from(event.text.contains("temperature_c") || event.text.contains("dry rails"));
+            }
+        }
+    }
+    println!("{said} of {alarms} friction alarms name the weather");
+    assert!(alarms >= 3 && 10 * said >= 8 * alarms, "{said} of {alarms}");
+}

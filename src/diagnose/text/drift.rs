@@ -17,9 +17,8 @@ const MOTOR_OR_GEAR: &str = "motor or gear";
 /// Said of a rise of friction soon after the baseline.
 pub(crate) const MAYBE_DRY: &str =
     " If it rained while the baseline was taken, dry rails look the same: then take a new baseline (rebaseline).";
-/// Said of a slow rise of friction on a machine without a temperature.
-pub(crate) const MAYBE_COLD: &str =
-    " Cold weather raises the friction as slowly, and without temperature_c the two look the same: publish it.";
+/// Said of a slow change of friction on a machine without a temperature.
+pub(crate) const MAYBE_TEMPERATURE: &str = " Cold raises the friction and warmth lowers it as slowly, and without temperature_c they look the same: publish it.";
 
 /// Text of a drift: causes with sizes, what to check, and the forecast of the critical limit. `alike` is a sensor that
 /// explains the drift equally well, and what would decide.
