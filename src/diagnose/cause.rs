@@ -292,15 +292,6 @@ impl Attribution {
         self.decides.is_some() && !matches!(self.naming, Naming::Neither(..)) && !self.includes(Cause::Kt)
     }
 
-    /// Whether the back-EMF changed by more than the warning limit of the motor, so that the name of another part takes nothing
-    /// from a motor that has an alarm: dry friction beside it explains the coefficients alone.
-    pub(super) fn shows_other_magnets(&self, settings: &Settings) -> bool {
-        let is_shown = |level: Level| {
-            relevance(Cause::Kt, level.value, settings) > 1.0 && level.value.abs() > CHANGED_SD * level.sd
-        };
-        self.back_emf.is_some_and(is_shown)
-    }
-
     /// Whether a rise of friction alone lowers b0 as much as a relevant loss of torque, as dry friction does: the gauges show no
     /// loss of torque that leaves the back-EMF.
     pub(super) fn may_hide_a_lost_torque(&self) -> bool {

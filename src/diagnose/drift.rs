@@ -130,7 +130,6 @@ impl Drift {
             || self.attribution.as_ref().is_some_and(|attribution| {
                 matches!(attribution.naming, Naming::One(_))
                     && !attribution.includes(cause)
-                    && !(cause == Cause::Kt && attribution.shows_other_magnets(settings))
                     && attribution.relevance > 1.0
             });
         let levels = self.levels.iter().flatten().filter(|window| window.shows(cause));
