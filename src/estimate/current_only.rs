@@ -23,10 +23,10 @@ use super::{
     movement::{Movement, NEAR_END_SHARE, mean, median_of_magnitudes, samples_in},
     ratios,
     rejection::Channel,
-    settings::Settings,
+    settings::{Motor, Settings},
     window,
 };
-use crate::throw::Direction;
+use crate::throw::{Direction, Throw};
 
 /// Lowest sampling rate that resolves the inrush \[Hz\].
 pub(super) const LEAST_RATE_HZ: f64 = 500.0;
@@ -92,12 +92,13 @@ fn solve(
 pub(super) fn estimate(
     current: &[f64],
     movement: &Movement,
-    (supply_v, stroke_mm): (f64, f64),
-    direction: Option<Direction>,
+    throw: &Throw,
     settings: &Settings,
     interval_s: f64,
     features: &mut Features,
 ) -> Result<Estimate, &'static str> {
+    let known = throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
+    let (supply_v, stroke_mm) = known.ok_or_else(|| unknown(throw, settings))?;
     if interval_s * LEAST_RATE_HZ > 1.0001 {
         return Err("the coefficients need at least 500 samples/s");
     }
@@ -124,7 +125,7 @@ pub(super) fn estimate(
     // The motor is cut off when the toe arrives, so the last samples may be falling already.
     let last = amperes.len().checked_sub(3).ok_or(NOT_ENDED)?;
     let inrush = samples_in(INRUSH_S, interval_s).min(last);
-    let from_start_mm = match direction {
+    let from_start_mm = match throw.direction {
         Some(Direction::ReverseToNormal) => stroke_mm - settings.neutral_mm,
         Some(Direction::NormalToReverse) | None => settings.neutral_mm,
     };
@@ -175,6 +176,17 @@ pub(super) fn estimate(
     estimate.grade = Grade::CurrentOnly;
     estimate.ratios_only = false;
     Ok(estimate)
+}
+
+/// Why the coefficients are not searched in the current: a missing value, or the kind of motor.
+fn unknown(throw: &Throw, settings: &Settings) -> &'static str {
+    if settings.motor != Motor::PermanentMagnet {
+        "the current gives the coefficients of a permanent-magnet motor only"
+    } else if throw.supply_v.is_some() && settings.stroke_mm.is_some() {
+        "the coefficients need a possible supply_v"
+    } else {
+        "the coefficients need supply_v in the message and stroke_mm in the configuration"
+    }
 }
 
 /// The last sample with the supply voltage at the motor. A motor that stalls at the end of the stroke winds up the drive,

@@ -1,7 +1,7 @@
 //! Channels with fewer new values than samples: a logger that reads a slow sensor, or samples slowly, repeats each value
 //! (or sends `null` for it) until the next one.
 
-use super::movement::{median_of, quantum, start_of_motor};
+use super::movement::{median_of, quantum, samples_in, start_of_motor};
 use crate::throw::Trace;
 
 /// Least number of new values for a decision.
@@ -66,13 +66,11 @@ impl Updates {
         if 3 * changed > 2 * values.len() {
             return None;
         }
-        let mut last = f64::NAN;
         let (mut at, mut new) = (Vec::new(), Vec::new());
         for (sample, value) in values.iter().enumerate() {
-            if value.is_finite() && *value != last {
+            if value.is_finite() && new.last() != Some(value) {
                 at.push(sample);
                 new.push(*value);
-                last = *value;
             }
         }
         if at.len() <= LEAST_UPDATES {
@@ -84,8 +82,7 @@ impl Updates {
         let (gap, change) = (median_of(&gaps, &mut scratch), median_of(&changes, &mut scratch));
         let tolerance = (REGULAR_TOLERANCE * gap).max(1.0);
         let regular = gaps.iter().filter(|samples| (**samples - gap).abs() <= tolerance).count();
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of samples")]
-        let every = gap as usize;
+        let every = samples_in(gap, 1.0);
         let is_held =
             every > 1 && change >= LEAST_CHANGE * quantum(&new) && regular as f64 >= REGULAR_SHARE * gaps.len() as f64;
         is_held.then_some(Self { every, at })
@@ -155,7 +152,7 @@ mod tests {
     fn a_slow_position_is_joined_by_lines_also_between_nulls_and_with_irregular_distances() {
         let usual = |at: usize| toe(7 + at.saturating_sub(7) / 10 * 10);
         let nulls = |at: usize| if at % 10 == 7 { toe(at) } else { f64::NAN };
-        let irregular = |at: usize| toe((10.3 * (at as f64 / 10.3).floor()).ceil() as usize);
+        let irregular = |at: usize| toe((at * 10 / 103 * 103).div_ceil(10));
         for position in [&usual as &dyn Fn(usize) -> f64, &nulls, &irregular] {
             let resampled = resampled(&trace(motor, position)).unwrap();
             assert_eq!((resampled.trace.len(), resampled.position_every), (2000, 10.0));
@@ -171,8 +168,10 @@ mod tests {
         let held = |at: usize| 3 + at.saturating_sub(3) / 5 * 5;
         let resampled = resampled(&trace(|at| motor(held(at)), |at| toe(held(at)))).unwrap();
         assert_eq!((resampled.trace.sample_rate_hz(), resampled.position_every), (200.0, 1.0));
-        assert!(resampled.trace.current_a().iter().enumerate().all(|(k, a)| *a == motor(3 + 5 * k)));
-        assert!(resampled.trace.position_mm()[1..].iter().enumerate().all(|(k, mm)| *mm == toe(8 + 5 * k)));
+        assert!(resampled.trace.current_a().iter().enumerate().all(|(k, a)| (a - motor(3 + 5 * k)).abs() < 1e-12));
+        assert!(
+            resampled.trace.position_mm()[1..].iter().enumerate().all(|(k, mm)| (mm - toe(8 + 5 * k)).abs() < 1e-12)
+        );
     }
 
     #[test]

@@ -178,28 +178,13 @@ impl Identifier {
         let mut features = current_only::features(&movement, &self.current, interval_s);
         features.supply_v = throw.supply_v;
         features.energy_j = energy_j(throw, &features);
-        let known =
-            throw.possible_supply_v().zip(settings.stroke_mm).filter(|_| settings.motor == Motor::PermanentMagnet);
         let start_s = movement.start() as f64 * interval_s;
         let outcome = damage::values(raw_current, &[], raw_interval_s)
             .and_then(|()| missing::within(trace, start_s - interval_s, start_s + damage::INRUSH_S).map_or(Ok(()), Err))
             .and_then(|()| settings.check_ranges().map_err(|error| Rejection::Settings { problem: error.to_string() }))
             .and_then(|()| long_enough(self.current.len(), interval_s))
             .and_then(|()| {
-                let estimate = |known| {
-                    current_only::estimate(
-                        &self.current,
-                        &movement,
-                        known,
-                        throw.direction,
-                        settings,
-                        interval_s,
-                        &mut features,
-                    )
-                };
-                known
-                    .ok_or_else(|| without_current(throw, settings))
-                    .and_then(estimate)
+                current_only::estimate(&self.current, &movement, throw, settings, interval_s, &mut features)
                     .map_err(|why| Rejection::NoPosition { sent: sent_position(trace).to_owned(), why: why.to_owned() })
             });
         Identification {
@@ -341,38 +326,34 @@ impl Identifier {
         };
         let travel = movement.travel_mm * std::f64::consts::TAU / settings.lead_mm;
         let foot = movement.start() - window.from;
-        let verdict = accept(&solution, settings)
-            .and_then(|()| {
-                misfit(&self.output, self.workspace.model_output(), &solution, window, travel, settings.lead_mm)
-            })
-            .and_then(|departure| {
-                let channels = (self.input.as_slice(), self.output.as_slice(), self.workspace.model_output());
-                let noise = (window.interval_s, window.output_noise);
-                let delay_s = lateness::check(channels, problem.equilibrium, solution.parameters, foot, noise)?;
-                let channels = (self.input.as_slice(), self.output.as_slice());
-                let brake_sd =
-                    brake::scale_sd(channels, problem.equilibrium, solution.parameters, foot, noise, &mut self.brakes)?;
-                Ok(Departure { delay_s, brake_sd, ..departure })
-            })
-            .and_then(|departure| {
-                let refined = if settings.refined {
-                    model.refine(&problem, &solution, &noise, &mut self.workspace).map_err(|_| Rejection::Singular)?
-                } else {
-                    None
-                };
-                let solution = refined.unwrap_or(solution);
-                accept(&solution, settings)?;
-                let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
-                let offset = (window.rest_a, noise.scale);
-                let errors = Sriv::systematic_errors(&problem, &solution, foot, offset, &self.workspace);
-                let load = ratios::start(&self.output, window.interval_s)
-                    .and_then(|from| Load::of((&self.input, &self.output), window.equilibrium, from, window.interval_s))
-                    .and_then(|load| model.load_covariance(&problem, &solution, &load, &self.workspace))
-                    .ok_or(Rejection::Singular)?;
-                let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
-                finish(&solution, &covariance, errors, &load, departure, window, cut.then_some(movement.travel_mm))
-            });
-        (Some(found), verdict)
+        let accepted = || {
+            accept(&solution, settings)?;
+            let departure =
+                misfit(&self.output, self.workspace.model_output(), &solution, window, travel, settings.lead_mm)?;
+            let (parameters, level) = (solution.parameters, (window.interval_s, window.output_noise));
+            let channels = (self.input.as_slice(), self.output.as_slice());
+            let with_model = (channels.0, channels.1, self.workspace.model_output());
+            let delay_s = lateness::check(with_model, problem.equilibrium, parameters, foot, level)?;
+            let brake_sd = brake::scale_sd(channels, problem.equilibrium, parameters, foot, level, &mut self.brakes)?;
+            let refined = if settings.refined {
+                model.refine(&problem, &solution, &noise, &mut self.workspace).map_err(|_| Rejection::Singular)?
+            } else {
+                None
+            };
+            let solution = refined.unwrap_or(solution);
+            accept(&solution, settings)?;
+            let covariance = model.covariance(&problem, &solution, &noise, &self.workspace);
+            let offset = (window.rest_a, noise.scale);
+            let errors = Sriv::systematic_errors(&problem, &solution, foot, offset, &self.workspace);
+            let load = ratios::start(&self.output, window.interval_s)
+                .and_then(|from| Load::of((&self.input, &self.output), window.equilibrium, from, window.interval_s))
+                .and_then(|load| model.load_covariance(&problem, &solution, &load, &self.workspace))
+                .ok_or(Rejection::Singular)?;
+            let cut = settings.stroke_mm.is_none() && movement.ends_moving(&self.position);
+            let departure = Departure { delay_s, brake_sd, ..departure };
+            finish(&solution, &covariance, errors, &load, departure, window, cut.then_some(movement.travel_mm))
+        };
+        (Some(found), accepted())
     }
 
     /// Cuts the window out of the trace and converts it: input positive if it drives the throw, output in radians of
@@ -472,17 +453,6 @@ impl Identifier {
 /// Energy of the motor \[J\], if the charge and a possible supply voltage are known.
 fn energy_j(throw: &Throw, features: &Features) -> Option<f64> {
     throw.possible_supply_v().zip(features.charge_as).map(|(volts, charge_as)| volts * charge_as)
-}
-
-/// Why the coefficients of a throw without a toe position are not searched in its current.
-fn without_current(throw: &Throw, settings: &Settings) -> &'static str {
-    if settings.motor != Motor::PermanentMagnet {
-        "the current gives the coefficients of a permanent-magnet motor only"
-    } else if throw.supply_v.is_some() && settings.stroke_mm.is_some() {
-        "the coefficients need a possible supply_v"
-    } else {
-        "the coefficients need supply_v in the message and stroke_mm in the configuration"
-    }
 }
 
 /// What `position_mm` contains instead of a toe position, for the text of the rejection.

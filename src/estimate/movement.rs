@@ -204,9 +204,7 @@ impl Movement {
     /// States that only one of so many positions is measured, so that fewer of those at rest count.
     pub(super) fn measure_position_every(&mut self, samples: f64) {
         self.position_every = samples.max(1.0);
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of samples")]
-        let measured = (self.position.samples as f64 / self.position_every) as usize;
-        self.position.samples = measured;
+        self.position.samples = samples_in(self.position.samples as f64, self.position_every);
     }
 
     /// The features of the two channels, with the sampling interval \[s\].
