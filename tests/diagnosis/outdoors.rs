@@ -71,8 +71,6 @@ pub(crate) struct Outdoors {
     pub(crate) leak: f64,
     /// Change of the three logarithms per kelvin.
     pub(crate) per_k: Vector3<f64>,
-    /// Part of the rain's effect that this machine feels.
-    pub(crate) exposure: f64,
     pub(crate) throws: u64,
     pub(crate) interval: SignedDuration,
     now: Timestamp,
@@ -98,7 +96,6 @@ impl Outdoors {
             centre,
             leak,
             per_k,
-            exposure: 1.0,
             throws: 0,
             interval: SignedDuration::from_mins(70),
             now,
