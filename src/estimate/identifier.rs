@@ -483,12 +483,8 @@ fn direction_moved(movement: &Movement, outcome: &Result<Estimate, Rejection>) -
             | Rejection::Noisy { channel: Channel::Position, .. }
             | Rejection::PositionJump { .. })
     );
-    match movement.sign {
-        _ if untrusted => None,
-        sign if sign > 0.0 => Some(Direction::NormalToReverse),
-        sign if sign < 0.0 => Some(Direction::ReverseToNormal),
-        _ => None,
-    }
+    let moved = if movement.sign > 0.0 { Direction::NormalToReverse } else { Direction::ReverseToNormal };
+    (!untrusted && movement.sign != 0.0).then_some(moved)
 }
 
 /// Copies a channel; a value that is not finite is replaced by the previous one, for the features of the rest.

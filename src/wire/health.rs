@@ -94,14 +94,13 @@ impl Health {
         quality: &str,
         detail: Option<String>,
     ) -> Self {
-        let (schema, quality) = (Self::SCHEMA.to_owned(), quality.to_owned());
         Self {
-            schema,
+            schema: Self::SCHEMA.to_owned(),
             machine,
             throw,
             started_at,
             direction: None,
-            quality,
+            quality: quality.to_owned(),
             coefficients: None,
             sd: None,
             change_pct: None,
