@@ -98,11 +98,6 @@ impl BaselineThrow {
         }
     }
 
-    /// Number of the throw among those of the machine.
-    pub(super) fn order(&self) -> u32 {
-        self.order
-    }
-
     /// The logarithms in dry weather.
     fn dry(&self, wet: &[WetSpell]) -> Vector3<f64> {
         let change: f64 = wet.iter().map(|spell| spell.change_at(self.order)).sum();

@@ -80,23 +80,32 @@ pub(super) struct Course {
 }
 
 impl Course {
-    /// The course of the points, oldest first, where the last throws are single points; `noises` are equally probable before.
-    /// `None` for fewer than three points.
-    pub(super) fn of(points: &[Point], noises: [Noise; 2]) -> Option<Self> {
-        if points.len() < 3 || noises.iter().any(|noise| noise.sd <= 0.0 || noise.sd.is_nan()) {
+    /// The course of the points, oldest first, where the last throws are single points. `None` for fewer than three.
+    pub(super) fn of(points: &[Point], noise: Noise) -> Option<Self> {
+        if points.len() < 3 || noise.sd <= 0.0 || noise.sd.is_nan() {
             return None;
         }
-        let known = if noises[0] == noises[1] { &noises[..1] } else { &noises[..] };
-        let stages: Vec<(Stage, f64)> = known
-            .iter()
-            .flat_map(|noise| {
-                last_stages(points, *noise).into_iter().map(move |stage| (stage, noise.offset_variance()))
-            })
-            .collect();
-        let total = ln_sum(stages.iter().map(|(stage, _)| stage.evidence));
-        let weight = |stage: &Stage| (stage.evidence - total).exp();
-        let offset_variance = stages.iter().map(|(stage, offset)| weight(stage) * offset).sum();
-        let last = stages.into_iter().map(|(stage, _)| (weight(&stage), stage)).collect();
+        let series = Series::new(points, noise);
+        let offset_variance = (noise.offset_sd * noise.offset_sd).max(1e-12);
+        let mut stages = vec![Stage::undrifted(points[0].age, offset_variance, series.slow_variance)];
+        // Logarithm of the evidence of all series of stages up to the point before.
+        let mut before = 0.0;
+        for at in 0..points.len() {
+            // A drift is not measured by a single throw.
+            if at + 1 < points.len() {
+                let evidence = before + (BEGINS_PER_POINT / SHAPES.len() as f64).ln();
+                stages.extend(SHAPES.map(|shape| Stage::drifted(points[at].age, shape, noise.slow_sd, evidence)));
+            }
+            for stage in &mut stages {
+                stage.add(&series, at);
+            }
+            let best = stages.iter().filter(|stage| stage.drifted).map(|stage| stage.evidence).fold(f64::MIN, f64::max);
+            stages.retain(|stage| stage.evidence > best - NEGLIGIBLE);
+            before = total_evidence(&stages);
+        }
+        stages.retain(|stage| stage.drifted);
+        let total = total_evidence(&stages);
+        let last = stages.into_iter().map(|stage| ((stage.evidence - total).exp(), stage)).collect();
         Some(Self { last, offset_variance })
     }
 
@@ -133,29 +142,6 @@ impl Course {
         let share = |share: f64| first(&above, share * reached);
         Some(LimitForecast { low: share(TAIL)?, mid: share(0.5)?, high: share(1.0 - TAIL)? })
     }
-}
-
-/// The last stage with each of its possible beginnings and shapes.
-fn last_stages(points: &[Point], noise: Noise) -> Vec<Stage> {
-    let series = Series::new(points, noise);
-    let mut stages = vec![Stage::undrifted(points[0].age, noise.offset_variance(), series.slow_variance)];
-    // Logarithm of the evidence of all series of stages up to the point before.
-    let mut before = 0.0;
-    for at in 0..points.len() {
-        // A drift is not measured by a single throw.
-        if at + 1 < points.len() {
-            let evidence = before + (BEGINS_PER_POINT / SHAPES.len() as f64).ln();
-            stages.extend(SHAPES.map(|shape| Stage::drifted(points[at].age, shape, noise.slow_sd, evidence)));
-        }
-        for stage in &mut stages {
-            stage.add(&series, at);
-        }
-        let best = stages.iter().filter(|stage| stage.drifted).map(|stage| stage.evidence).fold(f64::MIN, f64::max);
-        stages.retain(|stage| stage.evidence > best - NEGLIGIBLE);
-        before = total_evidence(&stages);
-    }
-    stages.retain(|stage| stage.drifted);
-    stages
 }
 
 /// The values of a course as parts of nominal, with the variance of their noise.
@@ -333,7 +319,7 @@ mod tests {
         let shapes: [fn(f64) -> f64; 3] =
             [|t| if t < 40.0 { 0.0 } else { 0.1 }, |t| 0.004 * (t - 20.0).max(0.0), |t| 5e-5 * t * t];
         for shape in shapes {
-            let (size, sd) = Course::of(&series(shape), [NOISE; 2]).unwrap().now();
+            let (size, sd) = Course::of(&series(shape), NOISE).unwrap().now();
             let truth = shape(47.0).exp_m1();
             assert!((size - truth).abs() < 3.0 * sd && sd < 0.01, "{size} ± {sd} for {truth}");
         }
@@ -349,7 +335,7 @@ mod tests {
             let mean = |middle: f64| Point { age: now - middle, value: shape(middle), throws: 12.0 };
             let single = series(|t| shape(t + now - 47.0));
             let points: Vec<Point> = blocks.map(mean).chain(single).collect();
-            let (size, sd) = Course::of(&points, [NOISE; 2]).unwrap().now();
+            let (size, sd) = Course::of(&points, NOISE).unwrap().now();
             assert!((size - 0.2).abs() < 0.01 && sd < 0.01, "{size} ± {sd} at {now}");
         }
     }
@@ -361,7 +347,7 @@ mod tests {
         let levels = [0.0, 0.0, 0.11, 0.26, 0.26];
         let blocks = levels.into_iter().zip((0..5).rev()).map(|(value, block)| mean(value, block));
         let points: Vec<Point> = blocks.chain(series(|_| 0.26)).collect();
-        let (size, sd) = Course::of(&points, [NOISE; 2]).unwrap().now();
+        let (size, sd) = Course::of(&points, NOISE).unwrap().now();
         assert!((size - 0.26_f64.exp_m1()).abs() < 2.0 * sd && sd < 0.003, "{size} ± {sd}");
     }
 
@@ -377,7 +363,7 @@ mod tests {
         };
         let means: Vec<Point> = singles.chunks_exact(4).map(mean).collect();
         let [(_, of_singles), (_, of_means)] =
-            [&singles, &means].map(|points| Course::of(points, [noise; 2]).unwrap().now());
+            [&singles, &means].map(|points| Course::of(points, noise).unwrap().now());
         assert!((of_means / of_singles - 1.0).abs() < 0.1, "{of_singles} and {of_means}");
     }
 
@@ -398,7 +384,7 @@ mod tests {
                     Point { age: f64::from(age), value, throws: 1.0 }
                 })
                 .collect();
-            let (size, sd) = Course::of(&points, [noise; 2]).unwrap().now();
+            let (size, sd) = Course::of(&points, noise).unwrap().now();
             inside += usize::from((size - 0.2).abs() < 1.96 * sd);
         }
         assert!((180..=198).contains(&inside), "{inside} of 200");
@@ -406,19 +392,19 @@ mod tests {
 
     #[test]
     fn after_a_repair_the_size_is_zero() {
-        let (size, sd) = Course::of(&series(|t| if t < 40.0 { 0.2 } else { 0.0 }), [NOISE; 2]).unwrap().now();
+        let (size, sd) = Course::of(&series(|t| if t < 40.0 { 0.2 } else { 0.0 }), NOISE).unwrap().now();
         assert!(size.abs() < 2.0 * sd && sd < 0.005, "{size} ± {sd}");
     }
 
     #[test]
     fn a_ramp_reaches_its_limit_when_it_does_and_a_step_does_not() {
-        let ramp = Course::of(&series(|t| (0.004 * (t - 20.0).max(0.0)).ln_1p()), [NOISE; 2]).unwrap();
+        let ramp = Course::of(&series(|t| (0.004 * (t - 20.0).max(0.0)).ln_1p()), NOISE).unwrap();
         let found = ramp.reaches(0.15).unwrap();
         assert!(
             found.low < 10.5 && 10.5 < found.high && found.low <= found.mid && found.mid <= found.high,
             "{found:?}"
         );
-        let step = Course::of(&series(|t| if t < 20.0 { 0.0 } else { 0.1 }), [NOISE; 2]).unwrap();
+        let step = Course::of(&series(|t| if t < 20.0 { 0.0 } else { 0.1 }), NOISE).unwrap();
         assert_eq!(step.reaches(0.15), None);
     }
 }

@@ -44,17 +44,10 @@ const RAIN_HOURS: i64 = 72;
 const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
 /// Losses of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
 /// friction of a machine.
-const RAIN_PCT: Range<f64> = 10.0..35.0;
-/// Rise of friction \[%\] in dry weather above a baseline that was taken in rain: the reverse of the losses by rain.
-const DRY_PCT: Range<f64> = 10.0..60.0;
+const RAIN_PCT: Range<f64> = 10.0..25.0;
 /// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
 /// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
 const SIZE_SHARE: f64 = 0.01;
-/// Throws after a baseline in which a rise of friction may be the end of rain that lasted through it: three days at twenty
-/// throws a day.
-const NEW_BASELINE: u64 = 60;
-/// Part of a change of friction in the throws before the longest window that a step does not have.
-const GREW_SLOWLY_FROM: f64 = 0.2;
 /// Part of a slow change that existed a week ago: a season takes months.
 const SLOW_FROM: f64 = 1.0 / 3.0;
 const DAYS_OF_WEEK: f64 = 7.0;
@@ -124,9 +117,6 @@ impl DriftAlarms {
                 // Two faulty throws in a row are no drift.
                 reading.patience += LEVELS_FOLLOW;
             }
-            let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
-            // A fall of friction that ends is no repair: the rails were wet.
-            let was_wet = cause == Cause::Friction && raised_pct.is_some_and(|pct| pct < 0.0);
             let knows_no_part = alarms.rule(cause).is_some_and(Rule::knows_no_part);
             let active = alarms.severity(cause).filter(|_| !knows_no_part);
             let concerned = || direction(cause, drift, order, tracks, settings);
@@ -134,6 +124,7 @@ impl DriftAlarms {
                 && let Some((now, _)) = self.named_now(drift, concerned(), order, tracks)
             {
                 let size = now.relevance(settings);
+                let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
                 reading.turned = size > 1.0 && active.is_some() && raised_pct.is_some_and(|pct| pct * now.size < 0.0);
                 // The window may contain throws in which the drift was larger.
                 reading.undoubted = if size > 1.0 { reading.undoubted } else { 0.0 };
@@ -155,15 +146,7 @@ impl DriftAlarms {
                 Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
                 Transition::Turn(severity) => evidence(severity).and_then(|with| alarms.turn(cause, with, at)),
                 Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
-                Transition::Clear { at_once } => {
-                    let end = match (at_once, was_wet) {
-                        (false, _) => text::End::Slow,
-                        (true, false) => text::End::AtOnce,
-                        (true, true) => text::End::Dry,
-                    };
-                    alarms.clear(cause, text::cleared(name, cause, end), at)
-                }
-                Transition::ProposeRebaseline if was_wet => None,
+                Transition::Clear { at_once } => alarms.clear(cause, text::cleared(name, cause, at_once), at),
                 Transition::ProposeRebaseline => alarms.remark(cause, text::maybe_repaired(name, cause), at),
                 Transition::Withdraw => {
                     let other = match drift.testimony {
@@ -339,10 +322,8 @@ impl DriftAlarms {
         let change = drift.change_of_friction();
         let season = change.filter(|change| self.may_be_season(change.size, tracks, context));
         self.season_pct = season.map(|change| percent(change.size));
-        let may_be_dry = change.is_some_and(|change| DRY_PCT.contains(&percent(change.size)));
-        let may_be_dry = may_be_dry && tracks.is_new(context.settings);
         match self.beside_rain(change, order, context) {
-            Claim::Named if season.is_some() || may_be_dry => Claim::Counts,
+            Claim::Named if season.is_some() => Claim::Counts,
             claim => claim,
         }
     }
@@ -356,12 +337,6 @@ impl DriftAlarms {
         let week = ((DAYS_OF_WEEK * per_day) as u32).max(LONGEST_WINDOW);
         let was_there = || self.history.mean(week..u32::MAX).is_some_and(|level| level.y / size > SLOW_FROM);
         !is_critical && tracks.has_no_temperature() && was_there()
-    }
-
-    /// Whether a part of a change of friction existed before the last throws, as it does when the temperature changes.
-    fn grew_slowly(&self, size: f64) -> bool {
-        let before = self.history.mean(LONGEST_WINDOW..3 * LONGEST_WINDOW);
-        before.is_some_and(|level| level.y / size > GREW_SLOWLY_FROM)
     }
 
     /// The largest claim beside rain: a fall of friction by rain is over in some days.
@@ -421,14 +396,7 @@ impl DriftAlarms {
         }
         let main = attribution.main();
         let subject = text::subject(context.name, direction);
-        let mut text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
-        if let Some(main) = main.filter(|main| main.cause == Cause::Friction) {
-            if main.size > 0.0 && tracks.throws_compared() < throws + NEW_BASELINE {
-                text.push_str(text::MAYBE_DRY);
-            } else if tracks.has_no_temperature() && self.grew_slowly(main.size) {
-                text.push_str(text::MAYBE_TEMPERATURE);
-            }
-        }
+        let text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
         Some(Evidence {
             change_pct: main.map(|main| percent(main.size)),
             change_pct_sd: main.map(text::sd_pct),

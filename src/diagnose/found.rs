@@ -52,11 +52,8 @@ impl Found {
         match (alarms.owned_by(rule), self) {
             (Some(cause), Self::Nothing) => {
                 let supply = alarms.is_active(Cause::Supply) && rule.knows_no_part();
-                let text = if supply {
-                    text::explained(name, Cause::Supply)
-                } else {
-                    text::cleared(name, cause, text::End::Slow)
-                };
+                let text =
+                    if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, false) };
                 alarms.clear(cause, text, at)
             }
             (Some(cause), Self::Larger(_, evidence)) => alarms.remark(cause, evidence.text, at),

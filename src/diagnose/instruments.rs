@@ -259,7 +259,7 @@ impl Instruments {
             };
             alarms.raise_another(Cause::Sensor, evidence, self.sensor.named == settings.on_delay_throws, at)
         } else if self.sensor.over >= settings.off_delay_throws && alarms.owned_by(Rule::Gauges).is_some() {
-            alarms.clear(Cause::Sensor, text::cleared(name, Cause::Sensor, text::End::Slow), at)
+            alarms.clear(Cause::Sensor, text::cleared(name, Cause::Sensor, false), at)
         } else {
             None
         }
@@ -329,11 +329,7 @@ impl Instruments {
                 return event;
             }
         }
-        if is_over(owner) {
-            alarms.clear(Cause::Supply, text::cleared(name, Cause::Supply, text::End::Slow), at)
-        } else {
-            None
-        }
+        if is_over(owner) { alarms.clear(Cause::Supply, text::cleared(name, Cause::Supply, false), at) } else { None }
     }
 
     /// Deletes the last throws, but not the normal values, after maintenance.

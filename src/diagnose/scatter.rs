@@ -48,9 +48,6 @@ const SLOW_LAGS: std::ops::Range<usize> = 5..16;
 const LEAST_FOR_SLOW: f64 = 80.0;
 /// Standard deviations by which a slow part is discounted, so that scatter without one hardly ever gets one.
 const DISCOUNT_SD: f64 = 0.5;
-/// A slow part that is possible on a machine whose baseline shows less, as a hundred throws show it only roughly. On a machine
-/// with this part, 621 sizes from the estimated part alone held in 85 %, and forecasts in 79 %; with both, in 87 and 85 %.
-const UNSEEN_SLOW: f64 = 0.4;
 /// Largest slow part.
 const MOST_SLOW: f64 = 0.9;
 /// Fourth moment of a Gaussian variable relative to the square of its variance.
@@ -78,13 +75,6 @@ pub(super) struct Noise {
     pub(super) slow_sd: f64,
     /// Standard deviation of the baseline's centre, and of other errors that all throws have in common.
     pub(super) offset_sd: f64,
-}
-
-impl Noise {
-    /// Variance of the errors that all throws have in common.
-    pub(super) fn offset_variance(&self) -> f64 {
-        (self.offset_sd * self.offset_sd).max(1e-12)
-    }
 }
 
 /// Natural scatter, from the residuals of a baseline.
@@ -195,14 +185,8 @@ impl Scatter {
         (Matrix3::from(self.natural) + sensor).diagonal().map(|v| v.max(1e-12).sqrt())
     }
 
-    /// Noise along `weights` of throws compared with the centre of `baseline_throws` throws: as estimated, and with a slow part
-    /// that a baseline may not show.
-    pub(super) fn along(&self, weights: &Vector3<f64>, baseline_throws: f64) -> [Noise; 2] {
-        let slower = Self { slow: self.slow.map(|slow| slow.max(UNSEEN_SLOW)), ..self.clone() };
-        [self, &slower].map(|scatter| scatter.noise(weights, baseline_throws))
-    }
-
-    fn noise(&self, weights: &Vector3<f64>, baseline_throws: f64) -> Noise {
+    /// Noise along `weights` of throws compared with the centre of `baseline_throws` throws.
+    pub(super) fn along(&self, weights: &Vector3<f64>, baseline_throws: f64) -> Noise {
         let variance = |m: Matrix3<f64>| (weights.transpose() * m * weights).x.max(0.0);
         let natural = Matrix3::from(self.natural);
         let part = |share: Vector3<f64>| natural.component_mul(&(share * share.transpose()));

@@ -144,11 +144,6 @@ impl Disk {
         *self.copied.lock() = Some(Instant::now());
     }
 
-    /// Records the end of a copy.
-    pub(super) fn note_copied(&self) {
-        *self.copied.lock() = None;
-    }
-
     /// Whether a copy of the database made progress in the last 30 s.
     pub(super) fn is_copying(&self) -> bool {
         self.copied.lock().is_some_and(|at| at.elapsed() < COPY_HANGS)

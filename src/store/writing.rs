@@ -203,9 +203,7 @@ impl WritingConnection {
     async fn move_database(&mut self, why: &str) -> Result<(), StoreError> {
         let copy = self.files.next()?;
         tracing::warn!(to = %copy.display(), why, "copying the database to a new file: writes wait");
-        let copied = self.copy_to(&copy).await;
-        self.disk.note_copied();
-        copied.map_err(|error| store_error(&error))?;
+        self.copy_to(&copy).await.map_err(|error| store_error(&error))?;
         self.files.switch(&copy)?;
         self.identity = None;
         self.disconnect().await;

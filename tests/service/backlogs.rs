@@ -133,7 +133,10 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
     }
     daemon.until_status("the machine", |status| status["refused"][0].as_str().is_some()).await;
     let (code, text) = daemon.operate(&["status"]);
-    assert!(code == Some(1) && text.contains("EVERY MESSAGE REFUSED: north/21B (not a throw"), "{text}");
+    assert!(
+        code == Some(1) && text.contains("EVERY MESSAGE REFUSED: north/21B (the field schema is missing)"),
+        "{text}"
+    );
     publisher.put(encode_throw(Encoding::Json, &stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;

@@ -346,7 +346,6 @@ impl MachineMonitor {
             .chain(self.two_loggers())
             .chain(blind)
             .chain(self.tracks.trend().map(|slopes| text::trend(&self.name, slopes)))
-            .chain(self.tracks.began_wet().map(|spell| text::began_wet(&self.name, spell)))
             .chain(self.drift.season_pct.map(|pct| text::season(&self.name, pct)))
             .chain(self.instruments.gauges.normal_rest_a().map(|amperes| text::at_rest(&self.name, amperes)))
             .chain(only_features.then(|| text::only_features(&self.name)))

@@ -4,7 +4,6 @@ use crate::{
     diagnose::{
         explain::percent,
         verdict::{Blindness, HidingTemperature},
-        wet::WetSpell,
     },
     throw::Direction,
 };
@@ -130,16 +129,5 @@ pub(crate) fn trend(name: &str, slopes: [f64; 3]) -> String {
         "Machine {name}: the baseline has a trend ({} a throw), from wear or weather while it was taken. It stays \
          provisional, and changes count from its first throw. Inspect the machine, then take a new baseline (rebaseline).",
         changes.join(", ")
-    )
-}
-
-/// Text for a machine whose baseline began in a wet spell.
-pub(crate) fn began_wet(name: &str, spell: &WetSpell) -> String {
-    let [first, last] = spell.throws();
-    format!(
-        "Machine {name}: its baseline probably began in the wet: in its first {} throws the friction was {:.0} % lower. These \
-         throws count as wet, and normal is what followed. If the rails were dry, the friction has risen: inspect the slide chairs.",
-        last - first + 1,
-        -percent(spell.change())
     )
 }

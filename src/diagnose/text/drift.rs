@@ -14,12 +14,6 @@ use crate::diagnose::{
 /// Name of a part that loses torque, if the back-EMF of the motor has not changed.
 const MOTOR_OR_GEAR: &str = "motor or gear";
 
-/// Said of a rise of friction soon after the baseline.
-pub(crate) const MAYBE_DRY: &str =
-    " If it rained while the baseline was taken, dry rails look the same: then take a new baseline (rebaseline).";
-/// Said of a slow change of friction on a machine without a temperature.
-pub(crate) const MAYBE_TEMPERATURE: &str = " Cold raises the friction and warmth lowers it as slowly, and without temperature_c they look the same: publish it.";
-
 /// Text of a drift: causes with sizes, what to check, and the forecast of the critical limit. `alike` is a sensor that
 /// explains the drift equally well, and what would decide.
 pub(crate) fn drift(
@@ -104,27 +98,14 @@ pub(crate) fn intermittent(name: &str, found: &Departures) -> String {
     format!("Machine {name}: 1 in {one_in:.0} throws: {}. The other throws are normal. {advice}", change(explanation))
 }
 
-/// How a drift ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum End {
-    /// Slowly.
-    Slow,
-    /// Within a few throws.
-    AtOnce,
-    /// Within a few throws, after a fall of friction.
-    Dry,
-}
-
 /// Text of a drift that has ended.
-pub(crate) fn cleared(name: &str, cause: Cause, end: End) -> String {
-    let how = match end {
-        End::Slow => "",
-        End::AtOnce => {
-            " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
-        }
-        End::Dry => " It came back within a few throws, as when wet rails dry: the baseline stays valid.",
+pub(crate) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
+    let repair = if at_once {
+        " It came back within a few throws, as after a repair: if there was one, take a new baseline (rebaseline)."
+    } else {
+        ""
     };
-    format!("Machine {name}: {cause} is back to normal.{how}")
+    format!("Machine {name}: {cause} is back to normal.{repair}")
 }
 
 /// Text of a drift that has ended at once, except for a part.

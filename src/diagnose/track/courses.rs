@@ -63,7 +63,7 @@ impl Tracks {
         let before = blocks.filter(|block| block.age - block.throws / 2.0 > oldest);
         let points: Vec<_> = before.chain(recent).collect();
         let centre_throws = baselines.iter().flatten().map(|baseline| baseline.centre_throws()).sum();
-        Course::of(&points, noises(&mixed.scatter, centre_throws, weights, temperature_sd))
+        Course::of(&points, noise(&mixed.scatter, centre_throws, weights, temperature_sd))
     }
 
     /// The course of a drift along `weights` over the last throws of a side.
@@ -72,7 +72,7 @@ impl Tracks {
         let baseline = baselines[at]?;
         let stream = Stream::of(&self.sides[at].recent, at);
         let points = stream.points(weights, baselines, now - stream.since_counted(weights));
-        Course::of(&points, noises(baseline.scatter(), baseline.centre_throws(), weights, temperature_sd))
+        Course::of(&points, noise(baseline.scatter(), baseline.centre_throws(), weights, temperature_sd))
     }
 
     /// The direction that a drift along `weights` concerns; `None` for both, and until the drift has lasted for enough
@@ -101,9 +101,8 @@ impl Tracks {
     }
 }
 
-/// Possible noise of the values along `weights`, of a baseline whose centre is a mean of `centre_throws` throws.
-fn noises(scatter: &Scatter, centre_throws: f64, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>) -> [Noise; 2] {
-    let of_temperature = weights.dot(temperature_sd);
-    let noises = scatter.along(weights, centre_throws);
-    noises.map(|noise| Noise { offset_sd: noise.offset_sd.hypot(of_temperature), ..noise })
+/// Noise of the values along `weights`, of a baseline whose centre is a mean of `centre_throws` throws.
+fn noise(scatter: &Scatter, centre_throws: f64, weights: &Vector3<f64>, temperature_sd: &Vector3<f64>) -> Noise {
+    let noise = scatter.along(weights, centre_throws);
+    Noise { offset_sd: noise.offset_sd.hypot(weights.dot(temperature_sd)), ..noise }
 }

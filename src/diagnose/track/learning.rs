@@ -12,7 +12,7 @@ use super::{
         settings::Settings,
         threshold::{Thresholds, WINDOWS},
         trend::Filling,
-        wet::{EVIDENCE, EVIDENCE_OF_DRIFT, WetSpell, wet_spells},
+        wet::{WetSpell, wet_spells},
     },
     Mixed, Track, Tracks,
 };
@@ -42,12 +42,6 @@ impl Track {
         (self.baseline, self.thresholds, self.since_baseline) = (Some(baseline), None, 0);
         self.recent.clear();
         record
-    }
-
-    /// Adds the throws set aside to those of the baseline.
-    fn accept_aside(&mut self, settings: &Settings) {
-        let learned = mem::take(&mut self.learned).into_iter().chain(mem::take(&mut self.aside));
-        self.learned = learned.take(settings.baseline_throws).collect();
     }
 
     /// Counts a throw; changes to a baseline of ratios if hardly any of the last throws had complete coefficients: a
@@ -99,9 +93,6 @@ impl Tracks {
         let count = track.learned.len() + track.aside.len();
         track.sensor = (mean + (throw.sensor - mean) / count as f64).into();
         self.follow_trend(settings);
-        if suspicion == Suspicion::AboveLimit && self.is_new(settings) && self.began_wet_after_all() {
-            return self.take_again(at, settings);
-        }
         let track = &mut self.sides[throw.direction.side()];
         if suspicion == Suspicion::AboveLimit && track.aside.len() > MOST_ASIDE {
             track.aside.remove(0);
@@ -109,16 +100,17 @@ impl Tracks {
         if suspicion == Suspicion::AboveLimit || suspicion == Suspicion::Suspected && track.aside.len() < MOST_ASIDE {
             return Vec::new();
         }
-        track.accept_aside(settings);
+        let learned = mem::take(&mut track.learned).into_iter().chain(mem::take(&mut track.aside));
+        track.learned = learned.take(settings.baseline_throws).collect();
         let usable = settings.baseline_usable_throws;
         let next =
             [usable, 2 * usable].into_iter().find(|stage| *stage > track.baseline.as_ref().map_or(0, Baseline::throws));
         if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
             return Vec::new();
         }
-        // A drift has shown the rain, if it is known already.
-        self.wet = self.wet_spells(if self.began_wet().is_some() { EVIDENCE_OF_DRIFT } else { EVIDENCE });
-        self.follow_trend(settings);
+        if self.follow_wet_spells() {
+            self.follow_trend(settings);
+        }
         let changes = Changes { slopes: self.slopes, wet: &self.wet };
         let track = &mut self.sides[throw.direction.side()];
         let mut records = vec![track.take(throw.direction, changes, at, settings)];
@@ -142,55 +134,12 @@ impl Tracks {
         self.slopes = slopes.iter().any(|slope| *slope != 0.0).then_some(slopes);
     }
 
-    /// The wet spells in the same throws, with at least this evidence.
-    fn wet_spells(&self, evidence: f64) -> Box<[WetSpell]> {
-        if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[]), evidence).into() }
-    }
-
-    /// Whether the throws set aside show that the baselines began in rain. Then the rain is known.
-    fn began_wet_after_all(&mut self) -> bool {
-        let wet = self.wet_spells(EVIDENCE_OF_DRIFT);
-        let is_other =
-            |spell: &WetSpell| self.is_first(spell) && !self.wet.iter().any(|known| known.throws() == spell.throws());
-        let is_found = wet.iter().any(is_other);
-        if is_found {
-            self.wet = wet;
-        }
-        is_found
-    }
-
-    /// Whether the throws begin with this spell.
-    fn is_first(&self, spell: &WetSpell) -> bool {
-        let first = self.sides.iter().flat_map(|track| track.learned.first()).map(BaselineThrow::order).min();
-        first.is_some_and(|first| spell.is_from(first))
-    }
-
-    /// The wet spell with which incomplete baselines began.
-    pub(in crate::diagnose) fn began_wet(&self) -> Option<&WetSpell> {
-        self.wet.iter().find(|spell| self.is_first(spell))
-    }
-
-    /// Takes the usable baselines again, with the throws set aside: beside the former ones they looked like a drift.
-    fn take_again(&mut self, at: Timestamp, settings: &Settings) -> Vec<BaselineRecord> {
-        self.follow_trend(settings);
-        let changes = Changes { slopes: self.slopes, wet: &self.wet };
-        let taken = self.sides.iter_mut().zip(Direction::BOTH).filter(|(track, _)| track.baseline.is_some());
-        let take = |(track, direction): (&mut Track, Direction)| {
-            track.accept_aside(settings);
-            track.take(direction, changes, at, settings)
-        };
-        let records = taken.map(take).collect();
-        self.learn_mixed(settings);
-        self.refresh_thresholds(settings);
-        records
-    }
-
-    /// Whether a baseline is the first usable one, and only a few throws have been compared with it: some dry throws must
-    /// show whether it began in rain.
-    pub(in crate::diagnose) fn is_new(&self, settings: &Settings) -> bool {
-        let usable = settings.baseline_usable_throws;
-        let is_first = |baseline: &Baseline| baseline.throws() < 2 * usable && !baseline.is_final(settings);
-        self.sides.iter().flat_map(|track| &track.baseline).any(is_first) && self.throws_compared() < 2 * usable as u64
+    /// Looks for wet spells in the same throws; returns whether they changed.
+    fn follow_wet_spells(&mut self) -> bool {
+        let wet = if self.any_of_ratios() { Box::default() } else { wet_spells(&self.filling(&[])).into() };
+        let is_changed = wet != self.wet;
+        self.wet = wet;
+        is_changed
     }
 
     /// The throws of the baselines, also those set aside, as in dry weather.

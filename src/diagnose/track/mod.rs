@@ -338,11 +338,6 @@ impl Tracks {
         self.sides.iter().filter_map(rate).reduce(|a, b| a + b)
     }
 
-    /// Throws of the machine that were compared with its present baselines.
-    pub(super) fn throws_compared(&self) -> u64 {
-        self.sides.iter().map(|track| track.since_baseline).sum()
-    }
-
     pub(super) fn since_baseline(&self, direction: Direction) -> u64 {
         self.sides[direction.side()].since_baseline
     }
