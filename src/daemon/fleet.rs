@@ -188,9 +188,10 @@ impl Fleet {
         is_trusted.then_some(stored.received_at)
     }
 
-    /// Whether most of the last loggers date their throws a day or more after this computer.
-    pub(super) fn is_clock_behind(&self) -> bool {
-        2 * self.ahead.iter().filter(|(_, is_ahead)| *is_ahead).count() > self.ahead.len()
+    /// Number of the last loggers that date their throws a day or more after this computer, if these are most; else 0.
+    pub(super) fn loggers_ahead(&self) -> usize {
+        let ahead = self.ahead.iter().filter(|(_, is_ahead)| *is_ahead).count();
+        if 2 * ahead > self.ahead.len() { ahead } else { 0 }
     }
 
     /// Advances the time of every machine, with the present liveliness tokens; returns the machines to store, with their

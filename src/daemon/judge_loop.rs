@@ -340,7 +340,7 @@ impl JudgeLoop {
         self.refused.retain(|machine, _| loggers.contains(machine) && !self.judge.fleet.knows(machine));
         let mut report = self.links.status.edit();
         report.refused = self.refused.iter().map(|(machine, reason)| format!("{machine} ({reason})")).collect();
-        report.clock_behind = self.judge.fleet.is_clock_behind();
+        report.loggers_ahead = self.judge.fleet.loggers_ahead();
         (report.standing, report.without_throw) = (standing, without_throw);
     }
 

@@ -91,9 +91,9 @@ pub struct StatusReport {
     /// The first of the machines of which every message so far was refused, with the reason.
     #[serde(default)]
     pub refused: Vec<String>,
-    /// Whether most loggers date their throws a day or more after this computer.
+    /// Number of the last loggers that date their throws a day or more after this computer, if these are most; else 0.
     #[serde(default)]
-    pub clock_behind: bool,
+    pub loggers_ahead: usize,
     /// Messages received.
     pub received: u64,
     /// Messages dropped because the queue was full.
@@ -232,7 +232,7 @@ impl StatusReport {
         self.disk == DiskLevel::Ample
             && self.silent.is_empty()
             && self.refused.is_empty()
-            && !self.clock_behind
+            && self.loggers_ahead == 0
             && self.dropped + self.lost == 0
     }
 
@@ -261,7 +261,7 @@ impl StatusReport {
         if !self.connected {
             parts.push("not connected".to_owned());
         }
-        if self.clock_behind {
+        if self.loggers_ahead > 0 {
             parts.push("CLOCK BEHIND: most loggers date their throws a day or more after this computer".to_owned());
         }
         if !self.refused.is_empty() {

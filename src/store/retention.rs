@@ -232,9 +232,8 @@ impl Store {
         }
         let disk = Arc::clone(&self.disk);
         // A missing ballast must not hide what was dropped.
-        match tokio::task::spawn_blocking(move || disk.restore_ballast()).await {
-            Ok(Err(error)) => seldom!(warn, %error, "no ballast file: recovery from a full disk will be harder"),
-            Ok(Ok(_)) | Err(_) => {}
+        if let Ok(Err(error)) = tokio::task::spawn_blocking(move || disk.restore_ballast()).await {
+            seldom!(warn, %error, "no ballast file: recovery from a full disk will be harder");
         }
         Ok(done)
     }

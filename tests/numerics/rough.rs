@@ -425,7 +425,7 @@ fn a_slow_position_is_as_good_as_a_fast_one_and_its_intervals_hold() {
     let (mut usable, mut held, mut throws) = (0, 0, 0);
     for position_every in [3, 5, 10, 20, 33, 50, 100] {
         for (neutral_mm, step_mm) in [(0.0, 0.0), (114.5, 0.0), (0.0, 0.05)] {
-            let drive = Drive { position_every, neutral_mm, step_mm, ..Drive::default() };
+            let drive = Drive { neutral_mm, step_mm, position_every, ..Drive::default() };
             for seed in 0..4 {
                 throws += 1;
                 let estimate = match drive.identify(seed).outcome {
