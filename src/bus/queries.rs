@@ -110,9 +110,8 @@ impl Questions {
         self.dropped.swap(0, Relaxed)
     }
 
-    /// The next query; `None` when the session is closed. First replies an error to the refused queries. Each of
-    /// these gets its reply soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel
-    /// safe.
+    /// The next query; `None` when the session is closed. First replies an error to the refused queries. Each of these
+    /// gets its reply soon: a query is refused only while others wait, and the caller calls `next` for those. Cancel safe.
     pub async fn next(&mut self) -> Option<Question> {
         // Only those present now: during a flood others follow without end.
         for _ in 0..self.refused.len() {

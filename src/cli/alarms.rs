@@ -26,8 +26,8 @@ const GROUP_SIZE: usize = 5;
 /// Shows the open alarms of all running daemons, the most severe first; with --since or --limit, the events of all
 /// alarms.
 ///
-/// Exit codes: 0 shown; 1 the answer of a daemon is missing or unreadable, or with --check an alarm is open and not silenced; 64 an option is
-/// wrong; 69 no usable reply, or unknown machine; 78 the file of --config is invalid.
+/// Exit codes: 0 shown; 1 the answer of a daemon is missing or unreadable, or with --check an alarm is open and not
+/// silenced; 64 an option is wrong; 69 no usable reply, or unknown machine; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  pointsd alarms\n  pointsd alarms north/21B --since 2026-05-01 --json\n  \
                         pointsd alarms --severity critical --check || mail -s 'points' duty@example.org")]
@@ -161,7 +161,8 @@ pub(super) fn print_open(
 }
 
 /// The entries of the list: alarms about a daemon itself, then faults of machines, then machines not monitored and lost
-/// data; of each the active ones first, and of these the most severe. Many alarms of one cause, severity and kind are one entry, unless `all` is set.
+/// data; of each the active ones first, and of these the most severe. Many alarms of one cause, severity and kind are one
+/// entry, unless `all` is set.
 fn entries<'a>(alarms: &'a [Alarm], daemons: &[MachineId], all: bool) -> Vec<Vec<&'a Alarm>> {
     let is_daemon = |alarm: &Alarm| daemons.contains(&alarm.machine);
     let common = |alarm: &Alarm| !is_daemon(alarm) && matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss);

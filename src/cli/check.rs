@@ -26,7 +26,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     // The daemon itself is restarted then, as the file may be that of another program for a moment.
     if let Some(file) = store::unwritable(&config.store.path) {
         let problem = format!(
-            "this user cannot write to {}: the user of pointsd must own the database, its -wal and its -shm, and may write to them",
+            "this user cannot write to {}: the user of pointsd must own the database, its -wal and its -shm, and may \
+             write to them",
             file.display()
         );
         return Err(document.complain("store.path", problem)).or_exit(Exit::Config);

@@ -320,7 +320,7 @@ impl Fleet {
         outcome(machine, Some(monitor), at, events)
     }
 
-    /// Applies an operator's command, and confirms it in one sentence; `None` if the machine has no monitor.
+    /// Applies an operator's command, and confirms it in a sentence or two; `None` if the machine has no monitor.
     pub(super) fn command(
         &mut self,
         machine: &MachineId,
@@ -332,6 +332,7 @@ impl Fleet {
         let confirmation = command.confirmation(machine, monitor.learning(settings));
         let result = monitor.command(command, now, settings);
         Some(result.map(|events| {
+            let confirmation = confirmation + &command.consequence(&events);
             let outcome = outcome(machine, Some(monitor), now, events);
             (Outcome { command: Some(command.clone()), ..outcome }, confirmation)
         }))

@@ -428,7 +428,6 @@ impl JudgeLoop {
             None => (false, format!("no machine {machine} is known here: it has sent no throw yet")),
             Some(Err(error)) => (false, error.to_string()),
             Some(Ok((outcome, confirmation))) => {
-                let consequence = command.consequence(&outcome.events);
                 let stored = self.record(outcome).await?;
                 if !stored {
                     self.judge.fleet.store_again(machine);
@@ -436,7 +435,7 @@ impl JudgeLoop {
                 self.update_standing();
                 if stored {
                     tracing::info!(%machine, ?command, "operator's command applied");
-                    (true, confirmation + &consequence)
+                    (true, confirmation)
                 } else {
                     (
                         false,

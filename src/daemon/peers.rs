@@ -72,8 +72,8 @@ impl Peers {
         }
     }
 
-    /// The daemons that have been away for at least [`GRACE`], each with the time when it left, if that was seen. `None` in the first
-    /// [`GRACE`] after the start, unless all daemons are present: the tokens may still arrive.
+    /// The daemons that have been away for at least [`GRACE`], each with the time when it left, if that was seen. `None` in
+    /// the first [`GRACE`] after the start, unless all daemons are present: the tokens may still arrive.
     pub(super) fn away(&self) -> Option<Vec<(MachineId, Option<Timestamp>)>> {
         let peers = self.away.lock();
         let now = clock::monotonic();

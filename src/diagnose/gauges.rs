@@ -1,7 +1,7 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge, no-load speed, start, current at rest). Each is used as the logarithm of its ratio to the normal value of
-//! the direction, except for the delay of the start and the current at rest. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which
-//! distinguishes the two.
+//! inrush, running current, charge, no-load speed, start, current at rest). Each is used as the logarithm of its ratio to
+//! the normal value of the direction, except for the delay of the start and the current at rest. Errors of sensors, clock
+//! and supply change the gauges in other ways than faults of parts do, which distinguishes the two.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -423,27 +423,28 @@ fn heat(kelvin: f64) -> f64 {
     (COPPER.0 * kelvin).ln_1p()
 }
 
-/// The gauges of a throw, as logarithms except for the delay of the start.
+/// The gauges of a throw, as logarithms except for the delay of the start \[ms\] and the current at rest \[A\].
 fn values(features: &Features, celsius: Option<f64>) -> Values {
     let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
+    let ln = |value: Option<f64>| value.map(f64::ln);
     let shown = [
-        features.travel_mm,
-        features.back_emf_v_s_per_rad,
-        features.resistance_ohm.map(|ohm| ohm / warm),
-        features.duration_s,
-        features.supply_v,
-        features.peak_current_a,
-        features.running_current_a,
-        features.charge_as,
-        features.no_load_speed_rad_per_s,
-        features.start_delay_s.map(|delay_s| (1e3 * delay_s).exp()),
-        features.start_gain,
-        features.quiet_current_a.map(f64::exp),
+        ln(features.travel_mm),
+        ln(features.back_emf_v_s_per_rad),
+        ln(features.resistance_ohm.map(|ohm| ohm / warm)),
+        ln(features.duration_s),
+        ln(features.supply_v),
+        ln(features.peak_current_a),
+        ln(features.running_current_a),
+        ln(features.charge_as),
+        ln(features.no_load_speed_rad_per_s),
+        features.start_delay_s.map(|delay_s| 1e3 * delay_s),
+        ln(features.start_gain),
+        features.quiet_current_a,
     ];
     // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
     #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]
-    let rounded = |value: f64| ((1e4 * value.ln()).round() / 1e4) as f32;
-    shown.map(|value| value.map(rounded).filter(|ln| ln.is_finite()))
+    let rounded = |value: f64| ((1e4 * value).round() / 1e4) as f32;
+    shown.map(|value| value.map(rounded).filter(|value| value.is_finite()))
 }
 
 #[cfg(test)]

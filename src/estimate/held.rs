@@ -61,9 +61,10 @@ struct Updates {
 
 impl Updates {
     fn of(values: &[f64]) -> Option<Self> {
-        // The usual trace: a new value in most samples. A comparison with NaN is false.
-        let changed = values.array_windows().filter(|[before, after]| (after - before).abs() > 0.0).count();
-        if 3 * changed > 2 * values.len() {
+        // The usual traces: a new value in most samples, or a coarse converter. A comparison with NaN is false.
+        let changes_of = |least: f64| values.array_windows().filter(|[a, b]| (b - a).abs() > least).count();
+        let changed = changes_of(0.0);
+        if 3 * changed > 2 * values.len() || 2 * changes_of(LEAST_CHANGE * quantum(values)) < changed {
             return None;
         }
         let (mut at, mut new) = (Vec::new(), Vec::new());

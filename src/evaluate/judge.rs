@@ -1,7 +1,7 @@
 //! Judges the calls of a rule over one life.
 
 use super::timeline::Timeline;
-use crate::diagnose::{AlarmEvent, AlarmState, Cause, Severity};
+use crate::diagnose::{AlarmEvent, Cause, Severity};
 
 /// A cause named by a rule at a throw.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,11 +21,10 @@ impl Call {
     pub(super) fn of(event: &AlarmEvent, at: usize) -> Option<Self> {
         let named = Cause::PHYSICAL.contains(&event.cause)
             || matches!(event.cause, Cause::Unattributed | Cause::Sensor | Cause::Supply | Cause::SlowThrow);
-        let active = matches!(event.state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged);
         let critical = event.severity == Severity::Critical;
         let or_sensor = event.runner_up.is_some_and(|other| other.cause == Cause::Sensor);
         let call = Self { at, cause: event.cause, critical, or_sensor };
-        (named && active && (event.event_no == 1 || critical)).then_some(call)
+        (named && event.state.is_active() && (event.event_no == 1 || critical)).then_some(call)
     }
 }
 

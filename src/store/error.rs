@@ -8,10 +8,12 @@ use super::path::unwritable;
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The database cannot be opened or created.
-    #[error("cannot open the database {}: {source}; check that its folder exists, and that the user of pointsd owns the folder, the file, its -wal and its -shm, and may write to them{}", path.display(), unwritable(path).map_or_else(String::new, |file| format!(" (it may not write to {})", file.display())))]
+    #[error("cannot open the database {}: {source}; check that its folder exists, and that the user of pointsd owns the folder, the file, its -wal and its -shm, and may write to them{}", path.display(), unwritable.as_ref().map_or_else(String::new, |file| format!(" (it may not write to {})", file.display())))]
     Open {
         /// The database file.
         path: PathBuf,
+        /// A file of the database that this user may not write.
+        unwritable: Option<PathBuf>,
         /// Error of SQLite.
         source: Box<sqlx::Error>,
     },
@@ -93,7 +95,7 @@ pub enum StoreError {
 impl StoreError {
     /// Turns an error of SQLite into that of opening the database at `path`.
     pub(super) fn open(path: &Path) -> impl Fn(sqlx::Error) -> Self {
-        |source| Self::Open { path: path.to_owned(), source: Box::new(source) }
+        |source| Self::Open { path: path.to_owned(), unwritable: unwritable(path), source: Box::new(source) }
     }
 
     pub(super) fn read(source: sqlx::Error) -> Self {

@@ -8,7 +8,7 @@ use super::{
     overview::{Overview, Web},
     page,
 };
-use crate::{daemon::View, diagnose::AlarmState, store::DiskLevel, throw::counted};
+use crate::{daemon::View, store::DiskLevel, throw::counted};
 
 /// Number of pending throws from which pages show a warning: half a minute of work.
 const BACKLOG: u64 = 1_000;
@@ -80,8 +80,7 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
 /// Problems stored in the database.
 fn of_data(overview: &Overview) -> Vec<String> {
     // Shelved and cleared alarms are only in the list of alarms.
-    let is_active = |state| matches!(state, AlarmState::ActiveUnacknowledged | AlarmState::ActiveAcknowledged);
-    let own = overview.own_alarms.iter().filter(|alarm| is_active(alarm.state));
+    let own = overview.own_alarms.iter().filter(|alarm| alarm.state.is_active());
     let mut trouble: Vec<String> = own.map(|alarm| format!("Alarm of the daemon itself: {}", alarm.text)).collect();
     if overview.unreadable > 0 {
         let unknown = overview.unreadable;

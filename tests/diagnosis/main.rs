@@ -19,6 +19,7 @@ mod memory;
 mod operational;
 mod pairs;
 mod ramps;
+mod recordings;
 mod replay;
 mod restart;
 mod sides;

@@ -1,0 +1,128 @@
+//! Loggers that change their recordings, and recordings that show less than before, of a machine that is sound.
+
+use pointsd::{
+    diagnose::{AlarmEvent, Cause, MachineState, SensorChannel, Settings},
+    throw::{Direction, Throw, Trace},
+};
+
+use crate::drive::{Drive, State};
+
+fn with_trace(throw: Throw, change: impl FnOnce(f64, Vec<f64>, Vec<f64>) -> (f64, Vec<f64>, Vec<f64>)) -> Throw {
+    let rate_hz = throw.trace.sample_rate_hz();
+    let (current, position) = (throw.trace.current_a().to_vec(), throw.trace.position_mm().to_vec());
+    let (rate_hz, current, position) = change(rate_hz, current, position);
+    Throw { trace: Trace::new(rate_hz, current, position).unwrap(), ..throw }
+}
+
+/// The machine is sound in all of these throws.
+#[test]
+fn a_logger_that_changes_its_recordings_accuses_neither_a_part_nor_the_points() {
+    type Logger = fn(Throw) -> Throw;
+    let mirrored: Logger = |throw| {
+        with_trace(throw, |rate, current, position| (rate, current, position.iter().map(|x| 115.0 - x).collect()))
+    };
+    let in_khz: Logger = |throw| with_trace(throw, |rate, current, position| (rate / 1000.0, current, position));
+    let stuck: Logger = |throw| {
+        with_trace(throw, |rate, current, mut position| {
+            let third = position.len() / 3;
+            let value = position[third];
+            position[third..].fill(value);
+            (rate, current, position)
+        })
+    };
+    let cut: Logger = |throw| {
+        with_trace(throw, |rate, mut current, mut position| {
+            let half = current.len() / 2;
+            current.truncate(half);
+            position.truncate(half);
+            (rate, current, position)
+        })
+    };
+    let without_position: Logger =
+        |throw| with_trace(throw, |rate, current, position| (rate, current, vec![f64::NAN; position.len()]));
+    let position = Some(SensorChannel::Position);
+    let cases = [
+        ("mirrored", mirrored, Some(position), "unlike before"),
+        ("in kHz", in_khz, Some(Some(SensorChannel::Clock)), "sample_rate_hz"),
+        ("stuck", stuck, Some(position), "stuck"),
+        ("cut off", cut, None, "end_missing"),
+        ("without a position", without_position, Some(position), "no longer sends a toe position"),
+    ];
+    let settings = Settings::default();
+    for (name, logger, channel, words) in cases {
+        let mut drive = Drive::new(75, true);
+        (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
+        let healthy: Vec<_> = (0..120).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        assert_eq!(healthy, [], "{name}");
+        drive.logger = logger;
+        let events: Vec<_> = (0..24).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        let is_about_recordings = |event: &AlarmEvent| matches!(event.cause, Cause::Sensor | Cause::NotMonitored);
+        assert!(events.iter().all(is_about_recordings), "{name}: {events:#?}");
+        assert!(events.iter().any(|event| event.text.contains(words)), "{name}: {events:#?}");
+        let named = events.iter().find(|event| event.cause == Cause::Sensor).map(|event| event.channel);
+        assert_eq!(named, channel, "{name}: {events:#?}");
+        drive.logger = |throw| throw;
+        let mended: Vec<_> = (0..40).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        assert!(mended.iter().all(is_about_recordings), "{name}: {mended:#?}");
+        assert_eq!(drive.monitor.state(), MachineState::Healthy, "{name}: {mended:#?}");
+    }
+}
+
+/// The movement shows the direction, so the throws are evaluated as before.
+#[test]
+fn a_logger_that_swaps_the_names_of_the_directions_accuses_nothing() {
+    let settings = Settings::default();
+    let mut drive = Drive::new(76, true);
+    let swapped: fn(Throw) -> Throw = |throw| {
+        let other = |direction: Direction| Direction::BOTH.into_iter().find(|other| *other != direction);
+        Throw { direction: throw.direction.and_then(other), ..throw }
+    };
+    for (logger, throws) in [(None, 120), (Some(swapped), 1), (None, 10), (Some(swapped), 60)] {
+        drive.logger = logger.unwrap_or(|throw| throw);
+        let events: Vec<_> = (0..throws).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+        assert_eq!(events, []);
+        assert_eq!(drive.monitor.state(), MachineState::Healthy);
+    }
+    let is_stated = |caveat: &String| caveat.contains("another direction than the position shows");
+    assert!(drive.monitor.caveats().iter().any(is_stated), "{:?}", drive.monitor.caveats());
+    // A fault is named as before.
+    let weak = State { torque: 0.85, back_emf: 0.85, ..State::SOUND };
+    let events: Vec<_> = (0..30).flat_map(|_| drive.feed(weak, &settings).events).collect();
+    assert_eq!(events.first().map(|event| event.cause), Some(Cause::Kt), "{events:?}");
+}
+
+#[test]
+fn a_machine_that_never_reaches_the_configured_stroke_has_a_caveat() {
+    let settings = Settings::default();
+    let mut drive = Drive::new(72, true);
+    (drive.stroke_mm, drive.push_s) = (Some(115.0), 0.035);
+    let short = State { stroke: 0.91, ..State::SOUND };
+    let events: Vec<_> = (0..60).flat_map(|_| drive.feed(short, &settings).events).collect();
+    assert_eq!(events, []);
+    let caveats = drive.monitor.caveats();
+    assert!(
+        matches!(&caveats[..], [one] if one.contains("mm of a stroke of 115.0 mm, without an obstruction")),
+        "{caveats:?}"
+    );
+    assert_eq!(drive.monitor.state(), MachineState::Healthy);
+}
+
+/// A machine without a toe sensor that had coefficients, and whose throws give none any more.
+#[test]
+fn lost_coefficients_of_a_machine_without_a_toe_sensor_are_a_caveat() {
+    let settings = Settings::default();
+    let mut drive = Drive::new(73, true);
+    (drive.stroke_mm, drive.has_toe_sensor) = (Some(115.0), false);
+    let events: Vec<_> = (0..120).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+    assert_eq!((events, drive.monitor.caveats()), (vec![], vec![]));
+    // The logger no longer publishes the voltage.
+    drive.publishes_volts = false;
+    for throws in 1..=20 {
+        assert_eq!(drive.feed(State::SOUND, &settings).events, []);
+        let is_said = drive.monitor.caveats().iter().any(|caveat| caveat.contains("give no coefficients"));
+        assert_eq!(is_said, throws == 20, "after {throws} throws");
+    }
+    drive.publishes_volts = true;
+    drive.feed(State::SOUND, &settings);
+    assert_eq!(drive.monitor.caveats(), Vec::<String>::new());
+}
