@@ -21,7 +21,7 @@ use super::{
 use crate::{
     daemon::{Judged, Offline, clock},
     store::Spooled,
-    throw::{MachineId, Throw, ThrowRef},
+    throw::{MachineId, Throw, ThrowRef, utc},
     wire::{self, Encoding, Health},
 };
 
@@ -34,7 +34,8 @@ const EXPORT_FOLDERS: usize = 4;
 ///
 /// FILE is CSV with the columns of a recorded trace (one throw in a file), or JSON as on zenoh (one throw on each
 /// line, or one in a file), in files with the extension json, jsonl or ndjson, or with - from standard input. A throw
-/// that the database has already is skipped. A trace of `pointsd export --traces` keeps time, direction, boot,
+/// that the database has already is skipped. Imported throws are judged as the newest of the machine; a warning says if
+/// they are older than those in the database. A trace of `pointsd export --traces` keeps time, direction, boot,
 /// number, temperature, supply and filter of its line in `throws.csv`, which is in the folder of the traces or in the
 /// folder above; without this line it has the time of the file.
 ///
@@ -94,6 +95,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 
 async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count) -> Outcome {
     let mut exports = Exports::default();
+    let mut last = pipeline.last_start(&arguments.machine).await.or_exit(Exit::Io)?;
     for (number, file) in arguments.files.iter().enumerate() {
         for throw in read(arguments, number, file, &mut exports)? {
             // The time of a CSV file changes when it is copied; the store would take it for another throw.
@@ -103,13 +105,30 @@ async fn import(arguments: &Arguments, pipeline: &mut Offline, count: &mut Count
             }
             let (spooled, judged) = pipeline.take(&arguments.machine, &throw, clock::now()).await.or_exit(Exit::Io)?;
             match spooled {
-                Spooled::New(_) => count.new += 1,
+                Spooled::New(_) => {
+                    count.new += 1;
+                    if let Some(last) = last.take_if(|last| throw.started_at < *last) {
+                        warn_about_order(&arguments.machine, throw.started_at, last, file);
+                    }
+                }
                 Spooled::Duplicate => count.known += 1,
             }
             report(arguments, &judged, count)?;
         }
     }
     Ok(Exit::Ok)
+}
+
+/// Throws are judged in the order in which they are imported.
+fn warn_about_order(machine: &MachineId, started_at: Timestamp, last: Timestamp, file: &Path) {
+    eprintln!(
+        "warning: {}: this throw is of {}, before the last one of {machine} in the database, of {}. Imported throws are \
+         judged as the newest, so the state and the alarms of the machine are now those of an older time. To evaluate old \
+         recordings only, import them into another database ([store] path)",
+        file.display(),
+        utc(&started_at),
+        utc(&last)
+    );
 }
 
 fn read(arguments: &Arguments, number: usize, file: &Path, exports: &mut Exports) -> Result<Vec<Throw>, Failure> {

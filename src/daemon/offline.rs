@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     bus::BusError,
-    store::{Spooled, Store, StoreError},
+    store::{Selector, Spooled, Store, StoreError},
     throw::{MachineId, Throw, ThrowRef},
 };
 
@@ -87,6 +87,16 @@ impl Offline {
     /// When the database cannot be read.
     pub async fn has(&self, machine: &MachineId, throw: &ThrowRef) -> Result<bool, StoreError> {
         Ok(self.store.reader().throw_of(machine, throw).await?.is_some())
+    }
+
+    /// Start of the last throw of a machine that was judged.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn last_start(&self, machine: &MachineId) -> Result<Option<Timestamp>, StoreError> {
+        let which = Selector { site: machine.site.to_string(), machine: machine.machine.to_string() };
+        let latest = self.store.reader().latest_health(&which).await?;
+        Ok(latest.iter().map(|health| health.started_at).max())
     }
 
     /// Judges all pending throws.

@@ -396,7 +396,10 @@ impl DriftAlarms {
         }
         let main = attribution.main();
         let subject = text::subject(context.name, direction);
-        let text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
+        let mut text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
+        if tracks.may_have_learned_rain() && main.is_some_and(|main| main.cause == Cause::Friction && main.size > 0.0) {
+            text += text::RAIN_IN_BASELINE;
+        }
         Some(Evidence {
             change_pct: main.map(|main| percent(main.size)),
             change_pct_sd: main.map(text::sd_pct),

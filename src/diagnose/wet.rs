@@ -15,7 +15,9 @@ use super::{regression::Series, trend::Filling};
 /// spell are not sharp.
 const CHANGE: Range<f64> = -0.34..-0.07;
 /// Number of throws of a spell.
-const LENGTH: RangeInclusive<usize> = 6..=48;
+const LENGTH: RangeInclusive<usize> = 6..=LONGEST;
+/// Largest number of throws of a spell.
+pub(super) const LONGEST: usize = 48;
 /// Least number of throws before a spell, and after it: a step down or up is not rain.
 const DRY: usize = 6;
 /// Logarithm of the Bayes factor of spells against none.

@@ -282,6 +282,39 @@ fn rain_in_the_baseline_does_not_hide_later_wear() {
     }
 }
 
+/// Rain with which a baseline begins looks like a fault when the rails are dry: the alarm says so, and one long after the
+/// baseline does not.
+#[test]
+fn a_rise_of_friction_soon_after_the_baseline_may_be_dry_rails() {
+    let settings = Settings::default();
+    for (wet, faulty, is_said) in [(0..24, 400..424, false), (0..24, 24..80, true)] {
+        let mut texts = Vec::new();
+        for seed in 0..10 {
+            let mut machine = Machine::new(51_000 + seed, Scatter::USUAL);
+            let mut monitor = MachineMonitor::new("21B");
+            for throw in 0..faulty.end {
+                let is_wet = is_said && wet.contains(&throw);
+                let is_faulty = !is_said && faulty.contains(&throw);
+                let change = shift(
+                    Cause::Friction,
+                    if is_wet {
+                        -25.0
+                    } else if is_faulty {
+                        40.0
+                    } else {
+                        0.0
+                    },
+                );
+                let events = machine.feed(&mut monitor, change, None, &settings).events;
+                let is_raised = |event: &AlarmEvent| event.cause == Cause::Friction && event.event_no == 1;
+                texts.extend(events.into_iter().filter(is_raised).map(|event| event.text));
+            }
+        }
+        assert!(texts.len() >= 8, "{texts:?}");
+        assert!(texts.iter().all(|text| text.contains("dry rails look the same") == is_said), "{texts:?}");
+    }
+}
+
 /// Machines that wander have no wet spells: with one taken out of each baseline they would have false alarms.
 #[test]
 #[ignore = "prints a table, in some minutes"]

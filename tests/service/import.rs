@@ -88,7 +88,12 @@ fn a_csv_file_that_was_copied_or_has_a_new_time_is_imported_once() {
     fs::write(&copy, text).unwrap();
     let (code, said, error) = import(&rig, &[&copy], &[]);
     assert_eq!(code, Some(0), "{error}");
-    assert!(said.starts_with("1 throws imported (0 not evaluated)"), "{said}");
+    assert!(said.starts_with("1 throws imported (0 not evaluated)") && error.is_empty(), "{said}{error}");
+    // A recording older than the stored throws would be the present state.
+    fs::write(&copy, fs::read_to_string(&file).unwrap() + "8.0,0\n").unwrap();
+    let (code, said, error) = import(&rig, &[&copy], &["--started-at", "2025-01-01T00:00:00Z"]);
+    assert!(code == Some(0) && said.starts_with("1 throws imported"), "{said}{error}");
+    assert!(error.starts_with("warning: ") && error.contains("before the last one of north/21B"), "{error}");
 }
 
 /// The list of the throws beside the folder of the traces has what a trace does not have.

@@ -11,6 +11,9 @@ use crate::diagnose::{
     testimony::Awaited,
 };
 
+/// Addition to the text of a rise of friction soon after a baseline, which rain may have lowered.
+pub(crate) const RAIN_IN_BASELINE: &str = " The baseline is new: if it rained while it was taken, dry rails look the same. Then take another one (rebaseline).";
+
 /// Name of a part that loses torque, if the back-EMF of the motor has not changed.
 const MOTOR_OR_GEAR: &str = "motor or gear";
 

@@ -21,7 +21,7 @@ use super::{
     temperature::doubt,
     threshold::{Thresholds, WINDOWS},
     verdict::{Blindness, HidingTemperature},
-    wet::WetSpell,
+    wet::{self, WetSpell},
     window::{RecentThrow, RecentThrows, Stream, Window, with_middle_kept},
 };
 use crate::throw::Direction;
@@ -162,6 +162,12 @@ impl Tracks {
                 track.recent.iter_mut().for_each(|throw| throw.add_temperature(baseline));
             }
         }
+    }
+
+    /// Whether a baseline may contain rain that had begun before it or lasted until its end. Such a spell is not taken out,
+    /// as its throws do not distinguish it from a fault; the rails are dry again within a longest spell.
+    pub(super) fn may_have_learned_rain(&self) -> bool {
+        self.sides.iter().any(|track| track.baseline.is_some() && track.since_baseline <= wet::LONGEST as u64)
     }
 
     fn baselines(&self) -> [Option<&Baseline>; 2] {
