@@ -45,6 +45,8 @@ const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
 /// Losses of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
 /// friction of a machine.
 const RAIN_PCT: Range<f64> = 10.0..25.0;
+/// Rise of the friction when the rails dry, as its logarithm: rain takes hardly more than 30 %.
+const DRYING: Range<f64> = 0.0..0.36;
 /// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
 /// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
 const SIZE_SHARE: f64 = 0.01;
@@ -397,7 +399,8 @@ impl DriftAlarms {
         let main = attribution.main();
         let subject = text::subject(context.name, direction);
         let mut text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
-        if tracks.may_have_learned_rain() && main.is_some_and(|main| main.cause == Cause::Friction && main.size > 0.0) {
+        let is_drying = |main: &Explanation| main.cause == Cause::Friction && DRYING.contains(&main.size);
+        if tracks.may_have_learned_rain() && main.is_some_and(is_drying) {
             text += text::RAIN_IN_BASELINE;
         }
         Some(Evidence {
