@@ -112,6 +112,7 @@ impl DriftAlarms {
         let is_rising = self.intermittent.is_rising();
         for (index, cause) in DRIFTS.into_iter().enumerate() {
             let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
+            let weather = self.new_part(cause, drift, tracks, context).unwrap_or(weather);
             if weather != Claim::Named && reading.claim != Claim::None {
                 reading.claim = weather;
             }
@@ -322,7 +323,8 @@ impl DriftAlarms {
     /// The largest claim that the drift allows beside weather, which changes the friction most.
     fn beside_weather(&mut self, drift: &Drift, order: u64, tracks: &Tracks, context: Context) -> Claim {
         let change = drift.change_of_friction();
-        let season = change.filter(|change| self.may_be_season(change.size, tracks, context));
+        let season =
+            change.filter(|change| self.may_be_season(Cause::Friction, change.size, &Vector3::y(), tracks, context));
         self.season_pct = season.map(|change| percent(change.size));
         match self.beside_rain(change, order, context) {
             Claim::Named if season.is_some() => Claim::Counts,
@@ -330,14 +332,32 @@ impl DriftAlarms {
         }
     }
 
-    /// Whether a change of the friction may be the season's: the machine has no temperature, the change is below the
-    /// critical limit, and a part of it existed a week ago.
-    fn may_be_season(&self, size: f64, tracks: &Tracks, context: Context) -> bool {
-        let is_critical = relevance(Cause::Friction, size, context.settings) > context.settings.critical_factor;
+    /// The largest claim about a part that is named beside a known drift, which may be the weather's: it is its own change
+    /// that may be slow. `None` for other causes.
+    fn new_part(&self, cause: Cause, drift: &Drift, tracks: &Tracks, context: Context) -> Option<Claim> {
+        let Some(Naming::Another { new, .. }) = drift.attribution.map(|attribution| attribution.naming) else {
+            return None;
+        };
+        let is_slow = || self.may_be_season(cause, new.size, &new.weights, tracks, context);
+        (new.cause == cause && cause != Cause::Friction).then(|| if is_slow() { Claim::Counts } else { Claim::Named })
+    }
+
+    /// Whether a change of `cause` may be the season's: the machine has no temperature, the change is below the critical
+    /// limit, and a part of it existed a week ago. `weights` of the logarithms give its size.
+    fn may_be_season(
+        &self,
+        cause: Cause,
+        size: f64,
+        weights: &Vector3<f64>,
+        tracks: &Tracks,
+        context: Context,
+    ) -> bool {
+        let is_critical = relevance(cause, size, context.settings) > context.settings.critical_factor;
         let per_day = tracks.throws_per_day(context.at).unwrap_or(context.settings.throws_per_day);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
         let week = ((DAYS_OF_WEEK * per_day) as u32).max(LONGEST_WINDOW);
-        let was_there = || self.history.mean(week..u32::MAX).is_some_and(|level| level.y / size > SLOW_FROM);
+        let was_there =
+            || self.history.mean(week..u32::MAX).is_some_and(|level| weights.dot(&level) / size > SLOW_FROM);
         !is_critical && tracks.has_no_temperature() && was_there()
     }
 

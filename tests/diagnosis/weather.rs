@@ -1,5 +1,7 @@
 //! Temperature: its effect is learned permanently, and the alarm text says what it can hide.
 
+use std::f64::consts::TAU;
+
 use jiff::SignedDuration;
 use nalgebra::Vector3;
 use pointsd::{
@@ -9,7 +11,7 @@ use pointsd::{
 
 use crate::{
     field::{Climate, Machine, PER_KELVIN, Scatter},
-    fleet::shift,
+    fleet::{normal, shift},
 };
 
 /// A baseline in winter, a change to summer over `over` throws (0: the machine is not used in spring), `held` throws in summer, then the fault. Returns the
@@ -312,6 +314,83 @@ fn a_rise_of_friction_soon_after_the_baseline_may_be_dry_rails() {
         }
         assert!(texts.len() >= 8, "{texts:?}");
         assert!(texts.iter().all(|text| text.contains("dry rails look the same") == is_said), "{texts:?}");
+    }
+}
+
+/// Throws of a day and of the night before it; the first throws of a day are stiff by about `pct` and a third of it.
+fn morning(machine: &mut Machine, throw: u64, per_day: i32, pct: f64) -> Vector3<f64> {
+    let usual = SignedDuration::from_mins(30);
+    let of_day = throw % u64::from(per_day.unsigned_abs());
+    machine.interval = if of_day == 0 { SignedDuration::from_hours(24) - usual * (per_day - 1) } else { usual };
+    let part = [1.0, 0.3].get(usize::try_from(of_day).unwrap()).copied().unwrap_or_default();
+    shift(Cause::Friction, pct) * part * (1.0 + 0.3 * normal(&mut machine.rng)).max(0.0)
+}
+
+/// Rust and dew of a night make the first throws of a day stiff, in the baseline as later.
+#[test]
+fn a_stiff_first_throw_of_each_day_is_no_fault_and_hides_none() {
+    let settings = Settings::default();
+    for (per_day, pct) in [(2, 50.0), (6, 30.0), (11, 30.0), (20, 50.0)] {
+        for seed in 0..10 {
+            let mut machine = Machine::new(80_000 + seed, Scatter::USUAL);
+            let mut monitor = MachineMonitor::new("21B");
+            for throw in 0..800 {
+                let change = morning(&mut machine, throw, per_day, pct);
+                let events = machine.feed(&mut monitor, change, None, &settings).events;
+                assert_eq!(events, [], "{per_day} a day, {pct} %, seed {seed}");
+            }
+            let worn = (800..840).flat_map(|throw| {
+                let change = morning(&mut machine, throw, per_day, pct) + shift(Cause::Friction, 30.0);
+                machine.feed(&mut monitor, change, None, &settings).events
+            });
+            let causes: Vec<Cause> = worn.map(|event| event.cause).collect();
+            assert_eq!(causes.first(), Some(&Cause::Friction), "{per_day} a day, {pct} %, seed {seed}");
+        }
+    }
+}
+
+/// Grease whose friction grows exponentially in the cold, on machines that publish the temperature.
+#[test]
+#[ignore = "prints a table, in some minutes"]
+fn table_of_grease() {
+    const LIVES: u64 = 20;
+    const THROWS: u64 = 14_600;
+    let settings = Settings::default();
+    for (part, per_kelvin, lag_h) in
+        [(0.3, 0.03, 0.0), (0.3, 0.03, 3.0), (0.5, 0.04, 0.0), (0.5, 0.04, 3.0), (0.7, 0.05, 0.0), (0.7, 0.05, 3.0)]
+    {
+        let (mut raised, mut named) = (std::collections::BTreeMap::<&str, u32>::new(), 0);
+        for seed in 0..LIVES {
+            let mut machine = Machine::new(81_000 + seed, Scatter::USUAL);
+            let mut monitor = MachineMonitor::new("21B");
+            let (mut front, mut inside) = (0.0, 0.0);
+            for throw in 0..THROWS + 24 {
+                // Twenty throws a day for two years, which begin in another month for each machine.
+                let days = throw as f64 / 20.0;
+                let [year, day] = [days / 365.0 + seed as f64 / LIVES as f64, days].map(|turns| turns * TAU);
+                front = 0.985 * front + 0.86 * normal(&mut machine.rng);
+                let celsius = 10.0 - 15.0 * year.cos() + 5.0 * day.sin() + front;
+                let keep = if lag_h > 0.0 { (-1.2_f64 / lag_h).exp() } else { 0.0 };
+                inside = keep * inside + (1.0 - keep) * celsius;
+                let friction = 1.0 - part + part * (-per_kelvin * (inside - 10.0)).exp();
+                let fault = if throw < THROWS { 0.0 } else { -12.0 };
+                let change = shift(Cause::Friction, 100.0 * (friction - 1.0)) + shift(Cause::Kt, fault);
+                let events = machine.feed(&mut monitor, change, Some(celsius), &settings).events;
+                let is_new = |event: &&AlarmEvent| event.event_no == 1;
+                if throw < THROWS {
+                    events
+                        .iter()
+                        .filter(is_new)
+                        .for_each(|event| *raised.entry(event.cause.as_str()).or_default() += 1);
+                } else {
+                    named += u32::from(events.iter().filter(is_new).any(|event| event.cause == Cause::Kt));
+                }
+            }
+        }
+        println!(
+            "{part} viscous, {per_kelvin} per K, {lag_h} h behind: {raised:?} in {} throws; motor named in {named} of {LIVES}",
+            LIVES * THROWS
+        );
     }
 }
 
