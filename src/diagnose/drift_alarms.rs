@@ -57,6 +57,11 @@ const DAYS_OF_WEEK: f64 = 7.0;
 /// Consecutive throws that show that a drift is in one direction only, before its alarm says so: three of each direction.
 const ONE_SIDED_THROWS: u8 = 6;
 
+/// The causes that change one coefficient each, in their order.
+const SHARED: [Cause; 3] = [Cause::Kt, Cause::Friction, Cause::Stiffness];
+/// Part of a warning limit from which a change that is shared with the site is stated.
+const SHARED_FROM: f64 = 0.5;
+
 /// Least part of nominal that a loss leaves, as its logarithm is needed.
 const LEAST_LEFT: f64 = 0.01;
 
@@ -87,6 +92,10 @@ pub(super) struct DriftAlarms {
     /// A slow change of the friction \[%\] that raises no alarm, as it may be the season's.
     #[serde(default)]
     pub(super) season_pct: Option<f64>,
+    /// The part of the last departure (ln b0, ln a1, ln a0) that the other machines of the site have too, and which is
+    /// subtracted.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub(super) shared: [f32; 3],
     /// Consecutive throws in which a drift was known to be in one direction only, by cause.
     #[serde(default)]
     pub(super) one_sided: [u8; 5],
@@ -149,7 +158,14 @@ impl DriftAlarms {
                 Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
                 Transition::Turn(severity) => evidence(severity).and_then(|with| alarms.turn(cause, with, at)),
                 Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
-                Transition::Clear { at_once } => alarms.clear(cause, text::cleared(name, cause, at_once), at),
+                Transition::Clear { at_once } => {
+                    let shared = self.shared_changes().find(|(of, _)| *of == cause);
+                    let text = match shared {
+                        Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
+                        None => text::cleared(name, cause, at_once),
+                    };
+                    alarms.clear(cause, text, at)
+                }
                 Transition::ProposeRebaseline => alarms.remark(cause, text::maybe_repaired(name, cause), at),
                 Transition::Withdraw => {
                     let other = match drift.testimony {
@@ -163,6 +179,20 @@ impl DriftAlarms {
         }
         self.renew(drift, order, tracks, alarms, settings);
         events
+    }
+
+    /// Keeps the part `shared` of the departure of this throw, if a warning might be about it.
+    pub(super) fn share(&mut self, shared: &Vector3<f64>, settings: &Settings) {
+        let matters = |i: usize| relevance(SHARED[i], shared[i], settings) > SHARED_FROM;
+        #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
+        let kept = |i: usize| if matters(i) { shared[i] as f32 } else { 0.0 };
+        self.shared = [0, 1, 2].map(kept);
+    }
+
+    /// The changes of the machine that are shared with the site, with their size \[%\].
+    pub(super) fn shared_changes(&self) -> impl Iterator<Item = (Cause, f64)> {
+        let is_change = |(_, log): &(Cause, f32)| *log != 0.0;
+        SHARED.into_iter().zip(self.shared).filter(is_change).map(|(cause, log)| (cause, percent(log.into())))
     }
 
     /// The severity of an active alarm of both directions whose drift is known now to be in one direction only, which the first
@@ -469,6 +499,11 @@ impl DriftAlarms {
         let size_sd = part.model_sd.hypot(size_sd / whole).hypot(SIZE_SHARE * whole.ln());
         (Explanation { size: whole.ln(), size_sd, ..*part }, Some(course))
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_zero(shared: &[f32; 3]) -> bool {
+    *shared == [0.0; 3]
 }
 
 /// The direction that a drift of `cause` concerns; `None` for both, and while it is not known.

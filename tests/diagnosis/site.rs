@@ -118,6 +118,10 @@ fn the_alarm_of_the_whole_site_is_raised_once_and_ends() {
         events.extend(news);
     }
     assert!(site.events.is_empty(), "{:?}", site.events);
+    let states = |monitor: &MachineMonitor| monitor.caveats().iter().any(|caveat| caveat.contains("common to most"));
+    // Those that threw before the common change was known do not say it yet.
+    assert!(wetted.iter().any(states), "{:?}", wetted.iter().map(MachineMonitor::caveats).collect::<Vec<_>>());
+    assert!(!site.machines.iter().any(|(_, monitor)| states(monitor)), "the rails are dry again");
     let said: Vec<_> = events.iter().map(|event| (event.cause, event.state.as_str())).collect();
     assert_eq!(said, [(Cause::Friction, "active_unacknowledged"), (Cause::Friction, "cleared_unacknowledged")]);
     assert!(events[0].text.contains("All machines of north: friction down"), "{}", events[0].text);

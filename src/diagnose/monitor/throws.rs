@@ -55,7 +55,9 @@ impl MachineMonitor {
             if let Some(of_one_throw) = self.tracks.of_one_throw(throw.direction) {
                 self.trail.push(at, residual, &of_one_throw);
             }
-            throw.log = (Vector3::from(throw.log) - site::excused(residual, common)).into();
+            let shared = site::excused(residual, common);
+            self.drift.share(&shared, settings);
+            throw.log = (Vector3::from(throw.log) - shared).into();
         }
         let mut verdict =
             Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };

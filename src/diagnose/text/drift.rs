@@ -111,6 +111,22 @@ pub(crate) fn cleared(name: &str, cause: Cause, at_once: bool) -> String {
     format!("Machine {name}: {cause} is back to normal.{repair}")
 }
 
+/// Text of a drift that is taken for the weather now, as other machines of the site have it too.
+pub(crate) fn cleared_as_shared(name: &str, cause: Cause, pct: f64) -> String {
+    format!(
+        "Machine {name}: {cause} has not come back to normal ({pct:+.0} %), but most machines of the site changed alike, so the \
+         weather is the probable reason. This machine is judged without the common change."
+    )
+}
+
+/// Statement about a change of the machine that most machines of its site share.
+pub(crate) fn shared(name: &str, cause: Cause, pct: f64) -> String {
+    format!(
+        "Machine {name}: a change of {cause} by {pct:+.0} % is common to most machines of the site, as by the weather, and \
+         raises no alarm of this machine."
+    )
+}
+
 /// Text of a drift that has ended at once, except for a part.
 pub(crate) fn maybe_repaired(name: &str, cause: Cause) -> String {
     format!(
@@ -134,14 +150,14 @@ pub(crate) fn explained(name: &str, part: Cause) -> String {
 pub(crate) fn site(name: &str, cause: Cause, pct: f64) -> String {
     let way = if pct < 0.0 { "down" } else { "up" };
     format!(
-        "{name}: {cause} {way} {:.0} % on all of them together: the weather (rain, frost, heat), or work on \
-         all. No machine has an alarm for it.",
+        "{name}: {cause} {way} by {:.0} % or more on most of them together: the weather (rain, frost, heat), or work on all. \
+         Each machine is judged without this change; one that changed by much more has an alarm of its own.",
         pct.abs()
     )
 }
 
 pub(crate) fn site_over(name: &str, cause: Cause) -> String {
-    format!("{name}: {cause} no longer changes on all of them together.")
+    format!("{name}: {cause} is no longer changed on most of them together.")
 }
 
 fn change(e: &Explanation) -> String {
