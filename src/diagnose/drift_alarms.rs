@@ -94,7 +94,7 @@ pub(super) struct DriftAlarms {
     pub(super) season_pct: Option<f64>,
     /// The part of the last departure (ln b0, ln a1, ln a0) that the other machines of the site have too, and which is
     /// subtracted.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default)]
     pub(super) shared: [f32; 3],
     /// Consecutive throws in which a drift was known to be in one direction only, by cause.
     #[serde(default)]
@@ -499,11 +499,6 @@ impl DriftAlarms {
         let size_sd = part.model_sd.hypot(size_sd / whole).hypot(SIZE_SHARE * whole.ln());
         (Explanation { size: whole.ln(), size_sd, ..*part }, Some(course))
     }
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_zero(shared: &[f32; 3]) -> bool {
-    *shared == [0.0; 3]
 }
 
 /// The direction that a drift of `cause` concerns; `None` for both, and while it is not known.
