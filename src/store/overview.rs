@@ -1,5 +1,7 @@
 //! Queries of the dashboard; each reads a bounded number of rows by an index.
 
+use jiff::Timestamp;
+
 use super::{
     error::StoreError,
     reader::{Reader, about},
@@ -45,6 +47,21 @@ impl Reader {
         limit: u32,
     ) -> Result<Vec<Health>, StoreError> {
         self.way(sql::WAY_SPREAD, machine, direction, limit).await
+    }
+
+    /// The last `limit` throws of a machine in one direction up to `at`, oldest first, among the last throws of both
+    /// directions.
+    pub(crate) async fn last_until(
+        &self,
+        machine: &MachineId,
+        direction: Direction,
+        at: Timestamp,
+        limit: u32,
+    ) -> Result<Vec<Health>, StoreError> {
+        let statement = about(sql::WAY_UNTIL, machine).bind(direction.as_str()).bind(limit);
+        let mut rows = self.external(statement.bind(at.as_microsecond())).await?;
+        rows.reverse();
+        Ok(rows)
     }
 
     async fn way(

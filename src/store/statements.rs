@@ -389,6 +389,11 @@ statements! {
     WAY_NEWEST = concat!("SELECT ", history!(), " \
         WHERE estimate.machine_row = ", one_machine!(), " \
         AND estimate.direction = ?3 ORDER BY estimate.throw_row DESC LIMIT ?4");
+    // The index of the starts: the throws of a baseline may be far behind the newest.
+    WAY_UNTIL = concat!("SELECT ", history!(), " \
+        WHERE estimate.throw_row IN (SELECT throw_row FROM throw WHERE machine_row = ", one_machine!(), " \
+        AND started_at_us <= ?5 ORDER BY started_at_us DESC LIMIT 4 * ?4) \
+        AND estimate.direction = ?3 ORDER BY estimate.throw_row DESC LIMIT ?4");
     WAY_SPREAD = concat!("WITH RECURSIVE span AS (SELECT \
         (SELECT min(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS low, \
         (SELECT max(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS high), \

@@ -203,6 +203,10 @@ async fn read(
         (Direction::ReverseToNormal, rows(reader, machine, Direction::ReverseToNormal, span).await?),
     ];
     let baselines = reader.baselines_of(machine, BASELINES).await?;
+    let of_baseline = [
+        throws_of_baseline(reader, machine, &both[0], &baselines).await?,
+        throws_of_baseline(reader, machine, &both[1], &baselines).await?,
+    ];
     let commands = reader.commands_of(machine, COMMANDS).await?;
     let windows = reader.windows(Some(machine)).await?;
     let mut open = reader.open_alarms(&machine.into()).await?;
@@ -222,7 +226,7 @@ async fn read(
         spans: Span::CHOICES.into_iter().map(|(choice, word, says)| (word, says, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
         no_trends: no_trends(&baselines),
-        features: trend::features(&both, &marks, &baselines),
+        features: trend::features(&both, &of_baseline, &marks),
         drawn_throws: drawn_throws(&both),
         drawn: drawn(&both),
         rejected: rejected(&both),
@@ -261,6 +265,23 @@ async fn rows(
     // Rows are in the order of arrival; throws from a backlog arrive after later ones.
     rows.sort_by_key(|row| row.started_at);
     Ok(rows)
+}
+
+/// The throws of the baseline of a direction, with its last throws; none if it has no baseline, or discarded it.
+async fn throws_of_baseline(
+    reader: &Reader,
+    machine: &MachineId,
+    (direction, rows): &(Direction, Vec<Health>),
+    baselines: &[BaselineRecord],
+) -> Result<Vec<Health>, StoreError> {
+    let of_direction = baselines.iter().filter(|baseline| baseline.direction == *direction);
+    let Some(baseline) = of_direction.max_by_key(|baseline| baseline.taken_at) else { return Ok(Vec::new()) };
+    let so_far = rows.last().and_then(|last| last.baseline).map_or(0, |(so_far, _)| so_far);
+    if so_far < baseline.throws as u64 {
+        return Ok(Vec::new());
+    }
+    let throws = u32::try_from(baseline.throws).unwrap_or(u32::MAX);
+    reader.last_until(machine, *direction, baseline.taken_at, throws).await
 }
 
 fn maintenance(state: MachineState, windows: &[Window]) -> Option<String> {

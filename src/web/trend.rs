@@ -152,7 +152,8 @@ const ROUGH_THROWS: &str = "of each throw, also of rough ones, which have only t
 
 /// Charts of the features of every throw, also of rejected ones: duration and currents. If some throws are rough, the
 /// ratios of the coefficients too.
-pub(super) fn features(directions: &Directions, marks: &[Mark], baselines: &[BaselineRecord]) -> Vec<Picture> {
+/// `of_baseline`: the throws of the baseline of each direction, empty without a baseline.
+pub(super) fn features(directions: &Directions, of_baseline: &[Vec<Health>; 2], marks: &[Mark]) -> Vec<Picture> {
     let ratios: [(&str, &str, &str, Feature); 2] = [
         ("Friction per motor (a1 / b0)", "mA s/rad", ROUGH_THROWS, |row| ratio(row, row.a1_per_b0, 1)),
         ("Stiffness per motor (a0 / b0)", "mA/rad", ROUGH_THROWS, |row| ratio(row, row.a0_per_b0, 2)),
@@ -174,13 +175,16 @@ pub(super) fn features(directions: &Directions, marks: &[Mark], baselines: &[Bas
         }
         // Takes the colour of the band in the other charts.
         panel = panel.line("", []);
-        for level in usual(directions, baselines, value) {
-            panel = panel.level(level, "");
+        let levels: Vec<f64> = of_baseline.iter().filter_map(|rows| median(rows, value)).collect();
+        for level in &levels {
+            panel = panel.level(*level, "");
         }
         if !least.is_finite() {
             return None;
         }
-        let says = format!("{title} {of}. The dashed lines are the medians of the baseline in each direction.");
+        let lines =
+            if levels.is_empty() { "" } else { " The dashed lines are the medians of the baseline in each direction." };
+        let says = format!("{title} {of}.{lines}");
         Some(Picture::new(marked(panel, rejected_at(directions, least), marks), says))
     };
     ratios.iter().copied().chain(shown).filter_map(picture).collect()
@@ -192,24 +196,12 @@ fn ratio(row: &Health, known: Option<f64>, at: usize) -> Option<f64> {
     ratio.map(|ratio| 1e3 * ratio)
 }
 
-/// Median of a feature for each direction, over the throws in the chart up to the baseline, or over the first good
-/// ones.
-fn usual(directions: &Directions, baselines: &[BaselineRecord], value: fn(&Health) -> Option<f64>) -> Vec<f64> {
-    let one = |(direction, rows): &(Direction, Vec<Health>)| {
-        let baseline = baselines.iter().filter(|it| it.direction == *direction).max_by_key(|it| it.taken_at)?;
-        let good = || rows.iter().filter(|row| row.is_evaluated());
-        let mut values: Vec<f64> = good().filter(|row| row.started_at <= baseline.taken_at).filter_map(value).collect();
-        if values.is_empty() {
-            values = good().take(BASELINE).filter_map(value).collect();
-        }
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied()
-    };
-    directions.iter().filter_map(one).collect()
+/// Median of a feature of evaluated throws.
+fn median(rows: &[Health], value: Feature) -> Option<f64> {
+    let mut values: Vec<f64> = rows.iter().filter(|row| row.is_evaluated()).filter_map(value).collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
 }
-
-/// Number of first good throws that replace the throws of a baseline outside the chart.
-const BASELINE: usize = 25;
 
 /// Time on the axis \[s since 1970\]. From whole microseconds, so that its text has at most six decimals.
 pub(super) fn x(at: Timestamp) -> f64 {

@@ -1,9 +1,17 @@
 //! Size and time of each page with a large history, up to 20,000 machines and a million throws.
 
-use std::time::{Duration, Instant};
+use std::{
+    fs,
+    time::{Duration, Instant},
+};
+
+use pointsd::{
+    throw::Trace,
+    wire::{Encoding, encode_throw},
+};
 
 use crate::{
-    http::{self, address, check_nesting, exchange, exchange_bytes, get, small_history},
+    http::{self, WEB, address, check_nesting, exchange, exchange_bytes, get, small_history},
     questions::large,
     rig::{Rig, pointsd, throws},
 };
@@ -235,4 +243,42 @@ async fn a_big_history_gives_bounded_pages() {
         assert!(all.matches(&format!(">{moment}</text>")).count() >= 4, "{moment} in {all}");
     }
     check_nesting(&all);
+}
+
+/// The level of the baseline comes from its own throws, also if the chart has later ones only.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_lines_of_the_baseline_are_those_of_its_throws() {
+    let rig = Rig::with(&format!("{WEB}[diagnosis]\nbaseline_throws = 12\n"));
+    let mut made = throws("boot", 230);
+    for throw in &mut made[24..] {
+        let current = throw.trace.current_a().iter().map(|amperes| 1.5 * amperes).collect();
+        throw.trace = Trace::new(throw.trace.sample_rate_hz(), current, throw.trace.position_mm().to_vec()).unwrap();
+    }
+    let file = rig.folder().join("many.ndjson");
+    let lines: Vec<_> = made.iter().map(|throw| encode_throw(Encoding::Json, throw)).collect();
+    fs::write(&file, lines.join(&b'\n')).unwrap();
+    let import =
+        pointsd(&["import", "--machine", "north/21B", "--config"]).arg(rig.config()).arg(&file).output().unwrap();
+    assert!(import.status.success(), "{}", String::from_utf8_lossy(&import.stderr));
+    let daemon = rig.start();
+    let address = address(&daemon);
+    let levels = || -> Vec<f64> {
+        let page = get(&address, "/machines/north/21B").body;
+        let charts = page.split("<script type=\"application/json\">").skip(1);
+        let charts =
+            charts.filter_map(|rest| serde_json::from_str::<serde_json::Value>(rest.split("</script>").next()?).ok());
+        let chart = charts.into_iter().find(|chart| chart["title"] == "Mean current").unwrap();
+        chart["levels"].as_array().unwrap().iter().map(|level| level[0].as_f64().unwrap()).collect()
+    };
+    let of_baseline = rig.sql(
+        "SELECT min(mean_current_a) AS low, max(mean_current_a) AS high FROM health_history WHERE throw_no <= 24 \
+         GROUP BY direction",
+    );
+    let [low, high] = ["low", "high"].map(|end| of_baseline.iter().map(move |row| row[end].as_f64().unwrap()));
+    let (low, high) = (low.fold(f64::INFINITY, f64::min), high.fold(0.0, f64::max));
+    let found = levels();
+    assert!(found.len() == 2 && found.iter().all(|level| (low..=high).contains(level)), "{found:?}, {low} to {high}");
+    // The discarded baseline is no level.
+    daemon.says(0, &["rebaseline", "north/21B", "--why", "test", "--by", "A"]);
+    assert_eq!(levels(), Vec::<f64>::new());
 }
