@@ -7,34 +7,47 @@ SELECT site, machine, count(*) AS alarms, sum(severity = 'critical') AS critical
 FROM alarm_history WHERE raised_at >= strftime('%Y-%m-%d', 'now', '-30 days')
 GROUP BY site, machine ORDER BY critical DESC, alarms DESC LIMIT 20;
 
--- 2. How fast does each coefficient of a machine drift? [% per 100 throws, over its last 200 good throws to reverse]
+-- 2. How fast do the motor, friction and stiffness of a machine drift? [% per 100 throws, over its last 200 throws to
+--    reverse; friction and stiffness per torque of the motor, which rough throws have too; b0 in the good ones]
 WITH last AS (
-    SELECT row_number() OVER (ORDER BY started_at_us DESC) AS n, b0_pct, a1_pct, a0_pct FROM health_history
-    WHERE site = 'north' AND machine = 'm1' AND direction = 'normal_to_reverse' AND quality = 'good' AND b0_pct IS NOT NULL
+    SELECT row_number() OVER (ORDER BY started_at_us DESC) AS n, b0,
+           coalesce(a1_per_b0, a1 / b0) AS friction, coalesce(a0_per_b0, a0 / b0) AS stiffness FROM health_history
+    WHERE site = 'north' AND machine = 'm1' AND direction = 'normal_to_reverse' AND quality IN ('good', 'rough')
     ORDER BY started_at_us DESC LIMIT 200),
-mean AS (SELECT avg(n) AS n, avg(b0_pct) AS b0, avg(a1_pct) AS a1, avg(a0_pct) AS a0, count(*) AS throws FROM last)
-SELECT mean.throws,
-       -100 * sum((last.n - mean.n) * (b0_pct - b0)) / sum((last.n - mean.n) * (last.n - mean.n)) AS b0_per_100,
-       -100 * sum((last.n - mean.n) * (a1_pct - a1)) / sum((last.n - mean.n) * (last.n - mean.n)) AS a1_per_100,
-       -100 * sum((last.n - mean.n) * (a0_pct - a0)) / sum((last.n - mean.n) * (last.n - mean.n)) AS a0_per_100
+mean AS (SELECT avg(n) AS n, avg(iif(b0 IS NULL, NULL, n)) AS n_good, avg(b0) AS b0, avg(friction) AS friction,
+                avg(stiffness) AS stiffness, count(*) AS throws, count(b0) AS good FROM last)
+SELECT mean.throws, mean.good,
+       -1e4 / mean.b0 * sum((last.n - n_good) * last.b0)
+           / sum(iif(last.b0 IS NULL, NULL, (last.n - n_good) * (last.n - n_good))) AS b0_per_100,
+       -1e4 / mean.friction * sum((last.n - mean.n) * last.friction)
+           / sum((last.n - mean.n) * (last.n - mean.n)) AS friction_per_100,
+       -1e4 / mean.stiffness * sum((last.n - mean.n) * last.stiffness)
+           / sum((last.n - mean.n) * (last.n - mean.n)) AS stiffness_per_100
 FROM last, mean;
 
--- 3. What did the last maintenance of a machine change? [mean of 100 throws before and after]
+-- 3. What did the last maintenance of a machine change? [mean of 100 throws before and after; rough throws have only the
+--    ratios of the coefficients]
 WITH visit AS (
     SELECT unixepoch(max(carried_out_at)) * 1000000 AS at_us FROM operator_commands
     WHERE site = 'north' AND machine = 'm1' AND command IN ('maintenance_end', 'rebaseline')),
-good AS NOT MATERIALIZED (SELECT * FROM health_history WHERE site = 'north' AND machine = 'm1' AND quality = 'good'),
+usable AS NOT MATERIALIZED (
+    SELECT *, coalesce(a1_per_b0, a1 / b0) AS friction, coalesce(a0_per_b0, a0 / b0) AS stiffness FROM health_history
+    WHERE site = 'north' AND machine = 'm1' AND quality IN ('good', 'rough')),
 near AS (
-    SELECT * FROM (SELECT 'before' AS side, b0, a1, a0 FROM good WHERE started_at_us < (SELECT at_us FROM visit)
-                   ORDER BY started_at_us DESC LIMIT 100)
+    SELECT * FROM (SELECT 'before' AS side, b0, a1, a0, friction, stiffness FROM usable
+                   WHERE started_at_us < (SELECT at_us FROM visit) ORDER BY started_at_us DESC LIMIT 100)
     UNION ALL
-    SELECT * FROM (SELECT 'after', b0, a1, a0 FROM good WHERE started_at_us >= (SELECT at_us FROM visit)
-                   ORDER BY started_at_us LIMIT 100))
-SELECT side, count(*) AS throws, avg(b0) AS b0, avg(a1) AS a1, avg(a0) AS a0 FROM near GROUP BY side;
+    SELECT * FROM (SELECT 'after', b0, a1, a0, friction, stiffness FROM usable
+                   WHERE started_at_us >= (SELECT at_us FROM visit) ORDER BY started_at_us LIMIT 100))
+SELECT side, count(*) AS throws, count(b0) AS good, avg(b0) AS b0, avg(a1) AS a1, avg(a0) AS a0,
+       avg(friction) AS a1_per_b0, avg(stiffness) AS a0_per_b0
+FROM near GROUP BY side;
 
--- 4. How did the friction of a machine follow the temperature in the last year? [by 5 K]
-SELECT 5 * cast(round(temperature_c / 5) AS INTEGER) AS about_c, count(*) AS throws, avg(a1_pct) AS a1_pct
-FROM health_history WHERE site = 'north' AND machine = 'm1' AND quality = 'good' AND temperature_c IS NOT NULL
+-- 4. How did the friction of a machine follow the temperature in the last year? [by 5 K; a1 itself, as the effect of the
+--    temperature is taken out of a1_pct]
+SELECT 5 * cast(round(temperature_c / 5) AS INTEGER) AS about_c, count(*) AS throws, avg(a1) AS a1,
+       avg(coalesce(a1_per_b0, a1 / b0)) AS a1_per_b0
+FROM health_history WHERE site = 'north' AND machine = 'm1' AND quality IN ('good', 'rough') AND temperature_c IS NOT NULL
   AND started_at_us >= (unixepoch('now') - 365 * 86400) * 1000000
 GROUP BY about_c ORDER BY about_c;
 
@@ -54,7 +67,7 @@ FROM alarm_history GROUP BY cause ORDER BY alarms DESC;
 
 -- 8. Which alarms stand (open for a week) or chatter (raised three times within a day)?
 SELECT 'standing' AS kind, site, machine, cause, raised_at, NULL AS times FROM active_alarms
-WHERE julianday('now') - julianday(raised_at) > 7
+WHERE julianday('now') - julianday(raised_at) > 7 AND state NOT LIKE 'cleared%'
 UNION ALL
 SELECT 'chattering', site, machine, cause, max(raised_at), count(*) FROM alarm_history
 GROUP BY site, machine, cause, date(raised_at) HAVING count(*) >= 3
@@ -65,7 +78,7 @@ SELECT site, machine, direction, max(taken_at) AS taken_at, throws,
        cast(julianday('now') - julianday(max(taken_at)) AS INTEGER) AS days
 FROM baselines GROUP BY site, machine, direction HAVING days > 365 OR throws < 50 ORDER BY days DESC LIMIT 50;
 
--- 10. On which machines do the two directions disagree? [last throw, % points of friction]
+-- 10. On which machines do the two directions disagree? [last throw, % points of friction; rough throws have none]
 SELECT one.site, one.machine, one.a1_pct AS to_reverse, other.a1_pct AS to_normal, abs(one.a1_pct - other.a1_pct) AS apart
 FROM machine_health AS one JOIN machine_health AS other
   ON other.site = one.site AND other.machine = one.machine AND other.direction = 'reverse_to_normal'

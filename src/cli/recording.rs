@@ -61,6 +61,13 @@ fn parse(bytes: &[u8]) -> anyhow::Result<Columns> {
     for record in reader.records() {
         let record = record.context("not readable as CSV")?;
         let line = record.position().map_or(0, csv::Position::line);
+        if record.iter().skip(header.len()).any(|cell| !cell.is_empty()) {
+            bail!(
+                "line {line}: {} values for the {} columns of the header: write decimals with a point, not a comma",
+                record.len(),
+                header.len()
+            );
+        }
         let [time_s, current_a] = places.map(|(name, place)| number(record.get(place), line, name));
         // An exported trace has an empty cell where the position was not measured.
         let measured = position.filter(|place| record.get(*place) != Some(""));

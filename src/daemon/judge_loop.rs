@@ -265,7 +265,7 @@ impl JudgeLoop {
     fn publish(&self, judgement: &Judgement) {
         let (status, health) = (&self.links.status, &judgement.health);
         status.edit().judged += 1;
-        if !health.is_evaluated() {
+        if health.is_rejected() {
             status.refuse(&health.quality);
         }
         self.links.outlet.health(wire::machine_key(&health.machine, Kind::Health), wire::json_bytes(health));

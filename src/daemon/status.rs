@@ -117,7 +117,7 @@ pub struct StatusReport {
     pub machines_refused: u64,
     /// Throws identified and diagnosed.
     pub judged: u64,
-    /// Of these, throws that gave no estimate.
+    /// Of these, throws that were rejected.
     pub not_evaluated: u64,
     /// Alarm events since the start.
     pub alarm_events: u64,
@@ -147,7 +147,7 @@ impl Status {
         self.report.lock()
     }
 
-    /// Counts a throw without an estimate.
+    /// Counts a rejected throw.
     pub(super) fn refuse(&self, reason: &str) {
         self.edit().not_evaluated += 1;
         *self.refused.lock().entry(reason.to_owned()).or_default() += 1;

@@ -165,7 +165,7 @@ fn throws(registry: &mut Registry, view: &View) {
     for (reason, number) in view.gauges.status.refused() {
         refused.get_or_create(&[("reason", reason)]).inc_by(number);
     }
-    registry.register("throws_not_evaluated", "Judged throws without an estimate, by reason", refused);
+    registry.register("throws_not_evaluated", "Judged throws that were rejected, by reason", refused);
     count(registry, "throws_backlog", "Throws still in the backlogs of their loggers", report.backlog);
     let inbox = view.gauges.inbox.queued_bytes() as u64;
     gauge(registry, "inbox", "Memory of received messages not stored yet", Unit::Bytes, inbox);

@@ -81,6 +81,7 @@ fn a_file_that_is_no_recording_is_refused_with_the_line() {
         (with_line(57, "0.001,1.0,0"), 65, vec!["line 58", "time does not increase"]),
         (plain.replace("current_a", "amps"), 65, vec!["line 1", "current_a is missing"]),
         (plain.replace(',', ";"), 65, vec!["line 1", "semicolons"]),
+        (with_line(57, "0.056,1.0,0,5"), 65, vec!["line 58", "4 values for the 3 columns", "point"]),
         (lines[..4].join("\n"), 1, vec!["throw.csv"]),
         (lines[..3000].join("\n"), 1, vec!["still moving", "stroke_mm"]),
         (lines[..2].join("\n"), 65, vec!["too few"]),
