@@ -1,6 +1,10 @@
 //! `pointsd replay`: runs stored throws with other settings, and compares the alarms.
 
-use std::{collections::BTreeMap, path::PathBuf};
+use std::{
+    cmp::Ordering,
+    collections::{BTreeMap, BTreeSet},
+    path::PathBuf,
+};
 
 use anyhow::anyhow;
 use indicatif::ProgressBar;
@@ -27,7 +31,7 @@ const BATCH: u32 = 16;
 /// database is only read; its daemon may run.
 ///
 /// The throws come from the database of the configuration, or from `--from`. Commands of operators are not repeated.
-/// Alarms about silent machines and lost throws do not depend on throws and are not compared. Throws whose trace was
+/// Alarms about silent loggers and lost throws do not depend on throws and are not compared. Throws whose trace was
 /// removed to save space cannot be run again; their number is shown.
 ///
 /// Exit codes: 0 replayed; 65 the database has no throw that can be run again; 66 there is no database; 73 the new
@@ -167,7 +171,18 @@ async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) 
 /// The occurrences of alarms since `since`, in order; an alarm whose severity changed has several.
 async fn occurrences(database: &Reader, since: Timestamp) -> Result<Vec<((MachineId, Cause), Occurrence)>, Failure> {
     let mut rows = database.alarm_history(&Selector::default(), since, u32::MAX).await.or_exit(Exit::Io)?;
-    rows.retain(|alarm| alarm.raised_at >= since && !matches!(alarm.cause, Cause::NotMonitored | Cause::DataLoss));
+    // An alarm that a throw raised: its first event has the throw.
+    let of_throw = |alarm: &Alarm| alarm.last_throw.is_some() && alarm.event_at == alarm.raised_at;
+    let of_throws: BTreeSet<_> =
+        rows.iter().filter(|alarm| of_throw(alarm)).map(|alarm| alarm.alarm_id.clone()).collect();
+    rows.retain(|alarm| {
+        let is_comparable = match alarm.cause {
+            Cause::DataLoss => false,
+            Cause::NotMonitored => of_throws.contains(&alarm.alarm_id),
+            _ => true,
+        };
+        alarm.raised_at >= since && is_comparable
+    });
     let occurrence = |alarm: Alarm| {
         let throw_no = alarm.last_throw.as_ref().map(|throw| throw.throw_no);
         let occurrence = Occurrence { raised_at: alarm.raised_at, throw_no, severity: alarm.severity };
@@ -188,16 +203,21 @@ fn pairs(((machine, cause), [before, after]): ((MachineId, Cause), [Vec<Occurren
     (0..count).map(pair).collect()
 }
 
+/// The difference in words: of the time, of the severity, or of both.
 fn difference(before: Option<&Occurrence>, after: Option<&Occurrence>) -> &'static str {
     let (Some(before), Some(after)) = (before, after) else {
         return if before.is_some() { "gone" } else { "new" };
     };
     match (after.raised_at.cmp(&before.raised_at), after.severity.cmp(&before.severity)) {
-        (std::cmp::Ordering::Less, _) => "earlier",
-        (std::cmp::Ordering::Greater, _) => "later",
-        (_, std::cmp::Ordering::Less) => "milder",
-        (_, std::cmp::Ordering::Greater) => "more severe",
-        _ => "same",
+        (Ordering::Equal, Ordering::Equal) => "same",
+        (Ordering::Equal, Ordering::Less) => "milder",
+        (Ordering::Equal, Ordering::Greater) => "more severe",
+        (Ordering::Less, Ordering::Equal) => "earlier",
+        (Ordering::Less, Ordering::Less) => "earlier, milder",
+        (Ordering::Less, Ordering::Greater) => "earlier, more severe",
+        (Ordering::Greater, Ordering::Equal) => "later",
+        (Ordering::Greater, Ordering::Less) => "later, milder",
+        (Ordering::Greater, Ordering::Greater) => "later, more severe",
     }
 }
 

@@ -60,6 +60,17 @@ pub(super) fn of_daemon(view: &View) -> Vec<String> {
     if report.loggers == 0 {
         trouble.push("No logger is connected: no throws arrive. Silence is not health.".to_owned());
     }
+    if report.loggers_ahead > 0 {
+        trouble.push(
+            "The clock of this computer is behind: most loggers date their throws a day or more later.".to_owned(),
+        );
+    }
+    if !report.refused.is_empty() {
+        trouble.push(format!(
+            "Every message so far was refused, so the machine is not monitored: {}.",
+            report.refused.join("; ")
+        ));
+    }
     if report.webhook_fails {
         trouble.push("The receiver of the webhook does not accept alarms: they wait, and are sent again.".to_owned());
     }

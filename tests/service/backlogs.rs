@@ -16,7 +16,7 @@ use tokio::sync::mpsc;
 use zenoh::{Session, Wait, bytes::Encoding as ContentType};
 
 use crate::{
-    http::KEY,
+    http::{KEY, WEB, address, get},
     rig::{PATIENCE, Rig, matched, put, stub},
 };
 
@@ -124,7 +124,7 @@ async fn a_logger_without_a_throw_is_named() {
 /// A new logger whose every message is refused is a problem, with the reason, until a throw is valid.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_logger_without_a_valid_message_is_a_problem() {
-    let (rig, daemon) = Rig::running();
+    let (rig, daemon) = Rig::running_with(WEB);
     let session = daemon.client().await;
     let _token = session.liveliness().declare_token("points/v1/north/21B/alive").await.unwrap();
     let publisher = matched(&session, KEY).await;
@@ -137,6 +137,8 @@ async fn a_logger_without_a_valid_message_is_a_problem() {
         code == Some(1) && text.contains("EVERY MESSAGE REFUSED: north/21B (the field schema is missing)"),
         "{text}"
     );
+    let page = get(&address(&daemon), "/").body;
+    assert!(page.contains("not monitored: north/21B (the field schema is missing)"), "{page}");
     publisher.put(encode_throw(Encoding::Json, &stub("boot", 1))).await.unwrap();
     rig.judged(1).await;
     daemon.until_status("no machine", |status| status["refused"].as_array().is_some_and(Vec::is_empty)).await;
