@@ -172,7 +172,7 @@ async fn compare(old: &Reader, new: &Reader, replayed: Replayed, into: PathBuf) 
 async fn occurrences(database: &Reader, since: Timestamp) -> Result<Vec<((MachineId, Cause), Occurrence)>, Failure> {
     let mut rows = database.alarm_history(&Selector::default(), since, u32::MAX).await.or_exit(Exit::Io)?;
     // An alarm that a throw raised: its first event has the throw.
-    let of_throw = |alarm: &Alarm| alarm.last_throw.is_some() && alarm.event_at == alarm.raised_at;
+    let of_throw = |alarm: &Alarm| alarm.last_throw.is_some() && alarm.event_no == 1;
     let of_throws: BTreeSet<_> =
         rows.iter().filter(|alarm| of_throw(alarm)).map(|alarm| alarm.alarm_id.clone()).collect();
     rows.retain(|alarm| {

@@ -222,7 +222,7 @@ impl Alarms {
         let owner = self.rule(cause);
         let other = self.find_active(cause).is_some_and(|event| event.channel != evidence.channel)
             || cause == Cause::Supply && owner.is_some_and(|rule| rule != evidence.rule)
-            || owner == Some(Rule::Rest);
+            || owner == Some(Rule::Offset);
         let index = self.find(cause).filter(|_| other && is_new);
         match index {
             Some(index) => Some(self.activate(index, evidence, at)),

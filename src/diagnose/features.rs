@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
+    event::Severity,
     found::{Found, count_over},
     gauges::{Change, Gauge, Gauges, sd_of_mean},
     last::Last,
@@ -14,7 +15,7 @@ use super::{
 };
 use crate::{estimate::Features, throw::Direction};
 
-/// The watched features, with the change that matters as a logarithm. The running current of a healthy machine follows
+/// The watched features, with the change that matters as a logarithm; `critical_factor` times it is critical. The running current of a healthy machine follows
 /// the weather by some percent; the duration and the travel hardly change.
 const WATCHED: [(Gauge, f64); 4] =
     [(Gauge::Duration, 0.08), (Gauge::Running, 0.15), (Gauge::Charge, 0.15), (Gauge::Travel, 0.03)];
@@ -63,7 +64,9 @@ impl FeatureWatch {
             if is_larger || self.reported == 0.0 {
                 self.reported = largest;
             }
-            return match Found::unnamed(context.throw, text) {
+            let is_critical = largest > context.settings.critical_factor;
+            let severity = if is_critical { Severity::Critical } else { Severity::Warning };
+            return match Found::unnamed(severity, context.throw, text) {
                 Found::Fault(cause, evidence) if is_larger => Found::Larger(cause, evidence),
                 found => found,
             };

@@ -37,9 +37,9 @@ pub(super) enum Found {
 }
 
 impl Found {
-    /// A drift without a named part, at severity warning.
-    pub(super) fn unnamed(throw: Option<&ThrowRef>, text: String) -> Self {
-        Self::Fault(Cause::Unattributed, Box::new(Evidence::plain(Severity::Warning, throw, text)))
+    /// A drift without a named part.
+    pub(super) fn unnamed(severity: Severity, throw: Option<&ThrowRef>, text: String) -> Self {
+        Self::Fault(Cause::Unattributed, Box::new(Evidence::plain(severity, throw, text)))
     }
 
     /// Raises or ends the alarm of `rule`. A fault that a present alarm explains raises none.
@@ -55,6 +55,11 @@ impl Found {
                 let text =
                     if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, false) };
                 alarms.clear(cause, text, at)
+            }
+            (Some(cause), Self::Fault(_, evidence) | Self::Larger(_, evidence))
+                if alarms.severity(cause).is_some_and(|severity| evidence.severity > severity) =>
+            {
+                alarms.escalate(cause, Evidence { rule, ..*evidence }, at)
             }
             (Some(cause), Self::Larger(_, evidence)) => alarms.remark(cause, evidence.text, at),
             (None, Self::Fault(cause, evidence) | Self::Larger(cause, evidence))
@@ -75,12 +80,12 @@ pub(super) fn withdraw_explained(alarms: &mut Alarms, Context { name, at, .. }: 
 }
 
 /// Whether this alarm names the part, or the sensor, that changes the features and the start of a throw. A changed supply
-/// explains some of them and not all, so the features are compared without what it explains. An offset of the current is
-/// subtracted from them.
+/// explains some of them and not all, so the features are compared without what it explains. An offset of a
+/// sensor does not change them.
 fn explains(event: &AlarmEvent, alarms: &Alarms) -> bool {
     use SensorChannel::{Clock, Current, Position};
     Cause::PHYSICAL.contains(&event.cause)
         || event.cause == Cause::Sensor
             && matches!(event.channel, Some(Current | Position | Clock))
-            && alarms.rule(Cause::Sensor) != Some(Rule::Rest)
+            && alarms.rule(Cause::Sensor) != Some(Rule::Offset)
 }

@@ -1,11 +1,15 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge, no-load speed, start, current at rest). Each is used as the logarithm of its ratio to
-//! the normal value of the direction, except for the delay of the start and the current at rest. Errors of sensors, clock
+//! inrush, running current, charge, no-load speed, start, current at rest, middle). Each is used as the logarithm of its ratio
+//! to the normal value of the direction; delay of the start, current at rest and middle as a difference. Errors of sensors, clock
 //! and supply change the gauges in other ways than faults of parts do, which distinguishes the two.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{last::Last, robust::centre_and_sd, threshold::WINDOWS};
+use super::{
+    last::Last,
+    robust::{centre_and_sd, median},
+    threshold::WINDOWS,
+};
 use crate::{estimate::Features, throw::Direction};
 
 /// A quantity of a throw.
@@ -30,10 +34,12 @@ pub(super) enum Gauge {
     StartGain,
     /// Mean current at rest \[A\], as a difference and not as a logarithm, as it has either sign.
     Rest,
+    /// Middle between the positions at the begin and at the end \[mm\], as a difference: it shifts with the sensor's zero.
+    Middle,
 }
 
 impl Gauge {
-    const COUNT: usize = 12;
+    const COUNT: usize = 13;
 
     /// Range of the changes that a changed supply explains, as logarithms. The charge is that of the inrush, and of the running
     /// motor: its current is the same before a dry load, and follows the speed before a viscous one.
@@ -54,7 +60,7 @@ impl Gauge {
             Self::BackEmf => 0.005,
             Self::Resistance | Self::Duration | Self::Volts | Self::NoLoadSpeed => 0.01,
             Self::Inrush | Self::Running | Self::Charge | Self::StartGain | Self::Rest => 0.02,
-            Self::StartDelay => 0.2,
+            Self::StartDelay | Self::Middle => 0.2,
         }
     }
 }
@@ -91,6 +97,11 @@ const REST_A: f64 = 0.6;
 const REST_SHARE: f64 = 0.02;
 /// Least significance of such a change, in standard deviations of a level: hum in a few quiet samples scatters.
 const REST_SD: f64 = 4.0;
+/// Least reported shift of the position sensor's zero, as share of the travel: it changes friction by 5 % in one direction and
+/// by -5 % in the other.
+const SHIFT_SHARE: f64 = 0.04;
+/// Least significance of a shift, in standard deviations of a level.
+const SHIFT_SD: f64 = 4.0;
 /// Largest difference of two changes that are the same, as part of them.
 const ALIKE: f64 = 0.5;
 /// Largest part of the normal voltage across the resistance: more would be a motor near its stall.
@@ -152,6 +163,15 @@ pub(super) struct Circuit {
     pub(super) size: f64,
     /// Whether it may be something else that changed, as the motor or the play.
     pub(super) is_doubtful: bool,
+}
+
+/// The sensors whose offset is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Offset {
+    /// By the current at rest.
+    Current,
+    /// By both ends of the movement.
+    Position,
 }
 
 /// A changed gauge.
@@ -258,7 +278,8 @@ impl Gauges {
         })
     }
 
-    /// Level of a gauge over the last `throws` that show it; `None` if hardly any do, or its normal value is unknown.
+    /// Level of a gauge over the last `throws` that show it: their mean, or in the shortest window their median; `None` if
+    /// hardly any do, or its normal value is unknown.
     pub(super) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
         let departures: Vec<(f64, f64)> = self
             .recent
@@ -270,11 +291,16 @@ impl Gauges {
             })
             .take(throws)
             .collect();
-        let count = departures.len() as f64;
-        let mean = |values: fn(&(f64, f64)) -> f64| departures.iter().map(values).sum::<f64>() / count;
         // The throws of one direction may all be without it.
-        (!departures.is_empty() && 2 * departures.len() >= throws.min(self.recent.len()))
-            .then(|| Level { value: mean(|(value, _)| *value), sd: sd_of_mean(gauge, mean(|(_, sd)| *sd), count) })
+        if departures.is_empty() || 2 * departures.len() < throws.min(self.recent.len()) {
+            return None;
+        }
+        let (mut values, sds): (Vec<_>, Vec<_>) = departures.into_iter().unzip();
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let sd = sd_of_mean(gauge, mean(&sds), values.len() as f64);
+        // The median has the whole size of a change as soon as most of the throws show it.
+        let value = if throws == WINDOWS[0] { median(&mut values) } else { mean(&values) };
+        Some(Level { value, sd })
     }
 
     /// Error of the published supply voltage. Resistance and back-EMF constant are computed from it and have the same error,
@@ -323,13 +349,45 @@ impl Gauges {
         is_measured.then_some(Circuit { level, size, is_doubtful: is_motor || is_idle })
     }
 
-    /// Change of the current at rest \[A\], and its size relative to the least one that is named. The level is that of the last
-    /// few throws; the longer window must show it too.
-    pub(super) fn rest(&self) -> Option<(Level, f64)> {
-        let [level, longer] = [WINDOWS[0], WINDOWS[1]].map(|throws| self.level(Gauge::Rest, throws));
-        let (level, longer, least) = (level?, longer?, self.least_rest_a());
-        let size_of = |level: Level| level.value.abs() / least.max(REST_SD * level.sd);
-        Some((level, size_of(level).min(size_of(longer))))
+    /// Offset of a sensor and its size relative to the least one that is named. The level is that of the last few throws; the
+    /// longer window must show it too.
+    pub(super) fn offset(&self, sensor: Offset) -> Option<(Level, f64)> {
+        let [level, longer] = [WINDOWS[0], WINDOWS[1]].map(|throws| self.offset_in(sensor, throws));
+        let (level, longer) = (level?, longer?);
+        Some((level.0, level.1.min(longer.1)))
+    }
+
+    /// The same over the last `throws`.
+    pub(super) fn offset_in(&self, sensor: Offset, throws: usize) -> Option<(Level, f64)> {
+        let (level, least) = match sensor {
+            Offset::Current => {
+                let level = self.level(Gauge::Rest, throws)?;
+                (level, self.least_rest_a().max(REST_SD * level.sd))
+            }
+            Offset::Position => {
+                let [level, travel] = [Gauge::Middle, Gauge::Travel].map(|gauge| self.level(gauge, throws));
+                let (level, changed, travel_mm) = (level?, travel?.value, self.normal_travel_mm()?);
+                // As in [`Self::shift`].
+                let is_shift = (travel_mm * changed).abs() < level.value.abs();
+                let least = if is_shift { SHIFT_SHARE * travel_mm } else { f64::INFINITY };
+                (level, least.max(SHIFT_SD * level.sd))
+            }
+        };
+        Some((level, level.value.abs() / least))
+    }
+
+    /// Shift of the position sensor's zero in a throw, as part of the normal travel; `None` if it is small, or unknown.
+    pub(super) fn shift(&self, direction: Direction, features: &Features) -> Option<f64> {
+        let normal = &self.sides[direction.side()];
+        let change = |gauge: Gauge| Some(f64::from(values(features, None)[gauge as usize]? - normal.of(gauge)?.0));
+        let (middle_mm, changed) = (change(Gauge::Middle)?, change(Gauge::Travel)?);
+        let shift = middle_mm / self.normal_travel_mm()?;
+        // With another travel an end of the movement is elsewhere, or the gain of the sensor has changed.
+        (shift.abs() > SHIFT_SHARE.max(changed.abs())).then_some(shift)
+    }
+
+    fn normal_travel_mm(&self) -> Option<f64> {
+        self.sides.iter().find_map(|side| side.of(Gauge::Travel)).map(|(centre, _)| f64::from(centre).exp())
     }
 
     /// Normal current at rest \[A\], if it is as large as a change that is named.
@@ -423,7 +481,7 @@ fn heat(kelvin: f64) -> f64 {
     (COPPER.0 * kelvin).ln_1p()
 }
 
-/// The gauges of a throw, as logarithms except for the delay of the start \[ms\] and the current at rest \[A\].
+/// The gauges of a throw, as logarithms except for the delay of the start \[ms\], the current at rest \[A\] and the middle \[mm\].
 fn values(features: &Features, celsius: Option<f64>) -> Values {
     let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
     let ln = |value: Option<f64>| value.map(f64::ln);
@@ -440,6 +498,7 @@ fn values(features: &Features, celsius: Option<f64>) -> Values {
         features.start_delay_s.map(|delay_s| 1e3 * delay_s),
         ln(features.start_gain),
         features.quiet_current_a,
+        features.start_position_mm.zip(features.end_position_mm).map(|(start, end)| f64::midpoint(start, end)),
     ];
     // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
     #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]

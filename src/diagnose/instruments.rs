@@ -30,7 +30,7 @@ use super::{
     event::{AlarmEvent, Cause, RunnerUp, SensorChannel, Severity},
     explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
     found::count_over,
-    gauges::{Circuit, Gauge, Gauges, Level},
+    gauges::{Circuit, Gauge, Gauges, Level, Offset},
     operational::Context,
     rule::Rule,
     settings::Settings,
@@ -87,6 +87,9 @@ pub(super) struct Instruments {
     /// Of an offset of the current sensor.
     #[serde(default)]
     rest: Streaks,
+    /// Of an offset of the position sensor.
+    #[serde(default)]
+    shift: Streaks,
 }
 
 /// A sensor fault: its effect on the coefficients and on travel, back-EMF, resistance and duration.
@@ -265,23 +268,27 @@ impl Instruments {
         }
     }
 
-    /// Updates the alarm about an offset of the current sensor after a throw, from its values at rest. The estimator subtracts
-    /// them, so an offset changes neither coefficients nor features, and explains no other alarm.
-    pub(super) fn judge_rest(&mut self, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
+    /// Updates the alarm about an offset of a sensor after a throw. The estimator subtracts the current at rest, so an offset of
+    /// the current changes neither coefficients nor features, and explains no other alarm.
+    pub(super) fn judge_offset(&mut self, sensor: Offset, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
         let Context { name, at, throw, settings } = context;
-        let (level, size) = self.gauges.rest()?;
-        self.rest.follow(size > 1.0, true, false, Some(size));
-        if self.rest.named >= settings.on_delay_throws {
+        let (level, size) = self.gauges.offset(sensor)?;
+        let (streaks, channel) = match sensor {
+            Offset::Current => (&mut self.rest, SensorChannel::Current),
+            Offset::Position => (&mut self.shift, SensorChannel::Position),
+        };
+        streaks.follow(size > 1.0, true, false, Some(size));
+        if streaks.named >= settings.on_delay_throws {
             let evidence = Evidence {
-                rule: Rule::Rest,
-                channel: Some(SensorChannel::Current),
-                ..Evidence::plain(Severity::Warning, throw, text::offset(name, &level))
+                rule: Rule::Offset,
+                channel: Some(channel),
+                ..Evidence::plain(Severity::Warning, throw, text::offset(name, sensor, &level))
             };
-            // A sensor that is known to be faulty gets no second alarm.
-            return alarms.raise(Cause::Sensor, evidence, at);
+            return alarms.raise_another(Cause::Sensor, evidence, streaks.named == settings.on_delay_throws, at);
         }
-        let is_over = self.rest.over >= settings.off_delay_throws && alarms.rule(Cause::Sensor) == Some(Rule::Rest);
-        is_over.then(|| alarms.clear(Cause::Sensor, text::offset_over(name), at)).flatten()
+        let is_own = alarms.rule(Cause::Sensor) == Some(Rule::Offset) && alarms.faulty_sensor() == Some(channel);
+        let is_over = streaks.over >= settings.off_delay_throws && is_own;
+        is_over.then(|| alarms.clear(Cause::Sensor, text::offset_over(name, sensor), at)).flatten()
     }
 
     /// Updates the alarm about the supply after a throw; `explained`: whether the drift that it explains matters;

@@ -19,8 +19,9 @@ pub(super) enum Rule {
     Dates,
     /// Gauges that show a faulty sensor.
     Gauges,
-    /// A changed current at rest.
-    Rest,
+    /// An offset of a sensor.
+    #[serde(rename = "rest")]
+    Offset,
     /// A changed resistance of the motor and its line to the supply.
     Circuit,
 }

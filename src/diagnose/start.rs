@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     condition::streak,
+    event::Severity,
     found::{Found, count_over},
     gauges::{Gauge, Gauges, Level},
     operational::Context,
@@ -72,7 +73,7 @@ impl StartWatch {
         match change {
             Some(change) if self.named >= NAMED_THROWS => {
                 let text = text::start(context.name, &change, WINDOWS[2]);
-                Found::unnamed(context.throw, text)
+                Found::unnamed(Severity::Warning, context.throw, text)
             }
             _ if self.calm >= context.settings.off_delay_throws => Found::Nothing,
             _ => Found::Unclear,

@@ -32,6 +32,8 @@ pub(crate) struct State {
     /// Constant error of the current sensor \[A\].
     pub(crate) current_offset_a: f64,
     pub(crate) position_gain: f64,
+    /// Shift of the position sensor's zero \[mm\].
+    pub(crate) position_offset_mm: f64,
     /// Rate of the logger's clock.
     pub(crate) clock: f64,
     pub(crate) stroke: f64,
@@ -57,6 +59,7 @@ impl State {
         current_gain: 1.0,
         current_offset_a: 0.0,
         position_gain: 1.0,
+        position_offset_mm: 0.0,
         clock: 1.0,
         stroke: 1.0,
         position_noise_mm: 0.02,
@@ -195,7 +198,8 @@ impl Drive {
             let mm = if rest == 0.0 { way } else { STROKE_MM * state.stroke - way };
             let measured = state.current_gain * direction.sign() * amperes + state.current_offset_a;
             recorded_a.push(measured + 0.02 * normal(&mut self.rng));
-            recorded_mm.push(state.position_gain * mm + state.position_noise_mm * normal(&mut self.rng));
+            let measured_mm = state.position_gain * mm + state.position_offset_mm;
+            recorded_mm.push(measured_mm + state.position_noise_mm * normal(&mut self.rng));
             at += 1.0 / (self.rate_hz * state.clock);
         }
         (Trace::new(self.rate_hz, recorded_a, recorded_mm).unwrap(), volts)

@@ -79,7 +79,11 @@ async fn other_settings_show_which_alarms_differ_and_leave_the_old_database_alon
     assert!(!motor.is_empty() && motor.iter().all(|alarm| alarm["difference"] == "gone"), "{changed}");
 
     // A limit that the scatter of a healthy machine hides: no alarm of that cause can come, which is a difference.
-    let strict = configuration(folder.path(), "strict.toml", "friction_limit_pct = 0.01\ncritical_factor = 1.0");
+    let strict = configuration(
+        folder.path(),
+        "strict.toml",
+        "friction_limit_pct = 0.01\ncritical_factor = 1.0\nnot_monitored_throws = 5",
+    );
     let blind = answer(&strict, "strict.db");
     let new = |alarm: &&serde_json::Value| alarm["cause"] == "not_monitored" && alarm["difference"] == "new";
     assert!(blind["alarms"].as_array().unwrap().iter().any(|alarm| new(&alarm)), "{blind}");

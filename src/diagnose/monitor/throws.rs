@@ -10,7 +10,7 @@ use super::{
         event::Cause,
         explain::percent,
         found,
-        gauges::Circuit,
+        gauges::{Circuit, Offset},
         observation::{Evaluated, Observation, Unusable},
         operational::Context,
         rule::Rule,
@@ -48,6 +48,10 @@ impl MachineMonitor {
         self.has_position |= observation.estimate.is_some() && !observation.is_without_position();
         let mut evaluated = Evaluated::of(observation)
             .filter(|_| !without_position)
+            .map(|throw| match self.instruments.gauges.shift(throw.direction, features) {
+                Some(shift) => throw.without_shift(shift),
+                None => throw,
+            })
             .map(|throw| self.tracks.compared(throw))
             .map(|throw| Evaluated { temperature_c: temperature.celsius, ..throw });
         let residual = evaluated.as_ref().and_then(|throw| self.tracks.residual(throw));
@@ -102,7 +106,9 @@ impl MachineMonitor {
             self.observe_features(observation, at, settings, verdict);
         }
         let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
-        verdict.events.extend(self.instruments.judge_rest(&mut self.alarms, context));
+        for sensor in [Offset::Current, Offset::Position] {
+            verdict.events.extend(self.instruments.judge_offset(sensor, &mut self.alarms, context));
+        }
         // Ratios show less than coefficients, so their machines keep the features.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
         let watched = self.watch_features(observation, is_judged, at, settings, verdict);

@@ -3,7 +3,11 @@
 use super::half_width_pct;
 use crate::{
     diagnose::{
-        event::SensorChannel, explain::percent, gauges::Level, observation::Unusable, testimony::Fault,
+        event::SensorChannel,
+        explain::percent,
+        gauges::{Level, Offset},
+        observation::Unusable,
+        testimony::Fault,
         thermometer::Disbelief,
     },
     throw::{brief, utc},
@@ -34,15 +38,22 @@ pub(crate) fn sensor(name: &str, fault: &Fault) -> String {
     )
 }
 
-/// Text about an offset of the current sensor.
-pub(crate) fn offset(name: &str, level: &Level) -> String {
+/// Text about an offset of a sensor.
+pub(crate) fn offset(name: &str, sensor: Offset, level: &Level) -> String {
     let Level { value, sd } = *level;
-    format!(
-        "Machine {name}: between throws the current sensor reads {value:+.1} A (±{:.1} A) against its baseline: an offset. It is \
-         subtracted from each throw, so the machine is monitored as before. Check the current sensor's zero and supply, then \
-         whether the logger's circuit feeds something new.",
-        (1.96 * sd).max(0.1)
-    )
+    let half_width = (1.96 * sd).max(0.1);
+    match sensor {
+        Offset::Current => format!(
+            "Machine {name}: between throws the current sensor reads {value:+.1} A (±{half_width:.1} A) against its baseline: an \
+             offset. It is subtracted from each throw, so the machine is monitored as before. Check the current sensor's zero and \
+             supply, then whether the logger's circuit feeds something new."
+        ),
+        Offset::Position => format!(
+            "Machine {name}: the position sensor reads {value:+.1} mm (±{half_width:.1} mm) at both ends against its baseline: it \
+             moved, or its zero was set again. The shift is compensated, so the machine is monitored as before. Check how the sensor \
+             is fixed, and set its zero; if it is right now, take a new baseline (rebaseline)."
+        ),
+    }
 }
 
 /// Text about a machine whose baseline has a current at rest.
@@ -53,8 +64,12 @@ pub(crate) fn at_rest(name: &str, amperes: f64) -> String {
     )
 }
 
-pub(crate) fn offset_over(name: &str) -> String {
-    format!("Machine {name}: between throws the current sensor reads as in its baseline again.")
+pub(crate) fn offset_over(name: &str, sensor: Offset) -> String {
+    let reads = match sensor {
+        Offset::Current => "between throws the current sensor",
+        Offset::Position => "at both ends the position sensor",
+    };
+    format!("Machine {name}: {reads} reads as in its baseline again.")
 }
 
 /// Text about a changed supply voltage.
