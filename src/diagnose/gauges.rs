@@ -84,6 +84,9 @@ const CIRCUIT_SD: f64 = 4.0;
 /// wind up delays the toe by 25 ms or more, and unwinds while the resistance is measured, which changes it by 0.25. Play, lost
 /// motion and a late position change it by 0.1 at most.
 const OHMS_OF_DELAY: f64 = 0.01;
+/// Least change of the inrush with the resistance, as logarithms: the inductance of an armature limits it, to 0.33 to 0.5 on an
+/// independent drive of 20 mH.
+const INRUSH_OF_OHMS: f64 = 0.15;
 /// Largest uncertainty of a resistance that is judged, as a logarithm: one whose inrush hardly shows it may be anything.
 const CIRCUIT_UNCERTAINTY: f64 = 0.4;
 /// Least reported error of a published voltage, as a logarithm.
@@ -161,7 +164,7 @@ pub(super) struct Circuit {
     pub(super) level: Level,
     /// Size relative to what heat explains, and to the scatter.
     pub(super) size: f64,
-    /// Whether it may be something else that changed, as the motor or the play.
+    /// Whether it may be something else that changed, as the motor, the play or the position sensor.
     pub(super) is_doubtful: bool,
 }
 
@@ -182,6 +185,9 @@ pub(super) struct Change {
     pub(super) size: f64,
     pub(super) size_sd: f64,
 }
+
+/// Largest change of running current and charge of a usual current, as logarithms: that of the weather.
+const USUAL_CURRENT: f64 = 0.15;
 
 /// Normal values of a direction: centre and standard deviation of each gauge.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -278,6 +284,12 @@ impl Gauges {
         })
     }
 
+    /// Whether the current of a throw is as in a normal one: it is as large, and flows as long.
+    pub(super) fn is_usual_current(&self, direction: Direction, features: &Features, celsius: Option<f64>) -> bool {
+        let changes = self.unexplained([Gauge::Running, Gauge::Charge], direction, features, celsius);
+        changes.iter().all(|change| change.is_some_and(|(change, _)| f64::from(change.abs()) < USUAL_CURRENT))
+    }
+
     /// Level of a gauge over the last `throws` that show it: their mean, or in the shortest window their median; `None` if
     /// hardly any do, or its normal value is unknown.
     pub(super) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
@@ -342,11 +354,17 @@ impl Gauges {
             self.level(Gauge::BackEmf, WINDOWS[0]).is_none_or(|own| own.value.abs() > ALIKE * level.value.abs());
         let size_of = |level: Level| level.value.abs() / heat.max(CIRCUIT_SD * level.sd);
         let size = if self.voltage_error().is_some() { 0.0 } else { size_of(level).min(size_of(longer)) };
+        // The inrush, V/R at most, follows the resistance, and not an error of the position, from which the resistance is computed.
+        let [volts, inrush] = [Gauge::Volts, Gauge::Inrush].map(|gauge| self.level(gauge, WINDOWS[1]));
+        let is_inrush_as_before = volts.zip(inrush).is_some_and(|(volts, inrush)| {
+            let lower = (volts.value - inrush.value) * longer.value.signum();
+            lower < INRUSH_OF_OHMS * longer.value.abs() - inrush.sd
+        });
         // An elastic drive turns otherwise than the toe.
         let idle = self.level(Gauge::StartDelay, WINDOWS[1]).map_or(0.0, |delay| OHMS_OF_DELAY * delay.value.abs());
         let is_idle = idle > ALIKE * level.value.abs();
         let is_measured = CIRCUIT_SD * level.sd < CIRCUIT_UNCERTAINTY;
-        is_measured.then_some(Circuit { level, size, is_doubtful: is_motor || is_idle })
+        is_measured.then_some(Circuit { level, size, is_doubtful: is_motor || is_idle || is_inrush_as_before })
     }
 
     /// Offset of a sensor and its size relative to the least one that is named. The level is that of the last few throws; the

@@ -97,9 +97,10 @@ impl Observation {
         }
     }
 
-    /// Whether the recording ends during the movement, so that its duration is a lower bound.
+    /// Whether the recording begins or ends during the movement, so that its duration and charge are lower bounds.
     pub(super) fn is_cut_off(&self) -> bool {
-        self.rejected == Some(Rejection::EndMissing { travel_mm: 0.0 }.code())
+        let cut_off = [Rejection::StartMissing { current_a: 0.0 }, Rejection::EndMissing { travel_mm: 0.0 }];
+        cut_off.iter().any(|reason| self.rejected == Some(reason.code()))
     }
 
     /// Whether the throw has no toe position.

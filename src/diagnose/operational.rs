@@ -173,10 +173,11 @@ fn unix_s(at: Timestamp) -> u32 {
 
 impl Operation {
     /// Applies a throw, complete or not, which also shows that the logger is alive, unless it was received before the loss
-    /// of the logger.
+    /// of the logger. `is_usual_current`: the current is that of a complete throw.
     pub(super) fn on_throw(
         &mut self,
         observation: &Observation,
+        is_usual_current: bool,
         alarms: &mut Alarms,
         context: Context,
     ) -> Vec<AlarmEvent> {
@@ -217,7 +218,7 @@ impl Operation {
         }
         let mut events = Vec::new();
         if incomplete {
-            let text = text::incomplete(name, in_direction, in_a_row);
+            let text = text::incomplete(name, in_direction, in_a_row, is_usual_current);
             events.extend(if in_a_row == 1 {
                 alarms.raise(Cause::IncompleteThrow, context.warning(text), at)
             } else {

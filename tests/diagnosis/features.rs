@@ -12,7 +12,7 @@ use std::{
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector3;
 use pointsd::{
-    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Observation, Settings},
+    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, Observation, Settings, Severity},
     estimate::Features,
     throw::{Direction, ThrowRef},
 };
@@ -97,6 +97,8 @@ fn a_change_of_the_features_that_grows_is_reported_again() {
             && event.raised_at == events[0].raised_at
     };
     assert!(events.iter().all(is_one_alarm), "{events:?}");
+    let severities = [&events[0], &events[events.len() - 1]].map(|event| event.severity);
+    assert_eq!(severities, [Severity::Warning, Severity::Critical], "{events:?}");
     let largest = |event: &AlarmEvent| {
         let sizes = event.text.split(" +").skip(1).filter_map(|rest| rest.split(' ').next()?.parse::<f64>().ok());
         sizes.fold(0.0, f64::max)

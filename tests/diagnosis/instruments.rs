@@ -1,9 +1,10 @@
 //! Sensor, supply or machine: lives of a drive with faulty sensors or parts, with and without a published supply
 //! voltage. A healthy part is never named alone.
 
-use pointsd::diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, SensorChannel, Settings};
-
-use pointsd::throw::Throw;
+use pointsd::{
+    diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, SensorChannel, Settings},
+    throw::{Throw, Trace},
+};
 
 use crate::drive::{Drive, State};
 
@@ -320,4 +321,35 @@ fn a_shifted_position_sensor_is_named_and_the_machine_is_judged_as_before() {
         let ended: Vec<_> = ended.map(|event| event.cause).collect();
         assert!(ended.contains(&Cause::Sensor) && ended.contains(&part), "{position_offset_mm} mm: {mended:#?}");
     }
+}
+
+/// A bow of the position sensor looks like another resistance; the inrush does not follow.
+#[test]
+fn a_crooked_position_sensor_is_no_bad_contact_and_a_stuck_one_is_said() {
+    let settings = Settings::default();
+    let bow: fn(Throw) -> Throw = |throw| remade(throw, |mm| mm + 2.0 * (mm / 115.0 * std::f64::consts::PI).sin());
+    let steps: fn(Throw) -> Throw = |throw| remade(throw, f64::round);
+    let stuck: fn(Throw) -> Throw = |throw| remade(throw, |_| 57.0);
+    for (logger, is_stuck) in [(bow, false), (steps, false), (stuck, true)] {
+        for seed in 9_900..9_903 {
+            let mut drive = Drive::new(seed, true);
+            for _ in 0..100 {
+                drive.feed(State::SOUND, &settings);
+            }
+            drive.logger = logger;
+            let events: Vec<_> = (0..60).flat_map(|_| drive.feed(State::SOUND, &settings).events).collect();
+            assert!(events.iter().all(|event| event.cause != Cause::Supply), "{events:#?}");
+            let incomplete: Vec<_> = events.iter().filter(|event| event.cause == Cause::IncompleteThrow).collect();
+            assert_eq!(!incomplete.is_empty(), is_stuck, "{events:#?}");
+            assert!(incomplete.iter().all(|event| event.text.contains("may be stuck")), "{incomplete:#?}");
+        }
+    }
+}
+
+/// The throw with other positions.
+fn remade(throw: Throw, change: impl Fn(f64) -> f64) -> Throw {
+    let trace = &throw.trace;
+    let positions = trace.position_mm().iter().copied().map(change).collect();
+    let trace = Trace::new(trace.sample_rate_hz(), trace.current_a().to_vec(), positions).unwrap();
+    Throw { trace, ..throw }
 }

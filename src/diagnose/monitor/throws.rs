@@ -94,8 +94,11 @@ impl MachineMonitor {
         settings: &Settings,
         verdict: &mut Verdict,
     ) {
+        let is_usual_current = observation.direction.is_some_and(|direction| {
+            self.instruments.gauges.is_usual_current(direction, &observation.features, observation.temperature_c)
+        });
         let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
-        verdict.events.extend(operation.on_throw(observation, alarms, context));
+        verdict.events.extend(operation.on_throw(observation, is_usual_current, alarms, context));
         if let Some(throw) = evaluated {
             let suspicious = self.drift.is_suspicious(&self.alarms);
             let features = &observation.features;

@@ -11,12 +11,18 @@ use crate::{
 };
 
 /// Text of an incomplete throw, the `in_a_row`th in a row of the machine, or of a direction.
-pub(crate) fn incomplete(name: &str, direction: Option<Direction>, in_a_row: u32) -> String {
+pub(crate) fn incomplete(name: &str, direction: Option<Direction>, in_a_row: u32, is_usual_current: bool) -> String {
     let what = match in_a_row {
         1 => "a throw was not completed".to_owned(),
         _ => format!("{in_a_row} throws in a row were not completed"),
     };
-    format!("{}: {what}. Check for an obstruction between the rails, and detection.", subject(name, direction))
+    let sensor = if is_usual_current {
+        " The current was that of a complete throw, so check the position sensor too: it may be stuck."
+    } else {
+        ""
+    };
+    let name = subject(name, direction);
+    format!("{name}: {what}. Check for an obstruction between the rails, and detection.{sensor}")
 }
 
 pub(crate) fn complete_again(name: &str, in_a_row: u32) -> String {
