@@ -377,7 +377,7 @@ impl Operation {
         if let Some(disbelief) = disbelief.filter(|_| self.disbelieved >= DISBELIEVED_IN_A_ROW) {
             let channel = match disbelief {
                 Disbelief::Supply(_) => SensorChannel::Supply,
-                Disbelief::Impossible(_) | Disbelief::Jump(..) | Disbelief::Missing(_) => SensorChannel::Temperature,
+                _ => SensorChannel::Temperature,
             };
             let evidence = context.warning(text::sensor_implausible(name, disbelief));
             let is_new = self.disbelieved == DISBELIEVED_IN_A_ROW;

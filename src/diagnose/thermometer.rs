@@ -13,11 +13,16 @@ const PER_DAY_K: f64 = 1.0;
 /// Time after which a missing temperature is a fault of the sensor. The last one is used all the same: without it the
 /// whole effect of the temperature would appear at once, as a fault of the machine.
 const HOLDS: SignedDuration = SignedDuration::from_hours(24);
+/// Least time and number of equal readings of a stuck sensor: the weather changes within days, by more than the 1 K of a coarse
+/// sensor.
+const STUCK: (SignedDuration, u32) = (SignedDuration::from_hours(120), 24);
+/// Factor on the largest number of equal readings before: a tunnel, or a value that a logger renews seldom, has long runs.
+const STUCK_RUNS: u32 = 4;
 /// Consecutive similar readings after which a jump is accepted, if no more readings were accepted before: then these were
 /// wrong. Later a jump that stays is another unit, or a broken or moved sensor, whose readings do not fit what was learned.
 const SETTLED_READINGS: u32 = 6;
 
-/// An implausible temperature or supply voltage, which is not used.
+/// An implausible temperature or supply voltage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Disbelief {
     /// Outside of the possible range \[°C\].
@@ -26,6 +31,8 @@ pub(super) enum Disbelief {
     Jump(f64, f64),
     /// No temperature since this time, after earlier ones.
     Missing(Timestamp),
+    /// The same value \[°C\] since this time, after earlier changes. It is used: there is no better one.
+    Stuck(f64, Timestamp),
     /// A supply voltage out of the possible range \[V\].
     Supply(f64),
 }
@@ -49,6 +56,31 @@ pub(super) struct Thermometer {
     /// Few machines have one, so it is boxed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     doubt: Option<Box<Doubt>>,
+    #[serde(default)]
+    run: Run,
+}
+
+/// Consecutive equal readings.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+struct Run {
+    since: Option<Timestamp>,
+    readings: u32,
+    /// Readings of the longest run before; 0 if the temperature never changed.
+    longest: u32,
+}
+
+impl Run {
+    /// Applies a reading, `same` as the one before or not. Returns the begin of the run if the sensor is stuck.
+    fn follow(&mut self, same: bool, at: Timestamp) -> Option<Timestamp> {
+        if !same {
+            let longest = self.longest.max(self.readings);
+            *self = Self { since: Some(at), readings: 0, longest };
+        }
+        self.readings = self.readings.saturating_add(1);
+        let (least, readings) = STUCK;
+        let is_long = self.longest > 0 && self.readings >= readings.max(STUCK_RUNS.saturating_mul(self.longest));
+        self.since.filter(|since| is_long && at.duration_since(*since) >= least)
+    }
 }
 
 /// Consecutive rejected readings.
@@ -90,7 +122,8 @@ impl Thermometer {
         self.accepted = (self.accepted + 1).min(SETTLED_READINGS + 1);
         self.doubt = None;
         self.believed = Some((celsius, at));
-        Reading { celsius: Some(celsius), disbelief: None }
+        let stuck = self.run.follow(before == Some(celsius), at);
+        Reading { celsius: Some(celsius), disbelief: stuck.map(|since| Disbelief::Stuck(celsius, since)) }
     }
 }
 
@@ -109,6 +142,25 @@ mod tests {
         let missing = Reading { celsius: Some(-10.0), disbelief: Some(Disbelief::Missing(start)) };
         assert_eq!(thermometer.read(None, later(25)), missing);
         assert_eq!(thermometer.read(Some(-8.0), later(26)).celsius, Some(-8.0));
+    }
+
+    #[test]
+    fn a_temperature_that_stays_for_days_after_changes_is_stuck() {
+        let later = |hours| Timestamp::UNIX_EPOCH + SignedDuration::from_hours(hours);
+        // Half degrees in the day; the same value for a day at a time; a cellar.
+        let sensors: [(fn(i64) -> f64, bool); 3] = [
+            (|hour| (hour % 24).min(24 - hour % 24) as f64 / 2.0, true),
+            (|hour| (hour / 24) as f64, true),
+            (|_| 12.0, false),
+        ];
+        for (celsius, is_found) in sensors {
+            let mut thermometer = Thermometer::default();
+            let mut read = |hour, celsius| thermometer.read(Some(celsius), later(hour)).disbelief;
+            assert!((0..400).all(|hour| read(hour, celsius(hour)).is_none()));
+            let stuck = (400..700).find_map(|hour| read(hour, 12.0));
+            assert_eq!(stuck, is_found.then(|| Disbelief::Stuck(12.0, later(400))));
+            assert_eq!(read(701, 12.5), None);
+        }
     }
 
     #[test]

@@ -114,6 +114,11 @@ pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
             "temperature is missing since {}. The last one is used, so weather can look like a fault",
             utc(&since)
         ),
+        Disbelief::Stuck(celsius, since) => format!(
+            "temperature sensor has read exactly {celsius:.1} °C since {}: it is stuck, or the logger repeats a value. It is used \
+             all the same, so weather can look like a fault",
+            utc(&since)
+        ),
         Disbelief::Supply(volts) => {
             let volts = brief(volts);
             format!(
