@@ -103,6 +103,11 @@ impl Observation {
         cut_off.iter().any(|reason| self.rejected == Some(reason.code()))
     }
 
+    /// Whether the recording is too slow for an estimate, which is a property of the logger: its throws have features only.
+    pub(super) fn is_too_slow(&self) -> bool {
+        self.rejected == Some(Rejection::Undersampled { interval_s: 0.0, rise_samples: 0 }.code())
+    }
+
     /// Whether the throw has no toe position.
     pub(super) fn is_without_position(&self) -> bool {
         self.features_only || self.estimate.is_some() && self.grade == Grade::CurrentOnly

@@ -210,6 +210,8 @@ const SHORT_MEAN_SIGMAS: f64 = 5.0;
 const STEP_S: f64 = 0.008;
 /// Least step in standard deviations of its noise, for several thousand places on a smooth signal.
 const STEP_SIGNIFICANCE: f64 = 6.5;
+/// Longest interval at which a smooth movement shows no step. Its apparent step grows with the third power of the interval.
+const SMOOTH_S: f64 = 0.003;
 /// Duration of the oscillation of the inrush \[s\]: before its end the current is no straight line.
 pub(super) const INRUSH_S: f64 = 0.15;
 /// Least step of the current, as share of its peak; rails and friction cause smaller ones.
@@ -276,7 +278,7 @@ pub(super) fn steps(
         Channel::Position => (start..start + 4 * wide, LEAST_SLIP * movement.travel_mm),
     };
     let last = (movement.near_end + 1).min(values.len()).saturating_sub(2 * wide);
-    let threshold = (STEP_SIGNIFICANCE * long).max(least);
+    let threshold = (STEP_SIGNIFICANCE * long).max(least * (interval_s / SMOOTH_S).powi(3).max(1.0));
     // The usual trace has no step on either side of the excluded part.
     let is_flat = |from: usize, to: usize| {
         let Some(count) = to.checked_sub(from).filter(|count| *count > 0) else { return true };

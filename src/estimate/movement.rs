@@ -10,7 +10,7 @@ const START_SHARE: f64 = 0.05;
 /// the next sample must be as far.
 const START_SIGMAS: f64 = 6.0;
 /// Duration of the shortest rise of the current \[s\]: inductance over resistance of a point machine is 2 ms or more.
-pub(super) const SHORTEST_RISE_S: f64 = 0.008;
+const SHORTEST_RISE_S: f64 = 0.008;
 /// Least share of the peak of a sample that a slow recording has of the inrush.
 const INRUSH_SHARE: f64 = 0.5;
 /// Noise around the foot of the current's rise: in standard deviations, and as share of the peak if the noise is smaller.

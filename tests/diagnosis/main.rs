@@ -24,6 +24,7 @@ mod replay;
 mod restart;
 mod sides;
 mod site;
+mod slow_loggers;
 mod snapshot;
 mod start;
 mod table1_lives;

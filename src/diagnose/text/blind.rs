@@ -67,7 +67,8 @@ pub(crate) fn lost_coefficients(name: &str, throws: u32) -> String {
 pub(crate) fn only_features(name: &str) -> String {
     format!(
         "Machine {name}: its throws do not give the complete coefficients of a baseline, so only duration, running current, \
-         charge and travel are monitored. A change of these is reported without its cause."
+         charge and travel are monitored. A change of these is reported without its cause. throws_not_evaluated has the reason of \
+         each throw."
     )
 }
 

@@ -1,0 +1,86 @@
+//! Loggers whose rate does not resolve the rise of the current: ratios down to 250 Hz, features below.
+
+use pointsd::{
+    diagnose::{AlarmEvent, Cause, MachineState, Settings},
+    throw::{Throw, Trace},
+};
+
+use crate::drive::{Drive, State};
+
+/// Each `FACTOR`-th sample of a throw, beginning with another one in each throw.
+fn slower<const FACTOR: usize>(throw: Throw) -> Throw {
+    let trace = &throw.trace;
+    let first = usize::try_from(7 * throw.id.throw_no).unwrap() % FACTOR;
+    let of = |values: &[f64]| values.iter().skip(first).step_by(FACTOR).copied().collect();
+    let rate_hz = trace.sample_rate_hz() / FACTOR as f64;
+    let trace = Trace::new(rate_hz, of(trace.current_a()), of(trace.position_mm())).unwrap();
+    Throw { trace, ..throw }
+}
+
+/// ln(a1/b0) and ln(a0/b0) of a throw with their standard deviations.
+fn ratios(drive: &mut Drive, state: State) -> Option<[(f64, f64); 2]> {
+    let (estimate, covariance) = drive.observe(state).estimate?;
+    let relative = |i: usize, j: usize| covariance[(i, j)] / (estimate[i] * estimate[j]);
+    let ratio = |i: usize| {
+        let sd = (relative(0, 0) + relative(i, i) - 2.0 * relative(0, i)).sqrt();
+        ((estimate[i] / estimate[0]).ln(), sd)
+    };
+    Some([ratio(1), ratio(2)])
+}
+
+#[test]
+fn the_ratios_at_250_hz_are_those_at_1_khz() {
+    let faulty = State { friction: 1.4, torque: 0.9, stiffness: 1.2, ..State::SOUND };
+    let (mut compared, mut missing) = (0, 0);
+    for seed in 6_600..6_606 {
+        let (mut fast, mut slow) = (Drive::new(seed, false), Drive::new(seed, false));
+        slow.logger = slower::<4>;
+        for state in [State::SOUND, faulty].into_iter().cycle().take(20) {
+            let Some([fast, slow]) = ratios(&mut fast, state).zip(ratios(&mut slow, state)).map(<[_; 2]>::from) else {
+                missing += 1;
+                continue;
+            };
+            for ((fast, _), (slow, sd)) in fast.into_iter().zip(slow) {
+                compared += 1;
+                assert!((slow - fast).abs() < 0.02 && (slow - fast).abs() < 1.96 * sd, "{seed}: {slow} ± {sd}, {fast}");
+            }
+        }
+    }
+    assert!(compared > 200 && missing < 8, "{compared}, {missing}");
+}
+
+fn live(drive: &mut Drive, throws: usize, state: State) -> Vec<AlarmEvent> {
+    (0..throws).flat_map(|_| drive.feed(state, &Settings::default()).events).collect()
+}
+
+#[test]
+fn a_machine_at_250_hz_is_monitored_by_its_ratios() {
+    let faults = [
+        (State { friction: 1.4, ..State::SOUND }, "friction"),
+        (State { stiffness: 1.25, ..State::SOUND }, "stiffness"),
+        (State { torque: 0.8, back_emf: 0.8, ..State::SOUND }, "motor"),
+    ];
+    for (seed, (state, name)) in (6_700..6_709).zip(faults.into_iter().cycle()) {
+        let mut drive = Drive::new(seed, true);
+        drive.logger = slower::<4>;
+        assert_eq!(live(&mut drive, 200, State::SOUND), [], "seed {seed}");
+        assert_eq!(drive.monitor.state(), MachineState::Healthy);
+        let events = live(&mut drive, 40, state);
+        assert!(!events.is_empty() && events.iter().all(|event| event.text.contains(name)), "{name}: {events:#?}");
+    }
+}
+
+#[test]
+fn a_machine_at_100_hz_is_monitored_by_its_features() {
+    for seed in 6_800..6_803 {
+        let mut drive = Drive::new(seed, false);
+        drive.logger = slower::<10>;
+        assert_eq!(live(&mut drive, 200, State::SOUND), [], "seed {seed}");
+        assert_eq!(drive.monitor.state(), MachineState::Healthy);
+        let caveats = drive.monitor.caveats();
+        assert!(caveats.len() == 1 && caveats[0].contains("only duration, running current"), "{caveats:?}");
+        let events = live(&mut drive, 40, State { friction: 1.8, ..State::SOUND });
+        let causes: Vec<_> = events.iter().map(|event| event.cause).collect();
+        assert!(causes.contains(&Cause::Unattributed) && !causes.contains(&Cause::NotMonitored), "{events:#?}");
+    }
+}
