@@ -3,7 +3,7 @@
 
 use std::f64::consts::PI;
 
-use pointsd::estimate::{Identifier, Settings};
+use pointsd::estimate::{Grade, Identifier, Rejection, Settings};
 use pointsd::simulate::{Conditions, Parameters, STEP_S, Sensors, Waveform};
 use pointsd::throw::{Direction, Throw};
 use rand_chacha::{ChaCha12Rng, rand_core::SeedableRng};
@@ -57,4 +57,35 @@ fn the_ripple_does_no_harm_where_it_is_sampled() {
             }
         }
     }
+}
+
+/// At 250 Hz the rise of the current is not resolved, so a throw shows ratios; the ripple does not fold to a constant current.
+#[test]
+fn the_ripple_does_not_bias_the_ratios_at_250_hz() {
+    let ratios = |supply: Waveform, rate_hz, direction, supply_phase_rad| {
+        let conditions = Conditions { supply_phase_rad, ..Conditions::default() };
+        let sensors = Sensors::perfect(rate_hz);
+        let motion = on(supply).simulate(direction, &conditions, sensors.step_s()).unwrap();
+        let trace = sensors.record(&motion, direction, &mut ChaCha12Rng::seed_from_u64(3)).unwrap().trace;
+        let throw = Throw { direction: Some(direction), ..Throw::recorded(trace) };
+        let found = Identifier::default().identify(&throw, &Settings::default()).outcome?;
+        Ok::<_, Rejection>(([found.a1 / found.b0, found.a0 / found.b0], found.grade))
+    };
+    let mut rejected = 0;
+    for direction in Direction::BOTH {
+        let (steady, _) = ratios(Waveform::Constant, 1000.0, direction, 0.0).unwrap();
+        for (mains_hz, eighth) in [16.7, 50.0, 60.0].into_iter().flat_map(|hz| (0..8).map(move |eighth| (hz, eighth))) {
+            let supply = Waveform::RectifiedMains { mains_hz };
+            let Ok((found, grade)) = ratios(supply, 250.0, direction, PI * f64::from(eighth) / 8.0) else {
+                rejected += 1;
+                continue;
+            };
+            assert_eq!(grade, Grade::Rough);
+            for (found, steady) in found.into_iter().zip(steady) {
+                let change = found / steady - 1.0;
+                assert!(change.abs() < 0.02, "{mains_hz} Hz, {direction}, phase {eighth}/8: {change}");
+            }
+        }
+    }
+    assert!(rejected <= 4, "{rejected} of 48");
 }
