@@ -92,7 +92,7 @@ impl RecentThrow {
     /// Version 1 stored residuals with temperature compensation.
     pub(super) fn add_temperature(&mut self, baseline: &Baseline) {
         let (residual, distance) = self.raw();
-        let raw = residual + baseline.temperature().effect(distance);
+        let raw = residual + baseline.temperature.effect(distance);
         *self = Self::new(self.order.into(), raw, distance, self.sensor, self.ratios_only);
     }
 }
@@ -226,7 +226,7 @@ impl<'a> Stream<'a> {
         let mut temperature = Vector3::zeros();
         for side in 0..2 {
             if last.iter().any(|(at, _)| *at == side) {
-                temperature += baselines[side]?.temperature().effect_sd(distance[side] / n);
+                temperature += baselines[side]?.temperature.effect_sd(distance[side] / n);
             }
         }
         let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, baselines)?);
