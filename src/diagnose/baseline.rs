@@ -248,7 +248,7 @@ pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
     let is_end = filling.len() + LAST > 2 * settings.baseline_throws;
     let bound = if is_end { trend::AT_THE_END } else { trend::WHILE_FILLING };
     let slopes = filling.slopes(bound.evidence);
-    let limits = [Cause::Kt, Cause::Friction, Cause::Stiffness].map(|cause| settings.limit_pct(cause));
+    let limits = Cause::OF_COEFFICIENTS.map(|cause| settings.limit_pct(cause));
     let matters = |i: usize| {
         let change_pct = 100.0 * slopes[i] * filling.len() as f64;
         limits[i].is_some_and(|limit| change_pct.abs() > bound.part_of_limit * limit)

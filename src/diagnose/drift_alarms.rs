@@ -57,8 +57,6 @@ const DAYS_OF_WEEK: f64 = 7.0;
 /// Consecutive throws that show that a drift is in one direction only, before its alarm says so: three of each direction.
 const ONE_SIDED_THROWS: u8 = 6;
 
-/// The causes that change one coefficient each, in their order.
-const SHARED: [Cause; 3] = [Cause::Kt, Cause::Friction, Cause::Stiffness];
 /// Part of a warning limit from which a change that is shared with the site is stated.
 const SHARED_FROM: f64 = 0.5;
 
@@ -183,7 +181,7 @@ impl DriftAlarms {
 
     /// Keeps the part `shared` of the departure of this throw, if a warning might be about it.
     pub(super) fn share(&mut self, shared: &Vector3<f64>, settings: &Settings) {
-        let matters = |i: usize| relevance(SHARED[i], shared[i], settings) > SHARED_FROM;
+        let matters = |i: usize| relevance(Cause::OF_COEFFICIENTS[i], shared[i], settings) > SHARED_FROM;
         #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
         let kept = |i: usize| if matters(i) { shared[i] as f32 } else { 0.0 };
         self.shared = [0, 1, 2].map(kept);
@@ -192,7 +190,11 @@ impl DriftAlarms {
     /// The changes of the machine that are shared with the site, with their size \[%\].
     pub(super) fn shared_changes(&self) -> impl Iterator<Item = (Cause, f64)> {
         let is_change = |(_, log): &(Cause, f32)| *log != 0.0;
-        SHARED.into_iter().zip(self.shared).filter(is_change).map(|(cause, log)| (cause, percent(log.into())))
+        Cause::OF_COEFFICIENTS
+            .into_iter()
+            .zip(self.shared)
+            .filter(is_change)
+            .map(|(cause, log)| (cause, percent(log.into())))
     }
 
     /// The severity of an active alarm of both directions whose drift is known now to be in one direction only, which the first
@@ -318,8 +320,7 @@ impl DriftAlarms {
             };
             // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
             let free = |Window { mean, covariance, .. }: &Window| {
-                let causes = [Cause::Kt, Cause::Friction, Cause::Stiffness];
-                fit(PLAIN_LEAKS, causes, mean, covariance, settings).parts.to_vec()
+                fit(PLAIN_LEAKS, Cause::OF_COEFFICIENTS, mean, covariance, settings).parts.to_vec()
             };
             let parts = drift.windows().flat_map(|window| match alarm.cause {
                 Cause::Unattributed => free(window),

@@ -57,6 +57,8 @@ pub enum Cause {
 impl Cause {
     /// The four physical causes, in the order of the diagnosis.
     pub const PHYSICAL: [Self; 4] = [Self::Kt, Self::Friction, Self::Stiffness, Self::Inertia];
+    /// The causes that change one coefficient each, in the order of b0, a1, a0.
+    pub(super) const OF_COEFFICIENTS: [Self; 3] = [Self::Kt, Self::Friction, Self::Stiffness];
 
     /// Name in messages and in the database.
     #[must_use]

@@ -17,7 +17,7 @@ use super::{
         site::{self, Common},
         testimony::Testimony,
         thermometer::Disbelief,
-        verdict::{Blindness, Verdict},
+        verdict::Verdict,
     },
     MachineMonitor, is_drift, to_micros,
 };
@@ -199,10 +199,7 @@ impl MachineMonitor {
             verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
         }
         let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);
-        self.blind = by_temperature.or_else(|| {
-            let (cause, below_pct) = self.tracks.hidden_by_scatter(settings)?;
-            Some(Blindness { cause, below_pct, temperature: None })
-        });
+        self.blind = by_temperature.or_else(|| self.tracks.hidden_by_scatter(settings));
         let suspicion = self.drift.suspicion(drift.as_ref(), &self.alarms);
         let taken = self.tracks.learn(throw, self.order, context.at, suspicion, settings);
         if !taken.is_empty() {

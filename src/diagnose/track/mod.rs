@@ -252,9 +252,10 @@ impl Tracks {
 
     /// The cause and size \[%\] hidden most by the scatter of the throws of a direction, if no window shows a change at the
     /// critical limit. Depends on the baselines only, so it does not change from throw to throw.
-    pub(super) fn hidden_by_scatter(&self, settings: &Settings) -> Option<(Cause, f64)> {
+    pub(super) fn hidden_by_scatter(&self, settings: &Settings) -> Option<Blindness> {
         let hidden = self.sides.iter().filter_map(|track| self.hidden_by_scatter_of(track, settings));
-        hidden.max_by(|a, b| a.2.total_cmp(&b.2)).map(|(cause, visible, _)| (cause, visible))
+        let (cause, below_pct, _) = hidden.max_by(|a, b| a.2.total_cmp(&b.2))?;
+        Some(Blindness { cause, below_pct, temperature: None })
     }
 
     /// The same for one direction, also relative to the critical limit.
