@@ -10,6 +10,7 @@ use super::{
         explain::percent,
         found,
         gauges::Circuit,
+        latest_throw::LatestThrow,
         observation::{Evaluated, Observation, Unusable},
         operational::Context,
         rule::Rule,
@@ -177,8 +178,8 @@ impl MachineMonitor {
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
-            let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
-            verdict.events.extend(events);
+            let latest = LatestThrow { drift: &drift, order: self.order, tracks: &self.tracks, context };
+            verdict.events.extend(self.drift.judge(latest, &residual, &mut self.alarms));
             verdict.events.extend(self.instruments.judge(&drift, &mut self.alarms, context));
             drift
         });
