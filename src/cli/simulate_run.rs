@@ -95,8 +95,8 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
 
 fn read(document: &Document) -> Result<Plan, ConfigError> {
     let plan: Plan = document.deserialize()?;
-    plan.logger.validate().map_err(|error| document.complain(&format!("logger.{}", error.key), error.problem()))?;
-    plan.fleet.check().map_err(|error| document.complain(&format!("fleet.{}", error.key), error.problem()))?;
+    document.in_section("logger", plan.logger.validate())?;
+    document.in_section("fleet", plan.fleet.check())?;
     check_log(&plan.log, document)?;
     Ok(Plan { zenoh: client_session(document)?, ..plan })
 }

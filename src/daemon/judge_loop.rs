@@ -90,7 +90,6 @@ pub(super) struct Links {
     pub(super) give_up: CancellationToken,
 }
 
-/// The judge loop.
 pub(super) struct JudgeLoop {
     judge: Judge,
     links: Links,
@@ -121,9 +120,6 @@ impl JudgeLoop {
     }
 
     /// Runs until `stop`, then judges the throws that are still pending.
-    ///
-    /// # Errors
-    /// When the store is closed.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
         // The daemon can work without this list.
         let adopted = self.judge.adopt().await.unwrap_or_else(|error| {

@@ -26,6 +26,7 @@ mod publish;
 mod receive;
 mod retention;
 mod running;
+mod schedule;
 mod status;
 mod stop;
 mod tasks;

@@ -65,12 +65,14 @@ pub(super) struct BaselineThrow {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Baseline {
     centre: [f64; 3],
-    throws: usize,
-    complete: bool,
-    taken_at: Timestamp,
-    temperature: Temperature,
-    duration_s: Option<f64>,
-    scatter: Scatter,
+    pub(super) throws: usize,
+    pub(super) complete: bool,
+    /// Start of its last throw.
+    pub(super) taken_at: Timestamp,
+    /// The temperature compensation.
+    pub(super) temperature: Temperature,
+    pub(super) duration_s: Option<f64>,
+    pub(super) scatter: Scatter,
     /// Slopes of the logarithms per throw of the machine; `None` without a trend.
     #[serde(default)]
     slopes: Option<[f64; 3]>,
@@ -150,24 +152,6 @@ impl Baseline {
         raw - self.temperature.effect(distance)
     }
 
-    /// Updates the temperature coefficients with a throw; `suspected`: its machine may have a drift.
-    pub(super) fn learn_temperature(&mut self, (raw, distance): (Vector3<f64>, f64), suspected: bool) {
-        self.temperature.learn_on(raw, distance, suspected, &self.scatter);
-    }
-
-    /// The temperature compensation.
-    pub(super) fn temperature(&self) -> &Temperature {
-        &self.temperature
-    }
-
-    pub(super) fn scatter(&self) -> &Scatter {
-        &self.scatter
-    }
-
-    pub(super) fn throws(&self) -> usize {
-        self.throws
-    }
-
     /// Number of throws whose mean is as uncertain as the centre. The beginning of a line has four times the variance
     /// of its middle.
     pub(super) fn centre_throws(&self) -> f64 {
@@ -179,22 +163,9 @@ impl Baseline {
         self.slopes.is_some()
     }
 
-    pub(super) fn is_complete(&self) -> bool {
-        self.complete
-    }
-
-    /// Start of its last throw.
-    pub(super) fn taken_at(&self) -> Timestamp {
-        self.taken_at
-    }
-
     /// Whether it has all its throws: complete, or with a trend.
     pub(super) fn is_final(&self, settings: &Settings) -> bool {
         self.complete || self.throws >= settings.baseline_throws
-    }
-
-    pub(super) fn duration_s(&self) -> Option<f64> {
-        self.duration_s
     }
 
     pub(super) fn record(&self, direction: Direction, ratios_only: bool) -> BaselineRecord {
@@ -207,10 +178,10 @@ impl Baseline {
             center: self.centre.map(|log| (log - if ratios_only { self.centre[0] } else { 0.0 }).exp()),
             ratios_only,
             log_covariance: [0, 1, 2].map(|i| [0, 1, 2].map(|j| s[(i, j)])),
-            lag1: self.scatter.lag1(),
-            temperature_source: self.temperature.source(),
-            temperature_pct_per_k: self.temperature.pct_per_k(),
-            reference_c: self.temperature.reference_c(),
+            lag1: self.scatter.lag1,
+            temperature_source: self.temperature.source,
+            temperature_pct_per_k: self.temperature.per_k.map(|k| 100.0 * k),
+            reference_c: self.temperature.reference_c,
             duration_s: self.duration_s,
         }
     }
@@ -277,7 +248,7 @@ pub(super) fn trend(filling: &Filling, settings: &Settings) -> [f64; 3] {
     let is_end = filling.len() + LAST > 2 * settings.baseline_throws;
     let bound = if is_end { trend::AT_THE_END } else { trend::WHILE_FILLING };
     let slopes = filling.slopes(bound.evidence);
-    let limits = [Cause::Kt, Cause::Friction, Cause::Stiffness].map(|cause| settings.limit_pct(cause));
+    let limits = Cause::OF_COEFFICIENTS.map(|cause| settings.limit_pct(cause));
     let matters = |i: usize| {
         let change_pct = 100.0 * slopes[i] * filling.len() as f64;
         limits[i].is_some_and(|limit| change_pct.abs() > bound.part_of_limit * limit)

@@ -62,6 +62,16 @@ pub enum Command {
     },
 }
 
+/// A maintenance window.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Maintenance {
+    /// End of the window. `None` only in snapshots of version 1, which allowed windows without end; the next tick sets
+    /// it.
+    pub(super) until: Option<Timestamp>,
+    pub(super) by: String,
+    pub(super) why: String,
+}
+
 /// A command that was not applied.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {

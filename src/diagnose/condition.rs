@@ -118,7 +118,8 @@ pub(super) struct Ending {
     pub(super) turned: u32,
     /// Largest recent size relative to the warning limit.
     pub(super) level: f64,
-    /// Throws since the size was near `level`.
+    /// Throws since the size was near `level`. Snapshots of version 1 have another name for it.
+    #[serde(alias = "below_level")]
     pub(super) since_level: u32,
     /// Throws in which the size fell from `level` to less than half of it.
     pub(super) fell_within: Option<u32>,

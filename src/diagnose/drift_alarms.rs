@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use jiff::{SignedDuration, Timestamp};
+use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -11,20 +11,20 @@ use super::{
     cause::{Attribution, Known, Naming, explained},
     condition::{Claim, Condition, LEVELS_FOLLOW, LONGEST_WINDOW, Transition},
     course::{Course, LimitForecast},
-    drift::{Drift, FrictionChange},
+    drift::Drift,
     event::{AlarmEvent, Cause, RunnerUp, Severity},
     explain::{Explanation, PLAIN_LEAKS, fit, friction_of_sound_motor, percent, relevance},
     found::Found,
     gauges::Gauges,
     history::History,
     intermittent::Intermittent,
+    latest_throw::LatestThrow,
     operational::Context,
     rule::Rule,
     settings::Settings,
     testimony::Testimony,
     text,
-    threshold::WINDOWS,
-    track::{Suspicion, Tracks},
+    track::Suspicion,
     verdict::Drifting,
     window::Window,
 };
@@ -38,32 +38,13 @@ const SUSPECTED_FROM: f64 = 0.5;
 /// Part of the limit below which a suspicion ends.
 const FORGOTTEN_BELOW: f64 = 0.25;
 
-/// Longest time for which rain lowers the friction \[h\]: two wet days and a day of drying.
-const RAIN_HOURS: i64 = 72;
-/// Throws of the machine after which the last few of each direction show a fall completely.
-const SHOWN_AFTER: u64 = 2 * WINDOWS[0] as u64;
-/// Losses of friction by rain \[%\]: water halves the friction of steel on steel, and slide chairs have a part of the
-/// friction of a machine.
-const RAIN_PCT: Range<f64> = 10.0..25.0;
 /// Rise of the friction when the rails dry, as its logarithm: rain takes hardly more than 30 %.
 const DRYING: Range<f64> = 0.0..0.36;
-/// Standard deviation of a size by the error of the model, as share of the size: where half of the friction is dry, losses
-/// of the motor's torque by 10 to 20 % look larger by 1 to 2 % of themselves.
-const SIZE_SHARE: f64 = 0.01;
-/// Part of a slow change that existed a week ago: a season takes months.
-const SLOW_FROM: f64 = 1.0 / 3.0;
-const DAYS_OF_WEEK: f64 = 7.0;
-
 /// Consecutive throws that show that a drift is in one direction only, before its alarm says so: three of each direction.
 const ONE_SIDED_THROWS: u8 = 6;
 
-/// The causes that change one coefficient each, in their order.
-const SHARED: [Cause; 3] = [Cause::Kt, Cause::Friction, Cause::Stiffness];
 /// Part of a warning limit from which a change that is shared with the site is stated.
 const SHARED_FROM: f64 = 0.5;
-
-/// Least part of nominal that a loss leaves, as its logarithm is needed.
-const LEAST_LEFT: f64 = 0.01;
 
 /// The first throw of a suspected drift.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -102,26 +83,24 @@ pub(super) struct DriftAlarms {
 }
 
 impl DriftAlarms {
-    /// Applies the drift in the last throws; the latest is throw number `order` of the machine, with this residual.
+    /// Applies the latest throw, with its residual.
     pub(super) fn judge(
         &mut self,
-        drift: &Drift,
+        latest: LatestThrow,
         residual: &Vector3<f64>,
-        order: u64,
-        tracks: &Tracks,
         alarms: &mut Alarms,
-        context: Context,
     ) -> Vec<AlarmEvent> {
+        let LatestThrow { drift, order, context, .. } = latest;
         let Context { name, at, settings, .. } = context;
         self.unjudged = 0;
         self.history.push(residual, order);
-        self.follow_onset(drift, order, context);
+        self.follow_onset(latest);
         let mut events = Vec::new();
-        let weather = self.beside_weather(drift, order, tracks, context);
+        let weather = self.beside_weather(latest);
         let is_rising = self.intermittent.is_rising();
         for (index, cause) in DRIFTS.into_iter().enumerate() {
             let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
-            let weather = self.new_part(cause, drift, tracks, context).unwrap_or(weather);
+            let weather = self.new_part(cause, latest).unwrap_or(weather);
             if weather != Claim::Named && reading.claim != Claim::None {
                 reading.claim = weather;
             }
@@ -131,9 +110,8 @@ impl DriftAlarms {
             }
             let knows_no_part = alarms.rule(cause).is_some_and(Rule::knows_no_part);
             let active = alarms.severity(cause).filter(|_| !knows_no_part);
-            let concerned = || direction(cause, drift, order, tracks, settings);
             if reading.claim == Claim::Named
-                && let Some((now, _)) = self.named_now(drift, concerned(), order, tracks)
+                && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
             {
                 let size = now.relevance(settings);
                 let raised_pct = alarms.active().find(|event| event.cause == cause).and_then(|event| event.change_pct);
@@ -144,9 +122,9 @@ impl DriftAlarms {
                 reading.claim = if size > least { Claim::Named } else { Claim::Counts };
             }
             let transition = self.conditions[index].step(reading, active, settings);
-            let direction = if reading.claim == Claim::Named { concerned() } else { None };
+            let direction = if reading.claim == Claim::Named { latest.direction(cause) } else { None };
             let becomes_one_sided = self.becomes_one_sided(index, direction, alarms);
-            let evidence = |severity| self.evidence(cause, severity, drift, order, tracks, context);
+            let evidence = |severity| self.evidence(cause, severity, latest);
             events.extend(match transition {
                 Transition::Stay => becomes_one_sided.and_then(|severity| {
                     let evidence = evidence(severity)?;
@@ -177,13 +155,13 @@ impl DriftAlarms {
                 }
             });
         }
-        self.renew(drift, order, tracks, alarms, settings);
+        self.renew(latest, alarms);
         events
     }
 
     /// Keeps the part `shared` of the departure of this throw, if a warning might be about it.
     pub(super) fn share(&mut self, shared: &Vector3<f64>, settings: &Settings) {
-        let matters = |i: usize| relevance(SHARED[i], shared[i], settings) > SHARED_FROM;
+        let matters = |i: usize| relevance(Cause::OF_COEFFICIENTS[i], shared[i], settings) > SHARED_FROM;
         #[expect(clippy::cast_possible_truncation, reason = "shown in per cent")]
         let kept = |i: usize| if matters(i) { shared[i] as f32 } else { 0.0 };
         self.shared = [0, 1, 2].map(kept);
@@ -192,7 +170,11 @@ impl DriftAlarms {
     /// The changes of the machine that are shared with the site, with their size \[%\].
     pub(super) fn shared_changes(&self) -> impl Iterator<Item = (Cause, f64)> {
         let is_change = |(_, log): &(Cause, f32)| *log != 0.0;
-        SHARED.into_iter().zip(self.shared).filter(is_change).map(|(cause, log)| (cause, percent(log.into())))
+        Cause::OF_COEFFICIENTS
+            .into_iter()
+            .zip(self.shared)
+            .filter(is_change)
+            .map(|(cause, log)| (cause, percent(log.into())))
     }
 
     /// The severity of an active alarm of both directions whose drift is known now to be in one direction only, which the first
@@ -291,7 +273,7 @@ impl DriftAlarms {
     }
 
     /// Updates the first throw of the suspected drift.
-    fn follow_onset(&mut self, drift: &Drift, order: u64, context: Context) {
+    fn follow_onset(&mut self, LatestThrow { drift, order, context, .. }: LatestThrow) {
         if drift.excess < FORGOTTEN_BELOW {
             self.onset = None;
         } else if drift.excess > SUSPECTED_FROM && self.onset.is_none() {
@@ -300,7 +282,8 @@ impl DriftAlarms {
     }
 
     /// Updates the present drifts after a throw.
-    fn renew(&mut self, drift: &Drift, order: u64, tracks: &Tracks, alarms: &Alarms, settings: &Settings) {
+    fn renew(&mut self, latest: LatestThrow, alarms: &Alarms) {
+        let LatestThrow { drift, context: Context { settings, .. }, .. } = latest;
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
         let back_emf = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
@@ -318,8 +301,7 @@ impl DriftAlarms {
             };
             // A single cause that does not explain the drift can have any size, so a drift without a name has three parts.
             let free = |Window { mean, covariance, .. }: &Window| {
-                let causes = [Cause::Kt, Cause::Friction, Cause::Stiffness];
-                fit(PLAIN_LEAKS, causes, mean, covariance, settings).parts.to_vec()
+                fit(PLAIN_LEAKS, Cause::OF_COEFFICIENTS, mean, covariance, settings).parts.to_vec()
             };
             let parts = drift.windows().flat_map(|window| match alarm.cause {
                 Cause::Unattributed => free(window),
@@ -336,8 +318,8 @@ impl DriftAlarms {
                 now.extend(known.map(|known| (alarm.severity, 0.0, *known)));
                 continue;
             };
-            let direction = direction(alarm.cause, drift, order, tracks, settings);
-            let (size, course) = self.present(&largest, drift, direction, order, tracks);
+            let direction = latest.direction(alarm.cause);
+            let (size, course) = latest.size(&largest, direction, &self.history);
             let drifting = Drifting {
                 cause: alarm.cause,
                 change_pct: percent(size.size),
@@ -350,69 +332,6 @@ impl DriftAlarms {
         self.now = worst_first(now);
     }
 
-    /// The largest claim that the drift allows beside weather, which changes the friction most.
-    fn beside_weather(&mut self, drift: &Drift, order: u64, tracks: &Tracks, context: Context) -> Claim {
-        let change = drift.change_of_friction();
-        let season =
-            change.filter(|change| self.may_be_season(Cause::Friction, change.size, &Vector3::y(), tracks, context));
-        self.season_pct = season.map(|change| percent(change.size));
-        match self.beside_rain(change, order, context) {
-            Claim::Named if season.is_some() => Claim::Counts,
-            claim => claim,
-        }
-    }
-
-    /// The largest claim about a part that is named beside a known drift, which may be the weather's: it is its own change
-    /// that may be slow. `None` for other causes.
-    fn new_part(&self, cause: Cause, drift: &Drift, tracks: &Tracks, context: Context) -> Option<Claim> {
-        let Some(Naming::Another { new, .. }) = drift.attribution.map(|attribution| attribution.naming) else {
-            return None;
-        };
-        let is_slow = || self.may_be_season(cause, new.size, &new.weights, tracks, context);
-        (new.cause == cause && cause != Cause::Friction).then(|| if is_slow() { Claim::Counts } else { Claim::Named })
-    }
-
-    /// Whether a change of `cause` may be the season's: the machine has no temperature, the change is below the critical
-    /// limit, and a part of it existed a week ago. `weights` of the logarithms give its size.
-    fn may_be_season(
-        &self,
-        cause: Cause,
-        size: f64,
-        weights: &Vector3<f64>,
-        tracks: &Tracks,
-        context: Context,
-    ) -> bool {
-        let is_critical = relevance(cause, size, context.settings) > context.settings.critical_factor;
-        let per_day = tracks.throws_per_day(context.at).unwrap_or(context.settings.throws_per_day);
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
-        let week = ((DAYS_OF_WEEK * per_day) as u32).max(LONGEST_WINDOW);
-        let was_there =
-            || self.history.mean(week..u32::MAX).is_some_and(|level| weights.dot(&level) / size > SLOW_FROM);
-        !is_critical && tracks.has_no_temperature() && was_there()
-    }
-
-    /// The largest claim beside rain: a fall of friction by rain is over in some days.
-    fn beside_rain(&mut self, change: Option<FrictionChange>, order: u64, context: Context) -> Claim {
-        let Some(fall) = change.filter(|change| change.size < 0.0) else {
-            self.fallen = None;
-            return Claim::Named;
-        };
-        let (since, first) = *self.fallen.get_or_insert((context.at, order));
-        // The last few throws of a direction show a new fall only in part.
-        if !fall.lasts && order - first >= SHOWN_AFTER {
-            self.fallen = None;
-            return Claim::None;
-        }
-        let is_new = context.at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
-            || order - first < u64::from(LONGEST_WINDOW);
-        if is_new && RAIN_PCT.contains(&-percent(fall.size)) { Claim::Counts } else { Claim::Named }
-    }
-
-    /// Throws since the drift was first suspected.
-    fn throws_since_onset(&self, order: u64) -> u64 {
-        self.onset.as_ref().map_or(1, |onset| order - onset.order + 1)
-    }
-
     /// The present direction of an active alarm; the inner `None` is both.
     #[expect(clippy::option_option, reason = "no alarm is not an alarm in both directions")]
     fn alarmed_direction(&self, cause: Cause, alarms: &Alarms) -> Option<Option<Direction>> {
@@ -420,20 +339,13 @@ impl DriftAlarms {
         alarms.is_active(cause).then(|| now.and_then(|drifting| drifting.direction))
     }
 
-    fn evidence(
-        &self,
-        cause: Cause,
-        severity: Severity,
-        drift: &Drift,
-        order: u64,
-        tracks: &Tracks,
-        context: Context,
-    ) -> Option<Evidence> {
+    fn evidence(&self, cause: Cause, severity: Severity, latest: LatestThrow) -> Option<Evidence> {
+        let LatestThrow { drift, order, tracks, context } = latest;
         let mut attribution = *drift.attribution.as_ref()?;
-        let throws = self.throws_since_onset(order);
-        let direction = direction(cause, drift, order, tracks, context.settings);
+        let throws = self.onset.as_ref().map_or(1, |onset| order - onset.order + 1);
+        let direction = latest.direction(cause);
         let mut limit_in_throws = None;
-        if let Some((now, course)) = self.named_now(drift, direction, order, tracks)
+        if let Some((now, course)) = latest.named_part(direction, &self.history)
             && let Naming::One(main) | Naming::Another { new: main, .. } = &mut attribution.naming
         {
             limit_in_throws = course.and_then(|course| forecast(&now, &course, severity, context.settings));
@@ -464,46 +376,6 @@ impl DriftAlarms {
             ..Evidence::plain(severity, context.throw, text)
         })
     }
-
-    /// The single named part with its size at this throw, and its course.
-    fn named_now(
-        &self,
-        drift: &Drift,
-        direction: Option<Direction>,
-        order: u64,
-        tracks: &Tracks,
-    ) -> Option<(Explanation, Option<Course>)> {
-        let attribution = drift.attribution.as_ref()?;
-        let (Naming::One(main) | Naming::Another { new: main, .. }) = attribution.naming else { return None };
-        let is_beside_sound_motor = attribution.has_sound_motor() && main.cause == Cause::Friction;
-        let of_friction = drift.strongest.as_ref().filter(|_| is_beside_sound_motor);
-        let part = of_friction.map_or(main, |window| friction_of_sound_motor(&window.mean, &window.covariance));
-        Some(self.present(&part, drift, direction, order, tracks))
-    }
-
-    /// The explanation with its size at this throw, and its course.
-    fn present(
-        &self,
-        part: &Explanation,
-        drift: &Drift,
-        direction: Option<Direction>,
-        order: u64,
-        tracks: &Tracks,
-    ) -> (Explanation, Option<Course>) {
-        let Some(course) = tracks.course(&part.weights, &drift.temperature_sd(), direction, &self.history, order)
-        else {
-            return (*part, None);
-        };
-        let (size, size_sd) = course.now();
-        let whole = (1.0 + size).max(LEAST_LEFT);
-        let size_sd = part.model_sd.hypot(size_sd / whole).hypot(SIZE_SHARE * whole.ln());
-        (Explanation { size: whole.ln(), size_sd, ..*part }, Some(course))
-    }
-}
-
-/// The direction that a drift of `cause` concerns; `None` for both, and while it is not known.
-fn direction(cause: Cause, drift: &Drift, order: u64, tracks: &Tracks, settings: &Settings) -> Option<Direction> {
-    tracks.one_sided(&drift.weights(cause, settings)?, &drift.temperature_sd(), order)
 }
 
 /// The forecast of the critical limit for an alarm below it.

@@ -293,7 +293,7 @@ fn model_error(part: &Explanation, leak: Leak, settings: &Settings) -> Matrix3<f
     let (leaking, sd) =
         if part.cause == Cause::Friction { (part.size.max(0.0), FRICTION_ERROR * sd) } else { (part.size, sd) };
     let together = Vector3::from(leak.sd) * leaking;
-    let own = |i: usize| [Cause::Kt, Cause::Friction, Cause::Stiffness][i] == part.cause;
+    let own = |i: usize| Cause::OF_COEFFICIENTS[i] == part.cause;
     let others = Vector3::from_fn(|i, _| if own(i) { 0.0 } else { sd * sd });
     together * together.transpose() + Matrix3::from_diagonal(&others)
 }

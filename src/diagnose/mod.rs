@@ -21,6 +21,7 @@ mod history;
 mod instruments;
 mod intermittent;
 mod last;
+mod latest_throw;
 mod monitor;
 mod observation;
 mod operational;
@@ -43,6 +44,7 @@ mod threshold;
 mod track;
 mod trend;
 mod verdict;
+mod weather;
 mod wet;
 mod window;
 

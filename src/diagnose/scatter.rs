@@ -82,7 +82,8 @@ pub(super) struct Noise {
 pub(super) struct Scatter {
     natural: Sym3,
     sensor: Sym3,
-    lag1: [f64; 3],
+    /// Lag-1 correlations of the natural scatter.
+    pub(super) lag1: [f64; 3],
     /// Slow part of the natural variance.
     #[serde(default)]
     slow: [f64; 3],
@@ -173,11 +174,6 @@ impl Scatter {
     /// Mean covariance of the estimates in the baseline.
     pub(super) fn sensor(&self) -> Matrix3<f64> {
         self.sensor.into()
-    }
-
-    /// Lag-1 correlations of the natural scatter.
-    pub(super) fn lag1(&self) -> [f64; 3] {
-        self.lag1
     }
 
     /// Standard deviation of one throw whose estimate has the covariance `sensor`.

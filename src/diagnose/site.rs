@@ -118,8 +118,6 @@ pub(super) fn excused(departure: &Vector3<f64>, common: &Common) -> Vector3<f64>
 /// Raises and clears the alarm about all machines of a site with the change `common`. While it is unknown, as in a night
 /// without throws, the alarm stays.
 pub(super) fn judge(common: &Common, alarms: &mut Alarms, context: Context) -> Vec<AlarmEvent> {
-    /// The causes that change one coefficient each.
-    const CAUSES: [Cause; 3] = [Cause::Kt, Cause::Friction, Cause::Stiffness];
     let of = |(cause, log): (Cause, &f64)| {
         let size = relevance(cause, *log, context.settings);
         if size > 1.0 {
@@ -132,5 +130,5 @@ pub(super) fn judge(common: &Common, alarms: &mut Alarms, context: Context) -> V
             .then(|| alarms.clear(cause, text::site_over(context.name, cause), context.at))
             .flatten()
     };
-    CAUSES.into_iter().zip(&common.change).filter_map(of).collect()
+    Cause::OF_COEFFICIENTS.into_iter().zip(&common.change).filter_map(of).collect()
 }

@@ -10,14 +10,15 @@ use serde::Deserialize;
 
 use super::{
     alarm::{Acknowledgement, Alarm, Alarms, State},
+    command::Maintenance,
     condition::{Condition, Ending, Onset},
+    drift_alarms,
     event::{AlarmEvent, AlarmState, Cause, SensorChannel},
     history::History,
     operational::Operation,
     rule::Rule,
     track::Tracks,
 };
-use crate::throw::ThrowRef;
 
 /// A snapshot of version 1.
 #[derive(Debug, Deserialize)]
@@ -26,24 +27,11 @@ pub(super) struct VersionOne {
     pub(super) order: u64,
     pub(super) tracks: Tracks,
     pub(super) history: History,
-    pub(super) onset: Option<Suspected>,
+    pub(super) onset: Option<drift_alarms::Onset>,
     pub(super) conditions: [ConditionOne; 5],
     pub(super) board: Board,
     pub(super) operation: Operation,
-    pub(super) maintenance: Option<MaintenanceOne>,
-}
-
-#[derive(Debug, Deserialize)]
-pub(super) struct Suspected {
-    pub(super) first: ThrowRef,
-    pub(super) order: u64,
-}
-
-#[derive(Debug, Deserialize)]
-pub(super) struct MaintenanceOne {
-    pub(super) until: Option<Timestamp>,
-    pub(super) by: String,
-    pub(super) why: String,
+    pub(super) maintenance: Option<Box<Maintenance>>,
 }
 
 #[derive(Debug, Clone, Copy, Deserialize)]
@@ -52,19 +40,7 @@ pub(super) struct ConditionOne {
     critical: u32,
     since_raised: Option<u32>,
     #[serde(flatten)]
-    ending: EndingOne,
-}
-
-#[derive(Debug, Clone, Copy, Deserialize)]
-struct EndingOne {
-    healthy: u32,
-    below: u32,
-    other: u32,
-    level: f64,
-    below_level: u32,
-    fell_within: Option<u32>,
-    proposed: bool,
-    restless: bool,
+    ending: Ending,
 }
 
 #[derive(Debug, Deserialize)]
@@ -118,19 +94,8 @@ impl ConditionOne {
         if !active {
             return Condition::Quiet { onset, since_raised: self.since_raised };
         }
-        let EndingOne { healthy, below, other, level, below_level, fell_within, proposed, restless } = self.ending;
-        let ending = Ending {
-            healthy,
-            below,
-            other,
-            turned: 0,
-            level,
-            since_level: below_level,
-            fell_within,
-            proposed,
-            restless,
-        };
-        Condition::Raised { onset, since_raised: self.since_raised.unwrap_or_default(), ending: Box::new(ending) }
+        let since_raised = self.since_raised.unwrap_or_default();
+        Condition::Raised { onset, since_raised, ending: Box::new(self.ending) }
     }
 }
 

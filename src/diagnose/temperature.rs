@@ -79,10 +79,10 @@ impl Default for Anchor {
 /// Compensation of temperature: x - `per_k` (T - reference).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct Temperature {
-    source: TemperatureSource,
-    per_k: [f64; 3],
+    pub(super) source: TemperatureSource,
+    pub(super) per_k: [f64; 3],
     per_k_variance: [f64; 3],
-    reference_c: Option<f64>,
+    pub(super) reference_c: Option<f64>,
     /// Sum of squared distances from the reference \[K²\], and of distances times residuals \[K\].
     #[serde(default)]
     information: f64,
@@ -154,7 +154,7 @@ impl Temperature {
             return;
         }
         let variance = scatter.of_one_throw().diagonal();
-        let lag1 = Vector3::from(scatter.lag1());
+        let lag1 = Vector3::from(scatter.lag1);
         let noise = Vector3::from_fn(|i, _| variance[i] * serial_inflation(lag1[i]));
         if self.information == 0.0 && self.source == TemperatureSource::Fitted {
             // A snapshot of version 1 has the slope, but not its sums.
@@ -221,7 +221,6 @@ impl Temperature {
         self.anchor = to;
     }
 
-    /// Number of throws of the anchor.
     fn anchor_throws(&self) -> f64 {
         self.anchor.throws.map_or(self.throws, f64::from)
     }
@@ -273,18 +272,6 @@ impl Temperature {
     /// directions.
     pub(super) fn effect_sd(&self, distance: f64) -> Vector3<f64> {
         Vector3::from(self.per_k_variance).map(f64::sqrt) * distance
-    }
-
-    pub(super) fn source(&self) -> TemperatureSource {
-        self.source
-    }
-
-    pub(super) fn pct_per_k(&self) -> [f64; 3] {
-        self.per_k.map(|k| 100.0 * k)
-    }
-
-    pub(super) fn reference_c(&self) -> Option<f64> {
-        self.reference_c
     }
 }
 

@@ -47,11 +47,11 @@ pub(super) struct TrendThrow {
 /// The throws of the baselines of both directions while they fill, in their order.
 #[derive(Debug)]
 pub(super) struct Filling {
-    throws: Vec<TrendThrow>,
+    pub(super) throws: Vec<TrendThrow>,
     /// Robust standard deviations of one throw.
     sd: [f64; 3],
     /// Part of the estimates' errors in the variances.
-    error_part: [f64; 3],
+    pub(super) error_part: [f64; 3],
 }
 
 impl Filling {
@@ -64,15 +64,6 @@ impl Filling {
 
     pub(super) fn len(&self) -> usize {
         self.throws.len()
-    }
-
-    /// Number of a throw among those of the machine.
-    pub(super) fn order(&self, at: usize) -> u32 {
-        self.throws[at].order
-    }
-
-    pub(super) fn error_part(&self, i: usize) -> f64 {
-        self.error_part[i]
     }
 
     /// The residuals of a coefficient, clipped; at least `reach` remains.

@@ -56,14 +56,14 @@ pub(super) fn wet_spells(filling: &Filling) -> Vec<WetSpell> {
     }
     let mut levels = filling.levels();
     levels.push(filling.time());
-    let spells = likeliest(&values, &Series::new(&values, &levels, filling.error_part(A1)));
+    let spells = likeliest(&values, &Series::new(&values, &levels, filling.error_part[A1]));
     let columns: Vec<Vec<f64>> = spells.iter().map(|spell| column(std::slice::from_ref(spell), values.len())).collect();
     let with_change = |(at, spell): (usize, &Range<usize>)| {
         let mut others = columns.clone();
         let own = others.remove(at);
         others.extend(levels.iter().cloned());
-        let change = Series::new(&values, &others, filling.error_part(A1)).with(&own).change;
-        let [first, last] = [spell.start, spell.end - 1].map(|index| filling.order(index));
+        let change = Series::new(&values, &others, filling.error_part[A1]).with(&own).change;
+        let [first, last] = [spell.start, spell.end - 1].map(|index| filling.throws[index].order);
         WetSpell { first, last, change }
     };
     spells.iter().enumerate().map(with_change).filter(|spell| CHANGE.contains(&spell.change)).collect()

@@ -92,7 +92,7 @@ impl RecentThrow {
     /// Version 1 stored residuals with temperature compensation.
     pub(super) fn add_temperature(&mut self, baseline: &Baseline) {
         let (residual, distance) = self.raw();
-        let raw = residual + baseline.temperature().effect(distance);
+        let raw = residual + baseline.temperature.effect(distance);
         *self = Self::new(self.order.into(), raw, distance, self.sensor, self.ratios_only);
     }
 }
@@ -114,7 +114,6 @@ pub(super) enum CommonScale {
 /// The mean of a window with its covariance and test.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Window {
-    /// Number of throws.
     pub(super) throws: usize,
     /// Clipped mean of the residuals.
     pub(super) mean: Vector3<f64>,
@@ -226,7 +225,7 @@ impl<'a> Stream<'a> {
         let mut temperature = Vector3::zeros();
         for side in 0..2 {
             if last.iter().any(|(at, _)| *at == side) {
-                temperature += baselines[side]?.temperature().effect_sd(distance[side] / n);
+                temperature += baselines[side]?.temperature.effect_sd(distance[side] / n);
             }
         }
         let mut covariance = scatter.of_mean(throws, &sensor, centre_throws(last, baselines)?);
@@ -280,14 +279,10 @@ impl<'a> Stream<'a> {
         let n = window.throws as f64;
         let (rho, inverse) = self.innovation(window, scatter)?;
         let fresh = rho.map(|rho| (1.0 - rho * rho).sqrt());
-        let residual = |at: usize| {
-            let (side, throw) = self.0.get(at)?;
-            Some(baselines[*side].map(|own| throw.scaled(own.compensated(throw.raw()), &window.scale)))
-        };
         let mut sum = Vector3::zeros();
-        let mut throw = residual(0)??;
+        let mut throw = self.residual(0, window, baselines)?;
         for at in 1..=window.throws {
-            let before = residual(at).flatten();
+            let before = self.residual(at, window, baselines);
             let innovation = before.map_or(throw.component_mul(&fresh), |before| throw - rho.component_mul(&before));
             sum += Vector3::from_fn(|i, _| innovation[i].clamp(-reach[i], reach[i]));
             throw = before.unwrap_or_default();
@@ -309,20 +304,22 @@ impl<'a> Stream<'a> {
         let rho = scatter.highest_lag1_of_one(&sensor);
         let inverse = scatter.of_innovation(&sensor).try_inverse()?;
         let square = |x: &Vector3<f64>| (x.transpose() * inverse * x).x;
-        let residual = |at: usize| {
-            let (side, throw) = self.0.get(at)?;
-            Some(throw.scaled(baselines[*side]?.compensated(throw.raw()), &window.scale))
-        };
         let mut innovations = Vec::with_capacity(KEPT);
-        let mut throw = residual(0)?;
+        let mut throw = self.residual(0, window, baselines)?;
         for at in 1..=window.throws {
-            let before = residual(at).unwrap_or_default();
+            let before = self.residual(at, window, baselines).unwrap_or_default();
             innovations.push(throw - rho.component_mul(&before));
             throw = before;
         }
         innovations.sort_by(|a, b| square(a).total_cmp(&square(b)));
         innovations.truncate(window.throws - if wild { 2 } else { 1 });
         Some(square(&innovations.iter().sum()) / innovations.len() as f64)
+    }
+
+    /// Residual of a throw with the common scale of `window`; `None` without this throw or its baseline.
+    fn residual(&self, at: usize, window: &Window, baselines: [Option<&Baseline>; 2]) -> Option<Vector3<f64>> {
+        let (side, throw) = self.0.get(at)?;
+        Some(throw.scaled(baselines[*side]?.compensated(throw.raw()), &window.scale))
     }
 
     /// For each coefficient: the single innovation that would give `window` the score `t`.

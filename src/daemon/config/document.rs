@@ -10,6 +10,8 @@ use std::{
 use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue};
 
+use crate::throw::OutOfRange;
+
 /// Largest configuration file \[bytes\]; a larger file is not a configuration.
 const MAX_BYTES: u64 = 4 << 20;
 
@@ -111,6 +113,11 @@ impl Document {
             key: Some(key.to_owned()),
             problem: problem.into(),
         }
+    }
+
+    /// The outcome of a check of ranges, with the error at its key in a section.
+    pub(crate) fn in_section(&self, section: &str, checked: Result<(), OutOfRange>) -> Result<(), ConfigError> {
+        checked.map_err(|error| self.complain(&format!("{section}.{}", error.key), error.problem()))
     }
 
     #[expect(clippy::wrong_self_convention, reason = "the error is placed in this document")]

@@ -222,18 +222,16 @@ impl Config {
         config.webhook.check(document)?;
         check_log(&config.log, document)?;
         check_database_path(&config.store.path, document)?;
-        Ok(Self { machines, zenoh: monitor_session(document)?, ..config })
+        Ok(Self { machines, zenoh: checked_session(zenoh::MONITOR, document)?, ..config })
     }
 }
 
 fn check_ranges(config: &Config, document: &Document) -> Result<(), ConfigError> {
-    let identify = config.identify.check_ranges().map_err(|error| error.within("identify"));
-    identify
-        .and_then(|()| config.subscribe.check_ranges().map_err(|error| error.within("subscribe")))
-        .and_then(|()| config.store.check_ranges().map_err(|error| error.within("store")))
-        .and_then(|()| config.diagnosis.validate().map_err(|error| error.within("diagnosis")))
-        .and_then(|()| config.machine_defaults.check_ranges().map_err(|error| error.within("machines")))
-        .map_err(|error| document.complain(&error.key, error.problem()))
+    document.in_section("identify", config.identify.check_ranges())?;
+    document.in_section("subscribe", config.subscribe.check_ranges())?;
+    document.in_section("store", config.store.check_ranges())?;
+    document.in_section("diagnosis", config.diagnosis.validate())?;
+    document.in_section("machines", config.machine_defaults.check_ranges())
 }
 
 fn check_peers(monitor: &Monitor, document: &Document) -> Result<(), ConfigError> {
@@ -268,8 +266,7 @@ pub fn diagnosis(document: &Document) -> Result<diagnose::Settings, ConfigError>
         diagnosis: diagnose::Settings,
     }
     let Section { diagnosis } = document.deserialize()?;
-    let checked = diagnosis.validate().map_err(|error| error.within("diagnosis"));
-    checked.map_err(|error| document.complain(&error.key, error.problem()))?;
+    document.in_section("diagnosis", diagnosis.validate())?;
     Ok(diagnosis)
 }
 
@@ -289,7 +286,7 @@ fn check_web(web: &Web, document: &Document) -> Result<(), ConfigError> {
             return Err(document.complain(&format!("web.hosts[{index}]"), problem));
         }
     }
-    web.check_ranges().map_err(|error| document.complain(&format!("web.{}", error.key), error.problem()))?;
+    document.in_section("web", web.check_ranges())?;
     let token = web.token.as_ref().map(|token| token.secret().chars().count());
     if token.is_some_and(|length| !TOKEN_LENGTH.contains(&length)) {
         return Err(document.complain("web.token", "must have 16 to 256 characters: a short secret can be guessed"));
@@ -347,11 +344,6 @@ fn checked_session(kind: &str, document: &Document) -> Result<::zenoh::Config, C
     let section = section(document)?;
     let session = zenoh::session_config(kind, section.as_ref(), document)?;
     section.iter().try_for_each(|section| zenoh::check(section, document)).map(|()| session)
-}
-
-/// The session of the daemon: a router on loopback, with the `[zenoh]` of the file.
-fn monitor_session(document: &Document) -> Result<::zenoh::Config, ConfigError> {
-    checked_session(zenoh::MONITOR, document)
 }
 
 /// The session of a logger or an operator: a client of the router on loopback, with the `[zenoh]` of the file.

@@ -102,7 +102,10 @@ fn client_of(zenoh: &Table) -> Table {
 
 /// Endpoints of the daemon of this file: those on which it listens, or its router.
 fn daemon_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, ConfigError> {
-    let config = sessions::session_config(sessions::MONITOR, Some(&without_files(zenoh)), document)?;
+    // Without its TLS files, which only the daemon may be able to read; only the endpoints are needed.
+    let mut without_files = zenoh.clone();
+    without_files.remove("transport");
+    let config = sessions::session_config(sessions::MONITOR, Some(&without_files), document)?;
     let mode = zenoh.get("mode").and_then(Value::as_str).unwrap_or("router");
     let listens = if mode == "client" { Vec::new() } else { endpoints(&config, "listen", mode) };
     let reached: Vec<String> = listens.iter().filter_map(|endpoint| from_here(endpoint)).collect();
@@ -127,13 +130,6 @@ fn client_endpoints(document: &Document, zenoh: &Table) -> Result<Vec<String>, C
         return Err(document.complain("zenoh.connect.endpoints", problem));
     }
     Ok(endpoints(&config, "connect", "client"))
-}
-
-/// The section without its TLS files, which only the daemon may be able to read; only the endpoints are needed.
-fn without_files(zenoh: &Table) -> Table {
-    let mut zenoh = zenoh.clone();
-    zenoh.remove("transport");
-    zenoh
 }
 
 /// The endpoints of a session for a mode. Zenoh accepts one list, or one list for each mode.

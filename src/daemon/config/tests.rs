@@ -35,7 +35,10 @@ fn the_shipped_file_is_the_built_in_defaults() {
     assert_eq!(toml::Table::try_from(&shipped).unwrap(), toml::Table::try_from(&built_in).unwrap());
     assert_eq!(shipped.machine_entries, []);
     let empty = Document::parse(Path::new("empty"), String::new()).unwrap();
-    assert_eq!(monitor_session(&document).unwrap().to_string(), monitor_session(&empty).unwrap().to_string());
+    assert_eq!(
+        checked_session(zenoh::MONITOR, &document).unwrap().to_string(),
+        checked_session(zenoh::MONITOR, &empty).unwrap().to_string()
+    );
 }
 
 fn token(secret: &str) -> Token {

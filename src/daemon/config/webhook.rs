@@ -62,9 +62,6 @@ impl Webhook {
     }
 
     /// Checks the section.
-    ///
-    /// # Errors
-    /// The first wrong key.
     pub(super) fn check(&self, document: &Document) -> Result<(), ConfigError> {
         let complain = |key: &str, problem: String| Err(document.complain(&format!("webhook.{key}"), problem));
         if let Some(url) = &self.url {
@@ -77,7 +74,7 @@ impl Webhook {
                 return complain("url", problem);
             }
         }
-        self.check_ranges().or_else(|error| complain(&error.key, error.problem()))?;
+        document.in_section("webhook", self.check_ranges())?;
         if let Some(token) = &self.authorization
             && (token.secret().len() > AUTHORIZATION || HeaderValue::from_str(token.secret()).is_err())
         {

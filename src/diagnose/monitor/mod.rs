@@ -12,8 +12,8 @@ use super::{
     baseline::BaselineRecord,
     boots::Boots,
     clock::LoggerClock,
-    command::{Command, CommandError},
-    drift_alarms::{DRIFTS, DriftAlarms, Onset},
+    command::{Command, CommandError, Maintenance},
+    drift_alarms::{DRIFTS, DriftAlarms},
     event::{AlarmEvent, Away, Cause, Severity},
     features::FeatureWatch,
     instruments::Instruments,
@@ -30,16 +30,6 @@ use super::{
     verdict::{Blindness, Drifting, MachineState, Present},
 };
 use crate::throw::{Direction, MachineId, ThrowRef};
-
-/// A maintenance window.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Maintenance {
-    /// End of the window. `None` only in snapshots of version 1, which allowed windows without end; the next tick sets
-    /// it.
-    until: Option<Timestamp>,
-    by: String,
-    why: String,
-}
 
 /// The monitor of a machine: baselines, last throws, alarms. The snapshot is complete, so a restart changes nothing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -412,18 +402,15 @@ impl From<VersionOne> for MachineMonitor {
     fn from(old: VersionOne) -> Self {
         let alarms = Alarms::from(old.board);
         let conditions = std::array::from_fn(|at| old.conditions[at].now(alarms.is_active(DRIFTS[at])));
-        let onset = old.onset.map(|onset| Onset { first: onset.first, order: onset.order });
-        let maintenance =
-            old.maintenance.map(|window| Box::new(Maintenance { until: window.until, by: window.by, why: window.why }));
         let mut tracks = old.tracks;
         tracks.add_temperature();
         Self {
             order: old.order,
             tracks,
-            drift: DriftAlarms { history: old.history, onset, conditions, ..DriftAlarms::default() },
+            drift: DriftAlarms { history: old.history, onset: old.onset, conditions, ..DriftAlarms::default() },
             alarms,
             operation: old.operation,
-            maintenance,
+            maintenance: old.maintenance,
             ..Self::new(&old.name)
         }
     }

@@ -1,16 +1,16 @@
 //! The effects of a throw on the monitor of its machine: with an estimate on baseline and drift alarms, without one on
 //! gauges and features, always on the operational alarms.
 
-use jiff::Timestamp;
 use nalgebra::Vector3;
 
 use super::{
     super::{
         drift::Drift,
-        event::Cause,
+        event::{AlarmEvent, Cause},
         explain::percent,
         found,
         gauges::{Circuit, Offset},
+        latest_throw::LatestThrow,
         observation::{Evaluated, Observation, Unusable},
         operational::Context,
         rule::Rule,
@@ -18,14 +18,11 @@ use super::{
         site::{self, Common},
         testimony::Testimony,
         thermometer::Disbelief,
-        verdict::{Blindness, Verdict},
+        verdict::Verdict,
     },
     MachineMonitor, is_drift, to_micros,
 };
-use crate::{
-    estimate::Features,
-    throw::{POSSIBLE_SUPPLY_V, ThrowRef},
-};
+use crate::{estimate::Features, throw::POSSIBLE_SUPPLY_V};
 
 impl MachineMonitor {
     /// Applies a throw, evaluated or not. Throws must come in the order in which the machine made them.
@@ -42,6 +39,9 @@ impl MachineMonitor {
         let unknown = reversed.then(|| Observation { direction: None, estimate: None, ..observation.clone() });
         let observation = unknown.as_ref().unwrap_or(observation);
         let at = to_micros(observation.started_at);
+        // A copy, as the monitor changes while it is used.
+        let name = self.name.clone();
+        let context = Context { name: &name, at, throw: Some(&observation.throw), settings };
         let temperature = self.thermometer.read(observation.temperature_c, at);
         // Without its toe sensor a machine is not what its baseline describes.
         let without_position = self.has_position && observation.is_without_position();
@@ -66,15 +66,14 @@ impl MachineMonitor {
         let mut verdict =
             Verdict { change_pct: residual.map(|residual| residual.map(percent).into()), ..Verdict::default() };
         if self.maintenance.is_none() {
-            let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
             let disbelief = temperature.disbelief.or(supply_v.map(Disbelief::Supply));
-            verdict.events.extend(operation.on_sensors(disbelief, alarms, context));
+            verdict.events.extend(self.operation.on_sensors(disbelief, &mut self.alarms, context));
             let unusable = observation.faulty.map(Unusable::Values);
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
-            verdict.events.extend(operation.on_channel(unusable, alarms, context));
-            self.observe_in_service(observation, evaluated.as_ref(), at, settings, &mut verdict);
+            verdict.events.extend(self.operation.on_channel(unusable, &mut self.alarms, context));
+            self.observe_in_service(observation, evaluated.as_ref(), context, &mut verdict);
         }
         verdict.baseline =
             observation.direction.filter(|_| !observation.features_only).map(|d| self.baseline_progress(d, settings));
@@ -90,61 +89,48 @@ impl MachineMonitor {
         &mut self,
         observation: &Observation,
         evaluated: Option<&Evaluated>,
-        at: Timestamp,
-        settings: &Settings,
+        context: Context,
         verdict: &mut Verdict,
     ) {
-        let is_usual_current = observation.direction.is_some_and(|direction| {
-            self.instruments.gauges.is_usual_current(direction, &observation.features, observation.temperature_c)
-        });
-        let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
-        verdict.events.extend(operation.on_throw(observation, is_usual_current, alarms, context));
+        let Observation { direction, ref features, incomplete, temperature_c, .. } = *observation;
+        let is_usual_current = direction
+            .is_some_and(|direction| self.instruments.gauges.is_usual_current(direction, features, temperature_c));
+        verdict.events.extend(self.operation.on_throw(observation, is_usual_current, &mut self.alarms, context));
         if let Some(throw) = evaluated {
             let suspicious = self.drift.is_suspicious(&self.alarms);
-            let features = &observation.features;
             self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
-            self.observe_evaluated(throw, &observation.throw, at, settings, verdict);
+            self.observe_evaluated(throw, context, verdict);
         } else {
             self.drift.on_unjudged();
-            self.observe_features(observation, at, settings, verdict);
+            verdict.events.extend(self.observe_features(observation, context));
         }
-        let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
         for sensor in [Offset::Current, Offset::Position] {
             verdict.events.extend(self.instruments.judge_offset(sensor, &mut self.alarms, context));
         }
         // Ratios show less than coefficients, so their machines keep the features.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
-        let watched = self.watch_features(observation, is_judged, at, settings, verdict);
-        let blind = self.blind;
-        let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
-        verdict.events.extend(found::withdraw_explained(alarms, context));
-        let evaluated_or_watched = evaluated.is_some() || watched;
-        let direction = observation.direction;
-        let event = operation.on_evaluation(evaluated_or_watched, direction, blind.as_ref(), alarms, context);
+        let watched = self.watch_features(observation, is_judged, context, verdict);
+        verdict.events.extend(found::withdraw_explained(&mut self.alarms, context));
+        let is_monitored = evaluated.is_some() || watched;
+        let blind = self.blind.as_ref();
+        let event = self.operation.on_evaluation(is_monitored, direction, blind, &mut self.alarms, context);
         verdict.events.extend(event);
-        if let (Some(direction), Some(duration_s), false) =
-            (observation.direction, observation.features.duration_s, observation.incomplete)
+        if let (Some(direction), Some(duration_s), false) = (direction, features.duration_s, incomplete)
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {
             let longer_pct = 100.0 * (duration_s / normal_s - 1.0);
             let explained = self.alarms.active().any(|event| is_drift(event) || event.cause == Cause::Supply);
-            let (operation, alarms, context) = self.parts(at, Some(&observation.throw), settings);
-            verdict.events.extend(operation.on_duration(longer_pct, direction, explained, alarms, context));
+            let event = self.operation.on_duration(longer_pct, direction, explained, &mut self.alarms, context);
+            verdict.events.extend(event);
         }
     }
 
     /// Adds a throw without an estimate to the gauges. A rejected one shows those that need no model. In a direction without
     /// a baseline they are learned as well: what follows a row of rejections must not be learned as normal unseen.
-    fn observe_features(
-        &mut self,
-        observation: &Observation,
-        at: Timestamp,
-        settings: &Settings,
-        verdict: &mut Verdict,
-    ) {
+    fn observe_features(&mut self, observation: &Observation, context: Context) -> Option<AlarmEvent> {
         let Observation { features: all, features_only, incomplete, faulty, .. } = observation;
         let is_usable = !incomplete && faulty.is_none() && !observation.is_cut_off();
-        let Some(direction) = observation.direction.filter(|_| is_usable) else { return };
+        let direction = observation.direction.filter(|_| is_usable)?;
         let features = if *features_only {
             all.clone()
         } else {
@@ -162,8 +148,7 @@ impl MachineMonitor {
         let unusual = self.drift.is_suspicious(&self.alarms) || !features_only && has_baseline;
         self.instruments.gauges.push(direction, &features, observation.temperature_c, unusual);
         let circuit = self.instruments.gauges.circuit(observation.temperature_c.is_some());
-        let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
-        verdict.events.extend(self.instruments.judge_supply(None, circuit, &mut self.alarms, context));
+        self.instruments.judge_supply(None, circuit, &mut self.alarms, context)
     }
 
     /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
@@ -172,11 +157,9 @@ impl MachineMonitor {
         &mut self,
         observation: &Observation,
         is_judged: bool,
-        at: Timestamp,
-        settings: &Settings,
+        context: Context,
         verdict: &mut Verdict,
     ) -> bool {
-        let context = Context { name: &self.name, at, throw: Some(&observation.throw), settings };
         if is_judged {
             let found = self.features.on_estimate(observation.direction);
             verdict.events.extend(found.apply(Rule::Features, &mut self.alarms, context));
@@ -193,25 +176,18 @@ impl MachineMonitor {
         self.alarms.owned_by(Rule::Features).is_some() || has_features
     }
 
-    fn observe_evaluated(
-        &mut self,
-        throw: &Evaluated,
-        id: &ThrowRef,
-        at: Timestamp,
-        settings: &Settings,
-        verdict: &mut Verdict,
-    ) {
+    fn observe_evaluated(&mut self, throw: &Evaluated, context: Context, verdict: &mut Verdict) {
+        let settings = context.settings;
         let suspicious = self.drift.is_suspicious(&self.alarms);
         let departure = self.tracks.departure(throw);
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
-        let context = Context { name: &self.name, at, throw: Some(id), settings };
         let drift = residual.map(|residual| {
             let known = self.drift.known(&self.alarms, &self.instruments.gauges);
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
-            let events = self.drift.judge(&drift, &residual, self.order, &self.tracks, &mut self.alarms, context);
-            verdict.events.extend(events);
+            let latest = LatestThrow { drift: &drift, order: self.order, tracks: &self.tracks, context };
+            verdict.events.extend(self.drift.judge(latest, &residual, &mut self.alarms));
             verdict.events.extend(self.instruments.judge(&drift, &mut self.alarms, context));
             drift
         });
@@ -232,12 +208,9 @@ impl MachineMonitor {
             verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
         }
         let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);
-        self.blind = by_temperature.or_else(|| {
-            let (cause, below_pct) = self.tracks.hidden_by_scatter(settings)?;
-            Some(Blindness { cause, below_pct, temperature: None })
-        });
+        self.blind = by_temperature.or_else(|| self.tracks.hidden_by_scatter(settings));
         let suspicion = self.drift.suspicion(drift.as_ref(), &self.alarms);
-        let taken = self.tracks.learn(throw, self.order, at, suspicion, settings);
+        let taken = self.tracks.learn(throw, self.order, context.at, suspicion, settings);
         if !taken.is_empty() {
             self.drift.forget_history();
         }

@@ -72,7 +72,7 @@ impl Tracks {
         let baseline = baselines[at]?;
         let stream = Stream::of(&self.sides[at].recent, at);
         let points = stream.points(weights, baselines, now - stream.since_counted(weights));
-        Course::of(&points, noise(baseline.scatter(), baseline.centre_throws(), weights, temperature_sd))
+        Course::of(&points, noise(&baseline.scatter, baseline.centre_throws(), weights, temperature_sd))
     }
 
     /// The direction that a drift along `weights` concerns; `None` for both, and until the drift has lasted for enough

@@ -103,8 +103,9 @@ impl Tracks {
         let learned = mem::take(&mut track.learned).into_iter().chain(mem::take(&mut track.aside));
         track.learned = learned.take(settings.baseline_throws).collect();
         let usable = settings.baseline_usable_throws;
-        let next =
-            [usable, 2 * usable].into_iter().find(|stage| *stage > track.baseline.as_ref().map_or(0, Baseline::throws));
+        let next = [usable, 2 * usable]
+            .into_iter()
+            .find(|stage| *stage > track.baseline.as_ref().map_or(0, |baseline| baseline.throws));
         if track.learned.len() < next.unwrap_or(usize::MAX).min(settings.baseline_throws) {
             return Vec::new();
         }
@@ -152,7 +153,8 @@ impl Tracks {
     /// Slopes of the logarithms over the throws of incomplete baselines, per throw of the machine; `None` without a
     /// trend.
     pub(in crate::diagnose) fn trend(&self) -> Option<[f64; 3]> {
-        let incomplete = self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(Baseline::is_complete));
+        let incomplete =
+            self.sides.iter().any(|track| !track.baseline.as_ref().is_some_and(|baseline| baseline.complete));
         self.slopes.filter(|_| incomplete)
     }
 

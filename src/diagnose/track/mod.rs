@@ -112,12 +112,13 @@ impl Tracks {
         track.since_baseline += 1;
         let residual = baseline.compensated((raw, distance));
         let known = track.recent.iter().rev().find(|recent| throw.ratios_only && recent.has_scale());
-        let scale = known
-            .map_or(0.0, |known| baseline.scatter().of_scale().dot(&(baseline.compensated(known.raw()) - residual)));
+        let scale =
+            known.map_or(0.0, |known| baseline.scatter.of_scale().dot(&(baseline.compensated(known.raw()) - residual)));
         let recent = RecentThrow::new(order, raw, distance, sensor.into(), throw.ratios_only);
         let oldest = track.recent.push(recent);
         if let Some(oldest) = oldest.filter(|throw| track.of_ratios || throw.has_scale()) {
-            baseline.learn_temperature(oldest.raw(), suspected);
+            let (raw, distance) = oldest.raw();
+            baseline.temperature.learn_on(raw, distance, suspected, &baseline.scatter);
         }
         if track.of_ratios {
             return Some(with_middle_kept(residual));
@@ -140,7 +141,7 @@ impl Tracks {
         let middle = |i: usize| median(&mut before.iter().map(|residual| residual[i]).collect::<Vec<_>>());
         (before.len() >= *BEFORE.start()).then(|| {
             let departure = residual - Vector3::from_fn(|i, _| middle(i));
-            (at, departure, baseline.scatter().of_one_throw(), baseline.is_complete())
+            (at, departure, baseline.scatter.of_one_throw(), baseline.complete)
         })
     }
 
@@ -152,7 +153,7 @@ impl Tracks {
 
     /// Covariance of a throw of a direction.
     pub(super) fn of_one_throw(&self, direction: Direction) -> Option<Matrix3<f64>> {
-        Some(self.sides[direction.side()].baseline.as_ref()?.scatter().of_one_throw())
+        Some(self.sides[direction.side()].baseline.as_ref()?.scatter.of_one_throw())
     }
 
     /// Version 1 stored residuals with temperature compensation.
@@ -183,7 +184,7 @@ impl Tracks {
             if let Some(baseline) = &track.baseline
                 && track.thresholds.is_none_or(|thresholds| !thresholds.are_for(share))
             {
-                track.thresholds = Some(Thresholds::compute(baseline.scatter(), share));
+                track.thresholds = Some(Thresholds::compute(&baseline.scatter, share));
             }
         }
         if let Some(mixed) = &mut self.mixed
@@ -202,7 +203,7 @@ impl Tracks {
         let own = tails
             .iter()
             .zip(&self.sides)
-            .filter_map(|(tail, track)| Some((tail, track.baseline.as_ref()?.scatter(), track.thresholds.as_ref()?)));
+            .filter_map(|(tail, track)| Some((tail, &track.baseline.as_ref()?.scatter, track.thresholds.as_ref()?)));
         let mixed = self.mixed.as_ref().filter(|_| mixed_tail.is_balanced());
         let mixed = mixed.map(|mixed| (&mixed_tail, &mixed.scatter, &mixed.thresholds));
         let mut best: Option<(Window, &Scatter)> = None;
@@ -214,13 +215,13 @@ impl Tracks {
             }
         }
         let level = |at: usize, longest: usize| {
-            let scatter = baselines[at]?.scatter();
+            let scatter = &baselines[at]?.scatter;
             let throws = WINDOWS.into_iter().rev().find(|w| *w <= longest && *w <= tails[at].len())?;
             tails[at].window(throws, scatter, baselines)
         };
         let [levels, last_few] = [WINDOWS[2], WINDOWS[1]].map(|longest| [level(0, longest), level(1, longest)]);
         let latest = direction.side();
-        let provisional = baselines.iter().flatten().any(|baseline| !baseline.is_complete());
+        let provisional = baselines.iter().flatten().any(|baseline| !baseline.complete);
         let is_half_seen = baselines.iter().zip(&levels).any(|(baseline, level)| baseline.is_some() && level.is_none());
         let hidden = self.hidden(latest, levels[latest].as_ref(), settings);
         let (flags, last) = ([provisional, is_half_seen], (latest, level(latest, WINDOWS[0])));
@@ -232,7 +233,7 @@ impl Tracks {
     fn hidden(&self, side: usize, level: Option<&Window>, settings: &Settings) -> Option<Blindness> {
         let track = &self.sides[side];
         let thresholds =
-            track.thresholds.as_ref().filter(|_| track.baseline.as_ref().is_some_and(Baseline::is_complete))?;
+            track.thresholds.as_ref().filter(|_| track.baseline.as_ref().is_some_and(|baseline| baseline.complete))?;
         let window = level.filter(|window| window.temperature_sd != Vector3::zeros())?;
         let limit = thresholds.of(WINDOWS.iter().position(|throws| *throws == window.throws)?);
         let over_limit = |cause: Cause| {
@@ -243,7 +244,7 @@ impl Tracks {
         };
         let (cause, below_pct, _) =
             Cause::PHYSICAL.into_iter().filter_map(over_limit).max_by(|a, b| a.2.total_cmp(&b.2))?;
-        let baseline_c = track.baseline.as_ref()?.temperature().reference_c()?;
+        let baseline_c = track.baseline.as_ref()?.temperature.reference_c?;
         let distances = track.recent.iter().rev().take(window.throws).map(|throw| throw.raw().1);
         let temperature_c = baseline_c + distances.sum::<f64>() / window.throws as f64;
         Some(Blindness { cause, below_pct, temperature: Some(HidingTemperature { temperature_c, baseline_c }) })
@@ -251,15 +252,16 @@ impl Tracks {
 
     /// The cause and size \[%\] hidden most by the scatter of the throws of a direction, if no window shows a change at the
     /// critical limit. Depends on the baselines only, so it does not change from throw to throw.
-    pub(super) fn hidden_by_scatter(&self, settings: &Settings) -> Option<(Cause, f64)> {
+    pub(super) fn hidden_by_scatter(&self, settings: &Settings) -> Option<Blindness> {
         let hidden = self.sides.iter().filter_map(|track| self.hidden_by_scatter_of(track, settings));
-        hidden.max_by(|a, b| a.2.total_cmp(&b.2)).map(|(cause, visible, _)| (cause, visible))
+        let (cause, below_pct, _) = hidden.max_by(|a, b| a.2.total_cmp(&b.2))?;
+        Some(Blindness { cause, below_pct, temperature: None })
     }
 
     /// The same for one direction, also relative to the critical limit.
     fn hidden_by_scatter_of(&self, track: &Track, settings: &Settings) -> Option<(Cause, f64, f64)> {
         let baseline = track.baseline.as_ref().filter(|baseline| baseline.is_final(settings))?;
-        let own = (baseline.scatter(), track.thresholds.as_ref()?, baseline.centre_throws());
+        let own = (&baseline.scatter, track.thresholds.as_ref()?, baseline.centre_throws());
         let all: f64 = self.sides.iter().flat_map(|track| &track.baseline).map(Baseline::centre_throws).sum();
         let mixed = self.mixed.as_ref().map(|mixed| (&mixed.scatter, &mixed.thresholds, all));
         let over_limit = |cause: Cause| {
@@ -281,10 +283,7 @@ impl Tracks {
 
     /// Whether no baseline has a temperature.
     pub(super) fn has_no_temperature(&self) -> bool {
-        self.sides
-            .iter()
-            .flat_map(|track| &track.baseline)
-            .all(|baseline| baseline.temperature().reference_c().is_none())
+        self.sides.iter().flat_map(|track| &track.baseline).all(|baseline| baseline.temperature.reference_c.is_none())
     }
 
     /// Whether the last throws of the machine show only the ratios of the coefficients, so that a change of the inertia
@@ -319,13 +318,13 @@ impl Tracks {
     }
 
     pub(super) fn duration_s(&self, direction: Direction) -> Option<f64> {
-        self.sides[direction.side()].baseline.as_ref()?.duration_s()
+        self.sides[direction.side()].baseline.as_ref()?.duration_s
     }
 
     pub(super) fn progress(&self, direction: Direction, settings: &Settings) -> (usize, usize) {
         let track = &self.sides[direction.side()];
         match &track.baseline {
-            Some(baseline) if baseline.is_final(settings) => (baseline.throws(), baseline.throws()),
+            Some(baseline) if baseline.is_final(settings) => (baseline.throws, baseline.throws),
             _ => (track.learned.len() + track.aside.len(), settings.baseline_throws),
         }
     }
@@ -338,7 +337,7 @@ impl Tracks {
     /// Evaluated throws of the machine per day since its baselines; `None` without any.
     pub(super) fn throws_per_day(&self, at: Timestamp) -> Option<f64> {
         let rate = |track: &Track| {
-            let days = at.duration_since(track.baseline.as_ref()?.taken_at()).as_secs_f64() / 86_400.0;
+            let days = at.duration_since(track.baseline.as_ref()?.taken_at).as_secs_f64() / 86_400.0;
             (days > 0.0 && track.since_baseline > 0).then(|| track.since_baseline as f64 / days)
         };
         self.sides.iter().filter_map(rate).reduce(|a, b| a + b)

@@ -1,0 +1,151 @@
+//! The times at which the loggers are queried for their backlogs. Slow loggers leave places to the others.
+
+use std::{
+    collections::{BTreeSet, HashMap},
+    time::Duration,
+};
+
+use tokio::time::Instant;
+
+use crate::throw::MachineId;
+
+/// Loggers queried at the same time; with pages of 4 MiB this bounds the memory to 32 MiB.
+pub(super) const AT_A_TIME: usize = 8;
+/// Of these, loggers whose last turn was slow: the others make progress beside them.
+const SLOW_AT_A_TIME: usize = AT_A_TIME / 2;
+/// Throws in the first page, while neither their size nor the link is known.
+const FIRST_PAGE: usize = 4;
+
+/// A logger in the schedule.
+#[derive(Debug)]
+pub(super) struct Turn {
+    at: Instant,
+    in_progress: bool,
+    /// Index of its queue in [`Schedule::due`]: 1 if its last query was slow.
+    class: usize,
+    /// Whether to query again at once.
+    again: bool,
+    /// Consecutive queries without new throws.
+    pub(super) tries: u32,
+    /// Time since which it replies without the awaited throws.
+    pub(super) without_since: Option<Instant>,
+    /// Whether its logger was away at the last query.
+    pub(super) was_away: bool,
+    pub(super) page: usize,
+}
+
+/// The times of the next queries of the loggers.
+#[derive(Default)]
+pub(super) struct Schedule {
+    pub(super) turns: HashMap<MachineId, Turn>,
+    /// Of fast, and of slow loggers.
+    due: [BTreeSet<(Instant, MachineId)>; 2],
+    slow_in_progress: usize,
+}
+
+impl Schedule {
+    /// Schedules a query as soon as possible.
+    pub(super) fn request(&mut self, machine: &MachineId) {
+        let now = Instant::now();
+        match self.turns.get_mut(machine) {
+            Some(turn) if turn.in_progress => turn.again = true,
+            Some(turn) => {
+                let due = &mut self.due[turn.class];
+                due.remove(&(turn.at, machine.clone()));
+                turn.at = turn.at.min(now);
+                due.insert((turn.at, machine.clone()));
+            }
+            None => {
+                let turn = Turn {
+                    at: now,
+                    in_progress: false,
+                    class: 0,
+                    again: false,
+                    tries: 0,
+                    without_since: None,
+                    was_away: false,
+                    page: FIRST_PAGE,
+                };
+                self.turns.insert(machine.clone(), turn);
+                self.due[0].insert((now, machine.clone()));
+            }
+        }
+    }
+
+    /// The class of the next logger, fast or slow, with the time at which it is due.
+    fn first(&self) -> Option<(Instant, usize)> {
+        let classes = if self.slow_in_progress < SLOW_AT_A_TIME { 2 } else { 1 };
+        (0..classes).filter_map(|class| Some((self.due[class].first()?.0, class))).min()
+    }
+
+    /// Notes whether the ended query of a logger was slow.
+    pub(super) fn paced(&mut self, machine: &MachineId, was_slow: bool) {
+        let Some(turn) = self.turns.get_mut(machine) else { return };
+        self.slow_in_progress -= turn.class;
+        turn.class = usize::from(was_slow);
+    }
+
+    /// The next logger that is due, and the size of its page.
+    pub(super) fn next(&mut self) -> Option<(MachineId, usize)> {
+        let (at, class) = self.first()?;
+        if at > Instant::now() {
+            return None;
+        }
+        let (_, machine) = self.due[class].pop_first()?;
+        self.slow_in_progress += class;
+        let turn = self.turns.get_mut(&machine)?;
+        (turn.in_progress, turn.again) = (true, false);
+        Some((machine, turn.page))
+    }
+
+    pub(super) fn wakes_at(&self) -> Option<Instant> {
+        self.first().map(|(at, _)| at)
+    }
+
+    pub(super) fn rest(&mut self, machine: &MachineId, pause: Duration) {
+        let Some(turn) = self.turns.get_mut(machine) else { return };
+        turn.in_progress = false;
+        turn.at = Instant::now() + if turn.again { Duration::ZERO } else { pause };
+        self.due[turn.class].insert((turn.at, machine.clone()));
+    }
+
+    /// Removes a logger without missing throws.
+    pub(super) fn done(&mut self, machine: &MachineId) {
+        if self.turns.remove(machine).is_some_and(|turn| turn.again) {
+            self.request(machine);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slow_loggers_leave_places_to_the_others() {
+        let named = |name: String| MachineId::new("north", &name).unwrap();
+        let mut schedule = Schedule::default();
+        let slow: Vec<MachineId> = (0..2 * AT_A_TIME).map(|number| named(format!("slow-{number}"))).collect();
+        // Nobody knows yet that they are slow.
+        for machine in &slow {
+            schedule.request(machine);
+        }
+        while let Some((machine, _)) = schedule.next() {
+            schedule.paced(&machine, true);
+            schedule.rest(&machine, Duration::ZERO);
+            if schedule.due[1].len() == slow.len() {
+                break;
+            }
+        }
+        let taken: Vec<_> = std::iter::from_fn(|| schedule.next()).collect();
+        assert_eq!(taken.len(), SLOW_AT_A_TIME);
+        assert_eq!(schedule.wakes_at(), None, "it would wait without a pause");
+        let fast = named("fast".to_owned());
+        schedule.request(&fast);
+        assert_eq!(schedule.next().unwrap().0, fast);
+        // A place of a slow one becomes free.
+        schedule.paced(&taken[0].0, false);
+        schedule.rest(&taken[0].0, Duration::ZERO);
+        assert!(slow.contains(&schedule.next().unwrap().0));
+    }
+}
