@@ -78,8 +78,11 @@ SELECT site, machine, direction, max(taken_at) AS taken_at, throws,
        cast(julianday('now') - julianday(max(taken_at)) AS INTEGER) AS days
 FROM baselines GROUP BY site, machine, direction HAVING days > 365 OR throws < 50 ORDER BY days DESC LIMIT 50;
 
--- 10. On which machines do the two directions disagree? [last throw, % points of friction; rough throws have none]
-SELECT one.site, one.machine, one.a1_pct AS to_reverse, other.a1_pct AS to_normal, abs(one.a1_pct - other.a1_pct) AS apart
+-- 10. On which machines do the two directions disagree? [last throw, % points of friction; of a rough throw per torque of
+--     the motor]
+SELECT one.site, one.machine, coalesce(one.a1_pct, one.a1_per_b0_pct) AS to_reverse,
+       coalesce(other.a1_pct, other.a1_per_b0_pct) AS to_normal,
+       abs(coalesce(one.a1_pct, one.a1_per_b0_pct) - coalesce(other.a1_pct, other.a1_per_b0_pct)) AS apart
 FROM machine_health AS one JOIN machine_health AS other
   ON other.site = one.site AND other.machine = one.machine AND other.direction = 'reverse_to_normal'
 WHERE one.direction = 'normal_to_reverse' AND apart > 10 ORDER BY apart DESC LIMIT 50;
@@ -88,8 +91,8 @@ WHERE one.direction = 'normal_to_reverse' AND apart > 10 ORDER BY apart DESC LIM
 SELECT boot_id, throw_no, started_at, quality FROM health_history
 WHERE site = 'north' AND machine = 'm1' ORDER BY started_at_us DESC LIMIT 20;
 
--- 12. What did the last twenty throws before an alarm look like?
-SELECT started_at, direction, quality, b0_pct, a1_pct, a0_pct, duration_s, mean_current_a
+-- 12. What did the last twenty throws before an alarm look like? [rough throws have only the ratios]
+SELECT started_at, direction, quality, b0_pct, a1_pct, a0_pct, a1_per_b0_pct, a0_per_b0_pct, duration_s, mean_current_a
 FROM health_history WHERE site = 'north' AND machine = 'm1'
   AND started_at_us < (SELECT (unixepoch(max(raised_at)) + 1) * 1000000 FROM alarm_history WHERE site = 'north' AND machine = 'm1')
 ORDER BY started_at_us DESC LIMIT 20;

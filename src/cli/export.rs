@@ -38,7 +38,7 @@ pub(super) struct Arguments {
     /// Export throws that started before this time.
     #[arg(long, value_name = "TIME", value_parser = argument::moment)]
     until: Option<Timestamp>,
-    /// Write the trace of each throw to DIR/SITE/MACHINE/START-NUMBER.csv.
+    /// Write the trace of each throw to DIR/SITE/MACHINE/START-ROW.csv; ROW is its row in the database, not its `throw_no`.
     #[arg(long, value_name = "DIR")]
     traces: Option<PathBuf>,
     #[command(flatten)]

@@ -98,9 +98,19 @@ impl Arguments {
     }
 }
 
+/// What this command calls the fields of a message.
+const NAMES: [(&str, &str); 6] = [
+    ("supply_v in the message and stroke_mm in the configuration", "--supply-v and --stroke-mm"),
+    ("sample_rate_hz", "the column time_s"),
+    ("supply_v", "--supply-v"),
+    ("stroke_mm", "--stroke-mm"),
+    ("anti_alias_hz", "--anti-alias-hz"),
+    ("neutral_mm", "--neutral-mm"),
+];
+
 /// Why the throw is rejected or rough, with the line of the file if one sample is the reason.
 fn reason(found: &Identification, lines: &[u64]) -> Option<String> {
-    let detail = found.detail()?;
+    let detail = NAMES.iter().fold(found.detail()?, |text, (field, name)| text.replace(field, name));
     let line = match &found.outcome {
         Err(Rejection::NotFinite { sample, .. }) => lines.get(*sample),
         _ => None,

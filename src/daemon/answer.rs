@@ -40,13 +40,23 @@ impl Answers {
             Self::Health(reader) => health_replies(question, reader).await,
             Self::Alarms { elsewhere: Some(elsewhere), .. } if question.asks_about(elsewhere) => Ok(Vec::new()),
             Self::Alarms { reader, .. } => alarm_replies(question, reader).await,
-            Self::Commands { orders, itself } => match question.parameter("session") {
-                Some(other) if other != itself.session => Ok(Vec::new()),
-                _ => command_reply(question, orders, itself).await,
-            },
-            Self::Status { key, gauges } => Ok(vec![(key.clone(), status(gauges).await)]),
+            Self::Commands { orders, itself } => {
+                takes_only(question, &["session"])?;
+                match question.parameter("session") {
+                    Some(other) if other != itself.session => Ok(Vec::new()),
+                    _ => command_reply(question, orders, itself).await,
+                }
+            }
+            Self::Status { key, gauges } => {
+                takes_only(question, &[])?;
+                Ok(vec![(key.clone(), status(gauges).await)])
+            }
         }
     }
+}
+
+fn takes_only(question: &Question, known: &[&str]) -> Result<(), String> {
+    wire::only_known(question.parameters(), known).map_err(|error| error.to_string())
 }
 
 async fn health_replies(question: &Question, reader: &Reader) -> Replies {

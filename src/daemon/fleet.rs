@@ -10,8 +10,8 @@ use jiff::{SignedDuration, Timestamp};
 use super::status::Standing;
 use crate::{
     diagnose::{
-        AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Observation,
-        Parameters, Settings, Severity, Verdict,
+        AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Missing,
+        Observation, Parameters, Settings, Severity, Verdict,
     },
     estimate::{Features, Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
@@ -313,10 +313,10 @@ impl Fleet {
         Some(outcome(machine, Some(monitor), now, vec![event]))
     }
 
-    /// Reports lost throws to the monitor of a machine.
-    pub(super) fn gap(&mut self, machine: &MachineId, lost: u64, at: Timestamp, settings: &Settings) -> Outcome {
+    /// Reports missing throws to the monitor of a machine.
+    pub(super) fn gap(&mut self, machine: &MachineId, missing: Missing, at: Timestamp, settings: &Settings) -> Outcome {
         let monitor = self.monitor(machine);
-        let events = monitor.gap(lost, at, settings);
+        let events = monitor.gap(missing, at, settings);
         outcome(machine, Some(monitor), at, events)
     }
 

@@ -28,8 +28,8 @@ use super::{
 };
 use crate::{
     bus::Outlet,
-    diagnose::{Away, Command, Irregularity},
-    store::{GapRow, Judgement, Outcome, Store, StoreError, seldom},
+    diagnose::{Away, Command, Irregularity, Missing},
+    store::{ALL_MACHINES, Gap, Judgement, Outcome, Store, StoreError, seldom},
     throw::MachineId,
     wire::{self, Alarm, Kind, Reply},
 };
@@ -318,9 +318,16 @@ impl JudgeLoop {
     /// Reports gaps that no backlog will fill to the monitors.
     async fn report_gaps(&mut self) -> Result<(), StoreError> {
         let (config, now) = (self.judge.config(), clock::now());
-        for (machine, (lost, reported_gaps)) in self.old_gaps(now).await {
-            let outcome = self.judge.fleet.gap(&machine, lost, now, &config.diagnosis);
-            self.record(Outcome { reported_gaps, ..outcome }).await?;
+        for (machine, gaps) in self.old_gaps(now).await {
+            let reason = gaps.iter().rev().find_map(|gap| gap.reason.as_deref()).unwrap_or_default();
+            let mut missing = Missing { reason, ..Missing::default() };
+            for gap in &gaps {
+                let throws = gap.last_no - gap.first_no + 1;
+                missing.throws = missing.throws.saturating_add(throws);
+                missing.refused += gap.refused.min(throws);
+            }
+            let outcome = self.judge.fleet.gap(&machine, missing, now, &config.diagnosis);
+            self.record(Outcome { reported_gaps: gaps.iter().map(|gap| gap.row).collect(), ..outcome }).await?;
         }
         Ok(())
     }
@@ -381,19 +388,16 @@ impl JudgeLoop {
         }
     }
 
-    /// For each machine: number of throws in unreported gaps that no backlog filled in time, and the rows of these
-    /// gaps.
-    async fn old_gaps(&self, now: Timestamp) -> HashMap<MachineId, (u64, Vec<GapRow>)> {
-        let mut old = HashMap::<_, (u64, Vec<_>)>::new();
+    /// The unreported gaps of each machine that no backlog filled in time.
+    async fn old_gaps(&self, now: Timestamp) -> HashMap<MachineId, Vec<Gap>> {
+        let mut old = HashMap::<_, Vec<_>>::new();
         let wait = self.judge.backlog_wait();
         let gaps = self.judge.store.reader().unreported_gaps(GAPS, now, wait).await.unwrap_or_else(|error| {
             seldom!(warn, %error, "reading gaps failed; retrying");
             Vec::new()
         });
         for gap in gaps {
-            let (lost, rows) = old.entry(gap.machine).or_default();
-            *lost = lost.saturating_add(gap.last_no - gap.first_no + 1);
-            rows.push(gap.row);
+            old.entry(gap.machine.clone()).or_default().push(gap);
         }
         old
     }
@@ -420,6 +424,11 @@ impl JudgeLoop {
         now: Timestamp,
         config: &Config,
     ) -> Result<(bool, String), StoreError> {
+        let needs_throws = !matches!(command, Command::Ack { .. } | Command::Shelve { .. } | Command::Unshelve { .. });
+        if needs_throws && (machine.machine.as_str() == ALL_MACHINES || *machine == self.own_machine) {
+            let text = format!("{machine} is no machine with throws: its alarms can be acknowledged and shelved only");
+            return Ok((false, text));
+        }
         Ok(match self.judge.fleet.command(machine, command, now, &config.diagnosis) {
             None => (false, format!("no machine {machine} is known here: it has sent no throw yet")),
             Some(Err(error)) => (false, error.to_string()),

@@ -317,23 +317,27 @@ fn guarded(
     received_at: Timestamp,
     decode: impl Fn(&Message) -> Result<Received, String>,
 ) -> Result<Received, Refused> {
-    let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message)));
-    decoded.unwrap_or_else(|_| Err("the decoder failed on this message: please report it".to_owned())).map_err(
-        |reason| {
-            let Message { key, payload: mut beginning, bytes, .. } = message;
-            beginning.truncate(QUARANTINED_BYTES);
-            Refused { key, reason, bytes, beginning, at: received_at }
-        },
-    )
+    let numbered = |reason| (reason, wire::throw_id(encoding(&message), &message.payload));
+    let decoded = catch_unwind(AssertUnwindSafe(|| decode(&message).map_err(numbered)));
+    let failed = |_| Err(("the decoder failed on this message: please report it".to_owned(), None));
+    decoded.unwrap_or_else(failed).map_err(|(reason, id)| {
+        let Message { key, payload: mut beginning, bytes, .. } = message;
+        beginning.truncate(QUARANTINED_BYTES);
+        Refused { key, reason, bytes, id: id.map(Box::new), beginning, at: received_at }
+    })
+}
+
+fn encoding(message: &Message) -> Encoding {
+    Encoding::of(&message.content_type, &message.payload)
 }
 
 fn decode(message: &Message, received_at: Timestamp, limit: usize) -> Result<Received, String> {
-    let Message { key, content_type, payload, bytes } = message;
+    let Message { key, payload, bytes, .. } = message;
     if *bytes > limit {
         return Err(format!("{bytes} bytes, more than subscribe.max_payload_bytes = {limit}"));
     }
     let (machine, _) = wire::parse_key(key).map_err(|error| error.to_string())?;
-    let throw = wire::decode_throw(Encoding::of(content_type, payload), payload).map_err(|error| error.to_string())?;
+    let throw = wire::decode_throw(encoding(message), payload).map_err(|error| error.to_string())?;
     Ok((machine, throw, received_at))
 }
 

@@ -175,8 +175,16 @@ impl Alarms {
         alarm.last.state = state;
         alarm.last.by = actor.by.map(str::to_owned);
         alarm.last.why = actor.why.map(str::to_owned);
+        alarm.last.acknowledged_by = match alarm.state.beneath() {
+            State::Active { acknowledged: Some(acknowledged) } => Some(acknowledged.by.clone()),
+            _ => None,
+        };
         if let Some(text) = text {
             alarm.last.text = text;
+            // A command adds to the text at most.
+            if actor.by.is_none() {
+                alarm.last.text_at = Some(at);
+            }
         }
         if state == AlarmState::Normal { self.open.remove(index).last } else { alarm.last.clone() }
     }
@@ -268,7 +276,7 @@ impl Alarms {
         let alarm = &mut self.open[index];
         alarm.rule = evidence.rule;
         let AlarmEvent { cause, raised_at, event_no, .. } = alarm.last;
-        alarm.last = AlarmEvent { event_no, ..occurrence(cause, raised_at, evidence) };
+        alarm.last = AlarmEvent { event_no, text_at: Some(at), ..occurrence(cause, raised_at, evidence) };
         self.event(index, at, Actor::default(), None)
     }
 
@@ -435,6 +443,8 @@ fn occurrence(cause: Cause, raised_at: Timestamp, evidence: Evidence) -> AlarmEv
         first_throw: evidence.first_throw,
         last_throw: evidence.last_throw,
         text: evidence.text,
+        text_at: None,
+        acknowledged_by: None,
         limit_in_throws: evidence.limit_in_throws,
         by: None,
         why: None,

@@ -234,6 +234,12 @@ pub struct AlarmEvent {
     pub last_throw: Option<ThrowRef>,
     /// Text for people: what happened, how certain it is, what to check.
     pub text: String,
+    /// Time of the text, which is that of an earlier event if an operator's command caused this one. Not published.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub text_at: Option<Timestamp>,
+    /// Operator who acknowledged the alarm, if it is acknowledged. Not published.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acknowledged_by: Option<String>,
     /// Forecast of the critical limit.
     pub limit_in_throws: Option<LimitForecast>,
     /// Operator whose command caused the event. Not published.

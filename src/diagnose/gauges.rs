@@ -265,6 +265,14 @@ impl Gauges {
         self.recent.push(Shown::new(side, values));
     }
 
+    /// Throws from which the normal duration of a direction is learned so far, and those that it needs.
+    pub(super) fn progress(&self, direction: Direction) -> (usize, usize) {
+        let Normal { learned, known } = &self.sides[direction.side()];
+        let at = Gauge::Duration as usize;
+        let so_far = if known[at].is_some() { LEARNED.0 } else { learned.get(at).map_or(0, Vec::len) };
+        (so_far, LEARNED.0)
+    }
+
     /// Departures of some gauges of this throw from normal that its supply does not explain, as logarithms, with the
     /// standard deviation of one throw; `None` if the gauge or its normal value is unknown.
     pub(super) fn unexplained<const N: usize>(

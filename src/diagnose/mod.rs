@@ -54,7 +54,7 @@ pub use correlation::Correlation;
 pub use course::LimitForecast;
 pub use event::{AlarmEvent, AlarmState, Away, Cause, RunnerUp, SensorChannel, Severity};
 pub use monitor::MachineMonitor;
-pub use observation::{Irregularity, Observation, Parameters};
+pub use observation::{Irregularity, Missing, Observation, Parameters};
 pub use settings::{Settings, TemperatureCoefficients};
 pub use site::Common;
 pub use temperature::TemperatureSource;

@@ -151,6 +151,17 @@ pub enum Irregularity<'a> {
     RepeatedNumber,
 }
 
+/// Throws of a machine that are missing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Missing<'a> {
+    /// Number of missing throws.
+    pub throws: u64,
+    /// Of these, throws whose messages were refused.
+    pub refused: u64,
+    /// Reason of the last refusal; empty without one.
+    pub reason: &'a str,
+}
+
 /// The parameters of a machine that scale its coefficients.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Parameters {

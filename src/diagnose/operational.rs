@@ -9,7 +9,7 @@ use super::{
     alarm::{Alarms, Evidence},
     condition::streak,
     event::{AlarmEvent, Cause, SensorChannel, Severity},
-    observation::{Irregularity, Observation, Unusable},
+    observation::{Irregularity, Missing, Observation, Unusable},
     rule::Rule,
     settings::Settings,
     text,
@@ -138,6 +138,9 @@ pub(super) struct Operation {
     gap_at_s: u32,
     /// Throws in gaps, since the alarm was raised.
     lost: u64,
+    /// Of these, throws whose messages were refused.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    refused: u64,
     silence_s: f64,
     ticked_at: Option<Timestamp>,
     #[serde(default)]
@@ -164,6 +167,11 @@ impl Context<'_> {
     fn critical(self, text: String) -> Evidence {
         Evidence::plain(Severity::Critical, self.throw, text)
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
+fn is_zero(count: &u64) -> bool {
+    *count == 0
 }
 
 /// A time in seconds since 1970: half the memory of a monitor's field.
@@ -229,7 +237,7 @@ impl Operation {
         }
         if self.since_gap >= settings.off_delay_throws {
             events.extend(alarms.clear(Cause::DataLoss, text::no_gap(name, self.since_gap), at));
-            self.lost = 0;
+            (self.lost, self.refused) = (0, 0);
         }
         events
     }
@@ -506,15 +514,17 @@ impl Operation {
         }
     }
 
-    /// Applies `lost` missing throws.
-    pub(super) fn on_gap(&mut self, lost: u64, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
-        if lost == 0 {
+    /// Applies missing throws.
+    pub(super) fn on_gap(&mut self, missing: Missing, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
+        if missing.throws == 0 {
             return None;
         }
         (self.since_gap, self.gap_at_s) = (0, unix_s(context.at));
         let before = self.lost;
-        self.lost = before.saturating_add(lost);
-        let text = text::gap(context.name, self.lost);
+        self.lost = before.saturating_add(missing.throws);
+        self.refused = self.refused.saturating_add(missing.refused);
+        let all = Missing { throws: self.lost, refused: self.refused, ..missing };
+        let text = text::gap(context.name, &all, context.at);
         if !alarms.is_active(Cause::DataLoss) {
             return alarms.raise(Cause::DataLoss, context.warning(text), context.at);
         }
@@ -553,6 +563,7 @@ impl Operation {
             since_gap: self.since_gap,
             gap_at_s: self.gap_at_s,
             lost: self.lost,
+            refused: self.refused,
             logger: self.logger,
             ..Self::default()
         };

@@ -32,7 +32,10 @@ impl Channel {
 #[strum(serialize_all = "snake_case")]
 pub enum Rejection {
     /// The trace or its window is too short for three coefficients.
-    #[error("the trace is too short for three coefficients: {samples} samples, {duration_s:.2} s")]
+    #[error(
+        "the trace is too short for three coefficients: {duration_s:.3} s, {samples} samples at the rate of the estimate. Either \
+         the recording ends early, or sample_rate_hz is wrong"
+    )]
     TooShort {
         /// Number of samples of the trace or window.
         samples: usize,

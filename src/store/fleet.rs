@@ -88,6 +88,8 @@ pub(crate) struct FleetRow {
     pub drifts: Vec<Drifting>,
     /// Causes of all open alarms.
     pub causes: Vec<Cause>,
+    /// Of these, causes of alarms that are over, and not acknowledged.
+    pub causes_over: Vec<Cause>,
     pub started_at: Option<Timestamp>,
     /// Quality of the last judged throw.
     pub quality: Option<String>,
@@ -200,7 +202,10 @@ impl FromRow<'_, SqliteRow> for Present {
 
 impl FromRow<'_, SqliteRow> for FleetRow {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        let causes: Option<&str> = row.try_get("causes")?;
+        let causes = |column| -> sqlx::Result<Vec<Cause>> {
+            let causes: Option<&str> = row.try_get(column)?;
+            Ok(causes.into_iter().flat_map(|causes| causes.split(',')).filter_map(|it| it.parse().ok()).collect())
+        };
         let spark: Option<Vec<[Option<f64>; 3]>> = json(row, "spark")?;
         let all = |[b0, a1, a0]: [Option<f64>; 3]| Some([b0?, a1?, a0?]);
         let spark = spark.unwrap_or_default().into_iter().rev().map(all).skip_while(Option::is_none);
@@ -213,7 +218,8 @@ impl FromRow<'_, SqliteRow> for FleetRow {
             machine: MachineId::from_row(row)?,
             state: word(row, "state")?.unwrap_or_default(),
             drifts: json(row, "drifts")?.unwrap_or_default(),
-            causes: causes.into_iter().flat_map(|causes| causes.split(',')).filter_map(|it| it.parse().ok()).collect(),
+            causes: causes("causes")?,
+            causes_over: causes("causes_over")?,
             started_at: row.try_get::<Option<i64>, _>("started_at_us")?.map(timestamp),
             quality: row.try_get("quality")?,
             baseline: count("baseline_throws")?.zip(count("baseline_needed")?),

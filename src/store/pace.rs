@@ -22,11 +22,11 @@ impl Seldom {
     pub(crate) fn due(&self, now: Instant) -> Option<u64> {
         let mut said = self.0.lock();
         match &mut *said {
-            Some((at, left_out)) if now.duration_since(*at) < SAID => {
-                *left_out += 1;
+            Some((at, omitted)) if now.duration_since(*at) < SAID => {
+                *omitted += 1;
                 None
             }
-            before => Some(before.replace((now, 0)).map_or(0, |(_, left_out)| left_out)),
+            before => Some(before.replace((now, 0)).map_or(0, |(_, omitted)| omitted)),
         }
     }
 }
@@ -35,8 +35,10 @@ impl Seldom {
 macro_rules! seldom {
     ($level:ident, $($said:tt)*) => {{
         static LINE: crate::store::Seldom = crate::store::Seldom::new();
-        if let Some(left_out) = LINE.due(tokio::time::Instant::now()) {
-            tracing::$level!(left_out, $($said)*);
+        if let Some(omitted) = LINE.due(tokio::time::Instant::now()) {
+            // `None` is not written.
+            let omitted_lines = (omitted > 0).then_some(omitted);
+            tracing::$level!(omitted_lines, $($said)*);
         }
     }};
 }

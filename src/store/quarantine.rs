@@ -5,7 +5,7 @@ use sqlx::{Encode, Sqlite, SqliteConnection, Type};
 
 use super::{spool::count, statements as sql, write::Write};
 use crate::{
-    throw::{MachineId, Throw},
+    throw::{MachineId, Throw, ThrowRef},
     wire::{Encoding, Kind, encode_throw, machine_key},
 };
 
@@ -25,6 +25,8 @@ pub struct Refused {
     pub reason: String,
     /// Size of the whole message \[bytes\].
     pub bytes: usize,
+    /// Boot and number of the throw, if the message has both.
+    pub id: Option<Box<ThrowRef>>,
     /// The start of the message, up to [`QUARANTINED_BYTES`].
     pub beginning: Vec<u8>,
     /// Time of reception.
@@ -36,7 +38,14 @@ impl Refused {
     #[must_use]
     pub fn throw(machine: &MachineId, throw: &Throw, reason: String, at: Timestamp) -> Self {
         let beginning = encode_throw(Encoding::Cbor, throw);
-        Self { key: machine_key(machine, Kind::Throw), reason, bytes: beginning.len(), beginning, at }
+        Self {
+            key: machine_key(machine, Kind::Throw),
+            reason,
+            bytes: beginning.len(),
+            id: Some(Box::new(throw.id.clone())),
+            beginning,
+            at,
+        }
     }
 }
 
@@ -69,6 +78,8 @@ impl Write for Quarantine {
                 .bind(short(&refused.reason))
                 .bind(i64::try_from(refused.bytes).unwrap_or(i64::MAX))
                 .bind(&refused.beginning[..refused.beginning.len().min(QUARANTINED_BYTES)])
+                .bind(refused.id.as_ref().map(|id| id.boot_id.as_str()))
+                .bind(refused.id.as_ref().map(|id| id.throw_no.cast_signed()))
                 .execute(&mut *connection)
                 .await?;
         }

@@ -117,6 +117,10 @@ pub struct Gap {
     pub first_no: u64,
     /// Last missing throw number.
     pub last_no: u64,
+    /// Messages in quarantine that may be throws of the gap.
+    pub refused: u64,
+    /// Reason for the last of them.
+    pub reason: Option<String>,
 }
 
 /// A message in the outbox.

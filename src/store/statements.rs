@@ -109,6 +109,23 @@ macro_rules! awaited {
     };
 }
 
+/// Messages in quarantine that may be throws of a gap: those with its numbers, and those without a readable number that were
+/// received since the throw before it.
+macro_rules! refused {
+    ($column:literal) => {
+        concat!(
+            "(SELECT ",
+            $column,
+            " FROM quarantine INDEXED BY quarantine_by_key \
+             WHERE key = 'points/v1/' || site || '/' || machine || '/throw' \
+             AND (quarantine.boot_id = boot.boot_id AND quarantine.throw_no BETWEEN first_no AND last_no \
+             OR quarantine.throw_no IS NULL AND quarantine.received_at_us >= coalesce((SELECT received_at_us FROM throw \
+             WHERE throw.boot_row = gap.boot_row AND throw.throw_no < first_no ORDER BY throw.throw_no DESC LIMIT 1), 0)) \
+             ORDER BY quarantine_row DESC LIMIT 1)"
+        )
+    };
+}
+
 /// Condition for the machine in the first two parameters.
 macro_rules! one_machine {
     () => {
@@ -346,7 +363,8 @@ statements! {
     NOTIFIED = "DELETE FROM notification WHERE notification_row <= ?1";
 
     // Quarantine.
-    ADD_QUARANTINE = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start) VALUES (?1, ?2, ?3, ?4, ?5)";
+    ADD_QUARANTINE = "INSERT INTO quarantine (received_at_us, key, reason, payload_bytes, payload_start, boot_id, throw_no) \
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
     IS_QUARANTINED = "SELECT EXISTS (SELECT 1 FROM quarantine WHERE received_at_us = ?1 AND key = ?2 AND payload_bytes = ?3)";
     TRIM_QUARANTINE = "DELETE FROM quarantine WHERE quarantine_row <= (SELECT max(quarantine_row) FROM quarantine) - ?1";
     ADD_COMMAND = "INSERT INTO command (machine_row, at_us, command, by_whom, why, payload) \
@@ -370,11 +388,13 @@ statements! {
         WHERE +site GLOB ?1 AND +machine GLOB ?2 ORDER BY site, machine, latest.direction");
     // A gap that a backlog may still fill is left out while its machine waits, that is while its backlog was opened or
     // last became smaller between ?2 and ?3.
-    UNREPORTED_GAPS = "SELECT gap_row, site, machine, first_no, last_no \
+    UNREPORTED_GAPS = concat!("SELECT gap_row, site, machine, first_no, last_no, ",
+        refused!("count(DISTINCT coalesce(quarantine.throw_no, -quarantine_row))"), " AS refused, ", refused!("reason"), " AS reason \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) LEFT JOIN backlog USING (machine_row) \
         WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' \
-        AND (written_off_at_us IS NOT NULL OR since_us IS NULL OR since_us NOT BETWEEN ?2 AND ?3) ORDER BY gap_row LIMIT ?1";
-    REPORT_GAP = "UPDATE gap SET told_at_us = ?2 WHERE gap_row = ?1";
+        AND (written_off_at_us IS NOT NULL OR since_us IS NULL OR since_us NOT BETWEEN ?2 AND ?3) ORDER BY gap_row LIMIT ?1");
+    REPORT_GAP = concat!("UPDATE gap SET told_at_us = ?2, refused = (SELECT min(", refused!("count(DISTINCT coalesce(quarantine.throw_no, -quarantine_row))"), ", last_no - first_no + 1) \
+        FROM boot JOIN machine USING (machine_row) WHERE boot.boot_row = gap.boot_row) WHERE gap_row = ?1");
 
     // The dashboard. Each query reads a bounded number of rows.
     OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) AS open, \
@@ -449,6 +469,8 @@ statements! {
            coalesce(estimate.baseline_needed, learned.baseline_needed) AS baseline_needed,
            (SELECT group_concat(alarm.cause) FROM alarm
              WHERE alarm.machine_row = chosen.machine_row AND alarm.state <> 'normal') AS causes,
+           (SELECT group_concat(alarm.cause) FROM alarm
+             WHERE alarm.machine_row = chosen.machine_row AND alarm.state = 'cleared_unacknowledged') AS causes_over,
            (SELECT json_group_array(json_array(b0_pct, a1_pct, a0_pct)) FROM
              (SELECT b0_pct, a1_pct, a0_pct FROM estimate AS near
                WHERE near.machine_row = chosen.machine_row AND near.direction = 'normal_to_reverse'

@@ -4,6 +4,7 @@ use super::{page, state};
 use crate::{
     diagnose::{AlarmState, Drifting},
     store::Window,
+    throw::utc,
     wire::Alarm,
 };
 
@@ -17,6 +18,8 @@ pub(super) struct AlarmLine {
     pub(super) now: Option<String>,
     pub(super) forecast: Option<String>,
     pub(super) throw: Option<String>,
+    /// Time of the text.
+    pub(super) said_at: String,
 }
 
 impl AlarmLine {
@@ -24,7 +27,9 @@ impl AlarmLine {
     /// the machine; `windows` are open shelvings and maintenance.
     pub(super) fn new(alarm: &Alarm, raised: Option<(f64, f64)>, drifts: &[Drifting], windows: &[Window]) -> Self {
         let drift = drifts.iter().find(|drift| drift.cause == alarm.cause);
-        let by = alarm.by.as_ref().map(|by| format!(" by {by}")).unwrap_or_default();
+        // Events of earlier versions have only the operator of the last command.
+        let by = alarm.acknowledged_by.as_ref().or(alarm.by.as_ref());
+        let by = by.map(|by| format!(" by {by}")).unwrap_or_default();
         let state = match (alarm.state, Window::of(alarm, windows)) {
             (AlarmState::Shelved, Some(window)) => format!("shelved {}", window.sentence()),
             (AlarmState::OutOfService, Some(window)) => page::window(window),
@@ -35,6 +40,7 @@ impl AlarmLine {
         Self {
             alarm: alarm.clone(),
             state,
+            said_at: utc(&alarm.text_at.unwrap_or(alarm.event_at)),
             raised: raised.map(|(size, sd)| state::size(size, sd)),
             now: drift.map(|drift| state::size(drift.change_pct, drift.change_pct_sd)),
             forecast: drift.and_then(state::forecast),

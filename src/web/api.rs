@@ -5,7 +5,7 @@
 //! | `/api/v1/status` | the daemon, as in `pointsd status --json` |
 //! | `/api/v1/machines?site=…&state=…&cause=…&q=…&page=…` | `tally`, and `machines`: up to 100 with state, present drifts, last throw |
 //! | `/api/v1/machines/{site}/{machine}` | `state`, `drifts` (present), `caveats`, `alarms` (open), `throws` (the newest 100), `commands` |
-//! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: numbers of the others by cause and site |
+//! | `/api/v1/alarms` | `faults`: open alarms about machines, up to 50; `common`: numbers of the others by cause and site, each with the address of its `machines` |
 //!
 //! An alarm has the fields of its last event: `change_pct` is its size at `event_at`. In `faults` it also has its size when it was
 //! raised, `change_raised_pct` and `change_raised_pct_sd`, and its size after the last throw, `change_now_pct` and
@@ -26,7 +26,7 @@ use super::{
 };
 use crate::{
     diagnose::Present,
-    store::{Fault, FleetQuery},
+    store::{CommonAlarm, Fault, FleetQuery},
     throw::MachineId,
 };
 
@@ -35,8 +35,17 @@ const THROWS: u32 = 100;
 /// Largest number of operators' commands in a response.
 const COMMANDS: u32 = 100;
 
-pub(super) async fn status(State(web): State<Arc<Web>>) -> Response {
-    page::json(&json!(web.view.gauges.report()))
+/// Refuses parameters: one without an effect would look like a filter.
+fn takes_none(query: Option<&str>) -> Result<(), Failure> {
+    match query.filter(|query| !query.is_empty()) {
+        None => Ok(()),
+        Some(_) => Err(Failure::bad_request("This address has no parameters; /api/v1/machines has filters.")),
+    }
+}
+
+pub(super) async fn status(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
+    takes_none(query.as_deref())?;
+    Ok(page::json(&json!(web.view.gauges.report())))
 }
 
 pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
@@ -52,8 +61,10 @@ pub(super) async fn machines(State(web): State<Arc<Web>>, RawQuery(query): RawQu
 pub(super) async fn machine(
     State(web): State<Arc<Web>>,
     machine: Result<Path<MachineId>, PathRejection>,
+    RawQuery(query): RawQuery,
 ) -> Result<Response, Failure> {
     let Path(machine) = machine?;
+    takes_none(query.as_deref())?;
     let _turn = web.turn().await?;
     let reader = web.view.gauges.store.reader();
     let throws = reader.newest_throws_of(&machine, THROWS).await?;
@@ -68,12 +79,20 @@ pub(super) async fn machine(
     })))
 }
 
-pub(super) async fn alarms(State(web): State<Arc<Web>>) -> Result<Response, Failure> {
+pub(super) async fn alarms(State(web): State<Arc<Web>>, RawQuery(query): RawQuery) -> Result<Response, Failure> {
+    takes_none(query.as_deref())?;
     let overview = web.overview().await?;
     let faults: Vec<_> = overview.faults.iter().map(with_sizes).collect();
     Ok(page::json(&json!({
-        "faults": faults, "fault_count": overview.fault_count, "common": overview.common,
+        "faults": faults, "fault_count": overview.fault_count, "common": overview.common.iter().map(with_list).collect::<Vec<_>>(),
     })))
+}
+
+/// A group of alarms, with the address of its machines.
+fn with_list(group: &CommonAlarm) -> serde_json::Value {
+    let mut json = json!(group);
+    json["machines"] = json!(format!("/api/v1/machines?site={}&cause={}", group.site, group.cause.as_str()));
+    json
 }
 
 /// A fault with its sizes, each of which says in its name when it was measured.

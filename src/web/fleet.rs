@@ -303,7 +303,8 @@ fn shown(row: &FleetRow, windows: &[Window], limit_pct: f64) -> Row {
     let is_shown = |cause: &&Cause| row.drifts.iter().any(|drift| drift.cause == **cause);
     let is_state = |cause: &&Cause| **cause == Cause::NotMonitored && row.state == MachineState::NotMonitored;
     let other = row.causes.iter().filter(|cause| !is_shown(cause) && !is_state(cause));
-    let other: Vec<String> = other.map(ToString::to_string).collect();
+    let over = |cause: &Cause| if row.causes_over.contains(cause) { " (over)" } else { "" };
+    let other: Vec<String> = other.map(|cause| format!("{cause}{}", over(cause))).collect();
     if !other.is_empty() {
         notes.push(other.join(", "));
     }
@@ -430,6 +431,22 @@ mod tests {
             ),
         ];
         assert_eq!(shown, expected);
+    }
+
+    #[test]
+    fn an_alarm_that_is_over_is_noted_as_such() {
+        let row = FleetRow {
+            machine: MachineId::new("north", "21B").unwrap(),
+            state: MachineState::Healthy,
+            drifts: Vec::new(),
+            causes: vec![Cause::NotMonitored, Cause::DataLoss],
+            causes_over: vec![Cause::NotMonitored],
+            started_at: None,
+            quality: None,
+            baseline: None,
+            spark: Vec::new(),
+        };
+        assert_eq!(shown(&row, &[], 15.0).notes, ["not monitored (over), data loss"]);
     }
 
     #[test]

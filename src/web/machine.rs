@@ -225,7 +225,7 @@ async fn read(
         last_throws: last_throws(&both, &baselines),
         spans: Span::CHOICES.into_iter().map(|(choice, word, says)| (word, says, choice == span)).collect(),
         trends: trend::coefficients(&both, &marks, &baselines, settings),
-        no_trends: no_trends(&baselines),
+        no_trends: no_trends(&both, &baselines),
         features: trend::features(&both, &of_baseline, &marks),
         drawn_throws: drawn_throws(&both),
         drawn: drawn(&both),
@@ -242,8 +242,12 @@ async fn read(
 }
 
 /// Reason why the charts of the coefficients are empty.
-fn no_trends(baselines: &[BaselineRecord]) -> &'static str {
-    if baselines.iter().any(|baseline| baseline.ratios_only) {
+fn no_trends(both: &Directions, baselines: &[BaselineRecord]) -> &'static str {
+    let mut rows = both.iter().flat_map(|(_, rows)| rows).peekable();
+    if rows.peek().is_some() && rows.all(|row| row.quality == "current_only" && row.coefficients.is_none()) {
+        "These throws have no toe position, and so no coefficients. Their duration and currents, below, are compared with \
+         those of the first throws."
+    } else if baselines.iter().any(|baseline| baseline.ratios_only) {
         "The throws of the baseline have only the ratios of the coefficients: changes of the ratios are below."
     } else if baselines.is_empty() {
         "No baseline yet: changes are shown as soon as a baseline has its first throws."

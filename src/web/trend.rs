@@ -122,8 +122,7 @@ fn change(
     let mut panel = Panel::history(title, "% from the baseline");
     let mut furthest = (0.0_f64, 0.0_f64);
     for (direction, rows) in directions {
-        // NaN, for a throw without the value, interrupts the curve.
-        let points: Vec<_> = rows.iter().map(|row| (x(row.started_at), value(row).unwrap_or(f64::NAN))).collect();
+        let points = since_baseline(rows, &value);
         furthest = points.iter().fold(furthest, |(low, high), (_, change)| (low.min(*change), high.max(*change)));
         panel = panel.line(direction.to_string(), points);
     }
@@ -142,6 +141,26 @@ fn change(
     }
     let rejected = rejected_at(directions, furthest.0.min(-warning));
     marked(panel, rejected, marks)
+}
+
+/// Time and value of each throw. A NaN interrupts the curve: for a throw without the value, and before a throw with another
+/// baseline, as a line between changes from two baselines is no trend.
+fn since_baseline(rows: &[Health], value: impl Fn(&Health) -> Option<f64>) -> Vec<(f64, f64)> {
+    let mut points = Vec::with_capacity(rows.len());
+    let mut before = None;
+    for row in rows {
+        let (at, value) = (x(row.started_at), value(row));
+        if value.is_some() {
+            // A new baseline sets the counts of the last throw before it to 0.
+            let is_last = row.baseline.is_some_and(|(so_far, _)| so_far == 0);
+            let throws = if is_last { u64::MAX } else { row.throws_since_baseline };
+            if before.replace(throws).is_some_and(|before| throws < before) {
+                points.push((at, f64::NAN));
+            }
+        }
+        points.push((at, value.unwrap_or(f64::NAN)));
+    }
+    points
 }
 
 /// A feature, which a throw has with or without an estimate.
@@ -267,6 +286,7 @@ fn drawn(sample_rate_hz: f64, values: &[f64]) -> Vec<(f64, f64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::throw::{MachineId, ThrowRef};
 
     #[test]
     fn a_long_trace_keeps_its_extremes_in_order() {
@@ -280,6 +300,31 @@ mod tests {
         assert_eq!(drawn(1_000.0, &values)[0], (0.0, 500.5), "the axis begins with the first sample");
         assert_eq!(drawn(10.0, &[]), []);
         assert_eq!(drawn(10.0, &[1.0, 2.0, 3.0]), [(0.0, 1.0), (0.1, 2.0), (0.2, 3.0)]);
+    }
+
+    /// The throws since the baseline of each throw, and whether the last one before a new baseline is among them.
+    #[test]
+    fn a_new_baseline_interrupts_the_curve() {
+        let machine = MachineId::new("north", "21B").unwrap();
+        let row = |at: i64, throws_since_baseline, so_far| Health {
+            baseline: Some((so_far, 50)),
+            throws_since_baseline,
+            change_pct: Some([1.0; 3]),
+            ..Health::rejected(
+                machine.clone(),
+                ThrowRef { boot_id: "b".to_owned(), throw_no: at.unsigned_abs() },
+                Timestamp::from_second(at).unwrap(),
+                "good",
+                None,
+            )
+        };
+        let times = |rows: &[Health]| {
+            let points = since_baseline(rows, |row| Some(row.change_pct?[0]));
+            points.iter().map(|(at, value)| if value.is_nan() { f64::NAN } else { *at }).collect::<Vec<_>>()
+        };
+        let is = |found: Vec<f64>, expected: &[f64]| assert_eq!(format!("{found:?}"), format!("{expected:?}"));
+        is(times(&[row(1, 8, 50), row(2, 9, 50), row(3, 3, 50)]), &[1.0, 2.0, f64::NAN, 3.0]);
+        is(times(&[row(1, 8, 50), row(2, 0, 0), row(3, 3, 50), row(4, 4, 50)]), &[1.0, 2.0, f64::NAN, 3.0, 4.0]);
     }
 
     #[test]

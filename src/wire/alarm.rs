@@ -51,10 +51,11 @@ impl Alarm {
         }
     }
 
-    /// The message without operators and boots, which stay in the database.
+    /// The message without operators, boots and the time of the text, which stay in the database.
     #[must_use]
     pub fn published(mut self) -> Self {
-        (self.event.by, self.event.why) = (None, None);
+        (self.event.by, self.event.why, self.event.acknowledged_by) = (None, None, None);
+        self.event.text_at = None;
         for throw in [&mut self.event.first_throw, &mut self.event.last_throw].into_iter().flatten() {
             throw.boot_id.clear();
         }
@@ -116,6 +117,8 @@ mod tests {
             first_throw: Some(ThrowRef { boot_id: "b".into(), throw_no: 7 }),
             last_throw: None,
             text: "what".into(),
+            text_at: Some(at),
+            acknowledged_by: Some("somebody".into()),
             limit_in_throws: Some(LimitForecast { low: 1.0, mid: 2.0, high: 3.0 }),
             by: Some("somebody".into()),
             why: None,

@@ -24,13 +24,13 @@ pub enum HistoryQuery {
 }
 
 impl HistoryQuery {
-    /// Parses the parameters of a selector (the part after `?`). Unknown parameters are ignored.
+    /// Parses the parameters of a selector (the part after `?`).
     ///
     /// # Errors
-    /// When `since` or `limit` is invalid.
+    /// When `since` or `limit` is invalid, or another parameter is given.
     pub fn parse(parameters: &str) -> Result<Self, Invalid> {
-        let pairs = || parameters.split(';').filter_map(|pair| pair.split_once('='));
-        let value = |name: &str| pairs().find(|(key, _)| key.trim() == name).map(|(_, value)| value.trim());
+        only_known(parameters, &["since", "limit"])?;
+        let value = |name: &str| pairs(parameters).find(|(key, _)| *key == name).map(|(_, value)| value);
         let wrong = |name: &str, text: &str, must: &str| {
             let text: String = text.chars().take(60).collect();
             Invalid(format!("{name}={text:?} {must}"))
@@ -54,6 +54,26 @@ impl HistoryQuery {
     }
 }
 
+/// Names and values of the parameters; without `=` the value is empty.
+fn pairs(parameters: &str) -> impl Iterator<Item = (&str, &str)> {
+    let pairs = parameters.split(';').map(|pair| pair.split_once('=').unwrap_or((pair, "")));
+    pairs.map(|(key, value)| (key.trim(), value.trim())).filter(|pair| *pair != ("", ""))
+}
+
+/// Refuses parameters that are neither `known` nor of zenoh, whose names begin with `_`: a misspelt one would change the
+/// meaning of a query without notice.
+///
+/// # Errors
+/// When there is one: it is named, with the known ones.
+pub fn only_known(parameters: &str, known: &[&str]) -> Result<(), Invalid> {
+    let is_unknown = |key: &&str| !key.starts_with('_') && !known.contains(key);
+    let Some(unknown) = pairs(parameters).map(|(key, _)| key).find(is_unknown) else { return Ok(()) };
+    let unknown: String = unknown.chars().take(60).collect();
+    let known =
+        if known.is_empty() { "this query has none".to_owned() } else { format!("known are {}", known.join(", ")) };
+    Err(Invalid(format!("unknown parameter {unknown:?}: {known}")))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -66,8 +86,18 @@ mod tests {
         for text in ["since=2026-05-04T12:00:00Z;limit=7", "limit=7;since=2026-05-04T14:00:00+02:00"] {
             assert_eq!(HistoryQuery::parse(text).unwrap(), HistoryQuery::History { since: noon, limit: 7 });
         }
-        for text in ["since=yesterday", "limit=0", "limit=-1", "limit=10001", "limit=many"] {
+        for text in ["since=yesterday", "limit=0", "limit=-1", "limit=10001", "limit=many", "since=", "since", "limit"]
+        {
             assert!(HistoryQuery::parse(text).is_err(), "{text} was taken");
         }
+        for text in ["sinc=2026-05-04T12:00:00Z", "limit=7;until=2026-05-04T12:00:00Z", "_anyke;Limit=7"] {
+            let error = HistoryQuery::parse(text).unwrap_err().to_string();
+            assert!(error.starts_with("unknown parameter") && error.ends_with("known are since, limit"), "{error}");
+        }
+        assert!(only_known("_time=[now(-1h)..];_anyke", &[]).is_ok());
+        assert_eq!(
+            only_known("limit=1", &[]).unwrap_err().to_string(),
+            "unknown parameter \"limit\": this query has none"
+        );
     }
 }

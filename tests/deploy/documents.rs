@@ -2,7 +2,10 @@
 
 use std::{collections::HashSet, fs, path::Path};
 
-use pointsd::wire::{Alarm, Health, decode_command, decode_throw};
+use pointsd::{
+    daemon::StatusReport,
+    wire::{Alarm, Health, decode_command, decode_throw},
+};
 use serde_json::{Value, json};
 
 use super::site::read;
@@ -59,6 +62,9 @@ fn the_page_of_messages_has_every_field() {
     .unwrap();
     let health: Value = serde_json::from_slice(&pointsd::wire::json_bytes(&health)).unwrap();
     assert_eq!(first_cells(&page, "Health").into_iter().collect::<HashSet<_>>(), keys(&health));
+
+    let status = serde_json::to_value(StatusReport::default()).unwrap();
+    assert_eq!(first_cells(&page, "Status").into_iter().collect::<HashSet<_>>(), keys(&status));
 }
 
 #[test]

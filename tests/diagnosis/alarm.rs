@@ -105,6 +105,25 @@ fn an_acknowledged_and_cleared_alarm_is_normal_and_the_next_is_a_new_one() {
     assert_eq!(none, Err(CommandError::NoSuchAlarm { cause: Cause::Kt }));
 }
 
+/// The operator who ends a maintenance has not acknowledged the alarm, and its text is as old as before.
+#[test]
+fn a_command_changes_neither_the_acknowledgement_nor_the_time_of_the_text() {
+    let settings = Settings::default();
+    let (_, mut monitor, raised) = alarmed(2);
+    assert_eq!((raised.text_at, &raised.acknowledged_by), (Some(raised.event_at), &None));
+    let (other, until) = ("B. Other".to_owned(), now() + SignedDuration::from_hours(8));
+    for command in [
+        Command::Ack { cause: Cause::Friction, by: by() },
+        Command::MaintenanceStart { until, by: other.clone(), why: "looked".to_owned() },
+        Command::MaintenanceEnd { by: other.clone() },
+    ] {
+        monitor.command(&command, now(), &settings).unwrap();
+    }
+    let [last] = &monitor.open_alarms()[..] else { panic!("one alarm") };
+    assert_eq!((last.state, last.by.as_ref()), (AlarmState::ActiveAcknowledged, Some(&other)));
+    assert_eq!((last.acknowledged_by.as_deref(), last.text_at), (Some("A. Fitter"), raised.text_at));
+}
+
 #[test]
 fn severity_rises_within_the_same_alarm_and_asks_to_be_seen_again() {
     let settings = Settings::default();

@@ -4,11 +4,11 @@ use jiff::SignedDuration;
 use nalgebra::Vector3;
 use pointsd::{
     diagnose::{
-        AlarmEvent, AlarmState, Cause, Command, Irregularity, MachineMonitor, MachineState, Observation, Parameters,
-        SensorChannel, Settings, Severity,
+        AlarmEvent, AlarmState, Cause, Command, Irregularity, MachineMonitor, MachineState, Missing, Observation,
+        Parameters, SensorChannel, Settings, Severity,
     },
     estimate,
-    throw::Direction,
+    throw::{Direction, utc},
 };
 
 use crate::{
@@ -35,6 +35,10 @@ fn feed(
             monitor.observe(&observation, &Settings::default()).events
         })
         .collect()
+}
+
+fn missing(throws: u64) -> Missing<'static> {
+    Missing { throws, ..Missing::default() }
 }
 
 fn summary(events: &[AlarmEvent]) -> Vec<(Cause, Severity, AlarmState)> {
@@ -238,8 +242,8 @@ fn lost_throws_are_an_alarm_until_none_was_lost_for_a_while() {
     let settings = Settings::default();
     let (mut machine, mut monitor) = machine();
     let at = machine.throw(Vector3::zeros()).started_at;
-    assert_eq!(monitor.gap(0, at, &settings), []);
-    let events = monitor.gap(3, at, &settings);
+    assert_eq!(monitor.gap(missing(0), at, &settings), []);
+    let events = monitor.gap(missing(3), at, &settings);
     assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Warning, AlarmState::ActiveUnacknowledged)]);
     let events = feed(&mut machine, &mut monitor, 12, |_| {});
     assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
@@ -252,7 +256,7 @@ fn throws_from_before_the_news_of_a_gap_do_not_end_its_alarm() {
     let settings = Settings::default();
     let (mut machine, mut monitor) = machine();
     let known_at = machine.throw(Vector3::zeros()).started_at + SignedDuration::from_hours(24 * 365);
-    let raised = monitor.gap(3, known_at, &settings);
+    let raised = monitor.gap(missing(3), known_at, &settings);
     let at = |seconds| move |o: &mut Observation| o.received_at = Some(known_at + SignedDuration::from_secs(seconds));
     assert_eq!(feed(&mut machine, &mut monitor, 40, at(-1)), []);
     assert_eq!(feed(&mut machine, &mut monitor, 11, at(1)), []);
@@ -260,7 +264,7 @@ fn throws_from_before_the_news_of_a_gap_do_not_end_its_alarm() {
     assert_eq!(summary(&events), [(Cause::DataLoss, Severity::Warning, AlarmState::ClearedUnacknowledged)]);
     assert_eq!((events[0].event_at, raised[0].raised_at), (known_at, known_at));
     // The clock of this computer was a year ahead.
-    let lost = monitor.gap(1, known_at, &settings);
+    let lost = monitor.gap(missing(1), known_at, &settings);
     assert_eq!(lost.len(), 1);
     let right = known_at - SignedDuration::from_hours(24 * 300);
     monitor.tick(right, &settings);
@@ -276,14 +280,31 @@ fn a_growing_loss_is_reported_at_each_power_of_two() {
     let at = machine.throw(Vector3::zeros()).started_at;
     let mut said = Vec::new();
     for lost in [1, 0, 1, 1, 1, 1, 500, 1] {
-        said.extend(monitor.gap(lost, at, &settings).into_iter().map(|event| event.text));
+        said.extend(monitor.gap(missing(lost), at, &settings).into_iter().map(|event| event.text));
     }
     assert_eq!(said.len(), 4, "{said:?}");
     for (text, sum) in
         said.iter().zip([": 1 throw never", ": 2 throws never", ": 4 throws never", ": 505 throws never"])
     {
-        assert!(text.contains(sum), "{sum}: {text}");
+        assert!(text.contains(sum) && text.contains(&format!("(counted at {}", utc(&at))), "{sum}: {text}");
     }
+}
+
+/// Missing throws whose messages were refused are no fault of the link.
+#[test]
+fn refused_messages_are_named_as_the_reason_of_a_gap() {
+    let settings = Settings::default();
+    let (mut machine, mut monitor) = machine();
+    let at = machine.throw(Vector3::zeros()).started_at;
+    let mut said = |throws, refused| {
+        let missing = Missing { throws, refused, reason: "throw_no: -1, must be a whole number from 0" };
+        monitor.gap(missing, at, &settings).into_iter().next().unwrap().text
+    };
+    let all = said(1, 1);
+    assert!(all.contains("1 throw is missing because its message was refused (counted at"), "{all}");
+    assert!(all.contains("must be a whole number from 0. Correct the logger") && !all.contains("link"), "{all}");
+    let some = said(4, 2);
+    assert!(some.contains("5 throws are missing, 3 of them because of refused messages"), "{some}");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! A restart after every throw changes no result: the state of the monitor is complete.
 
 use nalgebra::Vector3;
-use pointsd::diagnose::{AlarmEvent, Cause, Command, MachineMonitor, Settings};
+use pointsd::diagnose::{AlarmEvent, Cause, Command, MachineMonitor, Missing, Settings};
 
 use crate::fleet::{Machine, Nature, shift};
 
@@ -26,7 +26,7 @@ fn life(restart: bool) -> (Vec<AlarmEvent>, MachineMonitor) {
             events.extend(monitor.command(&ack, now, &settings).unwrap());
         }
         if throw == 230 {
-            events.extend(monitor.gap(3, now, &settings));
+            events.extend(monitor.gap(Missing { throws: 3, ..Missing::default() }, now, &settings));
         }
         if restart {
             let saved = serde_json::to_string(&monitor).unwrap();

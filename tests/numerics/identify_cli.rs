@@ -45,6 +45,24 @@ fn a_healthy_recording_is_accepted_in_every_common_csv_format() {
     }
 }
 
+/// The user of a file knows options and columns, and no fields of a message.
+#[test]
+fn a_reason_names_options_and_columns() {
+    let without_position: String =
+        csv().lines().map(|line| line.rsplit_once(',').unwrap().0.to_owned() + "\n").collect();
+    let milliseconds: String = csv().lines().fold(HEADER.to_owned(), |text, line| match line.split_once(',') {
+        Some((time, rest)) if time != "time_s" => text + &format!("{:.9},{rest}\n", time.parse::<f64>().unwrap() / 1e3),
+        _ => text,
+    });
+    for (text, says) in
+        [(without_position, "need --supply-v and --stroke-mm"), (milliseconds, "the column time_s is wrong")]
+    {
+        let output = identify(&text);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(1) && said.contains(says), "{said}");
+    }
+}
+
 /// A position that is late by 8 ms.
 #[test]
 fn a_rough_recording_has_its_reason() {
@@ -83,7 +101,7 @@ fn a_file_that_is_no_recording_is_refused_with_the_line() {
         (plain.replace(',', ";"), 65, vec!["line 1", "semicolons"]),
         (with_line(57, "0.056,1.0,0,5"), 65, vec!["line 58", "4 values for the 3 columns", "point"]),
         (lines[..4].join("\n"), 1, vec!["throw.csv"]),
-        (lines[..3000].join("\n"), 1, vec!["still moving", "stroke_mm"]),
+        (lines[..3000].join("\n"), 1, vec!["still moving", "--stroke-mm"]),
         (lines[..2].join("\n"), 65, vec!["too few"]),
         (gap, 65, vec!["line 1001", "gap"]),
         (String::new(), 65, vec!["line 1"]),

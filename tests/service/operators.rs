@@ -173,6 +173,9 @@ async fn a_machine_that_no_daemon_serves_is_distinguished_from_no_daemon() {
     assert!(said.contains("no daemon serves north/21B"), "{said}");
     let said = daemon.says(1, &["ack", "south/21B", "kt", "--by", "tester"]);
     assert!(said.contains("no machine south/21B is known here"), "{said}");
+    // The name of the common alarms of a site.
+    let said = daemon.says(1, &["rebaseline", "south/all-machines", "--why", "new motor", "--by", "tester"]);
+    assert!(said.contains("south/all-machines is no machine with throws"), "{said}");
     // No reply is an error, not an empty list.
     let said = daemon.says(69, &["alarms", "north/21B"]);
     assert!(said.contains("no daemon knows north/21B"), "{said}");

@@ -16,6 +16,7 @@ use pointsd::{
     throw::Throw,
     wire::{Encoding, encode_throw},
 };
+use serde_json::json;
 use zenoh::bytes::Encoding as ContentType;
 
 use crate::{
@@ -202,6 +203,43 @@ async fn a_missing_throw_number_is_a_gap() {
     daemon.terminate();
     let events = texts(&rig, "data_loss");
     assert!(events.iter().all(|text| text.contains("never arrived")), "{events:?}");
+}
+
+/// A logger whose messages are refused has gaps for which the link is not to blame.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_gap_of_refused_messages_names_the_reason() {
+    let (rig, daemon) = Rig::running();
+    let session = daemon.client().await;
+    let publisher = matched(&session, KEY).await;
+    let good = |throw_no| encode_throw(Encoding::Json, &stub("boot", throw_no));
+    let text = |throw_no| String::from_utf8(good(throw_no)).unwrap();
+    publisher.put(good(1)).await.unwrap();
+    // NaN, as Python writes it; a wrong type; no number at all.
+    publisher.put(text(2).replacen("\"current_a\":[", "\"current_a\":[NaN,", 1)).await.unwrap();
+    publisher.put(text(3).replacen("\"started_at\":\"", "\"started_at\":\"on ", 1)).await.unwrap();
+    publisher.put("{}").await.unwrap();
+    // Messages of one batch have the same time of reception.
+    rig.until_sql("SELECT 1 FROM quarantine WHERE quarantine_row = 3").await;
+    publisher.put(good(5)).await.unwrap();
+    rig.until_sql(
+        "SELECT 1 FROM active_alarms WHERE text LIKE '%: 3 throws are missing because their messages were refused%'",
+    )
+    .await;
+    publisher.put(good(8)).await.unwrap();
+    rig.until_sql(
+        "SELECT 1 FROM active_alarms WHERE text LIKE '%: 5 throws are missing, 3 of them because of refused%'",
+    )
+    .await;
+    let gaps = rig.sql("SELECT missing_throws, refused_throws FROM data_gaps WHERE kind = 'missed' ORDER BY 1 DESC");
+    assert_eq!(
+        gaps,
+        [json!({"missing_throws": 3, "refused_throws": 3}), json!({"missing_throws": 2, "refused_throws": 0})]
+    );
+    let refused = rig.sql("SELECT boot_id, throw_no, reason FROM quarantined_messages");
+    let numbers: Vec<_> = refused.iter().map(|row| (row["boot_id"].as_str(), row["throw_no"].as_u64())).collect();
+    assert_eq!(numbers, [(Some("boot"), Some(2)), (Some("boot"), Some(3)), (None, None)]);
+    let reason = refused[0]["reason"].as_str().unwrap();
+    assert!(reason.contains("current_a: NaN is no JSON"), "{reason}");
 }
 
 const QUICK: &str = "[diagnosis]\nbaseline_throws = 12\n";

@@ -86,6 +86,9 @@ async fn the_pages_show_fleet_machine_and_throw_and_nothing_else_can_be_done() {
         ("/api/v1/machines/no%20rth/99", 404, "There is no such machine"),
         ("/api/v1/nowhere", 404, "There is no such page"),
         ("/api/v1/machines?x=1", 400, "and a page"),
+        ("/api/v1/alarms?cause=kt", 400, "has no parameters"),
+        ("/api/v1/status?x", 400, "has no parameters"),
+        ("/api/v1/machines/north/21B?limit=1", 400, "has no parameters"),
     ] {
         let answer = get(&address, path);
         assert_eq!(answer.status, status, "{path}: {answer:?}");

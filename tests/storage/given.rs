@@ -155,6 +155,8 @@ pub(crate) fn event(event_no: u32, state: AlarmState) -> AlarmEvent {
         limit_in_throws: None,
         by: (state == AlarmState::ActiveAcknowledged).then(|| "mia".to_owned()),
         why: None,
+        text_at: None,
+        acknowledged_by: None,
     }
 }
 

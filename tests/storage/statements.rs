@@ -94,6 +94,42 @@ async fn history_is_the_newest_of_the_selected_machines_oldest_first() {
     assert_eq!(numbers(&none, whenever, 100).await, []);
 }
 
+/// A rough throw has only the ratios: their changes from the last baseline are in the views.
+#[tokio::test]
+async fn the_views_show_the_change_of_the_ratios_of_a_rough_throw() {
+    let (_folder, store) = fresh().await;
+    judged(&store, "21B", "b1", 1).await;
+    let mut connection = outsider(store.path()).await;
+    for statement in [
+        "UPDATE estimate SET direction = 'normal_to_reverse', quality = 'rough', b0 = NULL, a1 = NULL, a0 = NULL,
+             a1_per_b0 = 0.3, a0_per_b0 = 0.05, baseline_throws = 50",
+        "UPDATE latest SET direction = 'normal_to_reverse'",
+        "DELETE FROM baseline",
+        "INSERT INTO baseline (machine_row, direction, taken_at_us, payload)
+         SELECT machine_row, 'normal_to_reverse', started_at_us - 1,
+                '{\"throws\": 50, \"center\": [2, 0.5, 0.1], \"reference_c\": 12.5}' FROM throw",
+        "INSERT INTO baseline (machine_row, direction, taken_at_us, payload)
+         SELECT machine_row, 'normal_to_reverse', started_at_us + 1, '{\"throws\": 9, \"center\": [1, 1, 1]}' FROM throw",
+    ] {
+        connection.execute(statement).await.unwrap();
+    }
+    for view in ["health_history", "machine_health"] {
+        let question = sqlx::AssertSqlSafe(format!("SELECT a1_per_b0_pct, a0_per_b0_pct FROM {view}"));
+        let (friction, stiffness): (f64, f64) = sqlx::query_as(question).fetch_one(&mut connection).await.unwrap();
+        assert!((friction - 20.0).abs() < 1e-9 && stiffness.abs() < 1e-9, "{view}: {friction} {stiffness}");
+    }
+    let temperature: Vec<(Option<f64>,)> = sqlx::query_as("SELECT temperature_c FROM baselines ORDER BY taken_at")
+        .fetch_all(&mut connection)
+        .await
+        .unwrap();
+    assert_eq!(temperature, [(Some(12.5),), (None,)]);
+    // A new baseline is being learned.
+    connection.execute("UPDATE estimate SET baseline_throws = 3").await.unwrap();
+    let change: (Option<f64>,) =
+        sqlx::query_as("SELECT a1_per_b0_pct FROM machine_health").fetch_one(&mut connection).await.unwrap();
+    assert_eq!(change, (None,));
+}
+
 /// The three views of alarms show the sensor of an alarm, as their last column.
 #[tokio::test]
 async fn the_views_of_alarms_show_the_channel_of_a_sensor() {

@@ -9,7 +9,7 @@ use super::{
         boots,
         command::Command,
         event::{AlarmEvent, Cause, Severity},
-        observation::Irregularity,
+        observation::{Irregularity, Missing},
         operational::Context,
         settings::Settings,
         text,
@@ -41,10 +41,10 @@ impl MachineMonitor {
         self.order == 0 && !self.is_announced()
     }
 
-    /// Applies `lost` missing throws.
-    pub fn gap(&mut self, lost: u64, at: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
+    /// Applies missing throws.
+    pub fn gap(&mut self, missing: Missing, at: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let (operation, alarms, context) = self.parts(to_micros(at), None, settings);
-        operation.on_gap(lost, alarms, context).into_iter().collect()
+        operation.on_gap(missing, alarms, context).into_iter().collect()
     }
 
     /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the diagnosis,

@@ -75,8 +75,13 @@ impl MachineMonitor {
             verdict.events.extend(self.operation.on_channel(unusable, &mut self.alarms, context));
             self.observe_in_service(observation, evaluated.as_ref(), context, &mut verdict);
         }
-        verdict.baseline =
-            observation.direction.filter(|_| !observation.features_only).map(|d| self.baseline_progress(d, settings));
+        verdict.baseline = observation.direction.and_then(|direction| {
+            if !observation.features_only {
+                return Some(self.baseline_progress(direction, settings));
+            }
+            // A machine with a current sensor only learns its features.
+            (!self.tracks.any_baseline()).then(|| self.instruments.gauges.progress(direction))
+        });
         verdict.state = self.state();
         verdict.drifts = self.drifts();
         verdict.blind = self.blind;

@@ -41,8 +41,9 @@ pub(crate) fn monitored_again(name: &str) -> String {
 
 /// Text for a machine with many rejected throws among evaluated ones.
 pub(crate) fn often_rejected(name: &str, direction: Direction, rejected: u32, of: u32, code: &str) -> String {
+    let reason = if code == "current_only" { "without a toe position".to_owned() } else { code.replace('_', " ") };
     format!(
-        "Machine {name}, {direction}: {rejected} of the last {of} throws were rejected, the last one as {code}, so a fault is \
+        "Machine {name}, {direction}: {rejected} of the last {of} throws were rejected (the last: {reason}), so a fault is \
          detected later. throws_not_evaluated has the reasons."
     )
 }
@@ -104,10 +105,12 @@ pub(crate) fn blind(name: &str, blind: &Blindness) -> String {
              sensors), then take a new baseline (rebaseline)."
         );
     };
+    let away_k = (temperature_c - baseline_c).abs().max(1.0);
     format!(
         "Machine {name}: at {temperature_c:.0} °C a change of {cause} below {below_pct:.0} % cannot be distinguished from \
-         the effect of the temperature, as the baseline is from {baseline_c:.0} °C; so the machine is not monitored. It learns this \
-         from its next throws. Until then inspect it, or take a new baseline (rebaseline) when it is known to be healthy."
+         the effect of the temperature. This effect is not known well enough for {away_k:.0} K from the baseline \
+         ({baseline_c:.0} °C), so the machine is not monitored for changes up to this. It learns the effect from its next throws. \
+         Until then inspect it, or take a new baseline (rebaseline) when it is known to be healthy."
     )
 }
 

@@ -62,7 +62,10 @@ pub(crate) fn drift(
     };
     let c = attribution.correlation;
     let rule = if attribution.is_contradicted() {
-        format!(" The cross-correlation rule disagrees ({:.2}, {:.2}, {:.2}).", c.b0_a1, c.b0_a0, c.a1_a0)
+        let would =
+            if attribution.main().is_some_and(|main| main.cause == Cause::Inertia) { "not name" } else { "name" };
+        let [a, b, c] = [c.b0_a1, c.b0_a0, c.a1_a0];
+        format!(" The study's rule, from correlations ({a:.2}, {b:.2}, {c:.2}), would {would} inertia.")
     } else {
         String::new()
     };

@@ -2,7 +2,10 @@
 
 use jiff::Timestamp;
 
-use crate::throw::utc;
+use crate::{
+    diagnose::observation::Missing,
+    throw::{counted, utc},
+};
 
 /// Text for messages of a machine that are no valid throws.
 pub(crate) fn invalid(name: &str, count: u32, reason: &str) -> String {
@@ -67,11 +70,29 @@ pub(crate) fn logger_back(name: &str) -> String {
     format!("Machine {name}: its logger is connected again.")
 }
 
-pub(crate) fn gap(name: &str, lost: u64) -> String {
-    let throws = if lost == 1 { "1 throw".to_owned() } else { format!("{lost} throws") };
-    format!(
-        "Machine {name}: {throws} never arrived. Check the link to the logger; what happened in between is not known."
-    )
+/// Text for missing throws, counted until `at`.
+pub(crate) fn gap(name: &str, missing: &Missing, at: Timestamp) -> String {
+    let Missing { throws, refused, reason } = missing;
+    let (lost, at) = (counted(*throws, "throw"), utc(&at));
+    let counted_at = format!("(counted at {at}; data_gaps has the present number)");
+    let reason = if reason.is_empty() { String::new() } else { format!(": {reason}") };
+    let (are, their) = if *throws == 1 { ("is", "its message was") } else { ("are", "their messages were") };
+    if *refused == 0 {
+        format!(
+            "Machine {name}: {lost} never arrived {counted_at}. Check the link to the logger; what happened in between is not \
+             known."
+        )
+    } else if refused >= throws {
+        format!(
+            "Machine {name}: {lost} {are} missing because {their} refused {counted_at}{reason}. Correct the logger; the \
+             messages are in quarantined_messages."
+        )
+    } else {
+        format!(
+            "Machine {name}: {lost} {are} missing, {refused} of them because of refused messages {counted_at}{reason}. Correct \
+             the logger (the messages are in quarantined_messages), and check the link to it for the others."
+        )
+    }
 }
 
 pub(crate) fn no_gap(name: &str, throws: u32) -> String {

@@ -171,7 +171,8 @@
       tzDate: (second) => uPlot.tzDate(new Date(second * 1000), "Etc/UTC"),
       legend: { show: false },
       scales: {
-        x: { time: panel.times },
+        // Of one throw alone uPlot would show almost three years.
+        x: { time: panel.times, range: (chart, low, high) => (panel.times && chart.data[0].length === 1 ? [low - 30, low + 30] : [low, high]) },
         y: {
           range: (_, low, high) => {
             const shown = [...kept, low, high].filter(Number.isFinite);

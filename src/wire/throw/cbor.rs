@@ -27,14 +27,17 @@ const MAX_DEPTH: usize = 16;
 /// Longest text of a field \[bytes\].
 const MAX_TEXT_BYTES: usize = 4096;
 
-pub(super) fn decode(payload: &[u8]) -> Result<Fields, InvalidThrow> {
+/// Decodes a message; returns the fields before the error too, as the number of a refused throw is worth knowing.
+pub(super) fn decode(payload: &[u8]) -> (Fields, Result<(), InvalidThrow>) {
     let mut decoder = Decoder::new(payload);
-    let fields = fields(&mut decoder).map_err(|failure| failure.at(decoder.position()))?;
-    if decoder.position() < payload.len() {
-        let problem = format!("{} bytes follow the message", payload.len() - decoder.position());
-        return Err(InvalidThrow::Cbor { at: decoder.position(), problem });
-    }
-    Ok(fields)
+    let mut fields = Fields::default();
+    let read = read(&mut decoder, &mut fields).map_err(|failure| failure.at(decoder.position()));
+    let rest = payload.len() - decoder.position();
+    let is_whole = read.and_then(|()| match rest {
+        0 => Ok(()),
+        _ => Err(InvalidThrow::Cbor { at: decoder.position(), problem: format!("{rest} bytes follow the message") }),
+    });
+    (fields, is_whole)
 }
 
 /// Invalid CBOR, or an invalid field.
@@ -64,12 +67,11 @@ fn wrong(field: &'static str, problem: impl Into<String>) -> Failure {
     Failure::Field(InvalidThrow::Field { field, problem: problem.into() })
 }
 
-fn fields(decoder: &mut Decoder<'_>) -> Decoded<Fields> {
+fn read(decoder: &mut Decoder<'_>, fields: &mut Fields) -> Decoded<()> {
     if decoder.datatype()? == Type::Tag && decoder.tag()? != SELF_DESCRIBED {
         return Err(Failure::Bytes("a tag where the map of a throw should begin".into()));
     }
     let mut left = decoder.map()?;
-    let mut fields = Fields::default();
     while next_item(decoder, &mut left)? {
         match key(decoder)?.as_deref() {
             Some("schema") => set(decoder, "schema", &mut fields.schema, text)?,
@@ -86,7 +88,7 @@ fn fields(decoder: &mut Decoder<'_>) -> Decoded<Fields> {
             _ => skip(decoder, MAX_DEPTH)?,
         }
     }
-    Ok(fields)
+    Ok(())
 }
 
 /// Whether another item follows in an array or map of known (`Some`) or indefinite length; skips the break.

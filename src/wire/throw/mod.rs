@@ -13,7 +13,7 @@ pub use error::InvalidThrow;
 pub use fields::{MAX_BOOT_ID_BYTES, is_boot_id};
 
 use super::json_bytes;
-use crate::throw::Throw;
+use crate::throw::{Throw, ThrowRef};
 use fields::Fields;
 
 /// Encoding of a throw, by its content type on zenoh.
@@ -41,7 +41,10 @@ impl Encoding {
 /// When the payload is not well-formed, a required field is missing, or a value is invalid.
 pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, InvalidThrow> {
     match encoding {
-        Encoding::Cbor => cbor::decode(payload),
+        Encoding::Cbor => {
+            let (fields, is_whole) = cbor::decode(payload);
+            is_whole.map(|()| fields)
+        }
         // serde_json rejects nesting beyond 128 and bytes after the value.
         Encoding::Json => {
             serde_json::from_slice(payload).map_err(|error| InvalidThrow::Json { problem: problem(&error, payload) })
@@ -54,16 +57,56 @@ pub fn decode_throw(encoding: Encoding, payload: &[u8]) -> Result<Throw, Invalid
 fn problem(error: &serde_json::Error, payload: &[u8]) -> String {
     let lines = payload.split_inclusive(|byte| *byte == b'\n');
     let start: usize = lines.take(error.line().saturating_sub(1)).map(<[u8]>::len).sum();
-    let before = payload.get(..start + error.column()).unwrap_or(payload);
+    let at = (start + error.column()).min(payload.len());
+    let before = &payload[..at];
     // A multi-byte character may be cut.
     let before = String::from_utf8_lossy(before);
     // In a text, a quote before a colon has a backslash, which is no part of a name.
     let is_name = |name: &&str| name.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_');
     let name = |(at, _)| before[..at].trim_end().strip_suffix('"')?.rsplit('"').next().filter(is_name);
-    match before.rmatch_indices(':').find_map(name) {
-        Some(name) if error.is_data() => format!("{name}: {error}"),
-        _ => error.to_string(),
+    let name = before.rmatch_indices(':').find_map(name);
+    // The error is at the first or second byte of `NaN`, `Infinity` or `-Infinity`, which many languages write.
+    let near = String::from_utf8_lossy(&payload[at.saturating_sub(2)..payload.len().min(at + 8)]);
+    if let Some(word) = ["NaN", "Infinity"].into_iter().find(|word| error.is_syntax() && near.contains(word)) {
+        let field = name.unwrap_or("a field");
+        let (line, column) = (error.line(), error.column());
+        return format!(
+            "{field}: {word} is no JSON, write null for a value that was not measured (line {line} column {column})"
+        );
     }
+    let said =
+        error.to_string().replace("expected f64", "must be a number").replace("expected a string", "must be a text");
+    let said = said.replace("expected struct Fields", "must be an object with the fields of a throw");
+    match name {
+        Some(name) if error.is_data() => format!("{name}: {said}"),
+        _ => said,
+    }
+}
+
+/// Boot and number in a message that is no valid throw, if it has both.
+#[must_use]
+pub fn throw_id(encoding: Encoding, payload: &[u8]) -> Option<ThrowRef> {
+    let (boot_id, throw_no) = match encoding {
+        Encoding::Cbor => {
+            let (fields, _) = cbor::decode(payload);
+            (fields.boot_id?, fields.throw_no?.0)
+        }
+        // Read as text, as the message may be no JSON.
+        Encoding::Json => {
+            let text = String::from_utf8_lossy(payload);
+            let boot_id = value(&text, "\"boot_id\"")?.strip_prefix('"')?.split('"').next()?;
+            let throw_no = value(&text, "\"throw_no\"")?;
+            let digits = throw_no.find(|digit: char| !digit.is_ascii_digit()).unwrap_or(throw_no.len());
+            (boot_id.to_owned(), throw_no[..digits].parse().ok()?)
+        }
+    };
+    (is_boot_id(&boot_id) && i64::try_from(throw_no).is_ok()).then_some(ThrowRef { boot_id, throw_no })
+}
+
+/// The text behind the quoted `name` and a colon.
+fn value<'a>(text: &'a str, name: &str) -> Option<&'a str> {
+    let (_, rest) = text.split_once(name)?;
+    rest.trim_start().strip_prefix(':').map(str::trim_start)
 }
 
 /// Encodes a throw: in CBOR with little-endian float32 typed arrays (RFC 8746), in JSON with the shortest decimal

@@ -104,10 +104,17 @@ fn unusable_json_is_an_error_with_the_reason() {
         ("2026-05-04T12:00:00+02:00", "2026-05-04T12:00:00", "started_at"),
         ("2026-05-04T12:00:00+02:00", "yesterday", "started_at"),
         ("\"sample_rate_hz\": 100", "\"sample_rate_hz\": 0", "sample_rate_hz"),
-        ("\"sample_rate_hz\": 100", "\"sample_rate_hz\": \"100\"", "sample_rate_hz: invalid type: string"),
+        (
+            "\"sample_rate_hz\": 100",
+            "\"sample_rate_hz\": \"100\"",
+            "sample_rate_hz: invalid type: string \"100\", must be a number",
+        ),
         ("[0, 1, null]", "[0, 1]", "equally long"),
         ("[0, 1, null]", "[0, \"x\", 1]", "current_a: "),
         ("[0, 1, null]", "7", "array"),
+        ("[0, 1, null]", "[0, NaN, 1]", "current_a: NaN is no JSON, write null"),
+        ("[0, 1, null]", "[-Infinity, 0, 1]", "current_a: Infinity is no JSON"),
+        ("\"sample_rate_hz\": 100", "\"sample_rate_hz\":Infinity", "sample_rate_hz: Infinity is no JSON"),
         ("\"boot_id\"", "\"direction\": \"left\", \"boot_id\"", "direction"),
         ("\"boot_id\"", "\"throw_no\": 3, \"boot_id\"", "duplicate"),
     ] {
@@ -117,6 +124,23 @@ fn unusable_json_is_an_error_with_the_reason() {
     for bytes in [&b""[..], b"{", b"[]", b"{} {}", b"nan", &b"[".repeat(100_000)] {
         assert!(decode_throw(Encoding::Json, bytes).is_err());
     }
+}
+
+/// A refused message has its number, wherever the field is.
+#[test]
+fn a_message_that_is_no_throw_may_have_a_number() {
+    let id = |from: &str, to: &str| throw_id(Encoding::Json, JSON.replace(from, to).as_bytes());
+    let known = Some(ThrowRef { boot_id: "b".into(), throw_no: 1 });
+    assert_eq!(id("[0, 1, null]", "[0, NaN, null]"), known);
+    assert_eq!(id("\"sample_rate_hz\": 100", "\"sample_rate_hz\": \"100\""), known);
+    for (from, to) in [("\"boot_id\"", "\"boot\""), (": 1,", ": -1,"), (": 1,", ": 99999999999999999999,")] {
+        assert_eq!(id(from, to), None, "{to}");
+    }
+    let mut cbor = encode_throw(Encoding::Cbor, &example());
+    cbor.truncate(100);
+    assert!(decode_throw(Encoding::Cbor, &cbor).is_err());
+    assert_eq!(throw_id(Encoding::Cbor, &cbor), Some(example().id));
+    assert_eq!(throw_id(Encoding::Cbor, b"x"), None);
 }
 
 type Encoder = minicbor::Encoder<Vec<u8>>;
@@ -180,6 +204,7 @@ proptest! {
     fn no_bytes_make_decoding_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
         for encoding in [Encoding::Cbor, Encoding::Json] {
             drop(decode_throw(encoding, &bytes));
+            drop(throw_id(encoding, &bytes));
         }
     }
 
