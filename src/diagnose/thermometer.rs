@@ -146,14 +146,12 @@ mod tests {
 
     #[test]
     fn a_temperature_that_stays_for_days_after_changes_is_stuck() {
+        type Sensor = fn(i64) -> f64;
         let later = |hours| Timestamp::UNIX_EPOCH + SignedDuration::from_hours(hours);
-        // Half degrees in the day; the same value for a day at a time; a cellar.
-        let sensors: [(fn(i64) -> f64, bool); 3] = [
-            (|hour| (hour % 24).min(24 - hour % 24) as f64 / 2.0, true),
-            (|hour| (hour / 24) as f64, true),
-            (|_| 12.0, false),
-        ];
-        for (celsius, is_found) in sensors {
+        let outdoors: Sensor = |hour| (hour % 24).min(24 - hour % 24) as f64 / 2.0;
+        let renewed_daily: Sensor = |hour| (hour / 24) as f64;
+        let cellar: Sensor = |_| 12.0;
+        for (celsius, is_found) in [(outdoors, true), (renewed_daily, true), (cellar, false)] {
             let mut thermometer = Thermometer::default();
             let mut read = |hour, celsius| thermometer.read(Some(celsius), later(hour)).disbelief;
             assert!((0..400).all(|hour| read(hour, celsius(hour)).is_none()));

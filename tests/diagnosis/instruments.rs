@@ -231,10 +231,13 @@ fn a_noisy_position_sensor_is_named_and_sends_nobody_to_the_track() {
     }
 }
 
+/// Changes the throw that a logger sends.
+type Logger = fn(Throw) -> Throw;
+
 /// Names of a fault of a sensor or of the supply, its state, the change of the published voltage, and its true size \[%\].
-fn sizes() -> [(&'static str, State, fn(Throw) -> Throw, f64); 14] {
+fn sizes() -> [(&'static str, State, Logger, f64); 14] {
     const SOUND: State = State::SOUND;
-    const SAME: fn(Throw) -> Throw = |throw| throw;
+    const SAME: Logger = |throw| throw;
     [
         ("current 1.08", State { current_gain: 1.08, ..SOUND }, SAME, 8.0),
         ("current 0.85", State { current_gain: 0.85, ..SOUND }, SAME, -15.0),
@@ -327,9 +330,9 @@ fn a_shifted_position_sensor_is_named_and_the_machine_is_judged_as_before() {
 #[test]
 fn a_crooked_position_sensor_is_no_bad_contact_and_a_stuck_one_is_said() {
     let settings = Settings::default();
-    let bow: fn(Throw) -> Throw = |throw| remade(throw, |mm| mm + 2.0 * (mm / 115.0 * std::f64::consts::PI).sin());
-    let steps: fn(Throw) -> Throw = |throw| remade(throw, f64::round);
-    let stuck: fn(Throw) -> Throw = |throw| remade(throw, |_| 57.0);
+    let bow: Logger = |throw| remade(throw, |mm| mm + 2.0 * (mm / 115.0 * std::f64::consts::PI).sin());
+    let steps: Logger = |throw| remade(throw, f64::round);
+    let stuck: Logger = |throw| remade(throw, |_| 57.0);
     for (logger, is_stuck) in [(bow, false), (steps, false), (stuck, true)] {
         for seed in 9_900..9_903 {
             let mut drive = Drive::new(seed, true);
