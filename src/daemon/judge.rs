@@ -47,9 +47,6 @@ pub(super) struct Judge {
 
 impl Judge {
     /// Restores the judge from the database.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub(super) async fn restore(store: Store, config: watch::Receiver<Arc<Config>>) -> Result<Self, StoreError> {
         // Page by page: a snapshot as text needs more memory than the monitor.
         let (mut fleet, mut last) = (Fleet::default(), None);
@@ -64,9 +61,6 @@ impl Judge {
     }
 
     /// Takes over the open alarms that no monitor has; returns the outcomes to store.
-    ///
-    /// # Errors
-    /// When the database cannot be read.
     pub(super) async fn adopt(&mut self) -> Result<Vec<Outcome>, StoreError> {
         let open = self.store.reader().open_alarms(&Selector::default()).await?;
         Ok(self.fleet.adopt(open, clock::now()))
@@ -78,9 +72,6 @@ impl Judge {
     }
 
     /// The next batch to judge; empty if no throw is pending.
-    ///
-    /// # Errors
-    /// When the pending throws cannot be read.
     pub(super) async fn pending(&mut self) -> Result<Vec<StoredThrow>, StoreError> {
         let wait = self.backlog_wait();
         let (throws, is_full) = self.store.reader().to_judge(self.last.as_ref(), BATCH, clock::now(), wait).await?;

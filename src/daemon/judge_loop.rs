@@ -121,9 +121,6 @@ impl JudgeLoop {
     }
 
     /// Runs until `stop`, then judges the throws that are still pending.
-    ///
-    /// # Errors
-    /// When the store is closed.
     pub(super) async fn run(mut self, stop: CancellationToken) -> Result<(), StoreError> {
         // The daemon can work without this list.
         let adopted = self.judge.adopt().await.unwrap_or_else(|error| {

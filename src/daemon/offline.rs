@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     bus::BusError,
-    store::{Selector, Spooled, Store, StoreError},
+    store::{Spooled, Store, StoreError},
     throw::{MachineId, Throw, ThrowRef},
 };
 
@@ -94,8 +94,7 @@ impl Offline {
     /// # Errors
     /// When the database cannot be read.
     pub async fn last_start(&self, machine: &MachineId) -> Result<Option<Timestamp>, StoreError> {
-        let which = Selector { site: machine.site.to_string(), machine: machine.machine.to_string() };
-        let latest = self.store.reader().latest_health(&which).await?;
+        let latest = self.store.reader().latest_health(&machine.into()).await?;
         Ok(latest.iter().map(|health| health.started_at).max())
     }
 

@@ -45,9 +45,6 @@ impl Peers {
     }
 
     /// Follows the tokens of all daemons while the session is open.
-    ///
-    /// # Errors
-    /// When zenoh refuses the subscription.
     pub(super) async fn follow(self: Arc<Self>, session: &Session) -> Result<(), BusError> {
         let on_change = move |key: &str, is_present: bool| {
             if let Some(daemon) = parse_monitor_key(key) {

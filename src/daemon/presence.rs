@@ -17,9 +17,6 @@ use crate::{
 const MOST: usize = 100_000;
 
 /// Keeps `alive` the machines whose loggers have a liveliness token in `key_expression`, while the session is open.
-///
-/// # Errors
-/// When zenoh refuses the subscription.
 pub(super) async fn watch(
     session: &Session,
     key_expression: &str,

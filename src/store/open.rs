@@ -349,11 +349,7 @@ fn migrator() -> Migrator {
 
 /// Versions of the applied migrations.
 async fn applied(connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
-    let exists: bool =
-        sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = '_sqlx_migrations')")
-            .fetch_one(&mut *connection)
-            .await?;
-    if !exists {
+    if !has_table(connection, "_sqlx_migrations").await? {
         return Ok(Vec::new());
     }
     sqlx::query_scalar("SELECT version FROM _sqlx_migrations WHERE success ORDER BY version")
@@ -362,10 +358,15 @@ async fn applied(connection: &mut SqliteConnection) -> sqlx::Result<Vec<i64>> {
 }
 
 async fn stopped_cleanly(connection: &mut SqliteConnection) -> sqlx::Result<bool> {
-    let exists: bool = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = 'shutdown')")
-        .fetch_one(&mut *connection)
-        .await?;
-    Ok(exists && sqlx::query_scalar(sql::CLEAN).fetch_optional(connection).await?.unwrap_or(false))
+    Ok(has_table(connection, "shutdown").await?
+        && sqlx::query_scalar(sql::CLEAN).fetch_optional(connection).await?.unwrap_or(false))
+}
+
+async fn has_table(connection: &mut SqliteConnection, name: &str) -> sqlx::Result<bool> {
+    sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM sqlite_schema WHERE name = ?)")
+        .bind(name)
+        .fetch_one(connection)
+        .await
 }
 
 /// Checks every page for at most `limit`; pages read up to then are correct.

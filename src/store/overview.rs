@@ -83,7 +83,7 @@ impl Reader {
 
     /// The newest `limit` alarm events of a machine, of its newest `limit` alarms, newest first.
     pub(crate) async fn alarm_events_of(&self, machine: &MachineId, limit: u32) -> Result<Vec<Alarm>, StoreError> {
-        Ok(self.external_alarms(about(sql::MACHINE_ALARM_EVENTS, machine).bind(limit)).await?.0)
+        self.external_alarms(about(sql::MACHINE_ALARM_EVENTS, machine).bind(limit)).await
     }
 
     /// A throw of a machine with its health; the health is `None` while the throw is pending. `None` if the throw does

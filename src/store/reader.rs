@@ -153,19 +153,18 @@ impl Reader {
         self.limited(answer).await
     }
 
-    /// Runs an external query for alarms; also returns the number of alarms of a newer version that cannot be read.
+    /// Runs an external query for alarms. Alarms of a newer version that cannot be read are left out.
     pub(super) async fn external_alarms(
         &self,
         query: QueryAs<'_, Sqlite, (String,), SqliteArguments>,
-    ) -> Result<(Vec<Alarm>, usize), StoreError> {
+    ) -> Result<Vec<Alarm>, StoreError> {
         let payloads = self.external(query).await?;
-        let found = payloads.len();
         let alarms: Vec<Alarm> = payloads.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect();
-        let unreadable = found - alarms.len();
+        let unreadable = payloads.len() - alarms.len();
         if unreadable > 0 {
             tracing::warn!(unreadable, "alarms of a newer version left out");
         }
-        Ok((alarms, unreadable))
+        Ok(alarms)
     }
 
     /// Up to `limit` throws to judge next: in order for each machine, the machines in turn, starting after `after`.
@@ -300,7 +299,7 @@ impl Reader {
     /// When the database cannot be read.
     pub async fn open_alarms(&self, which: &Selector) -> Result<Vec<Alarm>, StoreError> {
         let query = sqlx::query_as(sql::OPEN_ALARMS).bind(&which.site).bind(&which.machine);
-        Ok(self.external_alarms(query).await?.0)
+        self.external_alarms(query).await
     }
 
     /// The newest `limit` alarm events since `since`, oldest first.
@@ -316,7 +315,7 @@ impl Reader {
         let of_machine = !which.machine.contains('*');
         let statement = if of_machine { sql::ALARM_HISTORY_OF_MACHINE } else { sql::ALARM_HISTORY };
         let query = sqlx::query_as(statement).bind(&which.site).bind(&which.machine);
-        let (mut alarms, _) = self.external_alarms(query.bind(since.as_microsecond()).bind(limit)).await?;
+        let mut alarms = self.external_alarms(query.bind(since.as_microsecond()).bind(limit)).await?;
         alarms.reverse();
         Ok(alarms)
     }

@@ -77,25 +77,20 @@ macro_rules! export {
     };
 }
 
-macro_rules! estimates {
+/// The columns of the health of throws, with the state after each throw.
+macro_rules! throw_health {
     () => {
-        "FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) \
-         JOIN machine ON machine.machine_row = throw.machine_row"
+        health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift", "NULL", "NULL")
     };
 }
 
-/// Health of throws, with the state after each throw.
+/// Health of throws.
 macro_rules! history {
     () => {
         concat!(
-            health!(
-                "coalesce(estimate.direction, throw.direction)",
-                "estimate.state",
-                "estimate.drift",
-                "NULL",
-                "NULL"
-            ),
-            estimates!()
+            throw_health!(),
+            "FROM estimate JOIN throw USING (throw_row) JOIN boot USING (boot_row) \
+             JOIN machine ON machine.machine_row = throw.machine_row"
         )
     };
 }
@@ -398,7 +393,7 @@ statements! {
         (SELECT min(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS low, \
         (SELECT max(throw_row) FROM estimate WHERE machine_row = ", one_machine!(), " AND direction = ?3) AS high), \
         spot(at) AS (SELECT 0 UNION ALL SELECT at + 1 FROM spot WHERE at < ?4 - 1) \
-        SELECT DISTINCT ", health!("coalesce(estimate.direction, throw.direction)", "estimate.state", "estimate.drift", "NULL", "NULL"), "FROM spot CROSS JOIN span JOIN estimate ON estimate.throw_row = (SELECT min(near.throw_row) FROM estimate AS near \
+        SELECT DISTINCT ", throw_health!(), "FROM spot CROSS JOIN span JOIN estimate ON estimate.throw_row = (SELECT min(near.throw_row) FROM estimate AS near \
         WHERE near.machine_row = ", one_machine!(), " AND near.direction = ?3 \
         AND near.throw_row >= low + (high - low) * at / max(?4 - 1, 1)) \
         JOIN throw USING (throw_row) JOIN boot USING (boot_row) JOIN machine ON machine.machine_row = throw.machine_row \
