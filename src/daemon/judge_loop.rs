@@ -90,7 +90,6 @@ pub(super) struct Links {
     pub(super) give_up: CancellationToken,
 }
 
-/// The judge loop.
 pub(super) struct JudgeLoop {
     judge: Judge,
     links: Links,

@@ -45,7 +45,6 @@ pub(crate) struct DatabaseLock {
     _paths: Vec<PathLock>,
 }
 
-/// The lock of one path.
 #[derive(Debug)]
 struct PathLock {
     file: File,

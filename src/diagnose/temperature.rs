@@ -221,7 +221,6 @@ impl Temperature {
         self.anchor = to;
     }
 
-    /// Number of throws of the anchor.
     fn anchor_throws(&self) -> f64 {
         self.anchor.throws.map_or(self.throws, f64::from)
     }

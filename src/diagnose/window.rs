@@ -114,7 +114,6 @@ pub(super) enum CommonScale {
 /// The mean of a window with its covariance and test.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Window {
-    /// Number of throws.
     pub(super) throws: usize,
     /// Clipped mean of the residuals.
     pub(super) mean: Vector3<f64>,

@@ -17,7 +17,6 @@ use super::{
 const MAINS_HZ: [f64; 3] = [50.0, 60.0, 50.0 / 3.0];
 /// Least number of periods in the quiet samples.
 const LEAST_PERIODS: f64 = 3.0;
-/// Number of periods in a stretch.
 const STRETCH_PERIODS: f64 = 5.0;
 /// Least number of samples in a period; with fewer, aliasing changes the frequency.
 const LEAST_RATE: f64 = 4.0;

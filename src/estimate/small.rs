@@ -26,7 +26,6 @@ pub(super) fn invert<const P: usize>(matrix: &[[f64; P]; P]) -> Option<Inverse<P
     rcond.is_finite().then_some(Inverse { inverse, rcond })
 }
 
-/// Matrix times vector.
 pub(super) fn times<const P: usize>(matrix: &[[f64; P]; P], vector: &[f64; P]) -> [f64; P] {
     std::array::from_fn(|i| matrix[i].iter().zip(vector).map(|(m, v)| m * v).sum())
 }

@@ -27,7 +27,6 @@ const WORN: f64 = 0.15;
 /// A fault of one part.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Fault {
-    /// The part.
     pub(super) part: Cause,
     /// Final change, as a fraction of nominal.
     pub(super) size: f64,
@@ -57,7 +56,6 @@ pub(super) struct Timeline {
     /// Throws of the life.
     pub(super) throws: usize,
     pub(super) climate: Option<Climate>,
-    /// Wet spells.
     pub(super) wet: WetSpells,
     /// Share of ln friction that moves ln b0 and ln a0 too.
     leakage: f64,

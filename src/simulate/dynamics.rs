@@ -38,7 +38,6 @@ pub(super) type State = [f64; STATES];
 
 /// Stiffness of the stock rail where it stops the toe \[N/m\].
 const STOP_STIFFNESS_N_M: f64 = 2e7;
-/// Damping of the stop \[N s/m\].
 const STOP_DAMPING_NS_M: f64 = 1e5;
 
 /// The connections that hold during a step; each combination has its own matrix A.

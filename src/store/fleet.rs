@@ -73,7 +73,6 @@ impl Tally {
         self.states.iter().map(|(_, count)| count).sum()
     }
 
-    /// Number of the machines in a state.
     pub(crate) fn of(&self, state: MachineState) -> u64 {
         self.states.iter().filter(|(of, _)| *of == state).map(|(_, count)| count).sum()
     }
@@ -84,7 +83,6 @@ pub(crate) struct FleetRow {
     /// Name of the machine.
     #[serde(flatten)]
     pub machine: MachineId,
-    /// State of the machine.
     pub state: MachineState,
     /// Active drifts with their present size, the worst first.
     pub drifts: Vec<Drifting>,
@@ -130,9 +128,7 @@ pub(crate) struct CommandRow {
 /// Open alarms of a system-wide cause (not monitored, lost data) at one site.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct CommonAlarm {
-    /// The cause.
     pub cause: Cause,
-    /// The site.
     pub site: String,
     /// One of the machines.
     pub machine: String,
@@ -346,7 +342,6 @@ impl Reader {
         Ok(rows.iter().filter_map(|(payload,)| serde_json::from_str(payload).ok()).collect())
     }
 
-    /// The present state of a machine.
     pub(crate) async fn state_of(&self, machine: &MachineId) -> Result<Present, StoreError> {
         let rows: Vec<Present> = self.external(about(sql::STATE, machine)).await?;
         Ok(rows.into_iter().next().unwrap_or_default())

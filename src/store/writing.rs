@@ -25,7 +25,6 @@ const LOOK: Duration = Duration::from_secs(1);
 /// Instructions of SQLite's virtual machine in one step of a copy: some hundred rows.
 const COPY_STEPS: i32 = 1_000;
 
-/// The writing connection.
 pub(super) struct WritingConnection {
     pub(super) options: SqliteConnectOptions,
     pub(super) connection: Option<SqliteConnection>,

@@ -30,7 +30,6 @@ pub(crate) enum Range {
 }
 
 impl Range {
-    /// Checks the number with this key.
     pub(crate) fn check(self, key: &str, value: f64) -> Result<(), OutOfRange> {
         let is_inside = match self {
             Self::Finite => true,

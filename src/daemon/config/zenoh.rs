@@ -72,7 +72,6 @@ pub(crate) fn overlay(base: &mut Table, over: &Table) {
     }
 }
 
-/// The TLS section.
 fn tls(section: &Table) -> Option<&Table> {
     ["transport", "link", "tls"].iter().try_fold(section, |table, key| table.get(*key).and_then(Value::as_table))
 }

@@ -20,7 +20,6 @@ pub(super) struct Summary {
     schema: &'static str,
     /// Name of the daemon.
     monitor: String,
-    /// Number of events.
     events: usize,
     first_event_at: Timestamp,
     last_event_at: Timestamp,
