@@ -12,22 +12,9 @@ use crate::{
 };
 
 /// Cause of an alarm.
-#[derive(
-    Debug,
-    Clone,
-    Copy,
-    PartialEq,
-    Eq,
-    Hash,
-    PartialOrd,
-    Ord,
-    Serialize,
-    Deserialize,
-    strum::IntoStaticStr,
-    strum::EnumString,
-    strum::VariantArray,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::IntoStaticStr, strum::EnumString, strum::VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Cause {
     /// Torque constant of the motor.
@@ -92,19 +79,24 @@ impl fmt::Display for Cause {
     }
 }
 
-/// The faulty sensor of an alarm with [`Cause::Sensor`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+/// The faulty sensor of an alarm with [`Cause::Sensor`]. `Display` is its name for people.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, strum::Display)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorChannel {
     /// Sensor of the motor current.
+    #[strum(to_string = "current sensor")]
     Current,
     /// Sensor of the toe position.
+    #[strum(to_string = "position sensor")]
     Position,
     /// Clock of the logger, which sets the sampling rate.
+    #[strum(to_string = "logger's clock")]
     Clock,
     /// Sensor of the temperature.
+    #[strum(to_string = "temperature sensor")]
     Temperature,
     /// Of the supply voltage.
+    #[strum(to_string = "sensor of the supply voltage")]
     Supply,
 }
 
@@ -114,19 +106,6 @@ impl From<Channel> for SensorChannel {
             Channel::Current => Self::Current,
             Channel::Position => Self::Position,
         }
-    }
-}
-
-/// Name for people.
-impl fmt::Display for SensorChannel {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Current => "current sensor",
-            Self::Position => "position sensor",
-            Self::Clock => "logger's clock",
-            Self::Temperature => "temperature sensor",
-            Self::Supply => "sensor of the supply voltage",
-        })
     }
 }
 

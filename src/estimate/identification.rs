@@ -7,10 +7,9 @@ use super::{features::Features, rejection::Rejection};
 use crate::throw::Direction;
 
 /// Trust in an estimate.
-#[derive(
-    Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, strum::EnumString, strum::IntoStaticStr,
-)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[derive(strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "snake_case")]
 pub enum Grade {
     /// The model fits the throw; the covariance is that of the sensors' noise.

@@ -1,14 +1,13 @@
 //! The reasons why a throw has no estimate.
 
-use std::fmt;
-
 use serde::{Deserialize, Serialize};
 
 use crate::throw::brief;
 
 /// One of the two channels of a trace.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, strum::Display)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum Channel {
     /// Motor current.
     Current,
@@ -23,15 +22,6 @@ impl Channel {
             Self::Current => "current_a is in A",
             Self::Position => "position_mm is in mm",
         }
-    }
-}
-
-impl fmt::Display for Channel {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Current => "current",
-            Self::Position => "position",
-        })
     }
 }
 
