@@ -103,6 +103,8 @@ const REST_SD: f64 = 4.0;
 /// Least reported shift of the position sensor's zero, as share of the travel: it changes friction by 5 % in one direction and
 /// by -5 % in the other.
 const SHIFT_SHARE: f64 = 0.04;
+/// Least change of an end of the movement that is elsewhere, as share of the travel.
+const END_SHARE: f64 = 0.01;
 /// Least significance of a shift, in standard deviations of a level.
 const SHIFT_SD: f64 = 4.0;
 /// Largest difference of two changes that are the same, as part of them.
@@ -393,7 +395,7 @@ impl Gauges {
             Offset::Position => {
                 let [level, travel] = [Gauge::Middle, Gauge::Travel].map(|gauge| self.level(gauge, throws));
                 let (level, changed, travel_mm) = (level?, travel?.value, self.normal_travel_mm()?);
-                // As in [`Self::shift`].
+                // With another travel an end of the movement is elsewhere, or the gain of the sensor has changed.
                 let is_shift = (travel_mm * changed).abs() < level.value.abs();
                 let least = if is_shift { SHIFT_SHARE * travel_mm } else { f64::INFINITY };
                 (level, least.max(SHIFT_SD * level.sd))
@@ -402,14 +404,17 @@ impl Gauges {
         Some((level, level.value.abs() / least))
     }
 
-    /// Shift of the position sensor's zero in a throw, as part of the normal travel; `None` if it is small, or unknown.
+    /// Shift of the position at the normal end, as part of the travel, if the position sensor was moved or set anew, so that both
+    /// ends read otherwise. An obstruction changes one end. `None` if it is small, or unknown.
     pub(super) fn shift(&self, direction: Direction, features: &Features) -> Option<f64> {
-        let normal = &self.sides[direction.side()];
-        let change = |gauge: Gauge| Some(f64::from(values(features, None)[gauge as usize]? - normal.of(gauge)?.0));
-        let (middle_mm, changed) = (change(Gauge::Middle)?, change(Gauge::Travel)?);
-        let shift = middle_mm / self.normal_travel_mm()?;
-        // With another travel an end of the movement is elsewhere, or the gain of the sensor has changed.
-        (shift.abs() > SHIFT_SHARE.max(changed.abs())).then_some(shift)
+        let (normal, values) = (&self.sides[direction.side()], values(features, None));
+        let [now, before] = [values[Gauge::Middle as usize]?, normal.of(Gauge::Middle)?.0].map(f64::from);
+        let [travel_mm, usual_mm] =
+            [values[Gauge::Travel as usize]?, normal.of(Gauge::Travel)?.0].map(|ln| f64::from(ln).exp());
+        let [middle, half] = [now - before, (travel_mm - usual_mm) / 2.0];
+        let ends = [middle - half, middle + half];
+        let is_other = ends.iter().all(|change_mm| change_mm.abs() > END_SHARE * usual_mm);
+        (is_other && ends[0].abs() > SHIFT_SHARE * usual_mm).then_some(ends[0] / travel_mm)
     }
 
     fn normal_travel_mm(&self) -> Option<f64> {

@@ -251,8 +251,8 @@ impl Evaluated {
         }
     }
 
-    /// The same throw without the effect of a position sensor whose zero is shifted by `shift` times the travel. The spring then
-    /// seems to be stressed by k dx more, which in a steady movement (equation 12 without acceleration) adds a0 dx / v to a1.
+    /// The same throw without the effect of a position sensor that reads the normal end shifted by `shift` times the travel. The
+    /// spring then seems to be stressed by k dx more, which in a steady movement (equation 12 without acceleration) adds a0 dx / v to a1.
     pub(super) fn without_shift(self, shift: f64) -> Self {
         let [b0, a1, a0] = self.log;
         let slower_by = self.direction.sign() * shift * self.duration_s.unwrap_or_default();

@@ -356,3 +356,26 @@ fn remade(throw: Throw, change: impl Fn(f64) -> f64) -> Throw {
     let trace = Trace::new(trace.sample_rate_hz(), trace.current_a().to_vec(), positions).unwrap();
     Throw { trace, ..throw }
 }
+
+/// Its gain names it; its shift alone would look like friction.
+#[test]
+fn a_position_sensor_with_another_gain_and_zero_accuses_no_part() {
+    let settings = Settings::default();
+    for (seed, (position_gain, position_offset_mm)) in
+        (9_900..).zip([(0.5, 30.0), (0.9, 10.0), (1.1, -15.0), (0.97, 8.0)])
+    {
+        for volts in [true, false] {
+            let mut drive = Drive::new(seed, volts);
+            for _ in 0..100 {
+                assert_eq!(drive.feed(State::SOUND, &settings).events, []);
+            }
+            let state = State { position_gain, position_offset_mm, ..State::SOUND };
+            let events: Vec<_> = (0..100).flat_map(|_| drive.feed(state, &settings).events).collect();
+            let named =
+                |event: &AlarmEvent| (event.cause, event.channel) == (Cause::Sensor, Some(SensorChannel::Position));
+            assert!(!events.is_empty() && events.iter().all(named), "{position_gain}, {volts}: {events:#?}");
+            let [friction_pct] = drive.feed(state, &settings).change_pct.map(|pct| [pct[1]]).unwrap();
+            assert!(friction_pct.abs() < 12.0, "{position_gain}, {volts}: {friction_pct}");
+        }
+    }
+}
