@@ -386,7 +386,7 @@ impl Gauges {
     }
 
     /// The same over the last `throws`.
-    pub(super) fn offset_in(&self, sensor: Offset, throws: usize) -> Option<(Level, f64)> {
+    fn offset_in(&self, sensor: Offset, throws: usize) -> Option<(Level, f64)> {
         let (level, least) = match sensor {
             Offset::Current => {
                 let level = self.level(Gauge::Rest, throws)?;
