@@ -34,9 +34,9 @@ const TOLERANCE: f64 = 1e-4;
 const LEAD_IN: usize = 2;
 /// Least number of samples in the rise of an unfiltered current.
 const MIN_RISE_SAMPLES: usize = 4;
-/// Longest interval of an unfiltered current whose rise is not resolved: the movement shows the ratios. At 250 Hz they agree with
-/// those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains (100 Hz and its multiples)
-/// becomes a constant current.
+/// Longest interval of an unfiltered current whose rise is not resolved: the movement shows the ratios. At 250 Hz they agree
+/// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains (100 Hz
+/// and its multiples) becomes a constant current.
 const LONGEST_INTERVAL_S: f64 = 0.004 * (1.0 + 1e-3);
 /// Largest departure of a movement with usable ratios, as share of the travel: unlocking 0.5 s after the start of the
 /// motor causes 4.5 %.
