@@ -76,8 +76,8 @@ pub(crate) fn only_features(name: &str) -> String {
 /// Text for a machine without a change of its inertia; `of_baseline`: its baseline has only ratios, whatever its last throws
 /// have.
 pub(crate) fn ratios_only(name: &str, of_baseline: bool) -> String {
-    let reasons =
-        "a load that varies along the stroke, play, a brake that releases late, a position behind the current";
+    let reasons = "a load that varies along the stroke, play, a brake that releases late, a position behind the current, or a \
+                   sampling rate below 500 Hz";
     let (what, advice) = if of_baseline {
         let what = "its baseline has only the ratios of the coefficients, as throws in it were rough";
         (
