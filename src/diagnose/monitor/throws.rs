@@ -176,8 +176,10 @@ impl MachineMonitor {
         let features = (&observation.features, observation.temperature_c);
         let found = self.features.on_features(direction, features, gauges, context);
         verdict.events.extend(found.apply(Rule::Features, &mut self.alarms, context));
-        let is_of_features = observation.features_only || observation.is_too_slow();
-        let has_features = !self.has_position && is_of_features && observation.features.running_current_a.is_some();
+        // A slow recording may give an estimate by chance.
+        let is_of_features =
+            observation.features_only && !self.has_position || observation.is_too_slow() && !self.tracks.any_baseline();
+        let has_features = is_of_features && observation.features.running_current_a.is_some();
         self.alarms.owned_by(Rule::Features).is_some() || has_features
     }
 
