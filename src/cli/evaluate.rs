@@ -19,8 +19,9 @@ use crate::{
 /// Scores the diagnosis on simulated fleets: false alarms on healthy machines; for every cause, shape, size and noise
 /// the share named right, and the delay in throws. Scores the paper's rule and a CUSUM on the same throws too.
 ///
-/// The same seed gives the same report, on any computer and with any number of threads. In a release build a full run takes
-/// more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not met, each named on stderr.
+/// The same seed gives the same report, on any computer and with any number of threads. In a release build a full run
+/// takes more than half an hour on two cores, `--quick` some minutes. Exit codes: 0 all goals met; 1 some goals not met,
+/// each named on stderr.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  pointsd evaluate --quick\n  pointsd evaluate --seed 7 --out delays.svg\n  pointsd \

@@ -15,8 +15,8 @@ use super::{
 };
 use crate::{estimate::Features, throw::Direction};
 
-/// The watched features, with the change that matters as a logarithm; `critical_factor` times it is critical. The running current of a healthy machine follows
-/// the weather by some percent; the duration and the travel hardly change.
+/// The watched features, with the change that matters as a logarithm; `critical_factor` times it is critical. The running
+/// current of a healthy machine follows the weather by some percent; the duration and the travel hardly change.
 const WATCHED: [(Gauge, f64); 4] =
     [(Gauge::Duration, 0.08), (Gauge::Running, 0.15), (Gauge::Charge, 0.15), (Gauge::Travel, 0.03)];
 /// Throws of a direction in a level.

@@ -385,7 +385,9 @@ impl Operation {
         if let Some(disbelief) = disbelief.filter(|_| self.disbelieved >= DISBELIEVED_IN_A_ROW) {
             let channel = match disbelief {
                 Disbelief::Supply(_) => SensorChannel::Supply,
-                _ => SensorChannel::Temperature,
+                Disbelief::Impossible(_) | Disbelief::Jump(..) | Disbelief::Missing(_) | Disbelief::Stuck(..) => {
+                    SensorChannel::Temperature
+                }
             };
             let evidence = context.warning(text::sensor_implausible(name, disbelief));
             let is_new = self.disbelieved == DISBELIEVED_IN_A_ROW;

@@ -205,3 +205,14 @@ impl Drive {
         (Trace::new(self.rate_hz, recorded_a, recorded_mm).unwrap(), volts)
     }
 }
+
+/// The throw with another rate, current and position.
+pub(crate) fn with_trace(
+    throw: Throw,
+    change: impl FnOnce(f64, Vec<f64>, Vec<f64>) -> (f64, Vec<f64>, Vec<f64>),
+) -> Throw {
+    let rate_hz = throw.trace.sample_rate_hz();
+    let (current, position) = (throw.trace.current_a().to_vec(), throw.trace.position_mm().to_vec());
+    let (rate_hz, current, position) = change(rate_hz, current, position);
+    Throw { trace: Trace::new(rate_hz, current, position).unwrap(), ..throw }
+}

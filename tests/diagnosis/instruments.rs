@@ -3,10 +3,10 @@
 
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, Cause, MachineMonitor, MachineState, SensorChannel, Settings},
-    throw::{Throw, Trace},
+    throw::Throw,
 };
 
-use crate::drive::{Drive, State};
+use crate::drive::{Drive, State, with_trace};
 
 /// Expected alarms of a life.
 #[derive(Debug, Clone, Copy)]
@@ -326,13 +326,17 @@ fn a_shifted_position_sensor_is_named_and_the_machine_is_judged_as_before() {
     }
 }
 
+fn with_positions(throw: Throw, change: impl Fn(f64) -> f64) -> Throw {
+    with_trace(throw, |rate, current, position| (rate, current, position.into_iter().map(change).collect()))
+}
+
 /// A bow of the position sensor looks like another resistance; the inrush does not follow.
 #[test]
 fn a_crooked_position_sensor_is_no_bad_contact_and_a_stuck_one_is_said() {
     let settings = Settings::default();
-    let bow: Logger = |throw| remade(throw, |mm| mm + 2.0 * (mm / 115.0 * std::f64::consts::PI).sin());
-    let steps: Logger = |throw| remade(throw, f64::round);
-    let stuck: Logger = |throw| remade(throw, |_| 57.0);
+    let bow: Logger = |throw| with_positions(throw, |mm| mm + 2.0 * (mm / 115.0 * std::f64::consts::PI).sin());
+    let steps: Logger = |throw| with_positions(throw, f64::round);
+    let stuck: Logger = |throw| with_positions(throw, |_| 57.0);
     for (logger, is_stuck) in [(bow, false), (steps, false), (stuck, true)] {
         for seed in 9_900..9_903 {
             let mut drive = Drive::new(seed, true);
@@ -347,14 +351,6 @@ fn a_crooked_position_sensor_is_no_bad_contact_and_a_stuck_one_is_said() {
             assert!(incomplete.iter().all(|event| event.text.contains("may be stuck")), "{incomplete:#?}");
         }
     }
-}
-
-/// The throw with other positions.
-fn remade(throw: Throw, change: impl Fn(f64) -> f64) -> Throw {
-    let trace = &throw.trace;
-    let positions = trace.position_mm().iter().copied().map(change).collect();
-    let trace = Trace::new(trace.sample_rate_hz(), trace.current_a().to_vec(), positions).unwrap();
-    Throw { trace, ..throw }
 }
 
 /// Its gain names it; its shift alone would look like friction.

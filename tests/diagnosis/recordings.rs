@@ -2,17 +2,10 @@
 
 use pointsd::{
     diagnose::{AlarmEvent, Cause, MachineState, SensorChannel, Settings},
-    throw::{Direction, Throw, Trace},
+    throw::{Direction, Throw},
 };
 
-use crate::drive::{Drive, State};
-
-fn with_trace(throw: Throw, change: impl FnOnce(f64, Vec<f64>, Vec<f64>) -> (f64, Vec<f64>, Vec<f64>)) -> Throw {
-    let rate_hz = throw.trace.sample_rate_hz();
-    let (current, position) = (throw.trace.current_a().to_vec(), throw.trace.position_mm().to_vec());
-    let (rate_hz, current, position) = change(rate_hz, current, position);
-    Throw { trace: Trace::new(rate_hz, current, position).unwrap(), ..throw }
-}
+use crate::drive::{Drive, State, with_trace};
 
 /// The machine is sound in all of these throws.
 #[test]

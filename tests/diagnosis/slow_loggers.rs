@@ -2,19 +2,16 @@
 
 use pointsd::{
     diagnose::{AlarmEvent, Cause, MachineState, Settings},
-    throw::{Throw, Trace},
+    throw::Throw,
 };
 
-use crate::drive::{Drive, State};
+use crate::drive::{Drive, State, with_trace};
 
 /// Each `FACTOR`-th sample of a throw, beginning with another one in each throw.
 fn slower<const FACTOR: usize>(throw: Throw) -> Throw {
-    let trace = &throw.trace;
     let first = usize::try_from(7 * throw.id.throw_no).unwrap() % FACTOR;
-    let of = |values: &[f64]| values.iter().skip(first).step_by(FACTOR).copied().collect();
-    let rate_hz = trace.sample_rate_hz() / FACTOR as f64;
-    let trace = Trace::new(rate_hz, of(trace.current_a()), of(trace.position_mm())).unwrap();
-    Throw { trace, ..throw }
+    let of = |values: Vec<f64>| values.into_iter().skip(first).step_by(FACTOR).collect();
+    with_trace(throw, |rate, current, position| (rate / FACTOR as f64, of(current), of(position)))
 }
 
 /// ln(a1/b0) and ln(a0/b0) of a throw with their standard deviations.
