@@ -119,6 +119,9 @@ const SHORTER_SD: f64 = 3.0;
 /// correlation of 0.5.
 const CORRELATED: f64 = 1.7;
 
+/// Mean distance of two normal variables in standard deviations: 2/√π.
+const RANGE_PER_SD: f64 = 1.128;
+
 /// Logarithms of a throw; `None` for unknown ones.
 type Values = [Option<f32>; Gauge::COUNT];
 
@@ -303,6 +306,19 @@ impl Gauges {
     /// Level of a gauge over the last `throws` that show it: their mean, or in the shortest window their median; `None` if
     /// hardly any do, or its normal value is unknown.
     pub(super) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
+        self.level_and_departures(gauge, throws).map(|(level, _)| level)
+    }
+
+    /// The same, with the scatter of these throws if it is larger than normal, as behind a sensor that has become noisy. It is
+    /// their mean moving range, which a step in the level hardly changes.
+    pub(super) fn scattered_level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
+        let (level, departures) = self.level_and_departures(gauge, throws)?;
+        let ranges: f64 = departures.array_windows().map(|[a, b]| (b - a).abs()).sum();
+        let sd = ranges / (departures.len() - 1).max(1) as f64 / RANGE_PER_SD;
+        Some(Level { sd: level.sd.max(sd_of_mean(gauge, sd, departures.len() as f64)), ..level })
+    }
+
+    fn level_and_departures(&self, gauge: Gauge, throws: usize) -> Option<(Level, Vec<f64>)> {
         let departures: Vec<(f64, f64)> = self
             .recent
             .iter()
@@ -322,7 +338,7 @@ impl Gauges {
         let sd = sd_of_mean(gauge, mean(&sds), values.len() as f64);
         // The median has the whole size of a change as soon as most of the throws show it.
         let value = if throws == WINDOWS[0] { median(&mut values) } else { mean(&values) };
-        Some(Level { value, sd })
+        Some((Level { value, sd }, values))
     }
 
     /// Error of the published supply voltage. Resistance and back-EMF constant are computed from it and have the same error,

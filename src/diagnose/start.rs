@@ -48,7 +48,7 @@ pub(super) struct Change {
 impl Change {
     /// `None` if a gauge or its normal value is unknown.
     fn of(gauges: &Gauges) -> Option<Self> {
-        let level = |gauge| gauges.level(gauge, WINDOWS[2]);
+        let level = |gauge| gauges.scattered_level(gauge, WINDOWS[2]);
         let (delay, gain) = (level(Gauge::StartDelay)?, level(Gauge::StartGain)?);
         Some(Self { delay, gain, running: level(Gauge::Running)? })
     }

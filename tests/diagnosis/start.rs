@@ -76,6 +76,18 @@ fn a_fault_of_a_running_part_is_no_changed_start() {
     }
 }
 
+/// Noise of 0.5 mm scatters the delay by 5 to 15 ms, around another mean.
+#[test]
+fn a_noisy_position_sensor_is_no_changed_start() {
+    let settings = Settings::default();
+    for (seed, position_noise_mm) in (40..46).zip([0.3, 0.4, 0.5].into_iter().cycle()) {
+        let mut drive = learned(seed, &settings);
+        let noisy = State { position_noise_mm, ..State::SOUND };
+        let events: Vec<_> = (0..60).flat_map(|_| drive.feed(noisy, &settings).events).collect();
+        assert_eq!(events, [], "{position_noise_mm} mm, seed {seed}");
+    }
+}
+
 /// The brake of a healthy machine is late by a time that scatters, and its friction follows the weather.
 #[test]
 fn a_start_that_always_scatters_is_normal() {

@@ -214,6 +214,8 @@ impl Config {
     /// # Errors
     /// The first error, with file, line and key.
     pub fn from_document(document: &Document) -> Result<Self, ConfigError> {
+        // First, as it explains what the type of zenoh does not.
+        section(document)?;
         let config: Self = document.deserialize()?;
         check_ranges(&config, document)?;
         check_peers(&config.monitor, document)?;
@@ -337,7 +339,9 @@ struct ZenohSection {
 }
 
 fn section(document: &Document) -> Result<Option<toml::Table>, ConfigError> {
-    Ok(document.deserialize::<ZenohSection>()?.zenoh)
+    let section = document.deserialize::<ZenohSection>()?.zenoh;
+    section.iter().try_for_each(|section| zenoh::check_sides(section, document))?;
+    Ok(section)
 }
 
 fn checked_session(kind: &str, document: &Document) -> Result<::zenoh::Config, ConfigError> {

@@ -104,6 +104,7 @@ fn an_error_names_line_and_key() {
         ("[webhook]\nca_file = \"/no/such/file\"", "pointsd.toml:2: webhook.ca_file: /no/such/file cannot be read"),
         ("[zenoh]\nmode = \"rooter\"", "pointsd.toml:2: zenoh.mode: "),
         ("[zenoh]\nlisten.endpoint = []", "pointsd.toml:2: zenoh.listen.endpoint: unknown field"),
+        ("[zenoh]\nlisten = [\"tcp/[::]:7447\"]", "pointsd.toml:2: zenoh.listen: is a table: write listen.endpoints"),
         ("[zenoh]\nlisten.endpoints = [\"7447\"]", "pointsd.toml:2: zenoh.listen.endpoints"),
         (
             "[zenoh]\nlisten.endpoints = [\"tcp/127.0.0.1:7447\",\n \"tcp/127.0.0.1:99999\"]",

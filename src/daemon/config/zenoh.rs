@@ -92,6 +92,15 @@ pub(super) fn check(section: &Table, document: &Document) -> Result<(), ConfigEr
     check_endpoints(section, document).and_then(|()| check_access(section, document))
 }
 
+/// Refuses endpoints in the place of their table, of which zenoh says only that it expected an integer.
+pub(super) fn check_sides(section: &Table, document: &Document) -> Result<(), ConfigError> {
+    let is_wrong = |side: &&str| section.get(*side).is_some_and(|value| !value.is_table());
+    ["listen", "connect"].into_iter().find(is_wrong).map_or(Ok(()), |side| {
+        let problem = format!("is a table: write {side}.endpoints = [\"tcp/HOST:7447\"]");
+        Err(document.complain(&format!("zenoh.{side}"), problem))
+    })
+}
+
 /// Checks the endpoints, with which zenoh would fail only at the start.
 fn check_endpoints(section: &Table, document: &Document) -> Result<(), ConfigError> {
     let has =
