@@ -111,8 +111,8 @@ impl Fleet {
             let monitor = self.monitor(&machine);
             let is_own = |own: &AlarmEvent| own.cause == event.cause && own.raised_at == event.raised_at;
             if !monitor.open_alarms().iter().any(is_own) {
-                let event = monitor.adopt(event, now);
-                outcomes.push(outcome(&machine, Some(monitor), now, vec![event]));
+                let events = monitor.adopt(event, now);
+                outcomes.push(outcome(&machine, Some(monitor), now, events));
             }
         }
         outcomes
