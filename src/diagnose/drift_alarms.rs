@@ -56,6 +56,7 @@ pub(super) struct Onset {
 
 /// State of the drift alarms between throws.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(super) struct DriftAlarms {
     pub(super) history: History,
     pub(super) onset: Option<Onset>,
@@ -63,22 +64,16 @@ pub(super) struct DriftAlarms {
     /// The drifts with an active alarm, with their present size; named parts first, then the most severe.
     pub(super) now: Vec<Drifting>,
     /// Throws since the last one that was judged.
-    #[serde(default)]
     pub(super) unjudged: u32,
-    #[serde(default)]
     pub(super) intermittent: Intermittent,
     /// Time and number of the first throw of a fall of friction that lasts.
-    #[serde(default)]
     pub(super) fallen: Option<(Timestamp, u64)>,
     /// A slow change of the friction \[%\] that raises no alarm, as it may be the season's.
-    #[serde(default)]
     pub(super) season_pct: Option<f64>,
     /// The part of the last departure (ln b0, ln a1, ln a0) that the other machines of the site have too, and which is
     /// subtracted.
-    #[serde(default)]
     pub(super) shared: [f32; 3],
     /// Consecutive throws in which a drift was known to be in one direction only, by cause.
-    #[serde(default)]
     pub(super) one_sided: [u8; 5],
 }
 

@@ -61,33 +61,30 @@ const LINGERS: u32 = 48;
 
 /// Numbers of consecutive throws for an alarm and for its end, and whether it ended recently.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 struct Streaks {
     named: u32,
     over: u32,
     /// Throws since the fault was last seen.
-    #[serde(default)]
     unseen: u32,
     lingers: bool,
 }
 
 /// Gauges of a machine, and the alarms about its sensors and supply.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(super) struct Instruments {
     pub(super) gauges: Gauges,
     /// The sensor that explains the drift of the last throw.
     channel: Option<SensorChannel>,
     /// Its size.
-    #[serde(default)]
     size: f64,
     sensor: Streaks,
     supply: Streaks,
-    #[serde(default)]
     circuit: Streaks,
     /// Of an offset of the current sensor.
-    #[serde(default)]
     rest: Streaks,
     /// Of an offset of the position sensor.
-    #[serde(default)]
     shift: Streaks,
 }
 

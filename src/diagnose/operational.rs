@@ -67,7 +67,6 @@ enum Logger {
         /// Whether this has raised an alarm.
         alarmed: bool,
         /// Time of the loss.
-        #[serde(default)]
         since: Option<Timestamp>,
     },
 }
@@ -75,6 +74,7 @@ enum Logger {
 /// Consecutive throws of one direction: points move to and fro, so a trouble of one direction never has consecutive
 /// throws of the machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 struct Streaks {
     incomplete: u32,
     slow: u32,
@@ -83,70 +83,58 @@ struct Streaks {
     /// Throws at a temperature that hides faults at their warning limit.
     blind: u32,
     /// The last 32 throws as bits: 1 if it was not evaluated.
-    #[serde(default)]
     lost: u32,
     /// Code of the reason for the last rejection.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     rejected: Option<String>,
 }
 
 /// Counters of the operational alarms; those without a unit count consecutive throws of the machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(super) struct Operation {
-    #[serde(default)]
     sides: [Streaks; 2],
     incomplete: u32,
     complete: u32,
     fast_enough: u32,
     unevaluated: u32,
-    #[serde(default)]
     blind: u32,
     /// Throws whose movement contradicts the direction that the logger names, and those whose movement does not.
-    #[serde(default)]
     contradicted: u32,
-    #[serde(default)]
     agreed: u32,
     /// Whether the first throws contradicted the direction, so that this is usual; `None` until it is known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     usually_contradicted: Option<bool>,
     /// Position at the end of the last throw \[mm\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     ended_mm: Option<f32>,
     /// The sentence about the unused fields of the last throw, and the number of throws with any.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     unused_fields: Option<(String, u32)>,
     /// Travel and configured stroke of the last throw that ended before it \[mm\], and the number of such throws.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     short: Option<([f64; 2], u32)>,
     /// Throws of which only the features of the current are known.
-    #[serde(default)]
     without_coefficients: u32,
     /// Throws with a rejected, and with an accepted temperature.
-    #[serde(default)]
     disbelieved: u32,
-    #[serde(default)]
     believed: u32,
     /// The sensor with unusable values, its throws among the last eight as bits, and throws without such values.
-    #[serde(default)]
     unusable: Option<(SensorChannel, u8)>,
-    #[serde(default)]
     usable: u32,
     /// Throws without a gap or another irregularity, received since the last one was known.
     since_gap: u32,
     /// Time from which it is known \[s since 1970\]. Throws received earlier may stand before the gap.
-    #[serde(default)]
     gap_at_s: u32,
     /// Throws in gaps, since the alarm was raised.
     lost: u64,
     /// Of these, throws whose messages were refused.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "is_zero")]
     refused: u64,
     silence_s: f64,
     ticked_at: Option<Timestamp>,
-    #[serde(default)]
     logger: Logger,
     /// Time without problems of the daemon \[s\].
-    #[serde(default)]
     calm_s: f64,
 }
 

@@ -33,10 +33,9 @@ use super::{
 use crate::throw::{Direction, MachineId, ThrowRef};
 
 /// The monitor of a machine: baselines, last throws, alarms. The snapshot is complete, so a restart changes nothing.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct MachineMonitor {
-    /// Version of the snapshot.
-    version: u32,
+    version: Version,
     name: String,
     /// Number of observed throws.
     order: u64,
@@ -60,48 +59,34 @@ pub struct MachineMonitor {
     #[serde(default)]
     trail: Trail,
     /// Blindness at the last evaluated throw.
-    #[serde(default)]
     blind: Option<Blindness>,
     maintenance: Option<Box<Maintenance>>,
     /// Whether an estimate with a toe position was observed since the last rebaseline.
     #[serde(default)]
     has_position: bool,
     /// Parameters of the last identified throw.
-    #[serde(default)]
     parameters: Option<Parameters>,
     /// The stored snapshot that this program could not read.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     unread: Option<String>,
 }
 
-impl MachineMonitor {
-    /// Version of written snapshots.
-    const VERSION: u32 = 2;
+/// Version of a snapshot; the default is that of written ones.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+struct Version(u32);
 
+impl Default for Version {
+    fn default() -> Self {
+        Self(2)
+    }
+}
+
+impl MachineMonitor {
     /// A monitor without throws; `name` is the name of the machine in texts.
     #[must_use]
     pub fn new(name: &str) -> Self {
-        Self {
-            version: Self::VERSION,
-            name: name.to_owned(),
-            order: 0,
-            tracks: Tracks::default(),
-            drift: DriftAlarms::default(),
-            alarms: Alarms::default(),
-            operation: Operation::default(),
-            thermometer: Thermometer::default(),
-            clock: LoggerClock::default(),
-            boots: Boots::default(),
-            instruments: Instruments::default(),
-            features: FeatureWatch::default(),
-            start: StartWatch::default(),
-            trail: Trail::default(),
-            blind: None,
-            maintenance: None,
-            has_position: false,
-            parameters: None,
-            unread: None,
-        }
+        Self { name: name.to_owned(), ..Self::default() }
     }
 
     /// A monitor in the place of one whose snapshot cannot be read, as after a return to an earlier version of the
@@ -126,7 +111,7 @@ impl MachineMonitor {
         let stamp: Stamp = serde_json::from_str(json)?;
         match stamp.version {
             None => serde_json::from_str::<VersionOne>(json).map(Self::from),
-            Some(Self::VERSION) => {
+            Some(version) if Version(version) == Version::default() => {
                 let mut monitor: Self = serde_json::from_str(json)?;
                 stamp.give_owners(&mut monitor.alarms);
                 let replaced = monitor.unread.as_ref().and_then(|unread| Self::from_snapshot(unread).ok());

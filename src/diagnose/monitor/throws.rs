@@ -87,11 +87,9 @@ impl MachineMonitor {
             // A machine with a current sensor only learns its features.
             (!self.tracks.any_baseline()).then(|| self.instruments.gauges.progress(direction))
         });
-        verdict.state = self.state();
-        verdict.drifts = self.drifts();
+        verdict.present = self.present();
         verdict.blind = self.blind;
         verdict.has_trend = self.tracks.trend().is_some();
-        verdict.caveats = self.caveats();
         verdict
     }
 
