@@ -250,40 +250,6 @@ pub struct AlarmEvent {
     pub why: Option<String>,
 }
 
-impl AlarmEvent {
-    /// The draft of an event at `at`, with the evidence of a rule. [`Alarms`](super::alarm::Alarms) sets number, raise and state.
-    pub(super) fn draft(
-        cause: Cause,
-        severity: Severity,
-        throw: Option<&ThrowRef>,
-        text: String,
-        at: Timestamp,
-    ) -> Self {
-        Self {
-            cause,
-            raised_at: at,
-            event_no: 0,
-            severity,
-            state: AlarmState::Normal,
-            event_at: at,
-            change_pct: None,
-            change_pct_sd: None,
-            direction: None,
-            channel: None,
-            runner_up: None,
-            correlation: None,
-            first_throw: throw.cloned(),
-            last_throw: throw.cloned(),
-            text,
-            text_at: None,
-            acknowledged_by: None,
-            limit_in_throws: None,
-            by: None,
-            why: None,
-        }
-    }
-}
-
 /// JSON of a throw in the evidence: its number, and its boot, which is not published.
 macro_rules! evidence_throw {
     ($name:ident, $throw_no:literal, $boot_id:literal) => {

@@ -4,7 +4,7 @@ use jiff::Timestamp;
 
 use super::{
     alarm::Alarms,
-    event::{AlarmEvent, Cause, Severity},
+    event::{AlarmEvent, AlarmState, Cause, Severity},
     rule::Rule,
     settings::Settings,
 };
@@ -21,9 +21,30 @@ pub(super) struct Step<'a> {
 }
 
 impl Step<'_> {
-    /// The draft of an event, with the throw as evidence.
+    /// The draft of an event, with the throw as evidence. [`Alarms`] sets its number, raise and state.
     pub(super) fn event(&self, cause: Cause, severity: Severity, text: String) -> AlarmEvent {
-        AlarmEvent::draft(cause, severity, self.throw, text, self.at)
+        AlarmEvent {
+            cause,
+            raised_at: self.at,
+            event_no: 0,
+            severity,
+            state: AlarmState::Normal,
+            event_at: self.at,
+            change_pct: None,
+            change_pct_sd: None,
+            direction: None,
+            channel: None,
+            runner_up: None,
+            correlation: None,
+            first_throw: self.throw.cloned(),
+            last_throw: self.throw.cloned(),
+            text,
+            text_at: None,
+            acknowledged_by: None,
+            limit_in_throws: None,
+            by: None,
+            why: None,
+        }
     }
 
     pub(super) fn warning(&self, cause: Cause, text: String) -> AlarmEvent {

@@ -14,7 +14,7 @@ use super::{
         step::Step,
         text,
     },
-    MachineMonitor, is_drift, to_micros,
+    MachineMonitor, to_micros,
 };
 use crate::throw::ThrowRef;
 
@@ -25,9 +25,7 @@ impl MachineMonitor {
     /// Applies the presence of the logger's token. A logger that never declared one raises no alarm. Call it before
     /// each [`Self::tick`].
     pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
-        let (operation, mut step) = self.parts(now, None, settings);
-        operation.on_liveliness(there, &mut step);
-        self.alarms.take_events().pop()
+        self.step(now, None, settings, |operation, step| operation.on_liveliness(there, step)).pop()
     }
 
     /// Whether the logger ever declared a token.
@@ -44,9 +42,7 @@ impl MachineMonitor {
 
     /// Applies missing throws.
     pub fn gap(&mut self, missing: Missing, at: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
-        let (operation, mut step) = self.parts(at, None, settings);
-        operation.on_gap(missing, &mut step);
-        self.alarms.take_events()
+        self.step(at, None, settings, |operation, step| operation.on_gap(missing, step))
     }
 
     /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the diagnosis,
@@ -79,9 +75,7 @@ impl MachineMonitor {
         if self.maintenance.is_some() {
             return None;
         }
-        let (operation, mut step) = self.parts(at, throw, settings);
-        operation.on_irregularity(irregularity, &mut step);
-        self.alarms.take_events().pop()
+        self.step(at, throw, settings, |operation, step| operation.on_irregularity(irregularity, step)).pop()
     }
 
     /// Applies the boot of a throw, dated `at` by [`Self::date`], before its observation. Returns a sentence if two loggers
@@ -108,15 +102,15 @@ impl MachineMonitor {
         };
         let command = if had_two { None } else { self.forget_since(since, at, settings) };
         let sentence = self.two_loggers();
-        if let Some(text) = sentence.clone().filter(|_| self.maintenance.is_none()) {
-            let (_, mut step) = self.parts(at, Some(throw), settings);
-            let is_raised = step.raise(step.warning(Cause::NotMonitored, text.clone()));
+        let text = sentence.clone().filter(|_| self.maintenance.is_none());
+        let events = self.step(at, Some(throw), settings, |_, step| {
+            let Some(text) = text else { return };
             // An alarm that is active for another reason gets this one too.
-            if !had_two && !is_raised {
+            if !step.raise(step.warning(Cause::NotMonitored, text.clone())) && !had_two {
                 step.remark(Cause::NotMonitored, text);
             }
-        }
-        (sentence, command, self.alarms.take_events())
+        });
+        (sentence, command, events)
     }
 
     /// The sentence about two loggers that publish as this machine.
@@ -134,8 +128,9 @@ impl MachineMonitor {
             return Some(Command::Rebaseline { by: by.to_owned(), why: why.to_owned() });
         }
         self.forget_recent(now);
-        let is_of_two =
-            |event: &AlarmEvent| event.raised_at >= since && (is_drift(event) || event.cause == Cause::SlowThrow);
+        let is_of_two = |event: &AlarmEvent| {
+            event.raised_at >= since && (event.cause.is_drift() || event.cause == Cause::SlowThrow)
+        };
         self.clear_all(is_of_two, &text::checked_anew(&self.name), now);
         None
     }

@@ -124,15 +124,17 @@ impl MachineMonitor {
         }
     }
 
-    /// The operational counters, and a step.
-    fn parts<'a>(
-        &'a mut self,
+    /// Runs a rule with the operational counters; returns the new events.
+    fn step(
+        &mut self,
         at: Timestamp,
-        throw: Option<&'a ThrowRef>,
-        settings: &'a Settings,
-    ) -> (&'a mut Operation, Step<'a>) {
+        throw: Option<&ThrowRef>,
+        settings: &Settings,
+        rule: impl FnOnce(&mut Operation, &mut Step),
+    ) -> Vec<AlarmEvent> {
         let Self { operation, alarms, name, .. } = self;
-        (operation, Step { alarms, name, at: to_micros(at), throw, settings })
+        rule(operation, &mut Step { alarms, name, at: to_micros(at), throw, settings });
+        self.alarms.take_events()
     }
 
     /// Advances the time: ends shelvings and maintenance windows, detects silence. Call it at least once a minute.
@@ -148,9 +150,7 @@ impl MachineMonitor {
         }
         // Silence counts only after a first throw.
         let in_service = self.maintenance.is_none() && self.order > 0;
-        let (operation, mut step) = self.parts(now, None, settings);
-        operation.on_tick(in_service, &mut step);
-        self.alarms.take_events()
+        self.step(now, None, settings, |operation, step| operation.on_tick(in_service, step))
     }
 
     /// Whether the machine has a departure from a baseline, which [`Self::common`] needs.
@@ -167,8 +167,7 @@ impl MachineMonitor {
 
     /// Applies the common change of a site to the monitor for all its machines.
     pub fn follow_site(&mut self, common: &Common, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
-        site::judge(common, &mut self.parts(now, None, settings).1);
-        self.alarms.take_events()
+        self.step(now, None, settings, |_, step| site::judge(common, step))
     }
 
     /// Takes over an open alarm that no monitor has, as after the loss of a snapshot: an operator can acknowledge it.
@@ -186,16 +185,13 @@ impl MachineMonitor {
         now: Timestamp,
         settings: &Settings,
     ) -> Option<AlarmEvent> {
-        let (operation, mut step) = self.parts(now, None, settings);
-        operation.on_daemon_trouble(trouble, &mut step);
-        self.alarms.take_events().pop()
+        self.step(now, None, settings, |operation, step| operation.on_daemon_trouble(trouble, step)).pop()
     }
 
     /// Updates the alarm about watched daemons that are away. Only the monitor of the daemon itself has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
         let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
-        operational::on_peers(text, &mut self.parts(now, None, settings).1);
-        self.alarms.take_events().pop()
+        self.step(now, None, settings, |_, step| operational::on_peers(text, step)).pop()
     }
 
     /// Ends the alarms under a former name of the daemon, which has the name `to` now.
@@ -275,7 +271,7 @@ impl MachineMonitor {
         self.blind = None;
         self.unread = None;
         let drifts: Vec<Cause> =
-            self.alarms.events().filter(|event| is_drift(event)).map(|event| event.cause).collect();
+            self.alarms.events().filter(|event| event.cause.is_drift()).map(|event| event.cause).collect();
         for cause in drifts {
             self.alarms.close(cause, text::rebaselined(&self.name, by, why), actor, now);
         }
@@ -409,10 +405,6 @@ impl From<VersionOne> for MachineMonitor {
             ..Self::new(&old.name)
         }
     }
-}
-
-fn is_drift(event: &AlarmEvent) -> bool {
-    event.cause.is_drift()
 }
 
 /// Rounds to microseconds as in the database, so that the identity of an alarm does not change there.

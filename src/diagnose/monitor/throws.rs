@@ -23,7 +23,7 @@ use super::{
         thermometer::Disbelief,
         verdict::Verdict,
     },
-    MachineMonitor, is_drift, to_micros,
+    MachineMonitor, to_micros,
 };
 use crate::{estimate::Features, throw::POSSIBLE_SUPPLY_V};
 
@@ -126,7 +126,7 @@ impl MachineMonitor {
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {
             let longer_pct = 100.0 * (duration_s / normal_s - 1.0);
-            let explained = step.alarms.active().any(|event| is_drift(event) || event.cause == Cause::Supply);
+            let explained = step.alarms.active().any(|event| event.cause.is_drift() || event.cause == Cause::Supply);
             self.operation.on_duration(longer_pct, direction, explained, step);
         }
         baselines_taken
