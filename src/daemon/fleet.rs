@@ -11,7 +11,7 @@ use super::status::Standing;
 use crate::{
     diagnose::{
         AlarmEvent, AlarmState, Away, Command, CommandError, Common, Irregularity, MachineMonitor, Missing,
-        Observation, Parameters, Settings, Severity, Verdict,
+        Observation, Parameters, Present, Settings, Severity, Verdict,
     },
     estimate::{Features, Identification, Rejection},
     store::{ALL_MACHINES, Judgement, MonitorRecord, Outcome, StoredMonitor, StoredThrow},
@@ -111,8 +111,8 @@ impl Fleet {
             let monitor = self.monitor(&machine);
             let is_own = |own: &AlarmEvent| own.cause == event.cause && own.raised_at == event.raised_at;
             if !monitor.open_alarms().iter().any(is_own) {
-                let event = monitor.adopt(event, now);
-                outcomes.push(outcome(&machine, Some(monitor), now, vec![event]));
+                let events = monitor.adopt(event, now);
+                outcomes.push(outcome(&machine, Some(monitor), now, events));
             }
         }
         outcomes
@@ -155,7 +155,7 @@ impl Fleet {
         for (_, irregularity) in irregularities.into_iter().filter(|(is_so, _)| *is_so) {
             let event = monitor.irregular(irregularity, Some(&stored.id), observation.started_at, settings);
             verdict.events.extend(event);
-            verdict.state = monitor.state();
+            verdict.present.state = monitor.state();
         }
         let since_baseline = observation.direction.map_or(0, |direction| monitor.throws_since_baseline(direction));
         let mut events = [of_loggers, events.unwrap_or_default()].concat();
@@ -378,12 +378,13 @@ fn health(
             (ESTIMATOR_FAILED, Some(detail.to_owned()))
         }
     };
+    let Present { state, drifts, caveats } = &verdict.present;
     let health = Health {
         change_pct: verdict.change_pct,
-        state: Some(verdict.state),
-        drift: verdict.drifts.first().copied(),
-        drifts: verdict.drifts.clone(),
-        caveats: verdict.caveats.clone(),
+        state: Some(*state),
+        drift: drifts.first().copied(),
+        drifts: drifts.clone(),
+        caveats: caveats.clone(),
         baseline: verdict.baseline.map(|(so_far, needed)| (so_far as u64, needed as u64)),
         throws_since_baseline,
         ..Health::rejected(stored.machine.clone(), stored.id.clone(), stored.started_at, quality, detail)

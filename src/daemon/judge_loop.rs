@@ -327,7 +327,7 @@ impl JudgeLoop {
                 missing.refused += gap.refused.min(throws);
             }
             let outcome = self.judge.fleet.gap(&machine, missing, now, &config.diagnosis);
-            self.record(Outcome { reported_gaps: gaps.iter().map(|gap| gap.row).collect(), ..outcome }).await?;
+            self.record(Outcome { reported_gaps: gaps, ..outcome }).await?;
         }
         Ok(())
     }

@@ -4,55 +4,17 @@
 //! occurrence begins. The time `raised_at` identifies an occurrence; it is unique for the cause, also if the clock is
 //! set back.
 
+use std::mem;
+
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
     command::CommandError,
-    correlation::Correlation,
-    course::LimitForecast,
-    event::{AlarmEvent, AlarmState, Cause, RunnerUp, SensorChannel, Severity},
+    event::{AlarmEvent, AlarmState, Cause, SensorChannel, Severity},
     rule::Rule,
     text,
 };
-use crate::throw::{Direction, ThrowRef};
-
-/// The evidence of an alarm: its rule, severity, size, throws and text.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Evidence {
-    pub(super) rule: Rule,
-    pub(super) severity: Severity,
-    pub(super) change_pct: Option<f64>,
-    pub(super) change_pct_sd: Option<f64>,
-    pub(super) direction: Option<Direction>,
-    pub(super) channel: Option<SensorChannel>,
-    pub(super) runner_up: Option<RunnerUp>,
-    pub(super) correlation: Option<Correlation>,
-    pub(super) first_throw: Option<ThrowRef>,
-    pub(super) last_throw: Option<ThrowRef>,
-    pub(super) limit_in_throws: Option<LimitForecast>,
-    pub(super) text: String,
-}
-
-impl Evidence {
-    /// Evidence of an alarm that is not about a drift.
-    pub(super) fn plain(severity: Severity, throw: Option<&ThrowRef>, text: String) -> Self {
-        Self {
-            rule: Rule::Usual,
-            severity,
-            change_pct: None,
-            change_pct_sd: None,
-            direction: None,
-            channel: None,
-            runner_up: None,
-            correlation: None,
-            first_throw: throw.cloned(),
-            last_throw: throw.cloned(),
-            limit_in_throws: None,
-            text,
-        }
-    }
-}
 
 /// The operator of an event, with the reason; both `None` for events of the monitor.
 #[derive(Debug, Clone, Copy, Default)]
@@ -159,15 +121,23 @@ pub(super) struct Alarms {
     /// Number of occurrences so far, of all causes.
     pub(super) occurrences: u64,
     pub(super) out_of_service: bool,
+    /// The events since the last [`Self::take_events`].
+    #[serde(skip)]
+    pub(super) new: Vec<AlarmEvent>,
 }
 
 impl Alarms {
+    /// Removes and returns the new events, in order. A monitor does this at the end of every step, so none is in a snapshot.
+    pub(super) fn take_events(&mut self) -> Vec<AlarmEvent> {
+        mem::take(&mut self.new)
+    }
+
     fn find(&self, cause: Cause) -> Option<usize> {
         self.open.iter().position(|alarm| alarm.last.cause == cause)
     }
 
-    /// Makes the event after a change of the alarm at `index`; removes the alarm if it is normal.
-    fn event(&mut self, index: usize, at: Timestamp, actor: Actor, text: Option<String>) -> AlarmEvent {
+    /// Adds the event of a change of the alarm at `index`; removes the alarm if it is normal.
+    fn event(&mut self, index: usize, at: Timestamp, actor: Actor, text: Option<String>) {
         let alarm = &mut self.open[index];
         let state = if self.out_of_service { AlarmState::OutOfService } else { alarm.state.word() };
         alarm.last.event_no += 1;
@@ -186,7 +156,7 @@ impl Alarms {
                 alarm.last.text_at = Some(at);
             }
         }
-        if state == AlarmState::Normal { self.open.remove(index).last } else { alarm.last.clone() }
+        self.new.push(if state == AlarmState::Normal { self.open.remove(index).last } else { alarm.last.clone() });
     }
 
     /// A unique `raised_at`: the time of the clock. If the clock was set back, its millisecond with the count of
@@ -203,39 +173,32 @@ impl Alarms {
         unique
     }
 
-    /// Raises the alarm of `cause`; no change if it is active already. The usual rule takes over the alarm of a rule that
-    /// knows no part.
-    pub(super) fn raise(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
-        let takes_over = evidence.rule == Rule::Usual && self.rule(cause).is_some_and(Rule::knows_no_part);
+    /// Raises the alarm with the draft `event` of `rule`; no change if it is active already. The usual rule takes over the alarm
+    /// of a rule that knows no part. Returns whether the alarm changed.
+    pub(super) fn raise(&mut self, rule: Rule, event: AlarmEvent) -> bool {
+        let cause = event.cause;
+        let takes_over = rule == Rule::Usual && self.rule(cause).is_some_and(Rule::knows_no_part);
         if self.is_active(cause) && !takes_over {
-            return None;
+            return false;
         }
         let index = self.find(cause).unwrap_or_else(|| {
-            let last = occurrence(cause, self.unique(at), evidence.clone());
-            self.open.push(Alarm { state: State::Cleared, rule: evidence.rule, last });
+            let last = AlarmEvent { raised_at: self.unique(event.event_at), ..event.clone() };
+            self.open.push(Alarm { state: State::Cleared, rule, last });
             self.open.len() - 1
         });
-        Some(self.activate(index, evidence, at))
+        self.activate(Some(index), rule, event)
     }
 
     /// Raises the alarm about a sensor or the supply. An alarm that is active about another sensor or by another rule changes to
     /// this fault if the fault `is_new`, so that one alarm does not hide another fault.
-    pub(super) fn raise_another(
-        &mut self,
-        cause: Cause,
-        evidence: Evidence,
-        is_new: bool,
-        at: Timestamp,
-    ) -> Option<AlarmEvent> {
+    pub(super) fn raise_another(&mut self, rule: Rule, event: AlarmEvent, is_new: bool) -> bool {
+        let cause = event.cause;
         let owner = self.rule(cause);
-        let other = self.find_active(cause).is_some_and(|event| event.channel != evidence.channel)
-            || cause == Cause::Supply && owner.is_some_and(|rule| rule != evidence.rule)
+        let other = self.find_active(cause).is_some_and(|active| active.channel != event.channel)
+            || cause == Cause::Supply && owner.is_some_and(|owner| owner != rule)
             || owner == Some(Rule::Offset);
         let index = self.find(cause).filter(|_| other && is_new);
-        match index {
-            Some(index) => Some(self.activate(index, evidence, at)),
-            None => self.raise(cause, evidence, at),
-        }
+        if index.is_some() { self.activate(index, rule, event) } else { self.raise(rule, event) }
     }
 
     /// The sensor of the active alarm about one.
@@ -244,70 +207,74 @@ impl Alarms {
     }
 
     /// Escalates an active alarm to a higher severity; it needs a new acknowledgement.
-    pub(super) fn escalate(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
-        let worse = self.severity(cause).is_some_and(|severity| evidence.severity > severity);
-        let index = self.find(cause).filter(|_| worse)?;
-        Some(self.activate(index, evidence, at))
+    pub(super) fn escalate(&mut self, rule: Rule, event: AlarmEvent) -> bool {
+        let worse = self.severity(event.cause).is_some_and(|severity| event.severity > severity);
+        self.activate(self.find(event.cause).filter(|_| worse), rule, event)
     }
 
     /// Gives an active alarm new evidence of any severity; it needs a new acknowledgement.
-    pub(super) fn turn(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
-        let index = self.find(cause).filter(|_| self.is_active(cause))?;
-        Some(self.activate(index, evidence, at))
+    pub(super) fn turn(&mut self, event: AlarmEvent) {
+        self.activate(self.find(event.cause).filter(|_| self.is_active(event.cause)), Rule::Usual, event);
     }
 
     /// Raises an alarm that is not active, and escalates one that is.
-    pub(super) fn raise_or_escalate(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
-        if self.is_active(cause) { self.escalate(cause, evidence, at) } else { self.raise(cause, evidence, at) }
+    pub(super) fn raise_or_escalate(&mut self, event: AlarmEvent) -> bool {
+        if self.is_active(event.cause) { self.escalate(Rule::Usual, event) } else { self.raise(Rule::Usual, event) }
     }
 
     /// Gives an active alarm new evidence, without a change of its state.
-    pub(super) fn update(&mut self, cause: Cause, evidence: Evidence, at: Timestamp) -> Option<AlarmEvent> {
-        let index = self.find(cause).filter(|_| self.is_active(cause))?;
-        Some(self.renew(index, evidence, at))
+    pub(super) fn update(&mut self, event: AlarmEvent) {
+        if let Some(index) = self.find(event.cause).filter(|_| self.is_active(event.cause)) {
+            self.renew(index, Rule::Usual, event);
+        }
     }
 
-    fn activate(&mut self, index: usize, evidence: Evidence, at: Timestamp) -> AlarmEvent {
-        *self.open[index].state.beneath_mut() = State::Active { acknowledged: None };
-        self.renew(index, evidence, at)
+    fn activate(&mut self, index: Option<usize>, rule: Rule, event: AlarmEvent) -> bool {
+        if let Some(index) = index {
+            *self.open[index].state.beneath_mut() = State::Active { acknowledged: None };
+            self.renew(index, rule, event);
+        }
+        index.is_some()
     }
 
-    fn renew(&mut self, index: usize, evidence: Evidence, at: Timestamp) -> AlarmEvent {
+    fn renew(&mut self, index: usize, rule: Rule, event: AlarmEvent) {
         let alarm = &mut self.open[index];
-        alarm.rule = evidence.rule;
-        let AlarmEvent { cause, raised_at, event_no, .. } = alarm.last;
-        alarm.last = AlarmEvent { event_no, text_at: Some(at), ..occurrence(cause, raised_at, evidence) };
-        self.event(index, at, Actor::default(), None)
+        let at = event.event_at;
+        let AlarmEvent { raised_at, event_no, .. } = alarm.last;
+        alarm.rule = rule;
+        alarm.last = AlarmEvent { raised_at, event_no, text_at: Some(at), ..event };
+        self.event(index, at, Actor::default(), None);
     }
 
     /// Takes over an open alarm of a lost monitor, as cleared; ends it if `cause` has an alarm already.
-    pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) -> AlarmEvent {
+    pub(super) fn adopt(&mut self, last: AlarmEvent, text: String, at: Timestamp) {
         let state = if self.find(last.cause).is_some() { State::Normal } else { State::Cleared };
         self.open.push(Alarm { state, rule: Rule::Usual, last });
-        self.event(self.open.len() - 1, at, Actor::default(), Some(text))
+        self.event(self.open.len() - 1, at, Actor::default(), Some(text));
     }
 
     /// Adds an event with a text to an open alarm, without a change of its state.
-    pub(super) fn remark(&mut self, cause: Cause, text: String, at: Timestamp) -> Option<AlarmEvent> {
-        let index = self.find(cause)?;
-        Some(self.event(index, at, Actor::default(), Some(text)))
+    pub(super) fn remark(&mut self, cause: Cause, text: String, at: Timestamp) {
+        if let Some(index) = self.find(cause) {
+            self.event(index, at, Actor::default(), Some(text));
+        }
     }
 
     /// Clears the alarm of `cause`.
-    pub(super) fn clear(&mut self, cause: Cause, text: String, at: Timestamp) -> Option<AlarmEvent> {
-        let index = self.find(cause)?;
+    pub(super) fn clear(&mut self, cause: Cause, text: String, at: Timestamp) {
+        let Some(index) = self.find(cause) else { return };
         let alarm = &mut self.open[index];
-        let State::Active { acknowledged } = alarm.state.beneath() else { return None };
+        let State::Active { acknowledged } = alarm.state.beneath() else { return };
         let cleared = if acknowledged.is_some() { State::Normal } else { State::Cleared };
         *alarm.state.beneath_mut() = cleared;
         alarm.last.limit_in_throws = None;
         // A throw may have been made before the alarm, and received after it.
         let at = at.max(alarm.last.raised_at);
-        Some(self.event(index, at, Actor::default(), Some(text)))
+        self.event(index, at, Actor::default(), Some(text));
     }
 
     /// Acknowledges an alarm.
-    pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<AlarmEvent, CommandError> {
+    pub(super) fn acknowledge(&mut self, cause: Cause, by: &str, at: Timestamp) -> Result<(), CommandError> {
         let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
         let state = self.open[index].state.beneath_mut();
         *state = match state {
@@ -319,7 +286,8 @@ impl Alarms {
             }
             _ => State::Normal,
         };
-        Ok(self.event(index, at, Actor { by: Some(by), why: None }, None))
+        self.event(index, at, Actor { by: Some(by), why: None }, None);
+        Ok(())
     }
 
     /// Shelves an alarm until a time; a second shelving replaces the time.
@@ -329,49 +297,53 @@ impl Alarms {
         until: Timestamp,
         actor: Actor,
         at: Timestamp,
-    ) -> Result<AlarmEvent, CommandError> {
+    ) -> Result<(), CommandError> {
         let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
         let state = &mut self.open[index].state;
         let (by, why) = (actor.by.unwrap_or_default().to_owned(), actor.why.unwrap_or_default().to_owned());
         *state = State::Shelved { until, by, why, beneath: Box::new(state.beneath().clone()) };
-        Ok(self.event(index, at, actor, None))
+        self.event(index, at, actor, None);
+        Ok(())
     }
 
     /// Ends the shelving.
-    pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Result<AlarmEvent, CommandError> {
+    pub(super) fn unshelve(&mut self, cause: Cause, actor: Actor, at: Timestamp) -> Result<(), CommandError> {
         let index = self.find(cause).ok_or(CommandError::NoSuchAlarm { cause })?;
         let state = &mut self.open[index].state;
         let State::Shelved { beneath, .. } = state else { return Err(CommandError::NotShelved { cause }) };
         *state = (**beneath).clone();
-        Ok(self.event(index, at, actor, None))
+        self.event(index, at, actor, None);
+        Ok(())
     }
 
     /// Ends the shelvings that are due.
-    pub(super) fn unshelve_due(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
+    pub(super) fn unshelve_due(&mut self, now: Timestamp) {
         let is_due = |alarm: &&Alarm| matches!(alarm.state, State::Shelved { until, .. } if until <= now);
         let due: Vec<Cause> = self.open.iter().filter(is_due).map(|alarm| alarm.last.cause).collect();
-        due.into_iter().filter_map(|cause| self.unshelve(cause, Actor::default(), now).ok()).collect()
+        for cause in due {
+            let _ = self.unshelve(cause, Actor::default(), now);
+        }
     }
 
     /// Takes the machine out of service or back, with an event of every open alarm.
-    pub(super) fn set_out_of_service(&mut self, out: bool, actor: Actor, at: Timestamp) -> Vec<AlarmEvent> {
+    pub(super) fn set_out_of_service(&mut self, out: bool, actor: Actor, at: Timestamp) {
         self.out_of_service = out;
         let open: Vec<Cause> = self.open.iter().map(|alarm| alarm.last.cause).collect();
-        let event = |cause: Cause| {
-            let index = self.find(cause)?;
+        for cause in open {
+            let Some(index) = self.find(cause) else { continue };
             let Alarm { state, last, .. } = &self.open[index];
             let is_unchecked = !out && state.is_active();
             let text = is_unchecked.then(|| text::before_maintenance(&last.text));
-            Some(self.event(index, at, actor, text))
-        };
-        open.into_iter().filter_map(event).collect()
+            self.event(index, at, actor, text);
+        }
     }
 
     /// Closes an alarm, acknowledged by `actor`.
-    pub(super) fn close(&mut self, cause: Cause, text: String, actor: Actor, at: Timestamp) -> Option<AlarmEvent> {
-        let index = self.find(cause)?;
-        self.open[index].state = State::Normal;
-        Some(self.event(index, at, actor, Some(text)))
+    pub(super) fn close(&mut self, cause: Cause, text: String, actor: Actor, at: Timestamp) {
+        if let Some(index) = self.find(cause) {
+            self.open[index].state = State::Normal;
+            self.event(index, at, actor, Some(text));
+        }
     }
 
     pub(super) fn is_active(&self, cause: Cause) -> bool {
@@ -422,31 +394,5 @@ impl Alarms {
     /// The latest event of every open alarm, oldest first.
     pub(super) fn events(&self) -> impl Iterator<Item = &AlarmEvent> {
         self.open.iter().map(|alarm| &alarm.last)
-    }
-}
-
-/// The event of an occurrence, before its number, time and state are set.
-fn occurrence(cause: Cause, raised_at: Timestamp, evidence: Evidence) -> AlarmEvent {
-    AlarmEvent {
-        cause,
-        raised_at,
-        event_no: 0,
-        severity: evidence.severity,
-        state: AlarmState::Normal,
-        event_at: raised_at,
-        change_pct: evidence.change_pct,
-        change_pct_sd: evidence.change_pct_sd,
-        direction: evidence.direction,
-        channel: evidence.channel,
-        runner_up: evidence.runner_up,
-        correlation: evidence.correlation,
-        first_throw: evidence.first_throw,
-        last_throw: evidence.last_throw,
-        text: evidence.text,
-        text_at: None,
-        acknowledged_by: None,
-        limit_in_throws: evidence.limit_in_throws,
-        by: None,
-        why: None,
     }
 }

@@ -74,7 +74,6 @@ pub(super) struct Baseline {
     pub(super) duration_s: Option<f64>,
     pub(super) scatter: Scatter,
     /// Slopes of the logarithms per throw of the machine; `None` without a trend.
-    #[serde(default)]
     slopes: Option<[f64; 3]>,
 }
 

@@ -36,7 +36,7 @@ struct Boot {
     started_at: Timestamp,
     received_at: Timestamp,
     /// Reception of the first live throw of another boot since the last throw of this one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     crossed_at: Option<Timestamp>,
 }
 
@@ -55,7 +55,7 @@ pub(super) struct Boots {
     /// In the order of their last throws.
     last: Vec<Boot>,
     /// Few machines have any, so it is boxed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     turns: Option<Box<Turns>>,
 }
 

@@ -7,10 +7,9 @@ use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{Alarms, Evidence},
-    event::{AlarmEvent, Cause, SensorChannel, Severity},
-    operational::Context,
+    event::{AlarmEvent, Cause, SensorChannel},
     rule::Rule,
+    step::Step,
     text,
 };
 use crate::throw::ThrowRef;
@@ -77,20 +76,13 @@ impl LoggerClock {
     }
 
     /// Raises and clears the alarm about the clock, after [`Self::is_wrong`].
-    pub(super) fn judge(
-        &mut self,
-        started_at: Timestamp,
-        alarms: &mut Alarms,
-        Context { name, at, throw, settings }: Context,
-    ) -> Option<AlarmEvent> {
+    pub(super) fn judge(&self, started_at: Timestamp, step: &mut Step) {
         if self.wrong >= IN_A_ROW {
-            let plain = Evidence::plain(Severity::Warning, throw, text::wrong_clock(name, started_at, at));
-            let evidence = Evidence { channel: Some(SensorChannel::Clock), rule: Rule::Dates, ..plain };
-            alarms.raise_another(Cause::Sensor, evidence, self.wrong == IN_A_ROW, at)
-        } else if self.right >= settings.off_delay_throws && alarms.owned_by(Rule::Dates).is_some() {
-            alarms.clear(Cause::Sensor, text::right_clock(name), at)
-        } else {
-            None
+            let event = step.warning(Cause::Sensor, text::wrong_clock(step.name, started_at, step.at));
+            let event = AlarmEvent { channel: Some(SensorChannel::Clock), ..event };
+            step.alarms.raise_another(Rule::Dates, event, self.wrong == IN_A_ROW);
+        } else if self.right >= step.settings.off_delay_throws && step.alarms.owned_by(Rule::Dates).is_some() {
+            step.clear(Cause::Sensor, text::right_clock(step.name));
         }
     }
 }

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{Alarms, Evidence},
+    alarm::Alarms,
     cause::{Attribution, Known, Naming, explained},
     condition::{Claim, Condition, LEVELS_FOLLOW, LONGEST_WINDOW, Transition},
     course::{Course, LimitForecast},
@@ -19,9 +19,9 @@ use super::{
     history::History,
     intermittent::Intermittent,
     latest_throw::LatestThrow,
-    operational::Context,
     rule::Rule,
     settings::Settings,
+    step::Step,
     testimony::Testimony,
     text,
     track::Suspicion,
@@ -56,6 +56,7 @@ pub(super) struct Onset {
 
 /// State of the drift alarms between throws.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(super) struct DriftAlarms {
     pub(super) history: History,
     pub(super) onset: Option<Onset>,
@@ -63,53 +64,42 @@ pub(super) struct DriftAlarms {
     /// The drifts with an active alarm, with their present size; named parts first, then the most severe.
     pub(super) now: Vec<Drifting>,
     /// Throws since the last one that was judged.
-    #[serde(default)]
     pub(super) unjudged: u32,
-    #[serde(default)]
     pub(super) intermittent: Intermittent,
     /// Time and number of the first throw of a fall of friction that lasts.
-    #[serde(default)]
     pub(super) fallen: Option<(Timestamp, u64)>,
     /// A slow change of the friction \[%\] that raises no alarm, as it may be the season's.
-    #[serde(default)]
     pub(super) season_pct: Option<f64>,
     /// The part of the last departure (ln b0, ln a1, ln a0) that the other machines of the site have too, and which is
     /// subtracted.
-    #[serde(default)]
     pub(super) shared: [f32; 3],
     /// Consecutive throws in which a drift was known to be in one direction only, by cause.
-    #[serde(default)]
     pub(super) one_sided: [u8; 5],
 }
 
 impl DriftAlarms {
     /// Applies the latest throw, with its residual.
-    pub(super) fn judge(
-        &mut self,
-        latest: LatestThrow,
-        residual: &Vector3<f64>,
-        alarms: &mut Alarms,
-    ) -> Vec<AlarmEvent> {
-        let LatestThrow { drift, order, context, .. } = latest;
-        let Context { name, at, settings, .. } = context;
+    pub(super) fn judge(&mut self, latest: LatestThrow, residual: &Vector3<f64>, step: &mut Step) {
+        let LatestThrow { drift, order, settings, .. } = latest;
+        let name = step.name;
         self.unjudged = 0;
         self.history.push(residual, order);
-        self.follow_onset(latest);
-        let mut events = Vec::new();
+        self.follow_onset(latest, step);
         let weather = self.beside_weather(latest);
         let is_rising = self.intermittent.is_rising();
         for (index, cause) in DRIFTS.into_iter().enumerate() {
+            let alarms = &*step.alarms;
             let mut reading = drift.reading(cause, self.alarmed_direction(cause, alarms), settings);
             let weather = self.new_part(cause, latest).unwrap_or(weather);
             if weather != Claim::Named && reading.claim != Claim::None {
                 reading.claim = weather;
             }
-            if is_rising || alarms.rule(cause) == Some(Rule::Intermittent) {
+            let rule = alarms.rule(cause);
+            if is_rising || rule == Some(Rule::Intermittent) {
                 // Two faulty throws in a row are no drift.
                 reading.patience += LEVELS_FOLLOW;
             }
-            let knows_no_part = alarms.rule(cause).is_some_and(Rule::knows_no_part);
-            let active = alarms.severity(cause).filter(|_| !knows_no_part);
+            let active = alarms.severity(cause).filter(|_| !rule.is_some_and(Rule::knows_no_part));
             if reading.claim == Claim::Named
                 && let Some((now, _)) = latest.named_part(latest.direction(cause), &self.history)
             {
@@ -124,39 +114,44 @@ impl DriftAlarms {
             let transition = self.conditions[index].step(reading, active, settings);
             let direction = if reading.claim == Claim::Named { latest.direction(cause) } else { None };
             let becomes_one_sided = self.becomes_one_sided(index, direction, alarms);
-            let evidence = |severity| self.evidence(cause, severity, latest);
-            events.extend(match transition {
-                Transition::Stay => becomes_one_sided.and_then(|severity| {
-                    let evidence = evidence(severity)?;
-                    let text = text::one_direction(&evidence.text);
-                    alarms.update(cause, Evidence { text, ..evidence }, at)
-                }),
+            let severity = match transition {
+                Transition::Stay => becomes_one_sided,
+                Transition::Raise(severity) | Transition::Turn(severity) => Some(severity),
+                Transition::Escalate => Some(Severity::Critical),
+                _ => None,
+            };
+            let event = severity.and_then(|severity| self.event(cause, severity, latest, step));
+            match (transition, event) {
+                (Transition::Stay, Some(event)) => {
+                    let text = text::one_direction(&event.text);
+                    step.alarms.update(AlarmEvent { text, ..event });
+                }
+                (Transition::Raise(_), Some(event)) => _ = step.raise(event),
+                (Transition::Turn(_), Some(event)) => step.alarms.turn(event),
+                (Transition::Escalate, Some(event)) => _ = step.alarms.escalate(Rule::Usual, event),
                 // An alarm about an intermittent fault ends by its own rule.
-                Transition::Clear { .. } | Transition::Withdraw if alarms.rule(cause) != Some(Rule::Usual) => None,
-                Transition::Raise(severity) => evidence(severity).and_then(|with| alarms.raise(cause, with, at)),
-                Transition::Turn(severity) => evidence(severity).and_then(|with| alarms.turn(cause, with, at)),
-                Transition::Escalate => evidence(Severity::Critical).and_then(|with| alarms.escalate(cause, with, at)),
-                Transition::Clear { at_once } => {
+                (Transition::Clear { .. } | Transition::Withdraw, _) if rule != Some(Rule::Usual) => {}
+                (Transition::Clear { at_once }, _) => {
                     let shared = self.shared_changes().find(|(of, _)| *of == cause);
                     let text = match shared {
                         Some((_, pct)) => text::cleared_as_shared(name, cause, pct),
                         None => text::cleared(name, cause, at_once),
                     };
-                    alarms.clear(cause, text, at)
+                    step.clear(cause, text);
                 }
-                Transition::ProposeRebaseline => alarms.remark(cause, text::maybe_repaired(name, cause), at),
-                Transition::Withdraw => {
+                (Transition::ProposeRebaseline, _) => step.remark(cause, text::maybe_repaired(name, cause)),
+                (Transition::Withdraw, _) => {
                     let other = match drift.testimony {
                         Testimony::Sensor(_) => Cause::Sensor,
                         Testimony::Supply => Cause::Supply,
                         _ => drift.attribution.as_ref().map_or(Cause::Unattributed, Attribution::cause),
                     };
-                    alarms.clear(cause, text::withdrawn(name, cause, other), at)
+                    step.clear(cause, text::withdrawn(name, cause, other));
                 }
-            });
+                _ => {}
+            }
         }
-        self.renew(latest, alarms);
-        events
+        self.renew(latest, step.alarms);
     }
 
     /// Keeps the part `shared` of the departure of this throw, if a warning might be about it.
@@ -194,31 +189,30 @@ impl DriftAlarms {
         &mut self,
         (side, departure, of_one_throw, complete): (usize, Vector3<f64>, Matrix3<f64>, bool),
         excused: bool,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
-        let settings = context.settings;
-        let is_active = alarms.owned_by(Rule::Intermittent).is_some();
-        let states = [self.is_suspicious(alarms), is_active];
+        step: &mut Step,
+    ) {
+        let settings = step.settings;
+        let is_active = step.alarms.owned_by(Rule::Intermittent).is_some();
+        let states = [self.is_suspicious(step.alarms), is_active];
         self.intermittent.push(side, departure, &of_one_throw, complete, states, settings);
         let found = if is_active {
             if self.intermittent.is_over() { Found::Nothing } else { Found::Unclear }
         } else {
             let found = self.intermittent.found(&of_one_throw, settings.false_alarms_per_throw(), settings);
             found.filter(|_| !excused).map_or(Found::Unclear, |found| {
-                let text = text::intermittent(context.name, &found);
-                let evidence = Evidence {
+                let text = text::intermittent(step.name, &found);
+                let event = AlarmEvent {
                     change_pct: Some(percent(found.explanation.size)),
                     change_pct_sd: Some(text::sd_pct(&found.explanation)),
-                    ..Evidence::plain(Severity::Warning, context.throw, text)
+                    ..step.warning(found.cause, text)
                 };
-                Found::Fault(found.cause, Box::new(evidence))
+                Found::Fault(Box::new(event))
             })
         };
         if found == Found::Nothing {
             self.intermittent.end();
         }
-        found.apply(Rule::Intermittent, alarms, context)
+        found.apply(Rule::Intermittent, step);
     }
 
     /// The suspicion against adding the last throw to a baseline.
@@ -273,17 +267,17 @@ impl DriftAlarms {
     }
 
     /// Updates the first throw of the suspected drift.
-    fn follow_onset(&mut self, LatestThrow { drift, order, context, .. }: LatestThrow) {
+    fn follow_onset(&mut self, LatestThrow { drift, order, .. }: LatestThrow, step: &Step) {
         if drift.excess < FORGOTTEN_BELOW {
             self.onset = None;
         } else if drift.excess > SUSPECTED_FROM && self.onset.is_none() {
-            self.onset = context.throw.map(|first| Onset { first: first.clone(), order });
+            self.onset = step.throw.map(|first| Onset { first: first.clone(), order });
         }
     }
 
     /// Updates the present drifts after a throw.
     fn renew(&mut self, latest: LatestThrow, alarms: &Alarms) {
-        let LatestThrow { drift, context: Context { settings, .. }, .. } = latest;
+        let LatestThrow { drift, settings, .. } = latest;
         let mut now: Vec<(Severity, f64, Drifting)> = Vec::new();
         let has_sound_motor = drift.attribution.as_ref().is_some_and(Attribution::has_sound_motor);
         let back_emf = drift.attribution.as_ref().and_then(|attribution| attribution.decides);
@@ -339,8 +333,8 @@ impl DriftAlarms {
         alarms.is_active(cause).then(|| now.and_then(|drifting| drifting.direction))
     }
 
-    fn evidence(&self, cause: Cause, severity: Severity, latest: LatestThrow) -> Option<Evidence> {
-        let LatestThrow { drift, order, tracks, context } = latest;
+    fn event(&self, cause: Cause, severity: Severity, latest: LatestThrow, step: &Step) -> Option<AlarmEvent> {
+        let LatestThrow { drift, order, tracks, settings, .. } = latest;
         let mut attribution = *drift.attribution.as_ref()?;
         let throws = self.onset.as_ref().map_or(1, |onset| order - onset.order + 1);
         let direction = latest.direction(cause);
@@ -348,7 +342,7 @@ impl DriftAlarms {
         if let Some((now, course)) = latest.named_part(direction, &self.history)
             && let Naming::One(main) | Naming::Another { new: main, .. } = &mut attribution.naming
         {
-            limit_in_throws = course.and_then(|course| forecast(&now, &course, severity, context.settings));
+            limit_in_throws = course.and_then(|course| forecast(&now, &course, severity, settings));
             *main = now;
         }
         let alike = match drift.testimony {
@@ -359,13 +353,13 @@ impl DriftAlarms {
             attribution.runner_up = Some(RunnerUp { cause: Cause::Sensor, margin: 0.0 });
         }
         let main = attribution.main();
-        let subject = text::subject(context.name, direction);
+        let subject = text::subject(step.name, direction);
         let mut text = text::drift(&subject, &attribution, alike, throws, limit_in_throws.as_ref());
         let is_drying = |main: &Explanation| main.cause == Cause::Friction && DRYING.contains(&main.size);
         if tracks.may_have_learned_rain() && main.is_some_and(is_drying) {
             text += text::RAIN_IN_BASELINE;
         }
-        Some(Evidence {
+        Some(AlarmEvent {
             change_pct: main.map(|main| percent(main.size)),
             change_pct_sd: main.map(text::sd_pct),
             direction,
@@ -373,7 +367,7 @@ impl DriftAlarms {
             correlation: Some(attribution.correlation),
             first_throw: self.onset.as_ref().map(|onset| onset.first.clone()),
             limit_in_throws,
-            ..Evidence::plain(severity, context.throw, text)
+            ..step.event(cause, severity, text)
         })
     }
 }

@@ -220,7 +220,7 @@ pub struct AlarmEvent {
     /// Direction of the drift; `None` for both.
     pub direction: Option<Direction>,
     /// The sensor, for alarms with [`Cause::Sensor`].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub channel: Option<SensorChannel>,
     /// The second-best cause.
     pub runner_up: Option<RunnerUp>,
@@ -235,18 +235,18 @@ pub struct AlarmEvent {
     /// Text for people: what happened, how certain it is, what to check.
     pub text: String,
     /// Time of the text, which is that of an earlier event if an operator's command caused this one. Not published.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub text_at: Option<Timestamp>,
     /// Operator who acknowledged the alarm, if it is acknowledged. Not published.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub acknowledged_by: Option<String>,
     /// Forecast of the critical limit.
     pub limit_in_throws: Option<LimitForecast>,
     /// Operator whose command caused the event. Not published.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
     /// Reason given by the operator. Not published.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
 }
 

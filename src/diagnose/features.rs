@@ -5,12 +5,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    event::Severity,
+    event::{Cause, Severity},
     found::{Found, count_over},
     gauges::{Change, Gauge, Gauges, sd_of_mean},
     last::Last,
-    operational::Context,
     robust::median,
+    step::Step,
     text,
 };
 use crate::{estimate::Features, throw::Direction};
@@ -49,7 +49,7 @@ impl FeatureWatch {
         direction: Direction,
         (features, celsius): (&Features, Option<f64>),
         gauges: &Gauges,
-        context: Context,
+        step: &Step,
     ) -> Found {
         let recent = &mut self.sides[direction.side()];
         recent.push(gauges.unexplained(WATCHED.map(|(gauge, _)| gauge), direction, features, celsius));
@@ -59,19 +59,17 @@ impl FeatureWatch {
         let changes: Vec<Change> =
             levels.into_iter().filter_map(|(size, change)| (size > 1.0).then_some(change)).collect();
         if let Some(largest) = largest.filter(|_| !changes.is_empty()) {
-            let text = text::features(context.name, &changes, LEVEL);
+            let text = text::features(step.name, &changes, LEVEL);
             let is_larger = self.reported > 0.0 && largest > LARGER * self.reported;
             if is_larger || self.reported == 0.0 {
                 self.reported = largest;
             }
-            let is_critical = largest > context.settings.critical_factor;
+            let is_critical = largest > step.settings.critical_factor;
             let severity = if is_critical { Severity::Critical } else { Severity::Warning };
-            return match Found::unnamed(severity, context.throw, text) {
-                Found::Fault(cause, evidence) if is_larger => Found::Larger(cause, evidence),
-                found => found,
-            };
+            let event = Box::new(step.event(Cause::Unattributed, severity, text));
+            return if is_larger { Found::Larger(event) } else { Found::Fault(event) };
         }
-        if self.calm < context.settings.off_delay_throws {
+        if self.calm < step.settings.off_delay_throws {
             return Found::Unclear;
         }
         self.reported = 0.0;

@@ -1,13 +1,12 @@
 //! What a rule finds in the last throws, and its alarm.
 
 use super::{
-    alarm::{Alarms, Evidence},
-    event::{AlarmEvent, Cause, SensorChannel, Severity},
-    operational::Context,
+    alarm::Alarms,
+    event::{AlarmEvent, Cause, SensorChannel},
     rule::Rule,
+    step::Step,
     text,
 };
-use crate::throw::ThrowRef;
 
 /// Part of its limit below which a fault has ended. One that is raised above its limit stays between the two, so its alarm
 /// does not alternate.
@@ -27,9 +26,9 @@ pub(super) fn count_over(over: &mut u32, size: Option<f64>) {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Found {
     /// A fault.
-    Fault(Cause, Box<Evidence>),
+    Fault(Box<AlarmEvent>),
     /// A fault that is much larger than when it was last reported.
-    Larger(Cause, Box<Evidence>),
+    Larger(Box<AlarmEvent>),
     /// No fault, for long enough to end an alarm.
     Nothing,
     /// Neither.
@@ -37,46 +36,40 @@ pub(super) enum Found {
 }
 
 impl Found {
-    /// A drift without a named part.
-    pub(super) fn unnamed(severity: Severity, throw: Option<&ThrowRef>, text: String) -> Self {
-        Self::Fault(Cause::Unattributed, Box::new(Evidence::plain(severity, throw, text)))
-    }
-
     /// Raises or ends the alarm of `rule`. A fault that a present alarm explains raises none.
-    pub(super) fn apply(
-        self,
-        rule: Rule,
-        alarms: &mut Alarms,
-        Context { name, at, .. }: Context,
-    ) -> Option<AlarmEvent> {
+    pub(super) fn apply(self, rule: Rule, step: &mut Step) {
+        let Step { alarms, name, .. } = step;
         match (alarms.owned_by(rule), self) {
             (Some(cause), Self::Nothing) => {
                 let supply = alarms.is_active(Cause::Supply) && rule.knows_no_part();
                 let text =
                     if supply { text::explained(name, Cause::Supply) } else { text::cleared(name, cause, false) };
-                alarms.clear(cause, text, at)
+                step.clear(cause, text);
             }
-            (Some(cause), Self::Fault(_, evidence) | Self::Larger(_, evidence))
-                if alarms.severity(cause).is_some_and(|severity| evidence.severity > severity) =>
+            (Some(cause), Self::Fault(event) | Self::Larger(event))
+                if alarms.severity(cause).is_some_and(|severity| event.severity > severity) =>
             {
-                alarms.escalate(cause, Evidence { rule, ..*evidence }, at)
+                alarms.escalate(rule, AlarmEvent { cause, ..*event });
             }
-            (Some(cause), Self::Larger(_, evidence)) => alarms.remark(cause, evidence.text, at),
-            (None, Self::Fault(cause, evidence) | Self::Larger(cause, evidence))
+            (Some(cause), Self::Larger(event)) => step.remark(cause, event.text),
+            (None, Self::Fault(event) | Self::Larger(event))
                 if !alarms.active().any(|event| event.cause == Cause::Unattributed || explains(event, alarms)) =>
             {
-                alarms.raise(cause, Evidence { rule, ..*evidence }, at)
+                alarms.raise(rule, *event);
             }
-            _ => None,
+            _ => {}
         }
     }
 }
 
 /// Ends the alarm of a rule that knows no part, when another alarm names the part or the sensor.
-pub(super) fn withdraw_explained(alarms: &mut Alarms, Context { name, at, .. }: Context) -> Option<AlarmEvent> {
-    let part = alarms.active().find(|event| explains(event, alarms))?.cause;
-    let unnamed = [Rule::Features, Rule::Start].into_iter().find_map(|rule| alarms.owned_by(rule))?;
-    alarms.clear(unnamed, text::explained(name, part), at)
+pub(super) fn withdraw_explained(step: &mut Step) {
+    let alarms = &step.alarms;
+    let part = alarms.active().find(|event| explains(event, alarms)).map(|event| event.cause);
+    let unnamed = [Rule::Features, Rule::Start].into_iter().find_map(|rule| alarms.owned_by(rule));
+    if let (Some(part), Some(unnamed)) = (part, unnamed) {
+        step.clear(unnamed, text::explained(step.name, part));
+    }
 }
 
 /// Whether this alarm names the part, or the sensor, that changes the features and the start of a throw. A changed supply

@@ -16,7 +16,6 @@ pub(super) struct History {
     filling: u32,
     sum: [f64; 3],
     /// Number of the machine's throw at the first push.
-    #[serde(default)]
     since: Option<u64>,
 }
 

@@ -23,17 +23,16 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{Alarms, Evidence},
     cause::{Attribution, Naming},
     condition::streak,
     drift::Drift,
-    event::{AlarmEvent, Cause, RunnerUp, SensorChannel, Severity},
+    event::{AlarmEvent, Cause, RunnerUp, SensorChannel},
     explain::{Explanation, PLAIN_LEAKS, fit, fit_along, percent, single},
     found::count_over,
     gauges::{Circuit, Gauge, Gauges, Level, Offset},
-    operational::Context,
     rule::Rule,
     settings::Settings,
+    step::Step,
     testimony::{Awaited, Fault, Testimony},
     text,
     threshold::WINDOWS,
@@ -62,33 +61,30 @@ const LINGERS: u32 = 48;
 
 /// Numbers of consecutive throws for an alarm and for its end, and whether it ended recently.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 struct Streaks {
     named: u32,
     over: u32,
     /// Throws since the fault was last seen.
-    #[serde(default)]
     unseen: u32,
     lingers: bool,
 }
 
 /// Gauges of a machine, and the alarms about its sensors and supply.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(super) struct Instruments {
     pub(super) gauges: Gauges,
     /// The sensor that explains the drift of the last throw.
     channel: Option<SensorChannel>,
     /// Its size.
-    #[serde(default)]
     size: f64,
     sensor: Streaks,
     supply: Streaks,
-    #[serde(default)]
     circuit: Streaks,
     /// Of an offset of the current sensor.
-    #[serde(default)]
     rest: Streaks,
     /// Of an offset of the position sensor.
-    #[serde(default)]
     shift: Streaks,
 }
 
@@ -228,8 +224,8 @@ impl Instruments {
     }
 
     /// Updates the alarm about a sensor after a throw with this drift, and its testimony.
-    pub(super) fn judge(&mut self, drift: &Drift, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
-        let Context { name, at, throw, settings } = context;
+    pub(super) fn judge(&mut self, drift: &Drift, step: &mut Step) {
+        let settings = step.settings;
         let of_drift = if let Testimony::Sensor(fault) = drift.testimony { Some(fault) } else { None };
         let of_voltage = || {
             let Level { value, sd } = self.gauges.voltage_error()?;
@@ -245,63 +241,52 @@ impl Instruments {
             (self.channel, self.size) = (Some(channel), size);
         }
         let is_alike = drift.testimony == Testimony::Lingers { is_alike: true };
-        let open = alarms.faulty_sensor().filter(|_| alarms.owned_by(Rule::Gauges).is_some());
+        let is_own = step.alarms.owned_by(Rule::Gauges).is_some();
+        let open = step.alarms.faulty_sensor().filter(|_| is_own);
         let left = self.left_of(open.or(self.channel)).or_else(|| drift.attribution.is_none().then_some(0.0));
         self.sensor.follow(fault.is_some(), of_drift.is_none() || drift.matters(), is_alike, left);
         // A wrong voltage changes no coefficient, so it cannot explain a drift.
         self.sensor.lingers &= self.channel != Some(SensorChannel::Supply);
         if let Some(fault) = fault.filter(|_| self.sensor.named >= settings.on_delay_throws) {
-            let evidence = Evidence {
-                rule: Rule::Gauges,
+            let event = AlarmEvent {
                 channel: Some(fault.channel),
                 change_pct: Some(percent(fault.size)),
                 change_pct_sd: Some(100.0 * fault.size_sd * fault.size.exp()),
                 runner_up: Some(fault.runner_up),
                 correlation: drift.attribution.as_ref().map(|attribution| attribution.correlation),
-                ..Evidence::plain(Severity::Warning, throw, text::sensor(name, &fault))
+                ..step.warning(Cause::Sensor, text::sensor(step.name, &fault))
             };
-            alarms.raise_another(Cause::Sensor, evidence, self.sensor.named == settings.on_delay_throws, at)
-        } else if self.sensor.over >= settings.off_delay_throws && alarms.owned_by(Rule::Gauges).is_some() {
-            alarms.clear(Cause::Sensor, text::cleared(name, Cause::Sensor, false), at)
-        } else {
-            None
+            step.alarms.raise_another(Rule::Gauges, event, self.sensor.named == settings.on_delay_throws);
+        } else if self.sensor.over >= settings.off_delay_throws && is_own {
+            step.clear(Cause::Sensor, text::cleared(step.name, Cause::Sensor, false));
         }
     }
 
     /// Updates the alarm about an offset of a sensor after a throw. The estimator subtracts the current at rest, so an offset of
     /// the current changes neither coefficients nor features, and explains no other alarm.
-    pub(super) fn judge_offset(&mut self, sensor: Offset, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
-        let Context { name, at, throw, settings } = context;
-        let (level, size) = self.gauges.offset(sensor)?;
+    pub(super) fn judge_offset(&mut self, sensor: Offset, step: &mut Step) {
+        let Some((level, size)) = self.gauges.offset(sensor) else { return };
         let (streaks, channel) = match sensor {
             Offset::Current => (&mut self.rest, SensorChannel::Current),
             Offset::Position => (&mut self.shift, SensorChannel::Position),
         };
         streaks.follow(size > 1.0, true, false, Some(size));
-        if streaks.named >= settings.on_delay_throws {
-            let evidence = Evidence {
-                rule: Rule::Offset,
-                channel: Some(channel),
-                ..Evidence::plain(Severity::Warning, throw, text::offset(name, sensor, &level))
-            };
-            return alarms.raise_another(Cause::Sensor, evidence, streaks.named == settings.on_delay_throws, at);
+        let delay = step.settings.on_delay_throws;
+        let is_own =
+            || step.alarms.rule(Cause::Sensor) == Some(Rule::Offset) && step.alarms.faulty_sensor() == Some(channel);
+        if streaks.named >= delay {
+            let event = step.warning(Cause::Sensor, text::offset(step.name, sensor, &level));
+            let event = AlarmEvent { channel: Some(channel), ..event };
+            step.alarms.raise_another(Rule::Offset, event, streaks.named == delay);
+        } else if streaks.over >= step.settings.off_delay_throws && is_own() {
+            step.clear(Cause::Sensor, text::offset_over(step.name, sensor));
         }
-        let is_own = alarms.rule(Cause::Sensor) == Some(Rule::Offset) && alarms.faulty_sensor() == Some(channel);
-        let is_over = streaks.over >= settings.off_delay_throws && is_own;
-        is_over.then(|| alarms.clear(Cause::Sensor, text::offset_over(name, sensor), at)).flatten()
     }
 
     /// Updates the alarm about the supply after a throw; `explained`: whether the drift that it explains matters;
     /// `circuit`: the resistance between supply and motor. The circuit is part of the supply, as the voltage is measured
     /// before it.
-    pub(super) fn judge_supply(
-        &mut self,
-        explained: Option<bool>,
-        circuit: Option<Circuit>,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
-        let Context { name, at, throw, settings } = context;
+    pub(super) fn judge_supply(&mut self, explained: Option<bool>, circuit: Option<Circuit>, step: &mut Step) {
         let volts = self.gauges.level(Gauge::Volts, WINDOWS[0]);
         let lost = volts.and_then(|_| self.supply_lost(WINDOWS[0]));
         let matters = lost.is_some_and(|lost| percent(-lost.value).abs() > SUPPLY_LIMIT_PCT);
@@ -313,30 +298,29 @@ impl Instruments {
         let left = circuit.map(|circuit| if is_explained { 0.0 } else { circuit.size });
         let circuit = circuit.filter(|circuit| circuit.size > 1.0 && !circuit.is_doubtful && !is_doubtful);
         self.circuit.follow(circuit.is_some(), true, false, left);
-        let evidence = |rule: Rule, Level { value, sd }: Level, text: String| Evidence {
-            rule,
+        let event = |Level { value, sd }: Level, text: String| AlarmEvent {
             change_pct: Some(percent(value)),
             change_pct_sd: Some(100.0 * sd * value.exp()),
-            ..Evidence::plain(Severity::Warning, throw, text)
+            ..step.warning(Cause::Supply, text)
         };
-        let delay = settings.on_delay_throws;
+        let delay = step.settings.on_delay_throws;
         let of_voltage = lost.filter(|_| self.supply.named >= delay).map(|lost| {
             let level = Level { value: -lost.value, ..lost };
-            (self.supply, evidence(Rule::Usual, level, text::supply(name, percent(level.value))))
+            (self.supply, Rule::Usual, event(level, text::supply(step.name, percent(level.value))))
         });
         let of_circuit = circuit
             .filter(|_| self.circuit.named >= delay)
-            .map(|Circuit { level, .. }| (self.circuit, evidence(Rule::Circuit, level, text::circuit(name, &level))));
-        let is_over = |streaks: Streaks| streaks.over >= settings.off_delay_throws;
-        let owner = if alarms.rule(Cause::Supply) == Some(Rule::Circuit) { self.circuit } else { self.supply };
-        for (streaks, evidence) in of_voltage.into_iter().chain(of_circuit) {
-            let is_new = streaks.named == delay || is_over(owner);
-            let event = alarms.raise_another(Cause::Supply, evidence, is_new, at);
-            if event.is_some() {
-                return event;
+            .map(|Circuit { level, .. }| (self.circuit, Rule::Circuit, event(level, text::circuit(step.name, &level))));
+        let owner = if step.alarms.rule(Cause::Supply) == Some(Rule::Circuit) { self.circuit } else { self.supply };
+        let is_over = owner.over >= step.settings.off_delay_throws;
+        for (streaks, rule, event) in of_voltage.into_iter().chain(of_circuit) {
+            if step.alarms.raise_another(rule, event, streaks.named == delay || is_over) {
+                return;
             }
         }
-        if is_over(owner) { alarms.clear(Cause::Supply, text::cleared(name, Cause::Supply, false), at) } else { None }
+        if is_over {
+            step.clear(Cause::Supply, text::cleared(step.name, Cause::Supply, false));
+        }
     }
 
     /// Deletes the last throws, but not the normal values, after maintenance.

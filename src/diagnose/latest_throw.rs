@@ -1,5 +1,7 @@
 //! The latest throw, and what the drift that it shows is at this throw.
 
+use jiff::Timestamp;
+
 use super::{
     cause::Naming,
     course::Course,
@@ -7,7 +9,7 @@ use super::{
     event::Cause,
     explain::{Explanation, friction_of_sound_motor},
     history::History,
-    operational::Context,
+    settings::Settings,
     track::Tracks,
 };
 use crate::throw::Direction;
@@ -25,14 +27,15 @@ pub(super) struct LatestThrow<'a> {
     pub(super) drift: &'a Drift,
     /// Number of the throw among those of the machine.
     pub(super) order: u64,
+    pub(super) at: Timestamp,
     pub(super) tracks: &'a Tracks,
-    pub(super) context: Context<'a>,
+    pub(super) settings: &'a Settings,
 }
 
 impl LatestThrow<'_> {
     /// The direction that a drift of `cause` concerns; `None` for both, and while it is not known.
     pub(super) fn direction(self, cause: Cause) -> Option<Direction> {
-        let weights = self.drift.weights(cause, self.context.settings)?;
+        let weights = self.drift.weights(cause, self.settings)?;
         self.tracks.one_sided(&weights, &self.drift.temperature_sd(), self.order)
     }
 

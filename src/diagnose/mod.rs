@@ -35,6 +35,7 @@ mod settings;
 mod site;
 mod snapshot;
 mod start;
+mod step;
 mod sym3;
 mod temperature;
 mod testimony;

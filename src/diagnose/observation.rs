@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// A throw as input of the diagnosis.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Observation {
     /// Boot and number of the throw.
     pub throw: ThrowRef,
@@ -52,24 +52,7 @@ impl Observation {
     /// An observation of which only identity and time are known.
     #[must_use]
     pub fn without_trace(throw: ThrowRef, started_at: Timestamp) -> Self {
-        Self {
-            throw,
-            started_at,
-            received_at: None,
-            direction: None,
-            direction_contradicted: None,
-            estimate: None,
-            grade: Grade::Good,
-            ratios_only: false,
-            incomplete: false,
-            faulty: None,
-            features_only: false,
-            features: Features::default(),
-            temperature_c: None,
-            rejected: None,
-            unused_fields: None,
-            short_of_stroke_mm: None,
-        }
+        Self { throw, started_at, ..Self::default() }
     }
 
     /// The observation of a throw, with what the estimator found in it.

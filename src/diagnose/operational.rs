@@ -6,19 +6,19 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{Alarms, Evidence},
     condition::streak,
     event::{AlarmEvent, Cause, SensorChannel, Severity},
     observation::{Irregularity, Missing, Observation, Unusable},
     rule::Rule,
     settings::Settings,
+    step::Step,
     text,
     thermometer::Disbelief,
     verdict::Blindness,
 };
 use crate::{
     estimate::Features,
-    throw::{Direction, ThrowRef, without_digits},
+    throw::{Direction, without_digits},
 };
 
 /// Consecutive slow throws that raise the alarm: a single one may be an animal between the rails or a dip of the
@@ -67,7 +67,6 @@ enum Logger {
         /// Whether this has raised an alarm.
         alarmed: bool,
         /// Time of the loss.
-        #[serde(default)]
         since: Option<Timestamp>,
     },
 }
@@ -75,6 +74,7 @@ enum Logger {
 /// Consecutive throws of one direction: points move to and fro, so a trouble of one direction never has consecutive
 /// throws of the machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 struct Streaks {
     incomplete: u32,
     slow: u32,
@@ -83,90 +83,59 @@ struct Streaks {
     /// Throws at a temperature that hides faults at their warning limit.
     blind: u32,
     /// The last 32 throws as bits: 1 if it was not evaluated.
-    #[serde(default)]
     lost: u32,
     /// Code of the reason for the last rejection.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     rejected: Option<String>,
 }
 
 /// Counters of the operational alarms; those without a unit count consecutive throws of the machine.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub(super) struct Operation {
-    #[serde(default)]
     sides: [Streaks; 2],
     incomplete: u32,
     complete: u32,
     fast_enough: u32,
     unevaluated: u32,
-    #[serde(default)]
     blind: u32,
     /// Throws whose movement contradicts the direction that the logger names, and those whose movement does not.
-    #[serde(default)]
     contradicted: u32,
-    #[serde(default)]
     agreed: u32,
     /// Whether the first throws contradicted the direction, so that this is usual; `None` until it is known.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     usually_contradicted: Option<bool>,
     /// Position at the end of the last throw \[mm\].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     ended_mm: Option<f32>,
     /// The sentence about the unused fields of the last throw, and the number of throws with any.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     unused_fields: Option<(String, u32)>,
     /// Travel and configured stroke of the last throw that ended before it \[mm\], and the number of such throws.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     short: Option<([f64; 2], u32)>,
     /// Throws of which only the features of the current are known.
-    #[serde(default)]
     without_coefficients: u32,
     /// Throws with a rejected, and with an accepted temperature.
-    #[serde(default)]
     disbelieved: u32,
-    #[serde(default)]
     believed: u32,
     /// The sensor with unusable values, its throws among the last eight as bits, and throws without such values.
-    #[serde(default)]
     unusable: Option<(SensorChannel, u8)>,
-    #[serde(default)]
     usable: u32,
     /// Throws without a gap or another irregularity, received since the last one was known.
     since_gap: u32,
     /// Time from which it is known \[s since 1970\]. Throws received earlier may stand before the gap.
-    #[serde(default)]
     gap_at_s: u32,
     /// Throws in gaps, since the alarm was raised.
     lost: u64,
     /// Of these, throws whose messages were refused.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(skip_serializing_if = "is_zero")]
     refused: u64,
     silence_s: f64,
     ticked_at: Option<Timestamp>,
-    #[serde(default)]
     logger: Logger,
     /// Time without problems of the daemon \[s\].
-    #[serde(default)]
     calm_s: f64,
-}
-
-/// Machine, time and throw for the events of a step.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Context<'a> {
-    pub(super) name: &'a str,
-    pub(super) at: Timestamp,
-    pub(super) throw: Option<&'a ThrowRef>,
-    pub(super) settings: &'a Settings,
-}
-
-impl Context<'_> {
-    fn warning(self, text: String) -> Evidence {
-        Evidence::plain(Severity::Warning, self.throw, text)
-    }
-
-    fn critical(self, text: String) -> Evidence {
-        Evidence::plain(Severity::Critical, self.throw, text)
-    }
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference to the field")]
@@ -182,15 +151,9 @@ fn unix_s(at: Timestamp) -> u32 {
 impl Operation {
     /// Applies a throw, complete or not, which also shows that the logger is alive, unless it was received before the loss
     /// of the logger. `is_usual_current`: the current is that of a complete throw.
-    pub(super) fn on_throw(
-        &mut self,
-        observation: &Observation,
-        is_usual_current: bool,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Vec<AlarmEvent> {
-        let Context { name, at, settings, .. } = context;
+    pub(super) fn on_throw(&mut self, observation: &Observation, is_usual_current: bool, step: &mut Step) {
         let &Observation { incomplete, direction, received_at, rejected, ref unused_fields, .. } = observation;
+        let enough = step.settings.off_delay_throws;
         self.silence_s = 0.0;
         self.logger = match self.logger {
             gone @ Logger::Gone { since: Some(since), .. } if received_at.is_some_and(|at| at < since) => gone,
@@ -224,50 +187,43 @@ impl Operation {
         if received_at.is_none_or(|received_at| unix_s(received_at) > self.gap_at_s) {
             self.since_gap = self.since_gap.saturating_add(1);
         }
-        let mut events = Vec::new();
         if incomplete {
-            let text = text::incomplete(name, in_direction, in_a_row, is_usual_current);
-            events.extend(if in_a_row == 1 {
-                alarms.raise(Cause::IncompleteThrow, context.warning(text), at)
+            let text = text::incomplete(step.name, in_direction, in_a_row, is_usual_current);
+            if in_a_row == 1 {
+                step.raise(step.warning(Cause::IncompleteThrow, text));
             } else {
-                alarms.escalate(Cause::IncompleteThrow, context.critical(text), at)
-            });
-        } else if self.complete >= settings.off_delay_throws {
-            events.extend(alarms.clear(Cause::IncompleteThrow, text::complete_again(name, self.complete), at));
+                step.alarms.escalate(Rule::Usual, step.critical(Cause::IncompleteThrow, text));
+            }
+        } else if self.complete >= enough {
+            step.clear(Cause::IncompleteThrow, text::complete_again(step.name, self.complete));
         }
-        if self.since_gap >= settings.off_delay_throws {
-            events.extend(alarms.clear(Cause::DataLoss, text::no_gap(name, self.since_gap), at));
+        if self.since_gap >= enough {
+            step.clear(Cause::DataLoss, text::no_gap(step.name, self.since_gap));
             (self.lost, self.refused) = (0, 0);
         }
-        events
     }
 
     /// Applies the duration of a completed throw, `longer_pct` above the baseline. With an active drift alarm
     /// (`explained`), which names the reason, only a critical duration raises an alarm.
-    pub(super) fn on_duration(
-        &mut self,
-        longer_pct: f64,
-        direction: Direction,
-        explained: bool,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
-        let Context { name, at, settings, .. } = context;
+    pub(super) fn on_duration(&mut self, longer_pct: f64, direction: Direction, explained: bool, step: &mut Step) {
+        let settings = step.settings;
         let own = &mut self.sides[direction.side()];
         streak(&mut own.slow, longer_pct > settings.slow_throw_pct);
         streak(&mut own.very_slow, longer_pct > settings.slow_throw_critical_pct);
         let (slow, very_slow) = (own.slow, own.very_slow);
         streak(&mut self.fast_enough, longer_pct < settings.slow_throw_pct * (1.0 - settings.deadband_pct / 100.0));
-        let sized = |plain| Evidence { change_pct: Some(longer_pct), direction: Some(direction), ..plain };
-        let text = || text::slow(name, direction, longer_pct);
+        let event = |severity| {
+            let event = step.event(Cause::SlowThrow, severity, text::slow(step.name, direction, longer_pct));
+            AlarmEvent { change_pct: Some(longer_pct), direction: Some(direction), ..event }
+        };
         if very_slow >= SLOW_IN_A_ROW {
-            alarms.raise_or_escalate(Cause::SlowThrow, sized(context.critical(text())), at)
+            let event = event(Severity::Critical);
+            step.alarms.raise_or_escalate(event);
         } else if slow >= SLOW_IN_A_ROW && !explained {
-            alarms.raise(Cause::SlowThrow, sized(context.warning(text())), at)
+            let event = event(Severity::Warning);
+            step.raise(event);
         } else if self.fast_enough >= settings.off_delay_throws {
-            alarms.clear(Cause::SlowThrow, text::fast_again(name), at)
-        } else {
-            None
+            step.clear(Cause::SlowThrow, text::fast_again(step.name));
         }
     }
 
@@ -277,10 +233,9 @@ impl Operation {
         evaluated: bool,
         direction: Option<Direction>,
         blind: Option<&Blindness>,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
-        let Context { name, at, settings, .. } = context;
+        step: &mut Step,
+    ) {
+        let Step { name, settings, .. } = *step;
         let enough = settings.not_monitored_throws;
         streak(&mut self.unevaluated, !evaluated);
         if evaluated {
@@ -300,22 +255,22 @@ impl Operation {
         let is_blind = self.blind >= enough || self.sides.iter().any(|side| side.blind >= enough);
         // The throws of one direction may all be rejected, as with a wrong `neutral_mm`, while the other is healthy.
         let unseen = Direction::BOTH.into_iter().find(|own| self.sides[own.side()].unevaluated >= enough);
-        if let Some(blind) = blind.filter(|_| is_blind) {
-            alarms.raise(Cause::NotMonitored, context.warning(text::blind(name, blind)), at)
+        let text = if let Some(blind) = blind.filter(|_| is_blind) {
+            text::blind(name, blind)
         } else if self.unevaluated >= enough {
             let reasons = self.sides.each_ref().map(|side| side.rejected.as_deref());
             let reason = reasons[0].filter(|_| reasons[0] == reasons[1]);
-            let text = text::unevaluated(name, None, self.unevaluated, reason);
-            alarms.raise(Cause::NotMonitored, context.warning(text), at)
+            text::unevaluated(name, None, self.unevaluated, reason)
         } else if let Some(unseen) = unseen {
             let Streaks { unevaluated, ref rejected, .. } = self.sides[unseen.side()];
-            let text = text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref());
-            alarms.raise(Cause::NotMonitored, context.warning(text), at)
-        } else if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
-            alarms.clear(Cause::NotMonitored, text::monitored_again(name), at)
+            text::unevaluated(name, Some(unseen), unevaluated, rejected.as_deref())
         } else {
-            None
-        }
+            if evaluated && is_seen && !is_blind && !matches!(self.logger, Logger::Gone { alarmed: true, .. }) {
+                step.clear(Cause::NotMonitored, text::monitored_again(name));
+            }
+            return;
+        };
+        step.raise(step.warning(Cause::NotMonitored, text));
     }
 
     /// Whether the last throw was not evaluated.
@@ -373,15 +328,9 @@ impl Operation {
     }
 
     /// Applies the plausibility of temperature and supply voltage of a throw.
-    pub(super) fn on_sensors(
-        &mut self,
-        disbelief: Option<Disbelief>,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
+    pub(super) fn on_sensors(&mut self, disbelief: Option<Disbelief>, step: &mut Step) {
         streak(&mut self.disbelieved, disbelief.is_some());
         streak(&mut self.believed, disbelief.is_none());
-        let Context { name, at, settings, .. } = context;
         if let Some(disbelief) = disbelief.filter(|_| self.disbelieved >= DISBELIEVED_IN_A_ROW) {
             let channel = match disbelief {
                 Disbelief::Supply(_) => SensorChannel::Supply,
@@ -389,27 +338,19 @@ impl Operation {
                     SensorChannel::Temperature
                 }
             };
-            let evidence = context.warning(text::sensor_implausible(name, disbelief));
-            let is_new = self.disbelieved == DISBELIEVED_IN_A_ROW;
-            alarms.raise_another(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, is_new, at)
-        } else if self.believed >= settings.off_delay_throws
-            && alarms.rule(Cause::Sensor) == Some(Rule::Usual)
-            && matches!(alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
+            let event = step.warning(Cause::Sensor, text::sensor_implausible(step.name, disbelief));
+            let event = AlarmEvent { channel: Some(channel), ..event };
+            step.alarms.raise_another(Rule::Usual, event, self.disbelieved == DISBELIEVED_IN_A_ROW);
+        } else if self.believed >= step.settings.off_delay_throws
+            && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual)
+            && matches!(step.alarms.faulty_sensor(), None | Some(SensorChannel::Temperature | SensorChannel::Supply))
         {
-            alarms.clear(Cause::Sensor, text::sensor_plausible(name), at)
-        } else {
-            None
+            step.clear(Cause::Sensor, text::sensor_plausible(step.name));
         }
     }
 
     /// Applies the channel that is unusable in a throw, if any.
-    pub(super) fn on_channel(
-        &mut self,
-        found: Option<Unusable>,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
-        let Context { name, at, settings, .. } = context;
+    pub(super) fn on_channel(&mut self, found: Option<Unusable>, step: &mut Step) {
         let faulty = found.map(Unusable::channel);
         streak(&mut self.usable, faulty.is_none());
         let before = self.unusable;
@@ -420,46 +361,43 @@ impl Operation {
         if let Some(channel) = faulty.filter(|_| over) {
             self.unusable = Some((channel, 1));
         }
-        let (channel, throws) = self.unusable?;
-        let alarmed = alarms.faulty_sensor() == Some(channel) && alarms.rule(Cause::Sensor) == Some(Rule::Usual);
+        let Some((channel, throws)) = self.unusable else { return };
         if throws.count_ones() >= UNUSABLE_OF_EIGHT {
             let found = found.filter(|found| found.channel() == channel).unwrap_or(Unusable::Values(channel));
-            let evidence = context.warning(text::sensor_unusable(name, found));
+            let event = step.warning(Cause::Sensor, text::sensor_unusable(step.name, found));
+            let event = AlarmEvent { channel: Some(channel), ..event };
             let is_new = before.is_none_or(|(of, throws)| of != channel || throws.count_ones() < UNUSABLE_OF_EIGHT);
-            alarms.raise_another(Cause::Sensor, Evidence { channel: Some(channel), ..evidence }, is_new, at)
-        } else if self.usable >= settings.off_delay_throws.max(u8::BITS) {
+            step.alarms.raise_another(Rule::Usual, event, is_new);
+        } else if self.usable >= step.settings.off_delay_throws.max(u8::BITS) {
             self.unusable = None;
-            if alarmed { alarms.clear(Cause::Sensor, text::sensor_usable(name, channel), at) } else { None }
-        } else {
-            None
+            if step.alarms.faulty_sensor() == Some(channel) && step.alarms.rule(Cause::Sensor) == Some(Rule::Usual) {
+                step.clear(Cause::Sensor, text::sensor_usable(step.name, channel));
+            }
         }
     }
 
     /// Advances the time. Silence is the sum of the times between ticks, so that a jump of the clock does not count.
-    pub(super) fn on_tick(&mut self, in_service: bool, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
-        let Context { name, at, settings, .. } = context;
+    pub(super) fn on_tick(&mut self, in_service: bool, step: &mut Step) {
+        let Step { name, at, settings, .. } = *step;
         let passed = self.ticked_at.replace(at).map_or(0.0, |before| at.duration_since(before).as_secs_f64());
         // Earlier only if the clock was set back.
         self.gap_at_s = self.gap_at_s.min(unix_s(at));
         self.calm_s += passed.clamp(0.0, USUAL_TICK_S);
         if !in_service {
-            return None;
+            return;
         }
         self.silence_s += passed.clamp(0.0, LONGEST_TICK_S);
         if let Logger::Gone { for_s, alarmed, .. } = &mut self.logger {
             // A longer time is that of a restart, after which the loggers connect again.
             *for_s += if passed <= USUAL_TICK_S { passed.max(0.0) } else { 0.0 };
             if *for_s >= 60.0 * settings.logger_gone_minutes {
-                let evidence = context.warning(text::logger_gone(name, *for_s / 60.0));
-                let event = alarms.raise(Cause::NotMonitored, evidence, at);
-                *alarmed |= event.is_some();
-                return event;
+                *alarmed |= step.raise(step.warning(Cause::NotMonitored, text::logger_gone(name, *for_s / 60.0)));
+                return;
             }
         }
-        if !self.is_silent(settings) {
-            return None;
+        if self.is_silent(settings) {
+            step.raise(step.warning(Cause::NotMonitored, text::silent(name, self.silence_s / 3600.0)));
         }
-        alarms.raise(Cause::NotMonitored, context.warning(text::silent(name, self.silence_s / 3600.0)), at)
     }
 
     fn is_silent(&self, settings: &Settings) -> bool {
@@ -467,22 +405,21 @@ impl Operation {
     }
 
     /// Applies the presence of the logger's token. A logger that never declared one raises no alarm.
-    pub(super) fn on_liveliness(&mut self, there: bool, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
+    pub(super) fn on_liveliness(&mut self, there: bool, step: &mut Step) {
         let before = self.logger;
         self.logger = match before {
             _ if there => Logger::There,
-            Logger::There => Logger::Gone { for_s: 0.0, alarmed: false, since: Some(context.at) },
+            Logger::There => Logger::Gone { for_s: 0.0, alarmed: false, since: Some(step.at) },
             absent => absent,
         };
         let alarmed = matches!(before, Logger::Gone { alarmed: true, .. });
-        let enough = context.settings.not_monitored_throws;
+        let enough = step.settings.not_monitored_throws;
         let monitored = self.unevaluated < enough
             && self.sides.iter().all(|side| side.unevaluated.max(side.blind) < enough)
-            && !self.is_silent(context.settings);
-        if !(there && alarmed && monitored) {
-            return None;
+            && !self.is_silent(step.settings);
+        if there && alarmed && monitored {
+            step.clear(Cause::NotMonitored, text::logger_back(step.name));
         }
-        alarms.clear(Cause::NotMonitored, text::logger_back(context.name), context.at)
     }
 
     /// Whether the logger ever declared a token.
@@ -492,63 +429,52 @@ impl Operation {
 
     /// Applies a problem of the daemon with storing data; `None` without a problem. Another text is a new event, unless
     /// only its numbers differ or the last event is younger than ten minutes.
-    pub(super) fn on_daemon_trouble(
-        &mut self,
-        trouble: Option<(Severity, &str)>,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
+    pub(super) fn on_daemon_trouble(&mut self, trouble: Option<(Severity, &str)>, step: &mut Step) {
         if let Some((severity, text)) = trouble {
             self.calm_s = 0.0;
-            let before = alarms.active().find(|event| event.cause == Cause::DataLoss);
+            let before = step.alarms.active().find(|event| event.cause == Cause::DataLoss);
             // A disk at its limit must not make an event of each change.
             let is_new = before.is_some_and(|event| {
-                let quiet_s = context.at.duration_since(event.event_at).as_secs_f64().abs();
+                let quiet_s = step.at.duration_since(event.event_at).as_secs_f64().abs();
                 quiet_s >= CALM_S && without_digits(&event.text) != without_digits(text)
             });
-            let evidence = Evidence::plain(severity, None, text.to_owned());
-            let event = alarms.raise_or_escalate(Cause::DataLoss, evidence, context.at);
-            event.or_else(|| is_new.then(|| alarms.remark(Cause::DataLoss, text.to_owned(), context.at)).flatten())
+            let event = step.event(Cause::DataLoss, severity, text.to_owned());
+            if !step.alarms.raise_or_escalate(event) && is_new {
+                step.remark(Cause::DataLoss, text.to_owned());
+            }
         } else if self.calm_s >= CALM_S {
-            alarms.clear(Cause::DataLoss, text::daemon_calm(), context.at)
-        } else {
-            None
+            step.clear(Cause::DataLoss, text::daemon_calm());
         }
     }
 
     /// Applies missing throws.
-    pub(super) fn on_gap(&mut self, missing: Missing, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
+    pub(super) fn on_gap(&mut self, missing: Missing, step: &mut Step) {
         if missing.throws == 0 {
-            return None;
+            return;
         }
-        (self.since_gap, self.gap_at_s) = (0, unix_s(context.at));
+        (self.since_gap, self.gap_at_s) = (0, unix_s(step.at));
         let before = self.lost;
         self.lost = before.saturating_add(missing.throws);
         self.refused = self.refused.saturating_add(missing.refused);
         let all = Missing { throws: self.lost, refused: self.refused, ..missing };
-        let text = text::gap(context.name, &all, context.at);
-        if !alarms.is_active(Cause::DataLoss) {
-            return alarms.raise(Cause::DataLoss, context.warning(text), context.at);
+        let text = text::gap(step.name, &all, step.at);
+        if !step.alarms.is_active(Cause::DataLoss) {
+            step.raise(step.warning(Cause::DataLoss, text));
+        } else if before == 0 || before.ilog2() != self.lost.ilog2() {
+            // A link that flaps must not make an event of each gap: their sum is reported at each power of two.
+            step.remark(Cause::DataLoss, text);
         }
-        // A link that flaps must not make an event of each gap: their sum is reported at each power of two.
-        let is_more = before == 0 || before.ilog2() != self.lost.ilog2();
-        is_more.then(|| alarms.remark(Cause::DataLoss, text, context.at)).flatten()
     }
 
     /// Applies an irregularity of the logger.
-    pub(super) fn on_irregularity(
-        &mut self,
-        irregularity: Irregularity,
-        alarms: &mut Alarms,
-        context: Context,
-    ) -> Option<AlarmEvent> {
+    pub(super) fn on_irregularity(&mut self, irregularity: Irregularity, step: &mut Step) {
         self.since_gap = 0;
         let text = match irregularity {
-            Irregularity::RepeatedTrace => text::repeated_trace(context.name),
-            Irregularity::RepeatedNumber => text::repeated_number(context.name),
-            Irregularity::Invalid { count, reason } => text::invalid(context.name, count, reason),
+            Irregularity::RepeatedTrace => text::repeated_trace(step.name),
+            Irregularity::RepeatedNumber => text::repeated_number(step.name),
+            Irregularity::Invalid { count, reason } => text::invalid(step.name, count, reason),
         };
-        alarms.raise(Cause::DataLoss, context.warning(text), context.at)
+        step.raise(step.warning(Cause::DataLoss, text));
     }
 
     /// Forgets the sensor with unusable values.
@@ -573,11 +499,11 @@ impl Operation {
 }
 
 /// Applies a change of the watched daemons that are away, with a text about them; `None` if all are there.
-pub(super) fn on_peers(away: Option<String>, alarms: &mut Alarms, context: Context) -> Option<AlarmEvent> {
-    let (cause, at) = (Cause::NotMonitored, context.at);
+pub(super) fn on_peers(away: Option<String>, step: &mut Step) {
+    let cause = Cause::NotMonitored;
     match away {
-        None => alarms.clear(cause, text::peers_back(), at),
-        Some(text) if alarms.is_active(cause) => alarms.remark(cause, text, at),
-        Some(text) => alarms.raise(cause, context.critical(text), at),
+        None => step.clear(cause, text::peers_back()),
+        Some(text) if step.alarms.is_active(cause) => step.remark(cause, text),
+        Some(text) => _ = step.raise(step.critical(cause, text)),
     }
 }

@@ -11,12 +11,11 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    alarm::{Alarms, Evidence},
-    event::{AlarmEvent, Cause, Severity},
+    event::{AlarmEvent, Cause},
     explain::{percent, relevance},
     last::Last,
-    operational::Context,
     robust::median,
+    step::Step,
     text,
 };
 
@@ -117,18 +116,14 @@ pub(super) fn excused(departure: &Vector3<f64>, common: &Common) -> Vector3<f64>
 
 /// Raises and clears the alarm about all machines of a site with the change `common`. While it is unknown, as in a night
 /// without throws, the alarm stays.
-pub(super) fn judge(common: &Common, alarms: &mut Alarms, context: Context) -> Vec<AlarmEvent> {
-    let of = |(cause, log): (Cause, &f64)| {
-        let size = relevance(cause, *log, context.settings);
+pub(super) fn judge(common: &Common, step: &mut Step) {
+    for (cause, log) in Cause::OF_COEFFICIENTS.into_iter().zip(&common.change) {
+        let size = relevance(cause, *log, step.settings);
         if size > 1.0 {
-            let change_pct = Some(percent(*log));
-            let text = text::site(context.name, cause, percent(*log));
-            let evidence = Evidence { change_pct, ..Evidence::plain(Severity::Warning, None, text) };
-            return alarms.raise(cause, evidence, context.at);
+            let event = step.warning(cause, text::site(step.name, cause, percent(*log)));
+            step.raise(AlarmEvent { change_pct: Some(percent(*log)), ..event });
+        } else if common.is_known && size < OVER_BELOW {
+            step.clear(cause, text::site_over(step.name, cause));
         }
-        (common.is_known && size < OVER_BELOW)
-            .then(|| alarms.clear(cause, text::site_over(context.name, cause), context.at))
-            .flatten()
-    };
-    Cause::OF_COEFFICIENTS.into_iter().zip(&common.change).filter_map(of).collect()
+    }
 }

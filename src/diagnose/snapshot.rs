@@ -62,7 +62,8 @@ struct AlarmOne {
 impl From<Board> for Alarms {
     fn from(board: Board) -> Self {
         let open = board.alarms.into_iter().map(Alarm::from).collect();
-        Self { open, latest: board.latest, occurrences: board.occurrences, out_of_service: board.out_of_service }
+        let Board { latest, occurrences, out_of_service, .. } = board;
+        Self { open, latest, occurrences, out_of_service, ..Self::default() }
     }
 }
 

@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     condition::streak,
-    event::Severity,
+    event::Cause,
     found::{Found, count_over},
     gauges::{Gauge, Gauges, Level},
-    operational::Context,
+    step::Step,
     text,
     threshold::WINDOWS,
 };
@@ -64,7 +64,7 @@ impl Change {
 impl StartWatch {
     /// Applies an estimated throw, whose gauges are the last; `excused`: a sensor or the supply explains its drift. A fault
     /// of a part can change the start too, as stiffness does in an elastic drive.
-    pub(super) fn judge(&mut self, gauges: &Gauges, excused: bool, context: Context) -> Found {
+    pub(super) fn judge(&mut self, gauges: &Gauges, excused: bool, step: &Step) -> Found {
         let change = Change::of(gauges);
         let size = change.map(|change| change.size());
         let is_changed = size.is_some_and(|size| size > 1.0);
@@ -72,10 +72,10 @@ impl StartWatch {
         count_over(&mut self.calm, size);
         match change {
             Some(change) if self.named >= NAMED_THROWS => {
-                let text = text::start(context.name, &change, WINDOWS[2]);
-                Found::unnamed(Severity::Warning, context.throw, text)
+                let text = text::start(step.name, &change, WINDOWS[2]);
+                Found::Fault(Box::new(step.warning(Cause::Unattributed, text)))
             }
-            _ if self.calm >= context.settings.off_delay_throws => Found::Nothing,
+            _ if self.calm >= step.settings.off_delay_throws => Found::Nothing,
             _ => Found::Unclear,
         }
     }

@@ -94,7 +94,7 @@ pub(super) struct Temperature {
     #[serde(default)]
     anchor: Anchor,
     /// Throws since the suspicion of a drift, and the anchor from the second half of them.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     next: Option<Box<(u32, Anchor)>>,
 }
 

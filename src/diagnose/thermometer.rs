@@ -54,7 +54,7 @@ pub(super) struct Thermometer {
     #[serde(default)]
     accepted: u32,
     /// Few machines have one, so it is boxed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     doubt: Option<Box<Doubt>>,
     #[serde(default)]
     run: Run,

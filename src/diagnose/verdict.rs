@@ -108,14 +108,10 @@ pub struct Present {
 /// The verdict of the monitor on an observation.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Verdict {
-    /// State of the machine after this throw.
-    pub state: MachineState,
-    /// Present drifts with an active alarm, named parts first, then the most severe.
-    pub drifts: Vec<Drifting>,
+    /// The machine after this throw.
+    pub present: Present,
     /// Blindness, if the temperature hides a change at the warning limit, or scatter one at the critical limit.
     pub blind: Option<Blindness>,
-    /// Sentences about what the monitor cannot show at present: blindness, a baseline with a trend.
-    pub caveats: Vec<String>,
     /// Whether an incomplete baseline has a trend.
     pub has_trend: bool,
     /// Change of b0, a1, a0 from the baseline \[%\]; `None` without a baseline or an estimate.

@@ -53,9 +53,9 @@ impl DriftAlarms {
     /// Whether a change of `cause` may be the season's: the machine has no temperature, the change is below the critical
     /// limit, and a part of it existed a week ago. `weights` of the logarithms give its size.
     fn may_be_season(&self, cause: Cause, size: f64, weights: &Vector3<f64>, latest: LatestThrow) -> bool {
-        let LatestThrow { tracks, context, .. } = latest;
-        let is_critical = relevance(cause, size, context.settings) > context.settings.critical_factor;
-        let per_day = tracks.throws_per_day(context.at).unwrap_or(context.settings.throws_per_day);
+        let LatestThrow { tracks, at, settings, .. } = latest;
+        let is_critical = relevance(cause, size, settings) > settings.critical_factor;
+        let per_day = tracks.throws_per_day(at).unwrap_or(settings.throws_per_day);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the cast saturates")]
         let week = ((DAYS_OF_WEEK * per_day) as u32).max(LONGEST_WINDOW);
         let was_there =
@@ -64,22 +64,18 @@ impl DriftAlarms {
     }
 
     /// The largest claim beside rain: a fall of friction by rain is over in some days.
-    fn beside_rain(
-        &mut self,
-        change: Option<FrictionChange>,
-        LatestThrow { order, context, .. }: LatestThrow,
-    ) -> Claim {
+    fn beside_rain(&mut self, change: Option<FrictionChange>, LatestThrow { order, at, .. }: LatestThrow) -> Claim {
         let Some(fall) = change.filter(|change| change.size < 0.0) else {
             self.fallen = None;
             return Claim::Named;
         };
-        let (since, first) = *self.fallen.get_or_insert((context.at, order));
+        let (since, first) = *self.fallen.get_or_insert((at, order));
         // The last few throws of a direction show a new fall only in part.
         if !fall.lasts && order - first >= SHOWN_AFTER {
             self.fallen = None;
             return Claim::None;
         }
-        let is_new = context.at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
+        let is_new = at.duration_since(since) < SignedDuration::from_hours(RAIN_HOURS)
             || order - first < u64::from(LONGEST_WINDOW);
         if is_new && RAIN_PCT.contains(&-percent(fall.size)) { Claim::Counts } else { Claim::Named }
     }

@@ -64,7 +64,7 @@ impl Coverage {
             for (size, sd) in verdict.events.iter().filter_map(|event| raised(event, fault.part)) {
                 self.sizes.add(holds(size, sd));
             }
-            let drift = verdict.drifts.iter().find(|drift| drift.cause == fault.part);
+            let drift = verdict.present.drifts.iter().find(|drift| drift.cause == fault.part);
             let Some(drift) = drift.filter(|_| (at - fault.onset + 1).is_multiple_of(CHECKED_EVERY)) else { continue };
             self.sizes.add(holds(drift.change_pct, drift.change_pct_sd));
             if let (Some(forecast), Some(left)) = (drift.limit_in_throws, throws_left(fault, at, settings)) {
@@ -100,7 +100,7 @@ fn throws_left(fault: &Fault, at: usize, settings: &Settings) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::diagnose::{Drifting, LimitForecast};
+    use crate::diagnose::{Drifting, LimitForecast, Present};
 
     const ONSET: usize = 200;
 
@@ -112,7 +112,8 @@ mod tests {
         (life.faults, life.onset) = (vec![fault], ONSET);
         let limit_in_throws = Some(LimitForecast { low: ahead.0, mid: ahead.0, high: ahead.1 });
         let drift = Drifting { cause: part, change_pct, change_pct_sd: 1.0, direction: None, limit_in_throws };
-        let verdict = Verdict { drifts: vec![drift], ..Verdict::default() };
+        let present = Present { drifts: vec![drift], ..Present::default() };
+        let verdict = Verdict { present, ..Verdict::default() };
         let mut coverage = Coverage::default();
         coverage.add(at, &verdict, &life, &Settings::default());
         coverage

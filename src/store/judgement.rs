@@ -7,7 +7,7 @@ use sqlx::{Row as _, Sqlite, SqliteConnection, query::Query, sqlite::SqliteArgum
 
 use super::{
     many,
-    rows::{GapRow, ThrowRow},
+    rows::{Gap, ThrowRow},
     spool::{count, machine_row},
     statements as sql,
     write::Write,
@@ -52,7 +52,7 @@ pub struct Outcome {
     /// Alarm events in order; each is added to the history and to the outbox, once.
     pub events: Vec<AlarmEvent>,
     /// Gaps that were reported to the monitor.
-    pub reported_gaps: Vec<GapRow>,
+    pub reported_gaps: Vec<Gap>,
     /// Command of an operator that caused the change.
     pub command: Option<Command>,
 }
@@ -277,8 +277,9 @@ impl Outcome {
     /// Writes the outcome without the monitor.
     async fn write_events(&self, connection: &mut SqliteConnection, machine_row: i64) -> sqlx::Result<()> {
         let at_us = self.at.as_microsecond();
-        for GapRow(gap_row) in &self.reported_gaps {
-            sqlx::query(sql::REPORT_GAP).bind(gap_row).bind(at_us).execute(&mut *connection).await?;
+        for Gap { row, refused, .. } in &self.reported_gaps {
+            let report = sqlx::query(sql::REPORT_GAP).bind(row).bind(at_us).bind(refused.cast_signed());
+            report.execute(&mut *connection).await?;
         }
         if let Some(command) = &self.command {
             add_command(connection, machine_row, command, at_us).await?;

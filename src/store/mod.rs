@@ -54,7 +54,7 @@ pub(crate) use read_only::Backup;
 pub use read_only::{Value, ask};
 pub use reader::Reader;
 pub use retention::Dropped;
-pub use rows::{Gap, GapRow, OutboxRow, Selector, StoredMonitor, StoredThrow, ThrowRow};
+pub use rows::{Gap, OutboxRow, Selector, StoredMonitor, StoredThrow, ThrowRow};
 pub use salvage::Salvaged;
 pub use settings::{Settings, Synchronous};
 pub use spool::Spooled;

@@ -20,11 +20,6 @@ impl ThrowRow {
     pub const START: Self = Self(0);
 }
 
-/// Row number of a gap.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, sqlx::Type)]
-#[sqlx(transparent)]
-pub struct GapRow(pub(super) i64);
-
 /// Reason why throws are missing.
 #[derive(Clone, Copy, strum::AsRefStr)]
 #[strum(serialize_all = "snake_case")]
@@ -107,9 +102,8 @@ pub struct StoredMonitor {
 /// A gap of missing throws.
 #[derive(Debug, Clone, PartialEq, Eq, FromRow)]
 pub struct Gap {
-    /// Row of the gap.
     #[sqlx(rename = "gap_row")]
-    pub row: GapRow,
+    pub(super) row: i64,
     /// Which machine.
     #[sqlx(flatten)]
     pub machine: MachineId,
@@ -117,7 +111,7 @@ pub struct Gap {
     pub first_no: u64,
     /// Last missing throw number.
     pub last_no: u64,
-    /// Messages in quarantine that may be throws of the gap.
+    /// Missing throws whose messages are in quarantine.
     pub refused: u64,
     /// Reason for the last of them.
     pub reason: Option<String>,

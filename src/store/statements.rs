@@ -109,8 +109,8 @@ macro_rules! awaited {
     };
 }
 
-/// Messages in quarantine that may be throws of a gap: those with its numbers, and those without a readable number that were
-/// received since the throw before it.
+/// A column of the messages in quarantine that may be throws of a gap: those with its numbers, and those without a readable
+/// number that were received since the throw before it.
 macro_rules! refused {
     ($column:literal) => {
         concat!(
@@ -389,12 +389,11 @@ statements! {
     // A gap that a backlog may still fill is left out while its machine waits, that is while its backlog was opened or
     // last became smaller between ?2 and ?3.
     UNREPORTED_GAPS = concat!("SELECT gap_row, site, machine, first_no, last_no, ",
-        refused!("count(DISTINCT coalesce(quarantine.throw_no, -quarantine_row))"), " AS refused, ", refused!("reason"), " AS reason \
+        "min(", refused!("count(DISTINCT coalesce(quarantine.throw_no, -quarantine_row))"), ", last_no - first_no + 1) AS refused, ", refused!("reason"), " AS reason \
         FROM gap JOIN boot USING (boot_row) JOIN machine USING (machine_row) LEFT JOIN backlog USING (machine_row) \
         WHERE told_at_us IS NULL AND filled_at_us IS NULL AND kind <> 'before_first_contact' \
         AND (written_off_at_us IS NOT NULL OR since_us IS NULL OR since_us NOT BETWEEN ?2 AND ?3) ORDER BY gap_row LIMIT ?1");
-    REPORT_GAP = concat!("UPDATE gap SET told_at_us = ?2, refused = (SELECT min(", refused!("count(DISTINCT coalesce(quarantine.throw_no, -quarantine_row))"), ", last_no - first_no + 1) \
-        FROM boot JOIN machine USING (machine_row) WHERE boot.boot_row = gap.boot_row) WHERE gap_row = ?1");
+    REPORT_GAP = "UPDATE gap SET told_at_us = ?2, refused = ?3 WHERE gap_row = ?1";
 
     // The dashboard. Each query reads a bounded number of rows.
     OPEN_ALARMS_BY_KIND = "SELECT cause, severity, count(*) AS open, \
@@ -436,10 +435,7 @@ statements! {
     THROW_NEIGHBOURS = "WITH this AS (SELECT throw_row, throw.machine_row, started_at_us FROM machine JOIN boot USING (machine_row) \
         CROSS JOIN throw ON throw.boot_row = boot.boot_row \
         WHERE site = ?1 AND machine = ?2 AND boot_id = ?3 AND throw_no = ?4) \
-        SELECT boot_id, throw_no, throw.throw_row = (SELECT near.throw_row FROM throw AS near \
-        WHERE near.machine_row = this.machine_row \
-        AND (near.started_at_us, near.throw_row) > (this.started_at_us, this.throw_row) \
-        ORDER BY near.started_at_us, near.throw_row LIMIT 1) AS is_later \
+        SELECT boot_id, throw_no, (throw.started_at_us, throw.throw_row) > (this.started_at_us, this.throw_row) AS is_later \
         FROM this JOIN throw ON throw.throw_row IN ( \
         (SELECT near.throw_row FROM throw AS near WHERE near.machine_row = this.machine_row \
         AND (near.started_at_us, near.throw_row) < (this.started_at_us, this.throw_row) \

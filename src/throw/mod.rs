@@ -70,7 +70,7 @@ impl fmt::Display for Direction {
 }
 
 /// Identity of a throw among the throws of its machine: boot of the logger and sequence number in that boot.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize)]
 pub struct ThrowRef {
     /// Identifier of the boot; the logger makes a new one at each start.
     pub boot_id: String,

@@ -39,16 +39,12 @@ pub struct Health {
     /// Fit of the model `R²_T` \[%\].
     pub fit_pct: Option<f64>,
     /// a1/b0 = Kf / KT \[A s rad⁻¹\]; does not need the start of the throw, so a "rough" throw has it too.
-    #[serde(default)]
     pub a1_per_b0: Option<f64>,
     /// Standard deviation of `a1_per_b0`.
-    #[serde(default)]
     pub a1_per_b0_sd: Option<f64>,
     /// a0/b0 = Kspr / KT \[A rad⁻¹\].
-    #[serde(default)]
     pub a0_per_b0: Option<f64>,
     /// Standard deviation of `a0_per_b0`.
-    #[serde(default)]
     pub a0_per_b0_sd: Option<f64>,
     /// Duration of the movement \[s\].
     pub duration_s: Option<f64>,
@@ -58,10 +54,8 @@ pub struct Health {
     pub mean_current_a: Option<f64>,
     /// State of the machine after this throw, or now in the reply to a query for the present health; `None` for throws
     /// that an earlier version judged.
-    #[serde(default)]
     pub state: Option<MachineState>,
     /// The worst active drift at the time of `state`.
-    #[serde(default)]
     pub drift: Option<Drifting>,
     /// All active drifts at the time of `state`, the worst first; absent if there are none, and in history.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -214,7 +214,7 @@ fn a_fault_of_one_direction_names_that_direction() {
         let fault = if machine.throws.is_multiple_of(2) { Vector3::zeros() } else { shift(Cause::Friction, 40.0) };
         let verdict = machine.feed(&mut monitor, fault, &settings);
         events.extend(verdict.events);
-        now = verdict.drifts;
+        now = verdict.present.drifts;
         assert!(throw < 30 || !events.is_empty());
     }
     // The first throws do not show the direction of the fault, the present alarm does.
@@ -348,14 +348,14 @@ fn the_inertia_of_a_machine_with_good_and_rough_throws_is_that_of_the_good_ones(
         let (raised_pct, sd) = (events[0].change_pct.unwrap(), events[0].change_pct_sd.unwrap());
         assert!((raised_pct - 25.0).abs() < 4.0 * sd && sd < 5.0, "{of_ten}: raised {raised_pct} ± {sd}");
         for (verdict, _) in &faulty[60..] {
-            let now = &verdict.drifts[0];
+            let now = &verdict.present.drifts[0];
             let sd = now.change_pct_sd;
             assert!((now.change_pct - 25.0).abs() < 4.0 * sd && sd < 3.0, "{of_ten}: {now:?}");
         }
         let blind = life(300, 10, 25.0);
         assert!(blind.iter().all(|(verdict, _)| verdict.events.is_empty()), "{of_ten}: rough throws are no repair");
         let (last, caveats) = blind.last().unwrap();
-        assert!((last.drifts[0].change_pct - 25.0).abs() < 3.0, "{of_ten}: {:?}", last.drifts);
+        assert!((last.present.drifts[0].change_pct - 25.0).abs() < 3.0, "{of_ten}: {:?}", last.present.drifts);
         assert!(caveats.iter().any(|caveat| caveat.contains("its last throws are all rough")), "{of_ten}: {caveats:?}");
         let repaired = life(60, of_ten, 0.0);
         assert!(repaired.iter().flat_map(|(verdict, _)| &verdict.events).any(|event| event.cause == Cause::Inertia));

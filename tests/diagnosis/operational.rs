@@ -393,7 +393,7 @@ fn the_alarm_of_a_lost_monitor_stays_until_it_is_acknowledged() {
     let (mut machine, mut monitor) = machine();
     let lost = feed(&mut machine, &mut monitor, 1, |o| (o.incomplete, o.estimate) = (true, None)).remove(0);
     let mut fresh = MachineMonitor::new("21");
-    let adopted = fresh.adopt(lost.clone(), lost.event_at);
+    let adopted = fresh.adopt(lost.clone(), lost.event_at).remove(0);
     assert_eq!((adopted.event_no, adopted.state), (lost.event_no + 1, AlarmState::ClearedUnacknowledged));
     let ack = Command::Ack { cause: lost.cause, by: "mia".to_owned() };
     let events = fresh.command(&ack, lost.event_at, &Settings::default()).unwrap();

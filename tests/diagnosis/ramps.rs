@@ -50,7 +50,7 @@ fn the_size_now_and_the_forecast_hold_on_ramps_of_every_shape() {
                 let active = |event: &&AlarmEvent| event.state == AlarmState::ActiveUnacknowledged;
                 let raised = verdict.events.iter().filter(active).find(|event| event.cause == cause);
                 let raised = raised.map(|event| (event.change_pct.unwrap(), event.change_pct_sd.unwrap()));
-                let now = verdict.drifts.iter().find(|drifting| drifting.cause == cause);
+                let now = verdict.present.drifts.iter().find(|drifting| drifting.cause == cause);
                 let tenth = now.filter(|_| throw % 10 == 0).map(|now| (now.change_pct, now.change_pct_sd));
                 for (change, sd) in raised.into_iter().chain(tenth) {
                     said += 1;
@@ -91,7 +91,7 @@ fn a_direction_is_named_when_both_have_six_throws_and_not_before() {
             for throw in 0..40 {
                 let fault = if sides[machine.side()] { shift(cause, pct) } else { Vector3::zeros() };
                 let verdict = machine.feed(&mut monitor, fault, None, &settings);
-                let Some(now) = verdict.drifts.iter().find(|now| now.cause == cause) else { continue };
+                let Some(now) = verdict.present.drifts.iter().find(|now| now.cause == cause) else { continue };
                 let truth = match sides {
                     [true, true] => None,
                     [first, _] => Some(Direction::BOTH[usize::from(!first)]),
@@ -144,7 +144,8 @@ fn the_size_of_a_step_holds_from_its_first_alarm_on() {
                 alarmed.get_or_insert(throw);
                 (0, event.change_pct.unwrap(), event.change_pct_sd.unwrap())
             });
-            let now = verdict.drifts.iter().find(|now| now.cause == cause && alarmed.is_some_and(|at| at < throw));
+            let now =
+                verdict.present.drifts.iter().find(|now| now.cause == cause && alarmed.is_some_and(|at| at < throw));
             let now = now.map(|now| (throw - alarmed.unwrap(), now.change_pct, now.change_pct_sd));
             for (place, change, sd) in event.into_iter().chain(now).filter(|(place, ..)| *place <= FOLLOWED) {
                 said[place] += 1;
@@ -171,7 +172,7 @@ fn wear_from_the_first_throw_on_is_reported_before_it_matters_and_later_named() 
         for throw in 1..=400_u32 {
             let size = 0.25 * f64::from(throw);
             let verdict = machine.feed(&mut monitor, shift(Cause::Friction, size), None, &settings);
-            let said = verdict.caveats.iter().any(|caveat| caveat.contains("trend"));
+            let said = verdict.present.caveats.iter().any(|caveat| caveat.contains("trend"));
             reported = reported.or((said || !verdict.events.is_empty()).then_some(size));
             wrong += verdict.events.iter().filter(|event| event.cause != Cause::Friction).count();
             let named = verdict.events.iter().any(|event| event.cause == Cause::Friction);

@@ -119,7 +119,7 @@ fn the_alarm_about_the_start_ends_when_a_part_is_named() {
         for _ in 0..60 {
             let verdict = drive.feed(State { brake_s: 0.02, ..fault }, &settings);
             events.extend(verdict.events);
-            drifts = verdict.drifts;
+            drifts = verdict.present.drifts;
         }
         let withdrawn = events.iter().find(|event| event.cause == Cause::Unattributed).unwrap();
         assert_eq!(withdrawn.state, AlarmState::ClearedUnacknowledged, "{events:?}");

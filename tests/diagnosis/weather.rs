@@ -75,8 +75,8 @@ fn a_fault_of_winter_lasts_through_the_summer() {
     for seed in 0..10 {
         let (_, _, events, last) = winter_to_summer(46_000 + seed, 25.0);
         assert_eq!(events, [(Cause::Friction, AlarmState::ActiveUnacknowledged)], "seed {seed}");
-        assert_eq!((last.state, last.blind), (MachineState::Warning, None), "seed {seed}");
-        let now = last.drifts[0].change_pct;
+        assert_eq!((last.present.state, last.blind), (MachineState::Warning, None), "seed {seed}");
+        let now = last.present.drifts[0].change_pct;
         assert!((now - 25.0).abs() < 7.5, "seed {seed}: {now} %");
     }
 }
@@ -87,12 +87,12 @@ fn a_lasting_change_below_its_limit_does_not_end_the_learning_of_the_temperature
     for seed in 0..7 {
         let (mut machine, mut monitor, events, last) = winter_to_summer(47_000 + seed, 7.5);
         if last.blind.is_some() {
-            assert_eq!(last.state, MachineState::NotMonitored, "seed {seed}");
+            assert_eq!(last.present.state, MachineState::NotMonitored, "seed {seed}");
             blind += 1;
             continue;
         }
         alarmed += u32::from(!events.is_empty());
-        assert_eq!(last.state, MachineState::Healthy, "seed {seed}");
+        assert_eq!(last.present.state, MachineState::Healthy, "seed {seed}");
         let summer = Vector3::from(PER_KELVIN) * 19.0;
         let fault = summer + shift(Cause::Friction, 40.0);
         let named: Vec<Cause> = (0..24)
@@ -113,7 +113,7 @@ fn faults_hidden_by_an_unknown_effect_of_the_temperature_are_stated() {
         let blind = after[0].blind.unwrap();
         let at = blind.temperature.unwrap();
         assert!(blind.below_pct > 5.0 && (at.temperature_c - at.baseline_c - 39.0).abs() < 6.0, "{blind:?}");
-        assert_eq!(after[0].state, MachineState::NotMonitored);
+        assert_eq!(after[0].present.state, MachineState::NotMonitored);
         let said = before.iter().find(|event| event.cause == Cause::NotMonitored).unwrap();
         assert!(said.text.contains("cannot be distinguished from the effect of the temperature"), "{}", said.text);
         let (after, _) = summer(41_000 + seed, 600, 200, 2.0, Vector3::zeros());
@@ -239,7 +239,7 @@ fn a_cold_season_raises_no_alarm_but_is_stated_and_a_critical_rise_is_one() {
             for throw in 0..throws + 100 {
                 let verdict = feed(cold(throw));
                 assert_eq!(verdict.events, [], "seed {seed}, throw {throw}");
-                stated |= verdict.caveats.iter().any(|caveat| caveat.contains("Publish temperature_c"));
+                stated |= verdict.present.caveats.iter().any(|caveat| caveat.contains("Publish temperature_c"));
             }
             assert!(stated, "seed {seed}");
             let worn = cold(throws) + shift(Cause::Friction, 35.0);

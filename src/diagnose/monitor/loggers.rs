@@ -5,16 +5,16 @@ use jiff::Timestamp;
 
 use super::{
     super::{
-        alarm::{Actor, Evidence},
+        alarm::Actor,
         boots,
         command::Command,
-        event::{AlarmEvent, Cause, Severity},
+        event::{AlarmEvent, Cause},
         observation::{Irregularity, Missing},
-        operational::Context,
         settings::Settings,
+        step::Step,
         text,
     },
-    MachineMonitor, is_drift, to_micros,
+    MachineMonitor, to_micros,
 };
 use crate::throw::ThrowRef;
 
@@ -25,8 +25,7 @@ impl MachineMonitor {
     /// Applies the presence of the logger's token. A logger that never declared one raises no alarm. Call it before
     /// each [`Self::tick`].
     pub fn logger(&mut self, there: bool, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
-        let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
-        operation.on_liveliness(there, alarms, context)
+        self.step(now, None, settings, |operation, step| operation.on_liveliness(there, step)).pop()
     }
 
     /// Whether the logger ever declared a token.
@@ -43,8 +42,7 @@ impl MachineMonitor {
 
     /// Applies missing throws.
     pub fn gap(&mut self, missing: Missing, at: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
-        let (operation, alarms, context) = self.parts(to_micros(at), None, settings);
-        operation.on_gap(missing, alarms, context).into_iter().collect()
+        self.step(at, None, settings, |operation, step| operation.on_gap(missing, step))
     }
 
     /// Checks the clock of the logger at a throw, before its observation. Returns the time of the throw for the diagnosis,
@@ -59,11 +57,11 @@ impl MachineMonitor {
     ) -> (Timestamp, Option<AlarmEvent>) {
         let is_wrong = self.clock.is_wrong(throw, started_at, received_at);
         let at = received_at.filter(|_| is_wrong).unwrap_or(started_at);
-        if self.maintenance.is_some() {
-            return (at, None);
+        if self.maintenance.is_none() {
+            let Self { alarms, name, clock, .. } = self;
+            clock.judge(started_at, &mut Step { alarms, name, at: to_micros(at), throw: Some(throw), settings });
         }
-        let context = Context { name: &self.name, at: to_micros(at), throw: Some(throw), settings };
-        (at, self.clock.judge(started_at, &mut self.alarms, context))
+        (at, self.alarms.take_events().pop())
     }
 
     /// Applies an irregularity of the logger; `throw` is the throw that shows it, `None` if no throw does.
@@ -77,8 +75,7 @@ impl MachineMonitor {
         if self.maintenance.is_some() {
             return None;
         }
-        let (operation, alarms, context) = self.parts(to_micros(at), throw, settings);
-        operation.on_irregularity(irregularity, alarms, context)
+        self.step(at, throw, settings, |operation, step| operation.on_irregularity(irregularity, step)).pop()
     }
 
     /// Applies the boot of a throw, dated `at` by [`Self::date`], before its observation. Returns a sentence if two loggers
@@ -103,19 +100,16 @@ impl MachineMonitor {
             }
             return (None, None, Vec::new());
         };
-        let (mut command, mut events) = (None, Vec::new());
-        if !had_two {
-            (command, events) = self.forget_since(since, at, settings);
-        }
+        let command = if had_two { None } else { self.forget_since(since, at, settings) };
         let sentence = self.two_loggers();
-        if let Some(text) = sentence.clone().filter(|_| self.maintenance.is_none()) {
-            let evidence = Evidence::plain(Severity::Warning, Some(throw), text.clone());
-            let event = self.alarms.raise(Cause::NotMonitored, evidence, at);
+        let text = sentence.clone().filter(|_| self.maintenance.is_none());
+        let events = self.step(at, Some(throw), settings, |_, step| {
+            let Some(text) = text else { return };
             // An alarm that is active for another reason gets this one too.
-            let is_known = had_two || event.is_some();
-            events.extend(event);
-            events.extend((!is_known).then(|| self.alarms.remark(Cause::NotMonitored, text, at)).flatten());
-        }
+            if !step.raise(step.warning(Cause::NotMonitored, text.clone())) && !had_two {
+                step.remark(Cause::NotMonitored, text);
+            }
+        });
         (sentence, command, events)
     }
 
@@ -127,23 +121,17 @@ impl MachineMonitor {
 
     /// Forgets what was learned from the throws of two loggers: the last throws, the alarms that they raised, and an
     /// incomplete baseline.
-    fn forget_since(
-        &mut self,
-        since: Timestamp,
-        now: Timestamp,
-        settings: &Settings,
-    ) -> (Option<Command>, Vec<AlarmEvent>) {
+    fn forget_since(&mut self, since: Timestamp, now: Timestamp, settings: &Settings) -> Option<Command> {
         if self.tracks.is_learning(settings) {
             let (by, why) = ("pointsd", LEARNED_FROM_TWO);
-            let events = self.rebaseline(by, why, Actor::default(), now);
-            return (Some(Command::Rebaseline { by: by.to_owned(), why: why.to_owned() }), events);
+            self.rebaseline(by, why, Actor::default(), now);
+            return Some(Command::Rebaseline { by: by.to_owned(), why: why.to_owned() });
         }
-        let mut events = self.forget_recent(now);
-        let is_of_two =
-            |event: &&AlarmEvent| event.raised_at >= since && (is_drift(event) || event.cause == Cause::SlowThrow);
-        let causes: Vec<Cause> = self.alarms.active().filter(is_of_two).map(|event| event.cause).collect();
-        let text = text::checked_anew(&self.name);
-        events.extend(causes.into_iter().filter_map(|cause| self.alarms.clear(cause, text.clone(), now)));
-        (None, events)
+        self.forget_recent(now);
+        let is_of_two = |event: &AlarmEvent| {
+            event.raised_at >= since && (event.cause.is_drift() || event.cause == Cause::SlowThrow)
+        };
+        self.clear_all(is_of_two, &text::checked_anew(&self.name), now);
+        None
     }
 }

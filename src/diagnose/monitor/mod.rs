@@ -18,12 +18,13 @@ use super::{
     features::FeatureWatch,
     instruments::Instruments,
     observation::Parameters,
-    operational::{self, Context, Operation},
+    operational::{self, Operation},
     rule::Rule,
     settings::Settings,
     site::{self, Common, Trail},
     snapshot::{Stamp, VersionOne},
     start::StartWatch,
+    step::Step,
     text,
     thermometer::Thermometer,
     track::Tracks,
@@ -32,10 +33,9 @@ use super::{
 use crate::throw::{Direction, MachineId, ThrowRef};
 
 /// The monitor of a machine: baselines, last throws, alarms. The snapshot is complete, so a restart changes nothing.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct MachineMonitor {
-    /// Version of the snapshot.
-    version: u32,
+    version: Version,
     name: String,
     /// Number of observed throws.
     order: u64,
@@ -59,48 +59,34 @@ pub struct MachineMonitor {
     #[serde(default)]
     trail: Trail,
     /// Blindness at the last evaluated throw.
-    #[serde(default)]
     blind: Option<Blindness>,
     maintenance: Option<Box<Maintenance>>,
     /// Whether an estimate with a toe position was observed since the last rebaseline.
     #[serde(default)]
     has_position: bool,
     /// Parameters of the last identified throw.
-    #[serde(default)]
     parameters: Option<Parameters>,
     /// The stored snapshot that this program could not read.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     unread: Option<String>,
 }
 
-impl MachineMonitor {
-    /// Version of written snapshots.
-    const VERSION: u32 = 2;
+/// Version of a snapshot; the default is that of written ones.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+struct Version(u32);
 
+impl Default for Version {
+    fn default() -> Self {
+        Self(2)
+    }
+}
+
+impl MachineMonitor {
     /// A monitor without throws; `name` is the name of the machine in texts.
     #[must_use]
     pub fn new(name: &str) -> Self {
-        Self {
-            version: Self::VERSION,
-            name: name.to_owned(),
-            order: 0,
-            tracks: Tracks::default(),
-            drift: DriftAlarms::default(),
-            alarms: Alarms::default(),
-            operation: Operation::default(),
-            thermometer: Thermometer::default(),
-            clock: LoggerClock::default(),
-            boots: Boots::default(),
-            instruments: Instruments::default(),
-            features: FeatureWatch::default(),
-            start: StartWatch::default(),
-            trail: Trail::default(),
-            blind: None,
-            maintenance: None,
-            has_position: false,
-            parameters: None,
-            unread: None,
-        }
+        Self { name: name.to_owned(), ..Self::default() }
     }
 
     /// A monitor in the place of one whose snapshot cannot be read, as after a return to an earlier version of the
@@ -125,7 +111,7 @@ impl MachineMonitor {
         let stamp: Stamp = serde_json::from_str(json)?;
         match stamp.version {
             None => serde_json::from_str::<VersionOne>(json).map(Self::from),
-            Some(Self::VERSION) => {
+            Some(version) if Version(version) == Version::default() => {
                 let mut monitor: Self = serde_json::from_str(json)?;
                 stamp.give_owners(&mut monitor.alarms);
                 let replaced = monitor.unread.as_ref().and_then(|unread| Self::from_snapshot(unread).ok());
@@ -138,14 +124,17 @@ impl MachineMonitor {
         }
     }
 
-    /// The operational counters, the alarms, and the context of events.
-    fn parts<'a>(
-        &'a mut self,
+    /// Runs a rule with the operational counters; returns the new events.
+    fn step(
+        &mut self,
         at: Timestamp,
-        throw: Option<&'a ThrowRef>,
-        settings: &'a Settings,
-    ) -> (&'a mut Operation, &'a mut Alarms, Context<'a>) {
-        (&mut self.operation, &mut self.alarms, Context { name: &self.name, at, throw, settings })
+        throw: Option<&ThrowRef>,
+        settings: &Settings,
+        rule: impl FnOnce(&mut Operation, &mut Step),
+    ) -> Vec<AlarmEvent> {
+        let Self { operation, alarms, name, .. } = self;
+        rule(operation, &mut Step { alarms, name, at: to_micros(at), throw, settings });
+        self.alarms.take_events()
     }
 
     /// Advances the time: ends shelvings and maintenance windows, detects silence. Call it at least once a minute.
@@ -153,17 +142,15 @@ impl MachineMonitor {
     /// as silence.
     pub fn tick(&mut self, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
         let now = to_micros(now);
-        let mut events = self.alarms.unshelve_due(now);
+        self.alarms.unshelve_due(now);
         let longest = settings.longest_shelving();
         let ends = self.maintenance.as_mut().map(|maintenance| *maintenance.until.get_or_insert(now + longest));
         if ends.is_some_and(|until| until <= now) {
-            events.extend(self.end_maintenance(Actor::default(), now));
+            self.end_maintenance(Actor::default(), now);
         }
         // Silence counts only after a first throw.
         let in_service = self.maintenance.is_none() && self.order > 0;
-        let (operation, alarms, context) = self.parts(now, None, settings);
-        events.extend(operation.on_tick(in_service, alarms, context));
-        events
+        self.step(now, None, settings, |operation, step| operation.on_tick(in_service, step))
     }
 
     /// Whether the machine has a departure from a baseline, which [`Self::common`] needs.
@@ -180,14 +167,14 @@ impl MachineMonitor {
 
     /// Applies the common change of a site to the monitor for all its machines.
     pub fn follow_site(&mut self, common: &Common, now: Timestamp, settings: &Settings) -> Vec<AlarmEvent> {
-        let (_, alarms, context) = self.parts(to_micros(now), None, settings);
-        site::judge(common, alarms, context)
+        self.step(now, None, settings, |_, step| site::judge(common, step))
     }
 
     /// Takes over an open alarm that no monitor has, as after the loss of a snapshot: an operator can acknowledge it.
-    pub fn adopt(&mut self, last: AlarmEvent, now: Timestamp) -> AlarmEvent {
+    pub fn adopt(&mut self, last: AlarmEvent, now: Timestamp) -> Vec<AlarmEvent> {
         let text = text::orphaned(&self.name);
-        self.alarms.adopt(last, text, to_micros(now))
+        self.alarms.adopt(last, text, to_micros(now));
+        self.alarms.take_events()
     }
 
     /// Applies a problem of the daemon with storing data, for the monitor of the daemon itself; the alarm ends after
@@ -198,22 +185,27 @@ impl MachineMonitor {
         now: Timestamp,
         settings: &Settings,
     ) -> Option<AlarmEvent> {
-        let (operation, alarms, context) = self.parts(to_micros(now), None, settings);
-        operation.on_daemon_trouble(trouble, alarms, context)
+        self.step(now, None, settings, |operation, step| operation.on_daemon_trouble(trouble, step)).pop()
     }
 
     /// Updates the alarm about watched daemons that are away. Only the monitor of the daemon itself has this alarm.
     pub fn peers(&mut self, away: &Away, now: Timestamp, settings: &Settings) -> Option<AlarmEvent> {
-        let (_, alarms, context) = self.parts(to_micros(now), None, settings);
         let text = (!away.daemons.is_empty()).then(|| text::peers_away(away));
-        operational::on_peers(text, alarms, context)
+        self.step(now, None, settings, |_, step| operational::on_peers(text, step)).pop()
     }
 
     /// Ends the alarms under a former name of the daemon, which has the name `to` now.
     pub fn renamed(&mut self, to: &MachineId, now: Timestamp) -> Vec<AlarmEvent> {
-        let causes: Vec<Cause> = self.alarms.events().map(|event| event.cause).collect();
-        let end = |cause| self.alarms.clear(cause, text::renamed(to), to_micros(now));
-        causes.into_iter().filter_map(end).collect()
+        self.clear_all(|_| true, &text::renamed(to), to_micros(now));
+        self.alarms.take_events()
+    }
+
+    /// Clears the alarms whose latest event fulfils a condition.
+    fn clear_all(&mut self, which: impl Fn(&AlarmEvent) -> bool, text: &str, now: Timestamp) {
+        let causes: Vec<Cause> = self.alarms.events().filter(|event| which(event)).map(|event| event.cause).collect();
+        for cause in causes {
+            self.alarms.clear(cause, text.to_owned(), now);
+        }
     }
 
     /// Applies the parameters with which the next throw was identified. Estimates with other parameters cannot be
@@ -245,28 +237,27 @@ impl MachineMonitor {
         command.validate(now, settings)?;
         let actor = Actor { by: Some(command.by()), why: command.why() };
         match command {
-            Command::Ack { cause, by } => Ok(vec![self.alarms.acknowledge(*cause, by, now)?]),
-            Command::Shelve { cause, until, .. } => {
-                Ok(vec![self.alarms.shelve(*cause, to_micros(*until), actor, now)?])
-            }
-            Command::Unshelve { cause, .. } => Ok(vec![self.alarms.unshelve(*cause, actor, now)?]),
+            Command::Ack { cause, by } => self.alarms.acknowledge(*cause, by, now)?,
+            Command::Shelve { cause, until, .. } => self.alarms.shelve(*cause, to_micros(*until), actor, now)?,
+            Command::Unshelve { cause, .. } => self.alarms.unshelve(*cause, actor, now)?,
             Command::Rebaseline { by, why } => {
                 self.boots = Boots::default();
-                Ok(self.rebaseline(by, why, actor, now))
+                self.rebaseline(by, why, actor, now);
             }
-            Command::MaintenanceStart { .. } if self.maintenance.is_some() => Err(CommandError::InMaintenance),
+            Command::MaintenanceStart { .. } if self.maintenance.is_some() => return Err(CommandError::InMaintenance),
             Command::MaintenanceStart { until, by, why } => {
                 let until = Some(to_micros(*until));
                 self.maintenance = Some(Box::new(Maintenance { until, by: by.clone(), why: why.clone() }));
-                Ok(self.alarms.set_out_of_service(true, actor, now))
+                self.alarms.set_out_of_service(true, actor, now);
             }
-            Command::MaintenanceEnd { .. } if self.maintenance.is_none() => Err(CommandError::NotInMaintenance),
-            Command::MaintenanceEnd { .. } => Ok(self.end_maintenance(actor, now)),
+            Command::MaintenanceEnd { .. } if self.maintenance.is_none() => return Err(CommandError::NotInMaintenance),
+            Command::MaintenanceEnd { .. } => self.end_maintenance(actor, now),
         }
+        Ok(self.alarms.take_events())
     }
 
-    fn rebaseline(&mut self, by: &str, why: &str, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
-        let mut events = self.end_rules(now);
+    fn rebaseline(&mut self, by: &str, why: &str, actor: Actor, now: Timestamp) {
+        self.end_rules(now);
         self.operation.forget_channel();
         self.thermometer = Thermometer::default();
         self.has_position = false;
@@ -279,38 +270,38 @@ impl MachineMonitor {
         self.trail = Trail::default();
         self.blind = None;
         self.unread = None;
-        let text = text::rebaselined(&self.name, by, why);
         let drifts: Vec<Cause> =
-            self.alarms.events().filter(|event| is_drift(event)).map(|event| event.cause).collect();
-        events.extend(drifts.into_iter().filter_map(|cause| self.alarms.close(cause, text.clone(), actor, now)));
-        events
+            self.alarms.events().filter(|event| event.cause.is_drift()).map(|event| event.cause).collect();
+        for cause in drifts {
+            self.alarms.close(cause, text::rebaselined(&self.name, by, why), actor, now);
+        }
     }
 
     /// Ends the alarms of rules that forget their last throws, and could not end them any more.
-    fn end_rules(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
+    fn end_rules(&mut self, now: Timestamp) {
         let of_rules = [Rule::Features, Rule::Start, Rule::Intermittent].into_iter();
         let of_rules: Vec<Cause> = of_rules.filter_map(|rule| self.alarms.owned_by(rule)).collect();
-        let causes = [Cause::Sensor, Cause::Supply].into_iter().chain(of_rules);
-        causes.filter_map(|cause| self.alarms.clear(cause, text::checked_anew(&self.name), now)).collect()
+        for cause in [Cause::Sensor, Cause::Supply].into_iter().chain(of_rules) {
+            self.alarms.clear(cause, text::checked_anew(&self.name), now);
+        }
     }
 
-    fn end_maintenance(&mut self, actor: Actor, now: Timestamp) -> Vec<AlarmEvent> {
+    fn end_maintenance(&mut self, actor: Actor, now: Timestamp) {
         self.maintenance = None;
-        let mut events = self.alarms.set_out_of_service(false, actor, now);
-        events.extend(self.forget_recent(now));
+        self.alarms.set_out_of_service(false, actor, now);
+        self.forget_recent(now);
         self.operation.reset();
-        events
     }
 
     /// Forgets the last throws, and keeps the baselines.
-    fn forget_recent(&mut self, now: Timestamp) -> Vec<AlarmEvent> {
+    fn forget_recent(&mut self, now: Timestamp) {
         self.drift.now.clear();
         self.tracks.forget_recent();
         self.instruments.forget_recent();
         self.features.reset();
         self.start = StartWatch::default();
         self.drift.reset();
-        self.end_rules(now)
+        self.end_rules(now);
     }
 
     /// The latest event of every open alarm (any state but `normal`), oldest alarm first.
@@ -414,10 +405,6 @@ impl From<VersionOne> for MachineMonitor {
             ..Self::new(&old.name)
         }
     }
-}
-
-fn is_drift(event: &AlarmEvent) -> bool {
-    event.cause.is_drift()
 }
 
 /// Rounds to microseconds as in the database, so that the identity of an alarm does not change there.

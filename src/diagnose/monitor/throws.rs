@@ -1,26 +1,29 @@
 //! The effects of a throw on the monitor of its machine: with an estimate on baseline and drift alarms, without one on
 //! gauges and features, always on the operational alarms.
 
+use std::mem;
+
 use nalgebra::Vector3;
 
 use super::{
     super::{
+        baseline::BaselineRecord,
         drift::Drift,
-        event::{AlarmEvent, Cause},
+        event::Cause,
         explain::percent,
         found,
         gauges::{Circuit, Offset},
         latest_throw::LatestThrow,
         observation::{Evaluated, Observation, Unusable},
-        operational::Context,
         rule::Rule,
         settings::Settings,
         site::{self, Common},
+        step::Step,
         testimony::Testimony,
         thermometer::Disbelief,
         verdict::Verdict,
     },
-    MachineMonitor, is_drift, to_micros,
+    MachineMonitor, to_micros,
 };
 use crate::{estimate::Features, throw::POSSIBLE_SUPPLY_V};
 
@@ -39,9 +42,9 @@ impl MachineMonitor {
         let unknown = reversed.then(|| Observation { direction: None, estimate: None, ..observation.clone() });
         let observation = unknown.as_ref().unwrap_or(observation);
         let at = to_micros(observation.started_at);
-        // A copy, as the monitor changes while it is used.
-        let name = self.name.clone();
-        let context = Context { name: &name, at, throw: Some(&observation.throw), settings };
+        // Taken out of the monitor, whose other parts change beside them.
+        let (name, mut alarms) = (mem::take(&mut self.name), mem::take(&mut self.alarms));
+        let step = &mut Step { alarms: &mut alarms, name: &name, at, throw: Some(&observation.throw), settings };
         let temperature = self.thermometer.read(observation.temperature_c, at);
         // Without its toe sensor a machine is not what its baseline describes.
         let without_position = self.has_position && observation.is_without_position();
@@ -68,13 +71,15 @@ impl MachineMonitor {
         if self.maintenance.is_none() {
             let supply_v = observation.features.supply_v.filter(|volts| !POSSIBLE_SUPPLY_V.contains(volts));
             let disbelief = temperature.disbelief.or(supply_v.map(Disbelief::Supply));
-            verdict.events.extend(self.operation.on_sensors(disbelief, &mut self.alarms, context));
+            self.operation.on_sensors(disbelief, step);
             let unusable = observation.faulty.map(Unusable::Values);
             let unusable = unusable.or(without_position.then_some(Unusable::Missing));
             let unusable = unusable.or(reversed.then_some(Unusable::Reversed));
-            verdict.events.extend(self.operation.on_channel(unusable, &mut self.alarms, context));
-            self.observe_in_service(observation, evaluated.as_ref(), context, &mut verdict);
+            self.operation.on_channel(unusable, step);
+            verdict.baselines_taken = self.observe_in_service(observation, evaluated.as_ref(), step);
         }
+        (self.name, self.alarms) = (name, alarms);
+        verdict.events = self.alarms.take_events();
         verdict.baseline = observation.direction.and_then(|direction| {
             if !observation.features_only {
                 return Some(self.baseline_progress(direction, settings));
@@ -82,60 +87,57 @@ impl MachineMonitor {
             // A machine with a current sensor only learns its features.
             (!self.tracks.any_baseline()).then(|| self.instruments.gauges.progress(direction))
         });
-        verdict.state = self.state();
-        verdict.drifts = self.drifts();
+        verdict.present = self.present();
         verdict.blind = self.blind;
         verdict.has_trend = self.tracks.trend().is_some();
-        verdict.caveats = self.caveats();
         verdict
     }
 
+    /// Returns the baselines that became usable or complete.
     fn observe_in_service(
         &mut self,
         observation: &Observation,
         evaluated: Option<&Evaluated>,
-        context: Context,
-        verdict: &mut Verdict,
-    ) {
+        step: &mut Step,
+    ) -> Vec<BaselineRecord> {
         let Observation { direction, ref features, incomplete, temperature_c, .. } = *observation;
         let is_usual_current = direction
             .is_some_and(|direction| self.instruments.gauges.is_usual_current(direction, features, temperature_c));
-        verdict.events.extend(self.operation.on_throw(observation, is_usual_current, &mut self.alarms, context));
+        self.operation.on_throw(observation, is_usual_current, step);
+        let mut baselines_taken = Vec::new();
         if let Some(throw) = evaluated {
-            let suspicious = self.drift.is_suspicious(&self.alarms);
+            let suspicious = self.drift.is_suspicious(step.alarms);
             self.instruments.gauges.push(throw.direction, features, throw.temperature_c, suspicious);
-            self.observe_evaluated(throw, context, verdict);
+            baselines_taken = self.observe_evaluated(throw, step);
         } else {
             self.drift.on_unjudged();
-            verdict.events.extend(self.observe_features(observation, context));
+            self.observe_features(observation, step);
         }
         for sensor in [Offset::Current, Offset::Position] {
-            verdict.events.extend(self.instruments.judge_offset(sensor, &mut self.alarms, context));
+            self.instruments.judge_offset(sensor, step);
         }
         // Ratios show less than coefficients, so their machines keep the features.
         let is_judged = evaluated.is_some_and(|throw| self.tracks.has_coefficients(throw.direction));
-        let watched = self.watch_features(observation, is_judged, context, verdict);
-        verdict.events.extend(found::withdraw_explained(&mut self.alarms, context));
+        let watched = self.watch_features(observation, is_judged, step);
+        found::withdraw_explained(step);
         let is_monitored = evaluated.is_some() || watched;
-        let blind = self.blind.as_ref();
-        let event = self.operation.on_evaluation(is_monitored, direction, blind, &mut self.alarms, context);
-        verdict.events.extend(event);
+        self.operation.on_evaluation(is_monitored, direction, self.blind.as_ref(), step);
         if let (Some(direction), Some(duration_s), false) = (direction, features.duration_s, incomplete)
             && let Some(normal_s) = self.tracks.duration_s(direction)
         {
             let longer_pct = 100.0 * (duration_s / normal_s - 1.0);
-            let explained = self.alarms.active().any(|event| is_drift(event) || event.cause == Cause::Supply);
-            let event = self.operation.on_duration(longer_pct, direction, explained, &mut self.alarms, context);
-            verdict.events.extend(event);
+            let explained = step.alarms.active().any(|event| event.cause.is_drift() || event.cause == Cause::Supply);
+            self.operation.on_duration(longer_pct, direction, explained, step);
         }
+        baselines_taken
     }
 
     /// Adds a throw without an estimate to the gauges. A rejected one shows those that need no model. In a direction without
     /// a baseline they are learned as well: what follows a row of rejections must not be learned as normal unseen.
-    fn observe_features(&mut self, observation: &Observation, context: Context) -> Option<AlarmEvent> {
+    fn observe_features(&mut self, observation: &Observation, step: &mut Step) {
         let Observation { features: all, features_only, incomplete, faulty, .. } = observation;
         let is_usable = !incomplete && faulty.is_none() && !observation.is_cut_off();
-        let direction = observation.direction.filter(|_| is_usable)?;
+        let Some(direction) = observation.direction.filter(|_| is_usable) else { return };
         let features = if *features_only {
             all.clone()
         } else {
@@ -150,52 +152,44 @@ impl MachineMonitor {
             }
         };
         let has_baseline = self.tracks.of_one_throw(direction).is_some();
-        let unusual = self.drift.is_suspicious(&self.alarms) || !features_only && has_baseline;
+        let unusual = self.drift.is_suspicious(step.alarms) || !features_only && has_baseline;
         self.instruments.gauges.push(direction, &features, observation.temperature_c, unusual);
         let circuit = self.instruments.gauges.circuit(observation.temperature_c.is_some());
-        self.instruments.judge_supply(None, circuit, &mut self.alarms, context)
+        self.instruments.judge_supply(None, circuit, step);
     }
 
     /// Watches the features of a throw whose coefficients cannot be judged: it has none, or there is no baseline yet, as
     /// on a machine whose every throw is rough. Returns whether the machine is monitored by them.
-    fn watch_features(
-        &mut self,
-        observation: &Observation,
-        is_judged: bool,
-        context: Context,
-        verdict: &mut Verdict,
-    ) -> bool {
+    fn watch_features(&mut self, observation: &Observation, is_judged: bool, step: &mut Step) -> bool {
         if is_judged {
-            let found = self.features.on_estimate(observation.direction);
-            verdict.events.extend(found.apply(Rule::Features, &mut self.alarms, context));
+            self.features.on_estimate(observation.direction).apply(Rule::Features, step);
             return true;
         }
         let is_whole = !observation.incomplete && !observation.is_cut_off();
         let Some(direction) = observation.direction.filter(|_| is_whole) else { return false };
-        let gauges = &self.instruments.gauges;
         let features = (&observation.features, observation.temperature_c);
-        let found = self.features.on_features(direction, features, gauges, context);
-        verdict.events.extend(found.apply(Rule::Features, &mut self.alarms, context));
+        let found = self.features.on_features(direction, features, &self.instruments.gauges, step);
+        found.apply(Rule::Features, step);
         // A slow recording may give an estimate by chance.
         let is_of_features =
             observation.features_only && !self.has_position || observation.is_too_slow() && !self.tracks.any_baseline();
         let has_features = is_of_features && observation.features.running_current_a.is_some();
-        self.alarms.owned_by(Rule::Features).is_some() || has_features
+        step.alarms.owned_by(Rule::Features).is_some() || has_features
     }
 
-    fn observe_evaluated(&mut self, throw: &Evaluated, context: Context, verdict: &mut Verdict) {
-        let settings = context.settings;
-        let suspicious = self.drift.is_suspicious(&self.alarms);
+    fn observe_evaluated(&mut self, throw: &Evaluated, step: &mut Step) -> Vec<BaselineRecord> {
+        let settings = step.settings;
+        let suspicious = self.drift.is_suspicious(step.alarms);
         let departure = self.tracks.departure(throw);
         let residual = self.tracks.push(throw, self.order, suspicious, settings);
         let drift = residual.map(|residual| {
-            let known = self.drift.known(&self.alarms, &self.instruments.gauges);
+            let known = self.drift.known(step.alarms, &self.instruments.gauges);
             let wild = self.drift.intermittent.is_wild();
             let mut drift = self.tracks.drift(throw.direction, wild, &known, settings);
             drift.testimony = self.instruments.testimony(&drift, settings);
-            let latest = LatestThrow { drift: &drift, order: self.order, tracks: &self.tracks, context };
-            verdict.events.extend(self.drift.judge(latest, &residual, &mut self.alarms));
-            verdict.events.extend(self.instruments.judge(&drift, &mut self.alarms, context));
+            let latest = LatestThrow { drift: &drift, order: self.order, at: step.at, tracks: &self.tracks, settings };
+            self.drift.judge(latest, &residual, step);
+            self.instruments.judge(&drift, step);
             drift
         });
         let testimony = drift.as_ref().map(|drift| drift.testimony);
@@ -206,21 +200,20 @@ impl MachineMonitor {
             matches!(testimony, Some(Testimony::Either { .. })) && drift.as_ref().is_some_and(Drift::matters);
         let circuit = self.instruments.gauges.circuit(throw.temperature_c.is_some());
         let circuit = circuit.map(|found| Circuit { is_doubtful: found.is_doubtful || is_doubtful, ..found });
-        verdict.events.extend(self.instruments.judge_supply(explained, circuit, &mut self.alarms, context));
+        self.instruments.judge_supply(explained, circuit, step);
         // The inrush, which accelerates the machine, depends on the supply.
-        let excused_start = excused || self.alarms.is_active(Cause::Supply);
-        let found = self.start.judge(&self.instruments.gauges, excused_start, context);
-        verdict.events.extend(found.apply(Rule::Start, &mut self.alarms, context));
+        let excused_start = excused || step.alarms.is_active(Cause::Supply);
+        self.start.judge(&self.instruments.gauges, excused_start, step).apply(Rule::Start, step);
         if let Some(departure) = departure {
-            verdict.events.extend(self.drift.judge_departure(departure, excused, &mut self.alarms, context));
+            self.drift.judge_departure(departure, excused, step);
         }
         let by_temperature = drift.as_ref().and_then(|drift| drift.hidden);
         self.blind = by_temperature.or_else(|| self.tracks.hidden_by_scatter(settings));
-        let suspicion = self.drift.suspicion(drift.as_ref(), &self.alarms);
-        let taken = self.tracks.learn(throw, self.order, context.at, suspicion, settings);
+        let suspicion = self.drift.suspicion(drift.as_ref(), step.alarms);
+        let taken = self.tracks.learn(throw, self.order, step.at, suspicion, settings);
         if !taken.is_empty() {
             self.drift.forget_history();
         }
-        verdict.baselines_taken.extend(taken);
+        taken
     }
 }

@@ -65,7 +65,6 @@ pub(super) struct Tracks {
     sides: [Track; 2],
     mixed: Option<Mixed>,
     /// Slopes of the logarithms over the throws of the baselines, per throw of the machine; `None` without a trend.
-    #[serde(default)]
     slopes: Option<[f64; 3]>,
     /// Wet spells in the throws of incomplete baselines.
     #[serde(default, skip_serializing_if = "<[WetSpell]>::is_empty")]

@@ -1,0 +1,71 @@
+//! One step of a monitor: the alarms that a rule may change, with machine, time and throw of their events.
+
+use jiff::Timestamp;
+
+use super::{
+    alarm::Alarms,
+    event::{AlarmEvent, AlarmState, Cause, Severity},
+    rule::Rule,
+    settings::Settings,
+};
+use crate::throw::ThrowRef;
+
+/// A step of a monitor, for its rules.
+pub(super) struct Step<'a> {
+    pub(super) alarms: &'a mut Alarms,
+    /// Name of the machine in texts.
+    pub(super) name: &'a str,
+    pub(super) at: Timestamp,
+    pub(super) throw: Option<&'a ThrowRef>,
+    pub(super) settings: &'a Settings,
+}
+
+impl Step<'_> {
+    /// The draft of an event, with the throw as evidence. [`Alarms`] sets its number, raise and state.
+    pub(super) fn event(&self, cause: Cause, severity: Severity, text: String) -> AlarmEvent {
+        AlarmEvent {
+            cause,
+            raised_at: self.at,
+            event_no: 0,
+            severity,
+            state: AlarmState::Normal,
+            event_at: self.at,
+            change_pct: None,
+            change_pct_sd: None,
+            direction: None,
+            channel: None,
+            runner_up: None,
+            correlation: None,
+            first_throw: self.throw.cloned(),
+            last_throw: self.throw.cloned(),
+            text,
+            text_at: None,
+            acknowledged_by: None,
+            limit_in_throws: None,
+            by: None,
+            why: None,
+        }
+    }
+
+    pub(super) fn warning(&self, cause: Cause, text: String) -> AlarmEvent {
+        self.event(cause, Severity::Warning, text)
+    }
+
+    pub(super) fn critical(&self, cause: Cause, text: String) -> AlarmEvent {
+        self.event(cause, Severity::Critical, text)
+    }
+
+    /// Raises the alarm of the usual rule of a cause. Returns whether it changed.
+    pub(super) fn raise(&mut self, event: AlarmEvent) -> bool {
+        self.alarms.raise(Rule::Usual, event)
+    }
+
+    pub(super) fn clear(&mut self, cause: Cause, text: String) {
+        self.alarms.clear(cause, text, self.at);
+    }
+
+    /// Adds an event with a text to an open alarm.
+    pub(super) fn remark(&mut self, cause: Cause, text: String) {
+        self.alarms.remark(cause, text, self.at);
+    }
+}
