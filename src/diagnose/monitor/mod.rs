@@ -36,7 +36,7 @@ use crate::throw::{Direction, MachineId, ThrowRef};
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct MachineMonitor {
     version: Version,
-    name: String,
+    name: Box<str>,
     /// Number of observed throws.
     order: u64,
     tracks: Tracks,
@@ -68,7 +68,7 @@ pub struct MachineMonitor {
     parameters: Option<Parameters>,
     /// The stored snapshot that this program could not read.
     #[serde(skip_serializing_if = "Option::is_none")]
-    unread: Option<String>,
+    unread: Option<Box<str>>,
 }
 
 /// Version of a snapshot; the default is that of written ones.
@@ -86,20 +86,20 @@ impl MachineMonitor {
     /// A monitor without throws; `name` is the name of the machine in texts.
     #[must_use]
     pub fn new(name: &str) -> Self {
-        Self { name: name.to_owned(), ..Self::default() }
+        Self { name: name.into(), ..Self::default() }
     }
 
     /// A monitor in the place of one whose snapshot cannot be read, as after a return to an earlier version of the
     /// program. It keeps this text, for a version that can.
     #[must_use]
     pub fn instead_of(unread: String, name: &str) -> Self {
-        Self { unread: Some(unread), ..Self::new(name) }
+        Self { unread: Some(unread.into()), ..Self::new(name) }
     }
 
     /// Replaces the name of the machine in later texts.
     #[must_use]
     pub fn named(self, name: String) -> Self {
-        Self { name, ..self }
+        Self { name: name.into(), ..self }
     }
 
     /// Reads a snapshot (the monitor as JSON) of this or an earlier version of the program. Of a monitor in the place of
