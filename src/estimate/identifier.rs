@@ -38,9 +38,9 @@ const MIN_RISE_SAMPLES: usize = 4;
 /// with those at 1 kHz within 0.3 % on an independent drive. At 200 Hz and slower rates the ripple of rectified mains (100 Hz
 /// and its multiples) becomes a constant current.
 const LONGEST_INTERVAL_S: f64 = 0.004 * (1.0 + 1e-3);
-/// Largest departure of a movement with usable ratios, as share of the travel: unlocking 0.5 s after the start of the
-/// motor causes 4.5 %.
-const ROUGH_SHARE: f64 = 0.05;
+/// Largest relative standard deviation of a ratio if the full model fails: a long unlocking stroke leaves 2 to 4 %, and a position
+/// that has nothing to do with the current 70 %.
+const LARGEST_RATIO_ERROR: f64 = 0.2;
 /// Ratio of the quiet current's standard deviation to that of its second differences, above which hum is searched.
 const HUM_FACTOR: f64 = 1.3;
 /// Duration of the start of the motor \[s\], in which the toe moves by 1.5 mm.
@@ -278,9 +278,6 @@ impl Identifier {
                 let grade = if noisy.is_some() { Grade::Rough } else { Grade::Good };
                 return Ok(Estimate { grade, reason: noisy, ..estimate });
             }
-            (Err(Rejection::Misfit { peak_mm, at_s }), None) if peak_mm > ROUGH_SHARE * movement.travel_mm => {
-                return Err(Rejection::Misfit { peak_mm, at_s });
-            }
             (Err(reason), None) if !reason.leaves_ratios() => return Err(reason),
             (_, Some(reason)) | (Err(reason), None) => reason,
         };
@@ -293,7 +290,10 @@ impl Identifier {
         };
         let ratios =
             ratios::of(input, &self.output, window.equilibrium, window.interval_s).ok_or_else(|| reason.clone())?;
-        Ok(ratios.estimate(scale, Some(reason), window.from, window.to, window.interval_s))
+        let estimate = ratios.estimate(scale, Some(reason.clone()), window.from, window.to, window.interval_s);
+        let is_known = |(ratio, sd): (f64, f64)| sd < LARGEST_RATIO_ERROR * ratio;
+        let are_known = estimate.ratios().into_iter().zip(estimate.ratios_sd()).all(is_known);
+        if are_known || !reason.refutes_the_model() { Ok(estimate) } else { Err(reason) }
     }
 
     /// Fits the full model to the window; returns fit and iterations if there is a solution, and its acceptance.

@@ -389,7 +389,15 @@ impl Rejection {
     /// Whether the reason affects only the model or the start of the throw, so that the rest of the movement may give
     /// the ratios.
     pub(super) fn leaves_ratios(&self) -> bool {
-        matches!(self, Self::Misfit { .. } | Self::LateStart { .. } | Self::BrakedStart | Self::Uncertain { .. })
+        let is_of_start =
+            matches!(self, Self::Misfit { .. } | Self::LateStart { .. } | Self::BrakedStart | Self::Uncertain { .. });
+        is_of_start || self.refutes_the_model()
+    }
+
+    /// Whether the full model describes the throw badly: its toe moves long after the motor, as with a long unlocking stroke, or
+    /// its channels do not belong together.
+    pub(super) fn refutes_the_model(&self) -> bool {
+        matches!(self, Self::NotPositive { .. } | Self::Unstable { .. } | Self::PoorFit { .. })
     }
 
     /// The channel whose values show that its sensor or cable is faulty, if the reason is one.
