@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     event::Cause,
-    observation::Evaluated,
+    observation::{Evaluated, SCALE_VARIANCE},
     robust::{centre_and_sd, median},
     scatter::Scatter,
     settings::Settings,
@@ -75,6 +75,9 @@ pub(super) struct Baseline {
     pub(super) scatter: Scatter,
     /// Slopes of the logarithms per throw of the machine; `None` without a trend.
     slopes: Option<[f64; 3]>,
+    /// The part of an error of ratios that differs from throw to throw, by columns; `None` for all of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    differing: Option<Box<[[f64; 3]; 3]>>,
 }
 
 /// Known changes over the throws of a baseline, which are no part of its scatter.
@@ -99,6 +102,11 @@ impl BaselineThrow {
         }
     }
 
+    /// The same for a throw of an earlier version as [`Baseline::relate_to_b0`].
+    pub(super) fn relate_to_b0(&mut self) {
+        self.log = self.log.map(|log| log - self.log[0]);
+    }
+
     /// The logarithms in dry weather.
     fn dry(&self, wet: &[WetSpell]) -> Vector3<f64> {
         let change: f64 = wet.iter().map(|spell| spell.change_at(self.order)).sum();
@@ -112,6 +120,7 @@ impl Baseline {
     pub(super) fn learn(
         throws: &[BaselineThrow],
         sensor: Sym3,
+        of_ratios: bool,
         changes: Changes,
         taken_at: Timestamp,
         settings: &Settings,
@@ -127,6 +136,11 @@ impl Baseline {
         let robust = [0, 1, 2].map(|i| centre_and_sd(&logs.iter().map(|x| x[i]).collect::<Vec<_>>()));
         let centre = robust.map(|(centre, _)| centre);
         let residuals: Vec<Vector3<f64>> = logs.iter().map(|x| clip(x - Vector3::from(centre), robust)).collect();
+        let mut sensor = sensor.into();
+        let differing = if of_ratios { differing_part(&residuals, &sensor) } else { None };
+        if let Some(part) = &differing {
+            sensor = transformed(sensor, part);
+        }
         let mut durations: Vec<f64> = throws.iter().filter_map(|l| l.duration_s.map(f64::from)).collect();
         Self {
             centre,
@@ -135,9 +149,20 @@ impl Baseline {
             taken_at,
             temperature,
             duration_s: (!durations.is_empty()).then(|| median(&mut durations)),
-            scatter: Scatter::learn(&residuals, sensor.into(), 1),
+            scatter: Scatter::learn(&residuals, sensor, 1),
             slopes: changes.slopes,
+            differing: differing.map(|part| Box::new(part.into())),
         }
+    }
+
+    /// Changes a baseline of ratios of an earlier version, which had the logarithms without their mean, to the ratios to b0.
+    pub(super) fn relate_to_b0(&mut self) {
+        self.centre = self.centre.map(|log| log - self.centre[0]);
+    }
+
+    /// The covariance of the errors of a throw's ratios without those that are equal in every throw.
+    pub(super) fn differing(&self, sensor: Matrix3<f64>) -> Matrix3<f64> {
+        self.differing.as_ref().map_or(sensor, |part| transformed(sensor, &Matrix3::from(**part)))
     }
 
     /// Residual of a throw from the centre, without temperature compensation, and the distance from the reference
@@ -184,6 +209,26 @@ impl Baseline {
             duration_s: self.duration_s,
         }
     }
+}
+
+/// The part of an error of ratios that differs from throw to throw, if their covariance is `sensor`. Such errors come from the
+/// misfit of the model, which repeats on most machines: then the ratios scatter less than the errors. Along each principal axis
+/// of the scatter relative to the errors, with the variance λ, the part is λ, and 1 if λ is larger. So it leaves most of the
+/// scatter to the machine, whose throws may depend on each other.
+fn differing_part(residuals: &[Vector3<f64>], sensor: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+    let seen = residuals.iter().map(|residual| residual * residual.transpose()).sum::<Matrix3<f64>>();
+    // Ratios have no common scale, so its variance stays.
+    let seen = seen / residuals.len() as f64 + Matrix3::repeat(SCALE_VARIANCE);
+    let root = sensor.cholesky()?.l();
+    let inverse = root.try_inverse()?;
+    let relative = (inverse * seen * inverse.transpose()).symmetric_eigen();
+    let kept = Matrix3::from_diagonal(&relative.eigenvalues.map(|variance| variance.clamp(0.0, 1.0)));
+    Some(root * relative.eigenvectors * kept * relative.eigenvectors.transpose() * inverse)
+}
+
+/// The covariance `sensor` of an error after the linear map `part`.
+fn transformed(sensor: Matrix3<f64>, part: &Matrix3<f64>) -> Matrix3<f64> {
+    part * sensor * part.transpose()
 }
 
 /// Scatter of the throws of both directions together, in their order.

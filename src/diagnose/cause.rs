@@ -39,7 +39,8 @@ const MOST_OF_GAUGE: f64 = 40.0;
 const TORQUE_ALONE: f64 = 3.0;
 /// Standard deviation of such a loss, as a logarithm: commutation loses a part of the torque, not most of it.
 const TORQUE_ALONE_SD: f64 = 0.3;
-/// Change of ln b0 from which a rise of friction may hide a loss of torque: the default warning limit of the motor.
+/// Change of ln b0 from which a rise of friction may hide a loss of torque, and of the back-EMF from which magnets are not
+/// sound: the default warning limit of the motor.
 const LOST_TORQUE: f64 = -0.05;
 /// Least size of a second cause, as part of its warning limit. Below 1, as the size is uncertain.
 const MATTERS: f64 = 0.75;
@@ -310,7 +311,8 @@ impl Attribution {
             Naming::Neither(..) => [None, None],
         };
         let motor = named.into_iter().flatten().find(|part| part.cause == Cause::Kt && part.size < 0.0)?;
-        self.back_emf.filter(|level| level.value.abs() + level.sd < CHANGED * motor.size.abs())
+        let is_weaker = |level: &Level| level.value < -CHANGED_SD * level.sd && level.value < LOST_TORQUE;
+        self.back_emf.filter(|level| level.value.abs() + level.sd < CHANGED * motor.size.abs() && !is_weaker(level))
     }
 
     /// Whether the cross-correlation rule contradicts the name of its main part.

@@ -4,6 +4,8 @@
 //! An alarm is raised if the diagnosis names its cause, above the limit, for `on_delay_throws` consecutive throws;
 //! without a single name after a longer wait. It is cleared after one of these:
 //! - plain health for `off_delay_throws`, at least a dozen: the size plus two standard deviations is below half of the limit;
+//! - likely health for a longest window: the size is below half of the limit, and plus two standard deviations below the limit,
+//!   as of a repaired machine whose estimates scatter;
 //! - hovering for `hold_throws`: no drift is detected, or its size is below the limit by the deadband;
 //! - another name for a longest window: another cause explains the drift.
 //!
@@ -53,6 +55,8 @@ pub(super) struct Reading {
     pub(super) patience: u32,
     /// Whether the size plus two standard deviations is below half of the limit.
     pub(super) plain_health: bool,
+    /// Whether the size is below half of the limit, and plus two standard deviations below the limit.
+    pub(super) likely_health: bool,
     /// Whether no drift is detected, or its size is below the limit by the deadband.
     pub(super) below: bool,
     /// Whether the drift has another name.
@@ -112,6 +116,8 @@ pub(super) struct Onset {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub(super) struct Ending {
     pub(super) healthy: u32,
+    #[serde(default)]
+    pub(super) likely_healthy: u32,
     pub(super) below: u32,
     pub(super) other: u32,
     #[serde(default)]
@@ -207,6 +213,7 @@ impl Onset {
 impl Ending {
     fn after(mut self, reading: Reading) -> Self {
         streak(&mut self.healthy, reading.plain_health);
+        streak(&mut self.likely_healthy, reading.likely_health);
         streak(&mut self.below, reading.below);
         streak(&mut self.other, reading.other_name);
         streak(&mut self.turned, reading.turned);
@@ -232,7 +239,9 @@ impl Ending {
 
     fn transition(&mut self, settings: &Settings) -> Transition {
         let at_least = |throws: u32| if self.restless { throws.max(settings.hold_throws) } else { throws };
-        if self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW)) || self.below >= settings.hold_throws
+        if self.healthy >= at_least(settings.off_delay_throws.max(LEVELS_FOLLOW))
+            || self.likely_healthy >= at_least(settings.off_delay_throws.max(LONGEST_WINDOW))
+            || self.below >= settings.hold_throws
         {
             Transition::Clear { at_once: self.fell_at_once() }
         } else if self.other >= at_least(LONGEST_WINDOW) {

@@ -28,7 +28,7 @@ const TOO_CLOSE_PATIENCE: u32 = 24;
 /// Factor on warning limits for a provisional baseline, which does not include the weather yet.
 const PROVISIONAL_WIDENING: f64 = 1.5;
 
-/// Part of the warning limit below which a size plus two standard deviations is plain health.
+/// Part of the warning limit below which a size plus two standard deviations is plain health, and a size likely health.
 const HEALTHY_BELOW: f64 = 0.5;
 /// Largest change of another coefficient as part of a change of friction by weather.
 const BESIDE_WEATHER: f64 = 0.67;
@@ -167,6 +167,7 @@ impl Drift {
                 (Naming::Both(..) | Naming::Neither(..), _) => UNNAMED_PATIENCE,
             }),
             plain_health: is_shown && bound < HEALTHY_BELOW,
+            likely_health: is_shown && size < HEALTHY_BELOW && bound < 1.0,
             below: is_shown && (self.attribution.is_none() || size < deadband),
             other_name: other,
             turned: false,

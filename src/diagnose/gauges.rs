@@ -1,13 +1,14 @@
 //! Gauges: quantities of a throw beside the coefficients (travel, back-EMF constant, resistance, duration, voltage,
-//! inrush, running current, charge, no-load speed, start, current at rest, middle). Each is used as the logarithm of its ratio
-//! to the normal value of the direction; delay of the start, current at rest and middle as a difference. Errors of sensors, clock
-//! and supply change the gauges in other ways than faults of parts do, which distinguishes the two.
+//! inrush, running current, charge, no-load speed, start, current at rest, middle, air temperature). Each is used as the
+//! logarithm of its ratio to the normal value of the direction; delay of the start, current at rest, middle and temperature as a
+//! difference. Errors of sensors, clock and supply change the gauges in other ways than faults of parts do, which distinguishes
+//! the two.
 
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{
     last::Last,
-    robust::{centre_and_sd, median},
+    robust::{centre_and_sd, median, moving_range_sd, skewed_sd},
     threshold::WINDOWS,
 };
 use crate::{estimate::Features, throw::Direction};
@@ -36,10 +37,12 @@ pub(super) enum Gauge {
     Rest,
     /// Middle between the positions at the begin and at the end \[mm\], as a difference: it shifts with the sensor's zero.
     Middle,
+    /// Published temperature \[°C\], as a difference.
+    Air,
 }
 
 impl Gauge {
-    const COUNT: usize = 13;
+    const COUNT: usize = 14;
 
     /// Range of the changes that a changed supply explains, as logarithms. The charge is that of the inrush, and of the running
     /// motor: its current is the same before a dry load, and follows the speed before a viscous one.
@@ -61,6 +64,16 @@ impl Gauge {
             Self::Resistance | Self::Duration | Self::Volts | Self::NoLoadSpeed => 0.01,
             Self::Inrush | Self::Running | Self::Charge | Self::StartGain | Self::Rest => 0.02,
             Self::StartDelay | Self::Middle => 0.2,
+            Self::Air => 0.0,
+        }
+    }
+
+    /// Sign of the change with the field of the magnets; 0 without one.
+    fn sign_of_magnets(self) -> f64 {
+        match self {
+            Self::BackEmf => 1.0,
+            Self::NoLoadSpeed => -1.0,
+            _ => 0.0,
         }
     }
 }
@@ -73,6 +86,9 @@ const RECENT: usize = WINDOWS[2];
 const EXPECTED_ERROR: f64 = 0.15;
 /// Temperature coefficient of the resistance of copper \[1/K\], and reference temperature \[°C\].
 const COPPER: (f64, f64) = (0.0039, 20.0);
+/// Change of the field of a magnet with its temperature \[1/K\], and its standard deviation: -0.2 % per K for ferrite, -0.1 % for
+/// rare earths, hardly any for Alnico and for a wound field. The air is the magnet's temperature, as a throw warms the winding.
+const MAGNETS: (f64, f64) = (-0.001, 0.0006);
 /// Largest temperature of a winding above the air \[K\]: in a yard with a throw every few minutes. The limit of its
 /// insulation is 80 K.
 const HEATED_K: f64 = 60.0;
@@ -118,9 +134,6 @@ const SHORTER_SD: f64 = 3.0;
 /// Factor on the standard deviation of a mean, as consecutive throws are correlated: √((1 + 0.5) / (1 - 0.5)) for a
 /// correlation of 0.5.
 const CORRELATED: f64 = 1.7;
-
-/// Mean distance of two normal variables in standard deviations: 2/√π.
-const RANGE_PER_SD: f64 = 1.128;
 
 /// Logarithms of a throw; `None` for unknown ones.
 type Values = [Option<f32>; Gauge::COUNT];
@@ -303,42 +316,45 @@ impl Gauges {
         changes.iter().all(|change| change.is_some_and(|(change, _)| f64::from(change.abs()) < USUAL_CURRENT))
     }
 
-    /// Level of a gauge over the last `throws` that show it: their mean, or in the shortest window their median; `None` if
-    /// hardly any do, or its normal value is unknown.
+    /// Level of a gauge over the last `throws` that show it, without the effect of the temperature on magnets: their mean, or in
+    /// the shortest window their median; `None` if hardly any do, or its normal value is unknown.
     pub(super) fn level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
-        self.level_and_departures(gauge, throws).map(|(level, _)| level)
-    }
-
-    /// The same, with the scatter of these throws if it is larger than normal, as behind a sensor that has become noisy. It is
-    /// their mean moving range, which a step in the level hardly changes.
-    pub(super) fn scattered_level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
-        let (level, departures) = self.level_and_departures(gauge, throws)?;
-        let ranges: f64 = departures.array_windows().map(|[a, b]| (b - a).abs()).sum();
-        let sd = ranges / (departures.len() - 1).max(1) as f64 / RANGE_PER_SD;
-        Some(Level { sd: level.sd.max(sd_of_mean(gauge, sd, departures.len() as f64)), ..level })
-    }
-
-    fn level_and_departures(&self, gauge: Gauge, throws: usize) -> Option<(Level, Vec<f64>)> {
-        let departures: Vec<(f64, f64)> = self
-            .recent
-            .iter()
-            .rev()
-            .filter_map(|shown| {
-                let (centre, sd) = self.sides[shown.side()].of(gauge)?;
-                Some((f64::from(shown.value(gauge)? - centre), f64::from(sd)))
-            })
-            .take(throws)
-            .collect();
-        // The throws of one direction may all be without it.
-        if departures.is_empty() || 2 * departures.len() < throws.min(self.recent.len()) {
-            return None;
-        }
-        let (mut values, sds): (Vec<_>, Vec<_>) = departures.into_iter().unzip();
+        let departures = self.departures(gauge, throws)?;
+        let mut values: Vec<f64> = departures.iter().map(|(_, value, _)| *value).collect();
+        let sds: Vec<f64> = departures.iter().map(|(.., sd)| *sd).collect();
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
         let sd = sd_of_mean(gauge, mean(&sds), values.len() as f64);
         // The median has the whole size of a change as soon as most of the throws show it.
         let value = if throws == WINDOWS[0] { median(&mut values) } else { mean(&values) };
-        Some((Level { value, sd }, values))
+        let of_magnets = gauge.sign_of_magnets();
+        let warmer_k =
+            if of_magnets == 0.0 { 0.0 } else { self.level(Gauge::Air, throws).map_or(0.0, |air| air.value) };
+        Some(Level { value: value - of_magnets * MAGNETS.0 * warmer_k, sd: sd.hypot(MAGNETS.1 * warmer_k) })
+    }
+
+    /// The same, with the scatter of these throws if it is larger than normal, as behind a sensor that has become noisy.
+    pub(super) fn scattered_level(&self, gauge: Gauge, throws: usize) -> Option<Level> {
+        let (level, departures) = (self.level(gauge, throws)?, self.departures(gauge, throws)?);
+        // The directions may change otherwise.
+        let of = |side: usize| {
+            let own = departures.iter().filter(|(of, ..)| *of == side);
+            own.map(|(_, value, _)| *value).collect::<Vec<_>>()
+        };
+        let sd = sd_of_mean(gauge, moving_range_sd(&[of(0), of(1)]), departures.len() as f64);
+        Some(Level { sd: level.sd.max(sd), ..level })
+    }
+
+    /// Side, departure from normal, and standard deviation of one throw, of the last `throws` that show a gauge, newest first;
+    /// `None` if hardly any do, or its normal value is unknown.
+    fn departures(&self, gauge: Gauge, throws: usize) -> Option<Vec<(usize, f64, f64)>> {
+        let departure = |shown: &Shown| {
+            let (centre, sd) = self.sides[shown.side()].of(gauge)?;
+            Some((shown.side(), f64::from(shown.value(gauge)? - centre), f64::from(sd)))
+        };
+        let departures: Vec<_> = self.recent.iter().rev().filter_map(departure).take(throws).collect();
+        // The throws of one direction may all be without it.
+        let are_enough = !departures.is_empty() && 2 * departures.len() >= throws.min(self.recent.len());
+        are_enough.then_some(departures)
     }
 
     /// Error of the published supply voltage. Resistance and back-EMF constant are computed from it and have the same error,
@@ -433,6 +449,12 @@ impl Gauges {
         (is_other && ends[0].abs() > SHIFT_SHARE * usual_mm).then_some(ends[0] / travel_mm)
     }
 
+    /// Largest normal delay of the start \[ms\]: that of an unlocking stroke, or of play and an elastic drive.
+    pub(super) fn normal_delay_ms(&self) -> f64 {
+        let normal = self.sides.iter().filter_map(|side| side.of(Gauge::StartDelay));
+        normal.map(|(centre, _)| f64::from(centre).abs()).fold(0.0, f64::max)
+    }
+
     fn normal_travel_mm(&self) -> Option<f64> {
         self.sides.iter().find_map(|side| side.of(Gauge::Travel)).map(|(centre, _)| f64::from(centre).exp())
     }
@@ -508,7 +530,10 @@ impl Normal {
             let learned = &mut self.learned[at];
             learned.push(value);
             if learned.len() >= LEARNED.0 {
-                let (centre, sd) = centre_and_sd(&learned.iter().copied().map(f64::from).collect::<Vec<_>>());
+                let values: Vec<f64> = learned.iter().copied().map(f64::from).collect();
+                let (centre, sd) = centre_and_sd(&values);
+                // Without a toe sensor, at 25 Hz, half of the throws have no sample of the inrush in their charge.
+                let sd = sd.max(skewed_sd(&values, centre));
                 #[expect(clippy::cast_possible_truncation, reason = "the values are rounded more")]
                 let known = (centre as f32, sd as f32);
                 self.known[at] = Some(known);
@@ -528,7 +553,8 @@ fn heat(kelvin: f64) -> f64 {
     (COPPER.0 * kelvin).ln_1p()
 }
 
-/// The gauges of a throw, as logarithms except for the delay of the start \[ms\], the current at rest \[A\] and the middle \[mm\].
+/// The gauges of a throw, as logarithms except for the delay of the start \[ms\], the current at rest \[A\], the middle \[mm\]
+/// and the temperature \[°C\].
 fn values(features: &Features, celsius: Option<f64>) -> Values {
     let warm = celsius.map_or(1.0, |celsius| 1.0 + COPPER.0 * (celsius - COPPER.1));
     let ln = |value: Option<f64>| value.map(f64::ln);
@@ -546,6 +572,7 @@ fn values(features: &Features, celsius: Option<f64>) -> Values {
         ln(features.start_gain),
         features.quiet_current_a,
         features.start_position_mm.zip(features.end_position_mm).map(|(start, end)| f64::midpoint(start, end)),
+        celsius,
     ];
     // Rounded to 1e-4, below any relevant scatter, to keep the snapshot small.
     #[expect(clippy::cast_possible_truncation, reason = "rounded anyway")]

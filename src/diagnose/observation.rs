@@ -172,6 +172,10 @@ impl Parameters {
     }
 }
 
+/// Variance of the common scale of ratios, which has no meaning: any of the size of the usual scatter, so that the covariance
+/// can be inverted.
+pub(super) const SCALE_VARIANCE: f64 = 1e-4;
+
 /// A throw with a direction and a usable estimate, in logarithms.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Evaluated {
@@ -217,18 +221,15 @@ impl Evaluated {
         })
     }
 
-    /// The ratios of the throw, for a baseline of ratios: the logarithms without their mean. Errors that are equal in
-    /// every throw cancel in a comparison with such a baseline.
+    /// The ratios of the throw, for a baseline of ratios: the logarithms of b0/b0, a1/b0, a0/b0, so that friction, which varies
+    /// most, varies in one of them. Errors that are equal in every throw cancel in a comparison with such a baseline.
     pub(super) fn ratios(self) -> Self {
-        /// Standard deviation of the common scale, which has no meaning: any of the size of the usual scatter, so that the
-        /// covariance can be inverted.
-        const SCALE_SD: f64 = 0.01;
-        let centred = Matrix3::identity() - Matrix3::repeat(1.0 / 3.0);
+        let to_b0 = Matrix3::identity() - Vector3::repeat(1.0) * Vector3::x().transpose();
         let repeats = if self.ratios_only { Estimate::LONGEST_WINDOW } else { 1.0 };
-        let sensor = centred * self.sensor * centred / repeats;
+        let sensor = to_b0 * self.sensor * to_b0.transpose() / repeats;
         Self {
-            log: (centred * Vector3::from(self.log)).into(),
-            sensor: 0.5 * (sensor + sensor.transpose()) + Matrix3::repeat(SCALE_SD * SCALE_SD),
+            log: (to_b0 * Vector3::from(self.log)).into(),
+            sensor: 0.5 * (sensor + sensor.transpose()) + Matrix3::repeat(SCALE_VARIANCE),
             ratios_only: true,
             ..self
         }

@@ -30,3 +30,23 @@ pub(super) fn centre_and_sd(values: &[f64]) -> (f64, f64) {
     let sd = if sd > 0.0 { sd } else { deviations.iter().sum::<f64>() / deviations.len() as f64 };
     (clipped_mean(&mut sorted, sd), sd)
 }
+
+/// Standard deviation of a sample whose scatter may be skewed, from the deviation from `centre` that five in six values do not
+/// exceed. The median deviation is 0 if half of the values are equal, however far the others are. `values` must not be empty.
+pub(super) fn skewed_sd(values: &[f64], centre: f64) -> f64 {
+    /// Magnitude of a normal variable that five in six do not exceed.
+    const FIVE_IN_SIX: f64 = 1.383;
+    let mut deviations: Vec<f64> = values.iter().map(|v| (v - centre).abs()).collect();
+    deviations.sort_unstable_by(f64::total_cmp);
+    deviations[5 * values.len() / 6] / FIVE_IN_SIX
+}
+
+/// Standard deviation of series whose level may have a step, from their mean moving range: the distance of consecutive values. 0
+/// without any.
+pub(super) fn moving_range_sd(series: &[Vec<f64>]) -> f64 {
+    /// Mean distance of two normal variables in standard deviations: 2/√π.
+    const RANGE_PER_SD: f64 = 1.128;
+    let ranges = series.iter().flat_map(|values| values.array_windows().map(|[a, b]| (b - a).abs()));
+    let (sum, count) = ranges.fold((0.0, 0), |(sum, count), range| (sum + range, count + 1));
+    sum / f64::from(count.max(1)) / RANGE_PER_SD
+}

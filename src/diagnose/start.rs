@@ -19,6 +19,8 @@ const DELAY_MS: f64 = 1.0;
 /// Change of the delay that friction can cause, for each 1 of the logarithm of the running current \[ms\]: dry friction
 /// winds up an elastic drive before the toe moves. Drives of 1.5e7 N/m have 10 to 26 ms.
 const DELAY_OF_FRICTION_MS: f64 = 30.0;
+/// Change of the delay of an unlocking stroke, as multiple of that of the duration: its time follows the speed of the motor.
+const DELAY_OF_DURATION: f64 = 1.5;
 /// Change of the logarithm of the acceleration that matters, in addition to that of the running current, which a motor
 /// changes as much.
 const GAIN: f64 = 0.1;
@@ -43,6 +45,8 @@ pub(super) struct Change {
     /// Changes of the logarithms of the acceleration per ampere and of the running current.
     pub(super) gain: Level,
     pub(super) running: Level,
+    /// Change of the delay by the speed of the motor \[ms\].
+    pub(super) of_speed_ms: f64,
 }
 
 impl Change {
@@ -50,14 +54,16 @@ impl Change {
     fn of(gauges: &Gauges) -> Option<Self> {
         let level = |gauge| gauges.scattered_level(gauge, WINDOWS[2]);
         let (delay, gain) = (level(Gauge::StartDelay)?, level(Gauge::StartGain)?);
-        Some(Self { delay, gain, running: level(Gauge::Running)? })
+        let duration = gauges.level(Gauge::Duration, WINDOWS[2]).map_or(0.0, |duration| duration.value.abs());
+        let of_speed_ms = DELAY_OF_DURATION * duration * gauges.normal_delay_ms();
+        Some(Self { delay, gain, running: level(Gauge::Running)?, of_speed_ms })
     }
 
     /// Size relative to what matters and to what the running current explains.
     fn size(&self) -> f64 {
         let running = self.running.value.abs();
         let of = |level: Level, least: f64| level.value.abs() / least.max(SIGNIFICANT_SD * level.sd);
-        of(self.delay, DELAY_MS + DELAY_OF_FRICTION_MS * running).max(of(self.gain, GAIN + running))
+        of(self.delay, DELAY_MS + DELAY_OF_FRICTION_MS * running + self.of_speed_ms).max(of(self.gain, GAIN + running))
     }
 }
 

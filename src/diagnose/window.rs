@@ -30,7 +30,7 @@ const KEPT: usize = WINDOWS[3];
 /// for all its throws of ratios.
 const LEAST_SCALED: usize = WINDOWS[0];
 /// Standard deviation of the logarithm of the common scale in a window that does not show it: far more than any fault.
-const UNKNOWN_SCALE_SD: f64 = 1.0;
+pub(super) const UNKNOWN_SCALE_SD: f64 = 1.0;
 /// A size has no part in the common scale if its weights sum to less than this part of the largest of them. Weights
 /// from windows that do not show the scale sum to less than a fiftieth, others to some tenths or more.
 const NO_SCALE: f64 = 0.05;

@@ -47,7 +47,7 @@ impl Store {
         let [throws, messages, notifications] = self.disk.lost();
         let throws = throws.map(|throws| {
             format!(
-                "{throws} throws were dropped before they were judged: pending throws fill store.max_size_mib, mostly \
+                "{throws} throws were dropped before they were judged: pending throws fill store.max_size_mib or are more than store.max_traces, mostly \
                  of one machine. Check the logger that sends so many"
             )
         });

@@ -113,6 +113,7 @@ impl MachineMonitor {
             None => serde_json::from_str::<VersionOne>(json).map(Self::from),
             Some(version) if Version(version) == Version::default() => {
                 let mut monitor: Self = serde_json::from_str(json)?;
+                monitor.tracks.relate_to_b0();
                 stamp.give_owners(&mut monitor.alarms);
                 let replaced = monitor.unread.as_ref().and_then(|unread| Self::from_snapshot(unread).ok());
                 Ok(replaced.unwrap_or(monitor))

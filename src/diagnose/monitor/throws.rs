@@ -135,10 +135,11 @@ impl MachineMonitor {
     /// Adds a throw without an estimate to the gauges. A rejected one shows those that need no model. In a direction without
     /// a baseline they are learned as well: what follows a row of rejections must not be learned as normal unseen.
     fn observe_features(&mut self, observation: &Observation, step: &mut Step) {
-        let Observation { features: all, features_only, incomplete, faulty, .. } = observation;
+        let Observation { features: all, incomplete, faulty, .. } = observation;
+        let features_only = observation.is_without_position();
         let is_usable = !incomplete && faulty.is_none() && !observation.is_cut_off();
         let Some(direction) = observation.direction.filter(|_| is_usable) else { return };
-        let features = if *features_only {
+        let features = if features_only {
             all.clone()
         } else {
             Features {
@@ -171,8 +172,8 @@ impl MachineMonitor {
         let found = self.features.on_features(direction, features, &self.instruments.gauges, step);
         found.apply(Rule::Features, step);
         // A slow recording may give an estimate by chance.
-        let is_of_features =
-            observation.features_only && !self.has_position || observation.is_too_slow() && !self.tracks.any_baseline();
+        let is_of_features = observation.is_without_position() && !self.has_position
+            || observation.is_too_slow() && !self.tracks.any_baseline();
         let has_features = is_of_features && observation.features.running_current_a.is_some();
         step.alarms.owned_by(Rule::Features).is_some() || has_features
     }

@@ -52,17 +52,23 @@ pub(crate) fn features(name: &str, changes: &[Change], throws: usize) -> String 
         };
         format!("{what} {:+.0} % (±{:.0} %)", percent(change.size), half_width_pct(change.size, change.size_sd))
     };
+    let is_longer = changes.iter().any(|change| change.gauge == Gauge::Travel && change.size > 0.0);
+    let check = if is_longer {
+        "The rails cannot move beyond the stock rail: check the position sensor, its gain and the adjustment of the stroke."
+    } else {
+        "Check slide chairs, lubrication, drive and supply."
+    };
     let changes: Vec<String> = changes.iter().map(change).collect();
     format!(
-        "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. Their coefficients are not known, \
-         so no part can be named. Check slide chairs, lubrication, drive and supply.",
+        "Machine {name}: the throws have changed, over {throws} throws of a direction: {}. These features alone name no \
+         part. {check}",
         changes.join(", ")
     )
 }
 
 /// Text for throws whose start has changed, over the last `throws`.
 pub(crate) fn start(name: &str, change: &start::Change, throws: usize) -> String {
-    let start::Change { delay, gain, running } = change;
+    let start::Change { delay, gain, running, .. } = change;
     let moves = if delay.value.abs() < 0.05 {
         format!("the toe moves as soon as usual (±{:.1} ms)", 1.96 * delay.sd)
     } else {
@@ -97,8 +103,12 @@ mod tests {
     fn a_delay_that_rounds_to_zero_is_not_earlier_or_later() {
         let of = |delay_ms: f64| {
             let level = |value: f64, sd: f64| Level { value, sd };
-            let change =
-                start::Change { delay: level(delay_ms, 0.2), gain: level(-0.3, 0.02), running: level(0.0, 0.01) };
+            let change = start::Change {
+                delay: level(delay_ms, 0.2),
+                gain: level(-0.3, 0.02),
+                running: level(0.0, 0.01),
+                of_speed_ms: 0.0,
+            };
             start("21B", &change, 12)
         };
         assert!(of(-0.04).contains("the toe moves as soon as usual (±0.4 ms) after the start"), "{}", of(-0.04));

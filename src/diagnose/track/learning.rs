@@ -37,18 +37,19 @@ pub(in crate::diagnose) enum Suspicion {
 impl Track {
     /// Takes the baseline from the learned throws without their known `changes`.
     fn take(&mut self, direction: Direction, changes: Changes, at: Timestamp, settings: &Settings) -> BaselineRecord {
-        let baseline = Baseline::learn(&self.learned, self.sensor, changes, at, settings);
+        let baseline = Baseline::learn(&self.learned, self.sensor, self.of_ratios, changes, at, settings);
         let record = baseline.record(direction, self.of_ratios);
         (self.baseline, self.thresholds, self.since_baseline) = (Some(baseline), None, 0);
         self.recent.clear();
         record
     }
 
-    /// Counts a throw; changes to a baseline of ratios if hardly any of the last throws had complete coefficients: a
-    /// baseline of these would need many times as many throws. Returns whether it changed.
+    /// Counts a throw; changes to a baseline of ratios if many of the last throws had no complete coefficients. Rough throws
+    /// cannot be compared closely with a baseline of coefficients, and a fault makes more throws rough. Returns whether it
+    /// changed.
     fn becomes_of_ratios(&mut self, grade: Grade, settings: &Settings) -> bool {
-        /// Least share of rough throws.
-        const ROUGH_SHARE: f64 = 0.75;
+        /// Least share of rough throws. A machine with one in ten has it in 3 of 100 dozens.
+        const ROUGH_SHARE: f64 = 0.3;
         if self.baseline.is_some() {
             return false;
         }

@@ -22,9 +22,9 @@ use super::{
     threshold::{Thresholds, WINDOWS},
     verdict::{Blindness, HidingTemperature},
     wet::{self, WetSpell},
-    window::{RecentThrow, RecentThrows, Stream, Window, with_middle_kept},
+    window::{RecentThrow, RecentThrows, Stream, UNKNOWN_SCALE_SD, Window, with_middle_kept},
 };
-use crate::throw::Direction;
+use crate::{estimate::Estimate, throw::Direction};
 
 /// The temperature hides a fault if, because of the uncertain effect of the temperature, only a size more than this
 /// many times larger would show.
@@ -47,9 +47,56 @@ struct Track {
     /// Throws without a baseline since the last decision about `of_ratios`, and the rough ones of them.
     #[serde(default)]
     kinds: [usize; 2],
-    /// Whether the throws are compared by their ratios only, as hardly any has complete coefficients.
+    /// Whether the throws are compared by their ratios only, as many have no complete coefficients.
     #[serde(default)]
     of_ratios: bool,
+    #[serde(default, skip_serializing_if = "RoughErrors::is_empty")]
+    rough: RoughErrors,
+}
+
+/// The errors of throws of ratios beside a baseline of coefficients: their misfit of the model repeats, and healthy throws show
+/// how much it changes the ratios.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+struct RoughErrors {
+    throws: u32,
+    /// Sum of their squared departures from the baseline beyond the scatter of the machine, relative to the stated variance.
+    squares: f32,
+}
+
+impl RoughErrors {
+    /// Number of healthy throws from which the errors are used, and up to which they are learned.
+    const THROWS: (u32, u32) = (6, 24);
+    /// Factor on the mean square, which a few throws show roughly, and its least value.
+    const MARGIN: f64 = 3.0;
+    const LEAST: f64 = 0.02;
+
+    fn is_empty(&self) -> bool {
+        self.throws == 0
+    }
+
+    /// Adds the squared departure of a throw beyond the scatter of the machine, relative to the stated variance. A larger one
+    /// than stated may be a fault that is not detected yet.
+    fn learn(&mut self, square: f64) {
+        if self.throws < Self::THROWS.1 && square < 1.0 {
+            #[expect(clippy::cast_possible_truncation, reason = "two digits are enough")]
+            let square = square as f32;
+            (self.throws, self.squares) = (self.throws + 1, self.squares + square);
+        }
+    }
+
+    /// Variance of the errors relative to the stated one, at most 1.
+    fn share(&self) -> f64 {
+        if self.throws < Self::THROWS.0 {
+            return 1.0;
+        }
+        (Self::MARGIN * (f64::from(self.squares) / f64::from(self.throws)).max(Self::LEAST)).min(1.0)
+    }
+}
+
+/// The covariance of differences to the component `fixed`.
+fn relative_to(fixed: usize, covariance: &Matrix3<f64>) -> Matrix3<f64> {
+    let of_fixed = covariance.column(fixed).into_owned();
+    Matrix3::from_fn(|i, j| covariance[(i, j)] - of_fixed[i] - of_fixed[j] + of_fixed[fixed])
 }
 
 /// Both directions together.
@@ -97,7 +144,7 @@ impl Tracks {
         let track = &mut self.sides[throw.direction.side()];
         let baseline = track.baseline.as_mut()?;
         let (mut raw, distance) = baseline.residual(&throw.log, throw.temperature_c);
-        let mut sensor = throw.sensor;
+        let mut sensor = if track.of_ratios { baseline.differing(throw.sensor) } else { throw.sensor };
         if throw.ratios_only && !track.of_ratios {
             // The common scale is arbitrary: the middle coefficient stays, as a single fault leaves two of the three, and
             // the others have the errors of their ratios to it.
@@ -105,8 +152,14 @@ impl Tracks {
             order.sort_by(|a, b| raw[*a].total_cmp(&raw[*b]));
             let fixed = order[1];
             raw.add_scalar_mut(-raw[fixed]);
-            let errors = sensor.column(fixed).into_owned();
-            sensor = Matrix3::from_fn(|i, j| sensor[(i, j)] - errors[i] - errors[j] + errors[fixed]);
+            sensor = relative_to(fixed, &sensor);
+            if !suspected {
+                let departure = baseline.compensated((raw, distance));
+                let of_machine = relative_to(fixed, &baseline.scatter.of_one_throw()).trace();
+                let stated = sensor.trace() / Estimate::LONGEST_WINDOW;
+                track.rough.learn((departure.norm_squared() - of_machine) / stated.max(f64::MIN_POSITIVE));
+            }
+            sensor *= track.rough.share();
         }
         track.since_baseline += 1;
         let residual = baseline.compensated((raw, distance));
@@ -131,16 +184,23 @@ impl Tracks {
         /// Number of previous throws: few enough to follow the weather, and enough for a median that a third of
         /// departures does not change.
         const BEFORE: std::ops::RangeInclusive<usize> = 6..=12;
-        let residual = self.residual(throw)?;
         let at = throw.direction.side();
-        let baseline = self.sides[at].baseline.as_ref()?;
-        let scaled = self.sides[at].recent.iter().rev().filter(|throw| throw.has_scale());
+        let track = &self.sides[at];
+        let baseline = track.baseline.as_ref().filter(|_| track.of_ratios || !throw.ratios_only)?;
+        let residual = baseline.compensated(baseline.residual(&throw.log, throw.temperature_c));
+        let compared = track.recent.iter().rev().filter(|throw| track.of_ratios || throw.has_scale());
         let before: Vec<Vector3<f64>> =
-            scaled.take(*BEFORE.end()).map(|throw| baseline.compensated(throw.raw())).collect();
+            compared.take(*BEFORE.end()).map(|throw| baseline.compensated(throw.raw())).collect();
         let middle = |i: usize| median(&mut before.iter().map(|residual| residual[i]).collect::<Vec<_>>());
         (before.len() >= *BEFORE.start()).then(|| {
             let departure = residual - Vector3::from_fn(|i, _| middle(i));
-            (at, departure, baseline.scatter.of_one_throw(), baseline.complete)
+            let of_one_throw = baseline.scatter.of_one_throw();
+            let (departure, of_one_throw) = if track.of_ratios {
+                (with_middle_kept(departure), of_one_throw + Matrix3::repeat(UNKNOWN_SCALE_SD * UNKNOWN_SCALE_SD))
+            } else {
+                (departure, of_one_throw)
+            };
+            (at, departure, of_one_throw, baseline.complete)
         })
     }
 
@@ -161,6 +221,14 @@ impl Tracks {
             if let Some(baseline) = &track.baseline {
                 track.recent.iter_mut().for_each(|throw| throw.add_temperature(baseline));
             }
+        }
+    }
+
+    /// Changes baselines of ratios of an earlier version to the ratios to b0; no others.
+    pub(super) fn relate_to_b0(&mut self) {
+        for track in self.sides.iter_mut().filter(|track| track.of_ratios) {
+            track.learned.iter_mut().chain(&mut track.aside).for_each(BaselineThrow::relate_to_b0);
+            track.baseline.iter_mut().for_each(Baseline::relate_to_b0);
         }
     }
 
