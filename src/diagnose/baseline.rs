@@ -305,3 +305,26 @@ fn clip(residual: Vector3<f64>, robust: [(f64, f64); 3]) -> Vector3<f64> {
     const REACH_SD: f64 = 3.5;
     Vector3::from_fn(|i, _| residual[i].clamp(-REACH_SD * robust[i].1, REACH_SD * robust[i].1))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Residuals of ratios to b0, with independent standard deviations of a1/b0 and a0/b0.
+    fn residuals(sd: [f64; 2]) -> Vec<Vector3<f64>> {
+        (0..48).map(|at| Vector3::new(0.0, sd[0] * [1.0, -1.0][at % 2], sd[1] * [1.0, -1.0][at / 2 % 2])).collect()
+    }
+
+    #[test]
+    fn errors_that_repeat_in_every_throw_are_no_scatter() {
+        let scale = Matrix3::repeat(SCALE_VARIANCE);
+        let stated = Matrix3::from_diagonal(&Vector3::new(0.0, 0.05_f64.powi(2), 0.05_f64.powi(2))) + scale;
+        let differing = |sd| transformed(stated, &differing_part(&residuals(sd), &stated).unwrap()) - scale;
+        let all = differing([0.05, 0.08]);
+        assert!((all - (stated - scale)).norm() < 1e-9, "as large as stated, or larger: {all}");
+        let part = differing([0.05, 0.005]);
+        assert!((part[(1, 1)] - 0.05_f64.powi(2)).abs() < 1e-9, "a1/b0 scatters as stated: {part}");
+        // A hundredth of the variance, of which a hundredth belongs to the errors.
+        assert!(part[(2, 2)] < 2e-4 * 0.05_f64.powi(2), "a0/b0 hardly scatters: {part}");
+    }
+}

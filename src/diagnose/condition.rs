@@ -254,3 +254,35 @@ impl Ending {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Throws until an alarm clears whose readings are all the same.
+    fn cleared_after(reading: Reading) -> Option<u32> {
+        let settings = Settings::default();
+        let mut condition = Condition::Raised { onset: Onset::default(), since_raised: 0, ending: Box::default() };
+        let mut step = || condition.step(reading, Some(Severity::Warning), &settings);
+        (1..=300).find(|_| matches!(step(), Transition::Clear { .. }))
+    }
+
+    #[test]
+    fn an_alarm_ends_the_sooner_the_plainer_its_machine_is_healthy() {
+        let below = Reading {
+            claim: Claim::None,
+            undoubted: 0.0,
+            patience: 0,
+            plain_health: false,
+            likely_health: false,
+            below: true,
+            other_name: false,
+            turned: false,
+            latest: Some(0.2),
+        };
+        let likely = Reading { likely_health: true, ..below };
+        let plain = Reading { plain_health: true, ..likely };
+        assert_eq!([plain, likely, below].map(cleared_after), [Some(LEVELS_FOLLOW), Some(LONGEST_WINDOW), Some(200)]);
+        assert_eq!(cleared_after(Reading { below: false, ..below }), None);
+    }
+}

@@ -599,6 +599,31 @@ mod tests {
     }
 
     #[test]
+    fn the_field_of_magnets_follows_a_published_temperature() {
+        let learned = |celsius: Option<f64>| {
+            let mut gauges = Gauges::default();
+            for _ in 0..LEARNED.1 {
+                let features = Features { back_emf_v_s_per_rad: Some(4.0), ..features(36.0, 7.0, Some(0.9)) };
+                gauges.push(NORMAL, &features, celsius, false);
+            }
+            gauges
+        };
+        for per_k in [0.0_f64, -0.001, -0.002] {
+            let mut gauges = learned(Some(0.0));
+            for _ in 0..WINDOWS[1] {
+                let warm = Features { back_emf_v_s_per_rad: Some(4.0 * (1.0 + 25.0 * per_k)), ..Features::default() };
+                gauges.push(NORMAL, &warm, Some(25.0), false);
+            }
+            let level = gauges.level(Gauge::BackEmf, WINDOWS[1]).unwrap();
+            assert!(level.value.abs() < 2.0 * level.sd && level.sd < 0.03, "{per_k} per K: {level:?}");
+        }
+        let mut gauges = learned(None);
+        gauges.push(NORMAL, &Features { back_emf_v_s_per_rad: Some(3.8), ..Features::default() }, None, false);
+        let level = gauges.level(Gauge::BackEmf, WINDOWS[0]).unwrap();
+        assert!(level.sd < 0.01, "without a temperature nothing is known about its effect: {level:?}");
+    }
+
+    #[test]
     fn a_resistance_that_scatters_much_is_not_judged() {
         for (scatter, is_judged) in [(0.02_f64, true), (0.3, false)] {
             let mut gauges = Gauges::default();

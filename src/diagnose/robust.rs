@@ -50,3 +50,25 @@ pub(super) fn moving_range_sd(series: &[Vec<f64>]) -> f64 {
     let (sum, count) = ranges.fold((0.0, 0), |(sum, count), range| (sum + range, count + 1));
     sum / f64::from(count.max(1)) / RANGE_PER_SD
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_skewed_sample_has_the_scatter_of_its_far_half() {
+        let half_far: Vec<f64> = (0..24).map(|at| if at % 2 == 0 { 0.0 } else { 0.1 + 0.02 * f64::from(at) }).collect();
+        assert!(skewed_sd(&half_far, 0.0) > 0.2);
+        let two_outliers: Vec<f64> = (0..24).map(|at| if at % 12 == 0 { 5.0 } else { 0.01 }).collect();
+        assert!(skewed_sd(&two_outliers, 0.0) < 0.01);
+    }
+
+    #[test]
+    fn a_step_of_the_level_hardly_changes_the_moving_range() {
+        let alternating: Vec<f64> = (0..12).map(|at| if at % 2 == 0 { 0.0 } else { 1.128 }).collect();
+        assert!((moving_range_sd(std::slice::from_ref(&alternating)) - 1.0).abs() < 1e-12);
+        let step: Vec<f64> = alternating.iter().enumerate().map(|(at, v)| if at < 6 { *v } else { v + 5.0 }).collect();
+        assert!(moving_range_sd(&[step, vec![1.0]]) < 1.5);
+        assert!(moving_range_sd(&[vec![3.0], vec![]]).abs() < 1e-12);
+    }
+}

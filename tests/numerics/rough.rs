@@ -196,6 +196,8 @@ fn an_unusable_start_leaves_the_ratios() {
         ("much play", Drive { play_mm: 1.0, neutral_mm: 114.5, ..Drive::default() }),
         ("late brake", Drive { brake_nm: 50.0, brake_s: 0.03, ..Drive::default() }),
         ("locked brake", Drive { brake_nm: f64::INFINITY, brake_s: 0.01, ..Drive::default() }),
+        ("long unlocking", Drive { brake_nm: f64::INFINITY, brake_s: 0.8, ..Drive::default() }),
+        ("a clamp lock", Drive { brake_nm: f64::INFINITY, brake_s: 2.0, ..Drive::default() }),
         ("lag", Drive { lag_hz: 20.0, ..Drive::default() }),
         ("late position", Drive { skew_s: 0.005, ..Drive::default() }),
         ("early position", Drive { skew_s: -0.005, ..Drive::default() }),
