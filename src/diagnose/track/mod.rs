@@ -50,7 +50,7 @@ struct Track {
     /// Whether the throws are compared by their ratios only, as many have no complete coefficients.
     #[serde(default)]
     of_ratios: bool,
-    #[serde(default, skip_serializing_if = "RoughErrors::is_empty")]
+    #[serde(default)]
     rough: RoughErrors,
 }
 
@@ -70,10 +70,6 @@ impl RoughErrors {
     const MARGIN: f64 = 3.0;
     const LEAST: f64 = 0.02;
 
-    fn is_empty(&self) -> bool {
-        self.throws == 0
-    }
-
     /// Adds the squared departure of a throw beyond the scatter of the machine, relative to the stated variance. A larger one
     /// than stated may be a fault that is not detected yet.
     fn learn(&mut self, square: f64) {
@@ -85,7 +81,7 @@ impl RoughErrors {
     }
 
     /// Variance of the errors relative to the stated one, at most 1.
-    fn share(&self) -> f64 {
+    fn share(self) -> f64 {
         if self.throws < Self::THROWS.0 {
             return 1.0;
         }
