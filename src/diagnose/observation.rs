@@ -190,6 +190,12 @@ pub(super) struct Evaluated {
     pub(super) duration_s: Option<f64>,
 }
 
+/// The covariance of differences to the component `fixed`.
+pub(super) fn relative_to(fixed: usize, covariance: &Matrix3<f64>) -> Matrix3<f64> {
+    let of_fixed = covariance.column(fixed).into_owned();
+    Matrix3::from_fn(|i, j| covariance[(i, j)] - of_fixed[i] - of_fixed[j] + of_fixed[fixed])
+}
+
 impl Evaluated {
     /// `None` unless the direction is known and the estimate is positive with a finite, positive covariance.
     pub(super) fn of(observation: &Observation) -> Option<Self> {
@@ -224,12 +230,10 @@ impl Evaluated {
     /// The ratios of the throw, for a baseline of ratios: the logarithms of b0/b0, a1/b0, a0/b0, so that friction, which varies
     /// most, varies in one of them. Errors that are equal in every throw cancel in a comparison with such a baseline.
     pub(super) fn ratios(self) -> Self {
-        let to_b0 = Matrix3::identity() - Vector3::repeat(1.0) * Vector3::x().transpose();
         let repeats = if self.ratios_only { Estimate::LONGEST_WINDOW } else { 1.0 };
-        let sensor = to_b0 * self.sensor * to_b0.transpose() / repeats;
         Self {
-            log: (to_b0 * Vector3::from(self.log)).into(),
-            sensor: 0.5 * (sensor + sensor.transpose()) + Matrix3::repeat(SCALE_VARIANCE),
+            log: self.log.map(|log| log - self.log[0]),
+            sensor: relative_to(0, &self.sensor) / repeats + Matrix3::repeat(SCALE_VARIANCE),
             ratios_only: true,
             ..self
         }

@@ -13,7 +13,7 @@ use super::{
     cause::Known,
     drift::{Drift, visible_pct},
     event::Cause,
-    observation::Evaluated,
+    observation::{Evaluated, relative_to},
     robust::median,
     scatter::Scatter,
     settings::Settings,
@@ -87,12 +87,6 @@ impl RoughErrors {
         }
         (Self::MARGIN * (f64::from(self.squares) / f64::from(self.throws)).max(Self::LEAST)).min(1.0)
     }
-}
-
-/// The covariance of differences to the component `fixed`.
-fn relative_to(fixed: usize, covariance: &Matrix3<f64>) -> Matrix3<f64> {
-    let of_fixed = covariance.column(fixed).into_owned();
-    Matrix3::from_fn(|i, j| covariance[(i, j)] - of_fixed[i] - of_fixed[j] + of_fixed[fixed])
 }
 
 /// Both directions together.
