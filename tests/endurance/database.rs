@@ -143,6 +143,12 @@ impl Known {
         all.sort_unstable();
         all
     }
+
+    /// Whether numbers up to `last` are neither stored nor missing. The last number alone shows nothing: it may have
+    /// arrived live while an earlier one is still being fetched from the backlog.
+    pub(crate) fn is_behind(&self, who: &(String, String), last: u64) -> bool {
+        (self.all(who).len() as u64) < last
+    }
 }
 
 fn message(row: &OutboxRow) -> (String, u32) {

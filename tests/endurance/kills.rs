@@ -53,7 +53,7 @@ async fn a_daemon_that_is_killed_again_and_again_loses_nothing() {
     let machines: Vec<_> = machines.chain([(who("f1"), forgotten.published)]).collect();
     let settled = until(5 * PATIENCE, async || {
         let known = Known::of(&rig, &reader).await;
-        let unknown = machines.iter().filter(|(who, last)| known.all(who).last() < Some(last)).count();
+        let unknown = machines.iter().filter(|(who, last)| known.is_behind(who, *last)).count();
         let waiting = rig.sql("SELECT 1 AS n FROM throw WHERE judged_at_us IS NULL LIMIT 1").len();
         if unknown + waiting == 0 {
             return Ok(known);

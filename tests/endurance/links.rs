@@ -72,7 +72,7 @@ async fn settle(rig: &Rig, witness: &Witness, published: &Published, what: &str)
     let reader = Reader::open(&rig.database()).await.unwrap();
     let known = until(3 * PATIENCE, async || {
         let known = Known::of(rig, &reader).await;
-        let behind: Vec<_> = published.iter().filter(|(who, last)| known.all(who).last() < Some(last)).collect();
+        let behind: Vec<_> = published.iter().filter(|(who, last)| known.is_behind(who, **last)).collect();
         let waiting = rig.sql("SELECT 1 AS n FROM throw WHERE judged_at_us IS NULL LIMIT 1").len();
         let unpublished = reader.outbox_pending(0, 1).await.unwrap().len();
         if behind.is_empty() && waiting + unpublished == 0 {
