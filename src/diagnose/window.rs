@@ -29,6 +29,10 @@ const KEPT: usize = WINDOWS[3];
 /// Least number of throws with the common scale in a window that shows it: with fewer, a single outlier would count
 /// for all its throws of ratios.
 const LEAST_SCALED: usize = WINDOWS[0];
+/// Standard deviations of the effect of the temperature that a healthy machine may have, in the test of T. The doubt is about
+/// one slope a machine, which physics bounds at 2.5 standard deviations before anything is learned; the limit of T, which
+/// rules out chance in thousands of throws, would multiply it by six or seven.
+const MOST_OF_EFFECT_SD: f64 = 3.0;
 /// Standard deviation of the logarithm of the common scale in a window that does not show it: far more than any fault.
 pub(super) const UNKNOWN_SCALE_SD: f64 = 1.0;
 /// A size has no part in the common scale if its weights sum to less than this part of the largest of them. Weights
@@ -132,6 +136,12 @@ impl Window {
     /// Whether the window shows `cause`. Ratios of the coefficients are the same at every inertia.
     pub(super) fn shows(&self, cause: Cause) -> bool {
         cause != Cause::Inertia || !matches!(self.scale, CommonScale::Unknown { .. })
+    }
+
+    /// The covariance with which T has this limit: the temperature's effect counts up to [`MOST_OF_EFFECT_SD`].
+    pub(super) fn tested(&self, limit: f64) -> Matrix3<f64> {
+        let counts = (MOST_OF_EFFECT_SD * MOST_OF_EFFECT_SD / limit).min(1.0);
+        self.covariance - doubt(self.temperature_sd) * (1.0 - counts)
     }
 }
 
@@ -272,12 +282,13 @@ impl<'a> Stream<'a> {
     fn score(
         &self,
         window: &Window,
+        limit: f64,
         reach: &Vector3<f64>,
         scatter: &Scatter,
         baselines: [Option<&Baseline>; 2],
     ) -> Option<f64> {
         let n = window.throws as f64;
-        let (rho, inverse) = self.innovation(window, scatter)?;
+        let (rho, inverse) = self.innovation(window, limit, scatter)?;
         let fresh = rho.map(|rho| (1.0 - rho * rho).sqrt());
         let mut sum = Vector3::zeros();
         let mut throw = self.residual(0, window, baselines)?;
@@ -322,16 +333,17 @@ impl<'a> Stream<'a> {
         Some(throw.scaled(baselines[*side]?.compensated(throw.raw()), &window.scale))
     }
 
-    /// For each coefficient: the single innovation that would give `window` the score `t`.
-    fn reach(&self, t: f64, window: &Window, scatter: &Scatter) -> Option<Vector3<f64>> {
-        let (rho, inverse) = self.innovation(window, scatter)?;
-        Some(Vector3::from_fn(|i, _| window.throws as f64 * (1.0 - rho[i]) * (t / inverse[(i, i)]).sqrt()))
+    /// For each coefficient: the single innovation that would give `window` the part `most` of its limit.
+    fn reach(&self, most: f64, limit: f64, window: &Window, scatter: &Scatter) -> Option<Vector3<f64>> {
+        let (rho, inverse) = self.innovation(window, limit, scatter)?;
+        Some(Vector3::from_fn(|i, _| window.throws as f64 * (1.0 - rho[i]) * (most * limit / inverse[(i, i)]).sqrt()))
     }
 
-    /// Lag-1 correlations of the last throws of `window`, and the inverse covariance of their mean innovation as a level.
-    fn innovation(&self, window: &Window, scatter: &Scatter) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    /// Lag-1 correlations of the last throws of `window`, and the inverse covariance of their mean innovation as a level, in
+    /// a test with this limit.
+    fn innovation(&self, window: &Window, limit: f64, scatter: &Scatter) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let sensor = self.mean_sensor(window.throws);
-        let covariance = window.covariance + scatter.more_of_score(window.throws, &sensor);
+        let covariance = window.tested(limit) + scatter.more_of_score(window.throws, &sensor);
         Some((scatter.lag1_of_one(&sensor), covariance.try_inverse()?))
     }
 
@@ -355,15 +367,16 @@ impl<'a> Stream<'a> {
         for (at, &throws) in WINDOWS.iter().enumerate() {
             let Some(mut window) = self.window(throws, scatter, baselines) else { continue };
             let shortest = *shortest.get_or_insert(window);
-            let Some(inverse) = window.covariance.try_inverse() else { continue };
+            let limit = thresholds.of(at);
+            let Some(inverse) = window.tested(limit).try_inverse() else { continue };
             let t = (window.mean.transpose() * inverse * window.mean).x;
             let mut score = None;
-            if t > 0.25 * thresholds.of(at) {
+            if t > 0.25 * limit {
                 let most_of_one = if wild { MOST_OF_ONE_WILD } else { MOST_OF_ONE };
-                reach = reach.or_else(|| self.reach(most_of_one * thresholds.of(0), &shortest, scatter));
-                score = reach.and_then(|reach| self.score(&window, &reach, scatter, baselines));
+                reach = reach.or_else(|| self.reach(most_of_one, thresholds.of(0), &shortest, scatter));
+                score = reach.and_then(|reach| self.score(&window, limit, &reach, scatter, baselines));
             }
-            window.excess = t.min(score.unwrap_or(t)) / thresholds.of(at);
+            window.excess = t.min(score.unwrap_or(t)) / limit;
             if best.is_none_or(|best| window.excess > best.excess) {
                 best = Some(window);
             }

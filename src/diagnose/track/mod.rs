@@ -295,7 +295,7 @@ impl Tracks {
         let limit = thresholds.of(WINDOWS.iter().position(|throws| *throws == window.throws)?);
         let over_limit = |cause: Cause| {
             let limit_pct = settings.limit_pct(cause)?;
-            let visible = visible_pct(cause, window.covariance, limit)?;
+            let visible = visible_pct(cause, window.tested(limit), limit)?;
             let otherwise = visible_pct(cause, window.covariance - doubt(window.temperature_sd), limit)?;
             (visible > limit_pct.max(HIDES_FROM * otherwise)).then_some((cause, visible, visible / limit_pct))
         };
