@@ -99,12 +99,11 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
         }
         let is_negative =
             problems > 0 || (arguments.check && found.iter().any(|(_, alarm)| !alarm.state.is_silenced()));
-        if arguments.json {
-            for ((_, payload), _) in &found {
-                output::line(String::from_utf8_lossy(payload))?;
+        let print = || {
+            if arguments.json {
+                return found.iter().try_for_each(|((_, payload), _)| output::line(String::from_utf8_lossy(payload)));
             }
-        } else {
-            let alarms: Vec<Alarm> = found.into_iter().map(|(_, alarm)| alarm).collect();
+            let alarms: Vec<Alarm> = found.iter().map(|(_, alarm)| alarm.clone()).collect();
             if shows_open {
                 let (reports, _) = operator::values::<StatusReport>(&daemons);
                 let windows: Vec<Window> = reports.into_iter().flat_map(|report| report.windows).collect();
@@ -114,9 +113,9 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
                 print_events(&alarms)?;
             }
             let names = daemons.messages.iter().map(|(key, _)| operator::monitor_name(key));
-            output::line(format_args!("answered by {}", names.collect::<Vec<_>>().join(", ")))?;
-        }
-        Ok(if is_negative { Exit::Negative } else { Exit::Ok })
+            output::line(format_args!("answered by {}", names.collect::<Vec<_>>().join(", ")))
+        };
+        output::after(print(), if is_negative { Exit::Negative } else { Exit::Ok })
     })
 }
 

@@ -12,7 +12,7 @@ use comfy_table::{CellAlignment, ContentArrangement, Table, presets};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::{Exit, Failure, ResultExt};
+use super::{Exit, Failure, Outcome, ResultExt};
 use crate::{report::Sheet, web};
 
 /// Width of a table in a pipe or on a terminal of unknown width \[columns\].
@@ -47,6 +47,15 @@ pub(super) fn harmless(text: &str) -> String {
 /// Prints a value as indented JSON.
 pub(super) fn json(value: &impl Serialize) -> Result<(), Failure> {
     line(serde_json::to_string_pretty(value).context("cannot write JSON").or_exit(Exit::Software)?)
+}
+
+/// The exit code of a check after its output: a reader that closes the pipe (`pointsd alarms --check | head -1`) does not
+/// change the result.
+pub(super) fn after(printed: Result<(), Failure>, result: Exit) -> Outcome {
+    match printed {
+        Err(Failure { exit: Exit::Ok, .. }) => Ok(result),
+        printed => printed.map(|()| result),
+    }
 }
 
 /// Result of a write to standard output; a closed pipe becomes a silent success.
@@ -120,7 +129,15 @@ pub(super) fn figures(folder: &Path, figures: impl IntoIterator<Item = (String, 
 
 #[cfg(test)]
 mod tests {
-    use super::harmless;
+    use super::*;
+
+    #[test]
+    fn a_closed_pipe_keeps_the_result_of_a_check() {
+        let failed = |kind: io::ErrorKind| written::<()>(Err(kind.into()));
+        assert_eq!(after(Ok(()), Exit::Negative).unwrap(), Exit::Negative);
+        assert_eq!(after(failed(io::ErrorKind::BrokenPipe), Exit::Negative).unwrap(), Exit::Negative);
+        assert_eq!(after(failed(io::ErrorKind::StorageFull), Exit::Negative).unwrap_err().exit, Exit::Io);
+    }
 
     #[test]
     fn control_characters_do_not_reach_the_terminal() {

@@ -35,7 +35,7 @@ const WATCH_INTERVAL: Duration = Duration::from_secs(5);
 /// Shows all running daemons, the state of each machine with its last throws, and the open alarms. In a large fleet
 /// healthy and learning machines are listed only with --all, --site or --state.
 ///
-/// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, lost messages), a machine has an alarm, is
+/// Exit codes: 0 no problem; 1 a daemon has a problem (disk, hanging task, webhook, lost messages), a machine has an alarm, is
 /// not monitored, in maintenance or served by several daemons, or an alarm is shelved; 64 an option is wrong; 69 no
 /// daemon answers, or no machine of --site is known; 78 the file of --config is invalid.
 #[derive(Debug, clap::Args)]
@@ -104,35 +104,36 @@ async fn show(session: &zenoh::Session, arguments: &Arguments) -> Outcome {
     let are_well = of_daemons + of_health + of_alarms + twice.len() == 0
         && reports.iter().all(|(_, report)| is_well(report))
         && health.iter().all(|health| health.state.is_none_or(MachineState::is_well));
+    let result = if are_well { Exit::Ok } else { Exit::Negative };
     if arguments.json {
         let [daemons, health, alarms] = [&daemons, &of_machines, &events].map(|answers| {
             let values = answers.messages.iter().map(|(_, payload)| serde_json::from_slice::<Value>(payload));
             values.filter_map(Result::ok).collect::<Vec<_>>()
         });
-        output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}))?;
-    } else {
-        for ((key, _), report) in &reports {
-            print_daemon(key, report)?;
-        }
-        let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
-        let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
-        let windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
-        health.retain(|health| is_asked(&health.machine));
-        alarms.retain(|alarm| is_asked(&alarm.machine));
-        if let Some(site) = &arguments.site
-            && health.is_empty()
-            && windows.is_empty()
-            && alarms.is_empty()
-        {
-            let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
-            return Err(Failure::new(Exit::Unavailable, error));
-        }
+        let printed = output::line(json!({"daemons": daemons, "health": health, "alarms": alarms}));
+        return output::after(printed, result);
+    }
+    let is_asked = |machine: &MachineId| arguments.site.as_ref().is_none_or(|site| *site == machine.site);
+    let windows = reports.iter().flat_map(|(_, report)| report.windows.clone());
+    let windows: Vec<Window> = windows.filter(|window| is_asked(&window.machine)).collect();
+    health.retain(|health| is_asked(&health.machine));
+    alarms.retain(|alarm| is_asked(&alarm.machine));
+    if let Some(site) = &arguments.site
+        && health.is_empty()
+        && windows.is_empty()
+        && alarms.is_empty()
+    {
+        let error = anyhow::anyhow!("no machine of site {site} is known; without --site all are listed");
+        return Err(Failure::new(Exit::Unavailable, error));
+    }
+    let print = || {
+        reports.iter().try_for_each(|((key, _), report)| print_daemon(key, report))?;
         let caveats = print_machines(&health, &windows, arguments)?;
         twice.iter().try_for_each(output::line)?;
         alarms::print_open(&alarms, &operator::monitors(&daemons), &health, &windows, false)?;
-        caveats.iter().try_for_each(output::line)?;
-    }
-    Ok(if are_well { Exit::Ok } else { Exit::Negative })
+        caveats.iter().try_for_each(output::line)
+    };
+    output::after(print(), result)
 }
 
 /// A sentence about each machine that several daemons serve: both publish its alarms, and no command reaches it.
@@ -166,7 +167,9 @@ fn print_machines(health: &[Health], windows: &[Window], arguments: &Arguments) 
     for row in health {
         machines.entry(&row.machine).or_default().push(row);
     }
-    let state = |rows: &[&Health]| rows.iter().find_map(|row| row.state).unwrap_or_default();
+    // Several daemons may serve a machine: then the worst state counts.
+    let state =
+        |rows: &[&Health]| rows.iter().filter_map(|row| row.state).min_by_key(|state| rank(*state)).unwrap_or_default();
     let count = |of| machines.values().filter(|rows| state(rows) == of).count();
     let tally = WORST_FIRST.map(|of| (count(of), of.as_str().replace('_', " ")));
     let tally: Vec<String> =

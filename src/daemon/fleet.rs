@@ -380,6 +380,7 @@ fn health(
     };
     let Present { state, drifts, caveats } = &verdict.present;
     let health = Health {
+        direction: stored.throw.as_ref().ok().and_then(|throw| throw.direction),
         change_pct: verdict.change_pct,
         state: Some(*state),
         drift: drifts.first().copied(),

@@ -40,6 +40,8 @@ const CHANGES: usize = 64;
 const GAPS: u32 = 10_000;
 /// Largest number of loggers without a throw that the status names.
 const NAMED: usize = 20;
+/// Time for which refused messages of an unknown machine without a logger's token are a problem.
+const REFUSED_FOR: Duration = Duration::from_secs(3600);
 /// Pause after an error of the database.
 const PAUSE: Duration = Duration::from_millis(500);
 /// Time after which a daemon alarm that cannot be committed is published uncommitted. The ballast or a new connection
@@ -97,8 +99,8 @@ pub(super) struct JudgeLoop {
     own_machine: MachineId,
     /// Watched daemons that were away at the last tick, and whether this one had a link itself.
     away: Option<Away>,
-    /// Machines of which every message so far was refused, with the reason.
-    refused: BTreeMap<MachineId, String>,
+    /// Machines of which every message so far was refused, with the last reason and its time.
+    refused: BTreeMap<MachineId, (String, Instant)>,
     /// Queue of unstored events: at most a raise, an escalation and a clearance.
     daemon_alarms: VecDeque<PendingDaemonAlarm>,
     /// Rate limit of commands.
@@ -297,8 +299,8 @@ impl JudgeLoop {
             let invalid = Irregularity::Invalid { count, reason: &reason };
             if let Some(outcome) = self.judge.fleet.irregular(&machine, invalid, now, &config.diagnosis) {
                 self.record(outcome).await?;
-            } else if !self.judge.fleet.knows(&machine) && self.refused.len() < NAMED {
-                self.refused.insert(machine, reason);
+            } else if self.refused.len() < NAMED || self.refused.contains_key(&machine) {
+                self.refused.insert(machine, (reason, clock::monotonic()));
             }
         }
         let away = self.links.peers.away();
@@ -339,10 +341,12 @@ impl JudgeLoop {
         let mut without_throw: Vec<String> = silent.map(ToString::to_string).collect();
         without_throw.sort_unstable();
         without_throw.truncate(NAMED);
-        // Any sender can invent a machine; a logger is connected under the name of its own.
-        self.refused.retain(|machine, _| loggers.contains(machine) && !self.judge.fleet.knows(machine));
+        // A logger need not have a token; a sender that invented a machine and stopped is forgotten.
+        self.refused.retain(|machine, (_, last)| {
+            !self.judge.fleet.knows(machine) && (loggers.contains(machine) || last.elapsed() < REFUSED_FOR)
+        });
         let mut report = self.links.status.edit();
-        report.refused = self.refused.iter().map(|(machine, reason)| format!("{machine} ({reason})")).collect();
+        report.refused = self.refused.iter().map(|(machine, (reason, _))| format!("{machine} ({reason})")).collect();
         report.loggers_ahead = self.judge.fleet.loggers_ahead();
         (report.standing, report.without_throw) = (standing, without_throw);
     }

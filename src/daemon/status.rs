@@ -226,13 +226,15 @@ impl Gauges {
 }
 
 impl StatusReport {
-    /// Whether the daemon has no problem with disk, clock, loops, or lost or refused messages.
+    /// Whether the daemon has no problem with disk, clock, loops, webhook, or lost or refused messages.
     #[must_use]
     pub fn is_well(&self) -> bool {
         self.disk == DiskLevel::Ample
             && self.silent.is_empty()
             && self.refused.is_empty()
             && self.loggers_ahead == 0
+            && !self.webhook_fails
+            && self.webhook_refused == 0
             && self.dropped + self.lost == 0
     }
 

@@ -60,7 +60,7 @@ impl Publishing {
         if self.settings.wait_for_monitor {
             self.wait_for_monitor(&sources)?;
         }
-        let started_at = self.settings.started_at.unwrap_or_else(clock::now);
+        let started_at = self.settings.begin(clock::now());
         let start = clock::monotonic();
         let interval = Duration::from_secs_f64(self.settings.interval_s / self.settings.time_scale);
         let last = self.settings.throws.unwrap_or(u64::MAX);

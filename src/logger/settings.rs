@@ -1,6 +1,6 @@
 //! Settings of the simulated logger.
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
 use crate::throw::{MachineId, Name, OutOfRange, Range::Within, settings};
@@ -29,7 +29,8 @@ settings! {
         pub backlog_mib: usize = 64, Within(1.0, 4096.0, "MiB");
         /// Whether the first throw waits until a daemon has subscribed.
         pub wait_for_monitor: bool = true;
-        /// Time of the first throw; `None` for the time of the start.
+        /// Time of the first throw; `None` for the time of the start, or so much earlier that a limited number of throws in
+        /// fast motion ends at the present.
         pub started_at: Option<Timestamp> = None;
     }
 }
@@ -47,6 +48,13 @@ impl LoggerSettings {
         self.check_ranges()
     }
 
+    /// Time of the first throw of a logger that starts `now`.
+    pub(super) fn begin(&self, now: Timestamp) -> Timestamp {
+        let simulated_s = self.throws.map_or(0.0, |throws| throws as f64 * self.interval_s);
+        let ahead = SignedDuration::try_from_secs_f64((simulated_s * (1.0 - 1.0 / self.time_scale)).max(0.0));
+        self.started_at.or_else(|| now.checked_sub(ahead.ok()?).ok()).unwrap_or(now)
+    }
+
     /// The machine with index `number`, from 0.
     #[must_use]
     pub fn machine_id(&self, number: usize) -> MachineId {
@@ -54,5 +62,26 @@ impl LoggerSettings {
         // `validate` keeps the prefix short, so that the name is valid.
         let machine = name.parse().unwrap_or_else(|_| self.machine.clone());
         MachineId { site: self.site.clone(), machine }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_of_some_throws_in_fast_motion_is_not_in_the_future() {
+        let now = Timestamp::UNIX_EPOCH + SignedDuration::from_hours(1_000_000);
+        let begin = |throws, time_scale| {
+            let settings = LoggerSettings { throws, time_scale, interval_s: 3_600.0, ..LoggerSettings::default() };
+            now.duration_since(settings.begin(now))
+        };
+        assert_eq!(begin(Some(100), 1.0), SignedDuration::ZERO);
+        assert_eq!(begin(None, 10.0), SignedDuration::ZERO);
+        assert_eq!(
+            begin(Some(100), 10.0),
+            SignedDuration::from_hours(90),
+            "and ten hours pass while they are published"
+        );
     }
 }

@@ -144,6 +144,11 @@ impl Disk {
         *self.copied.lock() = Some(Instant::now());
     }
 
+    /// Records the end of a copy of the database.
+    pub(super) fn end_copying(&self) {
+        *self.copied.lock() = None;
+    }
+
     /// Whether a copy of the database made progress in the last 30 s.
     pub(super) fn is_copying(&self) -> bool {
         self.copied.lock().is_some_and(|at| at.elapsed() < COPY_HANGS)

@@ -382,10 +382,13 @@ statements! {
         WHERE machine_row IN (SELECT machine_row FROM machine WHERE +site GLOB ?2 AND +machine GLOB ?3) \
         AND started_at_us >= ?4 AND throw_row NOT IN (SELECT throw_row FROM throw AS own INDEXED BY throw_pending WHERE judged_at_us IS NULL) \
         ORDER BY throw_row DESC LIMIT ?1) ORDER BY throw_row DESC");
+    // A throw of unknown direction, as an unreadable one, counts until the next of a known direction.
     LATEST_HEALTH = concat!("SELECT ", health!("nullif(latest.direction, '')", "monitor.state", "monitor.drifts -> 0", "monitor.drifts", "monitor.caveats"), "FROM machine JOIN latest USING (machine_row) \
         JOIN throw USING (throw_row) JOIN estimate USING (throw_row) JOIN boot USING (boot_row) \
         LEFT JOIN monitor ON monitor.machine_row = machine.machine_row \
-        WHERE +site GLOB ?1 AND +machine GLOB ?2 ORDER BY site, machine, latest.direction");
+        WHERE +site GLOB ?1 AND +machine GLOB ?2 AND (latest.direction <> '' OR NOT EXISTS (SELECT 1 FROM latest AS later \
+        WHERE later.machine_row = latest.machine_row AND later.direction <> '' AND later.start_us > latest.start_us)) \
+        ORDER BY site, machine, latest.direction");
     // A gap that a backlog may still fill is left out while its machine waits, that is while its backlog was opened or
     // last became smaller between ?2 and ?3.
     UNREPORTED_GAPS = concat!("SELECT gap_row, site, machine, first_no, last_no, ",

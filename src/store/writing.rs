@@ -225,6 +225,7 @@ impl WritingConnection {
         let vacuum = sqlx::query("VACUUM INTO ?1").bind(copy.to_string_lossy());
         let copied = vacuum.execute(&mut *connection).await;
         connection.lock_handle().await?.remove_progress_handler();
+        self.disk.end_copying();
         copied.map(drop)
     }
 

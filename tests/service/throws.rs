@@ -295,6 +295,8 @@ async fn a_frozen_recorder_is_named_and_is_no_evidence_about_the_machine() {
     assert!(states.iter().all(|row| row["state"] != "healthy"), "{states:?}");
     let repeated = rig.sql("SELECT count(*) AS n FROM throws_not_evaluated WHERE quality = 'repeated_trace'");
     assert_eq!(repeated[0]["n"], FROZEN);
+    let unknown = rig.sql("SELECT count(*) AS n FROM estimate WHERE direction IS NULL");
+    assert_eq!(unknown[0]["n"], 0, "a repeated throw keeps the direction that its message has");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -4,6 +4,7 @@ use jiff::Timestamp;
 use pointsd::{
     diagnose::{AlarmEvent, AlarmState, MachineState},
     store::{Found, Judgement, OutboxRow, Selector, StoredMonitor},
+    throw::Direction,
     wire::{Alarm, alarm_id},
 };
 
@@ -86,6 +87,23 @@ async fn a_throw_that_was_not_evaluated_shows_with_its_reason() {
     assert_eq!(seen, [("no_movement".to_owned(), "the toe did not move".to_owned())]);
     let [health] = &store.reader().latest_health(&Selector::default()).await.unwrap()[..] else { panic!() };
     assert_eq!((health.quality.as_str(), health.coefficients), ("no_movement", None));
+}
+
+#[tokio::test]
+async fn a_throw_of_unknown_direction_counts_until_the_next_one() {
+    let (_folder, store) = fresh().await;
+    let directions = async || {
+        let latest = store.reader().latest_health(&Selector::default()).await.unwrap();
+        latest.into_iter().map(|health| health.direction).collect::<Vec<_>>()
+    };
+    let row = spooled(&store, "21B", "b1", 1).await;
+    let mut unknown = judgement(row, "21B");
+    unknown.health.direction = None;
+    judge(&store, unknown).await.unwrap();
+    assert_eq!(directions().await, [None]);
+    let row = spooled(&store, "21B", "b1", 2).await;
+    judge(&store, judgement(row, "21B")).await.unwrap();
+    assert_eq!(directions().await, [Some(Direction::NormalToReverse)]);
 }
 
 #[tokio::test]

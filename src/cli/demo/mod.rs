@@ -6,7 +6,6 @@ mod screen;
 use std::{fs, net::Ipv4Addr, path::PathBuf};
 
 use anyhow::{Context, anyhow};
-use jiff::SignedDuration;
 use tokio::sync::broadcast::error::RecvError;
 
 use super::{
@@ -187,14 +186,11 @@ fn client(endpoint: &str) -> Result<zenoh::Config, Failure> {
 }
 
 fn logger_settings(seed: u64) -> LoggerSettings {
-    let history = SignedDuration::try_from_secs_f64(THROWS as f64 * INTERVAL_S).unwrap_or_default();
     LoggerSettings {
         seed: Some(seed),
         throws: Some(THROWS),
         interval_s: INTERVAL_S,
         time_scale: INTERVAL_S * RATE,
-        // The last throw has the present time.
-        started_at: clock::now().checked_sub(history).ok(),
         ..LoggerSettings::default()
     }
 }

@@ -10,7 +10,7 @@ use crate::{
         testimony::Fault,
         thermometer::Disbelief,
     },
-    throw::{brief, utc},
+    throw::{POSSIBLE_C, brief, utc},
 };
 
 /// Text about a drift that only a sensor or the clock explains.
@@ -101,10 +101,22 @@ pub(crate) fn circuit(name: &str, level: &Level) -> String {
     )
 }
 
+/// 0 °C \[K\].
+const ZERO_C_IN_K: f64 = 273.15;
+
 pub(crate) fn sensor_implausible(name: &str, disbelief: Disbelief) -> String {
     let what = match disbelief {
         Disbelief::Impossible(celsius) => {
-            format!("temperature sensor reads {celsius:.1} °C, which is impossible. The last good temperature is used")
+            let kelvin = celsius - ZERO_C_IN_K;
+            let unit = if POSSIBLE_C.contains(&kelvin) {
+                format!(" (as kelvin it would be {kelvin:.1} °C)")
+            } else {
+                String::new()
+            };
+            format!(
+                "temperature sensor reads {celsius:.1} °C, which is impossible{unit}. The last good temperature is used, if \
+                 there is one"
+            )
         }
         Disbelief::Jump(from, to) => format!(
             "temperature sensor jumped from {from:.0} to {to:.0} °C, faster than any weather: another unit, or a broken or moved sensor. The last \
