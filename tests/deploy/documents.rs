@@ -48,7 +48,7 @@ fn the_page_of_messages_has_every_field() {
     let alarm: Alarm = serde_json::from_value(json!({
         "schema": Alarm::SCHEMA, "alarm_id": "a", "event_no": 1, "site": "north", "machine": "21B", "cause": "sensor",
         "severity": "warning", "state": "shelved", "raised_at": "2026-05-04T10:11:12Z", "channel": "clock",
-        "event_at": "2026-05-04T10:11:12Z", "text": "what"
+        "event_at": "2026-05-04T10:11:12Z", "text": "what", "text_at": "2026-05-04T10:11:12Z"
     }))
     .unwrap();
     let alarm: Value = serde_json::from_slice(&alarm.into_message()).unwrap();
