@@ -24,6 +24,7 @@ use crate::{
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  pointsd report north/21B --out 21B.html --config /etc/pointsd/pointsd.toml")]
 pub(super) struct Arguments {
+    /// The machine.
     #[arg(value_name = "SITE/MACHINE", value_parser = argument::machine)]
     machine: MachineId,
     /// The HTML file, or - for standard output.
