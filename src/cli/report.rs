@@ -4,7 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
 
-use super::{Exit, Failure, Outcome, ResultExt, argument, database::Location, output, runtime::block_on};
+use super::{
+    Exit, Failure, Outcome, ResultExt, argument,
+    database::{Location, require_this_version},
+    output,
+    runtime::block_on,
+};
 use crate::{
     daemon::config::{Document, diagnosis},
     diagnose,
@@ -46,6 +51,7 @@ pub(super) fn main(arguments: &Arguments) -> Outcome {
     let machine = &arguments.machine;
     let span = Span::from_word(&arguments.span).unwrap_or(Span::All);
     let page = block_on(async {
+        require_this_version(&path).await?;
         let reader = Reader::open_outside(&path).await.or_exit(Exit::NoInput)?;
         web::report(&reader, machine, span, &diagnosis).await.or_exit(Exit::Data)
     })?;
