@@ -20,7 +20,7 @@ use crate::{
     Exit codes: 0 accepted, 1 rejected (the reason is printed), 64 an option is wrong, 65 the file is not a recording, 66 it \
     cannot be read.")]
 pub(super) struct Arguments {
-    /// The recorded trace.
+    /// The recorded trace, or - for standard input.
     #[arg(value_name = "FILE.csv")]
     file: PathBuf,
     /// Print one JSON object.

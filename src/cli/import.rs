@@ -4,7 +4,6 @@ use std::{
     collections::HashMap,
     ffi::{OsStr, OsString},
     fs,
-    io::{self, Read as _},
     path::{Path, PathBuf},
 };
 
@@ -144,13 +143,7 @@ fn is_json(file: &Path) -> bool {
 
 fn read_json(file: &Path) -> Result<Vec<Throw>, Failure> {
     let name = || file.display().to_string();
-    let bytes = if file == Path::new("-") {
-        let mut bytes = Vec::new();
-        io::stdin().read_to_end(&mut bytes).map(|_| bytes)
-    } else {
-        fs::read(file)
-    };
-    let bytes = bytes.with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
+    let bytes = recording::bytes(file).with_context(|| format!("cannot read {}", name())).or_exit(Exit::NoInput)?;
     // The byte order mark of some editors.
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     if bytes.trim_ascii_start().starts_with(b"[") {

@@ -163,7 +163,10 @@ mod tests {
         let whole = fitted_to(None, table.clone(), 20);
         assert!(whole.contains("north/21B  50.25"), "{whole}");
         assert_eq!(fitted_to(Some(40), table.clone(), 20), whole);
-        assert_eq!(fitted_to(Some(12), table.clone(), 20), "machine = north/21B\n     b0 = 50.25\n\nmachine = north/21A\n     b0 = ");
+        assert_eq!(
+            fitted_to(Some(12), table.clone(), 20),
+            "machine = north/21B\n     b0 = 50.25\n\nmachine = north/21A\n     b0 = "
+        );
         let wrapped = fitted_to(Some(12), table, 6);
         assert!(wrapped.lines().all(|line| line.chars().count() <= 12) && !wrapped.contains('='), "{wrapped}");
     }
