@@ -100,10 +100,10 @@ fn fitted_to(width: Option<usize>, mut table: Table, least: usize) -> String {
     let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
     let record = |row: &Row| {
         let cells = names.iter().zip(row.cell_iter());
-        cells.map(|(name, cell)| format!("{name:>longest$} = {}\n", cell.content())).collect::<String>()
+        let lines: Vec<String> = cells.map(|(name, cell)| format!("{name:>longest$} = {}", cell.content())).collect();
+        lines.join("\n")
     };
-    let text = table.row_iter().map(record).collect::<Vec<_>>().join("\n");
-    text.trim_end_matches('\n').to_owned()
+    table.row_iter().map(record).collect::<Vec<_>>().join("\n\n")
 }
 
 /// A table with borders, at most as wide as the terminal.
